@@ -100,6 +100,7 @@ def _make_random_frame(rng: np.random.Generator, *, height: int, width: int) -> 
             coverage=rng.multinomial(16, np.full(9, 1 / 9), (height, width)) / 16,
             object_share=rng.integers(4, 17, (height, width)) / 16,
             motion=vector(2),
+            reflected_motion=vector(3),
             material=np.arange(height * width).reshape(height, width) % 3,
         ),
         camera=Camera(position=(1.0, 2.0, 0.1), forward=(0.0, -0.3, -1.0), up=(0.0, 1.0, 0.0), fov_y=0.7, fov_x=0.9),

@@ -80,8 +80,7 @@ class GBuffer(Images):
     mean_diffuse_albedo, mean_specular_albedo : array_like, shape (height, width, 3), optional
         Means of the albedos over the pixel's area, in [0, 1], without the noise of samples.
     denoiser_albedo : array_like, shape (height, width, 3), optional
-        Albedo that a renderer made for denoisers, unchanged. Open Image Denoise gets it instead of the sum of the other
-        albedos; nothing else reads it.
+        Albedo that a renderer made for denoisers, unchanged. Only Open Image Denoise reads it.
     denoiser_normal : array_like, shape (height, width, 3), optional
         Normal of another renderer's file, unchanged, in any space and of any length; the normal for denoisers where the
         file has one. Open Image Denoise gets it instead of the other normals; nothing else reads it.
@@ -96,6 +95,8 @@ class GBuffer(Images):
         silhouettes, and in wide areas where depth of field or motion blurs them.
     motion : array_like, shape (height, width, 2), optional
         Place of the surface point in the previous frame minus its place in this frame, pixels, x right and y down.
+    reflected_motion : array_like, shape (height, width, 3), optional
+        World position of the hit in the previous frame minus its position in this frame; 0 where it stood still.
     material : array_like, shape (height, width), optional
         Number of the frame's lobe table with the pixel's lobes, counted from 1; 0 where the alphas describe the lobe.
 
@@ -127,10 +128,11 @@ class GBuffer(Images):
     coverage: MaybeImage = ABSENT
     object_share: MaybeImage = ABSENT
     motion: MaybeImage = ABSENT
+    reflected_motion: MaybeImage = ABSENT
     material: MaybeImage = ABSENT
 
     def __post_init__(self) -> None:
-        vectors = ("position", "normal", "tangent", "albedo", "emission")
+        vectors = ("position", "normal", "tangent", "albedo", "emission", "reflected_motion")
         channels = {item.name: 3 if item.name.endswith(vectors) else None for item in fields(self)}
         self.check_images({**channels, "motion": 2, "coverage": 9})
 

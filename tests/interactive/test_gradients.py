@@ -8,7 +8,7 @@ import pytest
 from lobewise.camera import Camera
 from lobewise.filters.history.sums import HISTORY_CHANNELS, split_sums
 from lobewise.frame import Radiance
-from lobewise.interactive.gradients import MAX_RATIO, Change, Shaded, find_changes, relight_sums
+from lobewise.interactive.gradients import MAX_RATIO, Change, Shaded, find_changes, follows_hits, relight_sums
 
 SCALE, ROWS, COLUMNS = 4, 6, 8
 SHAPE = SCALE * ROWS - 1, SCALE * COLUMNS - 2
@@ -25,7 +25,8 @@ def former(rng: np.random.Generator) -> Shaded:
     camera = Camera((0, 0, 4), (0, 0, -1), (0, 1, 0), 0.6)
     pixels = np.zeros(0, np.intp), np.zeros(0, np.intp)
     depth = np.full((ROWS, COLUMNS), 4.0, np.float32)
-    return Shaded(camera, pixels, SCALE, (1, 2), 1, 0, make_radiance(diffuse, specular), depth)
+    shapes = np.zeros((2, ROWS, COLUMNS), np.float32)
+    return Shaded(camera, pixels, SCALE, (1, 2), 1, 0, make_radiance(diffuse, specular), depth, shapes)
 
 
 def test_samples_that_change_alike_tell_the_ratio(former: Shaded) -> None:
@@ -79,6 +80,42 @@ def test_samples_of_another_surface_tell_nothing(former: Shaded) -> None:
     assert (change.ratio[:, : SCALE * 2] == 1.0).all()
     assert (change.error[:, : SCALE * 2] == 0.0).all()
     np.testing.assert_allclose(change.ratio[:, SCALE * 5 :], 5.0, rtol=1e-5)
+
+
+@pytest.mark.parametrize("which", range(4))
+def test_a_moving_reflection_tells_nothing_of_specular_light(former: Shaded, which: int) -> None:
+    old = former.radiance
+    assert old.diffuse is not None
+    assert old.specular is not None
+    moved = np.zeros((4, ROWS, COLUMNS), bool)
+    moved[which, :, :4] = True
+    again = make_radiance(old.diffuse * 5.0, old.specular * 5.0)
+    changes = find_changes(former, again, former.depth, SHAPE, moved)
+    assert (changes["specular"].ratio[:, : SCALE * 2] == 1.0).all()
+    assert (changes["specular"].error[:, : SCALE * 2] == 0.0).all()
+    np.testing.assert_allclose(changes["specular"].ratio[:, SCALE * 5 :], 5.0, rtol=1e-5)
+    np.testing.assert_allclose(changes["diffuse"].ratio, 5.0, rtol=1e-5)
+
+
+def test_a_single_sample_tells_no_change(former: Shaded) -> None:
+    """It equals its own ratio exactly, which once passed for certainty: histories became a hundred times brighter."""
+    old = former.radiance.diffuse
+    assert old is not None
+    depth = np.full_like(former.depth, 3.9)
+    depth[2, 3] = former.depth[2, 3]
+    change = find_changes(former, make_radiance(old * 50.0, old * 50.0), depth, SHAPE)["diffuse"]
+    assert (change.ratio == 1.0).all()
+    # At the corners of an image four samples are all that there are.
+    whole = find_changes(former, make_radiance(old * 5.0, old * 5.0), former.depth, SHAPE)["diffuse"]
+    np.testing.assert_allclose(whole.ratio, 5.0, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("similarity", "follows"),
+    [("ggx", True), ("sg", True), ("auto", True), ("normal", False), ("sg_mixture", False)],
+)
+def test_histories_follow_reflections_that_hits_tell(similarity: str, follows: bool) -> None:
+    assert follows_hits(similarity) == follows
 
 
 def make_sums(rng: np.random.Generator) -> np.ndarray:

@@ -32,14 +32,18 @@ def place(step: int) -> dict[str, np.ndarray]:
     return {"plastic": slide(-0.1 * step, 0.0, 0.0), "cube": turn(4.0 * step, CUBE)}
 
 
-def find_pixels(session: Session, frame: InteractiveFrame, name: str) -> np.ndarray:
-    """Return the pixels that show a shape."""
+def find_number(session: Session, name: str) -> int:
+    """Return the number of a shape among the first hits."""
     import drjit as dr
     import mitsuba as mi
 
     shape = next(each for each in session.scene.shapes() if each.id() == name)
-    number = int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])
-    return np.asarray(frame.parts.hits.shape == number)
+    return int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])
+
+
+def find_pixels(session: Session, frame: InteractiveFrame, name: str) -> np.ndarray:
+    """Return the pixels that show a shape."""
+    return np.asarray(frame.parts.hits.shape == find_number(session, name))
 
 
 def test_frames_show_the_scene_as_it_is_now(mi: Any, session: Session) -> None:
@@ -97,6 +101,25 @@ def test_motion_is_that_since_the_stream_was_last_shown(session: Session) -> Non
     assert motions[0] is not None
     assert motions[1] is not None
     assert np.median(motions[1][ball][:, 0]) == pytest.approx(3.0 * np.median(motions[0][ball][:, 0]), rel=0.1)
+
+
+def test_reflected_motion_is_that_of_what_is_reflected(session: Session) -> None:
+    session.resize(96, 96)
+    session.set_transforms(place(0))
+    assert session.render().parts.hits.gbuffer.reflected_motion is None
+    session.set_transforms(place(1))
+    frame = session.render()
+    hits, found = frame.parts.hits, frame.parts.hits.gbuffer.reflected_motion
+    assert found is not None
+    ball, cube = (hits.seen_shape == find_number(session, name) for name in ("plastic", "cube"))
+    assert ball.sum() > 20
+    assert cube.sum() > 20
+    np.testing.assert_allclose(found[ball], np.broadcast_to((0.1, 0.0, 0.0), found[ball].shape), atol=1e-6)
+    assert not found[~ball & ~cube].any()
+    # The cube turns by 4 degrees about its middle, by 0.08 at its edges.
+    length = np.linalg.norm(found[cube], axis=-1)
+    assert 0.02 < length.max() < 0.085
+    assert np.abs(found[cube][:, 1]).max() < 1e-6
 
 
 @pytest.mark.parametrize("knows", [True, False])

@@ -91,7 +91,7 @@ class TestRoundTrip:
             copy + layer + c for copy in ("", "variance.", "half_a.", "half_b.") for layer in colors for c in "RGB"
         ]
         expected += ["depth.Z", "alpha.U", "alpha.V", "lobe_kind.I", "hit_distance.Z", "motion.X", "motion.Y"]
-        expected += ["material.I"]
+        expected += ["material.I", *(f"reflected_motion.{c}" for c in "XYZ")]
         expected += [f"{n}.{c}" for n in ("position", "normal", "tangent") for c in "XYZ"]
         expected += [
             f"{n}.{c}" for n in ("hit_position", "hit_normal", "mean_normal", "denoiser_normal") for c in "XYZ"

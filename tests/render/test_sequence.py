@@ -219,6 +219,28 @@ class TestMovingObjects:
             stays = np.linalg.norm(there - guides.position, axis=-1) < footprint
             assert stays[pixels].mean() < 0.5
 
+    def test_reflected_motion_is_that_of_the_hit(self, mi: Any) -> None:
+        from lobewise.render import MovingScene, render_frame
+
+        moving = MovingScene("showroom", 96)
+        scene = moving.load(self.STEPS)
+        moves = moving.find_moves(self.STEPS, 0)
+        camera = render_frame(scene, spp=1, aov_only=True).camera
+        assert camera is not None
+        known = {"spp": 1, "aov_only": True, "previous_camera": camera}
+        assert render_frame(scene, **known).gbuffer.reflected_motion is None
+        guides = render_frame(scene, **known, moves=moves).gbuffer
+        found = guides.reflected_motion
+        assert found is not None
+        # With a single sample the hit is the mean of the sample and of the mirror ray, which mostly see one object.
+        ball = np.linalg.norm(guides.hit_position - np.array([-0.5 - 0.028 * self.STEPS, 0.45, 0.9]), axis=-1) < 0.47
+        smooth = ball & (guides.alpha_u < 0.15)
+        assert smooth.sum() > 10
+        expected = np.array([0.028 * self.STEPS, 0.0, 0.0])
+        assert np.mean(np.linalg.norm(found[smooth] - expected, axis=-1) < 1e-4) > 0.8
+        moved = np.abs(found).max(axis=-1) > 0.0
+        assert 0.005 < moved.mean() < 0.2
+
     def test_what_stands_still_moves_with_the_camera_alone(self, mi: Any) -> None:
         from lobewise.render import MovingScene, get_camera, render_sequence
 

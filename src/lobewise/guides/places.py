@@ -36,19 +36,19 @@ def add_grid(motion: FloatArray) -> FloatArray:
 
 
 def get_projection_numbers(camera: Camera, size: tuple[int, int]) -> dict[str, NDArray[np.float64]]:
-    """Return the numbers that `_project` reads: the camera's position, and its axes in units of the half image."""
+    """Return the numbers that `project_step` reads: the camera's position, and its axes in units of the half image."""
     height, width = size
     half_width, half_height = camera.get_half_extent(width, height)
     return {
         "before": camera.position,
         "before_forward": camera.forward,
-        # `_project` divides a step by its depth, so the shift of the image is subtracted per unit of depth.
+        # `project_step` divides a step by its depth, so the shift of the image is subtracted per unit of depth.
         "before_right": (camera.right - camera.shift[0] * camera.forward) / half_width,
         "before_up": (camera.up - camera.shift[1] * camera.forward) / half_height,
     }
 
 
-def _project(grid: Grid, step: Vector) -> tuple[list[hl.Expr], hl.Expr]:
+def project_step(grid: Grid, step: Vector) -> tuple[list[hl.Expr], hl.Expr]:
     """Return column and row, pixel centres at whole numbers, of a step from the camera, and whether it is in front."""
     one, half = hl.f64(1.0), hl.f64(0.5)
     width, height = (hl.f64(extent) for extent in grid.size)
@@ -94,7 +94,7 @@ def find_surface_places(
 def _define_surface_places(grid: Grid) -> list[Vector]:
     there = is_surface_depth(grid.read_one("depth"))
     steps = zip(subtract([hl.f64(p) for p in grid.read("position")], grid.get("before")), _ray(grid), strict=True)
-    place, known = _project(grid, [hl.select(there, step, ray) for step, ray in steps])
+    place, known = project_step(grid, [hl.select(there, step, ray) for step, ray in steps])
     own = [hl.f32(grid.x), hl.f32(grid.y)]
     # A point that lay behind the camera moves by twice the size of the image.
     outside = [start + hl.f32(2 * extent) for start, extent in zip(own, grid.size, strict=True)]
@@ -188,5 +188,5 @@ def _define_image_places(grid: Grid) -> list[Vector]:
     known = (raw > hl.f32(0.0)) & (opening > hl.f64(0.0))
     behind = t / hl.max(opening, hl.f64(1e-6)) / distance
     image = [place + component * behind for place, component in zip(position, view, strict=True)]
-    places, seen = _project(grid, subtract(image, grid.get("before")))
+    places, seen = project_step(grid, subtract(image, grid.get("before")))
     return [[select_or_nan(known & seen, place) for place in places]]

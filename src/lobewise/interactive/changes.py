@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from lobewise.camera import Camera
+from lobewise.frame import FloatArray
 from lobewise.interactive.methods import Methods
+from lobewise.render.gbuffer import number_moves
 from lobewise.render.moving.shapes import Matrix, ShapePlaces
 from lobewise.render.stages import FirstHits, Stages
 
@@ -56,8 +59,19 @@ class SceneChanges:
         """Return the scene as a frame of this moment shows it."""
         return Seen(camera, dict(self._places.transforms), self.count)
 
+    def is_same(self, seen: Seen, camera: Camera) -> bool:
+        """Return whether nothing has changed since an earlier frame, and its camera was the same."""
+        names = ("position", "forward", "up", "fov_y")
+        still = all(np.array_equal(getattr(seen.camera, name), getattr(camera, name)) for name in names)
+        return seen.changes == self.count and still
+
+    def find_moved(self, seen: Seen, shapes: FloatArray) -> NDArray[np.bool_]:
+        """Return which of some shapes have moved since an earlier frame; ``shapes`` are numbers as in `FirstHits`."""
+        moves = self._places.find_moves(seen.transforms)
+        return np.isin(shapes, [number for number, _ in number_moves(self._stages.scene, moves)])
+
     def add_motion(self, hits: FirstHits, seen: Seen | None) -> FirstHits:
-        """Return first hits with the motion since an earlier frame, if shapes have moved since."""
+        """Return first hits with the motion since an earlier frame, also of reflections, if shapes have moved since."""
         moves = self._places.find_moves(seen.transforms) if seen is not None else {}
         # Without motion the filter takes all surfaces for still ones, which costs less.
         return self._stages.add_motion(hits, seen.camera, moves) if seen is not None and moves else hits

@@ -22,12 +22,16 @@ from lobewise.camera import Camera
 from lobewise.filters.history.sums import split_sums
 from lobewise.frame import FloatArray, Radiance
 from lobewise.lobes.vectors import LUMINANCE
+from lobewise.settings.choices import SIMILARITIES
 from lobewise.temporal.recipe import TemporalFilter
 
 SAME_DEPTH = 1e-3
 """Largest relative difference of depths at which a pixel counts as showing the same surface point."""
 WINDOW = 1
 """Samples on each side whose changes are averaged: with 1 a window of 3x3 samples."""
+MIN_SHARE_OF_WINDOW = 0.5
+"""Smallest share of a window's samples that tells a change. The error of the ratio of a few samples is not known: a
+single sample does not differ from its own ratio."""
 MAX_RATIO = 100.0
 """Largest factor by which a history is made brighter."""
 LAYERS = ("diffuse", "specular")
@@ -41,8 +45,9 @@ Pixels = tuple[NDArray[np.intp], NDArray[np.intp]]
 class Shaded:
     """The samples of one frame of sparse pixels, and how they were taken.
 
-    ``seed`` and ``spp`` are those of the samples, ``scale`` and ``place`` those of a `SparseFrame`, ``depth`` is that
-    of the samples' pixels, (rows, columns).
+    ``seed`` and ``spp`` are those of the samples, ``scale`` and ``place`` those of a `SparseFrame`. ``depth``, (rows,
+    columns), and ``shapes``, (2, rows, columns), are those of the samples' pixels; the latter are numbers of the shapes
+    that a pixel shows and that its mirror ray hits.
     """
 
     camera: Camera
@@ -53,6 +58,7 @@ class Shaded:
     seed: int
     radiance: Radiance
     depth: FloatArray
+    shapes: FloatArray
 
 
 @dataclass(frozen=True)
@@ -67,10 +73,16 @@ class Change:
     error: FloatArray
 
 
-def find_changes(former: Shaded, radiance: Radiance, depth: FloatArray, shape: tuple[int, int]) -> dict[str, Change]:
+def find_changes(
+    former: Shaded,
+    radiance: Radiance,
+    depth: FloatArray,
+    shape: tuple[int, int],
+    moved: NDArray[np.bool_] | None = None,
+) -> dict[str, Change]:
     """Return the change of the light around every pixel, by the name of the layer.
 
-    The ratio is 1 and its error 0 where no sample near the pixel shows the same surface point as before.
+    The ratio is 1 and its error 0 where less than half of the samples near the pixel show the same as before.
 
     Parameters
     ----------
@@ -81,21 +93,33 @@ def find_changes(former: Shaded, radiance: Radiance, depth: FloatArray, shape: t
     depth : array, shape (rows, columns)
         Their depths now.
     shape : (height, width)
+    moved : bool array, shape (4, rows, columns), optional
+        Whether each sample's surface now, what it reflects now, and both in the frame before are shapes that have
+        moved. Give it where specular histories follow reflections (`follows_hits`): the change at one point of a mirror
+        is then not the change of a history.
     """
     same = np.abs(depth - former.depth) <= SAME_DEPTH * former.depth
     changes = {}
     for name in LAYERS:
         old, new = getattr(former.radiance, name), getattr(radiance, name)
-        good = (same & np.isfinite(old).all(axis=-1) & np.isfinite(new).all(axis=-1))[..., None]
+        known = same if name != "specular" or moved is None else same & ~moved.any(axis=0)
+        good = (known & np.isfinite(old).all(axis=-1) & np.isfinite(new).all(axis=-1))[..., None]
         old, new = np.where(good, old, 0.0), np.where(good, new, 0.0)
         dim, bright = (each @ np.array(LUMINANCE) for each in (old, new))
         moments = np.stack([dim * dim, dim * bright, bright * bright], axis=-1)
-        sums = _sum_windows(np.concatenate([old, new, moments], axis=-1))
-        ratio, error = _compare_sums(sums)
+        *sums, count = np.moveaxis(_sum_windows(np.concatenate([old, new, moments, good], axis=-1)), -1, 0)
+        ratio, error = _compare_sums(np.stack(sums, axis=-1))
+        few = count < MIN_SHARE_OF_WINDOW * _sum_windows(np.ones((*same.shape, 1)))[..., 0]
+        ratio[few], error[few] = 1.0, 0.0
         both = np.concatenate([ratio, error[..., None]], axis=-1)
         spread = _spread(both.astype(np.float32), former.scale, former.place, shape)
         changes[name] = Change(spread[..., :3], spread[..., 3])
     return changes
+
+
+def follows_hits(similarity: str) -> bool:
+    """Return whether the specular histories of a similarity follow reflections; "auto" chooses one of these."""
+    return similarity not in SIMILARITIES or SIMILARITIES[similarity].takes_hits
 
 
 def _compare_sums(sums: Any) -> tuple[Any, Any]:

@@ -21,7 +21,7 @@ from lobewise.interactive.changes import SceneChanges, Seen
 from lobewise.interactive.direct_filter import filter_direct
 from lobewise.interactive.filter_choice import MIN_PATHS_FOR_INTERPOLATION, FilterChoice
 from lobewise.interactive.frames import STAGES, InteractiveFrame, watch
-from lobewise.interactive.gradients import Pixels, Shaded, find_changes, relight
+from lobewise.interactive.gradients import Pixels, Shaded, find_changes, follows_hits, relight
 from lobewise.interactive.lens import LensMean
 from lobewise.interactive.methods import Methods
 from lobewise.interactive.resting import Again, Resting
@@ -249,7 +249,7 @@ class Session:
         with watch(seconds, "indirect"):
             for chain in chains:
                 if chain.shaded is not None and chain.seen is not None and chain.seen.changes != self._changes.count:
-                    self._relight_history(chain, chain.shaded)
+                    self._relight_history(chain, chain.shaded, chain.seen)
                     self._stages.place_camera(camera, *self._size)
         seed = (self._seed << 20) + chains[0].number
         with watch(seconds, "gbuffer"):
@@ -271,8 +271,7 @@ class Session:
             chain = _Chain(settings, chosen, TemporalFilter(chosen), size=self._size)
         elif chain.chosen != chosen:
             chain.chosen, chain.temporal = chosen, TemporalFilter(chosen)
-        seen = chain.seen
-        still = seen is not None and seen.changes == self._changes.count and _is_same(seen.camera, camera)
+        still = chain.seen is not None and self._changes.is_same(chain.seen, camera)
         same = chain.settings == settings and still
         if not (same and settings.accumulate):
             chain.resting, chain.lens = Resting(), LensMean()
@@ -321,9 +320,11 @@ class Session:
         radiance = self._shade(method, grid, chain.settings.spp, shared.seed, (rows.size, columns.size))
         chain.shaded = None
         if chain.settings.temporal:
-            depth = np.asarray(shared.hits.gbuffer.depth)[place[0] :: scale, place[1] :: scale]
+            some = (slice(place[0], None, scale), slice(place[1], None, scale))
+            depth = np.asarray(shared.hits.gbuffer.depth)[some]
+            shapes = np.stack([shared.hits.shape[some], shared.hits.seen_shape[some]])
             spp, seed = chain.settings.spp, shared.seed
-            chain.shaded = Shaded(shared.camera, grid, scale, place, spp, seed, radiance, depth)
+            chain.shaded = Shaded(shared.camera, grid, scale, place, spp, seed, radiance, depth, shapes)
         return SparseFrame(
             radiance,
             shared.hits.gbuffer,
@@ -334,15 +335,17 @@ class Session:
             lobe_tables=shared.hits.lobe_tables,
         )
 
-    def _relight_history(self, chain: _Chain, former: Shaded) -> None:
+    def _relight_history(self, chain: _Chain, former: Shaded, seen: Seen) -> None:
         """Let the history follow the light, which changed by as much as the last frame's samples if taken again."""
         self._stages.place_camera(former.camera, *self._size)
         method = self._methods.get(chain.settings.method)
         rows, columns = former.depth.shape
         radiance = self._shade(method, former.pixels, former.spp, former.seed, (rows, columns))
-        depth = self._stages.find_depth(*former.pixels, former.camera).reshape(rows, columns)
-        width, height = self._size
-        relight(chain.temporal, find_changes(former, radiance, depth, (height, width)))
+        depth, shapes = self._stages.find_surfaces(*former.pixels, former.camera)
+        shapes = np.concatenate([shapes.reshape(-1, rows, columns), former.shapes])
+        moved = self._changes.find_moved(seen, shapes) if follows_hits(chain.chosen.similarity) else None
+        size = self._size[1], self._size[0]
+        relight(chain.temporal, find_changes(former, radiance, depth.reshape(rows, columns), size, moved))
 
     def _shade(self, method: Any, pixels: Pixels, samples: int, seed: int, shape: tuple[int, int]) -> Radiance:
         """Return the indirect light of some pixels as an image of the shape ``shape``."""
@@ -390,8 +393,3 @@ class Session:
         if not settings.filter_direct or settings.similarity == UNFILTERED:
             return mean
         return filter_direct(mean, shared.hits, settings.make_filter_settings(), chain.resting.frames)
-
-
-def _is_same(first: Camera, second: Camera) -> bool:
-    names = ("position", "forward", "up", "fov_y")
-    return all(np.array_equal(getattr(first, name), getattr(second, name)) for name in names)

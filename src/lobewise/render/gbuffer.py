@@ -13,16 +13,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import fields
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from lobewise.camera import Camera
 from lobewise.errors import InputError, require_choice
-from lobewise.frame import FloatArray, LobeKind
+from lobewise.frame import FloatArray, GBuffer, LobeKind
+from lobewise.motion import compute_motion
 from lobewise.render.bridge import dr, mi
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import dispatch_surface
@@ -41,7 +42,8 @@ def trace_guides(
 
     Beside the fields of `GBuffer` these are ``shape`` (a number for `move_back`) and the results of the mirror ray:
     ``mirror_count`` (1 if it was traced), ``mirror_inverse`` (1/t), ``mirror_position`` (position over t),
-    ``mirror_normal``, ``mirror_albedo``, and ``mirror_ends`` (0 if a path would go on, through a mask or by a mirror).
+    ``mirror_normal``, ``mirror_albedo``, ``mirror_ends`` (0 if a path would go on, through a mask or by a mirror), and
+    ``seen_shape`` (the number of the shape that it hits; 0 for none, and where a path would go on).
     """
     width, height = (dr.opaque(mi.UInt32, length) for length in size)
     pixel = dr.arange(mi.UInt32, pixels[1]) + dr.opaque(mi.UInt32, pixels[0])
@@ -57,6 +59,7 @@ def trace_guides(
     guides["mirror_albedo"] = dr.select(seen, find_seen_albedo(surface, mirrored), 0.0)
     passes = seen & (is_mirror(surface) | (surface.opacity < MIN_SURFACE_OPACITY))
     guides["mirror_ends"] = dr.select(shiny & ~passes, mi.Float(1), 0.0)
+    guides["seen_shape"] = dr.select(passes, 0.0, guides["seen_shape"])
     dr.eval(guides)
     return guides
 
@@ -88,11 +91,17 @@ def _collect_guides(points: Points, eye: Any, shiny: Any, mirrored: Any) -> dict
         "depth": dr.select(found, dr.norm(si.p - eye), 0.0),
         "position": dr.select(found, si.p, 0.0),
         # An instance moves, the shapes of its group do not.
-        "shape": mi.Float(_number_shapes(dr.select(si.instance != None, si.instance, si.shape))),  # noqa: E711
+        "shape": _number_shapes_of(si),
+        "seen_shape": dr.select(shiny & mirrored.is_valid(), _number_shapes_of(mirrored), 0.0),
         "mirror_count": dr.select(shiny, mi.Float(1), 0.0),
         "mirror_inverse": inverse,
         "mirror_position": mi.Vector3f(mirrored.p) * inverse,
     }
+
+
+def _number_shapes_of(si: Any) -> Any:
+    """Return the number of the shape at each intersection as a float."""
+    return mi.Float(_number_shapes(dr.select(si.instance != None, si.instance, si.shape)))  # noqa: E711
 
 
 def _number_shapes(shape: Any) -> Any:
@@ -106,8 +115,80 @@ def move_back(scene: Any, shape: FloatArray, position: FloatArray, moves: Moves)
     another affine map. InputError if the scene has no shape with an id of ``moves``, or a matrix is not finite or not
     (4, 4).
     """
-    numbers = {each.id(): int(_number_shapes(mi.ShapePtr(each))[0]) for each in scene.shapes()}
     before = position
+    for number, matrix in number_moves(scene, moves):
+        there = position @ matrix[:3, :3].T + matrix[:3, 3]
+        before = np.where((shape == number)[..., None], there, before)
+    return np.asarray(before)
+
+
+def find_reflected_motion(
+    scene: Any, guides: GBuffer, seen: tuple[FloatArray, FloatArray], eye: NDArray[np.float64], moves: Moves
+) -> FloatArray:
+    """Return the previous minus the present position of what each pixel's mirror ray hits, (height, width, 3).
+
+    Parameters
+    ----------
+    guides : GBuffer
+        Its positions and normals are those of the mirrors.
+    seen : pair of arrays, shape (height, width)
+        What the mirror rays hit: ``seen_shape`` of `trace_guides`, and the distance.
+    eye : array, shape (3,)
+        Position of the camera.
+    moves : Moves
+        As for `move_back`, which tells the errors.
+    """
+    shape, distance = seen
+    found = np.zeros((*shape.shape, 3), np.float32)
+    for number, matrix in number_moves(scene, moves):
+        pixels = (shape == number) & np.isfinite(distance)
+        position, normal = (
+            guides.require(name, "motion")[pixels].astype(np.float64) for name in ("position", "normal")
+        )
+        ray = position - eye
+        ray /= np.maximum(np.linalg.norm(ray, axis=-1, keepdims=True), 1e-30)
+        out = ray - 2.0 * np.sum(ray * normal, axis=-1, keepdims=True) * normal
+        hit = position + distance[pixels, None].astype(np.float64) * out
+        found[pixels] = hit @ (matrix[:3, :3] - np.eye(3)).T + matrix[:3, 3]
+    return found
+
+
+def add_motion(
+    scene: Any,
+    guides: GBuffer,
+    shapes: FloatArray,
+    seen: tuple[FloatArray, FloatArray],
+    cameras: tuple[Camera, Camera],
+    moves: Moves,
+) -> GBuffer:
+    """Return guides with ``motion`` since a previous frame, and with ``reflected_motion`` if shapes have moved.
+
+    Parameters
+    ----------
+    shapes : array, shape (height, width)
+        As ``shape`` of `trace_guides`.
+    seen : pair of arrays, shape (height, width)
+        As for `find_reflected_motion`.
+    cameras : pair of Camera
+        The cameras of this frame and of the previous one.
+    moves : Moves
+        As for `move_back`, which tells the errors.
+    """
+    camera, previous = cameras
+    before = move_back(scene, shapes, guides.require("position", "motion"), moves)
+    motion = compute_motion(camera, previous, before, guides.require("depth", "motion"))
+    if not moves:
+        return replace(guides, motion=motion)
+    reflected = find_reflected_motion(scene, guides, seen, camera.position, moves)
+    return replace(guides, motion=motion, reflected_motion=reflected)
+
+
+def number_moves(scene: Any, moves: Moves) -> Iterator[tuple[int, NDArray[np.float64]]]:
+    """Yield the number of each moved shape, as ``shape`` of `trace_guides` holds it, and its matrix.
+
+    InputError as `move_back`.
+    """
+    numbers = {each.id(): int(_number_shapes(mi.ShapePtr(each))[0]) for each in scene.shapes()}
     for name, move in moves.items():
         require_choice("moves", name, numbers)
         matrix = np.asarray(move, dtype=np.float64)
@@ -115,6 +196,4 @@ def move_back(scene: Any, shape: FloatArray, position: FloatArray, moves: Moves)
             got = f"an array of shape {matrix.shape}"
             action = "pass the matrix that maps points to their previous positions"
             raise InputError(f"moves[{name!r}]", expected="a finite matrix of shape (4, 4)", got=got, action=action)
-        there = position @ matrix[:3, :3].T + matrix[:3, 3]
-        before = np.where((shape == numbers[name])[..., None], there, before)
-    return np.asarray(before)
+        yield numbers[name], matrix

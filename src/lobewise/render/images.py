@@ -44,11 +44,16 @@ def finish_seen(totals: Totals, guides: dict[str, Any]) -> tuple[FloatArray, Flo
 
 
 def finish_guides(sums: Sums, guides: dict[str, Any], spp: int) -> dict[str, FloatArray]:
-    """Return the guides of a run of pixels, pixels first, by their path in `Frame`, and ``shape``."""
+    """Return the guides of a run of pixels, pixels first, by their path in `Frame`.
+
+    Beside them ``shape``, ``seen_shape`` and ``seen_distance`` tell what `lobewise.render.gbuffer.add_motion` reads.
+    """
     assert sums.totals is not None
     own = GBuffer.__dataclass_fields__
     images = {f"gbuffer.{name}": to_image(value) for name, value in guides.items() if name in own}
-    images["shape"] = to_image(guides["shape"])
+    images |= {name: to_image(guides[name]) for name in ("shape", "seen_shape")}
+    inverse = to_image(guides["mirror_inverse"])
+    images["seen_distance"] = np.divide(1.0, inverse, out=np.full_like(inverse, np.inf), where=inverse > 0.0)
     images["gbuffer.hit_distance"], images["gbuffer.hit_position"] = finish_hits(sums.totals, guides)
     images["gbuffer.hit_normal"], images["gbuffer.hit_albedo"] = finish_seen(sums.totals, guides)
     for name in ("diffuse_albedo", "specular_albedo"):

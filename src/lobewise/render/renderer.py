@@ -11,11 +11,10 @@ from numpy.typing import ArrayLike
 from lobewise.camera import Camera
 from lobewise.errors import InputError, name_value, require_choice, require_integer
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
-from lobewise.motion import compute_motion
 from lobewise.render.bridge import dr, mi
 from lobewise.render.camera import get_camera, get_image_size, has_lens
 from lobewise.render.coverage import trace_coverage
-from lobewise.render.gbuffer import Moves, move_back, trace_guides
+from lobewise.render.gbuffer import Moves, add_motion, trace_guides
 from lobewise.render.images import finish_guides, finish_radiance, join, number_pixels, select, to_image
 from lobewise.render.integrators import LIGHTS, Light, check_scene, plan_light, plan_pixels
 from lobewise.render.materials.bsdfs import list_lobe_tables, read_scene_materials
@@ -152,7 +151,7 @@ def render_frame(
         Whether the G-buffer describes each pixel's area by ``coverage`` and the ``mean_`` images. They take 16 more
         camera rays per pixel and no samples.
     previous_camera : Camera, optional
-        Camera of the previous frame; with it the G-buffer holds ``motion``.
+        Camera of the previous frame; with it the G-buffer holds ``motion``, and with ``moves`` ``reflected_motion``.
     moves : mapping of str to array_like, shape (4, 4), optional
         With ``previous_camera``: for each moved shape, by its id, the matrix that maps its world points to their
         positions in the previous frame.
@@ -204,17 +203,17 @@ def _render_by_paths(
         return finish_guides(sums, guides, spp) | run.finish_radiance(pixels, sums)
 
     images = run.run(*run.size, finish, progress)
-    motion = {}
-    if previous_camera is not None:
-        before = move_back(scene, images["shape"], images["gbuffer.position"], moves or {})
-        motion["motion"] = compute_motion(camera, previous_camera, before, images["gbuffer.depth"])
     tables = list_lobe_tables(run.materials)
     if not tables:
         del images["gbuffer.material"]
+    gbuffer = GBuffer(**select(images, "gbuffer"))
+    if previous_camera is not None:
+        seen = images["seen_shape"], images["seen_distance"]
+        gbuffer = add_motion(scene, gbuffer, images["shape"], seen, (camera, previous_camera), moves or {})
     parts = ("half_a", "half_b", "variance") if spp > 1 and run.settings.radiance else ()
     frame = Frame(
         radiance=Radiance(**select(images, "radiance")),
-        gbuffer=GBuffer(**select(images, "gbuffer"), **motion),
+        gbuffer=gbuffer,
         camera=camera,
         spp=spp,
         lobe_tables=tables,

@@ -30,9 +30,10 @@ def render_sequence(
 ) -> Iterator[AnyFrame]:
     """Render a frame from each camera of a path, one at a time, as the iterator asks for them.
 
-    Every frame but the first of the path has ``gbuffer.motion`` since the previous frame. The radiance of each frame
-    has its own random numbers. The guides of all frames share theirs, so they do not change while neither the camera
-    nor objects move. A frame depends on its place in the path, not on ``first``, so a path may be rendered in pieces.
+    Every frame but the first of the path has ``gbuffer.motion`` since the previous frame, and where shapes move
+    ``gbuffer.reflected_motion`` as well. The radiance of each frame has its own random numbers. The guides of all
+    frames share theirs, so they do not change while neither the camera nor objects move. A frame depends on its place
+    in the path, not on ``first``, so a path may be rendered in pieces.
 
     Parameters
     ----------

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray, GBuffer
 from lobewise.lobe_table import LobeTable
-from lobewise.motion import compute_motion
 from lobewise.render.bridge import dr, mi, take_numbers
 from lobewise.render.camera import LENS, get_camera, get_image_size, get_sensor, is_flat, set_camera, use_sensor
 from lobewise.render.frozen import Frozen
-from lobewise.render.gbuffer import Moves, find_guides, move_back
+from lobewise.render.gbuffer import Moves, add_motion, find_guides
 from lobewise.render.integrators import check_scene, find_lens_light, find_own_light, find_path_depth
 from lobewise.render.materials.bsdfs import list_lobe_tables, read_scene_materials
 from lobewise.render.own_light import forget_lobes, make_pinhole_sensor
@@ -33,13 +32,15 @@ from lobewise.render.tracing.rays import make_opaque
 class FirstHits:
     """The guides at all pixel centres, albedos included, and the camera in the sensor's precision.
 
-    ``shape`` (height, width) holds the numbers of shapes for `lobewise.render.gbuffer.move_back`.
+    ``shape`` and ``seen_shape``, (height, width) each, hold the numbers of the shapes that rays through pixels and
+    their mirror rays hit, for `lobewise.render.gbuffer.add_motion`.
     """
 
     gbuffer: GBuffer
     camera: Camera
     lobe_tables: tuple[LobeTable, ...]
     shape: FloatArray
+    seen_shape: FloatArray
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,7 @@ _GUIDES = {
     "specular_albedo": 3,
     "hit_distance": 1,
     "shape": 1,
+    "seen_shape": 1,
 }
 """Guides that the filters read, with their number of channels, and the numbers of shapes."""
 
@@ -137,13 +139,13 @@ class Stages:
         # Dr.Jit does not find all arrays of an orthographic sensor.
         self._records = not is_flat(scene)
         self._first = Frozen(self._trace_first, lambda: (scene, self._sensor), records=self._records)
-        self._depth = Frozen(self._find_depth, lambda: (scene, self._sensor), records=self._records)
+        self._surfaces = Frozen(self._find_surfaces, lambda: (scene, self._sensor), records=self._records)
         self._indirect: dict[str, tuple[IndirectMethod, Frozen]] = {}
 
     def forget_recordings(self) -> None:
         """Record all functions again: Dr.Jit 1.5 replays them with the addresses of a mesh's former arrays."""
         self._first.forget()
-        self._depth.forget()
+        self._surfaces.forget()
         self._indirect.clear()
 
     def place_camera(self, camera: Camera, width: int, height: int) -> None:
@@ -168,22 +170,21 @@ class Stages:
             for count, values in zip((*_GUIDES.values(), 3, 3, 3), flat, strict=True)
         ]
         guides = dict(zip(_GUIDES, images, strict=False))
-        shape = guides.pop("shape")
+        shape, seen_shape = guides.pop("shape"), guides.pop("seen_shape")
         if not self.lobe_tables:
             del guides["material"]
-        return FirstHits(GBuffer(**guides), camera, self.lobe_tables, shape), DirectLight(*images[len(_GUIDES) :])
+        hits = FirstHits(GBuffer(**guides), camera, self.lobe_tables, shape, seen_shape)
+        return hits, DirectLight(*images[len(_GUIDES) :])
 
     def add_motion(self, hits: FirstHits, previous: Camera, moves: Moves) -> FirstHits:
-        """Return first hits whose guides hold ``motion`` since a frame with the camera ``previous``.
+        """Return first hits whose guides hold ``motion`` and ``reflected_motion`` since a frame.
 
-        ``moves`` are those of `lobewise.render.gbuffer.move_back`, which says what it raises.
+        ``previous`` is the camera of that frame. ``moves`` are those of `lobewise.render.gbuffer.move_back`, which says
+        what it raises.
         """
-        position, depth = hits.gbuffer.position, hits.gbuffer.depth
-        assert position is not None
-        assert depth is not None
-        before = move_back(self.scene, hits.shape, position, moves)
-        motion = compute_motion(hits.camera, previous, before, depth)
-        return replace(hits, gbuffer=replace(hits.gbuffer, motion=motion))
+        guides = hits.gbuffer
+        seen = hits.seen_shape, guides.require("hit_distance", "motion")
+        return replace(hits, gbuffer=add_motion(self.scene, guides, hits.shape, seen, (hits.camera, previous), moves))
 
     def shade_indirect(
         self, method: IndirectMethod, rows: NDArray[np.intp], columns: NDArray[np.intp], samples: int, seed: int
@@ -216,12 +217,21 @@ class Stages:
             diffuse, specular, distance = known[1](pixel, *size, make_opaque(samples), make_opaque(seed))
         return diffuse.reshape(-1, 3), specular.reshape(-1, 3), distance
 
-    def find_depth(self, rows: NDArray[np.intp], columns: NDArray[np.intp], camera: Camera) -> FloatArray:
-        """Return the depths of some pixels, (count,), as in `FirstHits`; ``camera`` is that of `place_camera`."""
+    def find_surfaces(
+        self, rows: NDArray[np.intp], columns: NDArray[np.intp], camera: Camera
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the depths of some pixels, (count,), and the numbers of shapes, (2, count), as in `FirstHits`.
+
+        The shapes are those that the rays through the pixels and their mirror rays hit. ``camera`` is that of
+        `place_camera`.
+        """
         width, height = self._get_size()
         eye = [dr.opaque(mi.Float, float(value)) for value in camera.position]
         with use_sensor(self._sensor):
-            return self._depth(_number_pixels(rows, columns, width), *_make_opaque_size(width, height), *eye)[0]
+            depth, *shapes = self._surfaces(
+                _number_pixels(rows, columns, width), *_make_opaque_size(width, height), *eye
+            )
+        return depth, np.stack(shapes)
 
     @property
     def has_lens(self) -> bool:
@@ -255,9 +265,10 @@ class Stages:
             points = find_points(self.scene, self.materials, pixel, _make_opaque_size(width, height))
         return method.find_band_limit(points, samples)
 
-    def _find_depth(self, pixel: Any, width: Any, height: Any, x: Any, y: Any, z: Any) -> list[Any]:
+    def _find_surfaces(self, pixel: Any, width: Any, height: Any, x: Any, y: Any, z: Any) -> list[Any]:
         points = find_points(self.scene, self.materials, pixel, (width, height))
-        return [dr.select(points.active, dr.norm(points.si.p - mi.Point3f(x, y, z)), 0.0)]
+        guides = find_guides(self.scene, points, mi.Point3f(x, y, z))
+        return [guides[name] for name in ("depth", "shape", "seen_shape")]
 
     def _trace_first(self, pixel: Any, width: Any, height: Any, x: Any, y: Any, z: Any, *shifts: Any) -> list[Any]:
         points = find_points(self.scene, self.materials, pixel, (width, height))

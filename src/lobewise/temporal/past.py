@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,10 @@ from lobewise.filters.history.sums import HISTORY_CHANNELS
 from lobewise.frame import FloatArray, GBuffer
 from lobewise.guides.lobe_fields import SplitField
 from lobewise.guides.places import add_grid, estimate_curvature, find_surface_places, find_virtual_places
+from lobewise.guides.reflections import Mirror, find_moved_reflections
 from lobewise.lobe_table import LobeTable
 from lobewise.settings import ResolvedSettings, TemporalSettings
-from lobewise.temporal.validation import Guides, ValidationFeatures, make_validation_features
+from lobewise.temporal.validation import Guides, ValidationFeatures, follow_hits, make_validation_features
 
 MIN_AGREEMENT = 0.1
 """Agreement above which a pixel counts as found in the frame before, 0 to 1."""
@@ -29,6 +30,13 @@ MIN_DIFFUSE_SHARE = 0.1
 """Share of the image that reflects diffusely, above which these pixels tell how much of the image continues."""
 MAX_STEP = 0.25
 """Longest way of a found pixel, as a share of the image's longer side. Pixels that jump further are of another shot."""
+MAX_FOLLOWED_ALPHA = 0.4
+"""Largest alpha of a mirror whose moving reflections have their history at their own earlier place alone.
+
+The place of the surface looks nearly as similar, because a reflection moves by little of its lobe from frame to frame.
+Histories that take a part of their light there lag behind the reflection, further with every frame. On rougher surfaces
+reflections of all things mix, and both places count.
+"""
 
 
 @dataclass(frozen=True)
@@ -54,6 +62,19 @@ class Past:
     sums: dict[str, FloatArray]
     validation: dict[str, ValidationFeatures] = field(default_factory=dict)
     allowance: FloatArray | None = None
+
+
+class _Places(NamedTuple):
+    """The places of a frame's pixels in the frame before."""
+
+    surface: FloatArray
+    """Column and row of the surface points, (height, width, 2)."""
+    virtual: FloatArray | None = None
+    """Column and row of the reflections; None where they are not tracked."""
+    hit_distance: FloatArray | None = None
+    """Hit distances in the frame before, (height, width), if it is known how the hits have moved."""
+    followed: NDArray[np.bool_] | None = None
+    """Pixels whose reflection has its history at its own place alone, (height, width)."""
 
 
 class HistoryReprojection:
@@ -83,7 +104,7 @@ class HistoryReprojection:
         self._temporal = temporal
         self._device = settings.device
         self._past: Past | None = None
-        self._places: tuple[FloatArray, FloatArray | None] | None = None
+        self._places: _Places | None = None
         self._found: dict[str, FloatArray | None] = {}
         self.share = 0.0
         self.allowance: FloatArray | None = None
@@ -92,6 +113,10 @@ class HistoryReprojection:
         self.validation = make_validation_features(guides, settings, temporal, self.allowance, apart, lobes)
         if past is None or self._places is None:
             return
+        # The next frame compares hits with those of this frame, and this frame with their earlier places.
+        self._now = self.validation
+        if self._places.hit_distance is not None:
+            self._now = follow_hits(self.validation, guides.gbuffer, self._places.hit_distance)
         # A past that was read from a file has no features yet.
         self._old = past.validation or make_validation_features(past.guides, settings, temporal, past.allowance, apart)
         self._past = past
@@ -104,7 +129,7 @@ class HistoryReprojection:
             found = self._find("rest", np.zeros((*guides.shape, HISTORY_CHANNELS), np.float32))
         if found is not None:
             some = (slice(None, None, max(1, min(guides.shape) // MAX_SHARE_SAMPLES)),) * 2
-            near = _find_near(self._places[0], MAX_STEP * max(guides.shape), some)
+            near = _find_near(self._places.surface, MAX_STEP * max(guides.shape), some)
             again, surface = (found[(*some, AGREEMENT)] > MIN_AGREEMENT) & near, surface[some]
             # A frame of sky alone is no cut.
             self.share = float(np.mean(again[surface])) if surface.any() else 1.0
@@ -122,13 +147,15 @@ class HistoryReprojection:
         return found[..., :AGREEMENT]
 
     def _find(self, name: str, sums: FloatArray) -> FloatArray | None:
-        old, new = self._old.get(name), self.validation[name]
+        old, new = self._old.get(name), self._now[name]
         if old is None or not new.fits(old):
             return None
         assert self._places is not None
-        surface, virtual = self._places
+        surface, virtual = self._places.surface, self._places.virtual
         # At the place of the reflection, compare all features but those of the surface.
         second = (virtual, len(new.surface) - len(new.virtual)) if new.virtual and virtual is not None else None
+        if second is not None and self._places.followed is not None:
+            surface = np.where(self._places.followed[..., None], np.float32(np.nan), surface)
         memory, device = self._temporal.memory, self._device
         now = new.pixels if name not in self._masks else new.pixels.restrict(self._masks[name])
         return reproject(sums, surface, old.pixels, now, virtual=second, memory=memory, device=device)
@@ -141,23 +168,33 @@ def _find_near(places: FloatArray, reach: float, some: tuple[slice, slice]) -> N
     return np.asarray(across & (np.abs(places[(*some, 1)] - rows[:, None]) < reach))
 
 
-def _find_all_places(
-    guides: Guides, before: Guides
-) -> tuple[tuple[FloatArray, FloatArray | None] | None, FloatArray | None]:
+def _find_all_places(guides: Guides, before: Guides) -> tuple[_Places | None, FloatArray | None]:
     """Return the earlier places of surfaces and reflections, and the own motion of surfaces, pixels."""
     motion, camera, previous = guides.gbuffer.motion, guides.camera, before.camera
     if camera is None or previous is None or not guides.is_placed:
         if motion is None:
             return None, None
-        return (add_grid(motion), None), None
+        return _Places(add_grid(motion)), None
     position, _ = guides.places
     surface, allowance = find_surface_places(camera, previous, guides.places, motion)
-    virtual = None
-    distance = guides.gbuffer.hit_distance
-    if distance is not None and guides.gbuffer.normal is not None:
-        curvature = estimate_curvature(position, guides.gbuffer.normal)
-        virtual = find_virtual_places(position, curvature, distance, camera, previous)
-    return (surface, virtual), allowance
+    distance, normal = guides.gbuffer.hit_distance, guides.gbuffer.normal
+    if distance is None or normal is None:
+        return _Places(surface), allowance
+    curvature = estimate_curvature(position, normal)
+    moved, normal_before = guides.gbuffer.reflected_motion, before.gbuffer.normal
+    if moved is None or normal_before is None or not before.is_placed:
+        return _Places(surface, find_virtual_places(position, curvature, distance, camera, previous)), allowance
+    mirrors = Mirror(position, normal), Mirror(before.places[0], normal_before)
+    found = find_moved_reflections(mirrors, curvature, distance, moved, (surface, allowance), (camera, previous))
+    return _Places(surface, found.places, found.hit_distance, found.has_moved & _is_narrow(guides.gbuffer)), allowance
+
+
+def _is_narrow(gbuffer: GBuffer) -> NDArray[np.bool_]:
+    """Return where neither alpha is above `MAX_FOLLOWED_ALPHA`; nowhere without alphas."""
+    alphas = [alpha for alpha in (gbuffer.alpha_u, gbuffer.alpha_v) if alpha is not None]
+    if not alphas:
+        return np.zeros(gbuffer.shape or (0, 0), dtype=bool)
+    return np.asarray(np.logical_and.reduce([alpha <= MAX_FOLLOWED_ALPHA for alpha in alphas]))
 
 
 def pack_past(past: Past) -> dict[str, NDArray[Any]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -12,7 +12,17 @@ from numpy.typing import NDArray
 from lobewise.camera import Camera
 from lobewise.denoising.automatic import can_use_hits
 from lobewise.denoising.layers import find_surface, make_specular_features, split_lobes
-from lobewise.features import DiffuseFeature, Feature, HitDistanceFeature, NormalFeature, PlaneFeature
+from lobewise.features import (
+    AsgFeature,
+    DiffuseFeature,
+    Feature,
+    GgxFeature,
+    HitDistanceFeature,
+    NormalFeature,
+    PlaneFeature,
+    SgFeature,
+    SplitGgxFeature,
+)
 from lobewise.filters.cross_pass import describe_structure
 from lobewise.filters.history.reprojection import ComparedPixels, prepare_pixels
 from lobewise.frame import FloatArray, Frame, GBuffer, Guided, Radiance
@@ -162,6 +172,42 @@ def make_validation_features(
         diffuse = DiffuseFeature(normal, temporal.beta) if get_similarity(settings.similarity).has_lobes else facing
         validation["diffuse"] = ValidationFeatures(surface, (*plane, diffuse))
     return validation
+
+
+def follow_hits(
+    validation: Mapping[str, ValidationFeatures], gbuffer: GBuffer, hit_distance: FloatArray
+) -> dict[str, ValidationFeatures]:
+    """Return features that recognise reflections of moving objects in the frame before.
+
+    Hits are compared at their earlier places. Features of the frame before need no change.
+
+    Parameters
+    ----------
+    validation : mapping of ValidationFeatures
+        Features of this frame, by layer; only those of ``specular`` change.
+    gbuffer : GBuffer
+        The guides of this frame, with ``reflected_motion``.
+    hit_distance : array, shape (height, width)
+        Distance of each hit in the frame before; see `lobewise.guides.reflections.find_moved_reflections`.
+    """
+    step = gbuffer.require("reflected_motion", "a history that follows hits")
+    step = np.where(np.isfinite(step).all(axis=-1, keepdims=True), step, np.float32(0.0))
+    inverse = find_inverse_hits(hit_distance)
+
+    def follow(feature: Feature) -> Feature:
+        if isinstance(feature, HitDistanceFeature):
+            return replace(feature, inverse_distance=inverse)
+        if isinstance(feature, AsgFeature | GgxFeature | SgFeature | SplitGgxFeature) and feature.hits is not None:
+            # The footprint at x + t z of a lobe at x moves with the hit.
+            return replace(feature, hits=feature.hits._replace(position=feature.hits.position + step))
+        return feature
+
+    found = dict(validation)
+    if "specular" in found and found["specular"].virtual:
+        mask, surface, virtual = (getattr(found["specular"], name) for name in ("mask", "surface", "virtual"))
+        moved = tuple(follow(feature) for feature in virtual)
+        found["specular"] = ValidationFeatures(mask, (*surface[: len(surface) - len(virtual)], *moved), moved)
+    return found
 
 
 def _make_plane(

@@ -92,6 +92,9 @@ _GBUFFER = (
     ("object_share", "object_share", "S", "largest share of the pixel's area that one object has, 0..1",
      "specks of lights out of focus stay"),
     ("motion", "motion", "XY", "pixels from here to the previous frame, x right, y down", "not needed for one frame"),
+    ("reflected_motion", "reflected_motion", "XYZ",
+     "world position in the previous frame of what the specular lobe sees, minus that in this frame",
+     "what is reflected is taken for still"),
     ("material", "material", "I", "which of the header's lobe tables, from 1, 0 = none", "lobes are taken from alpha"),
 )  # fmt: skip
 
