@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.common import ROOT
+from lobewise.scenes import BY_THEMSELVES
 from lobewise.viewer import Viewer
 
 FLAGS = ["--no-sandbox", "--use-gl=swiftshader", "--enable-unsafe-swiftshader"]
@@ -24,12 +25,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--target", default="showroom", help="a scene, or an EXR file")
     parser.add_argument("--output", type=Path, default=ROOT / "docs" / "images" / "viewer.png")
-    parser.add_argument("--frames", type=int, default=12, help="frames of a scene that are averaged")
+    parser.add_argument("--frames", type=int, default=12, help="frames of a scene that are averaged, or of its motion")
+    moving = {"nargs": "?", "const": BY_THEMSELVES, "metavar": "FILE.json"}
+    parser.add_argument("--moving-objects", **moving, help="let objects of a scene move")
     arguments = parser.parse_args()
     from playwright.sync_api import sync_playwright
 
     is_frame = arguments.target.endswith(".exr")
-    with Viewer(arguments.target, is_frame=is_frame, port=0) as viewer, sync_playwright() as driver:
+    options: dict[str, Any] = {"is_frame": is_frame, "moving": arguments.moving_objects}
+    with Viewer(arguments.target, port=0, **options) as viewer, sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
         page = browser.new_page(viewport={"width": 1280, "height": 860})
         page.goto(viewer.url)
@@ -40,7 +44,9 @@ def main() -> None:
         page.get_by_label("Compare A, B", exact=True).click()
         seen = viewer.statistics["frames"]
         wait(page, lambda: viewer.statistics["frames"] > seen + 1)
-        if not is_frame:
+        if arguments.moving_objects:
+            wait(page, lambda: viewer.statistics["moments"][0] >= arguments.frames)
+        elif not is_frame:
             wait(page, lambda: viewer.statistics["accumulated"][0] >= arguments.frames)
         # Away from the controls, whose hints would cover others.
         page.mouse.move(300, 60)

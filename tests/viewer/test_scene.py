@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from lobewise.io import read_frame
+from lobewise.scenes import BY_THEMSELVES
 from tests.viewer.conftest import compare, run_viewer
 
 pytestmark = [pytest.mark.slow, pytest.mark.mitsuba]
@@ -142,3 +143,31 @@ class TestScene:
         drag(page, 16)
         assert page.closed_sockets == 0
         assert showroom_viewer.statistics["restarts"] == 0
+
+
+@pytest.fixture(scope="module")
+def moving_viewer(mi):
+    """Return a viewer of the showroom whose objects move."""
+    with run_viewer("showroom", size=SIZE, changes=CHEAP, moving=BY_THEMSELVES) as viewer:
+        yield viewer
+
+
+def test_objects_play_and_pause(moving_viewer, visit):
+    page = arrive(visit, moving_viewer)
+
+    def tell() -> float:
+        return moving_viewer.statistics["moments"][0]
+
+    before = tell()
+    page.wait(lambda: tell() > before + 3.0, "objects to move")
+    assert moving_viewer.statistics["accumulated"] == [1]
+    page.tick("Play")
+    page.wait(lambda: moving_viewer.statistics["accumulated"][0] > 4, "objects to rest")
+    rest = tell()
+    page.slide("Speed", "End")
+    page.tick("Play")
+    page.wait(lambda: tell() > rest, "objects to go on")
+    page.tick("Play")
+    page.wait(lambda: moving_viewer.statistics["accumulated"][0] > 4, "objects to rest again")
+    # Pictures at the fastest speed are four frames apart.
+    assert (tell() - rest) % 4.0 == pytest.approx(0.0, abs=1e-6)

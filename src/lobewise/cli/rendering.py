@@ -16,7 +16,7 @@ from lobewise.cli.terminal.help import result_option, scene_detail, sequence_opt
 from lobewise.cli.terminal.outcome import tell_picture
 from lobewise.cli.terminal.steps import Steps
 from lobewise.errors import InputError, require_choice
-from lobewise.scenes import list_scenes
+from lobewise.scenes import BY_THEMSELVES, list_scenes
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from lobewise.frame import Frame
     from lobewise.sparse_frame import SparseFrame
 
-BY_THEMSELVES = "by-themselves"
-"""The value of --moving-objects without a file."""
 CAMERA_PATHS = ("orbit", "still")
 
 

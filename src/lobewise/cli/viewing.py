@@ -14,7 +14,7 @@ from lobewise.cli.options.reading import Reading
 from lobewise.cli.options.spreading import with_groups, with_settings
 from lobewise.cli.terminal.help import FILTERING, page_option
 from lobewise.errors import InputError, require_choice
-from lobewise.scenes import list_scenes
+from lobewise.scenes import BY_THEMSELVES, list_scenes
 from lobewise.viewer.looks import FRAME_SIMILARITIES, KNOBS, SCENE_SIMILARITIES
 
 if TYPE_CHECKING:
@@ -43,6 +43,14 @@ class Page:
     fixed_size: Annotated[
         bool, typer.Option("--fixed-size", help="Keep the size and aspect in every window, also in motion.")
     ] = False
+    moving_objects: Annotated[
+        str | None,
+        typer.Option(
+            metavar="[FILE.json]",
+            help="Objects of a scene move, as the file says, or as showroom and parlour do by themselves.",
+            show_default=False,
+        ),
+    ] = None
     open_page: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in the browser.")] = False
 
 
@@ -73,6 +81,8 @@ def view(
     is_frame = _is_frame(target)
     _refuse_options(is_frame, settings, page, reading)
     _check_settings(is_frame, settings)
+    if page.moving_objects is not None:
+        _check_motion(target, page.moving_objects)
     from lobewise.cli.output import print_note
     from lobewise.viewer import FrameReading, Viewer
 
@@ -87,6 +97,7 @@ def view(
         token=page.token,
         tell=print_note,
         reading=FrameReading(**reading.parse(), half=reading.half),
+        moving=page.moving_objects,
     )
     # Ctrl-C is the usual end of a page, and it leaves no file half written.
     with suppress(KeyboardInterrupt):
@@ -97,10 +108,21 @@ def _refuse_options(is_frame: bool, settings: dict[str, Any], page: Page, readin
     """Raise InputError if an option of scenes is given with a frame, or an option of frames with a scene."""
     of_scenes = [f"--{name}" for name in ("method", "scale") if name in settings]
     of_scenes += ["--size"] * (page.size is not None) + ["--fixed-size"] * page.fixed_size
+    of_scenes += ["--moving-objects"] * (page.moving_objects is not None)
     if is_frame and of_scenes:
         raise InputError(of_scenes[0], expected="a scene beside it", got="a finished frame", action="leave it out")
     if reading.option and not is_frame:
         raise InputError(reading.option, expected="a finished frame beside it", got="a scene", action="leave it out")
+
+
+def _check_motion(target: str, moving: str) -> None:
+    """Raise an error before the page is there if nothing can move, or the file with the motion is wrong."""
+    from lobewise.render import MovingScene, read_object_paths
+
+    if moving == BY_THEMSELVES:
+        MovingScene(target)
+    else:
+        read_object_paths(moving)
 
 
 def _check_settings(is_frame: bool, settings: dict[str, Any]) -> None:

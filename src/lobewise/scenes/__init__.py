@@ -10,6 +10,9 @@ BUILT_IN = ("showroom", "brushed", "parlour", "sparks", "stilllife", "corridor",
 MOVING = ("showroom", "parlour")
 """Scenes with moving objects."""
 
+BY_THEMSELVES = "by-themselves"
+"""Word for the motion of these scenes' own objects, in place of the name of a file with paths."""
+
 
 def list_scenes() -> tuple[str, ...]:
     """Return the names of the built-in scenes."""

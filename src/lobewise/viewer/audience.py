@@ -68,9 +68,9 @@ class Audience:
 
         ``frames`` counts the pictures shown and ``browsers`` the browsers. ``process``, ``memory`` and ``restarts`` are
         the worker's id, its memory in bytes, and how often it died. The others are lists with an entry for each
-        browser: ``fps`` of the last 20 pictures; ``size``, ``accumulated`` and ``seconds`` of the last picture;
-        ``eyes``, the camera's position in the browser's unit; ``resting``, whether the last picture was sent without
-        loss and no request is open.
+        browser: ``fps`` of the last 20 pictures; ``size``, ``accumulated`` and ``seconds`` of the last picture, and
+        ``moments``, that of the objects' motion in it; ``eyes``, the camera's position in the browser's unit;
+        ``resting``, whether the last picture was sent without loss and no request is open.
         """
         with self._lock:
             guests = list(self._guests.values())
@@ -85,6 +85,7 @@ class Audience:
                 "size": [picture.size for picture in pictures],
                 "accumulated": [picture.accumulated for picture in pictures],
                 "seconds": [picture.seconds for picture in pictures],
+                "moments": [picture.moment for picture in pictures],
                 "eyes": [tuple(map(float, guest.pose.position)) for guest in guests],
                 "resting": [guest.is_resting and not self.link.is_waiting(guest.client.client_id) for guest in guests],
             }

@@ -55,8 +55,13 @@ class Guest:
 
     @property
     def is_moving(self) -> bool:
-        """Whether the camera moved a moment ago."""
-        return time.monotonic() - self.moved_at < STILL_AFTER
+        """Whether the camera moved a moment ago, or objects move."""
+        return time.monotonic() - self.moved_at < STILL_AFTER or self._speed > 0.0
+
+    @property
+    def _speed(self) -> float:
+        """Frames of the objects' motion from picture to picture."""
+        return self.panel.speed if self.panel is not None else 0.0
 
     @property
     def is_resting(self) -> bool:
@@ -101,6 +106,7 @@ class Guest:
             size=size,
             fresh=fresh,
             accumulate=panel.accumulate,
+            speed=self._speed,
         )
 
     def add_picture(self, picture: Picture) -> None:
@@ -114,10 +120,13 @@ class Guest:
             self.pace.add(picture.seconds.get("total", 0.0) + picture.seconds.get("picture", 0.0), factor)
 
     def needs_more(self, found: Description) -> bool:
-        """Return whether a camera that stands still needs more frames, or a frame of the full size."""
+        """Return whether objects move, or a camera that stands still needs more frames or a frame of the full size."""
         picture, panel = self.picture, self.panel
-        if found.camera is None or picture is None or panel is None or self.is_moving:
+        if found.camera is None or picture is None or panel is None:
             return False
+        if self.is_moving:
+            # Moving cameras ask by themselves.
+            return self._speed > 0.0
         window = Window(self.client.camera.image_width, self.client.camera.image_height)
         unfinished = panel.accumulate and picture.accumulated < MAX_ACCUMULATED
         return unfinished or picture.size != self._choose_size(found, window, 1.0)

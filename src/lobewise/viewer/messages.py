@@ -40,6 +40,8 @@ class Target:
     """Columns and rows of a rendered scene; None for the scene's own size."""
     reading: FrameReading = field(default_factory=FrameReading)
     """How the file of a finished frame is read."""
+    moving: str | None = None
+    """File with the paths of a scene's objects, or `lobewise.scenes.BY_THEMSELVES`; None if nothing moves."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,8 @@ class Description:
     """Whether a finished frame has hit distances and lobes to compare them with."""
     notes: tuple[str, ...] = ()
     """Sentences about the file of a finished frame: what was found, converted, or is missing."""
+    moves: bool = False
+    """Whether objects of a scene move."""
     unseen: str = ""
     """A sentence about the parts of a scene that the pictures do not show; empty for none."""
 
@@ -113,6 +117,8 @@ class Request:
     """Whether a new frame of a scene is rendered. If not, the last frame is shown again with another view or window."""
     accumulate: bool = True
     """Whether frames of a camera that stands still are averaged."""
+    speed: float = 0.0
+    """Frames of the objects' motion by which this picture follows the browser's last one; 0 while they stand still."""
 
 
 @dataclass(frozen=True)
@@ -165,6 +171,8 @@ class Picture:
     """Pixels that were shaded again."""
     memory: int = 0
     """Memory of the worker, bytes."""
+    moment: float | None = None
+    """Moment of the objects' motion, frames from 0; None if nothing moves."""
     final: bool = True
     """Whether the request is done. The noisy input is shown first where a filter takes long."""
 

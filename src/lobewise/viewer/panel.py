@@ -29,6 +29,8 @@ NAMES = {
 }
 """Words of settings that have another name on the page."""
 FLY_HINT = "Left drag orbits, right drag moves, the wheel zooms. W A S D E Q fly, the arrow keys turn."
+MIN_SPEED, MAX_SPEED = 0.1, 4.0
+"""Frames of the objects' motion from picture to picture; the smallest number is also the slider's step."""
 ZOOM_HINT = "The wheel zooms, right drag moves; W A S D fly."
 
 
@@ -241,6 +243,13 @@ class Panel:
             self._expose = gui.add_button("Auto exposure", hint="Put the brightest 2 % above the shoulder.", icon=None)
             hint = FLY_HINT if scene else ZOOM_HINT
             reset = gui.add_button("Reset camera" if scene else "Show all", hint=hint)
+        self._plays: Any = None
+        self._speed: Any = None
+        if found.moves:
+            with gui.add_folder("Motion"):
+                self._plays = gui.add_checkbox("Play", True, hint="Let the objects move.")
+                hint = "Frames of the motion from picture to picture."
+                self._speed = gui.add_slider("Speed", MIN_SPEED, MAX_SPEED, MIN_SPEED, 1.0, hint=hint)
         with gui.add_folder("Wipe"):
             self._wiped = gui.add_checkbox("Compare A, B", False, hint="Left of the line A, right of it B.")
             self._place = gui.add_slider("Line", 0.0, 1.0, 0.005, 0.5, visible=False, hint="Where the line is.")
@@ -266,7 +275,7 @@ class Panel:
         )
         self._connect(reset, save)
         others = (self._view, self._stops, self._expose, reset, self._wiped, self._place, save)
-        paces = (handle for handle in (self._accumulate, self._adapt) if handle is not None)
+        paces = (handle for handle in self._list_paces() if handle is not None)
         handles = (*others, *paces, *self.left.handles, *self.right.handles)
         self.controls = dict(describe_control(handle) for handle in handles)
         """The values that each control takes, by viser's identities."""
@@ -296,6 +305,15 @@ class Panel:
         """Whether the resolution may be lowered."""
         return self._adapt is not None and bool(self._adapt.value)
 
+    @property
+    def speed(self) -> float:
+        """Frames of the objects' motion from picture to picture; 0 while they stand still."""
+        return float(self._speed.value) if self._plays is not None and self._plays.value else 0.0
+
+    def _list_paces(self) -> tuple[Any, ...]:
+        """Return the controls of motion and pace; None for those that the page does not have."""
+        return self._plays, self._speed, self._accumulate, self._adapt
+
     def set_stops(self, stops: float) -> None:
         """Move the slider to an exposure that was chosen automatically."""
         self._stops.value = stops
@@ -324,7 +342,7 @@ class Panel:
         self._stops.on_update(redraw)
         self._place.on_update(redraw)
         self._wiped.on_update(toggle)
-        for handle in (self._accumulate, self._adapt):
+        for handle in self._list_paces():
             if handle is not None:
                 handle.on_update(render)
 

@@ -3,32 +3,89 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from lobewise.frame import Frame, Radiance
 from lobewise.interactive import InteractiveFrame, InteractiveSettings, Session
 from lobewise.interactive.settings import METHODS
 from lobewise.interactive.views import VIEWS
 from lobewise.io.exr import write_frame
-from lobewise.render import find_orbit_centre
+from lobewise.render import MovingScene, PlacedScene, find_orbit_centre, load_scene, read_object_paths
 from lobewise.render.integrators import tell_unseen
+from lobewise.render.moving.shapes import Matrix
+from lobewise.scenes import BY_THEMSELVES
 from lobewise.viewer.looks import SCENE_SIMILARITIES, Look
 from lobewise.viewer.messages import Description, Request
 from lobewise.viewer.shots import Shot
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The places of moving shapes at every moment."""
+
+    find_places: Callable[[float], dict[str, Matrix]]
+    """Returns the matrix from each shape's place in the loaded scene to its place at a moment, frames from 0."""
+    length: float | None
+    """The moment after which the motion begins again, frames; None for a motion that goes on."""
+
+    def advance(self, moment: float, frames: float) -> float:
+        """Return the moment that is so many frames after another one."""
+        after = moment + frames
+        return after if self.length is None else after % max(self.length, 1.0)
+
+
+def load_moving(name: str, size: tuple[int | None, int | None], moving: str | None) -> tuple[Any, Motion | None]:
+    """Return a scene, ready to be moved, and its motion; None for a scene that stands still.
+
+    Parameters
+    ----------
+    name : str
+        As for `lobewise.render.load_scene`.
+    size : (int, int) or (None, None)
+        Columns and rows.
+    moving : str, optional
+        A file for `lobewise.render.read_object_paths`, or `BY_THEMSELVES`.
+
+    Raises
+    ------
+    InputError, FileError, MissingDependencyError
+        As `lobewise.render.load_scene`, `read_object_paths`, `MovingScene` and `PlacedScene`.
+    """
+    width, height = size
+    if moving is None:
+        return load_scene(name, width=width, height=height), None
+    if moving == BY_THEMSELVES:
+        scene = MovingScene(name, width, height)
+        # The matrices lead from any moment to any other.
+        return scene.load(), Motion(lambda moment: scene.find_moves(0.0, moment), None)
+    paths = read_object_paths(moving)
+    loaded = load_scene(name, width=width, height=height, merge=False)
+    PlacedScene(loaded, paths)  # refuses places that a shape cannot take
+    return loaded, Motion(lambda moment: paths.find_places(1.0 + moment), float(paths.last_frame))
 
 
 class SceneTarget:
     """A scene, named as for `lobewise.render.load_scene`.
 
     ``size`` is columns and rows, by default those of the scene. ``progress`` is called with ``(done, total)`` while a
-    method prepares the scene. Raises LobewiseError as `lobewise.interactive.Session`.
+    method prepares the scene. ``moving`` is that of `Target`. Every browser has its own moment of the motion. Raises
+    LobewiseError as `lobewise.interactive.Session` and `load_moving`.
     """
 
-    def __init__(self, name: str, size: tuple[int, int] | None, progress: Callable[[int, int], None]) -> None:
+    def __init__(
+        self,
+        name: str,
+        size: tuple[int, int] | None,
+        progress: Callable[[int, int], None],
+        moving: str | None = None,
+    ) -> None:
         self._name = name
+        loaded, self._motion = load_moving(name, size or (None, None), moving)
         width, height = size or (None, None)
-        self._first = Session(name, width=width, height=height, progress=progress)
+        self._first = Session(loaded, width=width, height=height, progress=progress)
+        self._moments: dict[int, float] = {}
         self._sessions: dict[int, Session] = {}
         self._last: dict[int, list[InteractiveFrame]] = {}
         self._warm = False
@@ -46,6 +103,7 @@ class SceneTarget:
             methods=METHODS,
             similarities=SCENE_SIMILARITIES,
             views=VIEWS,
+            moves=self._motion is not None,
             unseen=tell_unseen(self._first.scene),
         )
 
@@ -79,18 +137,30 @@ class SceneTarget:
                 session = self._sessions[request.client] = self._first.make_sibling()
             if session.size != request.size:
                 session.resize(*request.size)
+            self._move(session, request)
             if len(looks) == 2:
                 last = list(session.render_pair(request.camera, looks[0], looks[1]))
             else:
                 last = [session.render(request.camera, looks[0])]
             self._last[request.client] = last
             self._warm = True
-        return [_to_shot(frame) for frame in last]
+        moment = self._moments.get(request.client)
+        return [replace(_to_shot(frame), moment=moment) for frame in last]
+
+    def _move(self, session: Session, request: Request) -> None:
+        """Move the objects to the moment of a browser's next picture. The first picture shows the beginning."""
+        if self._motion is None:
+            return
+        before = self._moments.get(request.client)
+        moment = 0.0 if before is None else self._motion.advance(before, request.speed)
+        session.set_transforms(self._motion.find_places(moment))
+        self._moments[request.client] = moment
 
     def forget(self, client: int) -> None:
         """Drop a browser's histories."""
         self._sessions.pop(client, None)
         self._last.pop(client, None)
+        self._moments.pop(client, None)
 
     def write(self, client: int, folder: Path) -> Path:
         """Write a browser's last image with its guides into an EXR file in ``folder``; return its path."""

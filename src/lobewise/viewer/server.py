@@ -48,6 +48,9 @@ class Viewer:
         scene are not shown, why a browser was disconnected. By default they are logged as warnings.
     reading : FrameReading, optional
         How an EXR file is read.
+    moving : str, optional
+        A file with the paths of a scene's objects, for `lobewise.render.read_object_paths`, or "by-themselves" for the
+        objects of a built-in scene. By default nothing moves.
 
     Raises
     ------
@@ -74,11 +77,12 @@ class Viewer:
         token: str | None = None,
         tell: Callable[[str], None] | None = None,
         reading: FrameReading | None = None,
+        moving: str | None = None,
     ) -> None:
         self._host, self._asked_port = host, port
         self._access = Access(host, token)
         self._tell = tell or logging.getLogger(__name__).warning
-        shown = Target(target, is_frame, size, reading or FrameReading())
+        shown = Target(target, is_frame, size, reading or FrameReading(), moving)
         self._audience = Audience(shown, fixed_size, dict(changes or {}), self._tell)
         self._server: Any = None
         self._ticker = threading.Thread(target=self._audience.watch, name="lobewise-viewer", daemon=True)

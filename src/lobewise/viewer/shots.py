@@ -27,6 +27,8 @@ class Shot:
     """Frames in the mean."""
     recomputed: int = 0
     """Pixels that were shaded again."""
+    moment: float | None = None
+    """Moment of the objects' motion, frames from 0; None if nothing moves."""
 
 
 class OpenTarget(Protocol):

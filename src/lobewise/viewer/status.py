@@ -40,6 +40,8 @@ def write_figures(
     parts = [f"{width}\u202f\u00d7\u202f{height}"]
     if rendered:
         parts += [f"frame {shown}", f"{picture.accumulated} averaged"]
+    if picture.moment is not None:
+        parts.append(f"objects at {picture.moment:.1f}")
     if picture.recomputed:
         parts.append(f"{picture.recomputed} re-computed")
     total = picture.seconds.get("total", 0.0) + picture.seconds.get("picture", 0.0)

@@ -92,7 +92,7 @@ class Worker:
         self._send(Progress(f"Loading {Path(target.name).name}"))
         from lobewise.viewer.scenes import SceneTarget
 
-        return SceneTarget(target.name, target.size, self._tell_preparing)
+        return SceneTarget(target.name, target.size, self._tell_preparing, target.moving)
 
     def _tell_preparing(self, done: int, total: int) -> None:
         now = time.monotonic()
@@ -145,6 +145,7 @@ class Worker:
             seconds={**first.seconds, "picture": time.perf_counter() - start},
             accumulated=first.accumulated,
             recomputed=first.recomputed,
+            moment=first.moment,
             memory=measure_memory(),
             final=final,
         )

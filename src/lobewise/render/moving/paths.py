@@ -74,6 +74,11 @@ class ObjectPaths:
         """Return the matrix from each shape's place in the scene to its place at a frame, counted from 1."""
         return {name: path.find_place(frame) for name, path in self.paths.items()}
 
+    @property
+    def last_frame(self) -> float:
+        """The frame of the last key or matrix of all paths, counted from 1."""
+        return max(float(len(path.matrices) or path.frames[-1]) for path in self.paths.values())
+
     def require_frames(self, count: int) -> None:
         """Raise InputError if a path of matrices ends before a frame."""
         for name, path in self.paths.items():

@@ -1,0 +1,165 @@
+"""Objects that move in the viewer, without a browser: moments, places, loops, and what is asked for."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lobewise.cli.main import run
+from lobewise.errors import InputError
+from lobewise.interactive.settings import InteractiveSettings
+from lobewise.scenes import BY_THEMSELVES
+from lobewise.viewer.guest import Guest
+from lobewise.viewer.messages import Description, Picture, Request, Window
+from lobewise.viewer.status import write_figures
+from tests.render.moving.places import slide
+
+LOOK = InteractiveSettings(similarity="none", temporal=False, adaptive=0.0, filter_direct=False, scale=4)
+SIZE = (40, 32)
+ROOM = """<scene version="3.0.0"><integrator type="path"/>
+  <sensor type="perspective"><transform name="to_world">
+    <lookat origin="0, 0, 4" target="0, 0, 0" up="0, 1, 0"/></transform>
+    <film type="hdrfilm"><integer name="width" value="40"/><integer name="height" value="32"/></film></sensor>
+  <shape type="sphere" id="ball"><float name="radius" value="0.5"/></shape>
+  <emitter type="constant"/></scene>"""
+
+
+def open_target(name: str, moving: str | None) -> Any:
+    from lobewise.viewer.scenes import SceneTarget
+
+    return SceneTarget(name, SIZE, lambda done, total: None, moving)
+
+
+def ask(target: Any, client: int = 1, speed: float = 1.0, **changes: Any) -> Any:
+    """Return the shot of a browser's next picture."""
+    camera = target.describe().camera
+    request = Request(client, 1, Window(*SIZE), LOOK, camera=camera, size=SIZE, speed=speed, **changes)
+    (shot,) = target.render(request)
+    return shot
+
+
+def find_positions(target: Any, client: int = 1) -> np.ndarray:
+    """Return the surface points in a browser's last picture."""
+    return np.asarray(target._last[client][0].parts.hits.gbuffer.position)
+
+
+@pytest.fixture
+def room(mi: Any, tmp_path: Path) -> tuple[str, str]:
+    """Return the files of a ball, and of its motion to the right over four frames."""
+    scene, motion = tmp_path / "room.xml", tmp_path / "motion.json"
+    scene.write_text(ROOM)
+    keys = [{"frame": 1}, {"frame": 5, "translate": [0.8, 0.0, 0.0]}]
+    motion.write_text(json.dumps({"ball": {"keys": keys}}))
+    return str(scene), str(motion)
+
+
+@pytest.mark.mitsuba
+def test_objects_of_a_file_move_and_begin_again(room: tuple[str, str]) -> None:
+    target = open_target(*room)
+    assert target.describe().moves
+    found = []
+    for _ in range(7):
+        shot = ask(target)
+        position = find_positions(target)
+        found.append((shot.moment, position[..., 0][position[..., 2] > 0.3].mean()))
+    moments, places = zip(*found, strict=True)
+    assert moments == (0.0, 1.0, 2.0, 3.0, 4.0, 0.0, 1.0)
+    # The middle of the visible part of a ball is seen a little aside.
+    np.testing.assert_allclose(places, 0.2 * np.array(moments), atol=0.04)
+
+
+@pytest.mark.mitsuba
+def test_speed_and_rest_are_those_of_each_browser(room: tuple[str, str]) -> None:
+    target = open_target(*room)
+    for _ in range(2):
+        ask(target)
+    assert ask(target, speed=0.5).moment == 1.5
+    assert [ask(target, speed=0.0).moment for _ in range(2)] == [1.5, 1.5]
+    assert ask(target, speed=0.0).accumulated == 4
+    assert ask(target, client=2).moment == 0.0
+    here, there = (find_positions(target, client)[..., 0].max() for client in (1, 2))
+    assert here - there == pytest.approx(0.3, abs=0.1)
+    target.forget(1)
+    assert ask(target).moment == 0.0
+
+
+@pytest.mark.mitsuba
+def test_what_is_shown_again_does_not_move(room: tuple[str, str]) -> None:
+    target = open_target(*room)
+    for _ in range(2):
+        ask(target)
+    assert ask(target, fresh=False).moment == 1.0
+
+
+@pytest.mark.mitsuba
+@pytest.mark.slow
+def test_objects_of_a_built_in_scene_are_where_the_scene_has_them(mi: Any) -> None:
+    from lobewise.render import load_scene
+    from lobewise.viewer.scenes import SceneTarget
+
+    target = open_target("showroom", BY_THEMSELVES)
+    for _ in range(3):
+        ask(target, speed=4.0)
+    whole = SceneTarget("showroom", SIZE, lambda done, total: None)
+    assert not whole.describe().moves
+    assert ask(whole).moment is None
+    still = find_positions(whole)
+    whole._first = type(whole._first)(load_scene("showroom", width=SIZE[0], height=SIZE[1], time=8.0))
+    ask(whole, client=2)
+    moved = find_positions(target)
+    np.testing.assert_allclose(moved, find_positions(whole, 2), atol=1e-3)
+    assert np.abs(moved - still).max() > 0.1
+
+
+@pytest.mark.mitsuba
+def test_shapes_that_are_not_there_are_told(room: tuple[str, str], tmp_path: Path) -> None:
+    wrong = tmp_path / "wrong.json"
+    wrong.write_text(json.dumps({"bell": {"matrices": [slide(0.0, 0.0, 0.0).tolist()]}}))
+    with pytest.raises(InputError, match=r"wrong\.json.*bell"):
+        open_target(room[0], str(wrong))
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["brushed", "--moving-objects"], "showroom or parlour"),
+        (["showroom", "--moving-objects", "absent.json"], "absent.json"),
+        (["frame.exr", "--moving-objects"], "--moving-objects: expected a scene beside it"),
+    ],
+)
+def test_wrong_motions_end_the_command(
+    words: list[str], says: str, capsys: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "frame.exr").write_bytes(b"v/1\x01")
+    assert run(["view", *words]) == 2
+    assert says in capsys.readouterr().err
+
+
+def make_guest(speed: float) -> Guest:
+    """Return a browser that shows a picture of objects at a speed."""
+    client = SimpleNamespace(camera=SimpleNamespace(image_width=64, image_height=64), client_id=1)
+    guest = Guest(client, SimpleNamespace(), fixed_size=True)  # type: ignore[arg-type]
+    guest.panel = SimpleNamespace(speed=speed, accumulate=False)  # type: ignore[assignment]
+    guest.picture = make_picture()
+    return guest
+
+
+def make_picture(moment: float | None = None) -> Picture:
+    return Picture(1, 1, np.zeros((8, 8, 3), np.uint8), (64, 64), 0.0, moment=moment)
+
+
+@pytest.mark.parametrize(("speed", "more"), [(1.0, True), (0.1, True), (0.0, False)])
+def test_pictures_follow_each_other_while_objects_move(speed: float, more: bool) -> None:
+    found = Description(LOOK, 64, 64, camera=SimpleNamespace(), moves=True)  # type: ignore[arg-type]
+    assert make_guest(speed).needs_more(found) == more
+
+
+def test_the_status_tells_the_moment() -> None:
+    assert "objects at 12.5" in write_figures(make_picture(12.5), 1, None)
+    assert "objects" not in write_figures(make_picture(), 1, None)
