@@ -1,0 +1,1 @@
+"""Sequences that nothing was tuned on: error, flicker and ghosts, frame by frame and with windows in time."""
