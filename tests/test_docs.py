@@ -98,6 +98,7 @@ def test_upsampling_page_runs() -> None:
         exec(compile(block, "upsampling.md", "exec"), names)
     assert names["image"].shape == (64, 80, 3)
     np.testing.assert_allclose(names["image"], 0.5, rtol=1e-5)
+    np.testing.assert_allclose(names["shine"], 0.2, rtol=1e-5)
 
 
 def test_temporal_page_runs() -> None:

@@ -73,6 +73,7 @@ INNER_ROOMS = {
     "interactive": [
         "settings",
         "methods",
+        "samples",
         "changes",
         "filter_choice",
         "gradients",

@@ -19,6 +19,7 @@ from .io.exr.sparse import write_sparse_frame as write_sparse_frame
 from .lobe_table import LobeTable as LobeTable
 from .settings import DenoiseSettings as DenoiseSettings
 from .settings import TemporalSettings as TemporalSettings
+from .sparse_frame import Rays as Rays
 from .sparse_frame import SparseFrame as SparseFrame
 from .sparse_frame import make_sparse as make_sparse
 from .streaming import DenoisedFile as DenoisedFile

@@ -9,7 +9,7 @@ import numpy as np
 
 from lobewise.camera import Camera
 from lobewise.errors import InputError, name_value, require_kind
-from lobewise.frame import Frame, GBuffer, Guided, Radiance, describe_content
+from lobewise.frame import FloatArray, Frame, GBuffer, Guided, Radiance, describe_content
 from lobewise.lobe_table import LobeTable
 from lobewise.settings.choices import MAX_SCALE_PIXELS
 
@@ -36,6 +36,56 @@ def _check_blocks(size: tuple[int, int], scale: int, place: tuple[int, int]) -> 
 
 
 @dataclass(frozen=True, repr=False)
+class Rays:
+    """The rays along which the specular radiance of samples came, for frames with one ray for each shaded pixel.
+
+    Parameters
+    ----------
+    weight : array, shape (rows, columns)
+        ``f cos / (p a)``, finite and >= 0: f is the specular BRDF, p the density of the direction by which it was
+        sampled, a the specular albedo of the pixel. Its expected value is 1. It is 0 where the specular lobe reflects
+        nothing along the ray, for example because the diffuse lobe was sampled. The specular radiance of the sample is
+        the weight times a times the radiance that came along the ray, so all specular radiance must have come along it.
+    direction : array, shape (rows, columns, 3), optional
+        From the surface along the ray, world space, length 1; 0 where it is not known or the ray was bent. With
+        directions, pixels weigh their neighbours' rays by their own lobes: reflections get sharper, and noisier.
+
+    Raises
+    ------
+    InputError
+        If the shapes do not fit together, a number is not finite, or a weight is below 0.
+    """
+
+    weight: FloatArray
+    direction: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        weight = np.asarray(self.weight, np.float32)
+        direction = None if self.direction is None else np.asarray(self.direction, np.float32)
+        if weight.ndim != 2 or (direction is not None and direction.shape != (*weight.shape, 3)):
+            got = f"shape {weight.shape}" + ("" if direction is None else f" and {direction.shape}")
+            raise InputError(
+                "rays",
+                expected="weights of shape (rows, columns), and directions of shape (rows, columns, 3) or none",
+                got=got,
+                action="pass one ray for each shaded pixel",
+            )
+        numbers = [weight] if direction is None else [weight, direction]
+        if not (all(np.isfinite(each).all() for each in numbers) and (weight >= 0.0).all()):
+            raise InputError(
+                "rays",
+                expected="finite directions and finite weights of at least 0",
+                got="others",
+                action="pass direction 0 and weight 1 where no ray is known",
+            )
+        object.__setattr__(self, "weight", weight)
+        object.__setattr__(self, "direction", direction)
+
+    def __repr__(self) -> str:
+        return f"Rays({self.weight.shape[1]}x{self.weight.shape[0]})"
+
+
+@dataclass(frozen=True, repr=False)
 class SparseFrame(Guided):
     """A frame that was shaded at every ``scale``-th pixel of every ``scale``-th row only.
 
@@ -58,11 +108,14 @@ class SparseFrame(Guided):
         Samples per shaded pixel, >= 1.
     lobe_tables : tuple of LobeTable
         Fitted lobes of the materials that ``gbuffer.material`` numbers.
+    rays : Rays, optional
+        The ray of each sample. Samples then count by the weights of their rays.
 
     Raises
     ------
     InputError
-        If scale or place is out of range, or the radiance has not one sample for each block.
+        If scale or place is out of range, the radiance has not one sample for each block, or the rays have another
+        size or no specular radiance beside them.
     """
 
     radiance: Radiance
@@ -73,10 +126,12 @@ class SparseFrame(Guided):
     variance: Radiance | None = None
     spp: int | None = None
     lobe_tables: tuple[LobeTable, ...] = ()
+    rays: Rays | None = None
 
     def __post_init__(self) -> None:
         require_kind("radiance", self.radiance, Radiance)
         require_kind("gbuffer", self.gbuffer, GBuffer)
+        require_kind("rays", self.rays, Rays, type(None))
         require_kind("camera", self.camera, Camera, type(None))
         size = self.gbuffer.shape
         if size is None:
@@ -95,6 +150,10 @@ class SparseFrame(Guided):
                 got=f"{samples.width}x{samples.height}",
                 action="check scale and place",
             )
+        if self.rays is not None and (self.rays.weight.shape != grid or self.radiance.parts is None):
+            got = repr(self.rays) if self.radiance.parts is not None else "no specular radiance"
+            expected = f"{grid[1]}x{grid[0]} rays, and radiance in diffuse and specular parts"
+            raise InputError("rays", expected=expected, got=got, action="pass both parts, and a ray for each sample")
         object.__setattr__(self, "lobe_tables", tuple(self.lobe_tables))
 
     def __repr__(self) -> str:

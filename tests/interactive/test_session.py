@@ -94,7 +94,7 @@ def render_centres(session: Session, camera: Camera) -> np.ndarray:
     stages.place_camera(camera, *session.size)
     rows, columns = (index.ravel() for index in np.indices(session.size[::-1]))
     method = PathLight(stages.scene, stages.materials)
-    diffuse, specular, _ = stages.shade_indirect(method, rows, columns, 512, 999)
+    diffuse, specular, *_ = stages.shade_indirect(method, rows, columns, 512, 999)
     direct = [stages.trace_first(camera, seed)[1] for seed in range(1000, 1064)]
     return np.mean([light.emitted + light.diffuse + light.specular for light in direct], axis=0) + (
         diffuse + specular

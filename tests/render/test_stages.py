@@ -131,7 +131,7 @@ def test_a_mirror_shows_the_sky_as_direct_light(make_furnace: Callable[..., Any]
 def test_path_light_is_the_renderers_indirect_light(stages: Stages, showroom: Any) -> None:
     stages.place_camera(stages.start_camera, SIZE, SIZE)
     method = get_path_light(stages)
-    diffuse, specular, distance = stages.shade_indirect(method, *list_pixels(), 256, 5)
+    diffuse, specular, distance, *_ = stages.shade_indirect(method, *list_pixels(), 256, 5)
     reference = render_frame(showroom, spp=256, light="indirect").radiance
     assert diffuse.mean() == pytest.approx(reference.diffuse.mean(), rel=MEAN_NOISE)
     assert specular.mean() == pytest.approx(reference.specular.mean(), rel=MEAN_NOISE)
@@ -198,3 +198,50 @@ def test_garbage_waits_until_a_recording_is_done(stages: Stages) -> None:
     assert seen
     assert not any(seen)
     assert gc.isenabled()
+
+
+@pytest.mark.parametrize("kind", ["roughconductor", "conductor", "roughplastic", "dielectric"])
+def test_paths_tell_the_rays_of_their_samples(mi: Any, kind: str) -> None:
+    """A surface inside a white sphere whose light was scattered before: all rays bring the same radiance."""
+    roughness = {"alpha": 0.2, "distribution": "ggx"} if kind.startswith("rough") else {}
+    look = mi.ScalarTransform4f().look_at([0, -3, 0.5], [0, 0, 0], [0, 0, 1])
+    film = {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}}
+    lamp = {"type": "area", "radiance": {"type": "rgb", "value": 1.0}}
+    white = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.5}}
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "path", "max_depth": 3},
+            "sensor": {"type": "perspective", "fov": 20, "to_world": look, "film": film},
+            "ball": {"type": "sphere", "radius": 0.4, "bsdf": {"type": kind, **roughness}},
+            "room": {"type": "sphere", "radius": 10, "flip_normals": True, "bsdf": white},
+            "lamp": {"type": "sphere", "center": [0, 8, 0], "radius": 0.5, "emitter": lamp},
+        }
+    )
+    stages = Stages(scene)
+    stages.place_camera(stages.start_camera, SIZE, SIZE)
+    rows, columns = list_pixels()
+    light = stages.shade_indirect(get_path_light(stages), rows, columns, 1, 3)
+    guides = stages.trace_first(stages.start_camera, 0)[0].gbuffer
+    ball = (guides.specular_albedo.max(axis=-1) > 0.0).ravel()
+    assert ball.sum() > 300
+    assert light.direction is not None
+    assert light.ray_weight is not None
+    weight, length = light.ray_weight[ball], np.linalg.norm(light.direction[ball], axis=-1)
+    if kind == "dielectric":
+        assert (length == 0.0).all()
+        assert (weight == 1.0).all()
+        return
+    assert np.allclose(length, 1.0, atol=1e-5)
+    # The albedo of plastic is that of a fit, and its weights are noisy: the lobe is sampled seldom.
+    assert weight.mean() == pytest.approx(1.0, abs=0.25 if kind == "roughplastic" else 0.05)
+    assert not light.specular[ball][weight == 0.0].any()
+    view = stages.start_camera.position - guides.position.reshape(-1, 3)[ball]
+    half = light.direction[ball] + view / np.linalg.norm(view, axis=-1, keepdims=True)
+    cosine = (half * guides.normal.reshape(-1, 3)[ball]).sum(axis=-1) / np.linalg.norm(half, axis=-1)
+    if kind == "conductor":
+        assert np.allclose(cosine, 1.0, atol=1e-4)
+    elif kind == "roughplastic":
+        # A ray counts where it lies in the lobe.
+        near = cosine > 0.9
+        assert weight[near].mean() > 3.0 * weight[~near].mean()

@@ -36,6 +36,7 @@ from lobewise.guides.lobe_fields import (
     spread_lobes,
 )
 from lobewise.guides.mixture_fields import make_mixture_field
+from lobewise.guides.rays import make_ray_feature
 from lobewise.guides.surfaces import find_inverse_hits, find_places, find_surface_pixels
 from lobewise.lobes.hits import HitField
 from lobewise.settings import ResolvedSettings
@@ -90,6 +91,8 @@ class Layer:
     name: str = "color"
     is_diffuse: bool = False
     is_transmitted: bool = False
+    weights: FloatArray | None = None
+    """Weights of the samples' rays, (rows, columns), if the frame has rays; see `lobewise.sparse_frame.Rays`."""
 
     @property
     def is_reflected(self) -> bool:
@@ -257,10 +260,14 @@ def make_lobe_layers(
             )
             for each in frame.layers
         ]
-    return [
+    layers = [
         Layer(parts[0], guides.diffuse_albedo, *scattered, "diffuse", is_diffuse=True),
         Layer(parts[1], guides.specular_albedo, *reflected, "specular"),
     ]
+    if isinstance(frame, SparseFrame) and frame.rays is not None:
+        more = () if frame.rays.direction is None else (make_ray_feature(frame, frame.rays.direction),)
+        layers[1] = replace(layers[1], features=(*layers[1].features, *more), weights=frame.rays.weight)
+    return layers
 
 
 def filter_layer(layer: Layer, settings: ResolvedSettings, image: FloatArray) -> FilterOutput:

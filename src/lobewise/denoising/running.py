@@ -159,6 +159,7 @@ def run_upsample_step(state: LayerRun, step: UpsampleStep) -> list[FilterOutput]
             place=frame.place,
             radius=step.radius,
             albedo=layer.albedo,
+            weights=layer.weights,
             device=state.settings.device,
         )
     ]
@@ -169,8 +170,10 @@ def run_accumulate_step(state: LayerRun, step: AccumulateStep) -> list[Accumulat
     radiance, history, grid = state.layer.radiance, state.images[HISTORY], make_grid(state)
     options: dict[str, Any] = {"radius": step.radius, "growth": step.growth, "own": step.own}
     if history is not None:
-        options |= {HISTORY: history, "trust": grid.find_trust(radiance, history, step.own)}
+        trust = grid.find_trust(radiance, history, step.own, state.layer.weights)
+        options |= {HISTORY: history, "trust": trust}
     if isinstance(state.frame, SparseFrame):
+        options["weights"] = state.layer.weights
         if step.known_radius is not None:
             sigmas = state.settings.screen_sigma, step.known_sigma or state.settings.screen_sigma
             options["known"] = KnownKernel(step.known_radius, *sigmas)

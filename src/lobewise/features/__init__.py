@@ -5,6 +5,7 @@ from lobewise.features.base import Feature
 from lobewise.features.ggx import GgxFeature, SplitGgxFeature, SplitLobe
 from lobewise.features.normal import DiffuseFeature, NormalFeature
 from lobewise.features.position import PlaneFeature, PositionFeature
+from lobewise.features.ray import RayFeature
 from lobewise.features.screen import BandLimitFeature, ScreenFeature, TentFeature
 from lobewise.features.seen import HitDistanceFeature, SeenFeature
 from lobewise.features.sg import SgFeature
@@ -20,6 +21,7 @@ __all__ = [
     "NormalFeature",
     "PlaneFeature",
     "PositionFeature",
+    "RayFeature",
     "ScreenFeature",
     "SeenFeature",
     "SgFeature",

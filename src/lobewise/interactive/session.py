@@ -25,6 +25,7 @@ from lobewise.interactive.gradients import Pixels, Shaded, find_changes, follows
 from lobewise.interactive.lens import LensMean
 from lobewise.interactive.methods import Methods
 from lobewise.interactive.resting import Again, Resting
+from lobewise.interactive.samples import make_radiance, make_rays
 from lobewise.interactive.settings import UNFILTERED, InteractiveSettings
 from lobewise.interactive.views import Parts
 from lobewise.render.loading import load_scene
@@ -317,7 +318,9 @@ class Session:
         place = places[chain.number % len(places)]
         rows, columns = np.arange(place[0], height, scale), np.arange(place[1], width, scale)
         grid = np.repeat(rows, columns.size), np.tile(columns, rows.size)
-        radiance = self._shade(method, grid, chain.settings.spp, shared.seed, (rows.size, columns.size))
+        shape = rows.size, columns.size
+        light = self._stages.shade_indirect(method, *grid, chain.settings.spp, shared.seed)
+        radiance = make_radiance(method, light, shape)
         chain.shaded = None
         if chain.settings.temporal:
             some = (slice(place[0], None, scale), slice(place[1], None, scale))
@@ -333,6 +336,7 @@ class Session:
             shared.camera,
             spp=max(1, round(chain.settings.spp * method.worth)),
             lobe_tables=shared.hits.lobe_tables,
+            rays=make_rays(light, shape),
         )
 
     def _relight_history(self, chain: _Chain, former: Shaded, seen: Seen) -> None:
@@ -349,10 +353,7 @@ class Session:
 
     def _shade(self, method: Any, pixels: Pixels, samples: int, seed: int, shape: tuple[int, int]) -> Radiance:
         """Return the indirect light of some pixels as an image of the shape ``shape``."""
-        parts = self._stages.shade_indirect(method, *pixels, samples, seed)[:2]
-        diffuse, specular = (light.reshape(*shape, 3) for light in parts)
-        split = {} if isinstance(method, OwnLight) else {"diffuse": diffuse, "specular": specular}
-        return Radiance(diffuse + specular, **split)
+        return make_radiance(method, self._stages.shade_indirect(method, *pixels, samples, seed), shape)
 
     def _upsample(self, chain: _Chain, sparse: SparseFrame) -> Result:
         settings = chain.settings

@@ -6,8 +6,8 @@ frozen by Dr.Jit: the first call records the kernels, later calls launch them wi
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, fields, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +60,20 @@ class DirectLight:
         """Return no light at as many pixels."""
         black = np.zeros_like(self.emitted)
         return DirectLight(black, black, black)
+
+
+class IndirectLight(NamedTuple):
+    """Indirect light of some pixels: by lobe, (count, 3) each, linear, >= 0, albedo included; hit distances, (count,).
+
+    ``direction``, (count, 3), and ``ray_weight``, (count,), are means over the samples of what
+    `lobewise.sparse_frame.Rays` says of one; None where the method tells none.
+    """
+
+    diffuse: FloatArray
+    specular: FloatArray
+    hit_distance: FloatArray
+    direction: FloatArray | None = None
+    ray_weight: FloatArray | None = None
 
 
 NO_PIXEL = (1 << 32) - 1
@@ -188,13 +202,13 @@ class Stages:
 
     def shade_indirect(
         self, method: IndirectMethod, rows: NDArray[np.intp], columns: NDArray[np.intp], samples: int, seed: int
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return diffuse and specular indirect light, (count, 3) each, and hit distances (count,) of some pixels."""
+    ) -> IndirectLight:
+        """Return the indirect light of some pixels."""
         width, height = self._get_size()
         if isinstance(method, OwnLight):
             with use_sensor(self._sensor):
                 color = method.sample(_number_pixels(rows, columns, width), samples, seed)
-            return color, np.zeros_like(color), np.zeros(len(color), np.float32)
+            return IndirectLight(color, np.zeros_like(color), np.zeros(len(color), np.float32))
         known = self._indirect.get(method.name)
         if known is None or known[0] is not method:
 
@@ -203,19 +217,22 @@ class Stages:
                 light = method.shade(points, samples=samples, seed=seed)
                 if self._looks_through:
                     parts = assign_to_lobes(points.surface, light.diffuse, light.specular)
+                    # The first ray may leave a pane or a mask instead of the surface that the guides describe.
                     light = Indirect(*parts, light.hit_distance)
                 # Light that is the same at all points, such as that of a lobe that no surface has, would keep the width
                 # of the first call.
                 there = pixel != NO_PIXEL
-                return [dr.select(there, each, dr.nan) for each in (light.diffuse, light.specular, light.hit_distance)]
+                found = [getattr(light, each.name) for each in fields(Indirect)]
+                return [dr.select(there, each, dr.nan) for each in found if each is not None]
 
             frozen = Frozen(shade, lambda: (self.scene, self._sensor, method.state), records=self._records)
             known = self._indirect[method.name] = method, frozen
         pixel = _number_pixels(rows, columns, width)
         size = _make_opaque_size(width, height)
         with use_sensor(self._sensor):
-            diffuse, specular, distance = known[1](pixel, *size, make_opaque(samples), make_opaque(seed))
-        return diffuse.reshape(-1, 3), specular.reshape(-1, 3), distance
+            found = known[1](pixel, *size, make_opaque(samples), make_opaque(seed))
+        shapes = (-1, 3), (-1, 3), (-1,), (-1, 3), (-1,)
+        return IndirectLight(*(values.reshape(shape) for values, shape in zip(found, shapes, strict=False)))
 
     def find_surfaces(
         self, rows: NDArray[np.intp], columns: NDArray[np.intp], camera: Camera

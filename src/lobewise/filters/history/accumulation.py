@@ -131,7 +131,9 @@ class SampleGrid:
         return np.ascontiguousarray(image[self.shaded]) if self._scale > 1 else image
 
     @device_scope()
-    def find_trust(self, samples: FloatArray, history: FloatArray, own: float) -> FloatArray:
+    def find_trust(
+        self, samples: FloatArray, history: FloatArray, own: float, weights: FloatArray | None = None
+    ) -> FloatArray:
         """Return how far samples confirm the history, 0 to 1, at the shaded pixels, (rows, columns).
 
         Guides show a change of surface or lobe, but not a light that went out or a change in a reflection. Samples do:
@@ -140,18 +142,20 @@ class SampleGrid:
 
         Parameters
         ----------
-        samples, history, own
+        samples, history, own, weights
             See `accumulate`.
         """
+        weighed = {} if weights is None else {"weights": take_image("weights of rays", weights, self.size)}
         pixels = {name.replace("tap", "own"): widen(image) for name, image in self._taps.items()}
         images = {
             "samples": self._take_samples(samples),
             "history": np.ascontiguousarray(np.moveaxis(history[self.shaded], -1, 0)),
             **self._taps,
             **{name: image for name, image in pixels.items() if name != "own_albedo"},
+            **weighed,
         }
         numbers = {"trust_radius": TRUST_RADIUS, "own": own, **self._place_samples(1, (0, 0))}
-        return self._run(images, numbers, self.size, make_trust, self._features, self._tinted)[..., 0]
+        return self._run(images, numbers, self.size, make_trust, *self._list_options(weights))[..., 0]
 
     @device_scope()
     def accumulate(
@@ -164,6 +168,7 @@ class SampleGrid:
         growth: float = 0.0,
         own: float = 1.0,
         known: KnownKernel | None = None,
+        weights: FloatArray | None = None,
     ) -> AccumulatedOutput:
         """Spread samples over all pixels and add them to the history; see `lobewise.filters.history.accumulation_pass`.
 
@@ -183,6 +188,8 @@ class SampleGrid:
             Weight of a shaded pixel's own sample, >= 1; a sample of another pixel that matches fully has weight 1.
         known : KnownKernel, optional
             Kernel of the pixels that have a history; without it all pixels have the same kernel.
+        weights : array, shape (rows, columns), optional
+            Weights of the samples' rays, >= 0; see `lobewise.sparse_frame.Rays`. By default 1.
 
         Returns
         -------
@@ -199,6 +206,7 @@ class SampleGrid:
             "trust": self._take_trust(trust),
             **self._taps,
             **self._whole,
+            **({} if weights is None else {"weights": take_image("weights of rays", weights, self.size)}),
         }
         trust_radius = 0 if trust is None else self._trust_radius
         numbers = {"radius": radius, "trust_radius": trust_radius, "growth": growth, "own": own}
@@ -206,7 +214,7 @@ class SampleGrid:
         radii = {"known_radius": radius, "known_precision": 0.0}
         if known is not None and known.radius < radius:
             radii = {"known_radius": known.radius, "known_precision": known.precision}
-        options = self._features, self._tinted
+        options = self._list_options(weights)
         return _split_output(self._run(images, {**numbers, **radii}, self.shape, make_accumulation, *options))
 
     @device_scope()
@@ -267,6 +275,9 @@ class SampleGrid:
         images = {name: image for name, image in images.items() if not name.endswith("albedo")}
         numbers = {"trust_radius": self._trust_radius, "growth": growth, **self._place_samples(1, (0, 0))}
         return self._run(images, numbers, self.shape, make_narrowing, self._features)
+
+    def _list_options(self, weights: FloatArray | None) -> tuple[tuple[Feature, ...], bool, bool]:
+        return self._features, self._tinted, weights is not None
 
     @property
     def _trust_radius(self) -> int:
@@ -336,6 +347,7 @@ def run_upsampling(
     place: tuple[int, int] = (0, 0),
     radius: int,
     albedo: FloatArray | None = None,
+    weights: FloatArray | None = None,
     device: str = "cpu",
 ) -> FilterOutput:
     """Upsample radiance that was shaded at every ``scale``-th pixel, weighted by the similarity of pixels.
@@ -343,5 +355,5 @@ def run_upsampling(
     With scale 1 this is the full form of `run_filter`. See `SampleGrid` and `SampleGrid.accumulate` for parameters.
     """
     grid = SampleGrid(mask, features, scale=scale, place=place, albedo=albedo, device=device)
-    out = grid.accumulate(radiance, radius=radius)
+    out = grid.accumulate(radiance, radius=radius, weights=weights)
     return FilterOutput(np.ascontiguousarray(out.image), out.weight_sum, out.effective_samples)

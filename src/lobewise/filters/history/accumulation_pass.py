@@ -25,12 +25,13 @@ import halide as hl
 from lobewise.backend import expressions
 from lobewise.backend.signature import Signature
 from lobewise.features.base import Feature
-from lobewise.filters.cross_pass import ALBEDO_FLOOR, demodulate, find_luminance
+from lobewise.filters.cross_pass import ALBEDO_FLOOR, find_luminance
 from lobewise.filters.history.accumulation_stages import (
     AccumulationFuncs,
     Gathered,
     KnownPixel,
     Sample,
+    SampleImages,
     Summary,
     Trust,
     accumulate,
@@ -56,16 +57,16 @@ NARROWED = "share", "unit"
 """The output planes of the pass before a filter: trust in the history, and unit."""
 
 
-def make_accumulation(features: Sequence[Feature], tinted: bool, lanes: int) -> AccumulationFuncs:
-    """Return the pass that gathers samples and adds them to the history; ``tinted`` divides samples by an albedo.
+def make_accumulation(features: Sequence[Feature], tinted: bool, weighed: bool, lanes: int) -> AccumulationFuncs:
+    """Return the pass that gathers samples and adds them to the history.
 
+    ``tinted`` divides samples by an albedo. With ``weighed`` each sample has the weight of its ray.
     The numbers ``column`` and ``row`` place the shaded pixel in its block; ``spacing`` is the distance of samples,
     pixels. In all passes images of the full grid must be at least as wide as a vector of ``lanes`` pixels.
     """
     signature = Signature("accumulation")
-    samples = signature.image("samples", "rows", "columns", 3)
+    samples, tap_albedo, weights = _declare_samples(signature, tinted, weighed)
     trust = signature.image("trust", "rows", "columns")
-    tap_albedo = signature.image("tap_albedo", "rows", "columns", 3) if tinted else None
     albedo = signature.image("own_albedo", "height", "width", 3) if tinted else None
     history = signature.image("history", HISTORY_CHANNELS, "height", "width")
     radius, known_radius, trust_radius = (
@@ -78,9 +79,10 @@ def make_accumulation(features: Sequence[Feature], tinted: bool, lanes: int) -> 
     before, usable = read_history(history, pixels.place), mask[pixels.place] != 0
 
     def take(at: Place, usable: hl.Expr) -> Sample:
-        light, good = demodulate(samples, tap_albedo, at, hl.f32(ALBEDO_FLOOR))
+        light, weight, good = SampleImages(samples, tap_albedo, weights).read(at, hl.f32(ALBEDO_FLOOR))
         luminance = find_luminance(light)
-        seen = (hl.select(good & usable, value, zero) for value in (*light, one, luminance * luminance))
+        values = (*light, one, luminance * luminance)
+        seen = (hl.select(good & usable, weight * value, zero) for value in values)
         return Sample(*seen, *(hl.select(usable, value, zero) for value in (trust[at], one)))
 
     blocks = Blocks(signature, pixels)
@@ -104,7 +106,8 @@ def make_accumulation(features: Sequence[Feature], tinted: bool, lanes: int) -> 
     gathered, found = gather_samples(grid, Taps(widest, radius), unit, known)
 
     shaded = (shift[0] == 0) & (shift[1] == 0) & (block[0] < columns) & (block[1] < rows)
-    more = weigh_own_sample(pixels, (samples, albedo), nearest, shaded & usable, (own, own - one), unit)
+    given = SampleImages(samples, albedo, weights)
+    more = weigh_own_sample(pixels, given, nearest, shaded & usable, (own, own - one), unit)
     out, domain = accumulate(pixels, Sums(*kept), weigh_gathered(found, unit, usable), more, unit, albedo)
     _declare_outputs(signature, ACCUMULATED)
     return AccumulationFuncs(out, signature, pixels, domain, [trusted, gathered], grid)
@@ -149,22 +152,21 @@ def make_filtered_accumulation(tinted: bool, lanes: int) -> AccumulationFuncs:
     total, effective, moment, share, unit = (image[at] for image in images)
     found = Gathered([mean[(k, *at)] for k in range(3)], moment, total, effective, are_means=True)
     usable = mask[at] != 0
-    more = weigh_own_sample(pixels, (samples, albedo), at, usable, (own, bonus), unit)
+    more = weigh_own_sample(pixels, SampleImages(samples, albedo), at, usable, (own, bonus), unit)
     kept = read_history(history, at).fade(share)
     out, domain = accumulate(pixels, kept, weigh_gathered(found, unit, usable), more, unit, albedo)
     _declare_outputs(signature, ACCUMULATED)
     return AccumulationFuncs(out, signature, pixels, domain)
 
 
-def make_trust(features: Sequence[Feature], tinted: bool, lanes: int) -> AccumulationFuncs:
+def make_trust(features: Sequence[Feature], tinted: bool, weighed: bool, lanes: int) -> AccumulationFuncs:
     """Return the pass that computes at each shaded pixel how far the samples confirm the history, 0 to 1.
 
     Sample and history estimate the same radiance. The lobe-weighted mean of their differences around a pixel is
     compared with its standard error, colour by colour.
     """
     signature = Signature("trust")
-    samples = signature.image("samples", "rows", "columns", 3)
-    albedo = signature.image("tap_albedo", "rows", "columns", 3) if tinted else None
+    given = SampleImages(*_declare_samples(signature, tinted, weighed))
     history = signature.image("history", HISTORY_CHANNELS, "rows", "columns")
     radius, own = declare_count(signature, "trust_radius"), signature.number("own")
     mask = declare_mask(signature)
@@ -172,7 +174,7 @@ def make_trust(features: Sequence[Feature], tinted: bool, lanes: int) -> Accumul
     zero, one = hl.f32(0.0), hl.f32(1.0)
 
     def take(at: Place, usable: hl.Expr) -> list[hl.Expr]:
-        light, good = demodulate(samples, albedo, at, hl.f32(ALBEDO_FLOOR) / own)
+        light, weight, good = given.read(at, hl.f32(ALBEDO_FLOOR) / own)
         past = read_history(history, at)
         # Ignore a history without own samples of the pixel: it is blurred, and samples without noise would reject it.
         known = good & usable & (past.weight > hl.f32(0.5) * own)
@@ -182,7 +184,7 @@ def make_trust(features: Sequence[Feature], tinted: bool, lanes: int) -> Accumul
         for square in squares:
             known = known & ~expressions.is_bad(square)
         parts = [*(hl.max(step, zero) for step in steps), *(hl.max(-step, zero) for step in steps), *squares, one]
-        return [*(hl.select(known, part, zero) for part in parts), *before]
+        return [*(hl.select(known, weight * part, zero) for part in parts), *before]
 
     taps = Taps(radius, radius)
     grid = make_tap_grid(signature, features, (mask, pixels, Blocks(signature, pixels)), taps, take)
@@ -191,6 +193,15 @@ def make_trust(features: Sequence[Feature], tinted: bool, lanes: int) -> Accumul
     out, domain = pixels.write(pixels.once[-1], 1)
     _declare_outputs(signature, ["trust"])
     return AccumulationFuncs(out, signature, pixels, domain, [trusted], grid)
+
+
+def _declare_samples(
+    signature: Signature, tinted: bool, weighed: bool
+) -> tuple[hl.ImageParam, hl.ImageParam | None, hl.ImageParam | None]:
+    """Declare radiance, albedo and weights of samples, in the order of `SampleImages`."""
+    light = signature.image("samples", "rows", "columns", 3)
+    albedo = signature.image("tap_albedo", "rows", "columns", 3) if tinted else None
+    return light, albedo, signature.image("weights", "rows", "columns") if weighed else None
 
 
 def _declare_outputs(signature: Signature, names: Sequence[str]) -> None:

@@ -21,6 +21,8 @@ IGNORED_DIFFERENCE = 0.02
 """Relative difference that does not count as a change; it is added to the standard error."""
 MIN_WEIGHT = 1e-12
 """Smallest weight sum. Smaller ones above 0 are raised to it, so that a pixel unlike all samples keeps its light."""
+MIN_RAY_WEIGHT = 1e-6
+"""Smallest weight of a ray that counts."""
 NO_WEIGHT_LOG2 = -1e4
 """Base-2 logarithm of a weight that is 0, also after it is raised to a power of 1 or more."""
 
@@ -44,12 +46,16 @@ class Trust(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """The values of a sample that taps read: radiance over albedo, and 1, all 0 if it is bad; and its `Trust`."""
+    """The values of a sample that taps read, all times its weight, and all 0 if it is bad; and its `Trust`.
+
+    The weight is that of its ray, or 1. Without rays the colours are radiance over albedo; with rays they are also over
+    the ray's weight: the radiance along the ray.
+    """
 
     red: hl.Expr
     green: hl.Expr
     blue: hl.Expr
-    good: hl.Expr
+    weight: hl.Expr
     squared_luminance: hl.Expr
     trust: hl.Expr
     told: hl.Expr
@@ -93,7 +99,7 @@ def _sum_taps(
     take: Callable[[hl.Expr, list[hl.Expr]], Sequence[hl.Expr]],
     known: KnownPixel | None = None,
 ) -> tuple[TapSum, list[hl.Expr]]:
-    """Return the sums over taps of ``take(weight, values)``; weights are raised to ``power``."""
+    """Return the sums over taps of ``take(weight, values)``; weights without their factors are raised to ``power``."""
     at = grid.pixels.at
 
     def weigh(u: hl.Expr, v: hl.Expr) -> hl.Expr:
@@ -102,7 +108,8 @@ def _sum_taps(
             across, down = grid.blocks.find_offset(u, v)
             exponent = exponent - known.precision * (across * across + down * down)
             exponent = hl.select(hl.max(hl.abs(u), hl.abs(v)) <= known.radius, exponent, hl.f32(NO_WEIGHT_LOG2))
-        return expressions.exp2(exponent if power is None else exponent * power)
+        weight = expressions.exp2(exponent if power is None else exponent * power)
+        return weight if grid.factor is None else weight * grid.factor[(*at, u, v)]
 
     weights, weighed = hl.Func(f"{name}_weights"), None
     if grid.pixels.lanes == 1:
@@ -164,7 +171,8 @@ def gather_samples(grid: TapGrid, taps: Taps, power: hl.Expr, known: KnownPixel)
     def take(weight: hl.Expr, values: list[hl.Expr]) -> list[hl.Expr]:
         tap = Sample(*values)
         light = [weight * value for value in (tap.red, tap.green, tap.blue)]
-        return [*light, weight * tap.good, weight * weight * tap.good, weight * tap.squared_luminance]
+        total = weight * tap.weight
+        return [*light, total, total * total, weight * tap.squared_luminance]
 
     gathered, (*light, total, squares, moment) = _sum_taps("sums", grid, taps, power, take, known)
     return gathered, Gathered(light, moment, total, count_samples(total, squares), are_means=False)
@@ -175,7 +183,8 @@ def compare_with_history(grid: TapGrid, pixels: Pixels, taps: Taps, usable: hl.E
     zero, one = hl.f32(0.0), hl.f32(1.0)
 
     def take(weight: hl.Expr, tap: list[hl.Expr]) -> list[hl.Expr]:
-        return [*(weight * value for value in tap[:10]), weight * weight * tap[9]]
+        total = weight * tap[9]
+        return [*(weight * value for value in tap[:9]), total, total * total]
 
     compared, (*parts, total, squares) = _sum_taps("compared", grid, taps, None, take)
     *_, known, red, green, blue = grid.read(hl.i32(0), hl.i32(0))
@@ -208,9 +217,28 @@ def weigh_gathered(found: Gathered, unit: hl.Expr, usable: hl.Expr) -> Sums:
     return Sums(*(hl.select(alive, value, zero) for value in new))
 
 
+@dataclass(frozen=True)
+class SampleImages:
+    """The images of samples: radiance, the albedo that divides it, and the weights of their rays, if there are any."""
+
+    light: hl.ImageParam
+    albedo: hl.ImageParam | None
+    weights: hl.ImageParam | None = None
+
+    def read(self, at: Place, floor: hl.Expr, albedo_at: Place | None = None) -> tuple[list[hl.Expr], hl.Expr, hl.Expr]:
+        """Return a sample's radiance over albedo and over weight, its weight, and whether it is good and has weight."""
+        light, good = demodulate(self.light, self.albedo, at, floor, albedo_at)
+        if self.weights is None:
+            return light, hl.f32(1.0), good
+        weight = self.weights[at]
+        # A smaller weight is that of a ray which the lobe does not see, and the quotient may overflow.
+        good = good & (weight > hl.f32(MIN_RAY_WEIGHT))
+        return [value / hl.max(weight, hl.f32(MIN_RAY_WEIGHT)) for value in light], weight, good
+
+
 def weigh_own_sample(
     pixels: Pixels,
-    given: tuple[hl.ImageParam, hl.ImageParam | None],
+    given: SampleImages,
     at: Place,
     usable: hl.Expr,
     counts: tuple[hl.Expr, hl.Expr],
@@ -223,8 +251,8 @@ def weigh_own_sample(
     """
     zero = hl.f32(0.0)
     own, bonus = counts
-    light, good = demodulate(*given, at, hl.f32(ALBEDO_FLOOR) / own, pixels.place)
-    more = bonus * unit
+    light, weight, good = given.read(at, hl.f32(ALBEDO_FLOOR) / own, pixels.place)
+    more = bonus * unit * weight
     good = good & usable & (more > zero)
     more, *light = pixels.keep("sample", *(hl.select(good, value, zero) for value in (more, *light)))
     luminance = find_luminance(light)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import reduce
+from operator import mul
 from typing import Any
 
 import halide as hl
@@ -61,6 +63,10 @@ class TapGrid:
     weighed: hl.RDom | None
     """Domain of the logarithms; None where each is computed where it is read."""
     stages: list[hl.Func]
+    factor: hl.Func | None
+    """Product of the features' factors, which no power changes; None if no feature has one."""
+    multiplied: hl.RDom | None
+    """Domain of the factor; None where each is computed where it is read."""
     pixels: Pixels
     blocks: Blocks
     read: Callable[[hl.Expr, hl.Expr], list[hl.Expr]]
@@ -151,18 +157,23 @@ def make_tap_grid(
     def read_planes(u: hl.Expr, v: hl.Expr, start: int, stop: int) -> list[hl.Expr]:
         return [wide[here[0] + u * blocks.factor, k, blocks.block[1] + v] for k in range(start, stop)]
 
-    def compare(u: hl.Expr, v: hl.Expr, stage: Stage) -> hl.Expr:
+    def pair(u: hl.Expr, v: hl.Expr) -> list[tuple[Any, Any]]:
         there = read_planes(u, v, 0, taps.plane_count)
-        pairs = [(own.read(layout, *here), layout.read(there.__getitem__)) for layout in taps.layouts]
-        return _compare(features, pairs, scalars, blocks.find_offset(u, v), stage)
+        return [(own.read(layout, *here), layout.read(there.__getitem__)) for layout in taps.layouts]
 
-    log_weight, stages, weighed = hl.Func("log_weight"), list[hl.Func](), None
-    if pixels.lanes == 1:
-        log_weight[(*pixels.at, U, V)] = compare(U, V, make_stage(stages, (*pixels.at, U, V)))
-    else:
-        weighed = needed.make("weighed")
-        log_weight[(*pixels.at, U, V)] = hl.undef(hl.Float(32))
-        log_weight[(*pixels.at, weighed.x, weighed.y)] = compare(weighed.x, weighed.y, lambda value: value)
+    stages = list[hl.Func]()
+    stage = make_stage(stages, (*pixels.at, U, V)) if pixels.lanes == 1 else (lambda value: value)
+    log_weight, weighed = _define_taps(
+        "log_weight",
+        pixels,
+        needed,
+        lambda u, v: _compare(features, pair(u, v), scalars, blocks.find_offset(u, v), stage),
+    )
+    factor, multiplied = None, None
+    if any(feature.has_factor for feature in features):
+        factor, multiplied = _define_taps(
+            "factor", pixels, needed, lambda u, v: _multiply(features, pair(u, v), scalars)
+        )
 
     def read(u: hl.Expr, v: hl.Expr) -> list[hl.Expr]:
         return read_planes(u, v, taps.plane_count, len(given))
@@ -178,10 +189,38 @@ def make_tap_grid(
         log_weight=log_weight,
         weighed=weighed,
         stages=stages,
+        factor=factor,
+        multiplied=multiplied,
         pixels=pixels,
         blocks=blocks,
         read=read,
     )
+
+
+def _define_taps(
+    name: str, pixels: Pixels, needed: Taps, compute: Callable[[hl.Expr, hl.Expr], hl.Expr]
+) -> tuple[hl.Func, hl.RDom | None]:
+    """Return a function of pixels and taps, and its domain of taps; None where each is computed where it is read."""
+    func = hl.Func(name)
+    if pixels.lanes == 1:
+        func[(*pixels.at, U, V)] = compute(U, V)
+        return func, None
+    domain = needed.make(f"{name}_taps")
+    func[(*pixels.at, U, V)] = hl.undef(hl.Float(32))
+    func[(*pixels.at, domain.x, domain.y)] = compute(domain.x, domain.y)
+    return func, domain
+
+
+def _multiply(
+    features: Sequence[Feature], pairs: Sequence[tuple[Any, Any]], scalars: Sequence[Sequence[hl.Expr]]
+) -> hl.Expr:
+    """Return the product of the features' factors for a pixel and a tap; at least one feature must have one."""
+    factors = [
+        feature.make_factor(i, j, parameters)
+        for feature, (i, j), parameters in zip(features, pairs, scalars, strict=True)
+        if feature.has_factor
+    ]
+    return reduce(mul, factors)
 
 
 def _compare(

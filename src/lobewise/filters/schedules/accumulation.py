@@ -72,6 +72,9 @@ def _schedule_taps(funcs: AccumulationFuncs, grid: TapGrid, at: tuple[hl.Var, hl
     assert taps is not None
     grid.log_weight.compute_at(out, vector).hoist_storage(out, strip).bound(LANE, 0, lanes).vectorize(LANE)
     grid.log_weight.update().reorder(LANE, taps.x, taps.y, VECTOR, Y).vectorize(LANE)
+    if grid.factor is not None and grid.multiplied is not None:
+        grid.factor.compute_at(out, vector).hoist_storage(out, strip).bound(LANE, 0, lanes).vectorize(LANE)
+        grid.factor.update().reorder(LANE, grid.multiplied.x, grid.multiplied.y, VECTOR, Y).vectorize(LANE)
     for func, count in ((grid.own.planes, grid.own.plane_count), (grid.own.guides, grid.own.guide_count)):
         if func is not None:
             keep_rows(func.compute_at(out, vector), count, lanes)

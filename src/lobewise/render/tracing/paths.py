@@ -41,6 +41,8 @@ class PathSettings:
     through: bool = False
     """Whether light that was scattered once counts as well, if it passed a mask or a pane on its way to the surface.
     Shadow rays of `lobewise.render.tracing.direct` end at panes."""
+    rays: bool = False
+    """Whether to keep the first ray of a path. It needs ``guides``."""
 
 
 @dataclass
@@ -77,7 +79,8 @@ def trace_path(
     together, so each contribution is split by the shares of the lobes in ``f``, not by the sampled lobe.
     """
     bounces = _Bounces(scene, materials, settings, max_depth)
-    sample: Sample = follow(_Path(ray, rng), bounces.take, "bounces").sample
+    start = _Path(ray, rng, sample=make_sample(settings.rays))
+    sample: Sample = follow(start, bounces.take, "bounces").sample
     return sample
 
 
@@ -174,7 +177,19 @@ class _Bounces:
         kind, flags = found.chosen.sampled_type, mi.BSDFFlags
         mirrors = mi.has_flag(kind, flags.GlossyReflection) | mi.has_flag(kind, flags.DeltaReflection)
         path.looks_specular = scatters & mirrors & reflects
+        self._keep_ray(path, bsdf, found, scatters)
         return seen
+
+    @staticmethod
+    def _keep_ray(path: _Path, bsdf: Any, found: Scattering, scatters: Any) -> None:
+        """Keep the sampled direction as the path's first ray, if the pass keeps rays."""
+        ray, flags = path.sample.ray, mi.BSDFFlags
+        if ray is None:
+            return
+        transmits = mi.has_flag(bsdf.flags(), flags.GlossyTransmission)
+        transmits |= mi.has_flag(bsdf.flags(), flags.DeltaTransmission)
+        ray.direction = dr.select(scatters & ~transmits, found.ray.d, ray.direction)
+        ray.specular = dr.select(scatters, found.factor * (1.0 - path.share), ray.specular)
 
     def _go_on(self, path: _Path, found: Scattering, going: Any, seen: _Seen | None) -> None:
         """Go on in the sampled direction, or end the path by Russian roulette."""
@@ -285,7 +300,7 @@ class PathLight:
     ) -> None:
         self._scene = scene
         self._materials = materials
-        self._settings = PathSettings(max_depth=max_depth, min_bounces=2, through=through, surfaces=False)
+        self._settings = PathSettings(max_depth=max_depth, min_bounces=2, through=through, surfaces=False, rays=True)
 
     def find_band_limit(self, points: Points, samples: int) -> float:
         """Return 0, because directions are sampled by the lobes; see `IndirectMethod`."""
@@ -293,13 +308,18 @@ class PathLight:
 
     def shade(self, points: Points, *, samples: Any, seed: Any) -> Indirect:
         """Return the mean of ``samples`` paths; see `IndirectMethod`."""
-        settings = self._settings
+        settings, albedo = self._settings, dr.sum(points.surface.specular_albedo)
         max_depth = dr.opaque(mi.UInt32, settings.max_depth)
         seed_value = make_opaque(seed)
 
-        def take(index: Any) -> tuple[Any, Any, Any, Any]:
+        def take(index: Any) -> tuple[Any, ...]:
             rng = make_rng(points.pixel, index, seed_value)
             found = trace_path(self._scene, self._materials, points.ray, rng, settings, max_depth)
-            return found.lobes.diffuse, found.lobes.specular, found.totals.hit_count, found.totals.hit_inverse
+            assert found.ray is not None
+            # Radiance that passes a boundary is divided by the square of the index, and the albedo is not.
+            known = (albedo > 0) & (dr.squared_norm(found.ray.direction) > 0)
+            weight = dr.select(known, dr.sum(found.ray.specular) / albedo, 1.0)
+            lobes, totals = found.lobes, found.totals
+            return lobes.diffuse, lobes.specular, totals.hit_count, totals.hit_inverse, found.ray.direction, weight
 
-        return average_samples(take, make_opaque(samples))
+        return average_samples(take, make_opaque(samples), rays=True)

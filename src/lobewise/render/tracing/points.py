@@ -45,11 +45,16 @@ class Indirect:
 
     ``diffuse`` and ``specular`` (Color3f, linear, >= 0, albedo included) are split by the lobe of the first surface.
     ``hit_distance`` (Float) is the distance of the hit of its specular lobe: 0 if unknown, inf for a miss.
+
+    A method that traces one ray for each sample also tells, as means over the samples, ``direction`` (Vector3f) and
+    ``ray_weight`` (Float) of `lobewise.sparse_frame.Rays`. Otherwise they are None.
     """
 
     diffuse: Any
     specular: Any
     hit_distance: Any
+    direction: Any = None
+    ray_weight: Any = None
 
 
 def assign_to_lobes(surface: Surface, diffuse: Any, specular: Any) -> tuple[Any, Any]:
@@ -67,21 +72,24 @@ def assign_to_lobes(surface: Surface, diffuse: Any, specular: Any) -> tuple[Any,
     )
 
 
-def average_samples(take_sample: Callable[[Any], tuple[Any, Any, Any, Any]], samples: Any) -> Indirect:
+def average_samples(take_sample: Callable[[Any], tuple[Any, ...]], samples: Any, *, rays: bool = False) -> Indirect:
     """Return the mean over a number of samples, not evaluated yet.
 
     ``take_sample`` takes the number of a sample. It returns the diffuse and specular radiance, whether a specular
-    reflection was traced (Float, 0 or 1), and the inverse distance of its hit (0 for a miss).
+    reflection was traced (Float, 0 or 1), and the inverse distance of its hit (0 for a miss). With ``rays`` it also
+    returns the direction and the weight of the sample's ray.
     """
 
     def take(index: Any, *sums: Any) -> tuple[Any, ...]:
         return tuple(total + value for total, value in zip(sums, take_sample(index), strict=True))
 
     start = mi.Color3f(0), mi.Color3f(0), mi.Float(0), mi.Float(0)
-    diffuse, specular, hits, inverse = repeat(take, mi.UInt32(0), samples, *start, label="samples")
+    more = (mi.Vector3f(0), mi.Float(0)) if rays else ()
+    diffuse, specular, hits, inverse, *ray = repeat(take, mi.UInt32(0), samples, *start, *more, label="samples")
     share = dr.rcp(mi.Float(samples))
     distance = dr.select(inverse > 0, hits / inverse, dr.inf)
-    return Indirect(diffuse * share, specular * share, dr.select(hits > 0, distance, 0.0))
+    found = (value * share for value in ray)
+    return Indirect(diffuse * share, specular * share, dr.select(hits > 0, distance, 0.0), *found)
 
 
 class IndirectMethod(Protocol):

@@ -51,11 +51,24 @@ class Squares:
 
 
 @dataclass
+class FirstRay:
+    """The ray along which a path leaves the first surface that scatters it.
+
+    ``direction`` (Vector3f, world space) has length 1, or 0 if the surface lets light pass: such a ray may be bent.
+    ``specular`` (Color3f) is the specular part of ``f cos / p``, which the radiance along the ray is multiplied by.
+    """
+
+    direction: Any
+    specular: Any
+
+
+@dataclass
 class Sample:
-    """The results of one path (Dr.Jit arrays; a PyTree)."""
+    """The results of one path (Dr.Jit arrays; a PyTree). ``ray`` is None where the pass keeps no rays."""
 
     lobes: Lobes
     totals: Totals
+    ray: FirstRay | None = None
 
 
 @dataclass
@@ -77,9 +90,10 @@ def _make_zeros(what: Any, width: int = 1) -> Any:
     return what(*(dr.zeros(kinds.get(field.name, mi.Color3f), width) for field in fields(what)))
 
 
-def make_sample() -> Sample:
-    """Return a sample of zeros."""
-    return Sample(_make_zeros(Lobes), _make_zeros(Totals))
+def make_sample(rays: bool = False) -> Sample:
+    """Return a sample of zeros. With ``rays`` it has a ray."""
+    ray = FirstRay(dr.zeros(mi.Vector3f), dr.zeros(mi.Color3f)) if rays else None
+    return Sample(_make_zeros(Lobes), _make_zeros(Totals), ray)
 
 
 def make_sums(width: int, guides: bool) -> Sums:

@@ -1,0 +1,47 @@
+"""The feature that weighs the rays of a sparse frame, from the frame's guides."""
+
+from __future__ import annotations
+
+import halide as hl
+import numpy as np
+
+from lobewise.backend.pointwise import Grid, Vector, run_pointwise
+from lobewise.features.ray import RayFeature
+from lobewise.frame import FloatArray
+from lobewise.guides.surfaces import get_ray_numbers, make_ray
+from lobewise.lobes.vectors import dot
+from lobewise.sparse_frame import SparseFrame
+
+
+def make_ray_feature(frame: SparseFrame, direction: FloatArray) -> RayFeature:
+    """Return the feature that weighs the rays of a frame's samples by the lobes of the pixels.
+
+    ``direction``, (rows, columns, 3), is that of `lobewise.sparse_frame.Rays`. Without tangents, both alphas are
+    replaced by their root mean square.
+
+    Raises
+    ------
+    MissingChannelError
+        If the frame has no camera, no normals or no roughness.
+    """
+    guides, what = frame.gbuffer, "a frame with rays"
+    camera = frame.require_camera(what)
+    u, v = guides.require("alpha_u", what), guides.alpha_v
+    tangent = guides.tangent
+    if tangent is None:
+        u = v = u if v is None else np.sqrt(0.5 * (u * u + v * v))
+        tangent = np.zeros((*frame.shape, 3), np.float32)
+    view, normal = run_pointwise(
+        _define_axes, {"normal": guides.require("normal", what)}, get_ray_numbers(camera, frame.shape)
+    )
+    whole = np.zeros((*frame.shape, 3), np.float32)
+    whole[frame.shaded] = direction
+    return RayFeature(view, normal, tangent, u, u if v is None else v, whole)
+
+
+def _define_axes(grid: Grid) -> list[Vector]:
+    """Return the unit vector towards the camera, and the normal of length 1."""
+    ray, normal = make_ray(grid, hl.Float(64)), grid.read("normal")
+    towards, length = hl.f64(-1.0) / hl.sqrt(dot(ray, ray)), hl.sqrt(dot(normal, normal))
+    inverse = hl.f32(1.0) / hl.max(length, hl.f32(1e-12))
+    return [[hl.f32(component * towards) for component in ray], [component * inverse for component in normal]]

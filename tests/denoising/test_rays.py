@@ -1,0 +1,168 @@
+"""Frames whose samples know their rays: constant light stays, mirrors get sharper, and bad rays are refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from lobewise.camera import Camera
+from lobewise.errors import InputError, MissingChannelError
+from lobewise.frame import GBuffer, Radiance
+from lobewise.sparse_frame import Rays, SparseFrame, list_places
+from lobewise.temporal import TemporalFilter
+from lobewise.upsampling import upsample
+
+SIZE, SCALE, ALPHA = 64, 4, 0.03
+CAMERA = Camera(position=(0.0, 0.0, 4.0), forward=(0.0, 0.0, -1.0), up=(0.0, 1.0, 0.0), fov_y=0.6)
+Array = NDArray[np.float64]
+
+
+def make_guides() -> GBuffer:
+    """Return a mirror that is bent in waves."""
+    y, x = (np.indices((SIZE, SIZE)) + 0.5) / SIZE
+    normal = np.stack([0.1 * np.sin(9.0 * x), 0.1 * np.cos(7.0 * y), np.ones((SIZE, SIZE))], axis=-1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    white = np.ones((SIZE, SIZE, 3))
+    return GBuffer(
+        depth=np.full((SIZE, SIZE), 4.0),
+        normal=normal,
+        alpha_u=np.full((SIZE, SIZE), ALPHA),
+        lobe_kind=np.ones((SIZE, SIZE)),
+        diffuse_albedo=0.5 * white,
+        specular_albedo=white,
+        motion=np.zeros((SIZE, SIZE, 2)),
+    )
+
+
+def find_view() -> Array:
+    """Return unit vectors towards the camera."""
+    half = np.tan(0.3)
+    y, x = (np.indices((SIZE, SIZE)) + 0.5) / SIZE * 2.0 - 1.0
+    ray = np.stack([half * x, -half * y, -np.ones((SIZE, SIZE))], axis=-1)
+    return np.asarray(-ray / np.linalg.norm(ray, axis=-1, keepdims=True))
+
+
+def sample_rays(normal: Array, view: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Return directions sampled by ``D cos`` of GGX, and weights ``f cos / p`` without masking."""
+    first, second = rng.random((2, *normal.shape[:-1]))
+    slope, phi = ALPHA * np.sqrt(first / (1.0 - first)), 2.0 * np.pi * second
+    across = np.cross(normal, [0.0, 1.0, 0.0])
+    across /= np.linalg.norm(across, axis=-1, keepdims=True)
+    up = np.cross(normal, across)
+    half = normal + slope[..., None] * (np.cos(phi)[..., None] * across + np.sin(phi)[..., None] * up)
+    half /= np.linalg.norm(half, axis=-1, keepdims=True)
+    cosine = (half * view).sum(axis=-1)
+    direction = 2.0 * cosine[..., None] * half - view
+    weight = cosine / ((normal * view).sum(axis=-1) * (half * normal).sum(axis=-1))
+    return direction, np.where((direction * normal).sum(axis=-1) > 0.0, weight, 0.0)
+
+
+def find_light(direction: Array) -> Array:
+    """Return the radiance of surroundings with soft stripes."""
+    return np.asarray(1.0 + 0.9 * np.sin(10.0 * direction[..., :1])) * np.ones(3)
+
+
+def make_frames(count: int, *, constant: bool = False) -> list[SparseFrame]:
+    """Return frames of one ray per shaded pixel; a third of the rays is lost to another lobe."""
+    guides, view, frames = make_guides(), find_view(), []
+    rng = np.random.default_rng(1)
+    for place in list_places(SCALE)[:count]:
+        shaded = slice(place[0], None, SCALE), slice(place[1], None, SCALE)
+        assert guides.normal is not None
+        direction, weight = sample_rays(guides.normal[shaded], view[shaded], rng)
+        weight *= 1.5 * (rng.random(weight.shape) < 2.0 / 3.0)
+        arriving = np.full((*weight.shape, 3), 0.7) if constant else find_light(direction)
+        light = arriving * weight[..., None]
+        radiance = Radiance(light, diffuse=np.zeros_like(light), specular=light)
+        frames.append(SparseFrame(radiance, guides, SCALE, place, CAMERA, spp=1, rays=Rays(weight, direction)))
+    return frames
+
+
+def find_truth() -> Array:
+    """Return the light of the mirror by many rays at every pixel."""
+    guides, view, rng = make_guides(), find_view(), np.random.default_rng(2)
+    assert guides.normal is not None
+    total, weights = np.zeros((SIZE, SIZE, 3)), np.zeros((SIZE, SIZE, 1))
+    for _ in range(256):
+        direction, weight = sample_rays(np.asarray(guides.normal, np.float64), view, rng)
+        total += weight[..., None] * find_light(direction)
+        weights += weight[..., None]
+    return total / weights
+
+
+def filter_all(frames: list[SparseFrame]) -> Any:
+    temporal = TemporalFilter()
+    return [temporal.add(frame) for frame in frames][-1]
+
+
+FILTERS: dict[int, Callable[[list[SparseFrame]], Any]] = {1: lambda frames: upsample(frames[0]), 8: filter_all}
+"""What filters a number of frames."""
+
+
+def forget(frames: list[SparseFrame]) -> list[SparseFrame]:
+    return [replace(frame, rays=None) for frame in frames]
+
+
+def drop_directions(frames: list[SparseFrame]) -> list[SparseFrame]:
+    return [replace(frame, rays=frame.rays and Rays(frame.rays.weight)) for frame in frames]
+
+
+@pytest.mark.parametrize("directed", [False, True])
+@pytest.mark.parametrize("count", [1, 8])
+def test_constant_light_comes_out_exactly(count: int, directed: bool) -> None:
+    frames, run = make_frames(count, constant=True), FILTERS[count]
+    frames = frames if directed else drop_directions(frames)
+    assert np.allclose(run(frames).specular, 0.7, rtol=1e-4)
+    assert not np.allclose(run(forget(frames)).specular, 0.7, rtol=1e-2)
+
+
+@pytest.mark.parametrize("count", [1, 8])
+def test_mirror_gets_sharper(count: int) -> None:
+    truth, frames, run = find_truth(), make_frames(count), FILTERS[count]
+    kinds = frames, drop_directions(frames), forget(frames)
+    directed, weighed, without = (np.mean((run(given).specular - truth) ** 2) for given in kinds)
+    assert weighed < 0.95 * without
+    assert directed < 0.6 * weighed
+
+
+def test_rays_that_are_not_known_change_nothing() -> None:
+    frame = make_frames(1)[0]
+    assert frame.rays is not None
+    ones = np.ones_like(frame.rays.weight)
+    unknown = Rays(ones, np.zeros((*ones.shape, 3)))
+    given = SparseFrame(frame.radiance, frame.gbuffer, SCALE, frame.place, CAMERA, spp=1, rays=unknown)
+    assert np.allclose(upsample(given).image, upsample(forget([frame])[0]).image, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("direction", "weight", "message"),
+    [
+        (np.zeros((4, 4)), np.ones((4, 4)), "weights of shape"),
+        (np.zeros((4, 4, 3)), np.ones((4, 5)), "weights of shape"),
+        (np.zeros((4, 4, 3)), -np.ones((4, 4)), "weights of at least 0"),
+        (np.full((4, 4, 3), np.nan), np.ones((4, 4)), "finite directions"),
+    ],
+)
+def test_bad_rays_are_refused(direction: Array, weight: Array, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Rays(weight, direction)
+
+
+def test_rays_must_fit_their_frame() -> None:
+    frame = make_frames(1)[0]
+    few = Rays(np.ones((3, 3)))
+    with pytest.raises(InputError, match="16x16 rays"):
+        SparseFrame(frame.radiance, frame.gbuffer, SCALE, frame.place, CAMERA, rays=few)
+    with pytest.raises(InputError, match="no specular radiance"):
+        SparseFrame(Radiance(frame.radiance.color), frame.gbuffer, SCALE, frame.place, CAMERA, rays=frame.rays)
+
+
+def test_rays_need_a_camera() -> None:
+    frame = make_frames(1)[0]
+    with pytest.raises(MissingChannelError, match="camera"):
+        upsample(SparseFrame(frame.radiance, frame.gbuffer, SCALE, frame.place, rays=frame.rays), similarity="normal")
