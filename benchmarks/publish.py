@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from benchmarks.common import RESULTS, ROOT
 from benchmarks.pages import (
@@ -22,6 +22,7 @@ from benchmarks.pages import (
     mitsuba,
     performance,
     quality,
+    rays,
     results,
     streaming,
     temporal,
@@ -38,6 +39,11 @@ class Source(NamedTuple):
 
     make_figures: Callable[..., dict[str, str]]
     files: tuple[str, ...]
+
+
+def make_upsampling_figures(skies: dict[str, Any], measured: dict[str, Any]) -> dict[str, str]:
+    """Return the figures of docs/upsampling.md by place."""
+    return upsampling.make_sky_figures(skies) | rays.make_upsampling_figures(measured)
 
 
 PAGES = {
@@ -57,10 +63,11 @@ PAGES = {
     "docs/research/mixing_networks.md": Source(trials.make_share_figures, ("shares",)),
     "docs/research/quality_trials.md": Source(trials.make_trial_figures, ("quality_trials", "training")),
     "docs/research/refinement.md": Source(trials.make_refinement_figures, ("refinement_trials",)),
+    "docs/research/rays.md": Source(rays.make_trial_figures, ("rays",)),
     "docs/results.md": Source(results.make_figures, ("similarities", "filters", "paper_table", "upsampling")),
     "docs/streaming.md": Source(streaming.make_figures, ("streaming",)),
     "docs/temporal.md": Source(temporal.make_figures, ("reflections",)),
-    "docs/upsampling.md": Source(upsampling.make_sky_figures, ("skies",)),
+    "docs/upsampling.md": Source(make_upsampling_figures, ("skies", "rays")),
     "docs/users_results.md": Source(users.make_figures, ("users",)),
     "docs/virtual_lights.md": Source(virtual_lights.make_figures, ("virtual_lights", "virtual_light_clusters")),
 }
