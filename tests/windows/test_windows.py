@@ -12,6 +12,7 @@ from lobewise.errors import InputError, MissingChannelError
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.metrics import rel_mse
 from lobewise.radiance import RadianceLayer
+from lobewise.windows.recipe import find_share, mix_results
 from tests.temporal.scenes import SIZE, make_camera, make_frame
 
 NOISE = 0.3
@@ -211,6 +212,23 @@ class TestFilter:
         frames = [make_frame(away, away, noise=NOISE), *make_still(1), make_frame(away, away, noise=NOISE)]
         result = WindowFilter(1, quality="fast").denoise(frames, 1)
         assert any("none of them shows the surfaces" in note for note in result.notes)
+
+    def test_pixels_of_few_frames_are_those_of_the_frame_alone(self):
+        frames = np.full((20, 30), 5.0, np.float32)
+        frames[:, :10] = 1.0
+        share = find_share(frames)
+        assert (share[:, :9] == 0.0).all()
+        assert (share[:, 18:] == 1.0).all()
+        assert (np.diff(share, axis=1) >= -1e-6).all()
+
+    def test_mixed_results_keep_their_sums(self):
+        window = WindowFilter(1, quality="balanced")
+        alone, joined = (window.denoise([split(frame) for frame in make_still(n)], 0) for n in (1, 3))
+        share = np.linspace(0.0, 1.0, joined.image[..., 0].size, dtype=np.float32).reshape(joined.image.shape[:2])
+        mixed = mix_results(alone, joined, share)
+        np.testing.assert_allclose(sum(mixed.layers.values()), mixed.image, rtol=1e-3, atol=1e-4)
+        assert np.array_equal(mixed.image[0, 0], alone.image[0, 0])
+        np.testing.assert_allclose(mixed.image[-1, -1], joined.image[-1, -1], rtol=1e-6)
 
     @pytest.mark.parametrize("reach", [0, -1, 9, 1.5, "2"])
     def test_a_reach_out_of_range_is_refused(self, reach):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lobewise.denoising.bad_pixels import find_good
 from lobewise.filters.windows.weighing import compare_pilots, find_noise, find_relative_bias
-from lobewise.frame import FloatArray, Frame
+from lobewise.frame import FloatArray, Frame, Result
 from lobewise.windows.gathering import Neighbour, divide, multiply
 from lobewise.windows.layers import ALBEDOS, PILOT, RADIANCE, LayerImages, put_back
 from lobewise.windows.places import find_places
@@ -37,13 +37,17 @@ class JoinedFrame:
     frame : Frame
         With less noise; everything else is as before.
     frames : array, shape (height, width)
-        Effective number of frames that were joined at each pixel, >= 1: the mean over the layers.
+        Effective number of frames that were joined at each pixel, >= 1: the variance of the frame over that of the
+        joined frame.
+    alone : Result
+        The frame denoised by itself.
     used : tuple of int
         The neighbours that took part, as numbers of frames relative to the frame.
     """
 
     frame: Frame
     frames: FloatArray
+    alone: Result
     used: tuple[int, ...]
 
 
@@ -61,7 +65,7 @@ def join_frames(shots: Mapping[int, Shot], index: int) -> JoinedFrame:
     near = find_neighbours(shots, index)
     own = list(shot.layers.values())
     if not near:
-        return JoinedFrame(shot.frame, np.ones(shot.frame.shape, np.float32), ())
+        return JoinedFrame(shot.frame, np.ones(shot.frame.shape, np.float32), shot.alone, ())
     named = {number: shots[number].layers for number in near}
     guides = _Guides(shot, shots, near)
     found = [_join_layer(shot, layer, near, named, guides) for layer in own]
@@ -69,13 +73,13 @@ def join_frames(shots: Mapping[int, Shot], index: int) -> JoinedFrame:
     shares = {layer.name: each.share for layer, each in zip(own, found, strict=True)}
     albedos = {name: guides.join(name) for name in ALBEDOS if getattr(shot.frame.gbuffer, name) is not None}
     frame = put_back(shot.frame, own, joined, albedos, shares)
-    effective = np.asarray(np.mean([1.0 / share for share in shares.values()], axis=0, dtype=np.float32))
+    effective = count_frames(found)
     changes: dict[str, Any] = {"noise_is_shared": frame.noise_is_shared or any(each.moves for each in near.values())}
     if frame.spp is not None:
         changes["spp"] = max(round(frame.spp * float(np.median(effective))), frame.spp)
     if frame.also:
         changes["also"] = _join_also(shot, shots, near, found, frame)
-    return JoinedFrame(frame.with_changes(**changes), effective, tuple(number - index for number in near))
+    return JoinedFrame(frame.with_changes(**changes), effective, shot.alone, tuple(number - index for number in near))
 
 
 def find_neighbours(shots: Mapping[int, Shot], index: int) -> dict[int, Neighbour]:
@@ -131,11 +135,11 @@ class _Guides:
 
 @dataclass(frozen=True)
 class _Joined:
-    """A layer after joining, the weight of every neighbour, and the factor of the variance."""
+    """A layer after joining, the weight of every neighbour, the variance of its samples, and the factor of it."""
 
     layer: LayerImages
     weights: Mapping[int, FloatArray]
-    own_weight: FloatArray
+    variance: FloatArray
     share: FloatArray
 
 
@@ -158,8 +162,9 @@ def _join_layer(
     for number, other in others.items():
         images, agreement = near[number].gather_layer(other, slots)
         bias = find_relative_bias(own[RADIANCE], images[RADIANCE], np.where(good, agreement, np.float32(0.0)))
-        seen = compare_pilots(own[PILOT], images[PILOT], agreement) / noise
-        bias = np.maximum(bias, seen - np.float32(PILOT_NOISE))
+        seen = compare_pilots(own[PILOT], images[PILOT], agreement) / noise - np.float32(PILOT_NOISE)
+        # At edges pilots differ by the noise of their albedos.
+        bias = np.where(edge, bias, np.maximum(bias, seen))
         each = weights[number] = agreement / (np.float32(1.0) + np.float32(BIAS_FACTOR) * bias)
         totals = {slot: totals[slot] + image * each[..., None] for slot, image in images.items()}
         squares = squares + each * each
@@ -175,7 +180,16 @@ def _join_layer(
         light = np.where(edge[..., None], mean, multiply(mean, albedo))
         joined[slot] = np.where(known[..., None], light, layer.images[slot])
     share = np.divide(squares, total * total, out=np.ones_like(weight), where=known)
-    return _Joined(layer.with_images(albedo, joined), weights, good.astype(np.float32), share)
+    scale = np.float32(1.0) if albedo is None else np.where(edge, np.float32(1.0), np.mean(albedo, axis=-1))
+    return _Joined(layer.with_images(albedo, joined), weights, noise * scale * scale, share)
+
+
+def count_frames(layers: Sequence[_Joined]) -> FloatArray:
+    """Return the variance of the samples of all layers over what joining left of it, (height, width), >= 1."""
+    before = np.sum([layer.variance for layer in layers], axis=0)
+    after = np.sum([layer.variance * layer.share for layer in layers], axis=0)
+    frames = np.divide(before, after, out=np.ones(before.shape, np.float32), where=after > 0.0)
+    return np.asarray(frames, np.float32)
 
 
 def _even_out(

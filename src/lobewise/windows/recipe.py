@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from lobewise.denoising.automatic import change_settings, choose_similarity
 from lobewise.denoising.recipe import run_recipe
 from lobewise.errors import MAX_GOT_LETTERS, InputError, name_value, require_kind
-from lobewise.frame import Frame, Result
+from lobewise.filters.noise.pooling import blur_image
+from lobewise.frame import FloatArray, Frame, Result
 from lobewise.guides.usable import check_guides
 from lobewise.settings import DenoiseChanges, DenoiseSettings
 from lobewise.windows.joining import JoinedFrame, join_frames
@@ -27,6 +30,11 @@ NO_MOTION = (
 )
 USED_BETWEEN_FRAMES = ("motion", "hit_distance", "position", "depth", "normal")
 """Guides that frames are compared by, whatever the denoiser reads."""
+FEW_FRAMES, MANY_FRAMES = 1.25, 2.5
+"""Effective frames up to which a pixel is taken from the frame that was denoised by itself, and from which on it is
+taken from the denoised joined frame."""
+SHARE_BLURS = 2
+"""Blurs that spread the noise of pixels with few frames over their surroundings."""
 ALONE = "the network that mixes images knows no joined frames"
 NOTHING_FOUND = "No other frame is used: none of them shows the surfaces of this frame."
 
@@ -36,7 +44,8 @@ class WindowFilter:
 
     The samples of the other frames are brought to the pixels of a frame by the motion of surfaces and reflections,
     where the surface and its lobe are recognised. They are weighed by the error that they would bring in. The joined
-    frame has less noise; it is denoised like any frame, with Open Image Denoise where it is installed.
+    frame has less noise; it is denoised like any frame. Where Open Image Denoise is used, pixels that few frames show
+    are taken from the frame that was denoised by itself.
 
     Frames are prepared once, and kept as long as windows need them.
 
@@ -104,13 +113,18 @@ class WindowFilter:
         """Return the denoised frame; see `join` for the parameters and errors."""
         start = time.perf_counter()
         joined = self.join(frames, index)
+        if not joined.used:
+            notes = joined.alone.notes + self._explain(frames[index], len(frames))
+            taken = {**joined.alone.settings, "window": self.reach, "joined": ()}
+            return replace(joined.alone, notes=notes, settings=taken, seconds=time.perf_counter() - start)
         # The network that mixes images was trained on noise without correlations. On joined frames its mixture had more
         # error than the image of Open Image Denoise alone.
-        result = run_recipe(joined.frame, self._settings, why_alone=ALONE if joined.used else "")
-        notes = result.notes + self._explain(frames[index], joined, len(frames))
+        result = run_recipe(joined.frame, self._settings, why_alone=ALONE)
         unused = tuple(name for name in result.unused if name not in USED_BETWEEN_FRAMES)
-        taken: dict[str, Any] = {**result.settings, "window": self.reach, "joined": joined.used}
-        return replace(result, notes=notes, settings=taken, unused=unused, seconds=time.perf_counter() - start)
+        taken = {**result.settings, "window": self.reach, "joined": joined.used}
+        if taken["with_oidn"]:
+            result = mix_results(joined.alone, result, find_share(joined.frames))
+        return replace(result, settings=taken, unused=unused, seconds=time.perf_counter() - start)
 
     def _prepare(self, frames: Sequence[Frame], first: int, last: int) -> dict[int, Shot]:
         """Return the shots of a window, and let go of all others."""
@@ -127,15 +141,58 @@ class WindowFilter:
                 following = frames[number + 1].camera if number + 1 < len(frames) else None
                 if camera is None and frames[number].camera is not None and following is not None:
                     camera = extrapolate_camera(prepared.checked.require_camera("a window"), following)
-                prepared.shot = Shot(prepared.checked, camera, similarity, self.reach)
+                prepared.shot = Shot(prepared.checked, camera, similarity, self._settings, self.reach)
             shots[number] = prepared.shot
         return shots
 
     @staticmethod
-    def _explain(frame: Frame, joined: JoinedFrame, count: int) -> tuple[str, ...]:
-        if joined.used or count == 1:
+    def _explain(frame: Frame, count: int) -> tuple[str, ...]:
+        if count == 1:
             return ()
         return (NOTHING_FOUND if frame.gbuffer.motion is not None or frame.is_placed else NO_MOTION,)
+
+
+def find_share(frames: FloatArray) -> FloatArray:
+    """Return the share of the denoised joined frame in the result, (height, width), in [0, 1].
+
+    Pixels that few frames show have more noise than their surroundings. Open Image Denoise sees little noise around
+    them and takes theirs for detail. There its image of the frame alone is better. Our filters measure noise pixel by
+    pixel.
+
+    Parameters
+    ----------
+    frames : array, shape (height, width)
+        Effective number of frames that were joined, >= 1.
+    """
+    left = np.float32(1.0) / frames
+    for level in range(SHARE_BLURS):
+        left = np.maximum(left, blur_image(left, 2**level))
+    share = (np.float32(1.0) / left - np.float32(FEW_FRAMES)) / np.float32(MANY_FRAMES - FEW_FRAMES)
+    return np.clip(blur_image(share, 1), np.float32(0.0), np.float32(1.0))
+
+
+def mix_results(alone: Result, joined: Result, share: FloatArray) -> Result:
+    """Return ``joined`` with all its images mixed with those of ``alone``; ``share`` is that of ``joined``."""
+    part = share[..., None]
+
+    def mix(first: FloatArray | None, second: FloatArray | None) -> FloatArray | None:
+        return second if first is None or second is None else np.asarray(first + part * (second - first), np.float32)
+
+    def mix_all(first: Mapping[str, FloatArray], second: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+        mixed = {name: mix(first.get(name), image) for name, image in second.items()}
+        return {name: image for name, image in mixed.items() if image is not None}
+
+    image = mix(alone.image, joined.image)
+    assert image is not None
+    return replace(
+        joined,
+        image=image,
+        diffuse=mix(alone.diffuse, joined.diffuse),
+        specular=mix(alone.specular, joined.specular),
+        layers=mix_all(alone.layers, joined.layers),
+        also=mix_all(alone.also, joined.also),
+        bad_pixels=alone.bad_pixels,
+    )
 
 
 class _Prepared:

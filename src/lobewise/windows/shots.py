@@ -12,15 +12,13 @@ from lobewise.camera import Camera
 from lobewise.denoising import denoise
 from lobewise.denoising.automatic import resolve_settings
 from lobewise.filters.windows.edges import find_edges
-from lobewise.frame import FloatArray, Frame
+from lobewise.frame import FloatArray, Frame, Result
 from lobewise.guides.places import estimate_curvature, find_surface_places
 from lobewise.guides.screen_hits import find_screen_hits
-from lobewise.settings import DenoiseSettings, Quality, Similarity, TemporalSettings
+from lobewise.settings import DenoiseSettings, Similarity, TemporalSettings
 from lobewise.temporal.validation import Guides, ValidationFeatures, make_validation_features
 from lobewise.windows.layers import LayerImages, list_layers
 
-PILOT_QUALITY: Quality = "balanced"
-"""Quality of the first denoising, by which frames are compared."""
 MIN_OWN_MOTION_PIXELS = 0.1
 """Distance between the motion of a surface and the motion of the camera. Below it the surface stands still: the places
 of still surfaces are computed from the cameras, without the errors of motion vectors."""
@@ -41,15 +39,20 @@ class Shot:
         Camera of the frame before; tells which surfaces move by themselves.
     similarity : str
         How lobes are compared.
+    settings : DenoiseSettings
+        How the frame is denoised by itself.
     reach : int
         Frames to each side of a window.
     """
 
-    def __init__(self, frame: Frame, previous: Camera | None, similarity: Similarity, reach: int) -> None:
+    def __init__(
+        self, frame: Frame, previous: Camera | None, similarity: Similarity, settings: DenoiseSettings, reach: int
+    ) -> None:
         self.frame = frame
         self.guides = Guides(frame.gbuffer, frame.camera, frame.lobe_tables)
         self._previous = previous
         self._similarity = similarity
+        self._settings = settings
         self._reach = reach
 
     @property
@@ -83,8 +86,13 @@ class Shot:
 
     @cached_property
     def layers(self) -> dict[str, LayerImages]:
-        """The layers of the frame by name, with their pilots: what a first denoising makes of them."""
-        return list_layers(self.frame, denoise(self.frame, quality=PILOT_QUALITY, with_oidn=False))
+        """The layers of the frame by name, with their pilots: what denoising the frame by itself makes of them."""
+        return list_layers(self.frame, self.alone)
+
+    @cached_property
+    def alone(self) -> Result:
+        """The frame denoised by itself."""
+        return denoise(self.frame, self._settings)
 
     @cached_property
     def curvature(self) -> FloatArray:
