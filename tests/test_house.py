@@ -40,6 +40,7 @@ ROOMS = [
     "windows",
     "streaming",
     "sequence",
+    "farm",
     "mitsuba",
     "interactive",
     "reporting",
@@ -99,6 +100,8 @@ OWNERS = {
     "scipy": "fitting",
     "matplotlib": "reporting",
     "viser": "viewer",
+    "distributed": "farm",
+    "dask": "farm",
     "PIL": ("io", "viewer"),
 }
 

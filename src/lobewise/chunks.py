@@ -38,7 +38,7 @@ def cut_rows(height: int, width: int) -> Iterator[Chunk]:
 def run_chunks(work: Callable[[Chunk], None], height: int, width: int) -> None:
     """Call ``work`` on every chunk of an image, in threads. NumPy releases the interpreter lock."""
     todo = list(cut_rows(height, width))
-    threads = min(count_cores(), len(todo))
+    threads = min(count_threads(), len(todo))
 
     def run_some(start: int) -> None:
         for chunk in todo[start::threads]:
@@ -52,6 +52,12 @@ def run_chunks(work: Callable[[Chunk], None], height: int, width: int) -> None:
 def count_cores() -> int:
     """Return how many processors this process may use. The machine may have more."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def count_threads() -> int:
+    """Return the number of threads to use: one per core, unless HL_NUM_THREADS sets another number, as for Halide."""
+    given = os.environ.get("HL_NUM_THREADS", "")
+    return int(given) if given.isdecimal() and int(given) > 0 else count_cores()
 
 
 class ForkGate:

@@ -7,7 +7,7 @@ import json
 import math
 import time
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import lobewise
-from lobewise.errors import InputError, LobewiseError
+from lobewise.errors import FileError, InputError, LobewiseError
 from lobewise.io.exr.layout import name_file
 from lobewise.io.files import PathLike, open_atomic, require_other_files, require_writable
 from lobewise.io.sequence import FramePattern
@@ -89,6 +89,7 @@ def filter_sequence(
     remark: Callable[[str], None] | None = None,
     checkpoint: PathLike | None = None,
     checkpoint_seconds: float = 20.0,
+    numbers: Collection[int] | None = None,
 ) -> SequenceReport[ResultT]:
     """Filter every file of ``source``, in the order of the numbers, into the file of ``output`` with its number.
 
@@ -120,18 +121,20 @@ def filter_sequence(
         The file of the checkpoint, ending in ``.npz``; by default see `name_checkpoint`.
     checkpoint_seconds : float
         Shortest time between checkpoints, seconds >= 0; with 0 every frame is followed by one.
+    numbers : collection of int, optional
+        Filter only the frames with these numbers; by default all.
 
     Raises
     ------
     FileError
-        If there is no source, one cannot be read, or an output cannot be written.
+        If there is no source, a number has none, one cannot be read, or an output cannot be written.
     InputError
         If a path is no pattern, an output would replace a source, the checkpoint has another ending, the time is
         negative, or the filter refuses a frame: the message names its file.
     """
     source, output = _parse(source), _parse(output)
     kept = name_checkpoint(output) if checkpoint is None else Path(checkpoint)
-    frames = source.find()
+    frames = source.find() if numbers is None else _find_numbers(source, numbers)
     _check(frames, output, kept, checkpoint_seconds)
     # Leave the folders out: a project may be moved. Sources are identified by size and time.
     names = [Path(str(pattern)).name for pattern in (source, output)]
@@ -182,11 +185,28 @@ def _check(frames: list[tuple[int, Path]], output: FramePattern, kept: Path, sec
     require_other_files((output.name(number) for number, _ in frames), (path for _, path in frames))
 
 
+def _find_numbers(source: FramePattern, numbers: Collection[int]) -> list[tuple[int, Path]]:
+    """Return the files with the given numbers, in the order of the numbers."""
+    wanted = set(numbers)
+    frames = [each for each in source.find() if each[0] in wanted]
+    if len(frames) < len(wanted):
+        missing = min(wanted - {number for number, _ in frames})
+        raise FileError(
+            f"frame {missing}", expected=f"the file {str(source.name(missing))!r}", got="none", action="check the path"
+        )
+    return frames
+
+
 def name_checkpoint(output: FramePattern | PathLike) -> Path:
     """Return the default checkpoint of an output: ``clean.lobewise-history.npz`` beside ``clean.####.exr``."""
+    return name_beside(output, CHECKPOINT_ENDING)
+
+
+def name_beside(output: FramePattern | PathLike, ending: str) -> Path:
+    """Return a path beside the files of ``output``: their name without number and ending, then ``ending``."""
     pattern = _parse(output)
     stem = pattern.before + pattern.after.removesuffix(Path(f"a{pattern.after}").suffix)
-    return pattern.folder / f"{stem.strip('._- ') or 'sequence'}{CHECKPOINT_ENDING}"
+    return pattern.folder / f"{stem.strip('._- ') or 'sequence'}{ending}"
 
 
 def _parse(pattern: FramePattern | PathLike) -> FramePattern:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import platform
 import subprocess
 from pathlib import Path
 from typing import Any
 
 import lobewise
-from lobewise.chunks import count_cores
+from lobewise.chunks import count_cores, count_threads
 
 
 def describe_machine() -> dict[str, Any]:
@@ -23,11 +22,6 @@ def describe_machine() -> dict[str, Any]:
     }
     commit = _find_commit()
     return {**found, "commit": commit} if commit else found
-
-
-def count_threads() -> int:
-    """Return the number of threads of kernels: one per core, unless HL_NUM_THREADS sets another number."""
-    return int(os.environ.get("HL_NUM_THREADS", count_cores()))
 
 
 def find_processor() -> str:

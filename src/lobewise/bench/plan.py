@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from lobewise.bench.kernels import PAPER_RADII, PAPER_SIZE, Calls, make_kernel_calls
-from lobewise.bench.machine import count_threads
 from lobewise.bench.plane import SIMILARITIES, make_features, make_frame, make_mixture, make_place
+from lobewise.chunks import count_threads
 from lobewise.denoising import denoise
 from lobewise.frame import Frame, Radiance
 from lobewise.peers import denoise_oidn, has_oidn

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,12 +12,13 @@ import typer
 
 from lobewise.cli.options.bands import Bands, FileInBands, choose_bands
 from lobewise.cli.options.common import OverTime, Source, Telling, parse_place
+from lobewise.cli.options.farming import Farm
 from lobewise.cli.options.reading import PassReading, find_counterpart
 from lobewise.cli.options.shading import Reshading
 from lobewise.cli.options.spreading import with_groups, with_settings
 from lobewise.cli.options.windows import FileInWindow, Window, WindowReader, require_window
 from lobewise.cli.options.writing import Output, Overwrite, Picture, Writing, protect_inputs
-from lobewise.cli.running import FilterAlone, Job, run_filter
+from lobewise.cli.running import FilterAlone, Job
 from lobewise.cli.terminal.help import FILTER_DETAILS
 from lobewise.errors import InputError
 from lobewise.settings import DenoiseSettings
@@ -65,6 +66,7 @@ def denoise(
     reshading: Reshading,
     window: Window = 0,
     over_time: OverTime,
+    farm: Farm,
     bands: Bands = "auto",
     reading: PassReading,
     writing: Writing,
@@ -73,33 +75,23 @@ def denoise(
     telling: Telling,
 ) -> None:
     """Denoise an EXR file of any renderer, or a sequence of them; other parts, channels and attributes are kept."""
-    from lobewise.io.materials import read_lobe_table
-
     besides = [reading.half, reading.camera, reading.preset, reshading.scene, *(material or [])]
     protect_inputs(source, output, besides, overwrite=overwrite, png=picture.png)
-    shade = reshading.plan()
-    tables = [read_lobe_table(path) for path in material] if material else None
-    job = Job.plan(source, output, picture, telling)
-    require_window(window, source, over_time)
-    needs_whole = {
-        "--temporal": over_time.temporal,
-        "--window": window > 0,
-        "--adaptive": reshading.share > 0.0,
-        "--with-oidn": settings["with_oidn"] is True,
-    }
-    given = [*(name for name, is_given in needs_whole.items() if is_given), reading.option, writing.option]
-    verb = _Denoiser(
-        job=job,
+    request = _Denoising(
         settings=settings,
         bands=bands,
-        whole_option=next(filter(None, given), ""),
-        tables=tables,
+        material=tuple(material or ()),
         over_time=over_time,
         window=window,
         reading=reading,
         writing=writing,
-        shade=shade,
+        reshading=reshading,
     )
+    # Mistakes in these options are told before anything else is done.
+    reshading.plan()
+    _read_tables(request.material)
+    job = Job.plan(source, output, picture, telling)
+    require_window(window, source, over_time)
     options = {
         **settings,
         "window": window,
@@ -109,7 +101,75 @@ def denoise(
         "writing": [writing.suffix, writing.only, writing.confidence],
         "picture": [picture.png, picture.exposure],
     }
-    run_filter(job, verb, [options, over_time.extend(settings)])
+    from lobewise.cli.farming import run_request
+
+    run_request(job, request, [options, over_time.extend(settings)], farm)
+
+
+def _read_tables(material: Sequence[Path]) -> list[LobeTable] | None:
+    from lobewise.io.materials import read_lobe_table
+
+    return [read_lobe_table(path) for path in material] or None
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Denoising:
+    """What `denoise` does with every file: the options of the verb."""
+
+    settings: dict[str, Any]
+    bands: str
+    material: tuple[Path, ...]
+    over_time: OverTime
+    window: int
+    """Frames before and after that every frame uses; 0 for none."""
+    reading: PassReading
+    writing: Writing
+    reshading: Reshading
+
+    @property
+    def whole_option(self) -> str:
+        """Name of the first option that needs whole frames, empty for none."""
+        needs_whole = {
+            "--temporal": self.over_time.temporal,
+            "--window": self.window > 0,
+            "--adaptive": self.reshading.share > 0.0,
+            "--with-oidn": self.settings["with_oidn"] is True,
+        }
+        given = [*(name for name, is_given in needs_whole.items() if is_given), self.reading.option]
+        return next(filter(None, [*given, self.writing.option]), "")
+
+    def make_verb(self, job: Job) -> _Denoiser:
+        """Return what reads, filters and writes the files of a job."""
+        shade = self.reshading.plan(job.tell_pixels)
+        return _Denoiser(job=job, request=self, tables=_read_tables(self.material), shade=shade)
+
+    def anchor(self) -> _Denoising:
+        """Return the request with absolute paths, for processes that run in another folder."""
+        material = tuple(path.absolute() for path in self.material)
+        return replace(self, material=material, reading=self.reading.anchor(), reshading=self.reshading.anchor())
+
+    def list_sources(self, number: int, path: Path) -> list[Path]:
+        """Return every file of a frame."""
+        from lobewise.interchange.siblings import list_family
+
+        return [*list_family(path), *self.reading.list_halves(number)]
+
+    def list_shared_sources(self) -> list[Path]:
+        """Return every file, beside the frames, that results depend on."""
+        return [*self.material, *self.reading.list_files(), *self.reshading.list_files()]
+
+    @property
+    def remembers(self) -> bool:
+        """Whether a frame uses the frames before it."""
+        return self.over_time.temporal
+
+    @property
+    def asks_for_oidn(self) -> bool:
+        """Whether results depend on Open Image Denoise being installed."""
+        from lobewise.denoising.automatic import leaves_oidn_open
+
+        asked = DenoiseSettings(**self.settings)
+        return not self.over_time.temporal and (asked.asks_for_oidn or leaves_oidn_open(asked))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,49 +177,40 @@ class _Denoiser:
     """How `denoise` reads, filters and writes a file."""
 
     job: Job
-    settings: dict[str, Any]
-    bands: str
-    whole_option: str
-    """Name of the first option that needs whole frames, empty for none."""
+    request: _Denoising
     tables: Sequence[LobeTable] | None
-    over_time: OverTime
-    window: int
-    """Frames before and after that every frame uses; 0 for none."""
-    reading: PassReading
-    writing: Writing
     shade: Callable[[Result, AnyFrame], Result]
 
     def read(self, path: Path) -> Imported | FileInBands | FileInWindow:
         """Return the frame of a file, for a file that is denoised in bands its name, with a window all its frames."""
-        job = self.job
-        if self.over_time.temporal:
+        job, asked = self.job, self.request
+        if asked.over_time.temporal:
             job.remarks.tell(OVER_TIME_NOTE)
-        if choose_bands(path, self.bands, self.settings, self.whole_option):
+        if choose_bands(path, asked.bands, asked.settings, asked.whole_option, job.memory):
             target = find_counterpart(path, job.source, job.output)
-            return FileInBands(path, target, self.bands, self.tables, self.settings)
-        if self.window:
-            return self._window_reader.read(path)
-        return self._read_frame(path)
+            return FileInBands(path, target, asked.bands, self.tables, asked.settings, job.memory)
+        return self._window_reader.read(path) if asked.window else self._read_frame(path)
 
     def _read_frame(self, path: Path) -> Imported:
-        job, passes = self.job, not self.over_time.temporal
-        return self.reading.read(path, job.source, job.remarks, tables=self.tables, light_passes=passes)
+        job, asked = self.job, self.request
+        passes = not asked.over_time.temporal
+        return asked.reading.read(path, job.source, job.remarks, tables=self.tables, light_passes=passes)
 
     @cached_property
     def _window_reader(self) -> WindowReader:
-        return WindowReader(self.job.source, self.window, self._read_frame)
+        return WindowReader(self.job.source, self.request.window, self._read_frame)
 
     @cached_property
     def _window_filter(self) -> WindowFilter:
         from lobewise.windows import WindowFilter
 
-        return WindowFilter(self.window, **self.settings)
+        return WindowFilter(self.request.window, **self.request.settings)
 
     def make_filter(self) -> SequenceFilter[Imported | FileInBands | FileInWindow, Result | DenoisedFile]:
         """Return a filter of frames, each by itself or over time."""
         from lobewise.temporal import TemporalFilter
 
-        changes = self.over_time.extend(self.settings)
+        changes = self.request.over_time.extend(self.request.settings)
         return FilterAlone(self._filter_one) if changes is None else _FilterOverTime(TemporalFilter(**changes))
 
     def _filter_one(self, found: Imported | FileInBands | FileInWindow) -> Result | DenoisedFile:
@@ -171,7 +222,7 @@ class _Denoiser:
             return found.denoise(None if is_pattern(self.job.source) else self.job.steps.tell)
         if isinstance(found, FileInWindow):
             return self._window_filter.denoise(found.frames, found.index)
-        return denoise_frame(found.frame, **self.settings)
+        return denoise_frame(found.frame, **self.request.settings)
 
     def write(self, target: Path, result: Result | DenoisedFile, found: Imported | FileInBands | FileInWindow) -> None:
         """Write a result, unless it was written in bands, and its picture."""
@@ -186,7 +237,7 @@ class _Denoiser:
                 pictures.write_from_file(target)
             return
         better = self.shade(result, found.frame)
-        self.writing.write(target, better, found, self.job.remarks)
+        self.request.writing.write(target, better, found, self.job.remarks)
         if pictures is not None:
             pictures.write(target, better.image)
 
@@ -222,6 +273,7 @@ def upsample(
     bilinear: Annotated[bool, typer.Option("--bilinear", help="Interpolate between pixels, without guides.")] = False,
     reshading: Reshading,
     over_time: OverTime,
+    farm: Farm,
     overwrite: Overwrite = False,
     picture: Picture,
     telling: Telling,
@@ -231,11 +283,11 @@ def upsample(
         raise InputError("--bilinear", expected="no --temporal beside it", got="both", action="leave one out")
     where = None if place is None else parse_place(place)
     protect_inputs(source, output, [reshading.scene], overwrite=overwrite, png=picture.png)
-    shade = reshading.plan()
+    reshading.plan()
     job = Job.plan(source, output, picture, telling)
     over_time.require_sequence(source)
-    verb = _Upsampler(
-        job=job, settings=settings, scale=scale, place=where, bilinear=bilinear, over_time=over_time, shade=shade
+    request = _Upsampling(
+        settings=settings, scale=scale, place=where, bilinear=bilinear, over_time=over_time, reshading=reshading
     )
     options = {
         **settings,
@@ -245,7 +297,45 @@ def upsample(
         "adaptive": [reshading.adaptive, reshading.scene],
         "picture": [picture.png, picture.exposure],
     }
-    run_filter(job, verb, [options, over_time.extend(settings)])
+    from lobewise.cli.farming import run_request
+
+    run_request(job, request, [options, over_time.extend(settings)], farm)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Upsampling:
+    """What `upsample` does with every file: the options of the verb."""
+
+    settings: dict[str, Any]
+    scale: int | None
+    place: tuple[int, int] | None
+    """Row and column of the shaded pixel in each block."""
+    bilinear: bool
+    over_time: OverTime
+    reshading: Reshading
+
+    def make_verb(self, job: Job) -> _Upsampler:
+        """Return what reads, filters and writes the files of a job."""
+        return _Upsampler(job=job, request=self, shade=self.reshading.plan(job.tell_pixels))
+
+    def anchor(self) -> _Upsampling:
+        """Return the request with absolute paths, for processes that run in another folder."""
+        return replace(self, reshading=self.reshading.anchor())
+
+    def list_sources(self, number: int, path: Path) -> list[Path]:
+        """Return every file of a frame."""
+        return [path]
+
+    def list_shared_sources(self) -> list[Path]:
+        """Return every file, beside the frames, that results depend on."""
+        return self.reshading.list_files()
+
+    @property
+    def remembers(self) -> bool:
+        """Whether a frame uses the frames before it."""
+        return self.over_time.temporal
+
+    asks_for_oidn = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -253,29 +343,24 @@ class _Upsampler:
     """How `upsample` reads, filters and writes a file."""
 
     job: Job
-    settings: dict[str, Any]
-    scale: int | None
-    place: tuple[int, int] | None
-    """Row and column of the shaded pixel in each block."""
-    bilinear: bool
-    over_time: OverTime
+    request: _Upsampling
     shade: Callable[[Result, AnyFrame], Result]
 
     def read(self, path: Path) -> SparseFrame:
         """Return the sparse frame of a file."""
         from lobewise.io import read_sparse_frame
 
-        return read_sparse_frame(path, scale=self.scale, place=self.place)
+        return read_sparse_frame(path, scale=self.request.scale, place=self.request.place)
 
     def make_filter(self) -> SequenceFilter[SparseFrame, Result]:
         """Return a filter of sparse frames, each by itself or over time."""
         from lobewise.temporal import TemporalFilter
         from lobewise.upsampling import upsample as upsample_frame
 
-        changes = self.over_time.extend(self.settings)
+        changes = self.request.over_time.extend(self.request.settings)
         if changes is not None:
             return TemporalFilter(**changes)
-        return FilterAlone(partial(upsample_frame, bilinear=self.bilinear, **self.settings))
+        return FilterAlone(partial(upsample_frame, bilinear=self.request.bilinear, **self.request.settings))
 
     def write(self, target: Path, result: Result, found: SparseFrame) -> None:
         """Write the result as a frame with the guides of ``found``, and its picture."""

@@ -13,7 +13,7 @@ from lobewise.cli.terminal.outcome import Remarks, tell_picture, tell_settings
 from lobewise.cli.terminal.steps import Steps
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from lobewise.frame import Result
     from lobewise.reporting.picture import Pictures
@@ -38,6 +38,10 @@ class Job:
     verbose: bool
     """Whether to print the settings of the filter."""
     remarks: Remarks = field(default_factory=Remarks)
+    memory: float | None = None
+    """What the process may take, GiB; None for no limit."""
+    tell_pixels: Callable[[str], None] | None = None
+    """Takes the sentence on pixels that were shaded again; None prints it."""
 
     @classmethod
     def plan(cls, source: Path, output: Path, picture: Picture, telling: Telling) -> Job:
@@ -64,6 +68,30 @@ class FileFilter(Protocol[FileT, ResultT]):
         """Write the result of ``found`` to ``target``, and its picture."""
 
 
+class Request(Protocol[FileT, ResultT]):
+    """The options of a verb as plain data. Another process makes the same verb from them."""
+
+    def make_verb(self, job: Job) -> FileFilter[FileT, ResultT]:
+        """Return what reads, filters and writes the files of a job."""
+
+    def anchor(self) -> Request[FileT, ResultT]:
+        """Return the request with absolute paths, for processes that run in another folder."""
+
+    def list_sources(self, number: int, path: Path) -> Sequence[Path]:
+        """Return every file that the result of a frame depends on, beside the files of earlier frames."""
+
+    def list_shared_sources(self) -> Sequence[Path]:
+        """Return every file, beside the frames, that results depend on."""
+
+    @property
+    def remembers(self) -> bool:
+        """Whether a frame uses the frames before it."""
+
+    @property
+    def asks_for_oidn(self) -> bool:
+        """Whether results depend on Open Image Denoise being installed."""
+
+
 class FilterAlone(Generic[FileT, ResultT]):
     """A sequence filter that filters every frame by itself."""
 
@@ -82,8 +110,8 @@ class FilterAlone(Generic[FileT, ResultT]):
         """Do nothing."""
 
 
-def run_filter(job: Job, verb: FileFilter[FileT, ResultT], fingerprint: Any) -> None:
-    """Filter one file, or every file of a pattern, and print what was done.
+def run_filter(job: Job, request: Request[FileT, ResultT], fingerprint: Any) -> None:
+    """Filter one file, or every file of a pattern, in this process, and print what was done.
 
     ``fingerprint`` holds every option that the results depend on: see `lobewise.sequence.filter_sequence`.
     """
@@ -92,6 +120,7 @@ def run_filter(job: Job, verb: FileFilter[FileT, ResultT], fingerprint: Any) -> 
     from lobewise.io.sequence import is_pattern
 
     require_exr_name(job.output)
+    verb = request.make_verb(job)
     last: ResultT | None
     if is_pattern(job.source):
         report = _filter_sequence(job, verb, repr(fingerprint))
@@ -141,6 +170,6 @@ def _filter_sequence(job: Job, verb: FileFilter[FileT, ResultT], fingerprint: st
             read=verb.read,
             write=write,
             fingerprint=fingerprint,
-            progress=lambda what, done, total: steps.tell(f"Filtering {job.source.name}", done, total),
+            progress=lambda what, done, total: steps.tell(f"Filtering {job.source.name}", done, total, unit="frames"),
             remark=print_note,
         )

@@ -40,6 +40,21 @@ def name_temporary(target: Path) -> Path:
     return target.parent / name
 
 
+def remove_temporary(target: Path) -> None:
+    """Remove the temporary file that a killed process left for a target; keep it while another process writes it."""
+    path = name_temporary(target)
+    with suppress(OSError), path.open("rb+") as stream:
+        if fcntl is not None:
+            try:
+                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return
+            except OSError:
+                # A file system without locks.
+                pass
+        path.unlink()
+
+
 class Replacement:
     """The new content of ``target``, a real path; write it into ``stream``.
 

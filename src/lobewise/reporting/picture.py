@@ -39,6 +39,7 @@ class Pictures:
     """
 
     def __init__(self, *, stops: float | None = None, first: Path | None = None) -> None:
+        self.stops = stops
         self._exposure = None if stops is None else 2.0**stops
         self._first = first
 

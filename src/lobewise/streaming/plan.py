@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import NamedTuple
 
 from lobewise.denoising.inputs import Images, list_images
 from lobewise.denoising.planning.frame_plans import find_reach
@@ -17,6 +18,11 @@ DEFAULT_MEMORY = 3.0
 """Memory that a band may take, GiB; program and kernels take more."""
 MAX_WHOLE_GIB = 4.0
 """Memory above which a file is denoised in bands by default, GiB."""
+PROGRAM_GIB = 0.5
+"""Memory that program, libraries and kernels take beside a band or frame, GiB; docs/streaming.md has measurements."""
+MAX_SHARE_OF_MEMORY = 0.9
+"""Share of its memory that a process with a limit plans to take: Dask ends a worker that takes 0.95."""
+MIN_BAND_GIB = 0.1
 MIN_ROWS = 32
 """Rows of the smallest band: kernels work in strips of this height."""
 MEASURED_ROWS = 256
@@ -49,10 +55,34 @@ def forgets(settings: DenoiseSettings) -> bool:
     return get_quality(settings.quality).refines
 
 
-def needs_bands(reader: BandReader, settings: DenoiseSettings) -> bool:
-    """Return whether a file is so large that it is denoised in bands; the quality of ``settings`` is chosen."""
+class Limits(NamedTuple):
+    """Memory that filtering may take, GiB."""
+
+    whole: float
+    """Of a frame that is filtered as a whole."""
+    band: float
+    """Of a band."""
+
+
+def find_limits(memory: float | None) -> Limits:
+    """Return what filtering may take in a process that may take ``memory`` GiB; None for no limit.
+
+    More memory than the defaults need changes nothing, so that the choice between whole frames and bands stays the
+    same.
+    """
+    if memory is None:
+        return Limits(MAX_WHOLE_GIB, DEFAULT_MEMORY)
+    left = max(MAX_SHARE_OF_MEMORY * memory - PROGRAM_GIB, MIN_BAND_GIB)
+    return Limits(min(left, MAX_WHOLE_GIB), min(left, DEFAULT_MEMORY))
+
+
+def needs_bands(reader: BandReader, settings: DenoiseSettings, max_whole: float = MAX_WHOLE_GIB) -> bool:
+    """Return whether a file is so large that it is denoised in bands; the quality of ``settings`` is chosen.
+
+    ``max_whole`` is the largest memory of a whole frame, GiB.
+    """
     height, width = reader.shape
-    return height * width * estimate_bytes(reader, settings) > MAX_WHOLE_GIB * GIB
+    return height * width * estimate_bytes(reader, settings) > max_whole * GIB
 
 
 def choose_rows(reader: BandReader, settings: ResolvedSettings, memory: float) -> int:

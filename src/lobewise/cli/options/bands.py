@@ -34,10 +34,11 @@ def parse_bands(text: str) -> str | int:
     raise InputError("--bands", expected="auto, off or a number of rows", got=repr(text), action="leave it out")
 
 
-def choose_bands(source: Path, text: str, settings: dict[str, Any], whole: str) -> bool:
+def choose_bands(source: Path, text: str, settings: dict[str, Any], whole: str, memory: float | None = None) -> bool:
     """Return whether to denoise a file in bands.
 
-    ``whole`` names the first option on the command line that needs the whole frame, empty for none.
+    ``whole`` names the first option on the command line that needs the whole frame, empty for none. ``memory`` is what
+    the process may take, GiB; None for no limit.
 
     Raises
     ------
@@ -68,7 +69,7 @@ def choose_bands(source: Path, text: str, settings: dict[str, Any], whole: str) 
                 action="leave it out",
             )
         return False
-    if is_asked or _is_large(source, settings):
+    if is_asked or _is_large(source, settings, memory):
         refuse_results(source, check_own_mark(read_container(source)))
         return True
     return False
@@ -86,14 +87,14 @@ def _is_own(source: Path) -> bool:
         return True
 
 
-def _is_large(source: Path, settings: dict[str, Any]) -> bool:
+def _is_large(source: Path, settings: dict[str, Any], memory: float | None) -> bool:
     from lobewise.denoising.automatic import ask
     from lobewise.io.exr.bands import BandReader
-    from lobewise.streaming import list_images, needs_bands
+    from lobewise.streaming import find_limits, list_images, needs_bands
 
     asked = ask(None, settings, whole=False)
     try:
-        return needs_bands(BandReader(source, wanted=list_images(asked)), asked)
+        return needs_bands(BandReader(source, wanted=list_images(asked)), asked, find_limits(memory).whole)
     except LobewiseError:
         # A whole frame may be readable nevertheless; if it is not, reading it raises the error again.
         return False
@@ -111,10 +112,12 @@ class FileInBands:
     """Fitted materials that replace the materials in the file."""
     settings: dict[str, Any]
     """Settings of `lobewise.denoise`."""
+    memory: float | None = None
+    """What the process may take, GiB; None for no limit."""
 
     def denoise(self, progress: Callable[[str, int, int], None] | None = None) -> DenoisedFile:
         """Denoise the file into its target; see `lobewise.streaming.denoise_file`."""
-        from lobewise.streaming import denoise_file
+        from lobewise.streaming import denoise_file, find_limits
 
         bands = parse_bands(self.bands)
         return denoise_file(
@@ -122,6 +125,7 @@ class FileInBands:
             self.target,
             lobe_tables=self.tables,
             rows=bands if isinstance(bands, int) else None,
+            memory=find_limits(self.memory).band,
             progress=progress,
             **self.settings,
         )

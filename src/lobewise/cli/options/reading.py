@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,6 +11,8 @@ from lobewise.cli.terminal.help import file_option
 from lobewise.errors import InputError
 
 if TYPE_CHECKING:
+    from typing_extensions import Self
+
     from lobewise.cli.terminal.outcome import Remarks
     from lobewise.interchange import Imported
     from lobewise.interchange.checks import Finding
@@ -65,6 +67,28 @@ class Reading:
     def option(self) -> str:
         """Name of the first option that the user gave, empty for none."""
         return next(iter(self.list_words()), "")
+
+    def anchor(self) -> Self:
+        """Return the options with absolute paths, for processes that run in another folder."""
+        return replace(
+            self,
+            preset=None if self.preset is None else anchor_name(self.preset),
+            camera=None if self.camera is None else self.camera.absolute(),
+            half=None if self.half is None else self.half.absolute(),
+        )
+
+    def list_files(self) -> list[Path]:
+        """Return the files that say how every frame is read."""
+        given = [*([] if self.preset is None else [Path(self.preset)]), *([] if self.camera is None else [self.camera])]
+        return [path for path in given if path.is_file()]
+
+    def list_halves(self, number: int) -> list[Path]:
+        """Return the file of the second render of a frame of a sequence, if there is a second render."""
+        from lobewise.io.sequence import FramePattern, is_pattern
+
+        if self.half is None:
+            return []
+        return [FramePattern.parse(self.half).name(number) if is_pattern(self.half) else self.half]
 
     def parse(self) -> dict[str, Any]:
         """Return the conventions, channels and camera, as parameters of `lobewise.read_frame`."""
@@ -182,6 +206,11 @@ def refuse_results(path: Path, findings: Iterable[Finding]) -> None:
             got="a result of lobewise, as its attribute 'lobewise/denoised' says",
             action="give the noisy render, or name the image that is noisy, such as --map color=PASS",
         )
+
+
+def anchor_name(text: str) -> str:
+    """Return the absolute path of an existing file, and any other name as it is."""
+    return str(Path(text).absolute()) if Path(text).is_file() else text
 
 
 def parse_maps(given: list[str]) -> Mapping[str, str]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from lobewise.cli.options.reading import anchor_name
 from lobewise.cli.terminal.help import shading_option
 from lobewise.errors import InputError
 
@@ -72,10 +74,19 @@ class Reshading:
         expected, got = f'1 to {MAX_SPP}, or "auto"', repr(self.adaptive_spp)
         raise InputError("--adaptive-spp", expected=expected, got=got, action='"auto" is usual')
 
-    def plan(self) -> Callable[[Result, AnyFrame], Result]:
+    def anchor(self) -> Reshading:
+        """Return the options with an absolute path of the scene, for processes that run in another folder."""
+        return self if self.scene is None else replace(self, scene=anchor_name(self.scene))
+
+    def list_files(self) -> list[Path]:
+        """Return the file of the scene, unless it is built in."""
+        return [Path(self.scene)] if self.scene is not None and Path(self.scene).is_file() else []
+
+    def plan(self, tell: Callable[[str], None] | None = None) -> Callable[[Result, AnyFrame], Result]:
         """Return a function that shades the least supported pixels of a result again.
 
-        The function loads the scene when it is first called.
+        The function loads the scene when it is first called. It calls ``tell`` with the number of pixels; by default
+        the number is printed.
         """
         budget = self.share
         if budget == 0.0:
@@ -104,7 +115,7 @@ class Reshading:
                 frame=frame,
                 budget=budget,
             )
-            print_line(f"Shaded {better.settings['recomputed']} pixels again, {spp} spp.")
+            (tell or print_line)(f"Shaded {better.settings['recomputed']} pixels again, {spp} spp.")
             return better
 
         return improve

@@ -13,26 +13,40 @@ if TYPE_CHECKING:
 
 
 class Remarks:
-    """Prints remarks, each once: a sequence has the same remarks for every frame."""
+    """Prints remarks, each once: a sequence has the same remarks for every frame.
 
-    def __init__(self) -> None:
-        self._told: set[str] = set()
+    Parameters
+    ----------
+    silent : bool
+        Whether to collect remarks without printing them.
+    """
+
+    def __init__(self, *, silent: bool = False) -> None:
+        self._is_silent = silent
+        self.told: dict[str, str] = {}
+        """Remarks by key."""
 
     def tell(self, note: str, key: str = "") -> None:
         """Print a note, unless a note with its key was printed before; by default the note is its own key."""
         from lobewise.cli.output import print_note
 
-        if (key or note) not in self._told:
+        if (key or note) in self.told:
+            return
+        self.told[key or note] = note
+        if not self._is_silent:
             print_note(note)
-        self._told.add(key or note)
 
     def tell_result(self, result: Result | DenoisedFile) -> None:
         """Print the method, what is wrong with the guides, and which images of the frame were not used."""
         unused = f"Not used with these settings: {', '.join(result.unused)}."
         used = [f"Used: {result.method}."] if result.method else []
         for note in (*used, *result.notes, *([unused] if result.unused else [])):
-            # Numbers differ from frame to frame: of a sequence only the first frame's are printed.
-            self.tell(note, re.sub(r"\d+(\.\d+)?", "#", note))
+            self.tell(note, hide_numbers(note))
+
+
+def hide_numbers(note: str) -> str:
+    """Return a remark without its figures, which differ from frame to frame: only the first frame's are printed."""
+    return re.sub(r"\d+(\.\d+)?", "#", note)
 
 
 def tell_picture(output: Path, pictures: Pictures | None) -> None:

@@ -30,7 +30,7 @@ class Steps:
         self._quiet = quiet
         self._display: Progress | None = None
         self._task: TaskID | None = None
-        self._told: tuple[str, int, int | None] | None = None
+        self._told: tuple[str, int, int | None, str] | None = None
         self._context = ExitStack()
 
     def __enter__(self) -> Steps:
@@ -51,19 +51,23 @@ class Steps:
             self._display.stop()
         self._display = self._task = self._told = None
 
-    def tell(self, what: str, done: int = 0, total: int | None = None) -> None:
-        """Show a step in place of the step before; ``total`` is None where it is unknown how much is done."""
-        is_new, self._told = self._told is None or self._told[0] != what, (what, done, total)
-        self._show(what, done, total, is_new=is_new)
+    def tell(self, what: str, done: int = 0, total: int | None = None, unit: str = "") -> None:
+        """Show a step in place of the step before; ``total`` is None where it is unknown how much is done.
 
-    def _show(self, what: str, done: int, total: int | None, *, is_new: bool) -> None:
+        With a ``unit`` such as "frames", how many are done in a minute is shown as well.
+        """
+        is_new, self._told = self._told is None or self._told[0] != what, (what, done, total, unit)
+        self._show(what, done, total, unit, is_new=is_new)
+
+    def _show(self, what: str, done: int, total: int | None, unit: str = "", *, is_new: bool) -> None:
         if self._display is None:
             return
         if self._task is not None and is_new:
             self._display.remove_task(self._task)
             self._task = None
         if self._task is None:
-            self._task = self._display.add_task(what, total=total)
+            # What is done already says nothing of the speed.
+            self._task = self._display.add_task(what, total=total, completed=done, unit=unit)
         self._display.update(self._task, completed=done, total=total)
 
     def _tell_compiling(self, begins: bool) -> None:
@@ -91,13 +95,15 @@ def _make_display() -> Progress | None:
     from rich.text import Text
 
     class Amount(ProgressColumn):
-        """Share that is done and time left; the time since the start where the total is unknown."""
+        """Share that is done, speed and time left; the time since the start where the total is unknown."""
 
         def render(self, task: Task) -> Text:
             if task.total is None:
                 return Text(f"{task.elapsed or 0.0:.0f} s")
             left = "" if task.time_remaining is None else f", {timedelta(seconds=int(task.time_remaining))} left"
-            return Text(f"{task.percentage:3.0f} %{left}")
+            speed, unit = task.finished_speed or task.speed, task.fields.get("unit")
+            rate = f", {60.0 * speed:.3g} {unit} a minute" if unit and speed else ""
+            return Text(f"{task.percentage:3.0f} %{rate}{left}")
 
     console = Console(stderr=True)
     if not console.is_interactive:

@@ -1,0 +1,170 @@
+"""How a verb filters the frames of a sequence on a farm: what workers do, and what the user is told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lobewise.cli.options.farming import Farm
+from lobewise.cli.output import describe_result, describe_settings, print_line, print_note
+from lobewise.cli.running import Job, Request, run_filter
+from lobewise.cli.terminal.outcome import Remarks, hide_numbers, tell_picture
+from lobewise.cli.terminal.steps import Steps
+from lobewise.errors import LobewiseError
+from lobewise.farm.running import FarmJob, FarmReport, filter_on_farm
+from lobewise.farm.tasks import Told
+from lobewise.io.files import require_exr_name
+from lobewise.io.sequence import FramePattern
+from lobewise.reporting.picture import Pictures, name_picture
+from lobewise.sequence import filter_sequence
+
+MAX_FAILURES_NAMED = 20
+"""Most failures that are told one by one."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameWork:
+    """What a worker does with a frame: what the verb does with it in a single process."""
+
+    request: Request[Any, Any]
+    source: Path
+    output: Path
+    fingerprint: str
+    has_pictures: bool
+    stops: float | None
+    """Exposure of the pictures, None where the first picture decides it."""
+
+    def list_sources(self, number: int, path: Path) -> Sequence[Path]:
+        """Return every file that the result of a frame depends on."""
+        return self.request.list_sources(number, path)
+
+    def list_outputs(self, number: int) -> Sequence[Path]:
+        """Return every file that is written for a frame."""
+        target = FramePattern.parse(self.output).name(number)
+        return [target, name_picture(target)] if self.has_pictures else [target]
+
+    def filter_frames(
+        self, numbers: Sequence[int], *, first: int, memory: float | None, checkpoint: Path, done: Callable[[int], None]
+    ) -> Told:
+        """Filter frames into their files; see `lobewise.farm.tasks.Work`."""
+        target = FramePattern.parse(self.output)
+        remarks = Remarks(silent=True)
+        job = Job(
+            source=self.source,
+            output=self.output,
+            pictures=Pictures(stops=self.stops, first=target.name(first)) if self.has_pictures else None,
+            steps=Steps(quiet=True),
+            verbose=False,
+            remarks=remarks,
+            memory=memory,
+            tell_pixels=lambda text: remarks.tell(text, hide_numbers(text)),
+        )
+        verb = self.request.make_verb(job)
+        by_name = {target.name(number): number for number in numbers}
+
+        def write(path: Path, result: Any, found: Any, _: Path) -> None:
+            verb.write(path, result, found)
+            remarks.tell_result(result)
+            done(by_name[path])
+
+        report = filter_sequence(
+            self.source,
+            self.output,
+            verb.make_filter,
+            read=verb.read,
+            write=write,
+            fingerprint=self.fingerprint,
+            checkpoint=checkpoint,
+            numbers=numbers,
+        )
+        last = report.last
+        return Told(
+            remarks=tuple(remarks.told.items()),
+            last="" if last is None else describe_result(last),
+            settings="" if last is None else describe_settings(last),
+        )
+
+
+def run_request(job: Job, request: Request[Any, Any], fingerprint: Any, farm: Farm) -> None:
+    """Filter one file, or every file of a pattern, here or on a farm, and print what was done.
+
+    ``fingerprint`` holds every option that the results depend on: see `lobewise.sequence.filter_sequence`.
+
+    Raises
+    ------
+    LobewiseError
+        If a frame could not be filtered, on a farm at the end; see `lobewise.farm.running.filter_on_farm` for others.
+    """
+    require_exr_name(job.output)
+    farm.check(job.source)
+    if farm.is_wanted:
+        _run_on_farm(job, request, repr(fingerprint), farm)
+    else:
+        run_filter(job, request, fingerprint)
+
+
+def _run_on_farm(job: Job, request: Request[Any, Any], fingerprint: str, farm: Farm) -> None:
+    source, output = job.source.absolute(), job.output.absolute()
+    request = request.anchor()
+    shared = [(path.stat().st_size, path.stat().st_mtime_ns) for path in request.list_shared_sources()]
+    work = FrameWork(
+        request=request,
+        source=source,
+        output=output,
+        fingerprint=fingerprint,
+        has_pictures=job.pictures is not None,
+        stops=None if job.pictures is None else job.pictures.stops,
+    )
+    farm_job = FarmJob(
+        source=FramePattern.parse(source),
+        output=FramePattern.parse(output),
+        work=work,
+        fingerprint=repr([fingerprint, shared]),
+        by_shot=request.remembers,
+        follows_first=work.has_pictures and work.stops is None,
+        with_oidn=request.asks_for_oidn,
+        memory=farm.memory,
+    )
+    filtering = f"Filtering {job.source.name}"
+    with job.steps as steps:
+        report = filter_on_farm(
+            farm_job,
+            farm.open(),
+            tell=print_note,
+            remark=job.remarks.tell,
+            progress=lambda waits, done, total: steps.tell(waits or filtering, done, total, unit="frames"),
+        )
+    told = f"{report.written} of {report.frames} frames"
+    told += f"; the last: {report.last.last}" if report.last.last else ""
+    print_line(f"Wrote {job.output}: {told}.")
+    tell_picture(job.output, job.pictures)
+    if job.verbose and report.last.settings:
+        print_note(f"Settings: {report.last.settings}.")
+    _tell_failures(report)
+
+
+def _tell_failures(report: FarmReport) -> None:
+    """Print why frames could not be filtered, and raise LobewiseError if there are any."""
+    if not report.failures:
+        return
+    for failure in sorted(report.failures, key=lambda each: each.numbers)[:MAX_FAILURES_NAMED]:
+        print_note(f"{name_frames(failure.numbers)}: {failure.problem}")
+    numbers = sorted(number for failure in report.failures for number in failure.numbers)
+    raise LobewiseError(
+        f"{len(numbers)} of {report.frames} frames could not be filtered ({name_frames(numbers).lower()}); mend what "
+        "is said above and give the same command again, which filters only these."
+    )
+
+
+def name_frames(numbers: Sequence[int]) -> str:
+    """Return a name such as "Frame 7" or "Frames 7, 9 to 12"."""
+    runs: list[list[int]] = []
+    for number in numbers:
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    words = [str(run[0]) if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs]
+    return f"Frame{'s' if len(numbers) != 1 else ''} {', '.join(words)}"

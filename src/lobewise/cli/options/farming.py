@@ -1,0 +1,121 @@
+"""The options of a farm: several processes, or several machines, filter the frames of a sequence."""
+
+from __future__ import annotations
+
+import re
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from lobewise.cli.terminal.help import sequence_detail, sequence_option
+from lobewise.errors import InputError
+
+if TYPE_CHECKING:
+    from lobewise.farm.connection import Connection
+
+MAX_WORKERS = 1024
+MIN_MEMORY_GIB = 1.0
+"""Smallest memory of a worker, GiB: program and kernels alone take half of it."""
+UNITS = {"MB": 1e6, "MIB": 2.0**20, "GB": 1e9, "GIB": 2.0**30, "TB": 1e12, "TIB": 2.0**40}
+GIB = 2.0**30
+
+
+@dataclass(frozen=True)
+class Farm:
+    """Options that tell which processes filter the frames of a sequence."""
+
+    farm: Annotated[
+        str | None,
+        sequence_detail(
+            "--farm",
+            metavar="ADDRESS",
+            help="Send the frames of a sequence to the workers of a Dask scheduler, such as tcp://host:8786. Every "
+            "machine must see the files by the same paths.",
+            show_default=False,
+        ),
+    ] = None
+    workers: Annotated[
+        int | None,
+        sequence_option("--workers", metavar="N", help="Filter N frames at once, in N processes.", show_default=False),
+    ] = None
+    memory_per_worker: Annotated[
+        str | None,
+        sequence_detail(
+            "--memory-per-worker",
+            metavar="SIZE",
+            help="With --workers or --farm: memory of a worker, such as 8GB. Frames that would take more are filtered "
+            "in bands.",
+            show_default="the machine's memory divided by the workers",
+        ),
+    ] = None
+
+    @property
+    def is_wanted(self) -> bool:
+        """Whether a farm is asked for."""
+        return self.farm is not None or self.workers is not None
+
+    @property
+    def memory(self) -> float | None:
+        """Memory of a worker, GiB; None where the user gives none."""
+        return None if self.memory_per_worker is None else parse_memory(self.memory_per_worker)
+
+    def check(self, source: Path) -> None:
+        """Raise InputError if an option is wrong, or the options do not go together."""
+        from lobewise.io.sequence import is_pattern
+
+        if self.memory is not None and not self.is_wanted:
+            raise InputError(
+                "--memory-per-worker",
+                expected="--workers or --farm beside it",
+                got="neither",
+                action="add one of them",
+            )
+        if not self.is_wanted:
+            return
+        if self.farm is not None and self.workers is not None:
+            raise InputError(
+                "--workers",
+                expected="no --farm beside it, whose workers run already",
+                got="both",
+                action="leave one out",
+            )
+        if self.workers is not None and not 1 <= self.workers <= MAX_WORKERS:
+            raise InputError(
+                "--workers",
+                expected=f"a number from 1 to {MAX_WORKERS}",
+                got=str(self.workers),
+                action="try the number of cores divided by 4",
+            )
+        if not is_pattern(source):
+            raise InputError(
+                "--workers" if self.farm is None else "--farm",
+                expected="a sequence such as 'in.####.exr'",
+                got=repr(str(source)),
+                action="put # in place of the digits of the number, and quote the name",
+            )
+
+    def open(self) -> AbstractContextManager[Connection]:
+        """Return the connection to the workers; see `lobewise.farm.connection` for the errors."""
+        from lobewise.farm.connection import connect, find_memory, require_distributed, start_local
+
+        require_distributed()
+        if self.farm is not None:
+            return connect(self.farm)
+        assert self.workers is not None
+        memory = find_memory(self.workers) if self.memory is None else int(self.memory * GIB)
+        return start_local(self.workers, memory_bytes=memory)
+
+
+def parse_memory(text: str) -> float:
+    """Return the GiB of a text such as 8GB, 8GiB or 4096MB."""
+    found = re.fullmatch(r"(\d{1,9}(?:\.\d{1,6})?)\s*([MGT]I?B)", text.strip().upper())
+    memory = float(found[1]) * UNITS[found[2]] / GIB if found else 0.0
+    if memory < MIN_MEMORY_GIB:
+        raise InputError(
+            "--memory-per-worker",
+            expected="a size of at least 1GiB, such as 8GB",
+            got=repr(text),
+            action="give more, or leave it out",
+        )
+    return memory

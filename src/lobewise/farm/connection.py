@@ -1,0 +1,278 @@
+"""The connection to a Dask scheduler, its own or one that runs already. No other module imports Dask."""
+
+from __future__ import annotations
+
+import logging
+import queue
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Any
+
+from lobewise.chunks import count_cores
+from lobewise.errors import InputError, LobewiseError, MissingDependencyError
+
+CONNECT_SECONDS = 10.0
+"""Longest time to reach a scheduler at the start, seconds."""
+RESULT_SECONDS = 20.0
+"""Longest time to fetch the small result of a finished call, seconds."""
+CLOSE_SECONDS = 5.0
+"""Longest time for workers of a local farm to end by themselves, seconds; then they are killed."""
+RECONNECT_PAUSE_SECONDS = 1.0
+PRELOAD = "lobewise.farm.worker"
+LOCAL_SETTINGS = {
+    # A worker keeps no results, so there is nothing to spill. A paused worker would never go on: the memory is its own.
+    "distributed.worker.memory.target": False,
+    "distributed.worker.memory.spill": False,
+    "distributed.worker.memory.pause": False,
+    "distributed.worker.memory.terminate": 0.95,
+}
+
+
+class ConnectionLostError(Exception):
+    """The scheduler does not answer any more."""
+
+
+class CallLostError(Exception):
+    """A call was lost with its worker or scheduler; it may be made again."""
+
+
+class CallFailedError(Exception):
+    """The function of a call raised an error, or could not be loaded by the worker."""
+
+
+class Call:
+    """A function that runs on a worker.
+
+    Parameters
+    ----------
+    worker : str
+        Address of the worker.
+    future : object
+        Dask's future.
+    """
+
+    def __init__(self, worker: str, future: Any) -> None:
+        self.worker = worker
+        self._future = future
+
+    @property
+    def key(self) -> str:
+        """A name that no other call has."""
+        return str(self._future.key)
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether the function has returned or failed, or the call was lost."""
+        return bool(self._future.done())
+
+    def fetch(self) -> Any:
+        """Return what the function returned; raise `CallLostError` or `CallFailedError`."""
+        status = self._future.status
+        if status == "error":
+            problem = self._future.exception(timeout=RESULT_SECONDS)
+            raise CallFailedError(f"{type(problem).__name__}: {problem}")
+        if status != "finished":
+            raise CallLostError
+        try:
+            return self._future.result(timeout=RESULT_SECONDS)
+        except Exception as problem:
+            # The worker ended after the call, before its result was fetched.
+            raise CallLostError from problem
+
+    def drop(self) -> None:
+        """Forget the call; a function that does not run yet never will."""
+        with suppress(Exception):
+            self._future.cancel(force=True)
+
+
+class Connection:
+    """A client of a scheduler.
+
+    Parameters
+    ----------
+    address : str
+        Such as ``tcp://host:8786``.
+
+    Raises
+    ------
+    InputError
+        If the address is malformed.
+    LobewiseError
+        If the scheduler does not answer within `CONNECT_SECONDS`.
+    """
+
+    def __init__(self, address: str) -> None:
+        self.address = address
+        self._finished: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._client = self._open(CONNECT_SECONDS)
+
+    def _open(self, seconds: float) -> Any:
+        from distributed import Client
+
+        try:
+            return Client(self.address, timeout=seconds, set_as_default=False, name="lobewise")
+        except ValueError as problem:
+            raise InputError(
+                "--farm",
+                expected="the address of a Dask scheduler, such as tcp://host:8786",
+                got=repr(self.address),
+                action=f"mend it ({' '.join(str(problem).split())})",
+            ) from None
+        except Exception as problem:
+            raise LobewiseError(
+                "--farm",
+                expected=f"a Dask scheduler at {self.address}",
+                got=f"no answer within {seconds:.0f} s ({type(problem).__name__})",
+                action="start it with 'dask scheduler', or check address and firewall",
+            ) from None
+
+    def list_workers(self) -> dict[str, int]:
+        """Return the threads of each worker by its address; raise `ConnectionLostError` if the scheduler is gone."""
+        if self._client.status != "running":
+            raise ConnectionLostError
+        try:
+            return dict(self._client.nthreads())
+        except Exception as problem:
+            raise ConnectionLostError from problem
+
+    def call(self, worker: str, function: Callable[..., Any], *arguments: Any) -> Call:
+        """Let a worker call a function; raise `ConnectionLostError` if the scheduler is gone."""
+        try:
+            future = self._client.submit(
+                function,
+                *arguments,
+                key=f"lobewise-{uuid.uuid4().hex}",
+                workers=[worker],
+                allow_other_workers=False,
+                pure=False,
+                retries=0,
+            )
+            future.add_done_callback(lambda done: self._finished.put(str(done.key)))
+        except Exception as problem:
+            raise ConnectionLostError from problem
+        return Call(worker, future)
+
+    def wait_for_finished(self, seconds: float) -> list[str]:
+        """Return the keys of calls that have ended, however they ended; wait at most some seconds for the first."""
+        found: list[str] = []
+        with suppress(queue.Empty):
+            found.append(self._finished.get(timeout=seconds))
+            while True:
+                found.append(self._finished.get_nowait())
+        return found
+
+    def reopen(self, seconds: float, tell: Callable[[], None]) -> None:
+        """Connect again to a scheduler that was gone; ``tell`` is called before every attempt.
+
+        Raises LobewiseError if the scheduler does not answer for ``seconds``.
+        """
+        self._close_client()
+        end = time.monotonic() + seconds
+        while True:
+            tell()
+            try:
+                self._client = self._open(CONNECT_SECONDS)
+                return
+            except InputError:
+                raise
+            except LobewiseError:
+                if time.monotonic() >= end:
+                    raise
+            time.sleep(RECONNECT_PAUSE_SECONDS)
+
+    def close(self) -> None:
+        """End the connection. Workers of the scheduler go on with the calls that they are at."""
+        self._close_client()
+
+    def _close_client(self) -> None:
+        with suppress(Exception):
+            self._client.close(timeout=CLOSE_SECONDS)
+
+
+@contextmanager
+def connect(address: str) -> Iterator[Connection]:
+    """Connect to a scheduler that runs already; see `Connection` for the errors."""
+    require_distributed()
+    with _silence():
+        found = Connection(address)
+        try:
+            yield found
+        finally:
+            found.close()
+
+
+@contextmanager
+def start_local(workers: int, *, memory_bytes: int) -> Iterator[Connection]:
+    """Start a scheduler and workers on this machine; they end with the ``with`` block.
+
+    Parameters
+    ----------
+    workers : int
+        Processes. They share the cores of the machine.
+    memory_bytes : int
+        Limit of each process. Dask ends a process that takes more, and starts another.
+
+    Raises
+    ------
+    MissingDependencyError
+        If Dask is not installed.
+    """
+    require_distributed()
+    import dask
+    from distributed import LocalCluster
+
+    threads = max(count_cores() // workers, 1)
+    with _silence(), dask.config.set(LOCAL_SETTINGS):
+        cluster = LocalCluster(
+            n_workers=workers,
+            threads_per_worker=threads,
+            processes=True,
+            memory_limit=memory_bytes,
+            dashboard_address=None,
+            silence_logs=logging.CRITICAL,
+            preload=[PRELOAD],
+        )
+        try:
+            found = Connection(cluster.scheduler_address)
+            try:
+                yield found
+            finally:
+                found.close()
+        finally:
+            with suppress(Exception):
+                cluster.close(timeout=CLOSE_SECONDS)
+
+
+def require_distributed() -> None:
+    """Raise MissingDependencyError if Dask is not installed."""
+    try:
+        import distributed  # noqa: F401 - tells whether it can be imported
+    except ImportError as problem:
+        raise MissingDependencyError(
+            f"A farm needs Dask, which cannot be imported ({problem}); pip install 'lobewise[farm]'."
+        ) from None
+
+
+def find_memory(workers: int) -> int:
+    """Return the memory of the machine divided by a number of workers, bytes."""
+    from distributed.system import MEMORY_LIMIT
+
+    return int(MEMORY_LIMIT // workers)
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """Keep Dask's log from the terminal: what matters is told in sentences."""
+    import distributed  # noqa: F401 - makes the handlers of its log
+
+    # The loggers of Dask's modules have levels of their own, which the handlers override.
+    levels = {handler: handler.level for handler in logging.getLogger("distributed").handlers}
+    for handler in levels:
+        handler.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        for handler, level in levels.items():
+            handler.setLevel(level)

@@ -1,0 +1,319 @@
+"""Hand out tasks to workers until every frame is done, or has failed for good.
+
+The client chooses the worker of each task itself, because a frame takes a whole worker: all its threads and memory.
+Dask carries the calls, and says which workers there are.
+"""
+
+from __future__ import annotations
+
+import platform
+import pydoc
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from lobewise.errors import LobewiseError
+from lobewise.farm.connection import Call, CallFailedError, CallLostError, Connection, ConnectionLostError
+from lobewise.farm.environment import compare_environments, shorten_version
+from lobewise.farm.tasks import Order, Outcome, Task, Told
+from lobewise.farm.worker import describe_worker, run_order
+
+MAX_RETRIES = 2
+"""How often a task that failed is tried again."""
+RETRY_SECONDS = 1.0
+"""Pause before a task is tried again, seconds; it doubles with every try. A file server may need a moment."""
+MAX_TASKS_OF_WORKER = 2
+"""Tasks that a worker has at once: one runs, and the next one waits there, so that no time is lost between them."""
+POLL_SECONDS = 0.5
+"""Time between two looks at the workers, seconds."""
+MAX_SECONDS_UNSEEN = 90.0
+"""Longest time until a file that a worker has written is seen here, seconds. NFS keeps what it knows of a folder for up
+to 60 s."""
+MAX_SECONDS_WITHOUT_SCHEDULER = 600.0
+"""Longest time that a lost scheduler is waited for, seconds."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Failure:
+    """A task that failed at every try.
+
+    Parameters
+    ----------
+    numbers : tuple of int
+        The frames of the task that are not done.
+    problem : str
+        Why, in one sentence.
+    trace : str
+        The traceback, for a mistake of the program.
+    """
+
+    numbers: tuple[int, ...]
+    problem: str
+    trace: str = ""
+
+
+@dataclass(kw_only=True)
+class _Worker:
+    """A worker that the scheduler names."""
+
+    address: str
+    questions: dict[str, Call] = field(default_factory=dict)
+    """Calls that ask for its versions, by what they ask."""
+    is_ready: bool = False
+    fault: str = ""
+    """Why it is not used; empty if it is."""
+    calls: dict[str, tuple[Call, Task]] = field(default_factory=dict)
+    """The tasks that it has, oldest first, by the key of the call."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Terms:
+    """What a worker must be like.
+
+    Parameters
+    ----------
+    environment : mapping of str to str
+        Versions by name.
+    check : tuple
+        Arguments of `lobewise.farm.worker.describe_worker`.
+    """
+
+    environment: Mapping[str, str]
+    check: tuple[Any, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Listener:
+    """What a run tells its user.
+
+    Parameters
+    ----------
+    tell : callable
+        Called with a sentence about the farm.
+    hear : callable
+        Called with what filtering told about a task.
+    show : callable
+        Called again and again with what is waited for, "" while frames are filtered, and the tasks that workers have.
+    """
+
+    tell: Callable[[str], None]
+    hear: Callable[[Told], None]
+    show: Callable[[str, list[Task]], None]
+
+
+class Dispatcher:
+    """Hands out tasks.
+
+    Parameters
+    ----------
+    connection : Connection
+        The scheduler.
+    terms : Terms
+        What workers must be like.
+    make_order : callable
+        Returns the order for a task.
+    find_missing : callable
+        Returns the frames of a task that are not done on disk.
+    listener : Listener
+        What is told meanwhile.
+    """
+
+    def __init__(
+        self,
+        connection: Connection,
+        terms: Terms,
+        *,
+        make_order: Callable[[Task], Order],
+        find_missing: Callable[[Task], tuple[int, ...]],
+        listener: Listener,
+    ) -> None:
+        self._connection = connection
+        self._terms = terms
+        self._make_order = make_order
+        self._find_missing = find_missing
+        self._listener = listener
+        self._workers: dict[str, _Worker] = {}
+        self._todo: deque[tuple[float, Task]] = deque()
+        self._unseen: list[tuple[float, Task, str]] = []
+        self._tries: dict[Task, int] = {}
+        self._looked = -POLL_SECONDS
+        self._has_waited = False
+        self._waits_for = ""
+        self.failures: list[Failure] = []
+
+    def run(self, tasks: Sequence[Task]) -> None:
+        """Do all tasks; afterwards `failures` holds those that could not be done.
+
+        Raises LobewiseError if no worker can be used, or the scheduler is gone for too long.
+        """
+        self._todo.extend((0.0, task) for task in tasks)
+        while self._todo or self._unseen or self.list_running():
+            try:
+                self._meet_workers()
+                self._hand_out()
+                self._collect()
+            except ConnectionLostError:
+                self._wait_for_scheduler()
+            self._look_again()
+            self._listener.show(self._waits_for, self.list_running())
+
+    def list_running(self) -> list[Task]:
+        """Return the tasks that workers have."""
+        return [task for worker in self._workers.values() for _, task in worker.calls.values()]
+
+    def _meet_workers(self) -> None:
+        """Note which workers came and went, at most every `POLL_SECONDS`."""
+        now = time.monotonic()
+        if now - self._looked < POLL_SECONDS:
+            return
+        self._looked = now
+        there = self._connection.list_workers()
+        for address in set(self._workers) - set(there):
+            self._lose(self._workers.pop(address))
+        for address in set(there) - set(self._workers):
+            self._workers[address] = worker = _Worker(address=address)
+            # The first two answer without lobewise, and in any version of Python.
+            for name, function, arguments in (
+                ("Python", platform.python_version, ()),
+                ("lobewise", pydoc.locate, ("lobewise.__version__",)),
+                ("all", describe_worker, self._terms.check),
+            ):
+                worker.questions[name] = self._connection.call(address, function, *arguments)
+        self._require_workers()
+
+    def _require_workers(self) -> None:
+        """Raise LobewiseError if no worker can be used; note and tell if there is none yet."""
+        faults = {worker.address: worker.fault for worker in self._workers.values() if worker.fault}
+        if faults and len(faults) == len(self._workers):
+            told = "; ".join(f"{address}: {fault}" for address, fault in sorted(faults.items())[:3])
+            raise LobewiseError(
+                "farm", expected="a worker that can be used", got=f"none ({told})", action="see docs/farm.md"
+            )
+        self._waits_for = "" if self._workers else "Waiting for workers"
+        if self._waits_for and not self._has_waited:
+            self._has_waited = True
+            self._listener.tell(f"No worker is connected to {self._connection.address}; waiting for one.")
+
+    def _lose(self, worker: _Worker) -> None:
+        """Take back the tasks of a worker that went. The oldest task was running, so its try counts."""
+        for place, (call, task) in enumerate(worker.calls.values()):
+            call.drop()
+            if not self._find_missing(task):
+                continue
+            if place:
+                self._todo.appendleft((0.0, task))
+            else:
+                self._fail(task, "its worker was lost, as happens where memory is short or a machine stops.")
+
+    def _hand_out(self) -> None:
+        ready = [worker for worker in self._workers.values() if worker.is_ready]
+        for depth in range(MAX_TASKS_OF_WORKER):
+            # Near the end a waiting task would keep another worker idle.
+            if depth and len(self._todo) < len(ready):
+                return
+            for worker in ready:
+                if len(worker.calls) == depth and (task := self._take_task()) is not None:
+                    try:
+                        call = self._connection.call(worker.address, run_order, self._make_order(task))
+                    except ConnectionLostError:
+                        self._todo.appendleft((0.0, task))
+                        raise
+                    worker.calls[call.key] = call, task
+
+    def _take_task(self) -> Task | None:
+        """Return the next task whose time has come."""
+        now = time.monotonic()
+        for place, (moment, task) in enumerate(self._todo):
+            if moment <= now:
+                del self._todo[place]
+                return task
+        return None
+
+    def _collect(self) -> None:
+        for key in self._connection.wait_for_finished(POLL_SECONDS):
+            for worker in self._workers.values():
+                if key in worker.calls:
+                    self._take_outcome(worker, *worker.calls.pop(key))
+                elif any(call.key == key for call in worker.questions.values()):
+                    self._take_answer(worker)
+
+    def _take_answer(self, worker: _Worker) -> None:
+        """Judge a worker as soon as all questions are answered."""
+        answers: dict[str, Any] = {}
+        for name, call in worker.questions.items():
+            if not call.has_ended:
+                return
+            try:
+                answers[name] = call.fetch()
+            except CallFailedError as problem:
+                answers[name] = problem
+            except CallLostError:
+                # The scheduler will say that the worker is gone, or that it is there again.
+                self._workers.pop(worker.address, None)
+                return
+        worker.questions = {}
+        worker.fault = self._judge(answers)
+        worker.is_ready = not worker.fault
+        if worker.fault:
+            self._listener.tell(f"The worker {worker.address} is not used: {worker.fault}.")
+
+    def _judge(self, answers: Mapping[str, Any]) -> str:
+        """Return why a worker cannot be used, in a few words; empty if it can."""
+        wanted = self._terms.environment
+        there = {"Python": shorten_version(str(answers["Python"])), "lobewise": str(answers["lobewise"] or "none")}
+        first = compare_environments({name: wanted[name] for name in ("Python", "lobewise")}, there)
+        if first:
+            return f"it has {first}"
+        if isinstance(answers["all"], CallFailedError):
+            return f"its lobewise cannot be loaded ({answers['all']})"
+        environment, fault = answers["all"]
+        difference = compare_environments(wanted, environment)
+        return f"it has {difference}" if difference else fault
+
+    def _take_outcome(self, worker: _Worker, call: Call, task: Task) -> None:
+        try:
+            outcome: Outcome = call.fetch()
+        except CallLostError:
+            if self._find_missing(task):
+                self._todo.appendleft((0.0, task))
+            return
+        except CallFailedError as problem:
+            self._fail(task, f"something went wrong on the worker {worker.address} ({problem}).")
+            return
+        self._listener.hear(outcome.told)
+        if outcome.problem:
+            self._fail(task, outcome.problem, outcome.trace)
+        elif self._find_missing(task):
+            self._unseen.append((time.monotonic() + MAX_SECONDS_UNSEEN, task, worker.address))
+
+    def _look_again(self) -> None:
+        """Look for files that workers have written and that were not seen here."""
+        for entry in list(self._unseen):
+            end, task, address = entry
+            if not self._find_missing(task):
+                self._unseen.remove(entry)
+            elif time.monotonic() >= end:
+                self._unseen.remove(entry)
+                self._fail(task, f"the worker {address} wrote it, but its file is not seen here or has changed.")
+
+    def _fail(self, task: Task, problem: str, trace: str = "") -> None:
+        """Try a task again later, or give it up."""
+        tries = self._tries[task] = self._tries.get(task, 0) + 1
+        if tries <= MAX_RETRIES:
+            self._todo.append((time.monotonic() + RETRY_SECONDS * 2.0 ** (tries - 1), task))
+            return
+        self.failures.append(Failure(numbers=self._find_missing(task), problem=problem, trace=trace))
+
+    def _wait_for_scheduler(self) -> None:
+        """Take back all tasks, wait until the scheduler is there again, and leave out what was done meanwhile."""
+        running = self.list_running()
+        self._workers = {}
+        self._todo.extendleft((0.0, task) for task in reversed(running))
+        self._listener.tell(f"The scheduler {self._connection.address} does not answer; waiting for it to come back.")
+        self._connection.reopen(
+            MAX_SECONDS_WITHOUT_SCHEDULER, lambda: self._listener.show("Waiting for the scheduler", [])
+        )
+        self._todo = deque(entry for entry in self._todo if self._find_missing(entry[1]))
+        self._listener.tell("The scheduler is back.")

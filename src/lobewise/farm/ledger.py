@@ -1,0 +1,161 @@
+"""Records on disk of the frames that are done: what a stopped run has finished, and what a farm still has to do.
+
+A record stands in a folder beside the outputs. It says from which sources, with which settings and by which version a
+frame was made, and size and time of its files afterwards. A frame is done if all of this is still as the record says.
+Workers write records, each by itself, so the folder must be shared as the outputs are.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lobewise.errors import FileError, LobewiseError
+from lobewise.io.documents import parse_json, read_document
+from lobewise.io.files import make_folder, refusing, write_text
+
+try:
+    import fcntl
+except ImportError:
+    # Windows: without locks, two clients of one sequence are not told apart.
+    fcntl = None  # type: ignore[assignment]
+
+LEDGER_ENDING = ".lobewise-farm"
+"""Ending of the folder's name."""
+TOKEN, LOCK = "token", "lock"
+MAX_RECORD_BYTES = 1 << 16
+MAX_CLOCK_DIFFERENCE_NS = 1_000_000
+"""Largest difference of two times of one file, nanoseconds: file servers round times differently."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ledger:
+    """The records of a run.
+
+    Parameters
+    ----------
+    folder : Path
+        Where they are.
+    identity : str
+        Settings, names and versions of the run, as text.
+    """
+
+    folder: Path
+    identity: str
+
+    def open(self, token: str) -> None:
+        """Make the folder and put a token in it, by which workers prove that they see this folder.
+
+        Raises FileError if the folder cannot be written to.
+        """
+        make_folder(self.folder, what="records of frames")
+        write_text(self.folder / TOKEN, token, what="records of frames")
+
+    @contextmanager
+    def lock(self) -> Iterator[None]:
+        """Keep other clients from the folder during the ``with`` block; raise FileError if one has it."""
+        path = self.folder / LOCK
+        with refusing(f"records {str(self.folder)!r}", "a folder that can be written to", "check its permissions"):
+            stream = path.open("w")
+        with stream:
+            if fcntl is not None:
+                try:
+                    fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    raise FileError(
+                        f"records {str(self.folder)!r}",
+                        expected="no other run that writes this sequence",
+                        got="one that is at work",
+                        action="wait for it, or stop it",
+                    ) from None
+                except OSError:
+                    # A file system without locks.
+                    pass
+            yield
+
+    def prove(
+        self, frames: Sequence[tuple[int, Path]], list_sources: Callable[[int, Path], Iterable[Path]]
+    ) -> dict[int, str]:
+        """Return a hash for each frame of a task: of the run, and of all sources up to the frame.
+
+        Frames of one task may use the frames before them, so the hash covers their sources as well. A source counts by
+        its size and time.
+        """
+        proof = hashlib.sha256(self.identity.encode("utf-8", "surrogateescape"))
+        found = {}
+        for number, path in frames:
+            for source in list_sources(number, path):
+                # A source that does not exist gives another hash than one that does.
+                state = _measure(source) or (0, 0)
+                proof.update(f"{number} {state[0]} {state[1]}\n".encode())
+            found[number] = proof.hexdigest()
+        return found
+
+    def record(self, number: int, proof: str, outputs: Iterable[Path]) -> None:
+        """Record that a frame is done. Raises FileError if the record cannot be written."""
+        files = [_measure(path) for path in outputs]
+        write_text(self._name(number), json.dumps({"proof": proof, "files": files}), what="record of a frame")
+
+    def is_done(self, number: int, proof: str, outputs: Iterable[Path]) -> bool:
+        """Return whether a frame is recorded with this proof and its files are as they were."""
+        path = self._name(number)
+        with suppress(LobewiseError):
+            found = parse_json(read_document(path, MAX_RECORD_BYTES, what="record", holds="a record"), what="record")
+            files = [_measure(each) for each in outputs]
+            return (
+                isinstance(found, dict)
+                and found.get("proof") == proof
+                and isinstance(found.get("files"), list)
+                and len(found["files"]) == len(files)
+                and all(map(_is_same, found["files"], files))
+            )
+        return False
+
+    def name_checkpoint(self, number: int) -> Path:
+        """Return the checkpoint of the shot that begins with a frame."""
+        return self.folder / f"shot-{number}.npz"
+
+    def remove(self) -> None:
+        """Remove the records: every frame is done."""
+        _remove_known(self.folder)
+
+    def _name(self, number: int) -> Path:
+        return self.folder / f"{number}.json"
+
+
+def remove_records(folder: Path) -> None:
+    """Remove the records in a folder, where there are any."""
+    if folder.is_dir() and not folder.is_symlink():
+        _remove_known(folder)
+
+
+def _remove_known(folder: Path) -> None:
+    """Remove a folder of records, unless somebody put other files there."""
+    with suppress(OSError):
+        for path in folder.iterdir():
+            if path.name in (TOKEN, LOCK) or path.suffix in (".json", ".npz", ".part"):
+                path.unlink()
+        folder.rmdir()
+
+
+def _measure(path: Path) -> tuple[int, int] | None:
+    """Return size and time of a file, None where it does not exist."""
+    try:
+        state = path.stat()
+    except OSError:
+        return None
+    return state.st_size, state.st_mtime_ns
+
+
+def _is_same(recorded: Any, measured: tuple[int, int] | None) -> bool:
+    """Return whether a file has the size and time of its record, which may be damaged."""
+    if measured is None or not isinstance(recorded, list) or not all(type(each) is int for each in recorded):
+        return False
+    return (
+        len(recorded) == 2 and recorded[0] == measured[0] and abs(recorded[1] - measured[1]) <= MAX_CLOCK_DIFFERENCE_NS
+    )

@@ -1,0 +1,257 @@
+"""Filter a sequence on a farm: what is left to do, the run, and what is left behind."""
+
+from __future__ import annotations
+
+import json
+import os
+import uuid
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager, suppress
+from dataclasses import dataclass
+from itertools import takewhile
+from pathlib import Path
+
+from lobewise.errors import InputError
+from lobewise.farm.connection import Connection
+from lobewise.farm.dispatching import Dispatcher, Failure, Listener, Terms
+from lobewise.farm.environment import describe_environment
+from lobewise.farm.ledger import LEDGER_ENDING, Ledger
+from lobewise.farm.tasks import Numbered, Order, Task, Told, Work, cut_frames, cut_shots
+from lobewise.io.files import require_other_files, require_writable
+from lobewise.io.replacing import remove_temporary
+from lobewise.io.sequence import FramePattern
+from lobewise.sequence import name_beside, name_checkpoint
+
+
+@dataclass(frozen=True, kw_only=True)
+class FarmJob:
+    """A sequence, and how its frames are filtered.
+
+    Parameters
+    ----------
+    source, output : FramePattern
+        Two patterns. Workers must see both folders by these paths.
+    work : Work
+        How frames are filtered.
+    fingerprint : str
+        The settings, as text: everything but the sources that the results depend on.
+    by_shot : bool
+        Whether a frame uses the frames before it, so that one worker filters a whole shot.
+    follows_first : bool
+        Whether all frames take something from the first one, which is then filtered alone.
+    with_oidn : bool
+        Whether results depend on Open Image Denoise.
+    memory : float or None
+        GiB that a worker may take; None for the limit that it was started with.
+    """
+
+    source: FramePattern
+    output: FramePattern
+    work: Work
+    fingerprint: str
+    by_shot: bool
+    follows_first: bool
+    with_oidn: bool
+    memory: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class FarmReport:
+    """What a run on a farm did.
+
+    Parameters
+    ----------
+    frames : int
+        Frames of the sequence.
+    written : int
+        Frames that this run wrote.
+    failures : tuple of Failure
+        What could not be done.
+    last : Told
+        What was told about the last result.
+    """
+
+    frames: int
+    written: int
+    failures: tuple[Failure, ...]
+    last: Told
+
+
+def filter_on_farm(
+    job: FarmJob,
+    open_connection: AbstractContextManager[Connection],
+    *,
+    tell: Callable[[str], None],
+    remark: Callable[[str, str], None],
+    progress: Callable[[str, int, int], None],
+) -> FarmReport:
+    """Filter every frame of a sequence on the workers of a scheduler, into the files that one process would write.
+
+    A frame that is done is not made again: its files are whole, and were made from these sources with these settings by
+    this version. A task that fails is tried `lobewise.farm.dispatching.MAX_RETRIES` times again. After a stop the same
+    call goes on.
+
+    Parameters
+    ----------
+    job : FarmJob
+        What to do.
+    open_connection : context manager
+        See `lobewise.farm.connection`.
+    tell : callable
+        Called with sentences about the farm.
+    remark : callable
+        Called with remarks on frames and their keys: remarks with one key differ in figures alone.
+    progress : callable
+        Called with what is waited for ("" while frames are filtered), the frames that are done, and all frames.
+
+    Raises
+    ------
+    FileError
+        If there is no source, an output cannot be written, or another run writes this sequence.
+    InputError
+        If an output would replace a source.
+    MissingDependencyError
+        If Dask is not installed.
+    LobewiseError
+        If the scheduler does not answer, or no worker can be used.
+    """
+    frames = _find_frames(job)
+    run = _Run(job, frames, remark, progress)
+    run.ledger.open(run.token)
+    with run.ledger.lock():
+        done = run.find_done()
+        if done:
+            tell(f"Going on: {len(done)} of {len(frames)} frames are done, as {str(run.ledger.folder)!r} says.")
+        if job.by_shot and len(run.tasks) == 1:
+            tell("The sequence is one shot, and one worker filters a shot, because frames use those before them.")
+        dispatchers: list[Dispatcher] = []
+        try:
+            if len(done) < len(frames):
+                with open_connection as connection:
+                    dispatchers.append(run.make_dispatcher(connection, tell))
+                    run.do_tasks(dispatchers[0])
+        finally:
+            # By now the workers of a local farm have ended.
+            broken = [task for each in dispatchers for task in each.list_running()]
+            numbers = [number for task in broken for number in task.numbers]
+            numbers += [number for each in dispatchers for failure in each.failures for number in failure.numbers]
+            for number in numbers:
+                for path in job.work.list_outputs(number):
+                    remove_temporary(Path(os.path.realpath(path)))
+        failures = tuple(failure for each in dispatchers for failure in each.failures)
+    if not failures:
+        run.ledger.remove()
+        # The checkpoint of a single process that was stopped earlier.
+        with suppress(OSError):
+            name_checkpoint(job.output).unlink()
+    return FarmReport(frames=len(frames), written=len(run.done) - len(done), failures=failures, last=run.last)
+
+
+def name_ledger(output: FramePattern | Path) -> Path:
+    """Return the folder of records of an output: ``clean.lobewise-farm`` beside ``clean.####.exr``."""
+    return name_beside(output, LEDGER_ENDING)
+
+
+def _find_frames(job: FarmJob) -> list[Numbered]:
+    """Return the frames of a sequence with absolute paths: workers run in other folders."""
+    if not job.source.folder.is_absolute() or not job.output.folder.is_absolute():
+        raise InputError(
+            "source and output", expected="absolute paths", got="relative ones", action="pass Path.absolute()"
+        )
+    frames = job.source.find()
+    require_writable(job.output.name(frames[0][0]))
+    require_other_files((job.output.name(number) for number, _ in frames), (path for _, path in frames))
+    return frames
+
+
+class _Run:
+    """The state of a run."""
+
+    def __init__(
+        self,
+        job: FarmJob,
+        frames: list[Numbered],
+        remark: Callable[[str, str], None],
+        progress: Callable[[str, int, int], None],
+    ) -> None:
+        self._job = job
+        self._frames = frames
+        self._remark, self._progress = remark, progress
+        self._environment = describe_environment(with_oidn=job.with_oidn)
+        names = [Path(str(pattern)).name for pattern in (job.source, job.output)]
+        identity = json.dumps([job.fingerprint, *names, self._environment])
+        self.ledger = Ledger(folder=name_ledger(job.output), identity=identity)
+        self.tasks: list[Task] = (cut_shots if job.by_shot else cut_frames)(frames)
+        self._first = frames[0][0]
+        self.token = uuid.uuid4().hex
+        self.done: set[int] = set()
+        self._proofs: dict[tuple[int, ...], dict[int, str]] = {}
+        self.last = Told()
+
+    def find_done(self) -> frozenset[int]:
+        """Return the frames that are done already."""
+        for task in self.tasks:
+            self.find_missing(task)
+        return frozenset(self.done)
+
+    def find_missing(self, task: Task) -> tuple[int, ...]:
+        """Return the frames of a task that are not done on disk, and note those that are."""
+        proofs = self.ledger.prove(task.frames, self._job.work.list_sources)
+        outputs = self._job.work.list_outputs
+        missing = tuple(
+            number for number in task.numbers if not self.ledger.is_done(number, proofs[number], outputs(number))
+        )
+        self.done.difference_update(missing)
+        self.done.update(set(task.numbers) - set(missing))
+        return missing
+
+    def make_dispatcher(self, connection: Connection, tell: Callable[[str], None]) -> Dispatcher:
+        """Return a dispatcher of tasks of this run."""
+        source = self._frames[0][1]
+        check = (self.ledger.folder, self.token, source, source.stat().st_size, self._job.with_oidn)
+        return Dispatcher(
+            connection,
+            Terms(environment=self._environment, check=check),
+            make_order=self._make_order,
+            find_missing=self.find_missing,
+            listener=Listener(tell=tell, hear=self._hear, show=self._show),
+        )
+
+    def do_tasks(self, dispatcher: Dispatcher) -> None:
+        """Do all tasks that are not done."""
+        todo = [task for task in self.tasks if not self.done.issuperset(task.numbers)]
+        if self.done:
+            self._first = min(self.done)
+        elif self._job.follows_first:
+            while todo:
+                task = todo.pop(0)
+                self._first = task.numbers[0]
+                dispatcher.run([task])
+                if self._first in self.done:
+                    break
+        dispatcher.run(todo)
+
+    def _make_order(self, task: Task) -> Order:
+        return Order(work=self._job.work, task=task, ledger=self.ledger, first=self._first, memory=self._job.memory)
+
+    def _hear(self, told: Told) -> None:
+        for key, text in told.remarks:
+            self._remark(text, key)
+        if told.last:
+            self.last = told
+
+    def _show(self, waits_for: str, running: Iterable[Task]) -> None:
+        count = len(self.done) + sum(map(self._count_begun, running))
+        self._progress(waits_for, count, len(self._frames))
+
+    def _count_begun(self, task: Task) -> int:
+        """Return how many frames of a shot are done while a worker is at it."""
+        if len(task.frames) == 1:
+            return 0
+        # Sources are not looked at again for a figure on the terminal.
+        if task.numbers not in self._proofs:
+            self._proofs[task.numbers] = self.ledger.prove(task.frames, self._job.work.list_sources)
+        proofs = self._proofs[task.numbers]
+        todo = (number for number in task.numbers if number not in self.done)
+        outputs = self._job.work.list_outputs
+        return sum(1 for _ in takewhile(lambda each: self.ledger.is_done(each, proofs[each], outputs(each)), todo))

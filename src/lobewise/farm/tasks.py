@@ -1,0 +1,134 @@
+"""What the client and a worker send each other: plain data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Protocol
+
+from lobewise.farm.ledger import Ledger
+
+Numbered = tuple[int, Path]
+"""Number and source of a frame."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """Frames that one worker filters one after the other: a single frame, or a shot whose frames share a history.
+
+    Parameters
+    ----------
+    frames : tuple of (int, path)
+        Numbers and sources.
+    """
+
+    frames: tuple[Numbered, ...]
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """Numbers of the frames."""
+        return tuple(number for number, _ in self.frames)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Told:
+    """What filtering told about the frames of a task.
+
+    Parameters
+    ----------
+    remarks : tuple of (str, str)
+        Remarks by key. Remarks with one key differ in figures alone, and the user reads the first of them.
+    last, settings : str
+        The last result and its settings, in one line each.
+    """
+
+    remarks: tuple[tuple[str, str], ...] = ()
+    last: str = ""
+    settings: str = ""
+
+
+class Work(Protocol):
+    """How frames are filtered. Instances hold plain data, because they are sent to workers."""
+
+    def list_sources(self, number: int, path: Path) -> Sequence[Path]:
+        """Return every file that the result of a frame depends on."""
+
+    def list_outputs(self, number: int) -> Sequence[Path]:
+        """Return every file that is written for a frame."""
+
+    def filter_frames(
+        self, numbers: Sequence[int], *, first: int, memory: float | None, checkpoint: Path, done: Callable[[int], None]
+    ) -> Told:
+        """Filter frames into their files.
+
+        Parameters
+        ----------
+        numbers : sequence of int
+            Frames, in order.
+        first : int
+            The frame whose picture decides the exposure of every picture.
+        memory : float or None
+            GiB that this process may take; None for no limit.
+        checkpoint : Path
+            Where the memory of a filter over time is kept, so that another worker can go on.
+        done : callable
+            Called with the number of each frame after its files are written.
+        """
+
+
+@dataclass(frozen=True, kw_only=True)
+class Order:
+    """A task with everything that a worker needs to do it.
+
+    Parameters
+    ----------
+    work : Work
+        How to filter.
+    task : Task
+        What to filter.
+    ledger : Ledger
+        Where finished frames are recorded.
+    first : int
+        See `Work.filter_frames`.
+    memory : float or None
+        GiB that a worker may take; None for the limit that the worker was started with.
+    """
+
+    work: Work
+    task: Task
+    ledger: Ledger
+    first: int
+    memory: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What a worker did with an order.
+
+    Parameters
+    ----------
+    told : Told
+        See `Told`.
+    problem : str
+        Why a frame was not filtered, in one sentence; empty if every frame was.
+    trace : str
+        For a problem that is a mistake of the program: the traceback.
+    """
+
+    told: Told = Told()
+    problem: str = ""
+    trace: str = ""
+
+
+def cut_shots(frames: Iterable[Numbered]) -> list[Task]:
+    """Return a task for every run of consecutive numbers: a missing number is a cut."""
+    listed = list(frames)
+    starts = [0, *(k + 1 for k, (a, b) in enumerate(pairwise(listed)) if b[0] != a[0] + 1), len(listed)]
+    return [Task(frames=tuple(listed[start:stop])) for start, stop in pairwise(starts)]
+
+
+def cut_frames(frames: Iterable[Numbered]) -> list[Task]:
+    """Return a task for every frame."""
+    return [Task(frames=(frame,)) for frame in frames]

@@ -1,0 +1,126 @@
+"""What runs on a worker: the check that it sees the files, and the filtering of one task at a time."""
+
+from __future__ import annotations
+
+import os
+import threading
+import traceback
+import warnings
+from pathlib import Path
+from typing import Any
+
+from lobewise.errors import LobewiseError, make_printable
+from lobewise.farm.environment import describe_environment
+from lobewise.farm.ledger import TOKEN
+from lobewise.farm.tasks import Order, Outcome, Told
+
+_one_task = threading.Lock()
+"""Held while a task runs. Dask starts as many tasks as a worker has threads; here these threads share one frame."""
+MAX_TOLD_LETTERS = 300
+"""Longest description of an unexpected error, in letters."""
+GIB = float(2**30)
+
+
+def describe_worker(folder: Path, token: str, source: Path, size: int, with_oidn: bool) -> tuple[dict[str, str], str]:
+    """Return the versions of this process, and why it cannot be used, in a few words; empty if it can.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the records, beside the outputs.
+    token : str
+        What the client wrote there.
+    source : Path
+        The first source.
+    size : int
+        Its size where the client is, bytes.
+    with_oidn : bool
+        Whether the version of Open Image Denoise matters.
+    """
+    return describe_environment(with_oidn=with_oidn), _find_fault(folder, token, source, size)
+
+
+def _find_fault(folder: Path, token: str, source: Path, size: int) -> str:
+    if not source.is_file():
+        return f"it does not see the file {str(source)!r}"
+    if source.stat().st_size != size:
+        return f"it sees another file as {str(source)!r}"
+    try:
+        seen = (folder / TOKEN).read_text()
+    except OSError:
+        return f"it does not see the folder {str(folder.parent)!r}"
+    if seen != token:
+        return f"it sees another folder as {str(folder.parent)!r}"
+    if not os.access(folder.parent, os.W_OK | os.X_OK):
+        return f"it may not write to the folder {str(folder.parent)!r}"
+    return ""
+
+
+def run_order(order: Order) -> Outcome:
+    """Filter the frames of an order, unless they are done already; record each that is done."""
+    with _one_task:
+        _limit_threads()
+        return _run(order)
+
+
+def _run(order: Order) -> Outcome:
+    work, ledger, task = order.work, order.ledger, order.task
+    # Take sizes and times before reading: a source that changes meanwhile voids the record.
+    proofs = ledger.prove(task.frames, work.list_sources)
+    # After a lost connection the client may hand out what another worker was still at.
+    if all(ledger.is_done(number, proofs[number], work.list_outputs(number)) for number in task.numbers):
+        return Outcome()
+    told, problem, trace = Told(), "", ""
+    with warnings.catch_warnings(record=True) as caught:
+        try:
+            told = work.filter_frames(
+                task.numbers,
+                first=order.first,
+                memory=_find_memory(order.memory),
+                checkpoint=ledger.name_checkpoint(task.numbers[0]),
+                done=lambda number: ledger.record(number, proofs[number], work.list_outputs(number)),
+            )
+        except LobewiseError as error:
+            problem = str(error)
+        except Exception as error:
+            words = " ".join(f"{type(error).__name__}: {error}".split())[:MAX_TOLD_LETTERS]
+            problem, trace = f"something went wrong inside lobewise ({words}).", traceback.format_exc()
+    more = tuple((str(one.message), str(one.message)) for one in caught)
+    told = Told(remarks=(*told.remarks, *more), last=told.last, settings=told.settings)
+    return Outcome(told=told, problem=make_printable(problem), trace=trace)
+
+
+def _limit_threads() -> None:
+    """Let kernels, NumPy's chunks and Open Image Denoise use as many threads as the worker has.
+
+    Libraries read these variables once, before their first work. What the user sets stays.
+    """
+    threads = str(_get_worker().state.nthreads)
+    for name in ("HL_NUM_THREADS", "OIDN_NUM_THREADS"):
+        os.environ.setdefault(name, threads)
+    # Workers of one machine would all choose the first cores.
+    os.environ.setdefault("OIDN_SET_AFFINITY", "0")
+
+
+def _find_memory(wanted: float | None) -> float | None:
+    """Return the GiB that this process may take: as the user says, else the limit of the worker, else None."""
+    if wanted is not None:
+        return wanted
+    limit = _get_worker().memory_manager.memory_limit
+    return limit / GIB if limit else None
+
+
+def _get_worker() -> Any:
+    from distributed import get_worker
+
+    return get_worker()
+
+
+def dask_setup(worker: Any) -> None:
+    """Ignore Ctrl-C in a worker of a local farm: a terminal sends it to every process, and the client ends workers.
+
+    Dask calls this function in the main thread of a worker that is started with ``preload``.
+    """
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

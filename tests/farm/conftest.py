@@ -1,0 +1,58 @@
+"""Sequences to filter on farms, and the processes of a farm."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from lobewise.io import write_frame
+from tests.farm.processes import Farm, run_program
+from tests.streaming.frames import make_scene
+
+NUMBERS = (*range(1, 13), *range(21, 33))
+"""Two shots: the numbers between them are missing."""
+SHAPE = (64, 96)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _dask() -> None:
+    """Skip without Dask and say how to get it; where CI is set that is a failure."""
+    if importlib.util.find_spec("distributed") is None:
+        told = "Dask is not installed: pip install 'lobewise[farm]'"
+        if os.environ.get("CI"):
+            pytest.fail(told)
+        pytest.skip(told)
+
+
+@pytest.fixture(scope="session")
+def sources(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a noisy sequence ``in.####.exr``."""
+    folder = tmp_path_factory.mktemp("sources")
+    for number in NUMBERS:
+        write_frame(folder / f"in.{number:04d}.exr", make_scene(SHAPE, seed=number))
+    return folder
+
+
+@pytest.fixture(scope="session")
+def expected(sources: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """Return the files that one process writes for the sequence, by name."""
+    folder = tmp_path_factory.mktemp("expected")
+    done = run_program(sources, folder)
+    assert done.returncode == 0, done.stderr
+    return read_outputs(folder)
+
+
+@pytest.fixture
+def farm(tmp_path: Path) -> Iterator[Farm]:
+    """Return a scheduler and two workers, each a process of its own."""
+    with Farm(tmp_path) as found:
+        yield found
+
+
+def read_outputs(folder: Path) -> dict[str, bytes]:
+    """Return the content of every file in a folder, hidden ones included."""
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir()) if path.is_file()}

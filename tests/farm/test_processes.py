@@ -1,0 +1,120 @@
+"""A sequence on real processes: killed workers, a restarted scheduler, failing frames and Ctrl-C lose nothing."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.farm.conftest import NUMBERS, read_outputs
+from tests.farm.processes import Farm, count_outputs, run_program, start_program, wait_until
+
+pytestmark = [pytest.mark.slow, pytest.mark.processor]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Return an empty folder for outputs."""
+    made = tmp_path / "outputs"
+    made.mkdir()
+    return made
+
+
+def test_a_killed_worker_and_a_restarted_scheduler_lose_no_frame(
+    sources: Path, expected: dict[str, bytes], folder: Path, farm: Farm
+) -> None:
+    program = start_program(sources, folder, "--farm", farm.address)
+    wait_until(lambda: count_outputs(folder) >= 3)
+    farm.kill_worker()
+    wait_until(lambda: count_outputs(folder) >= 8)
+    farm.restart_scheduler()
+    seen = count_outputs(folder)
+    out, err = program.communicate(timeout=50.0)
+    assert seen < len(NUMBERS)
+    assert program.returncode == 0, err
+    assert f"{len(NUMBERS)} of {len(NUMBERS)} frames" in out
+    assert read_outputs(folder) == expected
+    assert [path.name for path in folder.iterdir() if path.is_dir()] == []
+    assert err.count(f"The scheduler {farm.address} does not answer") == 1
+    assert err.count("The scheduler is back.") == 1
+    # What every frame's filtering tells is told once.
+    assert err.count("Used: ") == 1
+    assert "Traceback" not in err
+
+
+def test_local_workers_write_what_one_process_writes(sources: Path, expected: dict[str, bytes], folder: Path) -> None:
+    done = run_program(sources, folder, "--workers", "2")
+    assert (done.returncode, read_outputs(folder)) == (0, expected)
+    assert done.stderr.count("Used: ") == 1
+
+
+def test_a_frame_that_fails_does_not_stop_the_others(
+    sources: Path, expected: dict[str, bytes], folder: Path, tmp_path: Path
+) -> None:
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    for path in sources.iterdir():
+        os.link(path, mine / path.name)
+    broken = mine / "in.0003.exr"
+    broken.unlink()
+    broken.write_bytes((sources / "in.0003.exr").read_bytes()[:5000])
+    done = run_program(mine, folder, "--workers", "2")
+    assert done.returncode == 2, done.stderr
+    assert "Frame 3: input " in done.stderr
+    assert f"lobewise: 1 of {len(NUMBERS)} frames could not be filtered (frame 3); " in done.stderr
+    assert read_outputs(folder) == {name: data for name, data in expected.items() if name != "out.0003.exr"}
+    # The same command filters only what failed.
+    others = {path: path.stat().st_mtime_ns for path in folder.glob("out.*.exr")}
+    broken.write_bytes((sources / "in.0003.exr").read_bytes())
+    done = run_program(mine, folder, "--workers", "1")
+    assert done.returncode == 0, done.stderr
+    assert f"Going on: {len(NUMBERS) - 1} of {len(NUMBERS)} frames are done" in done.stderr
+    assert f"1 of {len(NUMBERS)} frames" in done.stdout
+    assert {path: path.stat().st_mtime_ns for path in others} == others
+    assert read_outputs(folder) == expected
+
+
+def test_shots_over_time_have_the_bits_of_one_process(sources: Path, folder: Path, tmp_path: Path) -> None:
+    alone = tmp_path / "alone"
+    alone.mkdir()
+    options = ("--temporal", "--quality", "fast")
+    assert run_program(sources, alone, *options).returncode == 0
+    done = run_program(sources, folder, *options, "--workers", "2")
+    assert done.returncode == 0, done.stderr
+    assert len(read_outputs(alone)) == len(NUMBERS)
+    assert read_outputs(folder) == read_outputs(alone)
+    assert done.stderr.count("--temporal filters with the quality 'fast'") == 1
+
+
+def test_pictures_follow_the_first_frame(sources: Path, folder: Path, tmp_path: Path) -> None:
+    alone = tmp_path / "alone"
+    alone.mkdir()
+    assert run_program(sources, alone, "--png").returncode == 0
+    done = run_program(sources, folder, "--png", "--workers", "2")
+    assert done.returncode == 0, done.stderr
+    assert len(read_outputs(alone)) == 2 * len(NUMBERS)
+    assert read_outputs(folder) == read_outputs(alone)
+
+
+def test_an_interrupt_leaves_whole_files_and_the_same_command_goes_on(
+    sources: Path, expected: dict[str, bytes], folder: Path
+) -> None:
+    program = start_program(sources, folder, "--workers", "2")
+    wait_until(lambda: count_outputs(folder) >= 3)
+    os.killpg(program.pid, signal.SIGINT)
+    began = time.monotonic()
+    _, err = program.communicate(timeout=50.0)
+    assert time.monotonic() - began < 20.0
+    assert program.returncode == 130
+    assert err.endswith("lobewise: interrupted; every output is whole, or as it was.\n")
+    assert "Traceback" not in err
+    left = read_outputs(folder)
+    assert 3 <= len(left) < len(NUMBERS)
+    assert left.items() <= expected.items()
+    done = run_program(sources, folder, "--workers", "2")
+    assert done.returncode == 0, done.stderr
+    assert "Going on: " in done.stderr
+    assert read_outputs(folder) == expected
