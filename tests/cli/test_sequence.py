@@ -369,3 +369,21 @@ class TestMistakes:
             run(Odd)
         assert not list(folder.glob("*.npz"))
         assert not list(folder.glob(".*"))
+
+
+class TestSomeNumbers:
+    def test_only_these_are_filtered_and_their_first_is_a_cut(self, folder):
+        made = []
+
+        def make():
+            made.append(Running())
+            return made[-1]
+
+        done = run(make, numbers=(3, 4, 8))
+        assert (done.frames, done.written) == (3, 3)
+        assert made[0].seen == [(3.0, True), (4.0, False), (8.0, True)]
+        assert list(list_outputs(folder)) == ["out.0003.npy", "out.0004.npy", "out.0008.npy"]
+
+    def test_a_number_without_a_file(self, folder):
+        with pytest.raises(FileError, match=r"frame 5: expected the file 'in\.0005\.npy', got none; check the path"):
+            run(numbers=(4, 5, 6))

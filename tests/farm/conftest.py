@@ -18,8 +18,8 @@ NUMBERS = (*range(1, 13), *range(21, 33))
 SHAPE = (64, 96)
 
 
-@pytest.fixture(scope="session", autouse=True)
-def _dask() -> None:
+@pytest.fixture(scope="session")
+def dask() -> None:
     """Skip without Dask and say how to get it; where CI is set that is a failure."""
     if importlib.util.find_spec("distributed") is None:
         told = "Dask is not installed: pip install 'lobewise[farm]'"
@@ -29,7 +29,7 @@ def _dask() -> None:
 
 
 @pytest.fixture(scope="session")
-def sources(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def sources(dask: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of a noisy sequence ``in.####.exr``."""
     folder = tmp_path_factory.mktemp("sources")
     for number in NUMBERS:

@@ -12,7 +12,7 @@ import pytest
 from tests.farm.conftest import NUMBERS, read_outputs
 from tests.farm.processes import Farm, count_outputs, run_program, start_program, wait_until
 
-pytestmark = [pytest.mark.slow, pytest.mark.processor]
+pytestmark = [pytest.mark.slow, pytest.mark.processor, pytest.mark.usefixtures("dask")]
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from lobewise.cli.main import run
 from lobewise.errors import FileError
 from lobewise.io import replacing
 from lobewise.io.files import open_atomic, require_writable, write_text
-from lobewise.io.replacing import TargetWarning, name_temporary
+from lobewise.io.replacing import TargetWarning, name_temporary, remove_temporary
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="modes, owners and links of POSIX")
 
@@ -102,6 +102,18 @@ class TestTemporary:
         write_text(target, "new")
         assert target.read_text() == "new"
         assert list_names(tmp_path) == ["a.txt"]
+
+    def test_what_a_killed_process_left_can_be_removed_but_not_what_is_being_written(self, tmp_path: Path) -> None:
+        target = tmp_path / "a.txt"
+        name_temporary(target).write_text("half")
+        remove_temporary(target)
+        assert list_names(tmp_path) == []
+        # Without a temporary file nothing happens.
+        remove_temporary(target)
+        with open_atomic(target) as stream:
+            stream.write(b"new")
+            remove_temporary(target)
+        assert target.read_text() == "new"
 
     def test_two_writers(self, tmp_path: Path) -> None:
         target = tmp_path / "a.txt"

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from lobewise.cli.options.farming import Farm
 from lobewise.cli.output import describe_result, describe_settings, print_line, print_note
-from lobewise.cli.running import Job, Request, run_filter
+from lobewise.cli.running import FileFilter, Job, Request, run_filter
 from lobewise.cli.terminal.outcome import Remarks, hide_numbers, tell_picture
 from lobewise.cli.terminal.steps import Steps
 from lobewise.errors import LobewiseError
@@ -26,7 +28,7 @@ MAX_FAILURES_NAMED = 20
 
 @dataclass(frozen=True, kw_only=True)
 class FrameWork:
-    """What a worker does with a frame: what the verb does with it in a single process."""
+    """What a worker does with a frame: what the verb does with it in a single process. It is plain data."""
 
     request: Request[Any, Any]
     source: Path
@@ -50,18 +52,8 @@ class FrameWork:
     ) -> Told:
         """Filter frames into their files; see `lobewise.farm.tasks.Work`."""
         target = FramePattern.parse(self.output)
-        remarks = Remarks(silent=True)
-        job = Job(
-            source=self.source,
-            output=self.output,
-            pictures=Pictures(stops=self.stops, first=target.name(first)) if self.has_pictures else None,
-            steps=Steps(quiet=True),
-            verbose=False,
-            remarks=remarks,
-            memory=memory,
-            tell_pixels=lambda text: remarks.tell(text, hide_numbers(text)),
-        )
-        verb = self.request.make_verb(job)
+        verb, remarks = _find_verb(pickle.dumps((self, first, memory)))
+        before = set(remarks.told)
         by_name = {target.name(number): number for number in numbers}
 
         def write(path: Path, result: Any, found: Any, _: Path) -> None:
@@ -81,10 +73,34 @@ class FrameWork:
         )
         last = report.last
         return Told(
-            remarks=tuple(remarks.told.items()),
+            remarks=tuple(remark for remark in remarks.told.items() if remark[0] not in before),
             last="" if last is None else describe_result(last),
             settings="" if last is None else describe_settings(last),
         )
+
+    def make_verb(self, first: int, memory: float | None) -> tuple[FileFilter[Any, Any], Remarks]:
+        """Return what filters frames, and the remarks that it collects; see `filter_frames`."""
+        remarks = Remarks(silent=True)
+        pictures = Pictures(stops=self.stops, first=FramePattern.parse(self.output).name(first))
+        job = Job(
+            source=self.source,
+            output=self.output,
+            pictures=pictures if self.has_pictures else None,
+            steps=Steps(quiet=True),
+            verbose=False,
+            remarks=remarks,
+            memory=memory,
+            tell_pixels=lambda text: remarks.tell(text, hide_numbers(text)),
+        )
+        return self.request.make_verb(job), remarks
+
+
+@lru_cache(maxsize=1)
+def _find_verb(pickled: bytes) -> tuple[FileFilter[Any, Any], Remarks]:
+    """Return what filters the frames of a run. A worker keeps it for the next frame: making it may load a scene."""
+    work, first, memory = pickle.loads(pickled)
+    made: tuple[FileFilter[Any, Any], Remarks] = work.make_verb(first, memory)
+    return made
 
 
 def run_request(job: Job, request: Request[Any, Any], fingerprint: Any, farm: Farm) -> None:
@@ -146,16 +162,25 @@ def _run_on_farm(job: Job, request: Request[Any, Any], fingerprint: str, farm: F
 
 
 def _tell_failures(report: FarmReport) -> None:
-    """Print why frames could not be filtered, and raise LobewiseError if there are any."""
+    """Print why frames could not be filtered, and raise an error if there are any.
+
+    Raises
+    ------
+    LobewiseError
+        If files or settings are to blame.
+    RuntimeError
+        If a mistake of the program is to blame. Its cause shows the traceback of the worker.
+    """
     if not report.failures:
         return
     for failure in sorted(report.failures, key=lambda each: each.numbers)[:MAX_FAILURES_NAMED]:
         print_note(f"{name_frames(failure.numbers)}: {failure.problem}")
     numbers = sorted(number for failure in report.failures for number in failure.numbers)
-    raise LobewiseError(
-        f"{len(numbers)} of {report.frames} frames could not be filtered ({name_frames(numbers).lower()}); mend what "
-        "is said above and give the same command again, which filters only these."
-    )
+    told = f"{len(numbers)} of {report.frames} frames could not be filtered ({name_frames(numbers).lower()})"
+    traces = [failure.trace for failure in report.failures if failure.trace]
+    if traces:
+        raise RuntimeError(told) from RuntimeError(f"on a worker:\n{traces[0]}")
+    raise LobewiseError(f"{told}; mend what is said above and give the same command again, which filters only these.")
 
 
 def name_frames(numbers: Sequence[int]) -> str:

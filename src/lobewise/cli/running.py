@@ -116,6 +116,7 @@ def run_filter(job: Job, request: Request[FileT, ResultT], fingerprint: Any) -> 
     ``fingerprint`` holds every option that the results depend on: see `lobewise.sequence.filter_sequence`.
     """
     from lobewise.cli.output import describe_result, print_line
+    from lobewise.farm.ledger import remove_records
     from lobewise.io.files import require_exr_name
     from lobewise.io.sequence import is_pattern
 
@@ -125,6 +126,8 @@ def run_filter(job: Job, request: Request[FileT, ResultT], fingerprint: Any) -> 
     if is_pattern(job.source):
         report = _filter_sequence(job, verb, repr(fingerprint))
         last = report.last
+        # Every frame was made: what a stopped farm has recorded is of no use any more.
+        remove_records(job.output)
         told = f"{report.written} of {report.frames} frames"
         told += "" if last is None else f"; the last: {describe_result(last)}"
     else:

@@ -65,7 +65,7 @@ class Call:
     @property
     def has_ended(self) -> bool:
         """Whether the function has returned or failed, or the call was lost."""
-        return bool(self._future.done())
+        return bool(self._future.status != "pending")
 
     def fetch(self) -> Any:
         """Return what the function returned; raise `CallLostError` or `CallFailedError`."""
@@ -94,6 +94,8 @@ class Connection:
     ----------
     address : str
         Such as ``tcp://host:8786``.
+    security : object, optional
+        Dask's certificates; by default those of its settings.
 
     Raises
     ------
@@ -103,8 +105,9 @@ class Connection:
         If the scheduler does not answer within `CONNECT_SECONDS`.
     """
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, security: Any = None) -> None:
         self.address = address
+        self._security = security
         self._finished: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._client = self._open(CONNECT_SECONDS)
 
@@ -112,7 +115,7 @@ class Connection:
         from distributed import Client
 
         try:
-            return Client(self.address, timeout=seconds, set_as_default=False, name="lobewise")
+            return Client(self.address, security=self._security, timeout=seconds, set_as_default=False, name="lobewise")
         except ValueError as problem:
             raise InputError(
                 "--farm",
@@ -207,6 +210,9 @@ def connect(address: str) -> Iterator[Connection]:
 def start_local(workers: int, *, memory_bytes: int) -> Iterator[Connection]:
     """Start a scheduler and workers on this machine; they end with the ``with`` block.
 
+    They talk by TLS. Its certificates are made for this run and never written to disk, so that no other user of the
+    machine can send them programs.
+
     Parameters
     ----------
     workers : int
@@ -222,7 +228,9 @@ def start_local(workers: int, *, memory_bytes: int) -> Iterator[Connection]:
     require_distributed()
     import dask
     from distributed import LocalCluster
+    from distributed.security import Security
 
+    security = Security.temporary()
     threads = max(count_cores() // workers, 1)
     with _silence(), dask.config.set(LOCAL_SETTINGS):
         cluster = LocalCluster(
@@ -231,11 +239,13 @@ def start_local(workers: int, *, memory_bytes: int) -> Iterator[Connection]:
             processes=True,
             memory_limit=memory_bytes,
             dashboard_address=None,
+            protocol="tls://",
+            security=security,
             silence_logs=logging.CRITICAL,
             preload=[PRELOAD],
         )
         try:
-            found = Connection(cluster.scheduler_address)
+            found = Connection(cluster.scheduler_address, security)
             try:
                 yield found
             finally:
@@ -248,7 +258,8 @@ def start_local(workers: int, *, memory_bytes: int) -> Iterator[Connection]:
 def require_distributed() -> None:
     """Raise MissingDependencyError if Dask is not installed."""
     try:
-        import distributed  # noqa: F401 - tells whether it can be imported
+        import cryptography  # noqa: F401 - makes the certificates of a farm on this machine
+        import distributed  # noqa: F401 - both tell whether they can be imported
     except ImportError as problem:
         raise MissingDependencyError(
             f"A farm needs Dask, which cannot be imported ({problem}); pip install 'lobewise[farm]'."

@@ -139,7 +139,7 @@ class Dispatcher:
         self._unseen: list[tuple[float, Task, str]] = []
         self._tries: dict[Task, int] = {}
         self._looked = -POLL_SECONDS
-        self._has_waited = False
+        self._has_waited = self._had_good_worker = False
         self._waits_for = ""
         self.failures: list[Failure] = []
 
@@ -186,13 +186,14 @@ class Dispatcher:
     def _require_workers(self) -> None:
         """Raise LobewiseError if no worker can be used; note and tell if there is none yet."""
         faults = {worker.address: worker.fault for worker in self._workers.values() if worker.fault}
-        if faults and len(faults) == len(self._workers):
+        # A farm that had a good worker may get it back.
+        if faults and len(faults) == len(self._workers) and not self._had_good_worker:
             told = "; ".join(f"{address}: {fault}" for address, fault in sorted(faults.items())[:3])
             raise LobewiseError(
                 "farm", expected="a worker that can be used", got=f"none ({told})", action="see docs/farm.md"
             )
-        self._waits_for = "" if self._workers else "Waiting for workers"
-        if self._waits_for and not self._has_waited:
+        self._waits_for = "" if any(not worker.fault for worker in self._workers.values()) else "Waiting for workers"
+        if not self._workers and not self._has_waited:
             self._has_waited = True
             self._listener.tell(f"No worker is connected to {self._connection.address}; waiting for one.")
 
@@ -233,7 +234,7 @@ class Dispatcher:
 
     def _collect(self) -> None:
         for key in self._connection.wait_for_finished(POLL_SECONDS):
-            for worker in self._workers.values():
+            for worker in list(self._workers.values()):
                 if key in worker.calls:
                     self._take_outcome(worker, *worker.calls.pop(key))
                 elif any(call.key == key for call in worker.questions.values()):
@@ -256,6 +257,7 @@ class Dispatcher:
         worker.questions = {}
         worker.fault = self._judge(answers)
         worker.is_ready = not worker.fault
+        self._had_good_worker |= worker.is_ready
         if worker.fault:
             self._listener.tell(f"The worker {worker.address} is not used: {worker.fault}.")
 

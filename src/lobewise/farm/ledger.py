@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -18,6 +19,8 @@ from typing import Any
 from lobewise.errors import FileError, LobewiseError
 from lobewise.io.documents import parse_json, read_document
 from lobewise.io.files import make_folder, refusing, write_text
+from lobewise.io.sequence import FramePattern
+from lobewise.sequence import name_beside
 
 try:
     import fcntl
@@ -48,17 +51,20 @@ class Ledger:
     folder: Path
     identity: str
 
-    def open(self, token: str) -> None:
-        """Make the folder and put a token in it, by which workers prove that they see this folder.
+    def put_token(self, token: str) -> None:
+        """Put a token into the folder, by which workers prove that they see this folder.
 
         Raises FileError if the folder cannot be written to.
         """
-        make_folder(self.folder, what="records of frames")
         write_text(self.folder / TOKEN, token, what="records of frames")
 
     @contextmanager
     def lock(self) -> Iterator[None]:
-        """Keep other clients from the folder during the ``with`` block; raise FileError if one has it."""
+        """Make the folder, and keep other clients from it during the ``with`` block.
+
+        Raises FileError if another client has it, or it cannot be written to.
+        """
+        make_folder(self.folder, what="records of frames")
         path = self.folder / LOCK
         with refusing(f"records {str(self.folder)!r}", "a folder that can be written to", "check its permissions"):
             stream = path.open("w")
@@ -101,6 +107,10 @@ class Ledger:
         files = [_measure(path) for path in outputs]
         write_text(self._name(number), json.dumps({"proof": proof, "files": files}), what="record of a frame")
 
+    def list_recorded(self) -> set[int]:
+        """Return the frames that have a record, of whichever sources and settings."""
+        return {int(path.stem) for path in self.folder.glob("*.json") if path.stem.isdecimal()}
+
     def is_done(self, number: int, proof: str, outputs: Iterable[Path]) -> bool:
         """Return whether a frame is recorded with this proof and its files are as they were."""
         path = self._name(number)
@@ -128,8 +138,21 @@ class Ledger:
         return self.folder / f"{number}.json"
 
 
-def remove_records(folder: Path) -> None:
-    """Remove the records in a folder, where there are any."""
+def refresh_folders(*folders: Path) -> None:
+    """Open folders, so that a network drive asks its server what they hold now."""
+    for folder in folders:
+        with suppress(OSError), os.scandir(folder) as entries:
+            next(entries, None)
+
+
+def name_ledger(output: FramePattern | Path) -> Path:
+    """Return the folder of records of an output: ``clean.lobewise-farm`` beside ``clean.####.exr``."""
+    return name_beside(output, LEDGER_ENDING)
+
+
+def remove_records(output: FramePattern | Path) -> None:
+    """Remove the records of an output, where there are any."""
+    folder = name_ledger(output)
     if folder.is_dir() and not folder.is_symlink():
         _remove_known(folder)
 

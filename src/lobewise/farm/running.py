@@ -15,12 +15,12 @@ from lobewise.errors import InputError
 from lobewise.farm.connection import Connection
 from lobewise.farm.dispatching import Dispatcher, Failure, Listener, Terms
 from lobewise.farm.environment import describe_environment
-from lobewise.farm.ledger import LEDGER_ENDING, Ledger
+from lobewise.farm.ledger import Ledger, name_ledger, refresh_folders
 from lobewise.farm.tasks import Numbered, Order, Task, Told, Work, cut_frames, cut_shots
 from lobewise.io.files import require_other_files, require_writable
 from lobewise.io.replacing import remove_temporary
 from lobewise.io.sequence import FramePattern
-from lobewise.sequence import name_beside, name_checkpoint
+from lobewise.sequence import name_checkpoint
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,39 +117,26 @@ def filter_on_farm(
     """
     frames = _find_frames(job)
     run = _Run(job, frames, remark, progress)
-    run.ledger.open(run.token)
     with run.ledger.lock():
+        run.ledger.put_token(run.token)
         done = run.find_done()
         if done:
             tell(f"Going on: {len(done)} of {len(frames)} frames are done, as {str(run.ledger.folder)!r} says.")
         if job.by_shot and len(run.tasks) == 1:
             tell("The sequence is one shot, and one worker filters a shot, because frames use those before them.")
-        dispatchers: list[Dispatcher] = []
         try:
             if len(done) < len(frames):
                 with open_connection as connection:
-                    dispatchers.append(run.make_dispatcher(connection, tell))
-                    run.do_tasks(dispatchers[0])
+                    run.do_tasks(connection, tell)
         finally:
             # By now the workers of a local farm have ended.
-            broken = [task for each in dispatchers for task in each.list_running()]
-            numbers = [number for task in broken for number in task.numbers]
-            numbers += [number for each in dispatchers for failure in each.failures for number in failure.numbers]
-            for number in numbers:
-                for path in job.work.list_outputs(number):
-                    remove_temporary(Path(os.path.realpath(path)))
-        failures = tuple(failure for each in dispatchers for failure in each.failures)
-    if not failures:
-        run.ledger.remove()
+            run.clean_up()
+    if not run.failures:
         # The checkpoint of a single process that was stopped earlier.
         with suppress(OSError):
             name_checkpoint(job.output).unlink()
-    return FarmReport(frames=len(frames), written=len(run.done) - len(done), failures=failures, last=run.last)
-
-
-def name_ledger(output: FramePattern | Path) -> Path:
-    """Return the folder of records of an output: ``clean.lobewise-farm`` beside ``clean.####.exr``."""
-    return name_beside(output, LEDGER_ENDING)
+    written = len(run.done) - len(done)
+    return FarmReport(frames=len(frames), written=written, failures=run.failures, last=run.last)
 
 
 def _find_frames(job: FarmJob) -> list[Numbered]:
@@ -185,17 +172,21 @@ class _Run:
         self._first = frames[0][0]
         self.token = uuid.uuid4().hex
         self.done: set[int] = set()
+        self._dispatcher: Dispatcher | None = None
         self._proofs: dict[tuple[int, ...], dict[int, str]] = {}
         self.last = Told()
 
     def find_done(self) -> frozenset[int]:
         """Return the frames that are done already."""
+        recorded = self.ledger.list_recorded()
         for task in self.tasks:
-            self.find_missing(task)
+            if recorded.issuperset(task.numbers[:1]):
+                self.find_missing(task)
         return frozenset(self.done)
 
     def find_missing(self, task: Task) -> tuple[int, ...]:
         """Return the frames of a task that are not done on disk, and note those that are."""
+        refresh_folders(self.ledger.folder, self._job.output.folder)
         proofs = self.ledger.prove(task.frames, self._job.work.list_sources)
         outputs = self._job.work.list_outputs
         missing = tuple(
@@ -205,20 +196,17 @@ class _Run:
         self.done.update(set(task.numbers) - set(missing))
         return missing
 
-    def make_dispatcher(self, connection: Connection, tell: Callable[[str], None]) -> Dispatcher:
-        """Return a dispatcher of tasks of this run."""
+    def do_tasks(self, connection: Connection, tell: Callable[[str], None]) -> None:
+        """Do all tasks that are not done."""
         source = self._frames[0][1]
         check = (self.ledger.folder, self.token, source, source.stat().st_size, self._job.with_oidn)
-        return Dispatcher(
+        self._dispatcher = dispatcher = Dispatcher(
             connection,
             Terms(environment=self._environment, check=check),
             make_order=self._make_order,
             find_missing=self.find_missing,
             listener=Listener(tell=tell, hear=self._hear, show=self._show),
         )
-
-    def do_tasks(self, dispatcher: Dispatcher) -> None:
-        """Do all tasks that are not done."""
         todo = [task for task in self.tasks if not self.done.issuperset(task.numbers)]
         if self.done:
             self._first = min(self.done)
@@ -230,6 +218,21 @@ class _Run:
                 if self._first in self.done:
                     break
         dispatcher.run(todo)
+
+    @property
+    def failures(self) -> tuple[Failure, ...]:
+        """What could not be done."""
+        return () if self._dispatcher is None else tuple(self._dispatcher.failures)
+
+    def clean_up(self) -> None:
+        """Remove what killed workers have half written, and the records where they are of no use any more."""
+        running = [] if self._dispatcher is None else self._dispatcher.list_running()
+        numbers = [number for task in running for number in task.numbers]
+        for number in (*numbers, *(number for failure in self.failures for number in failure.numbers)):
+            for path in self._job.work.list_outputs(number):
+                remove_temporary(Path(os.path.realpath(path)))
+        if len(self.done) == len(self._frames) or not self.ledger.list_recorded():
+            self.ledger.remove()
 
     def _make_order(self, task: Task) -> Order:
         return Order(work=self._job.work, task=task, ledger=self.ledger, first=self._first, memory=self._job.memory)

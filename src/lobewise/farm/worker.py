@@ -11,7 +11,7 @@ from typing import Any
 
 from lobewise.errors import LobewiseError, make_printable
 from lobewise.farm.environment import describe_environment
-from lobewise.farm.ledger import TOKEN
+from lobewise.farm.ledger import TOKEN, refresh_folders
 from lobewise.farm.tasks import Order, Outcome, Told
 
 _one_task = threading.Lock()
@@ -41,6 +41,8 @@ def describe_worker(folder: Path, token: str, source: Path, size: int, with_oidn
 
 
 def _find_fault(folder: Path, token: str, source: Path, size: int) -> str:
+    # Network drives remember what a folder held; opening the folder makes them look again.
+    refresh_folders(source.parent, folder.parent, folder)
     if not source.is_file():
         return f"it does not see the file {str(source)!r}"
     if source.stat().st_size != size:

@@ -76,13 +76,13 @@ def find_limits(memory: float | None) -> Limits:
     return Limits(min(left, MAX_WHOLE_GIB), min(left, DEFAULT_MEMORY))
 
 
-def needs_bands(reader: BandReader, settings: DenoiseSettings, max_whole: float = MAX_WHOLE_GIB) -> bool:
+def needs_bands(reader: BandReader, settings: DenoiseSettings, max_whole: float | None = None) -> bool:
     """Return whether a file is so large that it is denoised in bands; the quality of ``settings`` is chosen.
 
-    ``max_whole`` is the largest memory of a whole frame, GiB.
+    ``max_whole`` is the largest memory of a whole frame, GiB; by default `MAX_WHOLE_GIB`.
     """
     height, width = reader.shape
-    return height * width * estimate_bytes(reader, settings) > max_whole * GIB
+    return height * width * estimate_bytes(reader, settings) > (max_whole or MAX_WHOLE_GIB) * GIB
 
 
 def choose_rows(reader: BandReader, settings: ResolvedSettings, memory: float) -> int:

@@ -1,0 +1,331 @@
+"""Handing out tasks: with workers that are lost, refused, slow to show their files, or wrong; without Dask."""
+
+from __future__ import annotations
+
+import platform
+import pydoc
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from itertools import count
+from pathlib import Path
+from typing import Any, cast
+
+import pytest
+
+from lobewise.errors import LobewiseError
+from lobewise.farm import dispatching
+from lobewise.farm.connection import CallFailedError, CallLostError, Connection, ConnectionLostError
+from lobewise.farm.dispatching import Dispatcher, Failure, Listener, Terms
+from lobewise.farm.tasks import Order, Outcome, Task, Told, cut_frames, cut_shots
+from lobewise.farm.worker import describe_worker
+
+ENVIRONMENT = {"lobewise": "1.0", "Python": ".".join(platform.python_version_tuple()[:2]), "NumPy": "2.0"}
+
+
+@dataclass(eq=False)
+class FakeCall:
+    """A call whose answer is known when it is made."""
+
+    worker: str
+    key: str
+    answer: Callable[[], Any]
+    has_ended: bool = True
+    is_dropped: bool = False
+
+    def fetch(self) -> Any:
+        return self.answer()
+
+    def drop(self) -> None:
+        self.is_dropped = True
+
+
+@dataclass
+class FakeFarm:
+    """A scheduler in one process. Calls end when the client waits for them, one at a time on each worker."""
+
+    workers: dict[str, dict[str, str]]
+    """Versions of each worker by its address."""
+    faults: dict[str, str] = field(default_factory=dict)
+    done: set[int] = field(default_factory=set)
+    problems: dict[int, list[str]] = field(default_factory=dict)
+    """What goes wrong with a frame, one entry for each try."""
+    waiting: list[tuple[FakeCall, Callable[[], None]]] = field(default_factory=list)
+    ran: list[tuple[str, tuple[int, ...]]] = field(default_factory=list)
+    on_task: Callable[[str, Task], bool] = lambda worker, task: True
+    """Called before a task runs; returns whether it runs."""
+    is_gone: bool = False
+    address: str = "tcp://fake:8786"
+    reopened: int = 0
+    keys: Iterator[int] = field(default_factory=count)
+
+    def list_workers(self) -> dict[str, int]:
+        if self.is_gone:
+            raise ConnectionLostError
+        return dict.fromkeys(self.workers, 1)
+
+    def call(self, worker: str, function: Any, *arguments: Any) -> FakeCall:
+        key = str(next(self.keys))
+        if function is platform.python_version:
+            answer: Any = lambda: self.workers[worker]["Python"] + ".7"  # noqa: E731 - reads the version when asked
+        elif function is pydoc.locate:
+            answer = lambda: self.workers[worker]["lobewise"]  # noqa: E731
+        elif function is describe_worker:
+            answer = lambda: (self.workers[worker], self.faults.get(worker, ""))  # noqa: E731
+        else:
+            return self._take_order(worker, key, arguments[0])
+        call = FakeCall(worker, key, answer)
+        self.waiting.append((call, lambda: None))
+        return call
+
+    def _take_order(self, worker: str, key: str, order: Order) -> FakeCall:
+        found: list[Any] = []
+
+        def answer() -> Any:
+            if isinstance(found[0], Exception):
+                raise found[0]
+            return found[0]
+
+        call = FakeCall(worker, key, answer)
+
+        def run() -> None:
+            if not self.on_task(worker, order.task):
+                found.append(CallLostError())
+                return
+            self.ran.append((worker, order.task.numbers))
+            left = self.problems.get(order.task.numbers[0], [])
+            told = Told(remarks=(("key", f"about {order.task.numbers[0]}"),))
+            problem = left.pop(0) if left else ""
+            if problem == "raise":
+                found.append(CallFailedError("TypeError: odd"))
+                return
+            if not problem:
+                self.done.update(order.task.numbers)
+            found.append(Outcome(told=told, problem=problem))
+
+        self.waiting.append((call, run))
+        return call
+
+    def wait_for_finished(self, seconds: float) -> list[str]:
+        if not self.waiting:
+            return []
+        call, run = self.waiting.pop(0)
+        if call.is_dropped or call.worker not in self.workers:
+            return []
+        run()
+        # Dask says nothing of a call whose worker is gone.
+        return [call.key] if call.worker in self.workers else []
+
+    def reopen(self, seconds: float, tell: Callable[[], None]) -> None:
+        tell()
+        self.is_gone = False
+        self.waiting = []
+        self.reopened += 1
+
+
+@pytest.fixture(autouse=True)
+def _no_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Look at the workers in every round, and wait for nothing."""
+    monkeypatch.setattr(dispatching, "POLL_SECONDS", 0.0)
+    monkeypatch.setattr(dispatching, "RETRY_SECONDS", 0.0)
+
+
+def make_farm(**options: Any) -> FakeFarm:
+    return FakeFarm({"a": dict(ENVIRONMENT), "b": dict(ENVIRONMENT)}, **options)
+
+
+def run(farm: FakeFarm, tasks: list[Task], **options: Any) -> tuple[list[Failure], list[str]]:
+    """Do tasks; return the failures and what was told."""
+    told: list[str] = []
+    dispatcher = Dispatcher(
+        cast(Connection, farm),
+        Terms(environment=ENVIRONMENT, check=()),
+        make_order=lambda task: cast(Order, _Order(task)),
+        find_missing=lambda task: tuple(number for number in task.numbers if number not in farm.done),
+        listener=Listener(tell=told.append, hear=lambda _: None, show=lambda *_: None),
+    )
+    dispatcher.run(tasks)
+    assert dispatcher.list_running() == []
+    return dispatcher.failures, told
+
+
+@dataclass
+class _Order:
+    task: Task
+
+
+def make_tasks(*numbers: int) -> list[Task]:
+    return cut_frames([(number, Path(f"in.{number}")) for number in numbers])
+
+
+def test_every_frame_is_filtered_once_by_both_workers() -> None:
+    farm = make_farm()
+    assert run(farm, make_tasks(*range(20))) == ([], [])
+    assert sorted(numbers for _, numbers in farm.ran) == [(number,) for number in range(20)]
+    assert {worker for worker, _ in farm.ran} == {"a", "b"}
+
+
+def test_a_worker_has_one_frame_waiting_but_not_at_the_end() -> None:
+    farm = make_farm()
+    most: list[int] = []
+
+    def look(worker: str, task: Task) -> bool:
+        most.append(1 + sum(call.worker == worker for call, _ in farm.waiting))
+        return True
+
+    farm.on_task = look
+    run(farm, make_tasks(*range(8)))
+    assert max(most) == dispatching.MAX_TASKS_OF_WORKER
+    assert most[-2:] == [1, 1]
+
+
+def test_a_frame_that_fails_is_tried_twice_more_and_then_told() -> None:
+    farm = make_farm(problems={3: ["once", "twice", "for good"], 4: ["once", "twice"], 5: ["raise"]})
+    failures, _ = run(farm, make_tasks(*range(8)))
+    assert [(failure.numbers, failure.problem) for failure in failures] == [((3,), "for good")]
+    tries = [numbers[0] for _, numbers in farm.ran]
+    assert [tries.count(number) for number in range(8)] == [1, 1, 1, 3, 3, 2, 1, 1]
+    assert farm.done == {0, 1, 2, 4, 5, 6, 7}
+
+
+def test_a_shot_that_fails_names_the_frames_that_are_not_done() -> None:
+    farm = make_farm(problems={1: ["no"] * 3}, done={1, 2})
+    task = cut_shots((number, Path(str(number))) for number in (1, 2, 3, 4))
+    failures, _ = run(farm, task)
+    assert failures[0].numbers == (3, 4)
+
+
+def test_a_lost_worker_loses_no_frame_and_a_frame_that_loses_workers_fails() -> None:
+    farm = make_farm()
+    names = iter("cdefgh")
+
+    def lose(worker: str, task: Task) -> bool:
+        if task.numbers == (2,):
+            del farm.workers[worker]
+            farm.workers[next(names)] = dict(ENVIRONMENT)
+            return False
+        return True
+
+    farm.on_task = lose
+    failures, _ = run(farm, make_tasks(*range(6)))
+    assert [failure.numbers for failure in failures] == [(2,)]
+    assert "its worker was lost" in failures[0].problem
+    assert farm.done == {0, 1, 3, 4, 5}
+    # The frames that waited on lost workers have lost no try.
+    assert next(names) == "f"
+
+
+@pytest.mark.parametrize(
+    ("name", "version", "told"),
+    [
+        ("lobewise", "0.9", "it has lobewise 0.9 instead of 1.0"),
+        ("lobewise", None, "it has lobewise none instead of 1.0"),
+        ("Python", "2.7", f"it has Python 2.7 instead of {ENVIRONMENT['Python']}"),
+        ("NumPy", "1.26", "it has NumPy 1.26 instead of 2.0"),
+    ],
+)
+def test_a_worker_of_another_version_is_not_used(name: str, version: str, told: str) -> None:
+    farm = make_farm()
+    farm.workers["b"][name] = version
+    assert run(farm, make_tasks(*range(6))) == ([], [f"The worker b is not used: {told}."])
+    assert {worker for worker, _ in farm.ran} == {"a"}
+
+
+def test_without_any_good_worker_the_run_ends_with_the_reasons() -> None:
+    farm = make_farm(faults={"a": "it does not see the folder '/x'", "b": "it sees another folder as '/x'"})
+    with pytest.raises(LobewiseError) as problem:
+        run(farm, make_tasks(1))
+    assert str(problem.value) == (
+        "farm: expected a worker that can be used, got none (a: it does not see the folder '/x'; b: it sees another "
+        "folder as '/x'); see docs/farm.md."
+    )
+
+
+def test_a_good_worker_that_went_is_waited_for() -> None:
+    farm = make_farm(faults={"b": "no"})
+    rounds = 0
+
+    def show(*_: Any) -> None:
+        nonlocal rounds
+        rounds += 1
+        if rounds == 10:
+            del farm.workers["a"]
+        if rounds == 16:
+            farm.workers["c"] = dict(ENVIRONMENT)
+
+    dispatcher = Dispatcher(
+        cast(Connection, farm),
+        Terms(environment=ENVIRONMENT, check=()),
+        make_order=lambda task: cast(Order, _Order(task)),
+        find_missing=lambda task: tuple(number for number in task.numbers if number not in farm.done),
+        listener=Listener(tell=lambda _: None, hear=lambda _: None, show=show),
+    )
+    dispatcher.run(make_tasks(*range(20)))
+    assert farm.done == set(range(20))
+    assert {worker for worker, _ in farm.ran} == {"a", "c"}
+
+
+def test_without_workers_the_run_says_so_once_and_waits() -> None:
+    farm = FakeFarm({})
+    shown: list[str] = []
+    told: list[str] = []
+
+    def show(waits_for: str, _: list[Task]) -> None:
+        shown.append(waits_for)
+        if len(shown) == 3:
+            farm.workers["late"] = dict(ENVIRONMENT)
+
+    Dispatcher(
+        cast(Connection, farm),
+        Terms(environment=ENVIRONMENT, check=()),
+        make_order=lambda task: cast(Order, _Order(task)),
+        find_missing=lambda task: tuple(number for number in task.numbers if number not in farm.done),
+        listener=Listener(tell=told.append, hear=lambda _: None, show=show),
+    ).run(make_tasks(1))
+    assert told == ["No worker is connected to tcp://fake:8786; waiting for one."]
+    assert shown[:3] == ["Waiting for workers"] * 3
+    assert shown[-1] == ""
+
+
+def test_after_a_lost_scheduler_only_missing_frames_are_handed_out() -> None:
+    farm = make_farm()
+
+    def break_off(worker: str, task: Task) -> bool:
+        if task.numbers == (3,) and not farm.reopened:
+            farm.is_gone = True
+            # Frame 5 is finished by its worker while the client hears nothing.
+            farm.done.add(5)
+            return False
+        return True
+
+    farm.on_task = break_off
+    failures, told = run(farm, make_tasks(*range(8)))
+    assert failures == []
+    assert farm.done == set(range(8))
+    assert sorted(numbers[0] for _, numbers in farm.ran) == [0, 1, 2, 3, 4, 6, 7]
+    assert told == [
+        "The scheduler tcp://fake:8786 does not answer; waiting for it to come back.",
+        "The scheduler is back.",
+    ]
+
+
+def test_a_file_that_is_never_seen_here_counts_as_failed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dispatching, "MAX_SECONDS_UNSEEN", 0.0)
+    farm = make_farm()
+    hidden = farm.done = _Forgetful()
+    failures, _ = run(farm, make_tasks(1, 2))
+    assert hidden == {1}
+    assert [failure.numbers for failure in failures] == [(2,)]
+    assert "its file is not seen here" in failures[0].problem
+
+
+class _Forgetful(set[int]):
+    """A folder on which file 2 never appears."""
+
+    def update(self, *others: Any) -> None:
+        super().update(set().union(*others) - {2})
+
+
+def test_shots_end_where_numbers_are_missing() -> None:
+    frames = [(number, Path(str(number))) for number in (1, 2, 3, 7, 9, 10)]
+    assert [task.numbers for task in cut_shots(frames)] == [(1, 2, 3), (7,), (9, 10)]
+    assert [task.numbers for task in cut_frames(frames)] == [(1,), (2,), (3,), (7,), (9,), (10,)]

@@ -1,0 +1,100 @@
+"""Options of farms: what they mean, and one sentence for each mistake."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lobewise.cli.farming import name_frames
+from lobewise.cli.main import run
+from lobewise.cli.options.farming import GIB, parse_memory
+from lobewise.errors import InputError
+from lobewise.farm import connection
+from lobewise.io import write_frame
+from lobewise.streaming import DEFAULT_MEMORY, find_limits
+from lobewise.streaming.plan import MAX_WHOLE_GIB
+from tests.streaming.frames import make_scene
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a folder with a frame, a sequence of one, and make it the current one."""
+    monkeypatch.chdir(tmp_path)
+    write_frame("in.1.exr", make_scene((16, 16)))
+    return tmp_path
+
+
+def fail(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    """Run the program, which refuses; return its sentence."""
+    assert run(["denoise", *words]) == 2
+    return capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["in.#.exr", "--workers", "0"], "--workers: expected a number from 1 to 1024, got 0"),
+        (["in.#.exr", "--workers", "2", "--farm", "tcp://a:1"], "--workers: expected no --farm beside it"),
+        (["in.#.exr", "--memory-per-worker", "8GB"], "--memory-per-worker: expected --workers or --farm beside it"),
+        (["in.#.exr", "--workers", "2", "--memory-per-worker", "8"], "expected a size of at least 1GiB"),
+        (["in.#.exr", "--workers", "2", "--memory-per-worker", "100MB"], "expected a size of at least 1GiB"),
+        (["in.1.exr", "--workers", "2"], "--workers: expected a sequence such as 'in.####.exr', got 'in.1.exr'"),
+        (["in.1.exr", "--farm", "tcp://a:1"], "--farm: expected a sequence such as 'in.####.exr', got 'in.1.exr'"),
+    ],
+)
+def test_mistakes(words: list[str], told: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert told in fail(capsys, *words, "-o", "out.#.exr" if "#" in words[0] else "out.exr")
+    assert sorted(path.name for path in folder.iterdir()) == ["in.1.exr"]
+
+
+def test_without_dask_the_sentence_names_the_command(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    told = fail(capsys, "in.#.exr", "-o", "out.#.exr", "--workers", "2")
+    assert told.startswith("lobewise: A farm needs Dask, which cannot be imported")
+    assert "pip install 'lobewise[farm]'" in told
+    assert sorted(path.name for path in folder.iterdir()) == ["in.1.exr"]
+
+
+@pytest.mark.usefixtures("dask")
+def test_a_scheduler_that_does_not_answer(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connection, "CONNECT_SECONDS", 0.5)
+    told = fail(capsys, "in.#.exr", "-o", "out.#.exr", "--farm", "tcp://127.0.0.1:9")
+    assert told.startswith("lobewise: --farm: expected a Dask scheduler at tcp://127.0.0.1:9, got no answer within")
+    assert told.count("\n") == 1
+    assert sorted(path.name for path in folder.iterdir()) == ["in.1.exr"]
+
+
+@pytest.mark.usefixtures("dask")
+def test_an_address_that_is_none(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    told = fail(capsys, "in.#.exr", "-o", "out.#.exr", "--farm", "ftp://a")
+    assert told.startswith("lobewise: --farm: expected the address of a Dask scheduler, such as tcp://host:8786, got")
+
+
+def test_sizes_of_memory() -> None:
+    assert parse_memory("8GiB") == 8.0
+    assert parse_memory(" 8gb ") == pytest.approx(8e9 / GIB)
+    assert parse_memory("4096MiB") == 4.0
+    assert parse_memory("1.5 TB") == pytest.approx(1.5e12 / GIB)
+    for text in ("", "8", "GB", "-8GB", "nanGB", "1e9GB"):
+        with pytest.raises(InputError, match="--memory-per-worker"):
+            parse_memory(text)
+
+
+def test_memory_that_suffices_changes_no_choice() -> None:
+    """Bands have the bits of whole frames, but for Open Image Denoise, which bands leave out."""
+    assert find_limits(None) == find_limits(64.0) == (MAX_WHOLE_GIB, DEFAULT_MEMORY)
+    small = find_limits(2.0)
+    assert 0.0 < small.band == small.whole < 2.0
+    assert all(np.diff([find_limits(memory).whole for memory in (0.5, 1.0, 2.0, 4.0, 8.0)]) >= 0.0)
+
+
+def test_names_of_frames() -> None:
+    assert name_frames([7]) == "Frame 7"
+    assert name_frames([1, 2, 3, 7, 9, 10]) == "Frames 1 to 3, 7, 9 to 10"
