@@ -1,0 +1,161 @@
+"""A farm of two workers: what killed workers and a restarted scheduler cost, and its time over the work divided by two.
+
+    python -m benchmarks.robustness.farm --part work|farm|losses [--frames 240] [--output benchmarks/results/farm.json]
+
+- "work": one process of one thread filters a quarter of the frames, and one frame alone. The difference is the work.
+- "farm": `lobewise denoise --workers 2` filters all frames, from the start of the program to its end.
+- "losses": a scheduler and two workers, each a process. A worker is killed after a third of the frames, the scheduler
+  after two thirds. Both are started again. Then every frame must be there, once, with the bytes of one process.
+
+Each part adds its figures to the JSON file. The first two measure wall time, so nothing else may run meanwhile.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from benchmarks.common import RESULTS, describe_machine, write_json
+from benchmarks.robustness import kills
+from lobewise.io import write_frame
+from tests.farm.processes import PROGRAM, Farm, count_outputs, wait_until
+
+FRAMES = 240
+HEIGHT, WIDTH = 256, 320
+WORKERS = 2
+QUALITY = "high"
+ONE_THREAD = {"HL_NUM_THREADS": "1", "OIDN_NUM_THREADS": "1"}
+FOLDER = Path(tempfile.gettempdir()) / "lobewise-farm-frames"
+
+
+def make_sources(count: int) -> Path:
+    """Return a folder of noisy frames, which is kept for the next part."""
+    kills.HEIGHT, kills.WIDTH = HEIGHT, WIDTH
+    folder = FOLDER / f"{WIDTH}x{HEIGHT}"
+    folder.mkdir(parents=True, exist_ok=True)
+    for number in range(1, count + 1):
+        path = folder / f"in.{number:04d}.exr"
+        if not path.exists():
+            write_frame(path, kills.make_frame(number))
+    return folder
+
+
+def make_command(sources: Path, outputs: Path, *options: str) -> list[str]:
+    """Return the command that filters a sequence."""
+    names = [str(sources / "in.####.exr"), "-o", str(outputs / "out.####.exr")]
+    return [*PROGRAM, "denoise", *names, "--quality", QUALITY, "--quiet", *options]
+
+
+def run_program(command: list[str], environment: dict[str, str]) -> dict[str, float]:
+    """Run a program; return its wall time and the processor time of it and its children, seconds."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    start = time.perf_counter()
+    subprocess.run(command, check=True, capture_output=True, env={**os.environ, **environment})
+    seconds = time.perf_counter() - start
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return {"seconds": seconds, "cpu_seconds": used}
+
+
+def pick_frames(sources: Path, count: int, home: Path) -> Path:
+    """Return a folder of links to the first frames."""
+    folder = home / f"first{count}"
+    folder.mkdir()
+    for number in range(1, count + 1):
+        (folder / f"in.{number:04d}.exr").symlink_to(sources / f"in.{number:04d}.exr")
+    return folder
+
+
+def measure_work(sources: Path, count: int, home: Path) -> dict[str, Any]:
+    """Return the time of a frame in one process of one thread, without the start of the process."""
+    found = {}
+    for frames in (1, count):
+        outputs = home / f"out{frames}"
+        outputs.mkdir()
+        command = make_command(pick_frames(sources, frames, home), outputs)
+        found[frames] = run_program(command, ONE_THREAD)
+    frame = {key: (found[count][key] - found[1][key]) / (count - 1) for key in ("seconds", "cpu_seconds")}
+    return {"frames": count, "frame": frame, "start": found[1]["seconds"] - frame["seconds"]}
+
+
+def measure_farm(sources: Path, count: int, home: Path) -> dict[str, Any]:
+    """Return the time of a whole run on a farm of this machine."""
+    outputs = home / "out"
+    outputs.mkdir()
+    command = make_command(pick_frames(sources, count, home), outputs, "--workers", str(WORKERS))
+    found = run_program(command, {})
+    return {"frames": count, **found, "written": count_outputs(outputs)}
+
+
+def measure_losses(sources: Path, count: int, home: Path) -> dict[str, Any]:
+    """Return how many frames came out how after a killed worker and a restarted scheduler."""
+    picked = pick_frames(sources, count, home)
+    alone, together = home / "alone", home / "together"
+    for folder in (alone, together):
+        folder.mkdir()
+    subprocess.run(make_command(picked, alone), check=True, capture_output=True)
+    with Farm(home, WORKERS) as farm:
+        command = make_command(picked, together, "--farm", farm.address)
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as program:
+            moments = [_strike(farm.kill_worker, together, count // 3)]
+            moments.append(_strike(farm.restart_scheduler, together, 2 * count // 3))
+            out, err = program.communicate()
+    if program.returncode:
+        raise RuntimeError(err)
+    expected = {path.name: path.read_bytes() for path in alone.iterdir()}
+    made = {path.name: path.read_bytes() if path.is_file() else b"" for path in together.iterdir()}
+    return {
+        "frames": count,
+        "frames_before_worker_was_killed": moments[0],
+        "frames_before_scheduler_was_killed": moments[1],
+        "same_bytes_as_one_process": sum(made.get(name) == data for name, data in expected.items()),
+        "missing": len(expected.keys() - made.keys()),
+        "left_over": len(made.keys() - expected.keys()),
+        "told": [line for line in (out + err).splitlines() if "scheduler" in line or "Wrote" in line],
+    }
+
+
+def _strike(strike: Callable[[], None], folder: Path, count: int) -> int:
+    """Call a function as soon as a folder has a number of frames; return how many it had."""
+    wait_until(lambda: count_outputs(folder) >= count)
+    seen = count_outputs(folder)
+    strike()
+    return seen
+
+
+PARTS = {"work": measure_work, "farm": measure_farm, "losses": measure_losses}
+
+
+def main() -> None:
+    """Measure a part, and add it to the JSON file."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--part", choices=sorted(PARTS), required=True)
+    parser.add_argument("--frames", type=int, default=FRAMES)
+    parser.add_argument("--output", type=Path, default=RESULTS / "farm.json")
+    options = parser.parse_args()
+    sources = make_sources(options.frames)
+    count = options.frames // 4 if options.part == "work" else options.frames
+    with tempfile.TemporaryDirectory() as home:
+        found = PARTS[options.part](sources, count, Path(home))
+    known = json.loads(options.output.read_text()) if options.output.exists() else {}
+    size = {"width": WIDTH, "height": HEIGHT, "quality": QUALITY, "workers": WORKERS}
+    parts = {**known.get("parts", {}), options.part: {**found, "machine": describe_machine()}}
+    result = {**size, "parts": parts}
+    if {"work", "farm"} <= parts.keys():
+        share = parts["work"]["frame"]["seconds"] * parts["farm"]["frames"] / WORKERS
+        result["time_over_divided_work"] = parts["farm"]["seconds"] / share
+    write_json(options.output, result)
+    json.dump(result, sys.stdout, indent=1)
+
+
+if __name__ == "__main__":
+    main()
