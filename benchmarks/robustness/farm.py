@@ -2,12 +2,12 @@
 
     python -m benchmarks.robustness.farm --part work|farm|losses [--frames 240] [--output benchmarks/results/farm.json]
 
-- "work": one process of one thread filters a quarter of the frames, and one frame alone. The difference is the work.
+- "work": one process on one core filters a quarter of the frames, and one frame alone. The difference is the work.
 - "farm": `lobewise denoise --workers 2` filters all frames, from the start of the program to its end.
 - "losses": a scheduler and two workers, each a process. A worker is killed after a third of the frames, the scheduler
   after two thirds. Both are started again. Then every frame must be there, once, with the bytes of one process.
 
-Each part adds its figures to the JSON file. The first two measure wall time, so nothing else may run meanwhile.
+Each part adds its figures to the JSON file. Wall times count only where nothing else runs meanwhile: ``--quiet`` says so.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -55,11 +56,19 @@ def make_command(sources: Path, outputs: Path, *options: str) -> list[str]:
     return [*PROGRAM, "denoise", *names, "--quality", QUALITY, "--quiet", *options]
 
 
-def run_program(command: list[str], environment: dict[str, str]) -> dict[str, float]:
+def run_program(command: list[str], *, on_one_core: bool = False) -> dict[str, float]:
     """Run a program; return its wall time and the processor time of it and its children, seconds."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    core = min(os.sched_getaffinity(0))
+    environment = {**os.environ, **(ONE_THREAD if on_one_core else {})}
     start = time.perf_counter()
-    subprocess.run(command, check=True, capture_output=True, env={**os.environ, **environment})
+    subprocess.run(
+        command,
+        check=True,
+        capture_output=True,
+        env=environment,
+        preexec_fn=partial(os.sched_setaffinity, 0, {core}) if on_one_core else None,
+    )
     seconds = time.perf_counter() - start
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
@@ -76,13 +85,13 @@ def pick_frames(sources: Path, count: int, home: Path) -> Path:
 
 
 def measure_work(sources: Path, count: int, home: Path) -> dict[str, Any]:
-    """Return the time of a frame in one process of one thread, without the start of the process."""
+    """Return the time of a frame in one process on one core, without the start of the process."""
     found = {}
     for frames in (1, count):
         outputs = home / f"out{frames}"
         outputs.mkdir()
         command = make_command(pick_frames(sources, frames, home), outputs)
-        found[frames] = run_program(command, ONE_THREAD)
+        found[frames] = run_program(command, on_one_core=True)
     frame = {key: (found[count][key] - found[1][key]) / (count - 1) for key in ("seconds", "cpu_seconds")}
     return {"frames": count, "frame": frame, "start": found[1]["seconds"] - frame["seconds"]}
 
@@ -92,7 +101,7 @@ def measure_farm(sources: Path, count: int, home: Path) -> dict[str, Any]:
     outputs = home / "out"
     outputs.mkdir()
     command = make_command(pick_frames(sources, count, home), outputs, "--workers", str(WORKERS))
-    found = run_program(command, {})
+    found = run_program(command)
     return {"frames": count, **found, "written": count_outputs(outputs)}
 
 
@@ -132,6 +141,19 @@ def _strike(strike: Callable[[], None], folder: Path, count: int) -> int:
     return seen
 
 
+def compare(parts: dict[str, Any]) -> dict[str, float]:
+    """Return the time of a farm over the work divided by its workers: processor time, and wall time where it counts.
+
+    The processors of a farm share its processor time, so the first ratio is that of processor time and work.
+    """
+    found = {}
+    for suffix, key, workers in (("", "cpu_seconds", 1), ("_quiet", "seconds", WORKERS)):
+        work, farm = parts.get(f"work{suffix}"), parts.get(f"farm{suffix}")
+        if work and farm:
+            found[key] = farm[key] / (work["frame"][key] * farm["frames"] / workers)
+    return found
+
+
 PARTS = {"work": measure_work, "farm": measure_farm, "losses": measure_losses}
 
 
@@ -141,6 +163,7 @@ def main() -> None:
     parser.add_argument("--part", choices=sorted(PARTS), required=True)
     parser.add_argument("--frames", type=int, default=FRAMES)
     parser.add_argument("--output", type=Path, default=RESULTS / "farm.json")
+    parser.add_argument("--quiet", action="store_true", help="nothing else runs: wall times count")
     options = parser.parse_args()
     sources = make_sources(options.frames)
     count = options.frames // 4 if options.part == "work" else options.frames
@@ -148,11 +171,9 @@ def main() -> None:
         found = PARTS[options.part](sources, count, Path(home))
     known = json.loads(options.output.read_text()) if options.output.exists() else {}
     size = {"width": WIDTH, "height": HEIGHT, "quality": QUALITY, "workers": WORKERS}
-    parts = {**known.get("parts", {}), options.part: {**found, "machine": describe_machine()}}
-    result = {**size, "parts": parts}
-    if {"work", "farm"} <= parts.keys():
-        share = parts["work"]["frame"]["seconds"] * parts["farm"]["frames"] / WORKERS
-        result["time_over_divided_work"] = parts["farm"]["seconds"] / share
+    name = f"{options.part}_quiet" if options.quiet else options.part
+    parts = {**known.get("parts", {}), name: {**found, "machine": describe_machine()}}
+    result = {**size, "parts": parts, "over_divided_work": compare(parts)}
     write_json(options.output, result)
     json.dump(result, sys.stdout, indent=1)
 

@@ -15,6 +15,8 @@ from lobewise.errors import InputError, LobewiseError, MissingDependencyError
 
 CONNECT_SECONDS = 10.0
 """Longest time to reach a scheduler at the start, seconds."""
+START_SECONDS = 120.0
+"""Longest time for a worker of this machine to start, seconds."""
 RESULT_SECONDS = 20.0
 """Longest time to fetch the small result of a finished call, seconds."""
 CLOSE_SECONDS = 5.0
@@ -27,6 +29,11 @@ LOCAL_SETTINGS = {
     "distributed.worker.memory.spill": False,
     "distributed.worker.memory.pause": False,
     "distributed.worker.memory.terminate": 0.95,
+    # Dask watches itself and its workers a hundred times a second; nobody reads these figures.
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "500ms",
+    "distributed.admin.system-monitor.interval": "5s",
+    "distributed.admin.system-monitor.gil.enabled": False,
 }
 
 
@@ -233,17 +240,26 @@ def start_local(workers: int, *, memory_bytes: int) -> Iterator[Connection]:
     security = Security.temporary()
     threads = max(count_cores() // workers, 1)
     with _silence(), dask.config.set(LOCAL_SETTINGS):
-        cluster = LocalCluster(
-            n_workers=workers,
-            threads_per_worker=threads,
-            processes=True,
-            memory_limit=memory_bytes,
-            dashboard_address=None,
-            protocol="tls://",
-            security=security,
-            silence_logs=logging.CRITICAL,
-            preload=[PRELOAD],
-        )
+        try:
+            cluster = LocalCluster(
+                n_workers=workers,
+                threads_per_worker=threads,
+                processes=True,
+                memory_limit=memory_bytes,
+                death_timeout=START_SECONDS,
+                dashboard_address=None,
+                protocol="tls://",
+                security=security,
+                silence_logs=logging.CRITICAL,
+                preload=[PRELOAD],
+            )
+        except Exception as problem:
+            raise LobewiseError(
+                "--workers",
+                expected=f"{workers} processes that start within {START_SECONDS:.0f} s",
+                got=f"{type(problem).__name__}: {problem}",
+                action="ask for fewer, or look for what hinders a new process",
+            ) from problem
         try:
             found = Connection(cluster.scheduler_address, security)
             try:

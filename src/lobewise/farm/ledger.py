@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import socket
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -105,7 +106,12 @@ class Ledger:
     def record(self, number: int, proof: str, outputs: Iterable[Path]) -> None:
         """Record that a frame is done. Raises FileError if the record cannot be written."""
         files = [_measure(path) for path in outputs]
-        write_text(self._name(number), json.dumps({"proof": proof, "files": files}), what="record of a frame")
+        path = self._name(number)
+        # Do not wait for the disk: after a power cut a record that is not whole only costs its frame.
+        made = path.with_suffix(f".{socket.gethostname()}-{os.getpid()}.part")
+        with refusing(f"record {str(path)!r}", "a folder that can be written to", "check its permissions and room"):
+            made.write_text(json.dumps({"proof": proof, "files": files}))
+            os.replace(made, path)
 
     def list_recorded(self) -> set[int]:
         """Return the frames that have a record, of whichever sources and settings."""
