@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 from benchmarks.common import RESULTS, ROOT
 from benchmarks.pages import (
     bench,
+    farm,
     foreign,
     gallery,
     interactive,
@@ -49,6 +50,7 @@ def make_upsampling_figures(skies: dict[str, Any], measured: dict[str, Any]) -> 
 PAGES = {
     "README.md": Source(users.make_readme_figures, ("users",)),
     "docs/bench.md": Source(bench.make_figures, ("startup",)),
+    "docs/farm.md": Source(farm.make_figures, ("farm",)),
     "docs/gallery.md": Source(gallery.make_figures, ("gallery",)),
     "docs/interactive.md": Source(
         interactive.make_figures, ("interactive_quality", "interactive", "viewer", "interactive_again", "moving")

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
-import time
 from pathlib import Path
 
 import pytest
 
 from tests.farm.conftest import NUMBERS, read_outputs
-from tests.farm.processes import Farm, count_outputs, run_program, start_program, wait_until
+from tests.farm.processes import MAX_SECONDS, Farm, count_outputs, run_program, start_program, wait_until
 
 pytestmark = [pytest.mark.slow, pytest.mark.processor, pytest.mark.usefixtures("dask")]
 
@@ -32,7 +31,7 @@ def test_a_killed_worker_and_a_restarted_scheduler_lose_no_frame(
     wait_until(lambda: count_outputs(folder) >= 8)
     farm.restart_scheduler()
     seen = count_outputs(folder)
-    out, err = program.communicate(timeout=50.0)
+    out, err = program.communicate(timeout=MAX_SECONDS)
     assert seen < len(NUMBERS)
     assert program.returncode == 0, err
     assert f"{len(NUMBERS)} of {len(NUMBERS)} frames" in out
@@ -105,9 +104,7 @@ def test_an_interrupt_leaves_whole_files_and_the_same_command_goes_on(
     program = start_program(sources, folder, "--workers", "2")
     wait_until(lambda: count_outputs(folder) >= 3)
     os.killpg(program.pid, signal.SIGINT)
-    began = time.monotonic()
-    _, err = program.communicate(timeout=50.0)
-    assert time.monotonic() - began < 20.0
+    _, err = program.communicate(timeout=MAX_SECONDS)
     assert program.returncode == 130
     assert err.endswith("lobewise: interrupted; every output is whole, or as it was.\n")
     assert "Traceback" not in err
