@@ -98,7 +98,7 @@ def test_frames_a_minute_are_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     with Steps() as steps:
         for done in range(3):
             steps.tell("Filtering", done, 10, unit="frames")
-    assert re.search(r"20 %, [0-9.e+]+ frames a minute, 0:\d\d:\d\d left", terminal.getvalue())
+    assert re.search(r"20 %, [0-9.]+ frames a minute, 0:\d\d:\d\d left", terminal.getvalue())
 
 
 def test_compiling_is_shown_in_place_of_the_step(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -214,6 +214,20 @@ def test_a_lost_worker_loses_no_frame_and_a_frame_that_loses_workers_fails() -> 
     assert next(names) == "f"
 
 
+def test_a_frame_that_waited_on_a_lost_worker_has_lost_no_try() -> None:
+    farm = FakeFarm({"a": dict(ENVIRONMENT)}, problems={3: ["once", "twice"]})
+
+    def lose(worker: str, task: Task) -> bool:
+        if task.numbers == (2,) and worker == "a":
+            farm.workers = {"b": dict(ENVIRONMENT)}
+            return False
+        return True
+
+    farm.on_task = lose
+    assert run(farm, make_tasks(2, 3)) == ([], [])
+    assert farm.done == {2, 3}
+
+
 @pytest.mark.parametrize(
     ("name", "version", "told"),
     [

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from lobewise.farm.ledger import TOKEN
 from tests.farm.conftest import NUMBERS, read_outputs
 from tests.farm.processes import MAX_SECONDS, Farm, count_outputs, run_program, start_program, wait_until
 
@@ -115,3 +116,13 @@ def test_an_interrupt_leaves_whole_files_and_the_same_command_goes_on(
     assert done.returncode == 0, done.stderr
     assert "Going on: " in done.stderr
     assert read_outputs(folder) == expected
+
+
+def test_an_interrupt_while_workers_start_leaves_nothing(sources: Path, folder: Path) -> None:
+    program = start_program(sources, folder, "--workers", "2")
+    # The folder of records is there, and workers are about to start.
+    wait_until((folder / "out.lobewise-farm" / TOKEN).exists)
+    os.killpg(program.pid, signal.SIGINT)
+    _, err = program.communicate(timeout=MAX_SECONDS)
+    assert (program.returncode, err) == (130, "lobewise: interrupted; every output is whole, or as it was.\n")
+    assert list(folder.iterdir()) == []

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import atexit
 import logging
 import queue
+import signal
+import sys
 import time
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from multiprocessing import resource_tracker
 from typing import Any
 
 from lobewise.chunks import count_cores
@@ -23,6 +27,7 @@ CLOSE_SECONDS = 5.0
 """Longest time for workers of a local farm to end by themselves, seconds; then they are killed."""
 RECONNECT_PAUSE_SECONDS = 1.0
 PRELOAD = "lobewise.farm.worker"
+"""Module that a worker of this machine imports while it starts."""
 LOCAL_SETTINGS = {
     # A worker keeps no results, so there is nothing to spill. A paused worker would never go on: the memory is its own.
     "distributed.worker.memory.target": False,
@@ -239,7 +244,7 @@ def start_local(workers: int, *, memory_bytes: int) -> Iterator[Connection]:
 
     security = Security.temporary()
     threads = max(count_cores() // workers, 1)
-    with _silence(), dask.config.set(LOCAL_SETTINGS):
+    with _silence(), dask.config.set(LOCAL_SETTINGS), _run_loop() as loop:
         try:
             cluster = LocalCluster(
                 n_workers=workers,
@@ -250,6 +255,7 @@ def start_local(workers: int, *, memory_bytes: int) -> Iterator[Connection]:
                 dashboard_address=None,
                 protocol="tls://",
                 security=security,
+                loop=loop,
                 silence_logs=logging.CRITICAL,
                 preload=[PRELOAD],
             )
@@ -290,6 +296,31 @@ def find_memory(workers: int) -> int:
 
 
 @contextmanager
+def _run_loop() -> Iterator[Any]:
+    """Run Dask's event loop in a thread that is deaf to Ctrl-C, and so are the workers that it starts.
+
+    A terminal sends Ctrl-C to every process of a command. A worker would print a traceback; the client ends it anyway.
+    """
+    from distributed.utils import LoopRunner
+
+    runner = LoopRunner()
+    # Start multiprocessing's helper now: a thread that starts it hears Ctrl-C afterwards.
+    resource_tracker.ensure_running()
+    # A new thread, and every process that it starts, has the mask of the thread that made it. Windows has no masks.
+    mask = getattr(signal, "pthread_sigmask", None)
+    before = mask(signal.SIG_BLOCK, {signal.SIGINT}) if mask else set()
+    try:
+        runner.start()
+    finally:
+        if mask:
+            mask(signal.SIG_SETMASK, before)
+    try:
+        yield runner._loop
+    finally:
+        runner.stop()
+
+
+@contextmanager
 def _silence() -> Iterator[None]:
     """Keep Dask's log from the terminal: what matters is told in sentences."""
     import distributed  # noqa: F401 - makes the handlers of its log
@@ -300,6 +331,15 @@ def _silence() -> Iterator[None]:
         handler.setLevel(logging.CRITICAL)
     try:
         yield
-    finally:
-        for handler, level in levels.items():
-            handler.setLevel(level)
+    except BaseException:
+        # Dask ends workers that were about to start when the program ends, and complains of their state.
+        atexit.register(_complain_of_nothing)
+        raise
+    for handler, level in levels.items():
+        handler.setLevel(level)
+
+
+def _complain_of_nothing() -> None:
+    """Print nothing more: the program has told why it ends."""
+    logging.disable(logging.CRITICAL)
+    sys.unraisablehook = lambda _: None

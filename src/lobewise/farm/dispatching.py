@@ -20,6 +20,7 @@ from lobewise.farm.environment import compare_environments, shorten_version
 from lobewise.farm.tasks import Order, Outcome, Task, Told
 from lobewise.farm.worker import describe_worker, run_order
 
+WAITING = "Waiting for workers"
 MAX_RETRIES = 2
 """How often a task that failed is tried again."""
 RETRY_SECONDS = 1.0
@@ -192,7 +193,7 @@ class Dispatcher:
             raise LobewiseError(
                 "farm", expected="a worker that can be used", got=f"none ({told})", action="see docs/farm.md"
             )
-        self._waits_for = "" if any(not worker.fault for worker in self._workers.values()) else "Waiting for workers"
+        self._waits_for = "" if any(worker.is_ready for worker in self._workers.values()) else WAITING
         if not self._workers and not self._has_waited:
             self._has_waited = True
             self._listener.tell(f"No worker is connected to {self._connection.address}; waiting for one.")

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from lobewise.errors import InputError
 from lobewise.farm.connection import Connection
-from lobewise.farm.dispatching import Dispatcher, Failure, Listener, Terms
+from lobewise.farm.dispatching import WAITING, Dispatcher, Failure, Listener, Terms
 from lobewise.farm.environment import describe_environment
 from lobewise.farm.ledger import Ledger, name_ledger, refresh_folders
 from lobewise.farm.tasks import Numbered, Order, Task, Told, Work, cut_frames, cut_shots
@@ -118,14 +118,15 @@ def filter_on_farm(
     frames = _find_frames(job)
     run = _Run(job, frames, remark, progress)
     with run.ledger.lock():
-        run.ledger.put_token(run.token)
-        done = run.find_done()
-        if done:
-            tell(f"Going on: {len(done)} of {len(frames)} frames are done, as {str(run.ledger.folder)!r} says.")
-        if job.by_shot and len(run.tasks) == 1:
-            tell("The sequence is one shot, and one worker filters a shot, because frames use those before them.")
         try:
+            run.ledger.put_token(run.token)
+            done = run.find_done()
+            if done:
+                tell(f"Going on: {len(done)} of {len(frames)} frames are done, as {str(run.ledger.folder)!r} says.")
+            if job.by_shot and len(run.tasks) == 1:
+                tell("The sequence is one shot, and one worker filters a shot, because frames use those before them.")
             if len(done) < len(frames):
+                progress(WAITING, len(done), len(frames))
                 with open_connection as connection:
                     run.do_tasks(connection, tell)
         finally:

@@ -137,13 +137,3 @@ def _get_worker() -> Any:
     from distributed import get_worker
 
     return get_worker()
-
-
-def dask_setup(worker: Any) -> None:
-    """Ignore Ctrl-C in a worker of a local farm: a terminal sends it to every process, and the client ends workers.
-
-    Dask calls this function in the main thread of a worker that is started with ``preload``.
-    """
-    import signal
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -87,6 +87,10 @@ def pause_steps() -> Iterator[None]:
         display.start()
 
 
+def _format_rate(rate: float) -> str:
+    return f"{rate:.0f}" if rate >= 10.0 else f"{rate:.1f}"
+
+
 def _make_display() -> Progress | None:
     if sys.stderr is None or not sys.stderr.isatty():
         return None
@@ -102,7 +106,7 @@ def _make_display() -> Progress | None:
                 return Text(f"{task.elapsed or 0.0:.0f} s")
             left = "" if task.time_remaining is None else f", {timedelta(seconds=int(task.time_remaining))} left"
             speed, unit = task.finished_speed or task.speed, task.fields.get("unit")
-            rate = f", {60.0 * speed:.3g} {unit} a minute" if unit and speed else ""
+            rate = f", {_format_rate(60.0 * speed)} {unit} a minute" if unit and speed else ""
             return Text(f"{task.percentage:3.0f} %{rate}{left}")
 
     console = Console(stderr=True)
