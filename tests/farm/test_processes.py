@@ -89,6 +89,17 @@ def test_shots_over_time_have_the_bits_of_one_process(sources: Path, folder: Pat
     assert done.stderr.count("--temporal filters with the quality 'fast'") == 1
 
 
+def test_frames_with_a_window_have_the_bits_of_one_process(sources: Path, folder: Path, tmp_path: Path) -> None:
+    alone = tmp_path / "alone"
+    alone.mkdir()
+    options = ("--window", "1", "--quality", "fast")
+    assert run_program(sources, alone, *options).returncode == 0
+    done = run_program(sources, folder, *options, "--workers", "2")
+    assert done.returncode == 0, done.stderr
+    assert len(read_outputs(alone)) == len(NUMBERS)
+    assert read_outputs(folder) == read_outputs(alone)
+
+
 def test_pictures_follow_the_first_frame(sources: Path, folder: Path, tmp_path: Path) -> None:
     alone = tmp_path / "alone"
     alone.mkdir()

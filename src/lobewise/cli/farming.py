@@ -40,7 +40,7 @@ class FrameWork:
 
     def list_sources(self, number: int, path: Path) -> Sequence[Path]:
         """Return every file that the result of a frame depends on."""
-        return self.request.list_sources(number, path)
+        return self.request.list_sources(number, self.source)
 
     def list_outputs(self, number: int) -> Sequence[Path]:
         """Return every file that is written for a frame."""

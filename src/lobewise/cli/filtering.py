@@ -13,10 +13,10 @@ import typer
 from lobewise.cli.options.bands import Bands, FileInBands, choose_bands
 from lobewise.cli.options.common import OverTime, Source, Telling, parse_place
 from lobewise.cli.options.farming import Farm
-from lobewise.cli.options.reading import PassReading, find_counterpart
+from lobewise.cli.options.reading import PassReading, find_counterpart, name_frame
 from lobewise.cli.options.shading import Reshading
 from lobewise.cli.options.spreading import with_groups, with_settings
-from lobewise.cli.options.windows import FileInWindow, Window, WindowReader, require_window
+from lobewise.cli.options.windows import FileInWindow, Window, WindowReader, list_window, require_window
 from lobewise.cli.options.writing import Output, Overwrite, Picture, Writing, protect_inputs
 from lobewise.cli.running import FilterAlone, Job
 from lobewise.cli.terminal.help import FILTER_DETAILS
@@ -148,11 +148,12 @@ class _Denoising:
         material = tuple(path.absolute() for path in self.material)
         return replace(self, material=material, reading=self.reading.anchor(), reshading=self.reshading.anchor())
 
-    def list_sources(self, number: int, path: Path) -> list[Path]:
-        """Return every file of a frame."""
+    def list_sources(self, number: int, source: Path) -> list[Path]:
+        """Return every file that the result of a frame depends on."""
         from lobewise.interchange.siblings import list_family
 
-        return [*list_family(path), *self.reading.list_halves(number)]
+        frames = list_window(source, number, self.window) if self.window else [(number, name_frame(source, number))]
+        return [file for each, path in frames for file in (*list_family(path), *self.reading.list_halves(each))]
 
     def list_shared_sources(self) -> list[Path]:
         """Return every file, beside the frames, that results depend on."""
@@ -322,9 +323,9 @@ class _Upsampling:
         """Return the request with absolute paths, for processes that run in another folder."""
         return replace(self, reshading=self.reshading.anchor())
 
-    def list_sources(self, number: int, path: Path) -> list[Path]:
-        """Return every file of a frame."""
-        return [path]
+    def list_sources(self, number: int, source: Path) -> list[Path]:
+        """Return every file that the result of a frame depends on."""
+        return [name_frame(source, number)]
 
     def list_shared_sources(self) -> list[Path]:
         """Return every file, beside the frames, that results depend on."""

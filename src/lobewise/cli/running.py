@@ -77,8 +77,11 @@ class Request(Protocol[FileT, ResultT]):
     def anchor(self) -> Request[FileT, ResultT]:
         """Return the request with absolute paths, for processes that run in another folder."""
 
-    def list_sources(self, number: int, path: Path) -> Sequence[Path]:
-        """Return every file that the result of a frame depends on, beside the files of earlier frames."""
+    def list_sources(self, number: int, source: Path) -> Sequence[Path]:
+        """Return every file that the result of a frame of a pattern depends on.
+
+        Frames before it count only where the filter does not remember them itself.
+        """
 
     def list_shared_sources(self) -> Sequence[Path]:
         """Return every file, beside the frames, that results depend on."""

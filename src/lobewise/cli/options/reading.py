@@ -84,11 +84,11 @@ class Reading:
 
     def list_halves(self, number: int) -> list[Path]:
         """Return the file of the second render of a frame of a sequence, if there is a second render."""
-        from lobewise.io.sequence import FramePattern, is_pattern
+        from lobewise.io.sequence import is_pattern
 
         if self.half is None:
             return []
-        return [FramePattern.parse(self.half).name(number) if is_pattern(self.half) else self.half]
+        return [name_frame(self.half, number) if is_pattern(self.half) else self.half]
 
     def parse(self) -> dict[str, Any]:
         """Return the conventions, channels and camera, as parameters of `lobewise.read_frame`."""
@@ -109,7 +109,7 @@ class PassReading(Reading):
         list[str] | None,
         file_option(
             metavar="PATTERN",
-            help="Further noisy passes, such as 'Combined_*', filtered like the passes they belong to; again for more.",
+            help="Further noisy passes, such as 'Combined_*', which are filtered alike; again for more.",
             show_default=False,
         ),
     ] = None
@@ -193,6 +193,13 @@ def find_counterpart(path: Path, source: Path, other: Path) -> Path:
         return other
     number = {found: number for number, found in FramePattern.parse(source).find()}[path]
     return FramePattern.parse(other).name(number)
+
+
+def name_frame(source: Path, number: int) -> Path:
+    """Return the file of a sequence with a number."""
+    from lobewise.io.sequence import FramePattern
+
+    return FramePattern.parse(source).name(number)
 
 
 def refuse_results(path: Path, findings: Iterable[Finding]) -> None:

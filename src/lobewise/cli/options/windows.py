@@ -68,20 +68,29 @@ class WindowReader:
         """Return a file with the files around it. A missing number, or a frame of another size, ends the window."""
         from lobewise.io.sequence import FramePattern
 
-        numbers = {found: number for number, found in FramePattern.parse(self._source).find()}
-        paths = {number: found for found, number in numbers.items()}
-        middle = numbers[path]
-        first = last = middle
-        # One frame more to each side tells the motion of the camera at the ends of the window.
-        while first - 1 in paths and middle - first < self._reach + 1:
-            first -= 1
-        while last + 1 in paths and last - middle < self._reach + 1:
-            last += 1
-        wanted = [paths[number] for number in range(first, last + 1)]
+        middle = {found: number for number, found in FramePattern.parse(self._source).find()}[path]
+        window = list_window(self._source, middle, self._reach)
+        first, wanted = window[0][0], [each for _, each in window]
         kept, self._kept = self._kept, {}
         for each in wanted:
             self._kept[each] = kept.pop(each) if each in kept else self._read(each)
         return FileInWindow(self._kept[path], tuple(self._kept[each].frame for each in wanted), middle - first)
+
+
+def list_window(source: Path, number: int, reach: int) -> list[tuple[int, Path]]:
+    """Return the existing files around a frame with their numbers, in order; a missing number ends the window.
+
+    One frame more to each side tells the motion of the camera at the ends of the window.
+    """
+    from lobewise.io.sequence import FramePattern
+
+    pattern = FramePattern.parse(source)
+    first = last = number
+    while number - first < reach + 1 and first > 0 and pattern.name(first - 1).is_file():
+        first -= 1
+    while last - number < reach + 1 and pattern.name(last + 1).is_file():
+        last += 1
+    return [(each, pattern.name(each)) for each in range(first, last + 1)]
 
 
 def require_window(window: int, source: Path, over_time: OverTime) -> None:
