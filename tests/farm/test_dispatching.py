@@ -6,7 +6,7 @@ import platform
 import pydoc
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from itertools import count
+from itertools import count, pairwise
 from pathlib import Path
 from typing import Any, cast
 
@@ -133,7 +133,7 @@ def make_farm(**options: Any) -> FakeFarm:
     return FakeFarm({"a": dict(ENVIRONMENT), "b": dict(ENVIRONMENT)}, **options)
 
 
-def run(farm: FakeFarm, tasks: list[Task], **options: Any) -> tuple[list[Failure], list[str]]:
+def run(farm: FakeFarm, tasks: list[Task], *, by_runs: bool = False) -> tuple[list[Failure], list[str]]:
     """Do tasks; return the failures and what was told."""
     told: list[str] = []
     dispatcher = Dispatcher(
@@ -142,6 +142,7 @@ def run(farm: FakeFarm, tasks: list[Task], **options: Any) -> tuple[list[Failure
         make_order=lambda task: cast(Order, _Order(task)),
         find_missing=lambda task: tuple(number for number in task.numbers if number not in farm.done),
         listener=Listener(tell=told.append, hear=lambda _: None, show=lambda *_: None),
+        by_runs=by_runs,
     )
     dispatcher.run(tasks)
     assert dispatcher.list_running() == []
@@ -176,6 +177,21 @@ def test_a_worker_has_one_frame_waiting_but_not_at_the_end() -> None:
     run(farm, make_tasks(*range(8)))
     assert max(most) == dispatching.MAX_TASKS_OF_WORKER
     assert most[-2:] == [1, 1]
+
+
+@pytest.mark.parametrize("workers", ["a", "ab", "abcd"])
+def test_workers_get_consecutive_frames_where_windows_need_them(workers: str) -> None:
+    farm = FakeFarm({name: dict(ENVIRONMENT) for name in workers}, problems={7: ["once"]})
+    assert run(farm, make_tasks(*range(40), *range(60, 80)), by_runs=True) == ([], [])
+    assert farm.done == {*range(40), *range(60, 80)}
+    jumps = 0
+    for name in workers:
+        numbers = [found[0] for worker, found in farm.ran if worker == name]
+        jumps += sum(after != before + 1 for before, after in pairwise(numbers))
+        # The work is shared evenly.
+        assert abs(len(numbers) - 61 / len(workers)) <= 6
+    # The missing numbers, the frame that is tried again, and what is shared near the end.
+    assert jumps <= 4 + 4 * len(workers)
 
 
 def test_a_frame_that_fails_is_tried_twice_more_and_then_told() -> None:

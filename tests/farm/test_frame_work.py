@@ -93,7 +93,9 @@ def test_everything_that_changes_a_frame_is_among_its_sources(folder: Path, monk
     job = catch_job("--half", "half.#.exr", "--camera", "camera.json", monkeypatch=monkeypatch)
     sources = job.work.list_sources(2, job.source.name(2))
     assert sources == [folder / "in.2.exr", folder / "half.2.exr"]
-    work = catch_job("--window", "1", monkeypatch=monkeypatch).work
+    windowed = catch_job("--window", "1", monkeypatch=monkeypatch)
+    work = windowed.work
+    assert (job.by_runs, windowed.by_runs) == (False, True)
     assert work.list_sources(2, job.source.name(2)) == [folder / "in.1.exr", folder / "in.2.exr"]
     (folder / "camera.json").write_text("{ }")
     other = catch_job("--half", "half.#.exr", "--camera", "camera.json", monkeypatch=monkeypatch)

@@ -140,6 +140,7 @@ def _run_on_farm(job: Job, request: Request[Any, Any], fingerprint: str, farm: F
         fingerprint=repr([fingerprint, shared]),
         by_shot=request.remembers,
         follows_first=work.has_pictures and work.stops is None,
+        by_runs=request.reads_neighbours,
         with_oidn=request.asks_for_oidn,
         memory=farm.memory,
     )

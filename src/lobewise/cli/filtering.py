@@ -96,7 +96,7 @@ def denoise(
         **settings,
         "window": window,
         "material": [str(path) for path in material or []],
-        "adaptive": [reshading.adaptive, reshading.scene],
+        "adaptive": reshading.list_values(),
         "reading": [reading.preset, reading.maps, str(reading.camera), str(reading.half), reading.also],
         "writing": [writing.suffix, writing.only, writing.confidence],
         "picture": [picture.png, picture.exposure],
@@ -163,6 +163,11 @@ class _Denoising:
     def remembers(self) -> bool:
         """Whether a frame uses the frames before it."""
         return self.over_time.temporal
+
+    @property
+    def reads_neighbours(self) -> bool:
+        """Whether a frame reads the files of the frames around it."""
+        return self.window > 0
 
     @property
     def asks_for_oidn(self) -> bool:
@@ -295,7 +300,7 @@ def upsample(
         "bilinear": bilinear,
         "scale": scale,
         "place": place,
-        "adaptive": [reshading.adaptive, reshading.scene],
+        "adaptive": reshading.list_values(),
         "picture": [picture.png, picture.exposure],
     }
     from lobewise.cli.farming import run_request
@@ -336,7 +341,7 @@ class _Upsampling:
         """Whether a frame uses the frames before it."""
         return self.over_time.temporal
 
-    asks_for_oidn = False
+    reads_neighbours = asks_for_oidn = False
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -91,6 +91,10 @@ class Request(Protocol[FileT, ResultT]):
         """Whether a frame uses the frames before it."""
 
     @property
+    def reads_neighbours(self) -> bool:
+        """Whether a frame reads the files of the frames around it."""
+
+    @property
     def asks_for_oidn(self) -> bool:
         """Whether results depend on Open Image Denoise being installed."""
 

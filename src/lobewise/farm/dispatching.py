@@ -65,6 +65,8 @@ class _Worker:
     is_ready: bool = False
     fault: str = ""
     """Why it is not used; empty if it is."""
+    last: int | None = None
+    """Number of the last frame that it got."""
     calls: dict[str, tuple[Call, Task]] = field(default_factory=dict)
     """The tasks that it has, oldest first, by the key of the call."""
 
@@ -119,6 +121,8 @@ class Dispatcher:
         Returns the frames of a task that are not done on disk.
     listener : Listener
         What is told meanwhile.
+    by_runs : bool
+        Whether a worker gets consecutive frames where it can, because it has read sources of the next frame already.
     """
 
     def __init__(
@@ -129,12 +133,14 @@ class Dispatcher:
         make_order: Callable[[Task], Order],
         find_missing: Callable[[Task], tuple[int, ...]],
         listener: Listener,
+        by_runs: bool = False,
     ) -> None:
         self._connection = connection
         self._terms = terms
         self._make_order = make_order
         self._find_missing = find_missing
         self._listener = listener
+        self._by_runs = by_runs
         self._workers: dict[str, _Worker] = {}
         self._todo: deque[tuple[float, Task]] = deque()
         self._unseen: list[tuple[float, Task, str]] = []
@@ -216,22 +222,42 @@ class Dispatcher:
             if depth and len(self._todo) < len(ready):
                 return
             for worker in ready:
-                if len(worker.calls) == depth and (task := self._take_task()) is not None:
+                if len(worker.calls) == depth and (task := self._take_task(worker)) is not None:
                     try:
                         call = self._connection.call(worker.address, run_order, self._make_order(task))
                     except ConnectionLostError:
                         self._todo.appendleft((0.0, task))
                         raise
                     worker.calls[call.key] = call, task
+                    worker.last = task.numbers[-1]
 
-    def _take_task(self) -> Task | None:
-        """Return the next task whose time has come."""
+    def _take_task(self, worker: _Worker) -> Task | None:
+        """Return the next task for a worker among those whose time has come."""
         now = time.monotonic()
-        for place, (moment, task) in enumerate(self._todo):
-            if moment <= now:
-                del self._todo[place]
-                return task
-        return None
+        waiting = [entry for entry in self._todo if entry[0] <= now]
+        if not waiting:
+            return None
+        entry = self._choose_in_runs(waiting, worker) if self._by_runs else waiting[0]
+        self._todo.remove(entry)
+        return entry[1]
+
+    def _choose_in_runs(self, waiting: list[tuple[float, Task]], worker: _Worker) -> tuple[float, Task]:
+        """Return the task that follows a worker's last one, else one in the longest run of consecutive frames.
+
+        A run that another worker is at is shared from its middle on.
+        """
+        by_number = {entry[1].numbers[0]: entry for entry in waiting}
+        if worker.last is not None and worker.last + 1 in by_number:
+            return by_number[worker.last + 1]
+        runs: list[list[int]] = []
+        for number in sorted(by_number):
+            if runs and number == runs[-1][-1] + 1:
+                runs[-1].append(number)
+            else:
+                runs.append([number])
+        longest = max(runs, key=len)
+        is_taken = any(other.last == longest[0] - 1 for other in self._workers.values() if other is not worker)
+        return by_number[longest[len(longest) // 2 if is_taken else 0]]
 
     def _collect(self) -> None:
         for key in self._connection.wait_for_finished(POLL_SECONDS):

@@ -39,6 +39,8 @@ class FarmJob:
         Whether a frame uses the frames before it, so that one worker filters a whole shot.
     follows_first : bool
         Whether all frames take something from the first one, which is then filtered alone.
+    by_runs : bool
+        Whether a frame reads the sources of its neighbours, so that workers get consecutive frames where they can.
     with_oidn : bool
         Whether results depend on Open Image Denoise.
     memory : float or None
@@ -51,6 +53,7 @@ class FarmJob:
     fingerprint: str
     by_shot: bool
     follows_first: bool
+    by_runs: bool
     with_oidn: bool
     memory: float | None
 
@@ -207,6 +210,7 @@ class _Run:
             make_order=self._make_order,
             find_missing=self.find_missing,
             listener=Listener(tell=tell, hear=self._hear, show=self._show),
+            by_runs=self._job.by_runs,
         )
         todo = [task for task in self.tasks if not self.done.issuperset(task.numbers)]
         if self.done:
