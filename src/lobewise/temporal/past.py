@@ -37,6 +37,9 @@ The place of the surface looks nearly as similar, because a reflection moves by 
 Histories that take a part of their light there lag behind the reflection, further with every frame. On rougher surfaces
 reflections of all things mix, and both places count.
 """
+MIN_FOLLOWED_AGREEMENT = 0.7
+"""Agreement below which the earlier place of a reflection does not count alone: hit distances of few samples are noisy,
+and the mirror may have another roughness there. These pixels find their history as if nothing moved in the mirror."""
 
 
 @dataclass(frozen=True)
@@ -154,11 +157,18 @@ class HistoryReprojection:
         surface, virtual = self._places.surface, self._places.virtual
         # At the place of the reflection, compare all features but those of the surface.
         second = (virtual, len(new.surface) - len(new.virtual)) if new.virtual and virtual is not None else None
-        if second is not None and self._places.followed is not None:
-            surface = np.where(self._places.followed[..., None], np.float32(np.nan), surface)
-        memory, device = self._temporal.memory, self._device
-        now = new.pixels if name not in self._masks else new.pixels.restrict(self._masks[name])
-        return reproject(sums, surface, old.pixels, now, virtual=second, memory=memory, device=device)
+
+        def find(places: FloatArray, features: ValidationFeatures) -> FloatArray:
+            now = features.pixels if name not in self._masks else features.pixels.restrict(self._masks[name])
+            memory, device = self._temporal.memory, self._device
+            return reproject(sums, places, old.pixels, now, virtual=second, memory=memory, device=device)
+
+        followed = self._places.followed
+        if second is None or followed is None:
+            return find(surface, new)
+        found = find(np.where(followed[..., None], np.float32(np.nan), surface), new)
+        lost = followed & (found[..., AGREEMENT] < MIN_FOLLOWED_AGREEMENT)
+        return np.where(lost[..., None], find(surface, self.validation[name]), found) if lost.any() else found
 
 
 def _find_near(places: FloatArray, reach: float, some: tuple[slice, slice]) -> NDArray[np.bool_]:
