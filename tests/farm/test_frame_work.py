@@ -17,6 +17,7 @@ from lobewise.io import read_image, write_frame
 from lobewise.streaming import plan
 from tests.streaming.frames import make_scene
 
+pytestmark = pytest.mark.usefixtures("dask")
 CHEAP = ("--quality", "fast", "--similarity", "normal")
 
 
