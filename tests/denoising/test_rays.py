@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lobewise.camera import Camera
 from lobewise.errors import InputError, MissingChannelError
 from lobewise.frame import GBuffer, Radiance
+from lobewise.guides.rays import find_ray_weights
 from lobewise.sparse_frame import Rays, SparseFrame, list_places
 from lobewise.temporal import TemporalFilter
 from lobewise.upsampling import upsample
@@ -166,3 +167,19 @@ def test_rays_need_a_camera() -> None:
     frame = make_frames(1)[0]
     with pytest.raises(MissingChannelError, match="camera"):
         upsample(SparseFrame(frame.radiance, frame.gbuffer, SCALE, frame.place, rays=frame.rays), similarity="normal")
+
+
+def test_weights_count_where_a_surface_has_a_diffuse_lobe() -> None:
+    frame = make_frames(1)[0]
+    assert frame.rays is not None
+    albedo = np.full((SIZE, SIZE, 3), 0.5)
+    albedo[: SIZE // 2] = 0.0
+    half = replace(frame, gbuffer=replace(frame.gbuffer, diffuse_albedo=albedo))
+    weights = find_ray_weights(half)
+    assert weights is not None
+    rows = SIZE // SCALE // 2
+    assert np.array_equal(weights[:rows], np.ones_like(weights[:rows]))
+    assert np.array_equal(weights[rows:], frame.rays.weight[rows:])
+    untold = find_ray_weights(replace(frame, gbuffer=replace(frame.gbuffer, diffuse_albedo=None)))
+    assert untold is not None
+    assert np.array_equal(untold, frame.rays.weight)

@@ -36,7 +36,7 @@ from lobewise.guides.lobe_fields import (
     spread_lobes,
 )
 from lobewise.guides.mixture_fields import make_mixture_field
-from lobewise.guides.rays import make_ray_feature
+from lobewise.guides.rays import find_ray_weights, make_ray_feature
 from lobewise.guides.surfaces import find_inverse_hits, find_places, find_surface_pixels
 from lobewise.lobes.hits import HitField
 from lobewise.settings import ResolvedSettings
@@ -266,7 +266,7 @@ def make_lobe_layers(
     ]
     if isinstance(frame, SparseFrame) and frame.rays is not None:
         more = () if frame.rays.direction is None else (make_ray_feature(frame, frame.rays.direction),)
-        layers[1] = replace(layers[1], features=(*layers[1].features, *more), weights=frame.rays.weight)
+        layers[1] = replace(layers[1], features=(*layers[1].features, *more), weights=find_ray_weights(frame))
     return layers
 
 

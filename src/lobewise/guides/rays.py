@@ -12,6 +12,25 @@ from lobewise.guides.surfaces import get_ray_numbers, make_ray
 from lobewise.lobes.vectors import dot
 from lobewise.sparse_frame import SparseFrame
 
+MIN_DIFFUSE_ALBEDO = 1e-3
+"""Diffuse albedo from which a surface counts as having a diffuse lobe."""
+
+
+def find_ray_weights(frame: SparseFrame) -> FloatArray | None:
+    """Return the weights by which the samples of a frame count, (rows, columns); None if the frame has no rays.
+
+    They are the weights of the rays where a surface also has a diffuse lobe, as far as the frame tells, and 1
+    elsewhere. Without a diffuse lobe no choice of a lobe makes noise. The weights then vary little, and dividing by
+    them would make bright samples brighter.
+    """
+    if frame.rays is None:
+        return None
+    albedo = frame.gbuffer.diffuse_albedo
+    if albedo is None:
+        return frame.rays.weight
+    both = albedo[frame.shaded].max(axis=-1) > MIN_DIFFUSE_ALBEDO
+    return np.where(both, frame.rays.weight, np.float32(1.0))
+
 
 def make_ray_feature(frame: SparseFrame, direction: FloatArray) -> RayFeature:
     """Return the feature that weighs the rays of a frame's samples by the lobes of the pixels.
