@@ -53,7 +53,8 @@ PAGES = {
     "docs/farm.md": Source(farm.make_figures, ("farm",)),
     "docs/gallery.md": Source(gallery.make_figures, ("gallery",)),
     "docs/interactive.md": Source(
-        interactive.make_figures, ("interactive_quality", "interactive", "viewer", "interactive_again", "moving")
+        interactive.make_figures,
+        ("interactive_quality", "interactive", "viewer", "interactive_again", "moving", "interactive_direct"),
     ),
     "docs/materials.md": Source(materials.make_figures, ("fit_materials",)),
     "docs/mitsuba.md": Source(mitsuba.make_figures, ("mitsuba",)),

@@ -81,6 +81,7 @@ INNER_ROOMS = {
         "views",
         "direct_filter",
         "resting",
+        "repairing",
         "lens",
         "frames",
         "session",

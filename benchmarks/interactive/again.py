@@ -3,8 +3,9 @@
     python -m benchmarks.interactive.again
 
 An orbit of ten frames, one degree a frame, 128x128 pixels, indirect light at one of 4x4 pixels. The last frame is
-compared with the same method at every pixel; paths then have 64 samples. "forgotten" leaves the samples out of the
-history. Errors are `rel_mse` (epsilon 0.01).
+compared with the same method at every pixel; paths then have 256 samples. "forgotten" leaves the samples out of the
+history; "once each" shades every pixel once, and the others as often as is usual for the method, in as many times fewer
+pixels. Errors are `rel_mse` (epsilon 0.01).
 """
 
 from __future__ import annotations
@@ -22,9 +23,9 @@ from lobewise.metrics import rel_mse
 from lobewise.render import find_orbit_centre, make_orbit
 from lobewise.temporal import TemporalFilter
 
-SCENES, METHODS = ("showroom", "parlour"), ("paths", "voxel_cones")
+SCENES, METHODS = ("showroom", "parlour", "kitchen"), ("paths", "voxel_cones")
 SIZE_PIXELS, FRAMES, DEGREES, BUDGET = 128, 10, 1.0, 0.05
-REFERENCE_SPP = {"paths": 64, "voxel_cones": 1}
+REFERENCE_SPP = {"paths": 256, "voxel_cones": 1}
 
 
 @contextmanager
@@ -56,6 +57,7 @@ def measure_scene(name: str) -> dict[str, dict[str, float]]:
             forgotten = render_last(session, path, method=method, adaptive=BUDGET)
         images = {
             "without re-computation": render_last(session, path, method=method, adaptive=0.0),
+            "once each": render_last(session, path, method=method, adaptive=BUDGET, adaptive_parts=1),
             "forgotten": forgotten,
             "kept": render_last(session, path, method=method, adaptive=BUDGET),
         }

@@ -103,7 +103,15 @@ def make_again_table(again: dict[str, Any]) -> str:
         for scene, methods in again["scenes"].items()
         for method, errors in methods.items()
     ]
-    return make_table(["last of ten frames", "without", "samples forgotten", "samples kept"], rows)
+    return make_table(["last of ten frames", "without", "each pixel once", "samples forgotten", "samples kept"], rows)
+
+
+def make_direct_table(direct: dict[str, Any]) -> str:
+    """Return the errors of direct light with and without its history."""
+    scenes = direct["scenes"]
+    kinds = list(next(iter(scenes.values())))
+    rows = [[f"`{scene}`", *(f"{errors[kind]:.4f}" for kind in kinds)] for scene, errors in scenes.items()]
+    return make_table(["direct light", *kinds], rows)
 
 
 def make_moving_table(moving: dict[str, Any]) -> str:
@@ -144,6 +152,7 @@ def make_figures(
     viewer: dict[str, Any],
     again: dict[str, Any],
     moving: dict[str, Any],
+    direct: dict[str, Any],
 ) -> dict[str, str]:
     """Return the figures of docs/interactive.md by place."""
     tables = "\n\n".join(
@@ -164,6 +173,7 @@ def make_figures(
         ),
         "rates": make_rate_table(viewer),
         "again": make_again_table(again),
+        "direct": make_direct_table(direct),
         "moving": make_moving_table(moving),
         "moving-switch": make_table(
             ["lamp of `showroom`, times", "the light now, over what it should be", "unaware"],

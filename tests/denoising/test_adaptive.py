@@ -10,7 +10,7 @@ import pytest
 
 from lobewise.adaptive import choose_spp, find_unsupported, recompute
 from lobewise.adaptive.merging import MAX_KEPT_RATIO
-from lobewise.adaptive.recomputing import KEPT_WORTH
+from lobewise.adaptive.recipe import KEPT_WORTH
 from lobewise.denoising import denoise
 from lobewise.errors import InputError
 from lobewise.frame import Radiance, Result

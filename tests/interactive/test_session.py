@@ -207,6 +207,40 @@ def test_lights_that_change_are_noticed(mi: Any) -> None:
         assert ratio == pytest.approx(3.0, rel=0.05), part
 
 
+def render_direct(session: Session, path: list[Camera], changes: int = 0, **settings: Any) -> np.ndarray:
+    """Return direct light at the end of a path; lights are said to have changed before the last ``changes`` frames."""
+    stream = session.make_sibling()
+    asked = replace(QUICK, adaptive=0.0, **settings)
+    for number, camera in enumerate(path):
+        if number >= len(path) - changes:
+            stream.update_lights()
+        frame = stream.render(camera, asked)
+    return frame.get_view("direct")
+
+
+def test_direct_light_has_a_history(session: Session, path: list[Camera]) -> None:
+    session.resize(96, 96)
+    reference = session.make_sibling()
+    raw = replace(QUICK, adaptive=0.0, temporal=False, filter_direct=False)
+    truth = [reference.render(path[-1], raw) for _ in range(128)][-1].get_view("direct")
+    kept, alone = (render_direct(session, path, temporal=temporal) for temporal in (True, False))
+    assert rel_mse(kept, truth) < rel_mse(alone, truth)
+    # The history is left behind when lights change.
+    np.testing.assert_array_equal(render_direct(session, path, changes=1), alone)
+    assert not np.array_equal(kept, alone)
+
+
+def test_direct_light_gets_better_while_the_camera_rests(session: Session, path: list[Camera]) -> None:
+    session.resize(96, 96)
+    reference = session.make_sibling()
+    raw = replace(QUICK, adaptive=0.0, temporal=False, filter_direct=False)
+    truth = [reference.render(path[-1], raw) for _ in range(128)][-1].get_view("direct")
+    images = [render_direct(session, [*path, *[path[-1]] * count]) for count in (0, 4, 24)]
+    errors = [rel_mse(image, truth) for image in images]
+    assert errors[1] < errors[0]
+    assert errors[2] < 0.5 * errors[1]
+
+
 def test_options_are_for_methods_that_exist(scene: Any) -> None:
     with pytest.raises(InputError, match="method"):
         Session(scene, options={"voxels": {"resolution": 64}})

@@ -18,7 +18,7 @@ HALF_TRUST_SAMPLES = 16.0
 firefly."""
 
 Again = tuple[NDArray[np.intp], NDArray[np.intp], FloatArray]
-"""Rows and columns of pixels that were shaded again, and their radiance, (count, 3)."""
+"""Rows and columns of pixels that were shaded again, and their radiance, (count, parts, 3)."""
 
 
 @dataclass
@@ -83,6 +83,6 @@ def _add_samples(own: FloatArray, own_count: FloatArray, sparse: SparseFrame, ag
     own_count[sparse.shaded] += good
     if again is not None:
         rows, columns, radiance = again
-        good = find_good(radiance[:, None])[:, 0]
-        own[rows, columns] += np.where(good[:, None], radiance, np.float32(0.0))
-        own_count[rows, columns] += good
+        good = find_good(radiance)
+        own[rows, columns] += np.where(good[..., None], radiance, np.float32(0.0)).sum(axis=1)
+        own_count[rows, columns] += good.sum(axis=1)

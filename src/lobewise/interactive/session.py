@@ -13,22 +13,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lobewise.adaptive import recompute
 from lobewise.camera import Camera
 from lobewise.errors import InputError, name_value
+from lobewise.filters.history.light import LightPast
 from lobewise.frame import Radiance, Result
 from lobewise.interactive.changes import SceneChanges, Seen
-from lobewise.interactive.direct_filter import filter_direct
-from lobewise.interactive.filter_choice import MIN_PATHS_FOR_INTERPOLATION, FilterChoice
+from lobewise.interactive.direct_filter import settle_direct
+from lobewise.interactive.filter_choice import FilterChoice
 from lobewise.interactive.frames import STAGES, InteractiveFrame, watch
 from lobewise.interactive.gradients import Pixels, Shaded, find_changes, follows_hits, relight
 from lobewise.interactive.lens import LensMean
 from lobewise.interactive.methods import Methods
+from lobewise.interactive.repairing import repair
 from lobewise.interactive.resting import Again, Resting
 from lobewise.interactive.samples import make_radiance, make_rays
 from lobewise.interactive.settings import UNFILTERED, InteractiveSettings
 from lobewise.interactive.views import Parts
 from lobewise.render.loading import load_scene
+from lobewise.render.renderer import PART_STEP
 from lobewise.render.stages import DirectLight, FirstHits, Stages
 from lobewise.render.tracing.own_samples import OwnLight
 from lobewise.settings import DenoiseSettings
@@ -58,6 +60,8 @@ class _Chain:
     """Frames so far."""
     resting: Resting = field(default_factory=Resting)
     lens: LensMean = field(default_factory=LensMean)
+    direct: LightPast | None = None
+    """The direct light of the last frame, if nothing but the camera moved since."""
 
 
 @dataclass
@@ -249,9 +253,11 @@ class Session:
         chains = [self._find_chain(index, settings, camera) for index, settings in enumerate(asked)]
         with watch(seconds, "indirect"):
             for chain in chains:
-                if chain.shaded is not None and chain.seen is not None and chain.seen.changes != self._changes.count:
-                    self._relight_history(chain, chain.shaded, chain.seen)
-                    self._stages.place_camera(camera, *self._size)
+                if chain.seen is not None and chain.seen.changes != self._changes.count:
+                    chain.direct = None
+                    if chain.shaded is not None:
+                        self._relight_history(chain, chain.shaded, chain.seen)
+                        self._stages.place_camera(camera, *self._size)
         seed = (self._seed << 20) + chains[0].number
         with watch(seconds, "gbuffer"):
             hits, direct = self._stages.trace_first(camera, seed)
@@ -297,7 +303,10 @@ class Session:
             if settings.adaptive > 0.0 and settings.scale > 1:
                 result, again = self._repair(chain, shared, method, result, sparse)
         with watch(seconds, "composite"):
-            direct = self._settle_direct(chain, shared)
+            new = shared.direct
+            # The mean over the frames since the camera stands still.
+            mean = DirectLight(*chain.resting.add_direct([new.emitted, new.diffuse, new.specular]))
+            direct, chain.direct = settle_direct(mean, shared.hits, settings, chain.direct, chain.resting.frames)
             indirect = chain.resting.add_indirect(result.image, sparse, again)
             image = direct.total + indirect
             if self._stages.has_lens and chain.resting.frames > 1:
@@ -368,29 +377,11 @@ class Session:
     ) -> tuple[Result, Again | None]:
         """Return the result with its least supported pixels shaded again, and the new samples."""
         settings, spp = chain.settings, chain.settings.spp
-        remembers = settings.temporal and settings.similarity != UNFILTERED
-        again: list[Again] = []
+        history = chain.temporal if settings.temporal and settings.similarity != UNFILTERED else None
 
-        def shade(rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Radiance:
-            # Draw other samples than those of the frame.
-            radiance = self._shade(method, (rows, columns), spp, shared.seed ^ (1 << 31), (rows.size, 1))
-            again.append((rows, columns, radiance.color[:, 0]))
-            if remembers:
-                chain.temporal.add_samples(rows, columns, radiance, np.ones(rows.size, np.float32))
-            return radiance
+        def shade_part(rows: NDArray[np.intp], columns: NDArray[np.intp], part: int) -> Radiance:
+            # Draw other samples than those of the frame, and others for each part.
+            seed = ((shared.seed ^ (1 << 31)) + part * PART_STEP) % (1 << 32)
+            return self._shade(method, (rows, columns), spp, seed, (rows.size, 1))
 
-        # Only the sum is shown, so diffuse and specular light need no repair.
-        whole = replace(result, diffuse=None, specular=None)
-        # A noisy sample counts little in this frame; over time it counts fully.
-        worth = min(1.0, spp * method.worth / MIN_PATHS_FOR_INTERPOLATION)
-        options: dict[str, Any] = {"samples": worth, "budget": settings.adaptive, "filter_new": False}
-        mended = recompute(whole, shade, frame=sparse, **options)
-        return mended, again[0] if again else None
-
-    def _settle_direct(self, chain: _Chain, shared: _Shared) -> DirectLight:
-        """Return the mean of direct light over the frames since the camera stands still, filtered if that is set."""
-        settings, new = chain.settings, shared.direct
-        mean = DirectLight(*chain.resting.add_direct([new.emitted, new.diffuse, new.specular]))
-        if not settings.filter_direct or settings.similarity == UNFILTERED:
-            return mean
-        return filter_direct(mean, shared.hits, settings.make_filter_settings(), chain.resting.frames)
+        return repair(result, sparse, settings, spp * method.worth, history, shade_part)

@@ -54,12 +54,21 @@ class InteractiveSettings(Declared):
     adaptive: Annotated[
         float,
         Knob(
-            "Share of the pixels that is shaded again because nothing supports them.",
+            "Share of the pixels that is shaded again because nothing supports them, over adaptive_parts.",
             high=1.0,
             usual="0.05 is usual",
             label="Adaptive, %",
         ),
     ] = 0.05
+    adaptive_parts: Annotated[
+        int | Auto,
+        Knob(
+            "How often each of these pixels is shaded; the differences tell the noise. Time is that of adaptive alone. "
+            '"auto" is 4 for noisy methods, else 1.',
+            low=1,
+            high=64,
+        ),
+    ] = "auto"
     limit_lobes: Annotated[
         bool,
         Knob(

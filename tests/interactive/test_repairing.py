@@ -1,0 +1,78 @@
+"""How often unsupported pixels of an interactive frame are shaded again, and what becomes of the samples."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lobewise.errors import InputError
+from lobewise.frame import Radiance
+from lobewise.interactive import InteractiveSettings
+from lobewise.interactive.filter_choice import MIN_PATHS_FOR_INTERPOLATION
+from lobewise.interactive.repairing import NOISY_PARTS, repair
+from lobewise.sparse_frame import make_sparse
+from lobewise.temporal import TemporalFilter
+from tests.denoising.test_upsampling import make_clean_frame
+
+NOISY, CALM = 1.0, float(MIN_PATHS_FOR_INTERPOLATION)
+
+
+def run(worth: float, **settings: Any) -> tuple[Any, Any, list[tuple[int, int]], Any, Any]:
+    """Return result before, result after, the number and the part of every call, the new samples, and the history."""
+    frame, truth = make_clean_frame()
+    sparse, temporal, calls = make_sparse(frame, 4), TemporalFilter(), []
+    before = temporal.add(sparse)
+
+    def shade_part(rows: Any, columns: Any, part: int) -> Radiance:
+        calls.append((len(rows), part))
+        color = (1.0 + part) * truth[rows, columns][:, None]
+        return Radiance(color, np.zeros_like(color), color)
+
+    asked = InteractiveSettings(adaptive=0.05, **settings)
+    after, again = repair(before, sparse, asked, worth, temporal, shade_part)
+    return before, after, calls, again, temporal
+
+
+@pytest.mark.parametrize(
+    ("worth", "settings", "parts"),
+    [
+        (NOISY, {}, NOISY_PARTS),
+        (CALM, {}, 1),
+        (NOISY, {"adaptive_parts": 1}, 1),
+        (CALM, {"adaptive_parts": 3}, 3),
+    ],
+)
+def test_parts_share_the_budget(worth: float, settings: dict[str, Any], parts: int) -> None:
+    before, after, calls, again, _ = run(worth, **settings)
+    count = int(0.05 / parts * before.weight_sum.size)
+    assert calls == [(count, part) for part in range(parts)]
+    assert after.settings["recomputed"] == count
+    rows, columns, light = again
+    assert light.shape == (count, parts, 3)
+    np.testing.assert_allclose(light[:, -1], parts * light[:, 0], rtol=1e-6)
+    changed = (after.image != before.image).any(axis=-1)
+    marked = np.zeros_like(changed)
+    marked[rows, columns] = True
+    assert not (changed & ~marked).any()
+
+
+@pytest.mark.parametrize("worth", [NOISY, CALM])
+def test_new_samples_enter_the_history(worth: float) -> None:
+    before, _, _, again, temporal = run(worth)
+    rows, columns, _ = again
+    sums = temporal.get_state()["sums/specular"]
+    fresh = TemporalFilter()
+    fresh.add(make_sparse(make_clean_frame()[0], 4))
+    added = sums[..., 3] - fresh.get_state()["sums/specular"][..., 3]
+    marked = np.zeros(before.weight_sum.shape, bool)
+    marked[rows, columns] = True
+    assert (added[marked] > 0.5).all()
+    assert not added[~marked].any()
+
+
+def test_bad_numbers_of_parts_are_told() -> None:
+    for parts in (0, 65, "many"):
+        with pytest.raises(InputError, match="adaptive_parts"):
+            InteractiveSettings(adaptive_parts=parts)  # type: ignore[arg-type]
