@@ -44,8 +44,8 @@ class WindowFilter:
 
     The samples of the other frames are brought to the pixels of a frame by the motion of surfaces and reflections,
     where the surface and its lobe are recognised. They are weighed by the error that they would bring in. The joined
-    frame has less noise; it is denoised like any frame. Where Open Image Denoise is used, pixels that few frames show
-    are taken from the frame that was denoised by itself.
+    frame has less noise; it is denoised like any frame. Pixels that few frames show are taken from the frame that was
+    denoised by itself.
 
     Frames are prepared once, and kept as long as windows need them.
 
@@ -122,8 +122,7 @@ class WindowFilter:
         result = run_recipe(joined.frame, self._settings, why_alone=ALONE)
         unused = tuple(name for name in result.unused if name not in USED_BETWEEN_FRAMES)
         taken = {**result.settings, "window": self.reach, "joined": joined.used}
-        if taken["with_oidn"]:
-            result = mix_results(joined.alone, result, find_share(joined.frames))
+        result = mix_results(joined.alone, result, find_share(joined.frames))
         return replace(result, settings=taken, unused=unused, seconds=time.perf_counter() - start)
 
     def _prepare(self, frames: Sequence[Frame], first: int, last: int) -> dict[int, Shot]:
@@ -155,9 +154,8 @@ class WindowFilter:
 def find_share(frames: FloatArray) -> FloatArray:
     """Return the share of the denoised joined frame in the result, (height, width), in [0, 1].
 
-    Pixels that few frames show have more noise than their surroundings. Open Image Denoise sees little noise around
-    them and takes theirs for detail. There its image of the frame alone is better. Our filters measure noise pixel by
-    pixel.
+    Pixels that few frames show have more noise than their surroundings, and a denoiser that sees little noise around
+    them takes theirs for detail. There the frame that was denoised by itself is better.
 
     Parameters
     ----------

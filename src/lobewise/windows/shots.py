@@ -22,6 +22,8 @@ from lobewise.windows.layers import LayerImages, list_layers
 MIN_OWN_MOTION_PIXELS = 0.1
 """Distance between the motion of a surface and the motion of the camera. Below it the surface stands still: the places
 of still surfaces are computed from the cameras, without the errors of motion vectors."""
+EDGE_REACH_PIXELS = 2
+"""Distance from a pixel at an edge to pixels inside of its surfaces."""
 MAX_STEP_SHARE = 0.25
 """Longest own motion between two frames, as a share of the image's longer side."""
 MIN_PASSING_PIXELS = 0.5
@@ -69,7 +71,11 @@ class Shot:
         _, distance = find_surface_places(camera, self._previous, self.guides.places, motion)
         assert distance is not None
         # At a cut the camera jumps, and motion vectors know nothing of it.
-        return np.where(distance < MAX_STEP_SHARE * max(self.frame.shape), distance, np.float32(0.0))
+        distance = np.where(distance < MAX_STEP_SHARE * max(self.frame.shape), distance, np.float32(0.0))
+        # At edges renderers average the motion of both surfaces, which is that of none: ask the pixels inside of them.
+        edge, _, _ = self.edges
+        inside = spread_largest(np.where(edge, np.float32(-1.0), distance), EDGE_REACH_PIXELS)
+        return np.where(edge & (inside >= 0.0), inside, distance)
 
     @cached_property
     def moves(self) -> NDArray[np.bool_]:
@@ -129,10 +135,17 @@ class Shot:
     def moving_edges(self) -> NDArray[np.bool_]:
         """Edges between surfaces of which one moves by itself, (height, width): there the background changes."""
         edge, _, _ = self.edges
-        moves = np.pad(self.own_motion > MIN_PASSING_PIXELS, 1)
-        height, width = edge.shape
-        near = [moves[row : row + height, column : column + width] for row in range(3) for column in range(3)]
-        return np.asarray(edge & np.logical_or.reduce(near))
+        return np.asarray(edge & (self.own_motion > MIN_PASSING_PIXELS))
+
+
+def spread_largest(image: FloatArray, reach: int) -> FloatArray:
+    """Return the largest value of an image, (height, width), in the square of ``reach`` pixels around each pixel."""
+    for axis in (0, 1):
+        widths = [(reach, reach) if each == axis else (0, 0) for each in (0, 1)]
+        wide = np.pad(image, widths, mode="edge")
+        size = image.shape[axis]
+        image = np.maximum.reduce([np.take(wide, range(k, k + size), axis) for k in range(2 * reach + 1)])
+    return image
 
 
 def extrapolate_camera(camera: Camera, following: Camera) -> Camera:
