@@ -207,6 +207,18 @@ class TestFilter:
         result = WindowFilter(1, quality="fast").denoise(frames, 1)
         assert any("neither motion vectors nor a camera" in note for note in result.notes)
 
+    def test_frames_of_one_seed_are_named_and_not_used(self):
+        frames = [make_frame(STILL, STILL, noise=NOISE, seed=3) for _ in range(3)]
+        window = WindowFilter(1, quality="fast")
+        assert window.join(frames, 1).repeated == (-1, 1)
+        result = window.denoise(frames, 1)
+        assert result.settings["joined"] == ()
+        assert any("same seed" in note for note in result.notes)
+        mixed = [frames[0], make_frame(STILL, STILL, noise=NOISE, seed=4), *frames[1:]]
+        result = window.denoise(mixed, 2)
+        assert result.settings["joined"] == (-1,)
+        assert any("same seed" in note for note in result.notes)
+
     def test_a_cut_on_both_sides_is_named(self):
         away = make_camera(0.0, 40.0)
         frames = [make_frame(away, away, noise=NOISE), *make_still(1), make_frame(away, away, noise=NOISE)]

@@ -17,6 +17,8 @@ from lobewise.windows.layers import LayerImages
 from lobewise.windows.places import find_reflections, make_grid
 from lobewise.windows.shots import Shot
 
+MAX_SHARE_EQUAL = 0.2
+"""Share of the lit surface pixels that may have exactly the same light in two frames. Above it both have one noise."""
 MIN_AGREEMENT = 0.02
 """Agreement below which a pixel counts as not found."""
 SHARP_AGREEMENT = 0.8
@@ -68,6 +70,13 @@ class Neighbour:
     def reflections(self) -> FloatArray | None:
         """Where reflections are in the other frame, (height, width, 2); None without cameras."""
         return find_reflections(self._shot, self._other)
+
+    @cached_property
+    def repeats(self) -> bool:
+        """Whether the other frame has the noise of this frame: both were rendered with one seed, and nothing moved."""
+        one, other = self._shot.frame.radiance.color, self._other.frame.radiance.color
+        lit = self._shot.features[SURFACE].mask & (one > 0.0).all(axis=-1)
+        return bool(lit.any() and np.mean((one == other).all(axis=-1)[lit]) > MAX_SHARE_EQUAL)
 
     @cached_property
     def moves(self) -> bool:

@@ -43,12 +43,15 @@ class JoinedFrame:
         The frame denoised by itself.
     used : tuple of int
         The neighbours that took part, as numbers of frames relative to the frame.
+    repeated : tuple of int
+        The neighbours that repeat the noise of the frame, and are not used.
     """
 
     frame: Frame
     frames: FloatArray
     alone: Result
     used: tuple[int, ...]
+    repeated: tuple[int, ...] = ()
 
 
 def join_frames(shots: Mapping[int, Shot], index: int) -> JoinedFrame:
@@ -63,9 +66,11 @@ def join_frames(shots: Mapping[int, Shot], index: int) -> JoinedFrame:
     """
     shot = shots[index]
     near = find_neighbours(shots, index)
+    repeated = tuple(number - index for number, each in near.items() if each.repeats)
+    near = {number: each for number, each in near.items() if not each.repeats}
     own = list(shot.layers.values())
     if not near:
-        return JoinedFrame(shot.frame, np.ones(shot.frame.shape, np.float32), shot.alone, ())
+        return JoinedFrame(shot.frame, np.ones(shot.frame.shape, np.float32), shot.alone, (), repeated)
     named = {number: shots[number].layers for number in near}
     guides = _Guides(shot, shots, near)
     found = [_join_layer(shot, layer, near, named, guides) for layer in own]
@@ -79,7 +84,9 @@ def join_frames(shots: Mapping[int, Shot], index: int) -> JoinedFrame:
         changes["spp"] = max(round(frame.spp * float(np.median(effective))), frame.spp)
     if frame.also:
         changes["also"] = _join_also(shot, shots, near, found, frame)
-    return JoinedFrame(frame.with_changes(**changes), effective, shot.alone, tuple(number - index for number in near))
+    return JoinedFrame(
+        frame.with_changes(**changes), effective, shot.alone, tuple(number - index for number in near), repeated
+    )
 
 
 def find_neighbours(shots: Mapping[int, Shot], index: int) -> dict[int, Neighbour]:

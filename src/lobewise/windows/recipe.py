@@ -36,6 +36,10 @@ taken from the denoised joined frame."""
 SHARE_BLURS = 2
 """Blurs that spread the noise of pixels with few frames over their surroundings."""
 ALONE = "the network that mixes images knows no joined frames"
+REPEATED = (
+    "Other frames have exactly the noise of this frame, as they were rendered with the same seed, and are not used: "
+    "give every frame a seed of its own (in Blender: Sampling > Advanced > Seed, the clock beside it)."
+)
 NOTHING_FOUND = "No other frame is used: none of them shows the surfaces of this frame."
 
 
@@ -114,7 +118,7 @@ class WindowFilter:
         start = time.perf_counter()
         joined = self.join(frames, index)
         if not joined.used:
-            notes = joined.alone.notes + self._explain(frames[index], len(frames))
+            notes = joined.alone.notes + self._explain(frames[index], joined, len(frames))
             taken = {**joined.alone.settings, "window": self.reach, "joined": ()}
             return replace(joined.alone, notes=notes, settings=taken, seconds=time.perf_counter() - start)
         # The network that mixes images was trained on noise without correlations. On joined frames its mixture had more
@@ -123,7 +127,8 @@ class WindowFilter:
         unused = tuple(name for name in result.unused if name not in USED_BETWEEN_FRAMES)
         taken = {**result.settings, "window": self.reach, "joined": joined.used}
         result = mix_results(joined.alone, result, find_share(joined.frames))
-        return replace(result, settings=taken, unused=unused, seconds=time.perf_counter() - start)
+        notes = result.notes + ((REPEATED,) if joined.repeated else ())
+        return replace(result, notes=notes, settings=taken, unused=unused, seconds=time.perf_counter() - start)
 
     def _prepare(self, frames: Sequence[Frame], first: int, last: int) -> dict[int, Shot]:
         """Return the shots of a window, and let go of all others."""
@@ -145,9 +150,11 @@ class WindowFilter:
         return shots
 
     @staticmethod
-    def _explain(frame: Frame, count: int) -> tuple[str, ...]:
+    def _explain(frame: Frame, joined: JoinedFrame, count: int) -> tuple[str, ...]:
         if count == 1:
             return ()
+        if joined.repeated:
+            return (REPEATED,)
         return (NOTHING_FOUND if frame.gbuffer.motion is not None or frame.is_placed else NO_MOTION,)
 
 
