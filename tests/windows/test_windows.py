@@ -63,14 +63,15 @@ class TestJoining:
         ratio /= rel_mse(frames[2].radiance.color, make_truth(frames[2]))
         assert ratio < 0.26
         assert joined.frame.spp == round(4 * float(np.median(joined.frames)))
-        assert not joined.frame.noise_is_shared
 
     def test_a_moving_camera_is_followed(self):
         frames = make_moving()
         joined = join(frames)
         truth = make_truth(frames[2])
         assert rel_mse(joined.frame.radiance.color, truth) < 0.35 * rel_mse(frames[2].radiance.color, truth)
-        assert joined.frame.noise_is_shared
+        # Samples keep to whole pixels, so the noise of neighbours stays independent.
+        noise = (joined.frame.radiance.diffuse / (0.4 * truth) - 1.0)[..., 0]
+        assert abs(np.corrcoef(noise[:, 1:].ravel(), noise[:, :-1].ravel())[0, 1]) < 0.15
 
     def test_a_moving_card_is_followed_and_leaves_no_ghost(self):
         at = [-0.3 + 0.05 * k for k in range(5)]
@@ -174,7 +175,7 @@ class TestFilter:
         window = WindowFilter(2, quality="balanced")
         result = window.denoise(frames, 2)
         alone = window.denoise([frames[2]], 0)
-        assert rel_mse(result.image, truth) < 0.8 * rel_mse(alone.image, truth)
+        assert rel_mse(result.image, truth) < 0.9 * rel_mse(alone.image, truth)
         assert result.settings["window"] == 2
         assert result.settings["joined"] == (-2, -1, 1, 2)
         assert "motion" not in result.unused

@@ -122,9 +122,7 @@ def can_mix(frame: Frame) -> bool:
     return bool(name_oidn_guides(frame))
 
 
-def describe_method(
-    settings: DenoiseSettings, guides: Sequence[str], *, mixes: bool, why_ours: str = "", why_alone: str = ""
-) -> str:
+def describe_method(settings: DenoiseSettings, guides: Sequence[str], *, mixes: bool, why_ours: str = "") -> str:
     """Return a sentence without a full stop: the filters and networks that make the image.
 
     Parameters
@@ -137,8 +135,6 @@ def describe_method(
         Result of `can_mix`.
     why_ours : str
         Result of `lobewise.denoising.automatic.explain_ours`.
-    why_alone : str
-        Why the image of Open Image Denoise is not mixed with ours, where it could be; empty where it is.
     """
     ours = "lobewise's own filters"
     if settings.similarity != "auto":
@@ -148,9 +144,9 @@ def describe_method(
     if not settings.asks_for_oidn:
         return f"{ours}, quality {settings.quality}" + (f" ({why_ours})" if why_ours else "")
     told = f"Open Image Denoise with {' and '.join(guides)}" if guides else "Open Image Denoise without guides"
-    if mixes and not why_alone:
+    if mixes:
         return f"{told}, mixed pixel by pixel with {ours}"
-    return f"{told}, alone, because {why_alone or 'the frame has neither albedo nor normals'}"
+    return f"{told}, alone, because the frame has neither albedo nor normals"
 
 
 class Shares(NamedTuple):

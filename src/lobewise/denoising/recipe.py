@@ -91,20 +91,15 @@ def denoise(
     return run_recipe(frame, change_settings(settings or DenoiseSettings(), changes), features)
 
 
-def run_recipe(
-    frame: Frame, named: DenoiseSettings, features: Sequence[Feature] = (), *, why_alone: str = ""
-) -> Result:
-    """Denoise a frame; ``named`` are the settings before anything is chosen.
-
-    ``why_alone`` tells why the image of Open Image Denoise is not mixed with ours; empty to mix them where it can be.
-    """
+def run_recipe(frame: Frame, named: DenoiseSettings, features: Sequence[Feature]) -> Result:
+    """Denoise a frame; ``named`` are the settings before anything is chosen."""
     start = time.perf_counter()
     frame, unusable = check_guides(frame)
     notes = tuple(map(str, unusable))
     chosen = resolve_all(frame, ask(named, {}, with_features=bool(features)))
     if chosen.with_oidn:
         require_oidn()
-    state = start_run(frame, chosen, features, mixes=not why_alone)
+    state = start_run(frame, chosen, features)
     require_some_good(int(np.count_nonzero(state.bad)), state.bad.size, "pixel")
     local = state.run(state.plan.local_stages)
     state = local.run(state.plan.stages[len(state.plan.local_stages) :])
@@ -128,7 +123,6 @@ def run_recipe(
             name_oidn_guides(frame),
             mixes=can_mix(frame),
             why_ours=explain_ours(named, with_features=bool(features)),
-            why_alone=why_alone,
         ),
         notes=(*notes, *describe_filtering(state, local.filtered)),
         unused=list_unused(frame, chosen),

@@ -120,8 +120,6 @@ class FrameRun:
         Pixels that are NaN, infinite or negative.
     whole : WholeImage, optional
         What was measured of the whole image, where the frame is a part of it.
-    mixes : bool
-        Whether the image of Open Image Denoise is mixed with ours; if not it is the result.
     found : Filtered, optional
         The layers, once they are filtered.
     image : (height, width, 3), optional
@@ -140,7 +138,6 @@ class FrameRun:
     plan: FramePlan
     bad: NDArray[np.bool_]
     whole: WholeImage | None = None
-    mixes: bool = True
     found: Filtered | None = None
     image: FloatArray | None = None
     energy_lost: float = 0.0
@@ -171,12 +168,10 @@ def start_run(
     settings: ResolvedSettings,
     features: Sequence[Feature] = (),
     whole: WholeImage | None = None,
-    *,
-    mixes: bool = True,
 ) -> FrameRun:
     """Return a frame before its first stage."""
     plan, bad = plan_frame(describe_frame(frame), settings), find_bad_pixels(frame)
-    return FrameRun(frame=frame, settings=settings, features=features, plan=plan, bad=bad, whole=whole, mixes=mixes)
+    return FrameRun(frame=frame, settings=settings, features=features, plan=plan, bad=bad, whole=whole)
 
 
 def filter_frame(
@@ -290,11 +285,9 @@ def mix_peer(state: FrameRun) -> FrameRun:
     """Mix in the image of Open Image Denoise, and scale the parts so that they still sum to the image."""
     frame, found, image = state.frame, state.filtered, state.total
     peer = denoise_with_peer(frame, image)
-    mixed = peer
-    if state.mixes:
-        with np.errstate(over="ignore"):  # an infinite sum is a bad pixel, whose share is 0
-            noisy = compose(frame, found.noisy, found.noisy_rest)
-        mixed = choose_between(frame, image, peer, noisy)
+    with np.errstate(over="ignore"):  # an infinite sum is a bad pixel, whose share is 0
+        noisy = compose(frame, found.noisy, found.noisy_rest)
+    mixed = choose_between(frame, image, peer, noisy)
     image, parts, gain = share_out(mixed, image, found.parts)
     return replace(state, found=replace(found, parts=parts), image=image, gains=(*state.gains, gain))
 

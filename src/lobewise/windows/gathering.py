@@ -78,12 +78,6 @@ class Neighbour:
         lit = self._shot.features[SURFACE].mask & (one > 0.0).all(axis=-1)
         return bool(lit.any() and np.mean((one == other).all(axis=-1)[lit]) > MAX_SHARE_EQUAL)
 
-    @cached_property
-    def moves(self) -> bool:
-        """Whether a tenth of the pixels, or more, lie between the pixels of the other frame."""
-        apart = np.abs(self._places - np.rint(self._places)).max(axis=-1) > 0.01
-        return bool(np.mean(apart[self.surface_agreement > MIN_AGREEMENT]) > 0.1)
-
     def gather_layer(self, layer: LayerImages, slots: Sequence[str]) -> tuple[dict[str, FloatArray], FloatArray]:
         """Return images of a layer of the other frame at the pixels of this frame, and how well the pixels match.
 
@@ -135,7 +129,9 @@ class Neighbour:
         if kind == "specular" and self.reflections is not None:
             known = np.asarray(np.isfinite(self.reflections).all(axis=-1))
             places = np.where(known[..., None], np.float32(np.nan), places)
-            virtual = self.reflections, len(now.surface) - 1
+            virtual = np.rint(self.reflections), len(now.surface) - 1
+        # Whole pixels: samples that were interpolated share their noise, and denoisers take shared noise for texture.
+        places = np.rint(places)
         found: list[FloatArray] = []
         agreement = np.zeros(self._shot.frame.shape, np.float32)
         for start in range(0, len(images), 2):

@@ -79,7 +79,7 @@ def join_frames(shots: Mapping[int, Shot], index: int) -> JoinedFrame:
     albedos = {name: guides.join(name) for name in ALBEDOS if getattr(shot.frame.gbuffer, name) is not None}
     frame = put_back(shot.frame, own, joined, albedos, shares)
     effective = count_frames(found)
-    changes: dict[str, Any] = {"noise_is_shared": frame.noise_is_shared or any(each.moves for each in near.values())}
+    changes: dict[str, Any] = {}
     if frame.spp is not None:
         changes["spp"] = max(round(frame.spp * float(np.median(effective))), frame.spp)
     if frame.also:

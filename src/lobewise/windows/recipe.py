@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lobewise.denoising import denoise
 from lobewise.denoising.automatic import change_settings, choose_similarity
-from lobewise.denoising.recipe import run_recipe
 from lobewise.errors import MAX_GOT_LETTERS, InputError, name_value, require_kind
 from lobewise.filters.noise.pooling import blur_image
 from lobewise.frame import FloatArray, Frame, Result
@@ -35,7 +35,6 @@ FEW_FRAMES, MANY_FRAMES = 1.25, 2.5
 taken from the denoised joined frame."""
 SHARE_BLURS = 2
 """Blurs that spread the noise of pixels with few frames over their surroundings."""
-ALONE = "the network that mixes images knows no joined frames"
 REPEATED = (
     "Other frames have exactly the noise of this frame, as they were rendered with the same seed, and are not used: "
     "give every frame a seed of its own (in Blender: Sampling > Advanced > Seed, the clock beside it)."
@@ -121,9 +120,7 @@ class WindowFilter:
             notes = joined.alone.notes + self._explain(frames[index], joined, len(frames))
             taken = {**joined.alone.settings, "window": self.reach, "joined": ()}
             return replace(joined.alone, notes=notes, settings=taken, seconds=time.perf_counter() - start)
-        # The network that mixes images was trained on noise without correlations. On joined frames its mixture had more
-        # error than the image of Open Image Denoise alone.
-        result = run_recipe(joined.frame, self._settings, why_alone=ALONE)
+        result = denoise(joined.frame, self._settings)
         unused = tuple(name for name in result.unused if name not in USED_BETWEEN_FRAMES)
         taken = {**result.settings, "window": self.reach, "joined": joined.used}
         result = mix_results(joined.alone, result, find_share(joined.frames))
