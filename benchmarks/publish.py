@@ -16,6 +16,7 @@ from benchmarks.common import RESULTS, ROOT
 from benchmarks.pages import (
     bench,
     farm,
+    films,
     foreign,
     gallery,
     interactive,
@@ -73,6 +74,7 @@ PAGES = {
     "docs/upsampling.md": Source(make_upsampling_figures, ("skies", "rays")),
     "docs/users_results.md": Source(users.make_figures, ("users",)),
     "docs/virtual_lights.md": Source(virtual_lights.make_figures, ("virtual_lights", "virtual_light_clusters")),
+    "docs/windows.md": Source(films.make_figures, ("films",)),
 }
 """The pages that have marked places."""
 
