@@ -260,3 +260,28 @@ class TestFilter:
         frames = [Frame(Radiance(np.ones((*SIZE, 3)))) for _ in range(3)]
         with pytest.raises(MissingChannelError):
             WindowFilter(1).join(frames, 1)
+
+
+class TestRobustness:
+    def test_light_without_albedo_at_the_centre_is_not_blown_up(self):
+        """At an edge of a texture the albedo of the centre may be 0 beside light of the pixel's other part."""
+        frames = make_still()
+        changed = []
+        for k, frame in enumerate(frames):
+            albedo = frame.gbuffer.specular_albedo.copy()
+            if k == 2:
+                albedo[20, 30] = 0.0
+            changed.append(frame.with_changes(gbuffer=replace(frame.gbuffer, specular_albedo=albedo)))
+        joined = join(changed).frame.radiance.color[20, 30]
+        brightest = max(float(frame.radiance.color[20, 30].max()) for frame in frames)
+        assert joined.max() < 1.5 * brightest
+
+    def test_a_firefly_of_another_frame_is_bounded(self):
+        frames = make_still()
+        spoilt = frames[1].radiance
+        images = {name: getattr(spoilt, name).copy() for name in ("color", "diffuse", "specular")}
+        for name in ("color", "diffuse"):
+            images[name][20, 30] += 1000.0
+        frames[1] = frames[1].with_changes(radiance=Radiance(**images))
+        joined = join(frames).frame.radiance.color[20, 30]
+        assert joined.max() < 5.0

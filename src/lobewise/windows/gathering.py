@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 
-from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.filters.history.reprojection import reproject
 from lobewise.filters.history.reprojection_pass import AGREEMENT
 from lobewise.filters.history.sums import HISTORY_CHANNELS, Sums
@@ -19,6 +18,8 @@ from lobewise.windows.shots import Shot
 
 MAX_SHARE_EQUAL = 0.2
 """Share of the lit surface pixels that may have exactly the same light in two frames. Above it both have one noise."""
+MIN_ALBEDO = 0.05
+"""Smallest albedo that radiance is divided by. A pixel whose centre has no albedo may show light of its other part."""
 MIN_AGREEMENT = 0.02
 """Agreement below which a pixel counts as not found."""
 SHARP_AGREEMENT = 0.8
@@ -166,9 +167,9 @@ def divide(image: FloatArray, albedo: FloatArray | None) -> FloatArray:
     """Return radiance over albedo, (height, width, 3)."""
     if albedo is None:
         return image
-    return np.asarray(image / np.maximum(np.nan_to_num(albedo), np.float32(ALBEDO_FLOOR)), np.float32)
+    return np.asarray(image / np.maximum(np.nan_to_num(albedo), np.float32(MIN_ALBEDO)), np.float32)
 
 
 def multiply(image: FloatArray, albedo: FloatArray | None) -> FloatArray:
     """Return what `divide` took as radiance."""
-    return image if albedo is None else image * np.maximum(np.nan_to_num(albedo), np.float32(ALBEDO_FLOOR))
+    return image if albedo is None else image * np.maximum(np.nan_to_num(albedo), np.float32(MIN_ALBEDO))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lobewise.denoising.bad_pixels import find_good
 from lobewise.filters.windows.weighing import compare_pilots, find_noise, find_relative_bias
 from lobewise.frame import FloatArray, Frame, Result
-from lobewise.windows.gathering import Neighbour, divide, multiply
+from lobewise.windows.gathering import MIN_ALBEDO, Neighbour, divide, multiply
 from lobewise.windows.layers import ALBEDOS, PILOT, RADIANCE, LayerImages, put_back
 from lobewise.windows.places import find_places
 from lobewise.windows.shots import Shot
@@ -23,6 +23,10 @@ FOUND_AGREEMENT = 0.1
 """Agreement above which a pixel counts as shown."""
 PILOT_NOISE = 0.2
 """Squared difference of two pilots without bias, over the variance of the samples that they were made of."""
+MAX_STANDARD_DEVIATIONS = 4.0
+"""Samples of another frame that are brighter than the denoised light by more standard deviations are fireflies."""
+MAX_ALBEDO_RATIO = np.float32(2.0)
+"""Largest ratio of a joined albedo to the frame's own."""
 BIAS_FACTOR = 3.0
 """Weight of the bias beside the noise. The frames of a window share their bias, so it does not fall as they are joined,
 and a denoiser does not remove it."""
@@ -168,6 +172,7 @@ def _join_layer(
     noise = find_noise(own[RADIANCE], own[PILOT])
     for number, other in others.items():
         images, agreement = near[number].gather_layer(other, slots)
+        images = _bound(images, noise)
         bias = find_relative_bias(own[RADIANCE], images[RADIANCE], np.where(good, agreement, np.float32(0.0)))
         seen = compare_pilots(own[PILOT], images[PILOT], agreement) / noise - np.float32(PILOT_NOISE)
         # At edges pilots differ by the noise of their albedos.
@@ -179,7 +184,11 @@ def _join_layer(
     known = total > 0.0
     albedo = layer.albedo
     if albedo is not None:
-        albedo = guides.join_image(albedo, {number: other.albedo for number, other in others.items()})
+        mean = guides.join_image(albedo, {number: other.albedo for number, other in others.items()})
+        # Radiance was divided by the frame's own albedo: at edges of textures the mean may be many times larger.
+        small = np.float32(MIN_ALBEDO)
+        albedo = np.clip(mean, albedo / MAX_ALBEDO_RATIO - small, albedo * MAX_ALBEDO_RATIO + small)
+        albedo = np.clip(np.nan_to_num(albedo), np.float32(0.0), np.float32(1.0))
     inverse = np.divide(np.float32(1.0), total, out=np.zeros_like(weight), where=known)[..., None]
     joined = {}
     for slot in slots:
@@ -189,6 +198,17 @@ def _join_layer(
     share = np.divide(squares, total * total, out=np.ones_like(weight), where=known)
     scale = np.float32(1.0) if albedo is None else np.where(edge, np.float32(1.0), np.mean(albedo, axis=-1))
     return _Joined(layer.with_images(albedo, joined), weights, noise * scale * scale, share)
+
+
+def _bound(images: dict[str, FloatArray], noise: FloatArray) -> dict[str, FloatArray]:
+    """Return the images of another frame with its fireflies bounded: else one firefly shows in all frames of a window.
+
+    ``noise`` is the variance of this frame's samples, which knows nothing of the fireflies of the other frame.
+    """
+    light = np.mean(images[RADIANCE], axis=-1)
+    most = np.mean(images[PILOT], axis=-1) + np.float32(MAX_STANDARD_DEVIATIONS) * np.sqrt(noise)
+    share = np.divide(most, light, out=np.ones_like(light), where=light > most)[..., None]
+    return {slot: image if slot == PILOT else image * share for slot, image in images.items()}
 
 
 def count_frames(layers: Sequence[_Joined]) -> FloatArray:
