@@ -325,6 +325,9 @@ def _silence() -> Iterator[None]:
     """Keep Dask's log from the terminal: what matters is told in sentences."""
     import distributed  # noqa: F401 - makes the handlers of its log
 
+    # Calls that a lost scheduler will never answer end with exceptions of Dask, which asyncio tells when it forgets
+    # them: at any time, so the filter stays.
+    logging.getLogger("asyncio").addFilter(_is_not_of_dask)
     # The loggers of Dask's modules have levels of their own, which the handlers override.
     levels = {handler: handler.level for handler in logging.getLogger("distributed").handlers}
     for handler in levels:
@@ -337,6 +340,12 @@ def _silence() -> Iterator[None]:
         raise
     for handler, level in levels.items():
         handler.setLevel(level)
+
+
+def _is_not_of_dask(record: logging.LogRecord) -> bool:
+    """Return whether a line of the log tells anything but an exception of Dask."""
+    kind = record.exc_info[0] if record.exc_info else None
+    return kind is None or not kind.__module__.startswith("distributed.")
 
 
 def _complain_of_nothing() -> None:
