@@ -10,9 +10,8 @@ from lobewise.filters.windows.edges import find_edges
 from lobewise.filters.windows.following import follow_back, follow_on
 from lobewise.filters.windows.sampling import sample_cubic
 from lobewise.filters.windows.weighing import compare_pilots, find_noise, find_relative_bias
-from lobewise.guides.places import estimate_curvature
+from lobewise.guides.places import estimate_curvature, make_grid
 from lobewise.guides.screen_hits import find_screen_hits
-from lobewise.windows.places import make_grid
 
 SHAPE = (24, 40)
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lobewise import WindowFilter
+from lobewise import WindowFilter, denoise
 from lobewise.errors import InputError, MissingChannelError
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.metrics import rel_mse
@@ -260,6 +260,38 @@ class TestFilter:
         frames = [Frame(Radiance(np.ones((*SIZE, 3)))) for _ in range(3)]
         with pytest.raises(MissingChannelError):
             WindowFilter(1).join(frames, 1)
+
+
+class TestNotes:
+    def test_still_frames_without_motion_vectors_are_named(self):
+        frames = [f.with_changes(gbuffer=replace(f.gbuffer, motion=None)) for f in make_still(3)]
+        result = WindowFilter(1, quality="fast").denoise(frames, 1)
+        assert result.settings["joined"] == (-1, 1)
+        assert any("no motion vectors" in note for note in result.notes)
+        assert not any("no motion vectors" in note for note in WindowFilter(1).denoise(make_still(3), 1).notes)
+
+    def test_unusable_guides_are_named_as_without_a_window(self):
+        frames = []
+        for frame in make_still(3):
+            alpha = frame.gbuffer.alpha_u.copy()
+            alpha[3, 3] = 7.0
+            frames.append(frame.with_changes(gbuffer=replace(frame.gbuffer, alpha_u=alpha)))
+        alone = denoise(frames[1], quality="fast").notes
+        assert alone
+        assert set(alone) <= set(WindowFilter(1, quality="fast").denoise(frames, 1).notes)
+
+    def test_frames_of_another_size_are_named(self):
+        small = Frame(Radiance(np.ones((8, 8, 3))), GBuffer(normal=np.broadcast_to((0.0, 0.0, 1.0), (8, 8, 3))))
+        result = WindowFilter(1, quality="fast").denoise([small, *make_still(2)], 1)
+        assert any("another size" in note for note in result.notes)
+
+    def test_frames_with_other_guides_are_not_used(self):
+        frames = make_still(3)
+        frames[0] = frames[0].with_changes(radiance=Radiance(frames[0].radiance.color), variance=None)
+        frames[2] = frames[2].with_changes(gbuffer=replace(frames[2].gbuffer, position=None, depth=None))
+        result = WindowFilter(1, quality="fast").denoise(frames, 1)
+        assert result.settings["joined"] == ()
+        assert any("same guides" in note for note in result.notes)
 
 
 class TestRobustness:

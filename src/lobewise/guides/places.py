@@ -26,13 +26,16 @@ MIN_EDGE_RATIO = 4.0
 """Ratio of the squared steps to the two neighbours of a pixel. Above it the longer step crosses an object's edge."""
 
 
+def make_grid(size: tuple[int, int]) -> FloatArray:
+    """Return column and row of every pixel, pixel centres at whole numbers, (height, width, 2)."""
+    rows, columns = np.indices(size, dtype=np.float32)
+    return np.stack([columns, rows], axis=-1)
+
+
 def add_grid(motion: FloatArray) -> FloatArray:
     """Return column and row where each pixel was, pixel centres at whole numbers, (height, width, 2)."""
     height, width = motion.shape[:2]
-    places = motion.copy()
-    places[..., 0] += np.arange(width, dtype=np.float32)
-    places[..., 1] += np.arange(height, dtype=np.float32)[:, None]
-    return places
+    return motion + make_grid((height, width))
 
 
 def get_projection_numbers(camera: Camera, size: tuple[int, int]) -> dict[str, NDArray[np.float64]]:
@@ -49,15 +52,18 @@ def get_projection_numbers(camera: Camera, size: tuple[int, int]) -> dict[str, N
 
 
 def project_step(grid: Grid, step: Vector) -> tuple[list[hl.Expr], hl.Expr]:
-    """Return column and row, pixel centres at whole numbers, of a step from the camera, and whether it is in front."""
-    one, half = hl.f64(1.0), hl.f64(0.5)
-    width, height = (hl.f64(extent) for extent in grid.size)
+    """Return column and row, pixel centres at whole numbers, of a step from the camera, and whether it is in front.
+
+    The numbers are computed in the precision of the step, which is that of the grid's numbers.
+    """
+    one, half = (hl.cast(step[0].type(), value) for value in (hl.f64(1.0), hl.f64(0.5)))
+    width, height = (hl.cast(step[0].type(), extent) for extent in grid.size)
     ahead = dot(step, grid.get("before_forward"))
     inverse = one / ahead
     column = (dot(step, grid.get("before_right")) * inverse + one) * half * width - half
     row = (one - dot(step, grid.get("before_up")) * inverse) * half * height - half
     place = [hl.f32(column), hl.f32(row)]
-    return place, (ahead > hl.f64(0.0)) & is_finite(place[0]) & is_finite(place[1])
+    return place, (ahead > one - one) & is_finite(place[0]) & is_finite(place[1])
 
 
 def find_surface_places(

@@ -16,8 +16,9 @@ import numpy as np
 from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray
-from lobewise.guides.places import get_projection_numbers
+from lobewise.guides.places import get_projection_numbers, project_step
 from lobewise.guides.surfaces import is_surface_depth
+from lobewise.lobes.directions import reflect
 from lobewise.lobes.vectors import dot
 
 STEPS = 96
@@ -77,11 +78,10 @@ def _define_rays(grid: Grid) -> list[Vector]:
     The length of a ray that goes no further is negative.
     """
     view = [p - eye for p, eye in zip(grid.read("position"), grid.get("eye"), strict=True)]
-    inverse = hl.f32(1.0) / hl.sqrt(dot(view, view))
+    inverse = hl.f32(-1.0) / hl.sqrt(dot(view, view))
     view = [component * inverse for component in view]
     normal = grid.read("normal")
-    along = hl.f32(2.0) * dot(view, normal)
-    ray = [v - along * n for v, n in zip(view, normal, strict=True)]
+    ray = reflect(normal, view, dot(view, normal))
     depth = grid.read_one("depth")
     usable = is_surface_depth(depth) & is_finite(sum(ray[1:], ray[0])) & (dot(ray, normal) > hl.f32(MIN_RISE))
     start = depth * hl.f32(FIRST_STEP) * grid.get("angle")[0]
@@ -107,8 +107,15 @@ def _advance(grid: Grid, state: Vector) -> list[hl.Expr]:
     step = ahead - length
     point = [p + ahead * r for p, r in zip(grid.read("position"), grid.read("rays"), strict=True)]
     away = [p - eye for p, eye in zip(point, grid.get("eye"), strict=True)]
-    column, row, seen = _project(grid, away)
-    (depth,) = grid.read("depth", column, row)
+    place, ahead_of_eye = project_step(grid, away)
+    spots = [hl.floor(value + hl.f32(0.5)) for value in place]
+    inside = [(spot >= zero) & (spot < hl.f32(extent)) for spot, extent in zip(spots, grid.size, strict=True)]
+    seen = ahead_of_eye & inside[0] & inside[1]
+    # A place outside the image, or NaN, must not become an index.
+    indices = [hl.i32(hl.select(seen, spot, zero)) for spot in spots]
+    (depth,) = grid.read(
+        "depth", *(hl.clamp(spot, 0, extent - 1) for spot, extent in zip(indices, grid.size, strict=True))
+    )
     # Nothing lies in front of the background.
     behind = hl.select(is_surface_depth(depth), hl.sqrt(dot(away, away)) - depth, hl.f32(-1e30))
     runs = length > zero
@@ -121,20 +128,6 @@ def _advance(grid: Grid, state: Vector) -> list[hl.Expr]:
         hl.select(seen, behind, hl.f32(-1.0)),
         hl.select(runs & ~stops, ahead, hl.f32(-1.0)),
     ]
-
-
-def _project(grid: Grid, away: Vector) -> tuple[hl.Expr, hl.Expr, hl.Expr]:
-    """Return column and row of the pixel that shows a point, and whether one does."""
-    one, half = hl.f32(1.0), hl.f32(0.5)
-    width, height = (hl.f32(extent) for extent in grid.size)
-    forward = dot(away, grid.get("before_forward"))
-    inverse = one / forward
-    x = (dot(away, grid.get("before_right")) * inverse + one) * half * width
-    y = (one - dot(away, grid.get("before_up")) * inverse) * half * height
-    seen = (forward > hl.f32(0.0)) & (x > hl.f32(0.0)) & (y > hl.f32(0.0)) & (x < width) & (y < height)
-    spots = [hl.i32(hl.floor(hl.select(seen, value, hl.f32(0.0)))) for value in (x, y)]
-    column, row = (hl.clamp(spot, 0, extent - 1) for spot, extent in zip(spots, grid.size, strict=True))
-    return column, row, seen
 
 
 def _define_hits(grid: Grid) -> list[Vector]:

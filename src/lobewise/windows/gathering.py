@@ -12,8 +12,9 @@ from lobewise.filters.history.reprojection_pass import AGREEMENT
 from lobewise.filters.history.sums import HISTORY_CHANNELS, Sums
 from lobewise.filters.windows.sampling import sample_cubic
 from lobewise.frame import FloatArray
+from lobewise.guides.places import make_grid
 from lobewise.windows.layers import LayerImages
-from lobewise.windows.places import find_reflections, make_grid
+from lobewise.windows.places import find_reflections
 from lobewise.windows.shots import Shot
 
 MAX_SHARE_EQUAL = 0.2
@@ -23,7 +24,7 @@ MIN_ALBEDO = 0.05
 MIN_AGREEMENT = 0.02
 """Agreement below which a pixel counts as not found."""
 SHARP_AGREEMENT = 0.8
-"""Agreement above which a reflection is sampled without blurring it: most of the pixels around the place match."""
+"""Agreement above which a reflection is interpolated: half a pixel would show on a sharp one."""
 SURFACE = "rest"
 """Kind of light whose features compare place and normal alone."""
 _FIRST = tuple(Sums._fields.index(name) for name in ("red", "green", "blue"))
@@ -124,14 +125,17 @@ class Neighbour:
         return values, np.where(known, agreement, np.float32(0.0))
 
     def _gather(self, images: Sequence[FloatArray], kind: str) -> tuple[list[FloatArray], FloatArray]:
-        """Return images at bilinear places, of the pixels that match, and the agreement."""
+        """Return images at the pixels nearest to the places, 0 where they do not match, and the agreement.
+
+        Each pixel is taken whole: samples that were interpolated share their noise, and denoisers take shared noise for
+        texture.
+        """
         now, before = self._shot.features[kind], self._other.features[kind]
         places, virtual = self._places, None
         if kind == "specular" and self.reflections is not None:
             known = np.asarray(np.isfinite(self.reflections).all(axis=-1))
             places = np.where(known[..., None], np.float32(np.nan), places)
             virtual = np.rint(self.reflections), len(now.surface) - 1
-        # Whole pixels: samples that were interpolated share their noise, and denoisers take shared noise for texture.
         places = np.rint(places)
         found: list[FloatArray] = []
         agreement = np.zeros(self._shot.frame.shape, np.float32)
@@ -150,7 +154,7 @@ class Neighbour:
     def _sharpen(
         self, images: Sequence[FloatArray], found: Sequence[FloatArray], agreement: FloatArray
     ) -> list[FloatArray]:
-        """Return gathered reflections, sampled without blur where the whole neighbourhood matches."""
+        """Return gathered reflections, interpolated where they match well."""
         places = self._places
         if self.reflections is not None:
             known = np.asarray(np.isfinite(self.reflections).all(axis=-1))

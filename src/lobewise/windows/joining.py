@@ -103,6 +103,10 @@ def find_neighbours(shots: Mapping[int, Shot], index: int) -> dict[int, Neighbou
             places = find_places(shots, index, number)
             if places is None:
                 break
+            # The similarity follows the guides: frames with other guides cannot be compared.
+            others = shots[number].features
+            if not all(kind in others and own.fits(others[kind]) for kind, own in shot.features.items()):
+                break
             neighbour = Neighbour(shot, shots[number], places)
             surface = shot.features["rest"].mask
             shown = neighbour.surface_agreement[surface] > FOUND_AGREEMENT
@@ -139,7 +143,10 @@ class _Guides:
                 values, agreement = neighbour.gather_guide(np.nan_to_num(other))
                 total = total + values * agreement[..., None]
                 weight = weight + agreement
-        joined: FloatArray = np.clip(total / weight[..., None], np.float32(0.0), np.float32(1.0))
+        # Radiance was divided by the frame's own albedo: at edges of textures the mean may be many times larger.
+        own, small = np.nan_to_num(image), np.float32(MIN_ALBEDO)
+        mean = np.clip(total / weight[..., None], own / MAX_ALBEDO_RATIO - small, own * MAX_ALBEDO_RATIO + small)
+        joined: FloatArray = np.clip(mean, np.float32(0.0), np.float32(1.0))
         self._done[id(image)] = joined
         return joined
 
@@ -167,7 +174,7 @@ def _join_layer(
     good = find_good(layer.images[RADIANCE])
     own = {slot: _even_out(layer.images[slot], layer.albedo, edge, good) for slot in slots}
     weight = good.astype(np.float32)
-    totals = {slot: image * weight[..., None] for slot, image in own.items()}
+    totals = {slot: image * weight[..., None] for slot, image in own.items() if slot != PILOT}
     squares, weights = weight.copy(), {}
     noise = find_noise(own[RADIANCE], own[PILOT])
     for number, other in others.items():
@@ -178,21 +185,17 @@ def _join_layer(
         # At edges pilots differ by the noise of their albedos.
         bias = np.where(edge, bias, np.maximum(bias, seen))
         each = weights[number] = agreement / (np.float32(1.0) + np.float32(BIAS_FACTOR) * bias)
-        totals = {slot: totals[slot] + image * each[..., None] for slot, image in images.items()}
+        totals = {slot: total + images[slot] * each[..., None] for slot, total in totals.items()}
         squares = squares + each * each
     total = good + sum(weights.values(), np.zeros_like(weight))
     known = total > 0.0
     albedo = layer.albedo
     if albedo is not None:
-        mean = guides.join_image(albedo, {number: other.albedo for number, other in others.items()})
-        # Radiance was divided by the frame's own albedo: at edges of textures the mean may be many times larger.
-        small = np.float32(MIN_ALBEDO)
-        albedo = np.clip(mean, albedo / MAX_ALBEDO_RATIO - small, albedo * MAX_ALBEDO_RATIO + small)
-        albedo = np.clip(np.nan_to_num(albedo), np.float32(0.0), np.float32(1.0))
+        albedo = guides.join_image(albedo, {number: other.albedo for number, other in others.items()})
     inverse = np.divide(np.float32(1.0), total, out=np.zeros_like(weight), where=known)[..., None]
     joined = {}
-    for slot in slots:
-        mean = totals[slot] * inverse
+    for slot, summed in totals.items():
+        mean = summed * inverse
         light = np.where(edge[..., None], mean, multiply(mean, albedo))
         joined[slot] = np.where(known[..., None], light, layer.images[slot])
     share = np.divide(squares, total * total, out=np.ones_like(weight), where=known)

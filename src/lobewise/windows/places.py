@@ -8,7 +8,7 @@ import numpy as np
 
 from lobewise.filters.windows.following import follow_back, follow_on
 from lobewise.frame import FloatArray
-from lobewise.guides.places import find_surface_places, find_virtual_places
+from lobewise.guides.places import find_surface_places, find_virtual_places, make_grid
 from lobewise.windows.shots import Shot
 
 
@@ -51,12 +51,6 @@ def find_reflections(shot: Shot, other: Shot) -> FloatArray | None:
     if first is None or second is None or not shot.is_placed:
         return None
     return find_virtual_places(shot.guides.places[0], shot.curvature, shot.hits, first, second)
-
-
-def make_grid(shape: tuple[int, int]) -> FloatArray:
-    """Return column and row of every pixel, (height, width, 2)."""
-    rows, columns = np.indices(shape, dtype=np.float32)
-    return np.stack([columns, rows], axis=-1)
 
 
 def _follow(shots: Mapping[int, Shot], index: int, other: int) -> FloatArray | None:

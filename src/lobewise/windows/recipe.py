@@ -39,7 +39,9 @@ REPEATED = (
     "Other frames have exactly the noise of this frame, as they were rendered with the same seed, and are not used: "
     "give every frame a seed of its own (in Blender: Sampling > Advanced > Seed, the clock beside it)."
 )
-NOTHING_FOUND = "No other frame is used: none of them shows the surfaces of this frame."
+OTHER_SIZE = "Frames of another size are not used."
+STILL = "The frames have no motion vectors: where things move by themselves, other frames are not used."
+NOTHING_FOUND = "No other frame is used: none of them shows the surfaces of this frame with the same guides."
 
 
 class WindowFilter:
@@ -116,15 +118,16 @@ class WindowFilter:
         """Return the denoised frame; see `join` for the parameters and errors."""
         start = time.perf_counter()
         joined = self.join(frames, index)
+        notes = self._explain(frames, index, joined)
         if not joined.used:
-            notes = joined.alone.notes + self._explain(frames[index], joined, len(frames))
             taken = {**joined.alone.settings, "window": self.reach, "joined": ()}
+            notes = notes + joined.alone.notes
             return replace(joined.alone, notes=notes, settings=taken, seconds=time.perf_counter() - start)
         result = denoise(joined.frame, self._settings)
         unused = tuple(name for name in result.unused if name not in USED_BETWEEN_FRAMES)
         taken = {**result.settings, "window": self.reach, "joined": joined.used}
+        notes = notes + result.notes
         result = mix_results(joined.alone, result, find_share(joined.frames))
-        notes = result.notes + ((REPEATED,) if joined.repeated else ())
         return replace(result, notes=notes, settings=taken, unused=unused, seconds=time.perf_counter() - start)
 
     def _prepare(self, frames: Sequence[Frame], first: int, last: int) -> dict[int, Shot]:
@@ -134,7 +137,6 @@ class WindowFilter:
             known = kept.get(id(frames[number]))
             self._kept[id(frames[number])] = known or _Prepared(frames[number])
         shots: dict[int, Shot] = {}
-        similarity = choose_similarity(self._kept[id(frames[first])].checked, self._settings)
         for number in range(first, last + 1):
             prepared = self._kept[id(frames[number])]
             if prepared.shot is None:
@@ -142,17 +144,24 @@ class WindowFilter:
                 following = frames[number + 1].camera if number + 1 < len(frames) else None
                 if camera is None and frames[number].camera is not None and following is not None:
                     camera = extrapolate_camera(prepared.checked.require_camera("a window"), following)
+                similarity = choose_similarity(prepared.checked, self._settings)
                 prepared.shot = Shot(prepared.checked, camera, similarity, self._settings, self.reach)
             shots[number] = prepared.shot
         return shots
 
-    @staticmethod
-    def _explain(frame: Frame, joined: JoinedFrame, count: int) -> tuple[str, ...]:
-        if count == 1:
-            return ()
+    def _explain(self, frames: Sequence[Frame], index: int, joined: JoinedFrame) -> tuple[str, ...]:
+        """Return what a user should know of the window of a frame, one sentence each."""
+        frame, near = frames[index], frames[max(index - self.reach, 0) : index + self.reach + 1]
+        notes = self._kept[id(frame)].notes
         if joined.repeated:
-            return (REPEATED,)
-        return (NOTHING_FOUND if frame.gbuffer.motion is not None or frame.is_placed else NO_MOTION,)
+            notes += (REPEATED,)
+        if any(each.shape != frame.shape for each in near):
+            notes += (OTHER_SIZE,)
+        if frame.gbuffer.motion is None and joined.used:
+            notes += (STILL,)
+        if not joined.used and not joined.repeated and len(near) > 1:
+            notes += (NOTHING_FOUND if frame.gbuffer.motion is not None or frame.is_placed else NO_MOTION,)
+        return notes
 
 
 def find_share(frames: FloatArray) -> FloatArray:
@@ -202,5 +211,6 @@ class _Prepared:
 
     def __init__(self, frame: Frame) -> None:
         self.frame = frame
-        self.checked, _ = check_guides(frame)
+        self.checked, unusable = check_guides(frame)
+        self.notes = tuple(map(str, unusable))
         self.shot: Shot | None = None

@@ -37,17 +37,26 @@ def find_noise(samples: FloatArray, pilot: FloatArray) -> FloatArray:
     samples, pilot : array, shape (height, width, 3)
         Samples, and what a first denoising made of them; finite.
     """
-    floor = np.float32(min(max(MIN_LIGHT * float(np.mean(pilot, dtype=np.float64)), 1e-16), 1e16))
-    (squares,) = run_pointwise(_define_noise, {"samples": samples, "pilot": pilot}, {"floor": floor})
+    (squares,) = run_pointwise(_define_noise, {"samples": samples, "pilot": pilot}, {"floor": _find_floor(pilot)})
     for level in (1, 2):
         squares = blur_image(squares, level)
     return squares
 
 
+def _find_floor(image: FloatArray) -> np.float32:
+    """Return the local light below which an image counts as dark; its square neither under- nor overflows."""
+    return np.float32(min(max(MIN_LIGHT * float(np.mean(image, dtype=np.float64)), 1e-16), 1e16))
+
+
+def _average_squares(grid: Grid, one: str, other: str) -> hl.Expr:
+    """Return the squared difference of two images, the mean over the channels."""
+    apart = [p - q for p, q in zip(grid.read(one), grid.read(other), strict=True)]
+    return add_channels([value * value for value in apart]) * hl.f32(1.0 / 3.0)
+
+
 def _define_noise(grid: Grid) -> list[Vector]:
     light = average_light(grid, "pilot") + grid.get("floor")[0]
-    apart = [p - q for p, q in zip(grid.read("samples"), grid.read("pilot"), strict=True)]
-    square = add_channels([value * value for value in apart]) * hl.f32(1.0 / 3.0)
+    square = _average_squares(grid, "samples", "pilot")
     return [[hl.max(square, hl.f32(MIN_RELATIVE_NOISE) * light * light)]]
 
 
@@ -69,8 +78,7 @@ def compare_pilots(own: FloatArray, other: FloatArray, agreement: FloatArray) ->
 
 def _define_pilots(grid: Grid) -> list[Vector]:
     weight = grid.read_one("agreement")
-    apart = [p - q for p, q in zip(grid.read("own"), grid.read("other"), strict=True)]
-    square = add_channels([value * value for value in apart]) * hl.f32(1.0 / 3.0)
+    square = _average_squares(grid, "own", "other")
     return [[hl.select(weight > hl.f32(0.0), weight * square, hl.f32(0.0)), weight]]
 
 
@@ -89,10 +97,8 @@ def find_relative_bias(own: FloatArray, other: FloatArray, agreement: FloatArray
     agreement : array, shape (height, width)
         How well the surfaces match, 0 to 1. Pixels with agreement 0 do not count.
     """
-    mean = float(np.mean(own, dtype=np.float64))
-    floor = np.float32(min(max(MIN_LIGHT * mean, 1e-24), 1e30))
     images = {"own": own, "other": other, "agreement": agreement}
-    sums, squares = run_pointwise(_define_differences, images, {"floor": floor})
+    sums, squares = run_pointwise(_define_differences, images, {"floor": _find_floor(own)})
     found = np.zeros(agreement.shape, np.float32)
     for level in range(LEVELS):
         sums, squares = (blur_image(image, 2**level) for image in (sums, squares))
