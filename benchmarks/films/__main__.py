@@ -36,7 +36,7 @@ from lobewise.windows import WindowFilter
 
 BLENDER_FILMS = ("hall", "juggler", "lamps")
 MITSUBA_FILMS = ("dining-room", "country-kitchen")
-SPP, COUNT, REACH = 8, 16, 2
+SPP, COUNT, REACH, MIDDLE = 8, 16, 2, 8
 MAX_NOISE_OF_REFERENCE = 0.005
 """Relative squared error of the mean of both references. Above it the changes from frame to frame, and the error of few
 pixels, are mostly noise of the references: figures came out below 0."""
@@ -137,6 +137,32 @@ def measure_film(folder: Path, name: str, pictures: Path | None) -> dict[str, An
     return found
 
 
+def measure_many_samples(folder: Path, name: str) -> dict[str, Any]:
+    """Return the errors of one frame whose noisy input is a reference: windows must not spoil what is nearly clean.
+
+    One reference is the input, so the other one alone is the truth; its noise is subtracted.
+    """
+    numbers = range(MIDDLE - REACH - 1, MIDDLE + REACH + 2)
+    frames = [read_frame(folder / f"{name}_reference_1.{k:04d}.exr", light_passes=False) for k in numbers]
+    truth = read_frame(folder / f"{name}_reference_2.{MIDDLE:04d}.exr").radiance.color.astype(np.float64)
+    noisy = frames[REACH + 1].radiance.color.astype(np.float64)
+    scale = np.maximum(noisy * truth, 0.0) + EPSILON
+    noise = 0.5 * float(((noisy - truth) ** 2 / scale).mean())
+
+    def measure_one(image: FloatArray) -> float:
+        return float(((image - truth) ** 2 / scale).mean()) - noise
+
+    found: dict[str, Any] = {"spp": frames[0].spp, "noisy": noise}
+    for quality in WINDOWS:
+        window = WindowFilter(REACH) if quality == "auto" else WindowFilter(REACH, quality=quality)
+        found[quality] = {
+            "alone": measure_one(window.join(frames, REACH + 1).alone.image),
+            "window": measure_one(window.denoise(frames, REACH + 1).image),
+        }
+    print(name, found, flush=True)
+    return found
+
+
 def summarize(films: dict[str, Any]) -> dict[str, Any]:
     """Return the mean ratio of every window to its base, over the films.
 
@@ -171,6 +197,8 @@ def main() -> None:
     for name in asked.film or (*BLENDER_FILMS, *MITSUBA_FILMS):
         if name not in told["films"]:
             told["films"][name] = measure_film(asked.folder, name, asked.pictures)
+        if name in BLENDER_FILMS and name not in told.setdefault("many_samples", {}):
+            told["many_samples"][name] = measure_many_samples(asked.folder, name)
         told |= {"machine": describe_machine(), "spp": SPP, "frames": COUNT, "reach": REACH}
         told["ratios"] = summarize(told["films"])
         write_json(asked.output, told)

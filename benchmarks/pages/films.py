@@ -20,6 +20,7 @@ GOALS = {
 """Goals of each quality, over its base frame by frame."""
 MAX_NOISE_OF_REFERENCE = 0.005
 """As in ``benchmarks/films``: films with noisier references have an error only."""
+KEYS = ("alone", "window")
 TITLES = {"error": "error", "flicker": "flicker", "came_into_view": "error of what came into view"}
 
 
@@ -48,10 +49,23 @@ def make_goal_table(ratios: dict[str, Any]) -> str:
     return make_table(["window of two frames over frame by frame", "mean ratio", "goal", ""], rows)
 
 
+def make_many_table(many: dict[str, Any]) -> str:
+    """Return the errors of frames with many samples: noisy, by themselves, and with windows."""
+    names = {"high": "`high`", "auto": "Open Image Denoise mixed with `high`"}
+    rows = [
+        [f"`{film}`, {names[quality]}", f"{cells['noisy']:.5f}", *(f"{cells[quality][key]:.5f}" for key in KEYS)]
+        for film, cells in many.items()
+        for quality in names
+    ]
+    spp = next(iter(many.values()))["spp"]
+    return make_table([f"{spp} samples per pixel", "noisy", "by itself", "window"], rows)
+
+
 def make_figures(data: dict[str, Any]) -> dict[str, str]:
     """Return the figures of docs/windows.md by place."""
     return {
         "error": make_error_table(data["films"], "error"),
         "flicker": make_error_table(data["films"], "flicker"),
         "goals": make_goal_table(data["ratios"]),
+        "many": make_many_table(data["many_samples"]),
     }

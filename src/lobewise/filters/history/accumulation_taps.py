@@ -141,17 +141,9 @@ def make_tap_grid(
     tap_arrays = declare_features(signature, "tap", features, "rows", "columns")
     arrays = declare_features(signature, "own", features, "height", "width")
     scalars = declare_scalars(signature, features)
-    columns, rows = tap_mask.width(), tap_mask.height()
     taps = make_guide_planes("tap", tap_mask, features, scalars, arrays=tap_arrays)
     own = make_guide_planes("own", mask, features, scalars, inside=True, arrays=arrays)
-    at = hl.clamp(X, 0, columns - 1), hl.clamp(Y, 0, rows - 1)
-    usable = (X >= 0) & (columns > X) & (Y >= 0) & (rows > Y) & (tap_mask[at] != 0)
-    planes = [] if taps.planes is None else [taps.planes[X, k, Y] for k in range(taps.plane_count)]
-    given = [*planes, *take(at, usable)]
-    values, wide = hl.Func("tap_values"), hl.Func("wide")
-    values[X, C, Y] = hl.mux(C, given)
-
-    wide[X, C, Y] = values[blocks.find(X), C, Y]
+    values, wide, value_count = _define_values(tap_mask, taps, blocks, take)
     here = pixels.place
 
     def read_planes(u: hl.Expr, v: hl.Expr, start: int, stop: int) -> list[hl.Expr]:
@@ -176,14 +168,14 @@ def make_tap_grid(
         )
 
     def read(u: hl.Expr, v: hl.Expr) -> list[hl.Expr]:
-        return read_planes(u, v, taps.plane_count, len(given))
+        return read_planes(u, v, taps.plane_count, value_count)
 
     return TapGrid(
         tap_mask=tap_mask,
         mask=mask,
         wide=wide,
         values=values,
-        value_count=len(given),
+        value_count=value_count,
         taps=taps,
         own=own,
         log_weight=log_weight,
@@ -195,6 +187,24 @@ def make_tap_grid(
         blocks=blocks,
         read=read,
     )
+
+
+def _define_values(
+    tap_mask: hl.ImageParam,
+    taps: GuidePlanes,
+    blocks: Blocks,
+    take: Callable[[Place, hl.Expr], Sequence[hl.Expr]],
+) -> tuple[hl.Func, hl.Func, int]:
+    """Return the values of shaded pixels by their own column, then by the column of all pixels; and their number."""
+    columns, rows = tap_mask.width(), tap_mask.height()
+    at = hl.clamp(X, 0, columns - 1), hl.clamp(Y, 0, rows - 1)
+    usable = (X >= 0) & (columns > X) & (Y >= 0) & (rows > Y) & (tap_mask[at] != 0)
+    planes = [] if taps.planes is None else [taps.planes[X, k, Y] for k in range(taps.plane_count)]
+    given = [*planes, *take(at, usable)]
+    values, wide = hl.Func("tap_values"), hl.Func("wide")
+    values[X, C, Y] = hl.mux(C, given)
+    wide[X, C, Y] = values[blocks.find(X), C, Y]
+    return values, wide, len(given)
 
 
 def _define_taps(
