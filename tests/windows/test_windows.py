@@ -12,6 +12,7 @@ from lobewise.errors import InputError, MissingChannelError
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.metrics import rel_mse
 from lobewise.radiance import RadianceLayer
+from lobewise.windows.joining import find_neighbours
 from lobewise.windows.recipe import find_share, mix_results
 from tests.temporal.scenes import SIZE, make_camera, make_frame
 
@@ -70,8 +71,9 @@ class TestJoining:
         truth = make_truth(frames[2])
         assert rel_mse(joined.frame.radiance.color, truth) < 0.35 * rel_mse(frames[2].radiance.color, truth)
         # Samples keep to whole pixels, so the noise of neighbours stays independent.
-        noise = (joined.frame.radiance.diffuse / (0.4 * truth) - 1.0)[..., 0]
-        assert abs(np.corrcoef(noise[:, 1:].ravel(), noise[:, :-1].ravel())[0, 1]) < 0.15
+        for part, share in ((joined.frame.radiance.diffuse, 0.4), (joined.frame.radiance.specular, 0.6)):
+            noise = (part / (share * truth) - 1.0)[..., 0]
+            assert abs(np.corrcoef(noise[:, 1:].ravel(), noise[:, :-1].ravel())[0, 1]) < 0.15
 
     def test_a_moving_card_is_followed_and_leaves_no_ghost(self):
         at = [-0.3 + 0.05 * k for k in range(5)]
@@ -260,6 +262,24 @@ class TestFilter:
         frames = [Frame(Radiance(np.ones((*SIZE, 3)))) for _ in range(3)]
         with pytest.raises(MissingChannelError):
             WindowFilter(1).join(frames, 1)
+
+
+class TestReflections:
+    @pytest.mark.parametrize(("alpha", "is_followed"), [(0.02, True), (0.3, False)])
+    def test_only_sharp_reflections_leave_their_surface(self, alpha, is_followed):
+        frames = []
+        for frame in make_moving(3):
+            guides = replace(frame.gbuffer, alpha_u=np.full(SIZE, alpha), hit_distance=np.full(SIZE, 2.0))
+            frames.append(frame.with_changes(gbuffer=guides))
+        window = WindowFilter(1)
+        window.join(frames, 1)
+        near = find_neighbours(window._prepare(frames, 0, 2), 1)
+        places = near[0].reflections
+        assert np.isfinite(places).any() == is_followed
+        if is_followed:
+            # The virtual image lies as far below the floor as the hit lies above it, and moves less.
+            apart = np.linalg.norm(places - near[0].front_places, axis=-1)
+            assert np.nanmedian(apart) > 0.1
 
 
 class TestNotes:

@@ -69,9 +69,16 @@ class Neighbour:
         return np.where(edge[..., None], self.front_places, self._places)
 
     @cached_property
-    def reflections(self) -> FloatArray | None:
-        """Where reflections are in the other frame, (height, width, 2); None without cameras."""
-        return find_reflections(self._shot, self._other)
+    def reflections(self) -> FloatArray:
+        """Where reflections are in the other frame, (height, width, 2); NaN where they are unknown or wide.
+
+        Wide lobes show the same light at the surface's own place. Places of reflections are less even, so that pixels
+        would take one sample twice, and share its noise.
+        """
+        found = find_reflections(self._shot, self._other)
+        if found is None:
+            return np.full_like(self._places, np.nan)
+        return np.where(self._shot.is_sharp[..., None], found, np.float32(np.nan))
 
     @cached_property
     def repeats(self) -> bool:
@@ -132,7 +139,7 @@ class Neighbour:
         """
         now, before = self._shot.features[kind], self._other.features[kind]
         places, virtual = self._places, None
-        if kind == "specular" and self.reflections is not None:
+        if kind == "specular":
             known = np.asarray(np.isfinite(self.reflections).all(axis=-1))
             places = np.where(known[..., None], np.float32(np.nan), places)
             virtual = np.rint(self.reflections), len(now.surface) - 1
@@ -155,14 +162,12 @@ class Neighbour:
         self, images: Sequence[FloatArray], found: Sequence[FloatArray], agreement: FloatArray
     ) -> list[FloatArray]:
         """Return gathered reflections, interpolated where they match well."""
-        places = self._places
-        if self.reflections is not None:
-            known = np.asarray(np.isfinite(self.reflections).all(axis=-1))
-            places = np.where(known[..., None], self.reflections, places)
+        known = np.asarray(np.isfinite(self.reflections).all(axis=-1))
+        places = np.where(known[..., None], self.reflections, self._places)
         sharp = []
         for image, blurred in zip(images, found, strict=True):
             values, inside = sample_cubic(image, places)
-            use = inside & (agreement > SHARP_AGREEMENT)
+            use = inside & (agreement > SHARP_AGREEMENT) & self._shot.is_sharp
             sharp.append(np.where(use[..., None], np.maximum(values, np.float32(0.0)), blurred))
         return sharp
 

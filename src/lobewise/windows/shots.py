@@ -26,6 +26,8 @@ EDGE_REACH_PIXELS = 2
 """Distance from a pixel at an edge to pixels inside of its surfaces."""
 MAX_STEP_SHARE = 0.25
 """Longest own motion between two frames, as a share of the image's longer side."""
+MAX_SHARP_ALPHA = 0.1
+"""Roughness alpha below which reflections are interpolated between pixels."""
 MIN_PASSING_PIXELS = 0.5
 """Own motion of a surface above which what it covers changes visibly from frame to frame."""
 
@@ -105,6 +107,15 @@ class Shot:
         """Curvature of the surfaces, 1/world unit, (height, width)."""
         normal = self.frame.gbuffer.require("normal", "reflections over time")
         return estimate_curvature(self.guides.places[0], normal)
+
+    @cached_property
+    def is_sharp(self) -> NDArray[np.bool_]:
+        """Where lobes are so narrow that half a pixel shows, (height, width); nowhere without roughness."""
+        guides = self.frame.gbuffer
+        widths = [alpha for alpha in (guides.alpha_u, guides.alpha_v) if alpha is not None]
+        if not widths:
+            return np.zeros(self.frame.shape, np.bool_)
+        return np.asarray(np.minimum.reduce(widths) < MAX_SHARP_ALPHA)
 
     @cached_property
     def hits(self) -> FloatArray:
