@@ -18,6 +18,8 @@ ROOMS = [
     "camera",
     "images",
     "radiance",
+    "display",
+    "result",
     "frame",
     "sparse_frame",
     "motion",
@@ -48,6 +50,7 @@ ROOMS = [
     "viewer",
     "bench",
     "cli",
+    "__main__",
 ]
 INNER_ROOMS = {
     "render": [
@@ -103,7 +106,7 @@ OWNERS = {
     "viser": "viewer",
     "distributed": "farm",
     "dask": "farm",
-    "PIL": ("io", "viewer"),
+    "PIL": ("display", "io", "viewer"),
 }
 
 

@@ -27,11 +27,11 @@ from PIL import Image
 
 import lobewise
 from benchmarks.common import describe_machine, write_json
+from lobewise.display.tones import choose_exposure, map_tones
 from lobewise.frame import FloatArray, Frame
 from lobewise.interchange import read_frame
 from lobewise.metrics import EPSILON, find_disoccluded
 from lobewise.peers import denoise_oidn
-from lobewise.reporting.display import choose_exposure, map_tones
 from lobewise.windows import WindowFilter
 
 BLENDER_FILMS = ("hall", "juggler", "lamps")

@@ -18,12 +18,12 @@ import numpy as np
 
 from benchmarks.common import describe_machine, write_json
 from lobewise.camera import Camera
+from lobewise.display.tones import choose_exposure, map_tones
 from lobewise.frame import FloatArray
 from lobewise.interactive import InteractiveFrame, InteractiveSettings, Session
 from lobewise.io.png import encode_png
 from lobewise.metrics import find_specular_pixels, rel_mse
 from lobewise.render import find_orbit_centre, make_orbit
-from lobewise.reporting.display import choose_exposure, map_tones
 
 SCENES = ("showroom", "brushed", "parlour")
 METHOD = "voxel_cones"

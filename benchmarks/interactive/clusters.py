@@ -24,13 +24,13 @@ import lobewise
 from benchmarks.common import RESULTS, ROOT, describe_machine, write_json
 from benchmarks.pictures.detail import join
 from lobewise.camera import Camera
+from lobewise.display.tones import choose_exposure, map_tones
 from lobewise.frame import FloatArray
 from lobewise.interactive import InteractiveSettings, Session
 from lobewise.io.exr import read_image, write_image
 from lobewise.io.png import encode_png
 from lobewise.metrics import find_specular_pixels, rel_mse
 from lobewise.render import find_orbit_centre, load_mitsuba, load_scene, make_orbit
-from lobewise.reporting.display import choose_exposure, map_tones
 
 SIZE = 256
 SPACING = 2

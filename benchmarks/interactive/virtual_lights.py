@@ -26,10 +26,10 @@ import lobewise
 from benchmarks.common import ROOT, describe_machine, fetch_frame, write_json
 from benchmarks.pictures.detail import join
 from lobewise.denoising import denoise
+from lobewise.display.tones import choose_exposure, map_tones
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.io.png import encode_png
 from lobewise.metrics import find_specular_pixels, rel_mse
-from lobewise.reporting.display import choose_exposure, map_tones
 
 SIZE = 512
 PATHS = 1024

@@ -20,11 +20,11 @@ from lobewise.denoising import denoise
 from lobewise.denoising.automatic import resolve_all
 from lobewise.denoising.planning.frame_plans import TAKE_BACK_NOISY
 from lobewise.denoising.stages import start_run
+from lobewise.display.tones import choose_exposure, map_tones
 from lobewise.frame import FloatArray, Frame
 from lobewise.guides.usable import bound_guides
 from lobewise.io.png import encode_png
 from lobewise.peers import require_oidn
-from lobewise.reporting.display import choose_exposure, map_tones
 from lobewise.settings import DenoiseSettings
 
 GUIDES = "plain"

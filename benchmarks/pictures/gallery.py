@@ -22,12 +22,12 @@ from benchmarks.upsampling.over_time import run_alone, run_through
 from benchmarks.upsampling.shots import FLICKER_SPP, FLICKERING, ORBIT, SCALE, Cache
 from lobewise.adaptive import recompute
 from lobewise.denoising import denoise
+from lobewise.display.tones import choose_exposure, map_tones
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.io.materials import read_merl
 from lobewise.io.png import encode_png
 from lobewise.metrics import Flicker, rel_mse
 from lobewise.render import render_frame, render_pixels, render_reference, set_camera
-from lobewise.reporting.display import choose_exposure, map_tones
 from lobewise.sparse_frame import SparseFrame, make_sparse
 from lobewise.upsampling import upsample
 

@@ -10,9 +10,9 @@ import numpy as np
 from benchmarks.common import ROOT
 from lobewise.cli.demo import load_bundled
 from lobewise.denoising import denoise
+from lobewise.display.tones import choose_exposure, map_tones
 from lobewise.io.png import encode_png
 from lobewise.peers import denoise_oidn, require_oidn
-from lobewise.reporting.display import choose_exposure, map_tones
 
 # Two spheres, the patchwork floor and their reflections: rows, columns.
 CROP = (slice(140, 440), slice(190, 490))

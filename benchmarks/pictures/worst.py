@@ -23,9 +23,9 @@ from benchmarks.users.methods import run_oidn
 from benchmarks.users.scenes import Scene
 from benchmarks.users.summary import is_known, list_rows
 from lobewise.denoising import denoise
+from lobewise.display.tones import choose_exposure
 from lobewise.frame import FloatArray
 from lobewise.io.png import encode_png
-from lobewise.reporting.display import choose_exposure
 
 SPPS = 4, 16
 FRAMES_SHOWN = 3

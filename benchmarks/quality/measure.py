@@ -33,10 +33,10 @@ from benchmarks.quality.methods import METHODS, NORMAL_EXPONENTS, SCREEN_SIGMAS,
 from benchmarks.quality.pictures import make_pictures
 from benchmarks.quality.summary import HELD_OUT, TRAIN, make_lines, summarise
 from lobewise.bench.timing import time_best
+from lobewise.display.tones import choose_exposure, map_tones
 from lobewise.errors import MissingDependencyError
 from lobewise.frame import FloatArray, Frame
 from lobewise.metrics import flip, mse, rel_mse, smape
-from lobewise.reporting.display import choose_exposure, map_tones
 
 RESULT = RESULTS / "quality.json"
 CACHE = Path("~/.cache/lobewise/quality")
@@ -50,7 +50,7 @@ WIDE = (1920, 1080)
 def compute_ssim(image: FloatArray, reference: FloatArray) -> float:
     """Return the mean structural similarity of what a screen shows of two images, at most 1, which is equality.
 
-    Of the sRGB-encoded luma under the reference's exposure (`lobewise.reporting.display`), in [0, 1].
+    Of the sRGB-encoded luma under the reference's exposure (`lobewise.display.tones`), in [0, 1].
 
     Notes
     -----

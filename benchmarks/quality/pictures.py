@@ -13,8 +13,8 @@ from scipy.ndimage import uniform_filter
 from benchmarks.common import ROOT, describe_machine
 from benchmarks.quality.frames import SAMPLES, SEEDS, Bench, Mask, classify_pixels
 from benchmarks.quality.methods import METHODS, Tuning
+from lobewise.display.tones import choose_exposure, map_tones
 from lobewise.frame import FloatArray
-from lobewise.reporting.display import choose_exposure, map_tones
 
 IMAGES = ROOT / "docs" / "images"
 SHOWN = ("noisy", "single SG", "balanced", "high", "oidn", "high + oidn")

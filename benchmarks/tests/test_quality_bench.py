@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from lobewise.camera import Camera
+from lobewise.display.tones import choose_exposure, map_tones
 from lobewise.frame import FloatArray, Frame, GBuffer, LobeKind, Radiance
 from lobewise.metrics import EPSILON, rel_mse
-from lobewise.reporting.display import choose_exposure, map_tones
 
 pytest.importorskip("mitsuba", reason="the bench renders its frames: pip install 'lobewise[mitsuba]'")
 stats = pytest.importorskip("scipy.stats", reason="the bench blurs with SciPy: pip install 'lobewise[fit]'")

@@ -34,6 +34,7 @@ from benchmarks.upsampling.skies import SCENES as SKIES
 from benchmarks.upsampling.skies import SIZE_PIXELS
 from lobewise.camera import Camera
 from lobewise.denoising import layers
+from lobewise.display.tones import choose_exposure, map_tones
 from lobewise.features.base import Vector
 from lobewise.features.ray import RayFeature, RayPlanes, evaluate_lobe
 from lobewise.frame import FloatArray, Radiance
@@ -47,7 +48,6 @@ from lobewise.render.stages import Stages
 from lobewise.render.tracing.paths import PathLight, PathSettings, trace_path
 from lobewise.render.tracing.points import find_points
 from lobewise.render.tracing.rays import make_opaque, make_rng
-from lobewise.reporting.display import choose_exposure, map_tones
 from lobewise.sparse_frame import Rays, SparseFrame, list_places
 
 NAMES = {

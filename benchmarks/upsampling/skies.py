@@ -25,10 +25,10 @@ from benchmarks.common import RESULTS, ROOT, describe_machine, write_json
 from benchmarks.pictures.detail import join
 from lobewise.adaptive import Shade, choose_spp
 from lobewise.camera import Camera
+from lobewise.display.tones import choose_exposure, map_tones
 from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.io.exr import read_image, write_image
 from lobewise.io.png import encode_png
-from lobewise.reporting.display import choose_exposure, map_tones
 from lobewise.sparse_frame import SparseFrame, list_places, make_sparse
 
 Item = dict[str, Any]

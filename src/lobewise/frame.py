@@ -8,16 +8,15 @@ from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from lobewise.camera import Camera
+from lobewise.display.cards import make_card
 from lobewise.errors import InputError, MissingChannelError, require_kind, require_number
 from lobewise.images import ABSENT, Images, MaybeImage, as_images, refuse_size, say_size
 from lobewise.images import FloatArray as FloatArray  # every room has it from here
 from lobewise.lobe_table import LobeTable
 from lobewise.radiance import Radiance as Radiance
 from lobewise.radiance import RadianceLayer as RadianceLayer
+from lobewise.result import Result as Result
 
 
 def require_spp(spp: Any) -> None:
@@ -306,6 +305,15 @@ class Frame(Guided):
     def __repr__(self) -> str:
         return f"Frame({say_size(self.shape)}{describe_content(self)})"
 
+    def _repr_html_(self) -> str:
+        """Return the card that notebooks show."""
+        facts = [("guides", ", ".join(self.gbuffer.names))]
+        facts += [("light", ", ".join(each.name for each in self.layers) or ", ".join(self.radiance.names))]
+        facts += [("samples", f"{self.spp:g} per pixel")] if self.spp else []
+        facts += [("camera", "known" if self.camera else "unknown")]
+        title = f"Frame, {say_size(self.shape)[:-2]}"
+        return make_card(title, {"radiance": self.radiance.color}, facts)
+
     @property
     def shape(self) -> tuple[int, int]:
         """(height, width)."""
@@ -326,74 +334,3 @@ def describe_content(frame: Any) -> str:
     tables = len(frame.lobe_tables)
     told += [f"{tables} lobe table{'s' if tables > 1 else ''}"] if tables else []
     return ", ".join(told)
-
-
-@dataclass(frozen=True, repr=False)
-class Result:
-    """A denoised frame.
-
-    Parameters
-    ----------
-    image : (height, width, 3)
-        Denoised total radiance, linear, finite.
-    diffuse, specular : (height, width, 3) or None
-        The two filtered parts, with their albedo, where the frame gave them apart.
-    weight_sum : (height, width)
-        Sum of the filter weights; the smaller of the diffuse and the specular sum where the pixel reflects both. A tap
-        that matches fully has weight 1.
-    effective_samples : (height, width)
-        ``(sum w)^2 / sum w^2``: number of equally weighted neighbours with the same variance, >= 1 where the filter
-        gathered anything.
-    bad_pixels : (height, width), bool
-        Pixels that were NaN, infinite or negative, had weight 0 and were refilled.
-    variance : (height, width) or None
-        Estimated variance of the image's luminance, where the image has a history.
-    energy_lost : float
-        Share of the light of the filtered layers that the result lacks, in [0, 1]. The light that bounding takes from
-        fireflies is shared out over their layer, except the light of a few pixels that hold most of the layer's light.
-        0 with the quality "fast", which does not measure it.
-    layers : mapping of str to (height, width, 3)
-        The filtered layers of a frame that has any, by name.
-    also : mapping of str to (height, width, 3)
-        The filtered images of ``Frame.also``; the images of ``Frame.unscattered`` that changed; and the parts of the
-        layers, named ``layer/part``.
-    settings : dict
-        Every parameter that was used, with every "auto" replaced.
-    seconds : float
-        Wall time of the call.
-    method : str
-        The filters and networks that made the image, and their guides: one sentence without its full stop.
-    notes : tuple of str
-        Notes to the user, one sentence each: guides with values that no surface can have, and their replacement; light
-        of fireflies that was shared out, where the noise does not explain how much.
-    unused : tuple of str
-        Images of the frame that change nothing with these settings.
-    """
-
-    image: FloatArray
-    weight_sum: FloatArray
-    effective_samples: FloatArray
-    bad_pixels: NDArray[np.bool_]
-    settings: dict[str, Any]
-    seconds: float
-    diffuse: FloatArray | None = None
-    specular: FloatArray | None = None
-    variance: FloatArray | None = None
-    energy_lost: float = 0.0
-    method: str = ""
-    layers: Mapping[str, FloatArray] = field(default_factory=dict)
-    also: Mapping[str, FloatArray] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    unused: tuple[str, ...] = ()
-
-    @property
-    def bad_pixel_count(self) -> int:
-        """How many pixels were refilled."""
-        return int(np.count_nonzero(self.bad_pixels))
-
-    def __repr__(self) -> str:
-        images = [name for name in ("image", "diffuse", "specular", "variance") if getattr(self, name) is not None]
-        named = [f"{name} {self.settings[name]}" for name in ("quality", "similarity") if name in self.settings]
-        size = say_size((self.image.shape[0], self.image.shape[1]))
-        told = [*images, *named, f"{self.bad_pixel_count} bad pixels", f"{self.seconds:.3g} s"]
-        return f"Result({size}{', '.join(told)})"

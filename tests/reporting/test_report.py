@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 
 from lobewise.cli import demo
+from lobewise.display.tones import choose_exposure, index_errors, make_error_palette, map_tones
 from lobewise.errors import FileError, InputError
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.io.png import encode_png
 from lobewise.metrics import evaluate
-from lobewise.reporting.display import choose_exposure, index_errors, make_error_palette, map_tones
 from lobewise.reporting.report import Picture, Report, make_page
 
 

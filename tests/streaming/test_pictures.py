@@ -10,11 +10,11 @@ import pytest
 from PIL import Image
 
 from lobewise.cli.main import run
+from lobewise.display.tones import choose_exposure, map_tones
 from lobewise.interchange import read_image
 from lobewise.io import write_frame
 from lobewise.io.png import encode_png, read_png_text
 from lobewise.reporting import picture as pictures
-from lobewise.reporting.display import choose_exposure, map_tones
 from lobewise.reporting.picture import EXPOSURE, Pictures, name_picture
 from tests.streaming.frames import make_scene
 

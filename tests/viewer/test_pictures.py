@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lobewise.display.tones import map_tones, map_tones_quickly
 from lobewise.interactive.settings import InteractiveSettings
-from lobewise.reporting.display import map_tones, map_tones_quickly
 from lobewise.viewer.looks import FrameLook, name_sides
 from lobewise.viewer.messages import Window
 from lobewise.viewer.pictures import BARS, LEGENDS, MAX_STOPS, VIEWS, choose_stops, fit_window, paint, wipe

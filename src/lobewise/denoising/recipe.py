@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from functools import reduce
 from typing import TYPE_CHECKING
+from weakref import ref
 
 import numpy as np
 
@@ -93,7 +94,7 @@ def denoise(
 
 def run_recipe(frame: Frame, named: DenoiseSettings, features: Sequence[Feature]) -> Result:
     """Denoise a frame; ``named`` are the settings before anything is chosen."""
-    start = time.perf_counter()
+    start, noisy = time.perf_counter(), ref(frame.radiance.color)
     frame, unusable = check_guides(frame)
     notes = tuple(map(str, unusable))
     chosen = resolve_all(frame, ask(named, {}, with_features=bool(features)))
@@ -126,6 +127,7 @@ def run_recipe(frame: Frame, named: DenoiseSettings, features: Sequence[Feature]
         ),
         notes=(*notes, *describe_filtering(state, local.filtered)),
         unused=list_unused(frame, chosen),
+        find_noisy=noisy,
     )
 
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.display.tones import choose_exposure, map_tones
 from lobewise.frame import FloatArray
 from lobewise.io.exr.bands import SLAB_ROWS, BandReader
 from lobewise.io.files import open_atomic
 from lobewise.io.png import encode_png, read_png_text
-from lobewise.reporting.display import choose_exposure, map_tones
 
 EXPOSURE = "lobewise exposure"
 """Name of the text chunk in a picture that holds the factor from radiance to display values."""

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.display.tones import choose_exposure, index_errors, make_error_palette, map_tones
 from lobewise.errors import InputError, MissingDependencyError
 from lobewise.frame import FloatArray
 from lobewise.io.png import encode_png
 from lobewise.metrics import evaluate, make_error_map
-from lobewise.reporting.display import choose_exposure, index_errors, make_error_palette, map_tones
 
 TITLES = {"rel_mse": "relMSE", "mse": "MSE", "smape": "SMAPE", "psnr": "PSNR, dB", "flip": "FLIP"}
 ORDER = ("rel_mse", "mse", "smape", "psnr", "flip")

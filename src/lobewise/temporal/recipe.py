@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, fields, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
+from weakref import ref
 
 import numpy as np
 from numpy.typing import NDArray
@@ -326,6 +327,7 @@ class TemporalFilter:
             settings={**asdict(chosen), "history_share": share},
             seconds=0.0,
             variance=variance,
+            find_noisy=ref(frame.radiance.color),
         )
 
 

@@ -8,8 +8,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.display.tones import choose_exposure, make_error_palette, map_tones_quickly
 from lobewise.interactive.settings import MAX_SHOWN_FRAMES, MAX_SHOWN_SHARPNESS
-from lobewise.reporting.display import choose_exposure, make_error_palette, map_tones_quickly
 from lobewise.viewer.messages import Window
 
 Pixels = NDArray[np.uint8]

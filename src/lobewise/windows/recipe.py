@@ -128,7 +128,14 @@ class WindowFilter:
         taken = {**result.settings, "window": self.reach, "joined": joined.used}
         notes = notes + result.notes
         result = mix_results(joined.alone, result, find_share(joined.frames))
-        return replace(result, notes=notes, settings=taken, unused=unused, seconds=time.perf_counter() - start)
+        return replace(
+            result,
+            notes=notes,
+            settings=taken,
+            unused=unused,
+            seconds=time.perf_counter() - start,
+            find_noisy=joined.alone.find_noisy,
+        )
 
     def _prepare(self, frames: Sequence[Frame], first: int, last: int) -> dict[int, Shot]:
         """Return the shots of a window, and let go of all others."""

@@ -1,0 +1,1 @@
+"""Pictures for people: tone mapping, and cards for notebooks."""
