@@ -19,6 +19,7 @@ from benchmarks.pages import (
     films,
     foreign,
     gallery,
+    how_it_works,
     interactive,
     materials,
     mitsuba,
@@ -53,6 +54,7 @@ PAGES = {
     "docs/bench.md": Source(bench.make_figures, ("startup",)),
     "docs/farm.md": Source(farm.make_figures, ("farm",)),
     "docs/gallery.md": Source(gallery.make_figures, ("gallery",)),
+    "docs/how_it_works.md": Source(how_it_works.make_figures, ("paper_pair",)),
     "docs/interactive.md": Source(
         interactive.make_figures,
         ("interactive_quality", "interactive", "viewer", "interactive_again", "moving", "interactive_direct"),

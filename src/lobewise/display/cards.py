@@ -15,6 +15,8 @@ from lobewise.errors import InputError
 
 MAX_WIDTH_PIXELS = 800
 """Wider pictures are shrunk for a card: a notebook keeps every picture in its file."""
+MIN_WIDTH_PIXELS = 360
+"""Narrower pictures are enlarged."""
 
 _IMAGE = "width:100%;display:block;margin:0"
 _LABEL = "position:absolute;bottom:8px;padding:2px 8px;color:#fff;background:rgba(0,0,0,.55);border-radius:4px"
@@ -44,9 +46,10 @@ def make_card(title: str, pictures: Mapping[str, NDArray[np.float32]], facts: Se
         f'{html.escape(name)}</th><td style="text-align:left">{html.escape(value)}</td></tr>'
         for name, value in facts
     )
-    width = max((min(image.shape[1], MAX_WIDTH_PIXELS) for image in pictures.values()), default=MAX_WIDTH_PIXELS)
+    width = max((min(image.shape[1], MAX_WIDTH_PIXELS) for image in pictures.values()), default=0)
+    width = max(width, MIN_WIDTH_PIXELS)
     return (
-        f'<div style="max-width:{max(width, 360)}px"><strong>{html.escape(title)}</strong>{shown}'
+        f'<div><strong>{html.escape(title)}</strong><div style="max-width:{width}px">{shown}</div>'
         f'<table style="margin:6px 0;border:0">{rows}</table></div>'
     )
 
