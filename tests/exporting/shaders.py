@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.exporting.shader import _translate
+from lobewise.exporting.shaders.language import translate_line
 
 INPUTS = {
     "pixel_i": 2,
@@ -122,7 +122,7 @@ def make_program(language: str, functions: str) -> str:
     body += [f"    found[to + {place}u] = {result};" for place, result in enumerate(results)]
     assert len(results) == sum(OUTPUTS.values())
     frame = re.sub("RESULTS", str(len(results)), re.sub("WIDTH", str(offset), _FRAMES[language]))
-    program = frame + "\n".join(_translate(line, language, False) for line in body) + "\n}\n"
+    program = frame + "\n".join(translate_line(line, language) for line in body) + "\n}\n"
     version = "#version 450\n" if language == "glsl" else ""
     return version + functions + program
 

@@ -15,7 +15,7 @@ from lobewise.exporting.example import (
     MAX_PLAIN_DIFFERENCE,
 )
 from lobewise.exporting.names import TARGETS
-from lobewise.exporting.shader import make_shader
+from lobewise.exporting.shaders.functions import make_shader
 
 PAGE = (Path(__file__).parents[2] / "docs" / "export.md").read_text()
 

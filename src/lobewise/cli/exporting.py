@@ -9,7 +9,7 @@ import typer
 
 from lobewise.cli.options.spreading import with_settings
 from lobewise.errors import InputError
-from lobewise.exporting.names import SHADER_LANGUAGES, TARGETS, ExportSettings
+from lobewise.exporting.names import CHAINS, SHADER_LANGUAGES, TARGETS, ExportSettings
 
 
 @with_settings(ExportSettings, "similarity", "form", "radius", "lobes", "albedo", "anisotropic", only_given=True)
@@ -25,27 +25,31 @@ def export(
         str | None,
         typer.Option(metavar="NAME", help="Beginning of the names of files and C functions.", show_default="lobewise"),
     ] = None,
+    chain: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="With hlsl, glsl, wgsl: whole compute passes instead of single functions; see above.",
+            show_default=False,
+        ),
+    ] = None,
     force: Annotated[
         bool, typer.Option("--force", help="Replace an earlier export and everything in its folder.")
     ] = False,
 ) -> None:
-    """Compile a filter ahead of time: a library with C header, README and example; or the weights as a shader."""
+    """Compile a filter ahead of time: a library with C header, README and example; or shaders."""
     from lobewise.cli.output import print_line
 
     if target in SHADER_LANGUAGES:
-        from lobewise.exporting.shader import export_shader
-
-        unused = [*settings, *(["name"] if name is not None else [])]
-        if unused:
-            raise InputError(
-                f"--{unused[0]}",
-                expected="a processor or device as target beside it",
-                got=f"the shader language {target}, whose file has all weights",
-                action="leave one of them out",
-            )
-        export_shader(output, target, force=force)
-        print_line(f"Wrote {output}: lobewise.{target}, README.md.")
+        _export_shaders(output, target, chain, settings, name, force)
         return
+    if chain is not None:
+        raise InputError(
+            "--chain",
+            expected=f"a target of {', '.join(SHADER_LANGUAGES)} beside it",
+            got=f"the target {target}, whose library has one function",
+            action="leave --chain out, or choose a shader language",
+        )
 
     from lobewise.exporting.native import export_library
     from lobewise.exporting.plan import FilterPlan
@@ -54,10 +58,41 @@ def export(
     print_line(f"Wrote {output}; README.md describes the files. In that folder: {command}")
 
 
+def _export_shaders(
+    output: Path, language: str, chain: str | None, settings: dict[str, Any], name: str | None, force: bool
+) -> None:
+    """Write shader functions, or the passes of a chain. Refuse options that neither has."""
+    from lobewise.cli.output import print_line
+
+    known = {"form"} if chain is not None else set()
+    unused = [*(each for each in settings if each not in known), *(["name"] if name is not None else [])]
+    if unused:
+        has = "whose chains compare specular lobes by 'ggx' and take the radius as a constant"
+        raise InputError(
+            f"--{unused[0]}",
+            expected="a processor or device as target beside it",
+            got=f"the shader language {language}, {has if chain is not None else 'whose file has all weights'}",
+            action="leave one of them out",
+        )
+    if chain is None:
+        from lobewise.exporting.shaders.functions import export_shader
+
+        export_shader(output, language, force=force)
+        print_line(f"Wrote {output}: lobewise.{language}, README.md.")
+        return
+    from lobewise.exporting.shaders.writing import DESCRIPTION, export_chain
+
+    names = export_chain(output, language, chain, force=force, **settings)
+    count = sum(each.endswith(f".{language}") for each in names)
+    print_line(f"Wrote {output}: {count} passes, {DESCRIPTION}, README.md, which describes images and constants.")
+
+
 # The narrow columns of the options would cut these names off.
 export.__doc__ = f"""{export.__doc__}
 
 Targets, all compiled in the tests: {", ".join(TARGETS)}. Other combinations of these processors and systems may work.
 
-Shader languages, with the weights alone: {", ".join(SHADER_LANGUAGES)}.
+Shader languages: {", ".join(SHADER_LANGUAGES)}; the weights as functions, or with --chain whole compute passes.
+
+Chains: {"; ".join(f"{name}, {what}" for name, what in CHAINS.items())}.
 """

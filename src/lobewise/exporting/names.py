@@ -11,6 +11,8 @@ from lobewise.settings.choices import SIMILARITIES
 from lobewise.settings.choices import Similarity as SimilarityRecord
 
 SHADER_LANGUAGES = ("hlsl", "glsl", "wgsl")
+CHAINS = {"filter": "which filters every frame by itself"}
+"""The chains of compute passes, with what each does."""
 TARGETS = (
     "host",
     "x86-64-linux",

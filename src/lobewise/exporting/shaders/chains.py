@@ -1,0 +1,202 @@
+"""The chains that can be exported."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from lobewise.errors import require_choice
+from lobewise.exporting.names import CHAINS
+from lobewise.exporting.shaders.constants import FILTER_CONSTANTS
+from lobewise.exporting.shaders.passes import Chain, Image, Lifetime, Pass
+from lobewise.filters.forms import ATROUS_RADIUS, Taps, list_passes
+from lobewise.settings import FORMS
+
+LAYERS = {"diffuse": "diffuse", "specular": "specular"}
+_LIGHT = {"diffuse": "light that surfaces scatter diffusely", "specular": "light that surfaces reflect"}
+_GUIDES = ("points", "normals", "axes", "spreads")
+
+
+def _give(name: str, comment: str) -> Image:
+    return Image(name=name, comment=comment, lifetime=Lifetime.GIVEN, format="rgba16float")
+
+
+GIVEN = (
+    Image(
+        name="surface",
+        comment="unit normal in world space (xyz; 0 where the pixel shows no surface), GGX alpha (w; 0 is a mirror)",
+        lifetime=Lifetime.GIVEN,
+    ),
+    Image(
+        name="place",
+        comment="position in world space (xyz), distance from the camera (w; 0 where the pixel shows no surface)",
+        lifetime=Lifetime.GIVEN,
+    ),
+    _give("diffuse", "noisy radiance that surfaces scatter diffusely, albedo included, linear"),
+    _give("specular", "noisy radiance that surfaces reflect, albedo included, linear"),
+    _give("diffuse_albedo", "albedo of diffuse reflection, 0 to 1"),
+    _give("specular_albedo", "albedo of specular reflection, 0 to 1"),
+    _give("emission", "light that reaches the camera unscattered: lamps and background, linear"),
+)
+RESULT = Image(name="image", comment="the denoised image, linear (xyz); 1 (w)", lifetime=Lifetime.RESULT)
+
+
+def list_guides(lifetime: Lifetime) -> list[Image]:
+    """Return the images that compare pixels."""
+    return [
+        Image(
+            name="points",
+            comment="position in world space (xyz), width of a pixel on the surface, world units (w)",
+            lifetime=lifetime,
+        ),
+        Image(name="normals", comment="normal (xyz), distance from the camera or 0 (w)", lifetime=lifetime),
+        Image(
+            name="axes",
+            comment="axis of the specular lobe (xyz), its larger variance, rad^2, -1 without a lobe (w)",
+            lifetime=lifetime,
+        ),
+        Image(
+            name="spreads",
+            comment="vector along which the lobe is wider (xyz), its smaller variance, rad^2 (w)",
+            lifetime=lifetime,
+        ),
+    ]
+
+
+def list_sums(name: str, what: str, lifetime: Lifetime) -> list[Image]:
+    """Return the two images that hold sums over samples."""
+    return [
+        Image(
+            name=f"{name}_light",
+            comment=f"{what}: sums of weight times light over albedo (xyz) and of weights (w)",
+            lifetime=lifetime,
+        ),
+        Image(
+            name=f"{name}_more",
+            comment=f"{what}: sums of squared weights (x) and of weight times squared luminance (y)",
+            lifetime=lifetime,
+        ),
+    ]
+
+
+def list_layer_guides(layer: str) -> dict[str, str]:
+    """Return the guides that a layer's pixels are compared by, as bindings."""
+    return {name: name for name in (_GUIDES if layer == "specular" else _GUIDES[:2])}
+
+
+def make_guides_pass(footprint: str, more: Sequence[str] = ()) -> Pass:
+    """Return the pass that makes lobes."""
+    return Pass(
+        name="guides",
+        comment="Makes what the other passes compare pixels by: place, normal and the lobe of the specular reflection.",
+        body="guides.shader",
+        parts={"footprint": footprint},
+        reads={name: name for name in ("surface", "place", *more)},
+        writes={name: name for name in _GUIDES},
+    )
+
+
+@dataclass(frozen=True)
+class _Taps:
+    """How the text of a filter pass differs by its taps: its name, its comment, its body and what fills it in."""
+
+    name: str
+    over: str
+    body: str
+    parts: dict[str, str]
+
+
+def _describe_taps(taps: Taps, step: int) -> _Taps:
+    if taps is Taps.SQUARE:
+        screen = "lobewise_compare_screen(vec2(float(u), float(v)), constants.screen_sigma)"
+        parts = {"reach": "constants.radius", "spread": "ivec2(u, v)", "screen": screen}
+        return _Taps("square", "all pixels around", "square.shader", parts)
+    if taps is Taps.ATROUS:
+        spread = "ivec2(u, v)" if step == 1 else f"{step} * ivec2(u, v)"
+        screen = "lobewise_find_profile(u) + lobewise_find_profile(v)"
+        parts = {"reach": str(ATROUS_RADIUS), "spread": spread, "screen": screen}
+        return _Taps(f"step_{step}", f"5 x 5 pixels, {step} apart", "square.shader", parts)
+    name, parts = ("row", {"step": "k, 0"}) if taps is Taps.HORIZONTAL else ("column", {"step": "0, k"})
+    return _Taps(name, f"a {name}", "line.shader", parts)
+
+
+def make_filter_passes(layer: str, form: str, power: str, more: Sequence[str] = ()) -> tuple[list[Pass], list[Image]]:
+    """Return the filter passes of a layer and the images between them.
+
+    Parameters
+    ----------
+    layer : {"diffuse", "specular"}
+    form : str
+        One of `lobewise.settings.FORMS`.
+    power : str
+        Expression of the power to which a pixel raises its weights.
+    more : sequence of str
+        Further images of the layer that the expression reads.
+    """
+    passes: list[Pass] = []
+    images: list[Image] = []
+    read, source = "lobewise_read_radiance", {"radiance": layer, "albedo": f"{layer}_albedo"}
+    for taps, _, step in list_passes(form, 0):
+        told = _describe_taps(taps, step)
+        after = f"{layer}_{told.name}"
+        images += list_sums(after, f"{layer} light, summed over {told.over}", Lifetime.FRAME)
+        passes.append(
+            Pass(
+                name=after,
+                comment=f"Sums similar pixels over {told.over}: {_LIGHT[layer]}.\n"
+                "weight = place on the screen * place in the scene * overlap of the lobes",
+                body=told.body,
+                parts={**told.parts, "power": power, "read": read},
+                layer=layer,
+                reads={**list_layer_guides(layer), **source, **{n: f"{layer}_{n}" for n in more}},
+                writes={"added_light": f"{after}_light", "added_more": f"{after}_more"},
+            )
+        )
+        read, source = "lobewise_read_sums", {"sums_light": f"{after}_light", "sums_more": f"{after}_more"}
+    return passes, images
+
+
+def make_composite_pass(sums: dict[str, str], *, has_noisy: bool) -> Pass:
+    """Return the last pass; ``sums`` names the image of each layer's sums."""
+    noisy = {f"{layer}_noisy": layer for layer in sums} if has_noisy else {}
+    black = "vec3(0.0, 0.0, 0.0)"
+    parts = {f"{layer}_noisy": f"load({layer}_noisy, pixel).xyz" if has_noisy else black for layer in sums}
+    return Pass(
+        name="composite",
+        comment="Divides the sums of both layers by their weights, multiplies by the albedos and adds the emission.",
+        body="composite.shader",
+        parts=parts,
+        reads={
+            **{f"{layer}_sums": image for layer, image in sums.items()},
+            **{f"{layer}_albedo": f"{layer}_albedo" for layer in sums},
+            **noisy,
+            "emission": "emission",
+        },
+        writes={"image": "image"},
+    )
+
+
+def make_filter_chain(form: str) -> Chain:
+    """Return the chain that filters each frame by itself: `lobewise.denoise` with quality "fast"."""
+    passes, images, last = [make_guides_pass("spot.w * constants.pixel_angle")], list_guides(Lifetime.FRAME), {}
+    for layer in LAYERS:
+        more, between = make_filter_passes(layer, form, "1.0")
+        passes, images = [*passes, *more], [*images, *between]
+        last[layer] = more[-1].writes["added_light"]
+    return Chain(
+        name="filter",
+        comment="Filters every frame by itself, as lobewise.denoise does with the quality 'fast'.",
+        images=[*GIVEN, *images, RESULT],
+        constants=FILTER_CONSTANTS,
+        passes=[*passes, make_composite_pass(last, has_noisy=True)],
+    )
+
+
+def make_chain(name: str, *, form: str = "separable") -> Chain:
+    """Return a chain by its name.
+
+    Raises InputError if there is no such chain, or if the chain has no filter of this form.
+    """
+    require_choice("chain", name, tuple(CHAINS))
+    require_choice("form", form, FORMS)
+    return make_filter_chain(form)

@@ -1,0 +1,206 @@
+// Light is divided by an albedo of at least this. Where no channel is above it, a pixel does not show its light.
+const float LOBEWISE_ALBEDO_FLOOR = $ALBEDO_FLOOR;
+// The smallest squared length of a normal: shorter ones mean that the pixel shows no surface.
+const float LOBEWISE_MIN_SQUARED_NORMAL = $MIN_SQUARED_NORMAL;
+// log2(e)
+const float LOBEWISE_LOG2_E = 1.442695041;
+// Shares of red, green and blue in the luminance.
+const vec3 LOBEWISE_LUMINANCE = $LUMINANCE;
+// Exponent unit of the overlap of two GGX lobes.
+const float LOBEWISE_GGX_UNIT = $GGX_UNIT;
+// Taps of the form "atrous": log2 of the B-spline weights at the distances 0, 1 and 2.
+const vec3 LOBEWISE_PROFILE = $PROFILE;
+// Radius of the window in which samples and history are compared, samples.
+const int LOBEWISE_TRUST_RADIUS = $TRUST_RADIUS;
+// The same difference in standard errors: from the first on the trust is 0, up to the second it is 1.
+const float LOBEWISE_NO_TRUST_ERRORS = $NO_TRUST_ERRORS;
+const float LOBEWISE_FULL_TRUST_ERRORS = $FULL_TRUST_ERRORS;
+// Relative difference of samples and history that does not count as a change.
+const float LOBEWISE_IGNORED_DIFFERENCE = $IGNORED_DIFFERENCE;
+// Smallest weight sum above 0.
+const float LOBEWISE_MIN_WEIGHT = $MIN_WEIGHT;
+// A place this near to a pixel's centre is moved to the centre, pixels: rounding must not blur.
+const float LOBEWISE_SNAP = $SNAP_PIXELS;
+// Frames in a trusted history from which a pixel has the narrow kernel.
+const float LOBEWISE_MIN_KNOWN_FRAMES = $MIN_KNOWN_FRAMES;
+
+// Whether a number is NaN, infinite or negative. Bits tell it even where arithmetic ignores NaN.
+bool lobewise_is_bad(float value) {
+    let uint bits = bits_of(value);
+    return bits >= 0x7f800000u && bits != 0x80000000u;
+}
+
+// Whether no channel of a colour is NaN, infinite or negative.
+bool lobewise_is_good(vec3 color) {
+    return !(lobewise_is_bad(color.x) || lobewise_is_bad(color.y) || lobewise_is_bad(color.z));
+}
+
+// Whether a number is neither infinite nor NaN.
+bool lobewise_is_finite(float value) {
+    return (bits_of(value) & 0x7f800000u) != 0x7f800000u;
+}
+
+// Whether a pixel lies inside the image.
+bool lobewise_is_inside(ivec2 pixel) {
+    return pixel.x >= 0 && pixel.y >= 0 && pixel.x < constants.width && pixel.y < constants.height;
+}
+
+// The larger principal variance of a covariance, in w, and in xyz a vector t along its direction. The squared length of
+// t is the difference of both variances; its sign means nothing.
+vec4 lobewise_split(LobewiseCovariance lobe) {
+    let vec3 z = lobe.axis;
+    let float mean = 0.5 * dot(lobe.diagonal, vec3(1.0, 1.0, 1.0));
+    let vec3 crossed = vec3(z.x * z.y, z.x * z.z, z.y * z.z);
+    let vec3 across = vec3(1.0, 1.0, 1.0) - z * z;
+    // The covariance minus its mean across the axis: its norm gives the difference without cancellation.
+    let vec3 rest = lobe.diagonal - mean * across;
+    let vec3 beside = lobe.beside + mean * crossed;
+    let float gap = sqrt(2.0 * (dot(rest, rest) + 2.0 * dot(beside, beside)));
+    // t t^T, of which t is the longest column over the root of its diagonal.
+    let vec3 outer = rest + 0.5 * gap * across;
+    let vec3 outside = beside - 0.5 * gap * crossed;
+    var vec3 column = vec3(outside.y, outside.z, outer.z);
+    if (outer.x >= outer.y && outer.x >= outer.z) {
+        column = vec3(outer.x, outside.x, outside.y);
+    } else if (outer.y >= outer.z) {
+        column = vec3(outside.x, outer.y, outside.z);
+    }
+    let float longest = max(max(max(outer.x, outer.y), outer.z), 0.3 * gap);
+    return vec4(column / sqrt(max(longest, 1.0e-30)), mean + 0.5 * gap);
+}
+
+// How far a surface moved by itself since the frame before, pixels. moved is its motion on the screen; the motion of
+// the camera is subtracted. A point that lay behind the earlier camera moved by twice the image.
+float lobewise_find_own_motion(ivec2 pixel, vec3 position, vec2 moved) {
+    let vec3 path = position - constants.before;
+    let float ahead = dot(path, constants.before_forward);
+    let vec2 size = vec2(float(constants.width), float(constants.height));
+    var vec2 still = 2.0 * size;
+    if (ahead > 0.0) {
+        let float right = dot(path, constants.before_right) / ahead;
+        let float up = dot(path, constants.before_up) / ahead;
+        still = 0.5 * vec2(1.0 + right, 1.0 - up) * size - vec2(0.5, 0.5) - vec2(float(pixel.x), float(pixel.y));
+    }
+    let float way = length(moved - still);
+    if (lobewise_is_finite(way)) {
+        return way;
+    }
+    return 0.0;
+}
+
+// log2 of the Gaussian of the distance on the screen. offset counts pixels.
+float lobewise_compare_screen(vec2 offset, float sigma) {
+    return -0.5 * LOBEWISE_LOG2_E * dot(offset, offset) / (sigma * sigma);
+}
+
+// log2 of the Gaussian of the distance in the scene, in footprints of a pixel.
+float lobewise_compare_places(vec3 position_i, float depth_i, vec3 position_j, float depth_j) {
+    let vec3 d = (position_j - position_i) / (constants.position_sigma * constants.pixel_angle);
+    return -0.5 * LOBEWISE_LOG2_E * dot(d, d) / (depth_i * depth_j);
+}
+
+// log2 of the Gaussian of the distances from each other's tangent planes, in footprints. It recognises a surface.
+float lobewise_compare_planes(vec4 point_i, vec3 normal_i, vec4 point_j, vec3 normal_j) {
+    let vec3 d = point_j.xyz - point_i.xyz;
+    let float above = dot(normal_i, d);
+    let float below = dot(normal_j, d);
+    let float scale = constants.plane_sigma * constants.plane_sigma * point_i.w * point_j.w;
+    return -0.25 * LOBEWISE_LOG2_E * (above * above + below * below) / scale;
+}
+
+// log2 of the overlap of two cosine lobes, to the power beta.
+float lobewise_compare_cosines(vec3 normal_i, vec3 normal_j, float beta) {
+    let vec3 d = normal_j - normal_i;
+    let float x = 0.5 * dot(d, d);
+    let float quotient = $LAMBERT;
+    return -beta * x * quotient;
+}
+
+// A GGX lobe, its covariance split: S = narrow (I - axis axis^T) + t t^T.
+struct LobewiseSplit {
+    vec3 axis;
+    vec3 t;
+    float wide; // the larger principal variance, rad^2
+    float narrow; // the smaller one
+};
+
+// log2 of the overlap of two GGX lobes, to the power beta: as lobewise_ggx_weight, from split covariances.
+float lobewise_compare_ggx(LobewiseSplit i, LobewiseSplit j, float beta) {
+    let vec3 d = j.axis - i.axis;
+    let float on_i = dot(d, i.t);
+    let float on_j = dot(d, j.t);
+    let float both = dot(i.t, j.t);
+    let float quadratic = (i.wide + j.wide) * dot(d, d) - on_i * on_i - on_j * on_j;
+    let float root_i = sqrt(i.wide * i.narrow);
+    let float root_j = sqrt(j.wide * j.narrow);
+    let float mean = root_i + root_j;
+    // sqrt(P) is at least the mean of both s. Rounding may violate this.
+    let float second = max((i.wide + j.narrow) * (j.wide + i.narrow) - both * both, mean * mean);
+    let float q = min(quadratic / second, 4.0e4);
+    let float tail = 8.0 * log2(1.0 + 0.25 * q);
+    let float areas = log2(second * sqrt(second) / mean);
+    return LOBEWISE_GGX_UNIT * beta * (log2(2.0 * root_i) + log2(2.0 * root_j) - tail - areas);
+}
+
+// What a tap adds to the sums of a pixel.
+struct LobewiseTap {
+    vec4 light; // light and weight
+    vec4 more; // squared weight, squared luminance
+};
+
+// A tap of noisy radiance over albedo; all 0 if either is bad, or if the albedo is too dark to show the light.
+LobewiseTap lobewise_read_radiance(ivec2 pixel) {
+    let vec3 tint = load(albedo, pixel).xyz;
+    let vec3 given = load(radiance, pixel).xyz;
+    let float brightest = max(max(tint.x, tint.y), tint.z);
+    var LobewiseTap tap;
+    tap.light = vec4(0.0, 0.0, 0.0, 0.0);
+    tap.more = vec4(0.0, 0.0, 0.0, 0.0);
+    if (lobewise_is_good(given) && lobewise_is_good(tint) && brightest > LOBEWISE_ALBEDO_FLOOR) {
+        let float least = LOBEWISE_ALBEDO_FLOOR;
+        let vec3 light = given / max(tint, vec3(least, least, least));
+        let float luminance = dot(LOBEWISE_LUMINANCE, light);
+        tap.light = vec4(light, 1.0);
+        tap.more = vec4(1.0, luminance * luminance, 0.0, 0.0);
+    }
+    return tap;
+}
+
+// A tap of the undivided sums of the pass before.
+LobewiseTap lobewise_read_sums(ivec2 pixel) {
+    var LobewiseTap tap;
+    tap.light = load(sums_light, pixel);
+    tap.more = load(sums_more, pixel);
+    return tap;
+}
+
+// log2 of the B-spline weight of a tap, -2 to 2.
+float lobewise_find_profile(int offset) {
+    if (offset == 0) {
+        return LOBEWISE_PROFILE.x;
+    }
+    if (offset == 1 || offset == -1) {
+        return LOBEWISE_PROFILE.y;
+    }
+    return LOBEWISE_PROFILE.z;
+}
+
+// A number, or 0 if it is NaN, infinite or negative.
+float lobewise_drop_bad(float value) {
+    if (lobewise_is_bad(value)) {
+        return 0.0;
+    }
+    return value;
+}
+
+// The radiance of a layer: its sums divided by their weight, times its albedo. Where nothing was gathered it is the noisy
+// radiance, or black where that is bad.
+vec3 lobewise_finish(vec4 sums, vec3 tint, vec3 noisy) {
+    if (sums.w > 0.0) {
+        return sums.xyz / sums.w * vec3(lobewise_drop_bad(tint.x), lobewise_drop_bad(tint.y), lobewise_drop_bad(tint.z));
+    }
+    if (lobewise_is_good(noisy)) {
+        return noisy;
+    }
+    return vec3(0.0, 0.0, 0.0);
+}

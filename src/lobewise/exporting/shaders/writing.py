@@ -1,0 +1,158 @@
+"""Write a chain as a folder: a file for each pass, ``chain.json`` and a README."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import lobewise
+from lobewise.errors import require_choice
+from lobewise.exporting.folder import MARK, open_folder
+from lobewise.exporting.names import SHADER_LANGUAGES
+from lobewise.exporting.readme import DOCS
+from lobewise.exporting.shaders.chains import make_chain
+from lobewise.exporting.shaders.language import lay_out
+from lobewise.exporting.shaders.library import read_template
+from lobewise.exporting.shaders.passes import WORKGROUP, Chain, Image, Lifetime, Pass, write_pass
+from lobewise.io.files import PathLike
+
+DESCRIPTION = "chain.json"
+"""The file that describes a chain to programs."""
+
+
+def name_file(number: int, each: Pass, language: str) -> str:
+    """Return the name of a pass's file; numbers count from 1."""
+    return f"{number:02d}_{each.name}.{language}"
+
+
+def describe_chain(chain: Chain, language: str) -> dict[str, Any]:
+    """Return the contents of ``chain.json``."""
+    offsets = lay_out(chain.constants)
+    constants = [
+        {"name": one.name, "type": one.kind, "offset": offsets[one.name], "meaning": one.comment, "python": one.python}
+        for one in chain.constants
+    ]
+    return {
+        "lobewise": lobewise.__version__,
+        "target": language,
+        "chain": chain.name,
+        "meaning": chain.comment,
+        "constants": {"binding": 0, "bytes": offsets[""], "fields": constants},
+        "images": [_describe_image(image) for image in chain.images],
+        "passes": [_describe_pass(chain, number, each, language) for number, each in enumerate(chain.passes, 1)],
+    }
+
+
+def _describe_image(image: Image) -> dict[str, Any]:
+    told: dict[str, Any] = {"name": image.name, "format": image.format, "lifetime": image.lifetime.value}
+    told |= {"width": image.extent[0], "height": image.extent[1], "meaning": image.comment}
+    return {**told, "before": image.before} if image.before else told
+
+
+def _describe_pass(chain: Chain, number: int, each: Pass, language: str) -> dict[str, Any]:
+    images = {**each.reads, **each.writes}
+    return {
+        "name": each.name,
+        "file": name_file(number, each, language),
+        "entry": "main",
+        "meaning": each.comment.splitlines()[0],
+        "workgroup": [*WORKGROUP, 1],
+        "dispatch": [*_list_groups(each), "1"],
+        "bindings": [
+            {
+                "binding": place,
+                "name": binding.name,
+                "image": images[binding.name],
+                "access": "read" if binding.format is None else "write",
+            }
+            for place, binding in enumerate(chain.list_bindings(each), 1)
+        ],
+    }
+
+
+def _list_groups(each: Pass) -> list[str]:
+    return [f"ceil({side} / {count})" for side, count in zip(each.extent, WORKGROUP, strict=True)]
+
+
+def write_readme(chain: Chain, language: str) -> str:
+    """Return the README of a chain."""
+    offsets = lay_out(chain.constants)
+    kept = [image for image in chain.images if image.lifetime is Lifetime.BEFORE]
+    images = [
+        f"| `{image.name}` | {image.lifetime.value} | {image.format} | {image.extent[0]} x {image.extent[1]} "
+        f"| {image.comment} |"
+        for image in chain.images
+    ]
+    constants = [
+        f"| {offsets[one.name]} | `{one.name}` | {one.kind} | {one.comment} | {one.python} |" for one in chain.constants
+    ]
+    passes = []
+    for number, each in enumerate(chain.passes, 1):
+        bound = {**each.reads, **each.writes}
+        bindings = ", ".join(
+            f"{place} `{binding.name}`" + ("" if binding.name == bound[binding.name] else f" = `{bound[binding.name]}`")
+            for place, binding in enumerate(chain.list_bindings(each), 1)
+        )
+        groups = ", ".join(_list_groups(each))
+        file = name_file(number, each, language)
+        passes.append(f"| `{file}` | {each.comment.splitlines()[0]} | {groups} | {bindings} |")
+    swap = ""
+    if kept:
+        names = ", ".join(f"`{image.before}`" for image in kept)
+        swap = read_template("swap.md", {"names": names})
+    return read_template(
+        "chain_readme.md",
+        {
+            "name": chain.name,
+            "title": language.upper(),
+            "meaning": chain.comment,
+            "images": "\n".join(images),
+            "constants": "\n".join(constants),
+            "bytes": str(offsets[""]),
+            "passes": "\n".join(passes),
+            "binding": read_template(f"bindings_{language}.md", {}).strip(),
+            "swap": swap,
+            "version": lobewise.__version__,
+            "docs": DOCS,
+        },
+    )
+
+
+def export_chain(
+    output: PathLike, language: str, chain: str, *, form: str = "separable", force: bool = False
+) -> list[str]:
+    """Write a folder with the compute passes of a chain, and return the names of its files.
+
+    Parameters
+    ----------
+    output : path
+        The folder, new or empty.
+    language : {"hlsl", "glsl", "wgsl"}
+    chain : str
+        A name in `lobewise.exporting.names.CHAINS`.
+    form : {"full", "separable", "atrous"}
+        Which neighbours the filter sums over.
+    force : bool
+        Replace an earlier export and everything in its folder.
+
+    Raises
+    ------
+    InputError
+        If there is no such language, chain or form.
+    FileError
+        If the folder is not empty or cannot be written.
+    """
+    require_choice("shader language", language, SHADER_LANGUAGES)
+    made = make_chain(chain, form=form)
+    told = describe_chain(made, language)
+    texts = {
+        name_file(number, each, language): write_pass(made, each, language)
+        for number, each in enumerate(made.passes, 1)
+    }
+    texts[DESCRIPTION] = json.dumps(told, indent=2) + "\n"
+    texts["README.md"] = write_readme(made, language)
+    texts[MARK] = json.dumps({"lobewise": lobewise.__version__, "target": language, "chain": chain}) + "\n"
+    with open_folder(output, force=force) as place:
+        for name, text in texts.items():
+            place(name).write_text(text, encoding="utf-8")
+    return list(texts)

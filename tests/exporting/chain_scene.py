@@ -1,0 +1,105 @@
+"""A sequence in closed form: a floor, a still and a moving sphere under a sky, seen by a moving camera."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.camera import Camera
+from lobewise.frame import Frame, GBuffer, Radiance
+from lobewise.motion import compute_motion, project_points
+from lobewise.sparse_frame import SparseFrame
+
+SIZE = (45, 61)
+"""Height and width: no multiples of a workgroup."""
+STILL, RADIUS = np.array([-0.7, 0.6, -0.4]), 0.6
+
+
+def make_camera(number: int) -> Camera:
+    """Return the camera of a frame."""
+    position = np.array([0.3 + 0.05 * number, 1.5 + 0.01 * number, 3.5])
+    return Camera(position=position, forward=(-0.05 - 0.004 * number, -0.3, -1.0), up=(0.0, 1.0, 0.0), fov_y=0.7)
+
+
+def find_ball(number: int) -> NDArray[np.float64]:
+    """Return the centre of the moving sphere."""
+    return np.array([0.7 - 0.06 * number, 0.6, 0.3])
+
+
+def trace(camera: Camera, ball: NDArray[np.float64]) -> tuple[NDArray[Any], NDArray[np.int_], NDArray[Any]]:
+    """Return the distances (0 for the sky), what a pixel shows (0 sky, 1 floor, 2 still, 3 ball), and the normals."""
+    rays = camera.make_ray_directions(SIZE[1], SIZE[0]).astype(np.float64)
+    best = np.full(SIZE, np.inf)
+    shown = np.zeros(SIZE, dtype=int)
+    normal = np.zeros((*SIZE, 3))
+    floor = -camera.position[1] / rays[..., 1]
+    on_floor = (floor > 0) & (floor < 9.0)
+    best[on_floor], shown[on_floor], normal[on_floor] = floor[on_floor], 1, (0.0, 1.0, 0.0)
+    for number, centre in ((2, STILL), (3, ball)):
+        path = camera.position - centre
+        b, c = rays @ path, path @ path - RADIUS**2
+        root = b * b - c
+        distance = -b - np.sqrt(np.maximum(root, 0.0))
+        hit = (root > 0) & (distance > 0) & (distance < best)
+        best[hit], shown[hit] = distance[hit], number
+        normal[hit] = ((camera.position + distance[..., None] * rays - centre) / RADIUS)[hit]
+    return np.where(np.isfinite(best), best, 0.0), shown, normal
+
+
+def shade(position: NDArray[Any], shown: NDArray[np.int_]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return noiseless diffuse and specular light over albedo."""
+    waves = np.stack([np.sin(2.0 * position[..., 0] + k) * np.cos(1.5 * position[..., 2] - k) for k in range(3)], -1)
+    return 1.0 + 0.6 * waves, np.where((shown == 3)[..., None], np.array([2.0, 1.0, 0.3]), 0.7 - 0.5 * waves)
+
+
+def make_frame(number: int, *, bad: bool = True, seed: int = 5) -> Frame:
+    """Return a frame of the sequence, with motion from frame 1 on; with ``bad`` some samples are no numbers."""
+    camera, ball = make_camera(number), find_ball(number)
+    depth, shown, normal = trace(camera, ball)
+    rays = camera.make_ray_directions(SIZE[1], SIZE[0]).astype(np.float64)
+    position = camera.position + depth[..., None] * rays
+    there = shown > 0
+    tiles = (np.floor(2.0 * position[..., 0]) + np.floor(2.0 * position[..., 2])) % 2 == 0
+    alpha = np.choose(shown, [0.0, np.where(tiles, 0.5, 0.12), 0.04, 0.25])
+    rng = np.random.default_rng(seed + number)
+    diffuse_albedo = np.where(there[..., None], rng.uniform(0.2, 0.25, 3) + 0.3 * tiles[..., None], 0.0)
+    diffuse_albedo[shown == 2] = 0.0
+    specular_albedo = np.where(there[..., None], [0.3, 0.5, 0.4], 0.0)
+    lights = shade(position, shown)
+    grain = rng.gamma(2.0, 0.5, (2, *SIZE, 1))
+    diffuse, specular = (
+        light * grain[k] * albedo
+        for k, (light, albedo) in enumerate(zip(lights, (diffuse_albedo, specular_albedo), strict=True))
+    )
+    emission = np.where(there[..., None], 0.0, np.array([0.4, 0.6, 1.0]))
+    if bad:
+        diffuse[38:40, 20:23], specular[30, 5] = np.nan, -1.0
+    motion = None
+    if number:
+        previous = make_camera(number - 1)
+        motion = compute_motion(camera, previous, position.astype(np.float32), depth.astype(np.float32))
+        earlier = position - (ball - find_ball(number - 1))
+        column, row = np.meshgrid(np.arange(SIZE[1]) + 0.5, np.arange(SIZE[0]) + 0.5)
+        own = project_points(previous, earlier.astype(np.float32), SIZE[1], SIZE[0]) - np.stack([column, row], axis=-1)
+        motion = np.where((shown == 3)[..., None], own, motion)
+    guides = GBuffer(
+        depth=depth,
+        position=np.where(there[..., None], position, 0.0),
+        normal=normal,
+        alpha_u=alpha,
+        diffuse_albedo=diffuse_albedo,
+        specular_albedo=specular_albedo,
+        mean_emission=emission,
+        motion=motion,
+    )
+    return Frame(Radiance(diffuse + specular + emission, diffuse=diffuse, specular=specular), guides, camera, spp=4)
+
+
+def make_sparse_frame(number: int, scale: int, place: tuple[int, int]) -> SparseFrame:
+    """Return frame ``number`` of which one pixel in every block is shaded."""
+    frame = make_frame(number)
+    shaded = slice(place[0], None, scale), slice(place[1], None, scale)
+    parts = {name: getattr(frame.radiance, name)[shaded] for name in ("color", "diffuse", "specular")}
+    return SparseFrame(Radiance(**parts), frame.gbuffer, frame.camera, scale=scale, place=place, spp=4)

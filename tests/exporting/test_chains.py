@@ -1,0 +1,191 @@
+"""The exported chains on a device, in three languages, against Python: pass by pass, and over whole sequences."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import lobewise
+from lobewise.cli.main import run
+from lobewise.denoising.automatic import resolve_settings
+from lobewise.denoising.layers import Layer, make_layers
+from lobewise.exporting.names import CHAINS, SHADER_LANGUAGES
+from lobewise.exporting.shaders.chains import make_chain
+from lobewise.exporting.shaders.constants import compute_constants
+from lobewise.exporting.shaders.language import Field, lay_out
+from lobewise.exporting.shaders.writing import export_chain
+from lobewise.filters.cross_filter import run_filter
+from lobewise.frame import Frame
+from lobewise.guides.lobe_fields import make_split_field
+from lobewise.settings import FORMS, DenoiseSettings
+from tests.exporting.chain_device import Player, give_images
+from tests.exporting.chain_scene import make_frame
+
+RTOL = 1e-3
+"""Largest relative difference from Python. It is that of weights: Python's exponentials are polynomials."""
+WEIGHT_RTOL = 2e-3
+"""The same for weight sums of five passes, whose weights multiply."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("passes")
+
+
+@pytest.fixture(scope="module", params=SHADER_LANGUAGES)
+def language(request: pytest.FixtureRequest) -> str:
+    """Return a language; without the reference compiler only WGSL."""
+    if request.param != "wgsl":
+        request.getfixturevalue("glslang")
+    return str(request.param)
+
+
+def compare(found: NDArray[Any], expected: NDArray[Any], rtol: float = RTOL) -> None:
+    """Assert that images agree. The smallest size that counts is a thousandth of the image's mean."""
+    assert np.isfinite(found).all()
+    size = np.maximum(np.abs(expected), 1e-3 * np.mean(np.abs(expected)))
+    assert np.max(np.abs(found - expected) / size) < rtol
+
+
+def choose(frame: Frame, form: str) -> Any:
+    return resolve_settings(frame, DenoiseSettings(quality="fast", form=form, radius=6))
+
+
+def test_guides(graphics: Any, language: str, folder: Path) -> None:
+    frame = make_frame(0)
+    settings = choose(frame, "separable")
+    field = make_split_field(frame.gbuffer, frame.require_camera("lobes"), [settings.tau])
+    player = Player(graphics, make_chain("filter"), language, folder)
+    constants = compute_constants(frame.require_camera("lobes"), frame.shape, settings)
+    made = player.run_pass("guides", give_images(frame), constants)
+    axes, spreads = made["axes"], made["spreads"]
+    np.testing.assert_array_equal(axes[..., 3] >= 0.0, field.valid)
+    assert 0 < np.count_nonzero(field.valid) < field.valid.size
+    x, y, z, *t, large, small = (each[field.valid] for each in field.lobes[settings.tau])
+    noise = settings.tau**2
+    axes, spreads = axes[field.valid], spreads[field.valid]
+    np.testing.assert_allclose(axes[:, :3], np.stack([x, y, z], axis=-1), rtol=0.0, atol=2e-6)
+    np.testing.assert_allclose(axes[:, 3] + noise, large, rtol=1e-4)
+    np.testing.assert_allclose(spreads[:, 3] + noise, small, rtol=1e-4)
+    # The sign of t means nothing: compare t t^T.
+    outer, expected = (np.einsum("ki,kj->kij", v, v) for v in (spreads[:, :3], np.stack(t, axis=-1)))
+    np.testing.assert_allclose(outer, expected, rtol=0.0, atol=1e-4 * large.max())
+
+
+def filter_in_python(layer: Layer, settings: Any) -> Any:
+    return run_filter(
+        layer.radiance, layer.mask, layer.features, form=settings.form, radius=settings.radius, albedo=layer.albedo
+    )
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_filter_passes(graphics: Any, language: str, folder: Path, form: str) -> None:
+    frame = make_frame(0)
+    settings = choose(frame, form)
+    chain = make_chain("filter", form=form)
+    player = Player(graphics, chain, language, folder)
+    player.run(give_images(frame), compute_constants(frame.require_camera("lobes"), frame.shape, settings))
+    for layer in make_layers(frame, settings):
+        last = [each for each in chain.passes if each.layer == layer.name][-1]
+        light, more = (player.images[last.writes[name]] for name in ("added_light", "added_more"))
+        expected = filter_in_python(layer, settings)
+        there = expected.weight_sum > 0.0
+        compare(light[..., 3], expected.weight_sum, WEIGHT_RTOL)
+        compare(light[there][:, 3] ** 2 / more[there][:, 0], expected.effective_samples[there], WEIGHT_RTOL)
+        assert layer.albedo is not None
+        compare(light[there][:, :3] / light[there][:, 3:] * layer.albedo[there], expected.image[there])
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_filter_chain(graphics: Any, language: str, folder: Path, form: str) -> None:
+    frame = make_frame(0)
+    settings = choose(frame, form)
+    player = Player(graphics, make_chain("filter", form=form), language, folder)
+    image = player.run(give_images(frame), compute_constants(frame.require_camera("lobes"), frame.shape, settings))
+    result = lobewise.denoise(frame, quality="fast", form=form, radius=6)
+    compare(image[..., :3], result.image)
+    assert np.abs(image[..., :3] - frame.radiance.color).max(where=np.isfinite(frame.radiance.color), initial=0) > 0.1
+
+
+def test_a_wrong_constant_is_noticed(graphics: Any, folder: Path) -> None:
+    frame = make_frame(0)
+    settings = choose(frame, "separable")
+    player = Player(graphics, make_chain("filter"), "wgsl", folder)
+    wrong = replace(settings, beta=1.05 * settings.beta)
+    image = player.run(give_images(frame), compute_constants(frame.require_camera("lobes"), frame.shape, wrong))
+    with pytest.raises(AssertionError):
+        compare(image[..., :3], lobewise.denoise(frame, quality="fast", form="separable", radius=6).image)
+
+
+@pytest.mark.parametrize("chain", CHAINS)
+def test_folder(tmp_path: Path, chain: str) -> None:
+    """The files are those that chain.json lists, and each declares the bindings and constants that it lists."""
+    names = export_chain(tmp_path / "out", "wgsl", chain)
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(names)
+    told = json.loads((tmp_path / "out" / "chain.json").read_text())
+    images = {image["name"]: image for image in told["images"]}
+    written = {name for name, image in images.items() if image["lifetime"] in ("given", "before")}
+    readme = (tmp_path / "out" / "README.md").read_text()
+    for each in told["passes"]:
+        text = (tmp_path / "out" / each["file"]).read_text()
+        declared = re.findall(r"@binding\((\d+)\) var (\w+): texture(_storage)?_2d", text)
+        assert declared == [
+            (str(one["binding"]), one["name"], "_storage" if one["access"] == "write" else "")
+            for one in each["bindings"]
+        ]
+        for one in each["bindings"]:
+            assert re.search(rf"textureLoad\({one['name']}, |textureStore\({one['name']}, ", text), one
+            # No pass reads an image before it was written.
+            assert one["access"] == "write" or one["image"] in written, (each["name"], one)
+        assert sum(one["access"] == "write" for one in each["bindings"]) <= 4
+        written |= {one["image"] for one in each["bindings"] if one["access"] == "write"}
+        assert f"`{each['file']}`" in readme
+    assert set(images) == written
+    assert all(image["before"] in images for image in images.values() if image["lifetime"] == "before")
+    for one in told["constants"]["fields"]:
+        assert f"| {one['offset']} | `{one['name']}` | {one['type']} |" in readme
+
+
+def test_every_image_is_used() -> None:
+    for name in CHAINS:
+        chain = make_chain(name)
+        used = {image for each in chain.passes for image in (*each.reads.values(), *each.writes.values())}
+        assert used == {image.name for image in chain.images}
+
+
+@pytest.mark.parametrize("language", SHADER_LANGUAGES)
+def test_no_language_pads_constants_otherwise(language: str) -> None:
+    with pytest.raises(ValueError, match="b begins at byte 4"):
+        lay_out([Field("a", "float", ""), Field("b", "vec3", "")])
+    for name in CHAINS:
+        assert lay_out(make_chain(name).constants)[""] % 16 == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--chain", "filter"], "--chain"),
+        (["--target", "wgsl", "--chain", "fliter"], "did you mean 'filter'"),
+        (["--target", "wgsl", "--chain", "filter", "--radius", "3"], "take the radius as a constant"),
+        (["--target", "wgsl", "--radius", "3"], "whose file has all weights"),
+    ],
+)
+def test_refusals(words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["export", *words, "-o", str(tmp_path / "out")]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert (
+        run(["export", "--target", "hlsl", "--chain", "filter", "--form", "atrous", "-o", str(tmp_path / "out")]) == 0
+    )
+    assert "12 passes" in capsys.readouterr().out
+    assert (tmp_path / "out" / "05_diffuse_step_8.hlsl").is_file()
