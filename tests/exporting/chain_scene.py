@@ -54,7 +54,7 @@ def shade(position: NDArray[Any], shown: NDArray[np.int_]) -> tuple[NDArray[Any]
     return 1.0 + 0.6 * waves, np.where((shown == 3)[..., None], np.array([2.0, 1.0, 0.3]), 0.7 - 0.5 * waves)
 
 
-def make_frame(number: int, *, bad: bool = True, seed: int = 5) -> Frame:
+def make_frame(number: int, *, bad: bool = True, noisy: bool = True) -> Frame:
     """Return a frame of the sequence, with motion from frame 1 on; with ``bad`` some samples are no numbers."""
     camera, ball = make_camera(number), find_ball(number)
     depth, shown, normal = trace(camera, ball)
@@ -63,12 +63,12 @@ def make_frame(number: int, *, bad: bool = True, seed: int = 5) -> Frame:
     there = shown > 0
     tiles = (np.floor(2.0 * position[..., 0]) + np.floor(2.0 * position[..., 2])) % 2 == 0
     alpha = np.choose(shown, [0.0, np.where(tiles, 0.5, 0.12), 0.04, 0.25])
-    rng = np.random.default_rng(seed + number)
-    diffuse_albedo = np.where(there[..., None], rng.uniform(0.2, 0.25, 3) + 0.3 * tiles[..., None], 0.0)
+    rng = np.random.default_rng(5 + number)
+    diffuse_albedo = np.where(there[..., None], np.array([0.2, 0.22, 0.25]) + 0.3 * tiles[..., None], 0.0)
     diffuse_albedo[shown == 2] = 0.0
     specular_albedo = np.where(there[..., None], [0.3, 0.5, 0.4], 0.0)
-    lights = shade(position, shown)
-    grain = rng.gamma(2.0, 0.5, (2, *SIZE, 1))
+    lights = shade(np.where((shown == 3)[..., None], position - ball, position), shown)
+    grain = rng.gamma(2.0, 0.5, (2, *SIZE, 1)) if noisy else np.ones((2, 1, 1, 1))
     diffuse, specular = (
         light * grain[k] * albedo
         for k, (light, albedo) in enumerate(zip(lights, (diffuse_albedo, specular_albedo), strict=True))
@@ -95,6 +95,11 @@ def make_frame(number: int, *, bad: bool = True, seed: int = 5) -> Frame:
         motion=motion,
     )
     return Frame(Radiance(diffuse + specular + emission, diffuse=diffuse, specular=specular), guides, camera, spp=4)
+
+
+def make_clean_image(number: int) -> NDArray[Any]:
+    """Return the radiance of a frame without noise."""
+    return make_frame(number, bad=False, noisy=False).radiance.color
 
 
 def make_sparse_frame(number: int, scale: int, place: tuple[int, int]) -> SparseFrame:

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import os
 import shutil
+from pathlib import Path
 from typing import Any
 
 import pytest
+
+from lobewise.exporting.names import SHADER_LANGUAGES
 
 
 def lack(reason: str) -> None:
@@ -50,3 +53,17 @@ def graphics() -> Any:
 def glslang() -> str:
     """Return the reference compiler of GLSL and HLSL."""
     return find_program("glslangValidator", "glslang-tools")
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder for compiled passes."""
+    return tmp_path_factory.mktemp("passes")
+
+
+@pytest.fixture(scope="module", params=SHADER_LANGUAGES)
+def language(request: pytest.FixtureRequest) -> str:
+    """Return a shader language; without the reference compiler only WGSL."""
+    if request.param != "wgsl":
+        request.getfixturevalue("glslang")
+    return str(request.param)

@@ -34,19 +34,6 @@ WEIGHT_RTOL = 2e-3
 """The same for weight sums of five passes, whose weights multiply."""
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("passes")
-
-
-@pytest.fixture(scope="module", params=SHADER_LANGUAGES)
-def language(request: pytest.FixtureRequest) -> str:
-    """Return a language; without the reference compiler only WGSL."""
-    if request.param != "wgsl":
-        request.getfixturevalue("glslang")
-    return str(request.param)
-
-
 def compare(found: NDArray[Any], expected: NDArray[Any], rtol: float = RTOL) -> None:
     """Assert that images agree. The smallest size that counts is a thousandth of the image's mean."""
     assert np.isfinite(found).all()

@@ -11,7 +11,10 @@ from lobewise.settings.choices import SIMILARITIES
 from lobewise.settings.choices import Similarity as SimilarityRecord
 
 SHADER_LANGUAGES = ("hlsl", "glsl", "wgsl")
-CHAINS = {"filter": "which filters every frame by itself"}
+CHAINS = {
+    "filter": "which filters every frame by itself",
+    "history": "which joins it with the history of the frames before",
+}
 """The chains of compute passes, with what each does."""
 TARGETS = (
     "host",

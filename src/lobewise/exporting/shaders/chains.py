@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from lobewise.errors import require_choice
 from lobewise.exporting.names import CHAINS
-from lobewise.exporting.shaders.constants import FILTER_CONSTANTS
+from lobewise.exporting.shaders.constants import FILTER_CONSTANTS, HISTORY_CONSTANTS
 from lobewise.exporting.shaders.passes import Chain, Image, Lifetime, Pass
 from lobewise.filters.forms import ATROUS_RADIUS, Taps, list_passes
 from lobewise.settings import FORMS
@@ -73,7 +73,7 @@ def list_sums(name: str, what: str, lifetime: Lifetime) -> list[Image]:
         ),
         Image(
             name=f"{name}_more",
-            comment=f"{what}: sums of squared weights (x) and of weight times squared luminance (y)",
+            comment=f"{what}: sums of squared weights (x), of weight times squared luminance (y), frames (z)",
             lifetime=lifetime,
         ),
     ]
@@ -120,7 +120,7 @@ def _describe_taps(taps: Taps, step: int) -> _Taps:
     return _Taps(name, f"a {name}", "line.shader", parts)
 
 
-def make_filter_passes(layer: str, form: str, power: str, more: Sequence[str] = ()) -> tuple[list[Pass], list[Image]]:
+def make_filter_passes(layer: str, form: str, power: str, **more: str) -> tuple[list[Pass], list[Image]]:
     """Return the filter passes of a layer and the images between them.
 
     Parameters
@@ -130,8 +130,8 @@ def make_filter_passes(layer: str, form: str, power: str, more: Sequence[str] = 
         One of `lobewise.settings.FORMS`.
     power : str
         Expression of the power to which a pixel raises its weights.
-    more : sequence of str
-        Further images of the layer that the expression reads.
+    **more
+        Further images that the expression reads, by their names in the shader.
     """
     passes: list[Pass] = []
     images: list[Image] = []
@@ -148,7 +148,7 @@ def make_filter_passes(layer: str, form: str, power: str, more: Sequence[str] = 
                 body=told.body,
                 parts={**told.parts, "power": power, "read": read},
                 layer=layer,
-                reads={**list_layer_guides(layer), **source, **{n: f"{layer}_{n}" for n in more}},
+                reads={**list_layer_guides(layer), **source, **more},
                 writes={"added_light": f"{after}_light", "added_more": f"{after}_more"},
             )
         )
@@ -192,6 +192,149 @@ def make_filter_chain(form: str) -> Chain:
     )
 
 
+MOTION = Image(
+    name="motion",
+    comment="place of the surface in the frame before minus its place in this frame, pixels, right and down (xy)",
+    lifetime=Lifetime.GIVEN,
+    format="rgba16float",
+)
+
+
+def keep(images: Sequence[Image]) -> list[Image]:
+    """Return the images as the frame before wrote them."""
+    return [
+        replace(image, name=f"{image.name}_before", lifetime=Lifetime.BEFORE, before=image.name) for image in images
+    ]
+
+
+def list_history(layer: str) -> list[Image]:
+    """Return the images of a layer's history: what was found of it, and what is kept of it."""
+    told = f"{layer} light of this frame and its history"
+    trust = Image(
+        name=f"{layer}_trust", comment="how far the samples confirm the history, 0 to 1 (x)", lifetime=Lifetime.FRAME
+    )
+    kept = list_sums(f"{layer}_kept", told, Lifetime.KEPT)
+    return [*list_sums(f"{layer}_history", f"history of {layer} light", Lifetime.FRAME), trust, *kept, *keep(kept)]
+
+
+def make_reproject_pass(layer: str) -> Pass:
+    """Return the pass that finds a layer's history."""
+    guides = list_layer_guides(layer)
+    return Pass(
+        name=f"{layer}_reproject",
+        comment=f"Finds the history of every pixel at its place in the frame before: {_LIGHT[layer]}.\n"
+        "The history counts as far as surface and lobe are alike.",
+        body="reproject.shader",
+        layer=layer,
+        reads={
+            "motion": "motion",
+            **guides,
+            **{f"{name}_before": f"{name}_before" for name in guides},
+            **{f"past_{part}": f"{layer}_kept_{part}_before" for part in ("light", "more")},
+        },
+        writes={f"history_{part}": f"{layer}_history_{part}" for part in ("light", "more")},
+    )
+
+
+def make_trust_pass(layer: str, screen: str, parts: dict[str, str], extent: tuple[str, str]) -> Pass:
+    """Return the pass that compares the samples of a layer with its history."""
+    return Pass(
+        name=f"{layer}_trust",
+        comment=f"Tells how far the samples of this frame confirm the history: {_LIGHT[layer]}.\n"
+        "The mean difference around a pixel is compared with its standard error, colour by colour.",
+        body="trust.shader",
+        parts={"screen": screen, "columns": extent[0], "rows": extent[1], **parts},
+        layer=layer,
+        reads={
+            **list_layer_guides(layer),
+            "radiance": layer,
+            "albedo": f"{layer}_albedo",
+            "history_light": f"{layer}_history_light",
+        },
+        writes={"trust": f"{layer}_trust"},
+        extent=extent,
+    )
+
+
+def make_narrow_pass(layer: str, screen: str) -> Pass:
+    """Return the pass that computes the trust of every pixel, and how narrow its kernel is."""
+    return Pass(
+        name=f"{layer}_narrow",
+        comment=f"Averages the trust around every pixel, and narrows its kernel as its history grows: {_LIGHT[layer]}.",
+        body="narrow.shader",
+        parts={"screen": screen},
+        layer=layer,
+        reads={
+            **list_layer_guides(layer),
+            "trust": f"{layer}_trust",
+            "history_more": f"{layer}_history_more",
+        },
+        writes={"narrowing": f"{layer}_narrowing"},
+    )
+
+
+def make_accumulate_pass(layer: str, sums: str) -> Pass:
+    """Return the pass that adds the filtered frame to the history."""
+    guides = list_layer_guides(layer)
+    needed = ("normals", "axes") if "axes" in guides else ("normals",)
+    return Pass(
+        name=f"{layer}_accumulate",
+        comment=f"Adds the filtered frame and the pixel's own sample to the history: {_LIGHT[layer]}.",
+        body="accumulate.shader",
+        layer=layer,
+        reads={
+            **{name: name for name in needed},
+            "radiance": layer,
+            "albedo": f"{layer}_albedo",
+            **{f"history_{part}": f"{layer}_history_{part}" for part in ("light", "more")},
+            "narrowing": f"{layer}_narrowing",
+            **{f"sums_{part}": f"{sums}_{part}" for part in ("light", "more")},
+        },
+        writes={f"kept_{part}": f"{layer}_kept_{part}" for part in ("light", "more")},
+    )
+
+
+OWN_FOOTPRINT = (
+    "spot.w * constants.pixel_angle * (1.0 + "
+    "lobewise_find_own_motion(pixel, spot.xyz, load(motion, pixel).xy) / constants.plane_sigma)"
+)
+"""Width of a pixel on its surface, wider where the surface moved by itself."""
+
+
+def make_history_chain(form: str) -> Chain:
+    """Return the chain that joins each frame with its history: `TemporalFilter` on whole frames."""
+    screen = "0.0" if form == "atrous" else "lobewise_compare_screen(offset, constants.screen_sigma)"
+    guides = list_guides(Lifetime.KEPT)
+    images = [*GIVEN, MOTION, *guides, *keep(guides)]
+    passes = [make_guides_pass(OWN_FOOTPRINT, ["motion"])]
+    for layer in LAYERS:
+        filters, between = make_filter_passes(layer, form, "load(narrowing, pixel).y", narrowing=f"{layer}_narrowing")
+        narrowing = Image(
+            name=f"{layer}_narrowing",
+            comment="trust in the history (x), power to which the pixel raises its weights (y)",
+            lifetime=Lifetime.FRAME,
+        )
+        images += [*list_history(layer), narrowing, *between]
+        whole = {"here": "pixel", "other": "tap"}
+        passes += [
+            make_reproject_pass(layer),
+            make_trust_pass(layer, screen, whole, ("width", "height")),
+            make_narrow_pass(layer, screen),
+            *filters,
+            make_accumulate_pass(layer, filters[-1].name),
+        ]
+    return Chain(
+        name="history",
+        comment="Filters every frame and joins it with the history of those before, as lobewise.TemporalFilter does.",
+        images=[*images, RESULT],
+        constants=HISTORY_CONSTANTS,
+        passes=[*passes, make_composite_pass({layer: f"{layer}_kept_light" for layer in LAYERS}, has_noisy=True)],
+    )
+
+
+_MAKERS = {"filter": make_filter_chain, "history": make_history_chain}
+
+
 def make_chain(name: str, *, form: str = "separable") -> Chain:
     """Return a chain by its name.
 
@@ -199,4 +342,4 @@ def make_chain(name: str, *, form: str = "separable") -> Chain:
     """
     require_choice("chain", name, tuple(CHAINS))
     require_choice("form", form, FORMS)
-    return make_filter_chain(form)
+    return _MAKERS[name](form)

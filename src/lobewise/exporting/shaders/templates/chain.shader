@@ -148,21 +148,24 @@ struct LobewiseTap {
     vec4 more; // squared weight, squared luminance
 };
 
-// A tap of noisy radiance over albedo; all 0 if either is bad, or if the albedo is too dark to show the light.
-LobewiseTap lobewise_read_radiance(ivec2 pixel) {
-    let vec3 tint = load(albedo, pixel).xyz;
-    let vec3 given = load(radiance, pixel).xyz;
+// A sample's radiance over albedo (xyz) and 1 (w). All are 0 if one is bad, or if no channel of the albedo is above least:
+// then the sample does not show its light.
+vec4 lobewise_divide(vec3 given, vec3 tint, float least) {
     let float brightest = max(max(tint.x, tint.y), tint.z);
-    var LobewiseTap tap;
-    tap.light = vec4(0.0, 0.0, 0.0, 0.0);
-    tap.more = vec4(0.0, 0.0, 0.0, 0.0);
-    if (lobewise_is_good(given) && lobewise_is_good(tint) && brightest > LOBEWISE_ALBEDO_FLOOR) {
-        let float least = LOBEWISE_ALBEDO_FLOOR;
-        let vec3 light = given / max(tint, vec3(least, least, least));
-        let float luminance = dot(LOBEWISE_LUMINANCE, light);
-        tap.light = vec4(light, 1.0);
-        tap.more = vec4(1.0, luminance * luminance, 0.0, 0.0);
+    if (lobewise_is_good(given) && lobewise_is_good(tint) && brightest > least) {
+        return vec4(given / max(tint, vec3(least, least, least)), 1.0);
     }
+    return vec4(0.0, 0.0, 0.0, 0.0);
+}
+
+// A tap of noisy radiance.
+LobewiseTap lobewise_read_radiance(ivec2 pixel) {
+    let vec3 given = load(radiance, pixel).xyz;
+    let vec4 light = lobewise_divide(given, load(albedo, pixel).xyz, LOBEWISE_ALBEDO_FLOOR);
+    let float luminance = dot(LOBEWISE_LUMINANCE, light.xyz);
+    var LobewiseTap tap;
+    tap.light = light;
+    tap.more = vec4(light.w, luminance * luminance, 0.0, 0.0);
     return tap;
 }
 
@@ -203,4 +206,88 @@ vec3 lobewise_finish(vec4 sums, vec3 tint, vec3 noisy) {
         return noisy;
     }
     return vec3(0.0, 0.0, 0.0);
+}
+
+// A place on the screen, moved to a pixel's centre if it is very near.
+float lobewise_snap(float place) {
+    let float whole = floor(place + 0.5);
+    if (abs(place - whole) < LOBEWISE_SNAP) {
+        return whole;
+    }
+    return place;
+}
+
+// A sample beside the history of its pixel.
+struct LobewiseDifference {
+    vec3 step; // light of the sample minus that of the history
+    vec3 before; // light of the history
+    float known; // 1 if both are known, else 0
+};
+
+// Compares a sample with the history of its pixel. A history without own samples of the pixel does not count: it is
+// blurred, and samples without noise would reject it.
+LobewiseDifference lobewise_compare_sample(ivec2 sampled, ivec2 pixel) {
+    let vec3 given = load(radiance, sampled).xyz;
+    let vec4 light = lobewise_divide(given, load(albedo, pixel).xyz, LOBEWISE_ALBEDO_FLOOR / constants.own);
+    let vec4 past = load(history_light, pixel);
+    var LobewiseDifference found;
+    found.step = vec3(0.0, 0.0, 0.0);
+    found.before = vec3(0.0, 0.0, 0.0);
+    found.known = 0.0;
+    if (past.w > 0.0) {
+        found.before = past.xyz / past.w;
+    }
+    if (light.w > 0.0 && past.w > 0.5 * constants.own) {
+        let vec3 between = light.xyz - found.before;
+        if (lobewise_is_good(between * between)) {
+            found.step = between;
+            found.known = 1.0;
+        }
+    }
+    return found;
+}
+
+// The difference of samples and history in standard errors, for one colour. above and below are the means of positive
+// and of negative differences, squares is the mean square, count the number of samples.
+float lobewise_find_errors(float above, float below, float squares, float before, float count) {
+    let float way = abs(above - below);
+    let float error = sqrt(max(squares - way * way, 0.0) / (count - 1.0));
+    let float allowed = error + LOBEWISE_IGNORED_DIFFERENCE * (before + way);
+    if (allowed > 0.0) {
+        return way / allowed;
+    }
+    return 0.0;
+}
+
+// Sums over the samples of a pixel.
+struct LobewiseSums {
+    vec4 light; // weight times light, and weight
+    vec3 more; // squared weight, weight times squared luminance, frames
+};
+
+// This frame's contribution to a pixel: sums over taps, in which a full match gets the weight unit.
+LobewiseSums lobewise_weigh(vec4 light, float squares, float moment, float unit) {
+    var LobewiseSums sums;
+    sums.light = vec4(0.0, 0.0, 0.0, 0.0);
+    sums.more = vec3(0.0, 0.0, 0.0);
+    if (light.w * unit > 0.0) {
+        let float weight = max(light.w * unit, LOBEWISE_MIN_WEIGHT);
+        var float count = 1.0;
+        if (squares > 0.0) {
+            count = max(light.w * light.w / squares, 1.0);
+        }
+        sums.light = vec4(light.xyz / light.w * weight, weight);
+        sums.more = vec3(weight * weight / count, moment / light.w * weight, 1.0);
+    }
+    return sums;
+}
+
+// The bonus of a pixel's own sample, beyond its weight among the taps. light is the result of lobewise_divide.
+LobewiseSums lobewise_weigh_own(vec4 light, float unit) {
+    let float weight = (constants.own - 1.0) * unit * light.w;
+    let float luminance = dot(LOBEWISE_LUMINANCE, light.xyz);
+    var LobewiseSums sums;
+    sums.light = vec4(weight * light.xyz, weight);
+    sums.more = vec3(weight * (weight + 2.0 * unit), weight * luminance * luminance, 0.0);
+    return sums;
 }

@@ -19,3 +19,23 @@ LobewiseGuide lobewise_read_guide(ivec2 pixel) {
 float lobewise_compare_lobes(LobewiseGuide i, LobewiseGuide j) {
     return lobewise_compare_cosines(i.normal, j.normal, constants.diffuse_beta);
 }
+
+// Whether a pixel of this frame has light of this layer.
+bool lobewise_is_usable(ivec2 pixel) {
+    return load(normals, pixel).w > 0.0;
+}
+
+// Whether a pixel of the frame before had light of this layer.
+bool lobewise_was_usable(ivec2 pixel) {
+    return load(normals_before, pixel).w > 0.0;
+}
+
+// log2 of the similarity of a pixel and a pixel of the frame before, by surface and lobe.
+float lobewise_compare_frames(ivec2 pixel, ivec2 before) {
+    let vec3 normal = load(normals, pixel).xyz;
+    let vec3 normal_before = load(normals_before, before).xyz;
+    let vec4 spot = load(points, pixel);
+    let vec4 spot_before = load(points_before, before);
+    let float surface = lobewise_compare_planes(spot, normal, spot_before, normal_before);
+    return surface + lobewise_compare_cosines(normal, normal_before, constants.beta_between);
+}
