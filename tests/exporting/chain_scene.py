@@ -107,4 +107,4 @@ def make_sparse_frame(number: int, scale: int, place: tuple[int, int]) -> Sparse
     frame = make_frame(number)
     shaded = slice(place[0], None, scale), slice(place[1], None, scale)
     parts = {name: getattr(frame.radiance, name)[shaded] for name in ("color", "diffuse", "specular")}
-    return SparseFrame(Radiance(**parts), frame.gbuffer, frame.camera, scale=scale, place=place, spp=4)
+    return SparseFrame(Radiance(**parts), frame.gbuffer, scale=scale, camera=frame.camera, place=place, spp=4)

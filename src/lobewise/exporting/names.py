@@ -14,6 +14,7 @@ SHADER_LANGUAGES = ("hlsl", "glsl", "wgsl")
 CHAINS = {
     "filter": "which filters every frame by itself",
     "history": "which joins it with the history of the frames before",
+    "upsample": "which does so from one shaded pixel in every block",
 }
 """The chains of compute passes, with what each does."""
 TARGETS = (

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from lobewise.errors import require_choice
 from lobewise.exporting.names import CHAINS
-from lobewise.exporting.shaders.constants import FILTER_CONSTANTS, HISTORY_CONSTANTS
+from lobewise.exporting.shaders.constants import FILTER_CONSTANTS, HISTORY_CONSTANTS, UPSAMPLE_CONSTANTS
 from lobewise.exporting.shaders.passes import Chain, Image, Lifetime, Pass
 from lobewise.filters.forms import ATROUS_RADIUS, Taps, list_passes
 from lobewise.settings import FORMS
@@ -147,7 +147,7 @@ def make_filter_passes(layer: str, form: str, power: str, **more: str) -> tuple[
                 "weight = place on the screen * place in the scene * overlap of the lobes",
                 body=told.body,
                 parts={**told.parts, "power": power, "read": read},
-                layer=layer,
+                libraries=[layer],
                 reads={**list_layer_guides(layer), **source, **more},
                 writes={"added_light": f"{after}_light", "added_more": f"{after}_more"},
             )
@@ -225,7 +225,7 @@ def make_reproject_pass(layer: str) -> Pass:
         comment=f"Finds the history of every pixel at its place in the frame before: {_LIGHT[layer]}.\n"
         "The history counts as far as surface and lobe are alike.",
         body="reproject.shader",
-        layer=layer,
+        libraries=[layer],
         reads={
             "motion": "motion",
             **guides,
@@ -244,7 +244,7 @@ def make_trust_pass(layer: str, screen: str, parts: dict[str, str], extent: tupl
         "The mean difference around a pixel is compared with its standard error, colour by colour.",
         body="trust.shader",
         parts={"screen": screen, "columns": extent[0], "rows": extent[1], **parts},
-        layer=layer,
+        libraries=[layer],
         reads={
             **list_layer_guides(layer),
             "radiance": layer,
@@ -263,7 +263,7 @@ def make_narrow_pass(layer: str, screen: str) -> Pass:
         comment=f"Averages the trust around every pixel, and narrows its kernel as its history grows: {_LIGHT[layer]}.",
         body="narrow.shader",
         parts={"screen": screen},
-        layer=layer,
+        libraries=[layer],
         reads={
             **list_layer_guides(layer),
             "trust": f"{layer}_trust",
@@ -281,7 +281,7 @@ def make_accumulate_pass(layer: str, sums: str) -> Pass:
         name=f"{layer}_accumulate",
         comment=f"Adds the filtered frame and the pixel's own sample to the history: {_LIGHT[layer]}.",
         body="accumulate.shader",
-        layer=layer,
+        libraries=[layer],
         reads={
             **{name: name for name in needed},
             "radiance": layer,
@@ -332,14 +332,68 @@ def make_history_chain(form: str) -> Chain:
     )
 
 
-_MAKERS = {"filter": make_filter_chain, "history": make_history_chain}
+SAMPLES = "columns", "rows"
+"""Constants that are the numbers of samples across and down."""
 
 
-def make_chain(name: str, *, form: str = "separable") -> Chain:
-    """Return a chain by its name.
+def make_upsample_pass(layer: str) -> Pass:
+    """Return the pass that brings samples to all pixels and adds them to the history."""
+    return Pass(
+        name=f"{layer}_upsample",
+        comment=f"Brings one sample of every block to all pixels and adds it to the history: {_LIGHT[layer]}.\n"
+        "The weight of a sample is the similarity of the pixel and of the shaded pixel.",
+        body="upsample.shader",
+        libraries=[layer, "sparse"],
+        reads={
+            **list_layer_guides(layer),
+            "radiance": layer,
+            "albedo": f"{layer}_albedo",
+            **{f"history_{part}": f"{layer}_history_{part}" for part in ("light", "more")},
+            "trust": f"{layer}_trust",
+        },
+        writes={f"kept_{part}": f"{layer}_kept_{part}" for part in ("light", "more")},
+    )
+
+
+def make_upsample_chain(form: str) -> Chain:
+    """Return the chain that upsamples and accumulates sparse frames: `TemporalFilter` on sparse frames."""
+    require_choice("form of the chain 'upsample'", form, ("full",))
+    screen = "lobewise_compare_screen(offset, constants.screen_sigma)"
+    guides = list_guides(Lifetime.KEPT)
+    sparse = {"here": "lobewise_find_pixel(pixel)", "other": "lobewise_find_pixel(tap)"}
+    given = [replace(image, extent=SAMPLES) if image.name in LAYERS else image for image in GIVEN]
+    images = [*given, MOTION, *guides, *keep(guides)]
+    passes = [make_guides_pass(OWN_FOOTPRINT, ["motion"])]
+    for layer in LAYERS:
+        images += [
+            replace(image, extent=SAMPLES) if image.name == f"{layer}_trust" else image for image in list_history(layer)
+        ]
+        trust = make_trust_pass(layer, screen, sparse, SAMPLES)
+        passes += [make_reproject_pass(layer), replace(trust, libraries=[layer, "sparse"]), make_upsample_pass(layer)]
+    return Chain(
+        name="upsample",
+        comment="Brings frames of which one pixel in every block is shaded to all pixels, and joins them with their "
+        "history, as lobewise.TemporalFilter does.",
+        images=[*images, RESULT],
+        constants=UPSAMPLE_CONSTANTS,
+        passes=[*passes, make_composite_pass({layer: f"{layer}_kept_light" for layer in LAYERS}, has_noisy=False)],
+    )
+
+
+_MAKERS = {
+    "filter": (make_filter_chain, "separable"),
+    "history": (make_history_chain, "separable"),
+    "upsample": (make_upsample_chain, "full"),
+}
+"""What makes each chain, and its usual form."""
+
+
+def make_chain(name: str, *, form: str | None = None) -> Chain:
+    """Return a chain by its name, with the chain's usual form unless ``form`` names another.
 
     Raises InputError if there is no such chain, or if the chain has no filter of this form.
     """
     require_choice("chain", name, tuple(CHAINS))
-    require_choice("form", form, FORMS)
-    return _MAKERS[name](form)
+    make, usual = _MAKERS[name]
+    require_choice("form", form or usual, FORMS)
+    return make(form or usual)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from lobewise.exporting.shaders.language import Field, lay_out
 from lobewise.exporting.shaders.passes import Constant
 from lobewise.lobes.band_limit import NORMAL_ERROR, default_tau
 from lobewise.settings import DenoiseSettings, ResolvedSettings, TemporalSettings
+from lobewise.upsampling import DEFAULT_RADIUS
 
 _PIXEL_TAU = f"sqrt(pixel_angle^2 + {2.0 * NORMAL_ERROR:g}^2)"
 
@@ -113,6 +115,30 @@ _HISTORY = (
 FILTER_CONSTANTS = (*_CAMERA, *_SIZE, *_KERNEL, _RADIUS)
 HISTORY_CONSTANTS = (*_CAMERA, *_BEFORE, *_SIZE, *_KERNEL, _RADIUS, *_HISTORY)
 
+_SPARSE = (
+    Constant("scale", "int", "distance of neighbouring samples, pixels", python="sparse_frame.scale"),
+    Constant("column", "int", "column of the shaded pixel in its block, from 0", python="sparse_frame.place[1]"),
+    Constant("row", "int", "row of the shaded pixel in its block, from 0", python="sparse_frame.place[0]"),
+    Constant("columns", "int", "samples across", python="ceil((width - column) / scale)"),
+    Constant("rows", "int", "samples down", python="ceil((height - row) / scale)"),
+    Constant(
+        "known_radius",
+        "int",
+        "samples from the centre to the edge of the kernel where a pixel has a history, at most radius",
+        python=f"{TemporalSettings.history_radius}",
+    ),
+    Constant(
+        "known_sigma",
+        "float",
+        "standard deviation of the Gaussian over the distance on the screen there, pixels, at most screen_sigma",
+        python="screen_sigma * known_radius / radius",
+    ),
+)
+_SAMPLE_RADIUS = replace(
+    _RADIUS, comment="samples from the centre to the edge of the kernel", python=f"{DEFAULT_RADIUS}"
+)
+UPSAMPLE_CONSTANTS = (*_CAMERA, *_BEFORE, *_SIZE, *_KERNEL, _SAMPLE_RADIUS, *_HISTORY, *_SPARSE)
+
 
 def compute_constants(
     camera: Camera,
@@ -122,6 +148,8 @@ def compute_constants(
     previous: Camera | None = None,
     temporal: TemporalSettings | None = None,
     own: float = 1.0,
+    scale: int = 1,
+    place: tuple[int, int] = (0, 0),
 ) -> dict[str, Any]:
     """Return the constants of a frame by name, numbers and arrays of 3.
 
@@ -137,10 +165,13 @@ def compute_constants(
     temporal : TemporalSettings, optional
     own : float
         Result of `lobewise.temporal.recipe.find_own_weight`.
+    scale, place
+        Those of a `SparseFrame`.
     """
     height, width = size
     temporal = temporal or TemporalSettings()
     before = camera if previous is None else previous
+    known = min(temporal.history_radius, settings.radius)
     half_width, half_height = before.get_half_extent(width, height)
     return {
         "eye": camera.position,
@@ -163,6 +194,13 @@ def compute_constants(
         "diffuse_beta": settings.diffuse_beta,
         "tau": settings.tau,
         "radius": settings.radius,
+        "scale": scale,
+        "column": place[1],
+        "row": place[0],
+        "columns": -(-(width - place[1]) // scale),
+        "rows": -(-(height - place[0]) // scale),
+        "known_radius": known,
+        "known_sigma": settings.screen_sigma * known / settings.radius if known else settings.screen_sigma,
     }
 
 

@@ -83,8 +83,8 @@ class Pass:
         The template of its entry point.
     parts : mapping of str to str
         What the template's ``$name`` stand for.
-    layer : str
-        Name of the library that compares pixels of a layer, if it needs one.
+    libraries : sequence of str
+        Names of the libraries that it reads beside those of all passes.
     reads, writes : mapping of str to str
         The chain's image for each image of the shader.
     extent : (str, str)
@@ -95,7 +95,7 @@ class Pass:
     comment: str
     body: str
     parts: Mapping[str, str] = field(default_factory=dict)
-    layer: str = ""
+    libraries: Sequence[str] = ()
     reads: Mapping[str, str]
     writes: Mapping[str, str]
     extent: tuple[str, str] = ("width", "height")
@@ -135,7 +135,7 @@ HEADERS = {
 def write_pass(chain: Chain, each: Pass, language: str) -> str:
     """Return the file of a pass: a whole program in "hlsl", "glsl" or "wgsl"."""
     body = read_template(each.body, each.parts)
-    libraries = (*LIBRARIES, *([f"{each.layer}.shader"] if each.layer else []))
+    libraries = [*LIBRARIES, *(f"{name}.shader" for name in each.libraries)]
     functions = translate_text(gather(libraries, body), language)
     comment = "".join(f"// {line}\n" for line in each.comment.splitlines())
     first, *lines = body.splitlines()

@@ -119,7 +119,7 @@ def write_readme(chain: Chain, language: str) -> str:
 
 
 def export_chain(
-    output: PathLike, language: str, chain: str, *, form: str = "separable", force: bool = False
+    output: PathLike, language: str, chain: str, *, form: str | None = None, force: bool = False
 ) -> list[str]:
     """Write a folder with the compute passes of a chain, and return the names of its files.
 
@@ -130,8 +130,8 @@ def export_chain(
     language : {"hlsl", "glsl", "wgsl"}
     chain : str
         A name in `lobewise.exporting.names.CHAINS`.
-    form : {"full", "separable", "atrous"}
-        Which neighbours the filter sums over.
+    form : {"full", "separable", "atrous"}, optional
+        Which neighbours the filter sums over; by default a row and then a column. "upsample" has "full" alone.
     force : bool
         Replace an earlier export and everything in its folder.
 
