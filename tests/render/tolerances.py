@@ -27,6 +27,9 @@ FITTED_TEXTURE = 0.05
 FITTED_LOBES = 0.97
 """L2 cosine of three round lobes with a reflection 2.6 times as long as it is wide; 0.98 to 0.99 were seen."""
 
+FITTED_STEPS = 0.9
+"""L2 cosine of the lobes in the table nearest to a place of a smooth texture with those fitted to that place."""
+
 PEAK_SHAPE = 0.05
 """Shape of a lobe near its peak, where Fresnel and masking vary by some per cent."""
 

@@ -198,7 +198,8 @@ class TestAgainstFormulas:
     def test_rows_are_looked_up_between_views_and_azimuths(self, mi: Any, rng: np.random.Generator) -> None:
         import drjit as dr
 
-        from lobewise.render.materials.fitted import Fit, FittedLobes
+        from lobewise.render.materials.fitted import Fit
+        from lobewise.render.materials.fitted_hits import FittedLobes
         from lobewise.render.materials.probe import Parts
 
         # The corners of cells, and points between, also between the last azimuth and the first.

@@ -18,7 +18,8 @@ import numpy as np
 from lobewise.frame import LobeKind
 from lobewise.lobe_table import LobeTable
 from lobewise.render.bridge import dr, mi
-from lobewise.render.materials.fitted import Fit, FittedLobes, fit_bsdf
+from lobewise.render.materials.fitted import Fit, fit_bsdf
+from lobewise.render.materials.fitted_hits import FittedLobes
 from lobewise.render.materials.probe import make_context
 
 PLUGIN_OF_CLASS = {
@@ -83,7 +84,7 @@ class Material:
     """For a thin principled BSDF: the same one with ``spec_trans`` 0, whose light is the diffuse part of it."""
     fitted: FittedLobes | None = None
     number: int = 0
-    """For a fitted material with a lobe table: the number of the table in the scene, from 1. Otherwise 0."""
+    """For a fitted material with lobe tables: the number of the first of them in the scene, from 1. Otherwise 0."""
 
     def __iter__(self) -> Iterator[Material]:
         """Yield this material, then all materials nested in it."""
@@ -187,19 +188,19 @@ def make_diffuse_context() -> Any:
 def _fit_material(bsdf: Any, fits: list[Fit]) -> Material:
     fit = fit_bsdf(bsdf)
     number = 0
-    if fit.table is not None:
+    if fit.tables:
         # Materials with equal values share one fit, and so the object ``rows``.
         known = [index for index, other in enumerate(fits) if other.rows is fit.rows]
+        number = 1 + sum(len(other.tables) for other in (fits[: known[0]] if known else fits))
         if not known:
             fits.append(fit)
-        number = known[0] + 1 if known else len(fits)
     return Material(bsdf=bsdf, plugin=FITTED, lobe_kind=fit.kind, fitted=FittedLobes(fit), number=number)
 
 
 def read_material(bsdf: Any, fits: list[Fit] | None = None) -> Material:
     """Return the material of a BSDF object, nested ones included. A class not in `PLUGIN_OF_CLASS` is fitted.
 
-    ``fits`` holds the scene's fits with a lobe table, in the order of their numbers; new ones are appended.
+    ``fits`` holds the scene's fits with lobe tables, in the order of their numbers; new ones are appended.
 
     Raises
     ------
@@ -275,6 +276,7 @@ def list_lobe_tables(materials: dict[int, Material]) -> tuple[LobeTable, ...]:
     """Return the lobe tables of a scene's fitted materials, in the order of their numbers."""
     tables: dict[int, LobeTable] = {}
     for node in (node for material in materials.values() for node in material):
-        if node.fitted is not None and node.fitted.fit.table is not None:
-            tables.setdefault(node.number, node.fitted.fit.table)
+        if node.fitted is not None:
+            for number, table in enumerate(node.fitted.fit.tables, start=node.number):
+                tables.setdefault(number, table)
     return tuple(tables[number] for number in sorted(tables))

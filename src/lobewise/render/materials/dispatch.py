@@ -118,7 +118,8 @@ def find_null_transmission(material: Material, si: Any, active: Any) -> Any:
         weight = dr.clip(read_number(material, "weight", si, active), 0.0, 1.0)
         return dr.lerp(*(find_null_transmission(child, si, active) for child in material.nested), weight)
     if material.fitted is not None and not material.fitted.fit.parts.knows_transmission:
-        return mi.Color3f(1.0 - material.fitted.look_up(si, active)[OPACITY])
+        spot = material.fitted.find_spot(material.bsdf, si, active)
+        return mi.Color3f(1.0 - material.fitted.look_up(si, active, spot)[OPACITY])
     return mi.Color3f(material.bsdf.eval_null_transmission(si, active))
 
 

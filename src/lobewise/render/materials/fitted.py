@@ -13,15 +13,17 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lobewise.fitting.arrays import Array
+from lobewise.fitting.blending import blend_tables
 from lobewise.fitting.fit import Evaluate, fit_lobes
 from lobewise.fitting.nodes import make_nodes
 from lobewise.fitting.table import get_albedo, get_equivalent_alphas, order_lobes
 from lobewise.frame import FloatArray, LobeKind
 from lobewise.lobe_table import LobeTable
 from lobewise.lobes.vectors import LUMINANCE
-from lobewise.render.bridge import dr, mi
+from lobewise.render.materials.places import Places, find_places
 from lobewise.render.materials.probe import (
     Parts,
     Samples,
@@ -29,8 +31,8 @@ from lobewise.render.materials.probe import (
     digest_bsdf,
     evaluate_bsdf,
     find_parts,
-    make_context,
     make_evaluate,
+    repeat_place,
     sample_bsdf,
 )
 from lobewise.render.materials.tints import find_tints
@@ -41,19 +43,26 @@ LOBES = 3
 AZIMUTHS = 8
 """Number of azimuths of an anisotropic material's views, a multiple of 4."""
 
-# Smallest n.v of the views. Views have equal steps of the square root of n.v.
-_MIN_COSINE = 0.05
+MIN_COSINE = 0.05
+"""Smallest n.v of the views. Views have equal steps of the square root of n.v."""
+
+STEPS = 4
+"""Number of steps from one node of a texture to the next, at which there are lobe tables."""
+
 # Number of n.v of the views, and of samples per view, for isotropic (True) and anisotropic materials.
 _VIEW_COUNTS = {True: 12, False: 6}
 _SAMPLE_COUNTS = {True: 4096, False: 1024}
 OPACITY = 8
 """Column of `Fit.rows` that holds the opacity."""
-# The other columns of `Fit.rows`, and their number.
-_ALPHA, _SPECULAR, _SPREAD, _TINT, _COLUMNS = slice(0, 2), slice(2, 5), slice(5, 8), slice(9, 11), 11
+ALPHA, SPECULAR, SPREAD, TINT = slice(0, 2), slice(2, 5), slice(5, 8), slice(9, 11)
+"""The other columns of `Fit.rows`."""
+_COLUMNS = 11
 # Azimuths at which values are compared, radians: in no simple ratio to a full turn.
 _TURNS = (0.7, 1.9, 3.3)
 # Ratio of the axes of a lobe seen from above. Below it the lobe counts as round.
 _MIN_ELONGATION = 1.1
+# Share of the strongest colour below which a place has too little of a colour to compare it.
+_MIN_COLOR = 0.01
 # Number of fits in the cache.
 _MAX_FITS = 64
 
@@ -74,6 +83,16 @@ class Fit:
     """Values (V, P, 11) for n.v in equal steps of its square root and azimuths of the viewer in equal steps: alpha
     along and across the tangent (isotropic materials: in and across the plane of incidence), specular albedo, diffuse
     albedo over the diffuse value for light along the normal, opacity, weights of `lobewise.render.materials.tints`."""
+    varying: Varying | None = None
+    """The lobes of other places, if the lobes change their shape over a texture. The other fields are then those of the
+    first node, and the rows hold specular albedos over `Places.level`."""
+
+    @property
+    def tables(self) -> tuple[LobeTable, ...]:
+        """The lobe tables, in the order in which places number them."""
+        if self.varying is not None:
+            return self.varying.tables
+        return () if self.table is None else (self.table,)
 
     @property
     def is_isotropic(self) -> bool:
@@ -83,15 +102,30 @@ class Fit:
     @property
     def can_be_transparent(self) -> bool:
         """Whether a ray may pass through unchanged."""
-        return bool(self.rows[..., OPACITY].min() < 1.0)
+        fits = (self,) if self.varying is None else self.varying.fits
+        return any(bool(fit.rows[..., OPACITY].min() < 1.0) for fit in fits)
+
+
+@dataclass(frozen=True)
+class Varying:
+    """The lobes of a BSDF whose lobes change their shape over its texture."""
+
+    places: Places
+    fits: tuple[Fit, ...]
+    """The lobes of each node of ``places``. Their rows have the same shape."""
+    tables: tuple[LobeTable, ...]
+    """The lobe tables of the nodes and of steps between them, as far as there are places on the texture."""
+    numbers: NDArray[np.uint32]
+    """For each edge and for 0 to `STEPS` steps along it the index of the nearest table, (K - 1, STEPS + 1)."""
 
 
 _fits: OrderedDict[str, Fit] = OrderedDict()
 
 
 def fit_bsdf(bsdf: Any) -> Fit:
-    """Return the lobes fitted to a BSDF, with textures at uv = (0.5, 0.5). BSDFs with equal values are fitted once.
+    """Return the lobes fitted to a BSDF. BSDFs with equal values are fitted once.
 
+    Textures are evaluated at uv = (0.5, 0.5), and at the nodes of `find_places` if they change the shape of lobes.
     UnsupportedBsdfError if the BSDF cannot be evaluated or sampled; MissingDependencyError without SciPy.
     """
     key = digest_bsdf(bsdf)
@@ -100,18 +134,23 @@ def fit_bsdf(bsdf: Any) -> Fit:
         if len(_fits) > _MAX_FITS:
             _fits.popitem(last=False)
     _fits.move_to_end(key)
-    fit = _fits[key]
-    return fit if fit.table is None else replace(fit, table=replace(fit.table, name=str(bsdf.id())))
+    fit, name = _fits[key], str(bsdf.id())
+    if fit.varying is not None:
+        tables = fit.varying.tables
+        named = (replace(table, name=f"{name} {k} of {len(tables)}".strip()) for k, table in enumerate(tables, start=1))
+        return replace(fit, varying=replace(fit.varying, tables=tuple(named)))
+    return fit if fit.table is None else replace(fit, table=replace(fit.table, name=name))
 
 
-def make_specular_evaluate(bsdf: Any, parts: Parts, *, turn: float = 0.0) -> Evaluate | None:
+def make_specular_evaluate(bsdf: Any, parts: Parts, *, turn: float = 0.0, uv: Array | None = None) -> Evaluate | None:
     """Return the smooth specular part as a function to fit, or None if there is none.
 
     It is the glossy reflection. For a BSDF that only transmits it is the transmission, mirrored at the surface.
+    Textures are evaluated at ``uv`` (2,).
     """
     if parts.glossy:
         for through in (False, True):
-            evaluate = make_evaluate(bsdf, parts.glossy_lobes, through=through, turn=turn)
+            evaluate = make_evaluate(bsdf, parts.glossy_lobes, through=through, turn=turn, uv=uv)
             if any(_integrate(evaluate, cosine) > 0.0 for cosine in (1.0, 0.5, 0.2)):
                 return evaluate
     return None
@@ -124,7 +163,7 @@ def is_isotropic(evaluate: Evaluate) -> bool:
 
 def make_views(isotropic: bool) -> Array:
     """Return the ascending n.v of the views: equal steps of the square root, denser where lobes change faster."""
-    return np.asarray(np.linspace(math.sqrt(_MIN_COSINE), 1.0, _VIEW_COUNTS[isotropic]) ** 2)
+    return np.asarray(np.linspace(math.sqrt(MIN_COSINE), 1.0, _VIEW_COUNTS[isotropic]) ** 2)
 
 
 def make_azimuths() -> Array:
@@ -140,22 +179,79 @@ def list_fitted_views(evaluate: Evaluate, cosines: Array) -> Array:
 
 def _make_fit(bsdf: Any) -> Fit:
     parts = find_parts(bsdf)
-    evaluate = make_specular_evaluate(bsdf, parts)
-    isotropic = evaluate is None or is_isotropic(evaluate)
+    places = find_places(bsdf, parts) if parts.textured and parts.glossy else None
+    if places is None:
+        return _fit_place(bsdf, parts)
+    # Lobes can be interpolated if all places have the same views.
+    shapes = (make_specular_evaluate(bsdf, parts, uv=uv) for uv in places.uv)
+    isotropic = all(evaluate is None or is_isotropic(evaluate) for evaluate in shapes)
+    fits = tuple(
+        _fit_place(bsdf, parts, uv, isotropic=isotropic, level=level)
+        for uv, level in zip(places.uv, places.level, strict=True)
+    )
+    if any(fit.table is None for fit in fits):
+        return fits[0]
+    return replace(fits[0], varying=Varying(places, fits, *_make_tables(places, fits)))
+
+
+def _fit_place(
+    bsdf: Any, parts: Parts, uv: Array | None = None, *, isotropic: bool | None = None, level: Array | None = None
+) -> Fit:
+    """Return the lobes at one place of the texture, by default its centre.
+
+    ``isotropic`` tells whether the views have azimuths; by default the lobes decide. ``level`` (3,) is the one by which
+    specular albedos are divided.
+    """
+    evaluate = make_specular_evaluate(bsdf, parts, uv=uv)
+    if isotropic is None:
+        isotropic = evaluate is None or is_isotropic(evaluate)
     turn = 0.0 if evaluate is None or isotropic else _find_long_axis(evaluate)
     cosines, azimuths = make_views(isotropic), np.zeros(1) if isotropic else make_azimuths()
     rows = np.zeros((cosines.size, azimuths.size, _COLUMNS))
     table = None
     if evaluate is not None:
-        evaluate = make_specular_evaluate(bsdf, parts, turn=turn)
+        evaluate = make_specular_evaluate(bsdf, parts, turn=turn, uv=uv)
         assert evaluate is not None
         table = _fit_table(evaluate, cosines, None if isotropic else azimuths)
-        rows[..., _ALPHA] = _find_alphas(table, cosines, azimuths)
-        rows[..., _SPECULAR] = get_albedo(table, cosines[:, None], azimuths)
+        rows[..., ALPHA] = _find_alphas(table, cosines, azimuths)
+        rows[..., SPECULAR] = get_albedo(table, cosines[:, None], azimuths)
     views = _make_view_grid(cosines, azimuths + turn)
-    _complete_albedos(rows, bsdf, parts, views, _SAMPLE_COUNTS[isotropic])
+    _complete_albedos(rows, bsdf, parts, views, _SAMPLE_COUNTS[isotropic], uv)
+    if level is not None:
+        # A colour that is missing at this place has the ratio of the luminance.
+        ratio = (rows[..., SPECULAR] @ LUMINANCE)[..., None] / float(level @ LUMINANCE)
+        found = level > _MIN_COLOR * level.max()
+        rows[..., SPECULAR] = np.where(found, rows[..., SPECULAR] / np.where(found, level, 1.0), ratio)
+    elif parts.textured and parts.glossy:
+        tints = find_tints(bsdf, parts, views) / np.maximum(rows[..., OPACITY].reshape(-1, 1), 1e-6)
+        rows[..., TINT] = tints.reshape(*rows.shape[:2], -1)
     kind = LobeKind.GGX if table is not None else LobeKind.DELTA if parts.delta else LobeKind.NONE
     return Fit(parts, kind, table, turn, rows.astype(np.float32))
+
+
+def _make_tables(places: Places, fits: tuple[Fit, ...]) -> tuple[tuple[LobeTable, ...], NDArray[np.uint32]]:
+    """Return `Varying.tables` and `Varying.numbers`. Only tables that some place needs are made."""
+    numbers = np.zeros((len(places.edges), STEPS + 1), dtype=np.uint32)
+    tables: list[LobeTable] = []
+    nodes: dict[int, int] = {}
+    edge, step = places.visited[:, 0].astype(int), np.rint(places.visited[:, 1] * STEPS).astype(int)
+    for row, ends in enumerate(places.edges):
+        first, second = (fits[end].table for end in ends)
+        assert first is not None
+        assert second is not None
+        for end in map(int, ends):
+            if end not in nodes:
+                nodes[end] = len(tables)
+                tables.append(first if end == ends[0] else second)
+        numbers[row, 0], numbers[row, STEPS] = (nodes[int(end)] for end in ends)
+        alike = first.axis.shape == second.axis.shape and np.array_equal(first.cosine, second.cosine)
+        used = {0, STEPS} | (set(step[edge == row].tolist()) if alike else set())
+        for index in sorted(used - {0, STEPS}):
+            numbers[row, index] = len(tables)
+            tables.append(blend_tables(first, second, index / STEPS))
+        for index in set(range(STEPS + 1)) - used:
+            numbers[row, index] = numbers[row, min(used, key=lambda other: abs(other - index))]
+    return tuple(tables), numbers
 
 
 def _fit_table(evaluate: Evaluate, cosines: Array, azimuths: Array | None) -> LobeTable:
@@ -189,42 +285,41 @@ def _find_alphas(table: LobeTable, cosines: Array, azimuths: Array) -> Array:
     return np.asarray(np.exp(between.reshape(alpha.shape)))
 
 
-def _complete_albedos(rows: Array, bsdf: Any, parts: Parts, views: Array, count: int) -> None:
-    """Add to the rows the albedos of transmission and of mirrors, the opacity, the diffuse spread and the tints."""
+def _complete_albedos(rows: Array, bsdf: Any, parts: Parts, views: Array, count: int, uv: Array | None = None) -> None:
+    """Add to the rows the albedos of transmission and of mirrors, the opacity and the diffuse spread."""
     flat = rows.reshape(-1, _COLUMNS)
-    samples = sample_bsdf(bsdf, views, count)
+    samples = sample_bsdf(bsdf, views, count, uv=repeat_place(uv, len(views)))
     opacity = 1.0 - samples.null.mean(axis=1)
     beyond = samples.delta | (samples.light[..., 2] < 0.0)
     specular = np.where((beyond & ~samples.null)[..., None], samples.weight, 0.0)
-    specular *= 1.0 - _find_diffuse_shares(bsdf, parts, views, samples)
-    flat[:, _SPECULAR] += specular.mean(axis=1)
+    specular *= 1.0 - _find_diffuse_shares(bsdf, parts, views, samples, uv)
+    flat[:, SPECULAR] += specular.mean(axis=1)
     # Samples that pass through add to no albedo: divide by the share of the others.
-    flat[:, _SPECULAR] /= np.maximum(opacity, 1e-6)[:, None]
-    flat[:, _SPECULAR] = np.clip(flat[:, _SPECULAR], 0.0, 1.0)
+    flat[:, SPECULAR] /= np.maximum(opacity, 1e-6)[:, None]
+    flat[:, SPECULAR] = np.clip(flat[:, SPECULAR], 0.0, 1.0)
     flat[:, OPACITY] = opacity
     if parts.diffuse:
-        flat[:, _SPREAD] = _find_spreads(bsdf, parts, views)
-    if parts.textured and parts.glossy:
-        flat[:, _TINT] = find_tints(bsdf, parts, views) / np.maximum(opacity, 1e-6)[:, None]
+        flat[:, SPREAD] = _find_spreads(bsdf, parts, views, uv)
 
 
-def _find_diffuse_shares(bsdf: Any, parts: Parts, views: Array, samples: Samples) -> Array:
+def _find_diffuse_shares(bsdf: Any, parts: Parts, views: Array, samples: Samples, uv: Array | None) -> Array:
     """Return the diffuse share of each sample, shape (V, N, 3); 0 for mirrors."""
     smooth = ~samples.delta[..., None]
     if not (parts.diffuse and parts.glossy):
         return np.where(smooth, float(parts.diffuse), 0.0)
     view, light = np.repeat(views, samples.light.shape[1], axis=0), samples.light.reshape(-1, 3)
-    whole = evaluate_bsdf(bsdf, view, light)
-    part = evaluate_bsdf(bsdf, view, light, parts.diffuse_lobes)
+    place = repeat_place(uv, len(view))
+    whole = evaluate_bsdf(bsdf, view, light, uv=place)
+    part = evaluate_bsdf(bsdf, view, light, parts.diffuse_lobes, uv=place)
     share = np.divide(part, whole, out=np.zeros_like(whole), where=whole > 0.0).reshape(samples.weight.shape)
     return np.asarray(np.where(smooth, np.clip(share, 0.0, 1.0), 0.0))
 
 
-def _find_spreads(bsdf: Any, parts: Parts, views: Array) -> Array:
+def _find_spreads(bsdf: Any, parts: Parts, views: Array, uv: Array | None) -> Array:
     """Return the diffuse albedo of each view over the value for light along the normal, shape (V, 3).
 
-    The value is multiplied again at each hit, so that textures are seen. If it is 0 in the middle of the texture, the
-    ratio is that of Lambert's law.
+    The value is multiplied again at each hit, so that textures are seen. If it is 0 at the place ``uv`` (2,), the ratio
+    is that of Lambert's law.
     """
     # Integrate over both hemispheres by the midpoint rule, in steps of equal projected area and equal azimuth.
     square, azimuth = (np.arange(64) + 0.5) / 64, (np.arange(32) + 0.5) * (2.0 * math.pi / 32)
@@ -232,8 +327,9 @@ def _find_spreads(bsdf: Any, parts: Parts, views: Array) -> Array:
     above = np.stack(np.broadcast_arrays(sine[:, None] * np.cos(azimuth), sine[:, None] * np.sin(azimuth),
                                          cosine[:, None]), axis=-1).reshape(-1, 3)  # fmt: skip
     light = np.concatenate([above, above * [1.0, 1.0, -1.0], [[0.0, 0.0, 1.0]]])
+    place = repeat_place(uv, len(views) * len(light))
     values = evaluate_bsdf(bsdf, np.repeat(views, len(light), axis=0), np.tile(light, (len(views), 1)),
-                           parts.diffuse_lobes).reshape(len(views), len(light), 3)  # fmt: skip
+                           parts.diffuse_lobes, uv=place).reshape(len(views), len(light), 3)  # fmt: skip
     values = np.where(np.isfinite(values), values, 0.0)
     albedo, upward = math.pi / len(above) * values[:, :-1].sum(axis=1), values[:, -1]
     return np.asarray(np.divide(albedo, upward, out=np.full_like(albedo, math.pi), where=upward > 0.0))
@@ -292,61 +388,3 @@ def _make_view_grid(cosines: Array, azimuths: Array) -> Array:
     sine = np.sqrt(1.0 - cosines**2)[:, None]
     parts = np.broadcast_arrays(sine * np.cos(azimuths), sine * np.sin(azimuths), cosines[:, None])
     return np.stack(parts, axis=-1).reshape(-1, 3)
-
-
-class FittedLobes:
-    """A `Fit` on the device, where hits look it up."""
-
-    def __init__(self, fit: Fit) -> None:
-        self.fit = fit
-        self._rows = mi.Float(self.fit.rows.ravel())
-        dr.eval(self._rows)
-
-    def look_up(self, si: Any, active: Any) -> list[Any]:
-        """Return the columns of `Fit.rows` for views ``si.wi``, linear in the square root of n.v and in the azimuth."""
-        views, azimuths, columns = self.fit.rows.shape
-        first = math.sqrt(_MIN_COSINE)
-        place = (dr.sqrt(dr.abs(si.wi.z)) - first) * ((views - 1) / (1.0 - first))
-        place = dr.clip(place, 0.0, views - 1.0)
-        row = dr.minimum(mi.UInt32(place), views - 2)
-        share = place - mi.Float(row)
-
-        def read(column: Any) -> list[Any]:
-            start = (row * azimuths + column) * columns
-            step = azimuths * columns
-            below = [dr.gather(mi.Float, self._rows, start + k, active) for k in range(columns)]
-            above = [dr.gather(mi.Float, self._rows, start + step + k, active) for k in range(columns)]
-            return [dr.lerp(low, high, share) for low, high in zip(below, above, strict=True)]
-
-        if azimuths == 1:
-            return read(mi.UInt32(0))
-        turns = (dr.atan2(si.wi.y, si.wi.x) - self.fit.turn) / (2.0 * math.pi)
-        turns = dr.select(dr.square(si.wi.x) + dr.square(si.wi.y) > 0, turns, 0.0)
-        place = (turns - dr.floor(turns)) * azimuths
-        left = dr.minimum(mi.UInt32(place), azimuths - 1)
-        right = dr.select(left + 1 < azimuths, left + 1, 0)
-        part = place - mi.Float(left)
-        return [dr.lerp(low, high, part) for low, high in zip(read(left), read(right), strict=True)]
-
-    def find_tangent(self, si: Any) -> Any:
-        """Return the local direction of the first alpha, which is also azimuth 0."""
-        if not self.fit.is_isotropic:
-            return mi.Vector3f(math.cos(self.fit.turn), math.sin(self.fit.turn), 0.0)
-        length = dr.sqrt(dr.square(si.wi.x) + dr.square(si.wi.y))
-        scale = dr.select(length > 1e-6, dr.rcp(length), 0.0)
-        return mi.Vector3f(dr.select(length > 1e-6, si.wi.x * scale, 1.0), si.wi.y * scale, 0.0)
-
-    def find_albedos(self, bsdf: Any, si: Any, row: list[Any], active: Any) -> tuple[Any, Any]:
-        """Return (diffuse, specular) albedo from the columns of `look_up` and the BSDF's textures at the hits."""
-        parts = self.fit.parts
-        upward = mi.Vector3f(0.0, 0.0, dr.select(si.wi.z < 0, -1.0, 1.0))
-        diffuse, specular = mi.Color3f(0), mi.Color3f(*row[_SPECULAR])
-        if parts.diffuse:
-            value = bsdf.eval(make_context(parts.diffuse_lobes), si, upward, active)
-            diffuse = mi.Color3f(*row[_SPREAD]) * mi.Color3f(value)
-        if parts.textured and parts.glossy:
-            mirrored = mi.Vector3f(-si.wi.x, -si.wi.y, si.wi.z)
-            context = make_context(parts.glossy_lobes)
-            values = [mi.Color3f(bsdf.eval(context, si, light, active)) for light in (upward, mirrored)]
-            specular = sum(value * factor for value, factor in zip(values, row[_TINT], strict=True))
-        return dr.clip(diffuse, 0.0, 1.0), dr.clip(specular, 0.0, 1.0)

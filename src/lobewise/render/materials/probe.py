@@ -62,20 +62,27 @@ def evaluate_bsdf(bsdf: Any, view: Array, light: Array, lobes: Any = None, *, uv
     return np.asarray(_to_colors(_try(bsdf, run), len(view)) / cosine)
 
 
-def make_evaluate(bsdf: Any, lobes: Any = None, *, through: bool = False, turn: float = 0.0) -> Callable[..., Array]:
+def make_evaluate(
+    bsdf: Any, lobes: Any = None, *, through: bool = False, turn: float = 0.0, uv: Array | None = None
+) -> Callable[..., Array]:
     """Return `evaluate_bsdf` of some or all of a BSDF's lobes as `lobewise.fitting.fit.Evaluate`.
 
     With ``through`` it is the transmission, mirrored at the surface. ``turn`` is the angle from the BSDF's tangent to
-    the x of the directions, radians, counter-clockwise.
+    the x of the directions, radians, counter-clockwise. Textures are evaluated at ``uv`` (2,).
     """
     cosine, sine = np.cos(turn), np.sin(turn)
     matrix = np.asarray([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
     flip = np.asarray([1.0, 1.0, -1.0 if through else 1.0])
 
     def evaluate(view: Array, light: Array) -> Array:
-        return evaluate_bsdf(bsdf, view @ matrix, light @ matrix * flip, lobes)
+        return evaluate_bsdf(bsdf, view @ matrix, light @ matrix * flip, lobes, uv=repeat_place(uv, len(view)))
 
     return evaluate
+
+
+def repeat_place(uv: Array | None, count: int) -> Array | None:
+    """Return texture coordinates (2,) ``count`` times, (count, 2); None stays None."""
+    return None if uv is None else np.tile(uv, (count, 1))
 
 
 @dataclass(frozen=True)
@@ -233,12 +240,12 @@ def _to_colors(value: Any, count: int) -> Array:
 
 def _make_probe_directions() -> tuple[Array, Array]:
     """Return views above the horizon, and lights on the whole sphere and ever nearer to the mirror direction."""
-    view = _spread_directions(64)
+    view = spread_directions(64)
     view[:, 2] = np.abs(view[:, 2])
-    half = np.asarray([0.0, 0.0, 1.0]) + np.geomspace(1e-3, 1.0, 8)[:, None, None] * _spread_directions(128)[::2]
+    half = np.asarray([0.0, 0.0, 1.0]) + np.geomspace(1e-3, 1.0, 8)[:, None, None] * spread_directions(128)[::2]
     half /= np.linalg.norm(half, axis=-1, keepdims=True)
     mirrored = 2.0 * np.sum(view * half, axis=-1, keepdims=True) * half - view
-    around = np.roll(_spread_directions(64), 17, axis=0)
+    around = np.roll(spread_directions(64), 17, axis=0)
     light = np.concatenate([mirrored.reshape(-1, 3), around])
     return np.tile(view, (9, 1)), light
 
@@ -252,7 +259,7 @@ def spread_points(count: int, dimensions: int) -> Array:
     return np.mod(0.5 + np.outer(np.arange(count), root ** -np.arange(1.0, dimensions + 1.0)), 1.0)
 
 
-def _spread_directions(count: int) -> Array:
+def spread_directions(count: int) -> Array:
     """Return unit vectors on a golden spiral, shape (count, 3)."""
     z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
     turn = np.arange(count) * (math.pi * (3.0 - math.sqrt(5.0)))

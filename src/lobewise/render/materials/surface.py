@@ -230,20 +230,21 @@ def _describe_null(material: Material, si: Any, frame: WorldFrame, active: Any) 
 def _describe_fitted(material: Material, si: Any, frame: WorldFrame, active: Any) -> Surface:
     fitted = material.fitted
     assert fitted is not None
-    row = fitted.look_up(si, active)
-    diffuse, specular = fitted.find_albedos(material.bsdf, si, row, active)
-    # Lobes are fitted once, so a back side that reflects has the lobes of the front.
+    spot = fitted.find_spot(material.bsdf, si, active)
+    row = fitted.look_up(si, active, spot)
+    diffuse, specular = fitted.find_albedos(material.bsdf, si, row, active, spot)
+    # Lobes are fitted to the front, so a back side that reflects has the same lobes.
     seen = mi.Bool(True) if fitted.fit.parts.behind else si.wi.z > 0
     return _make_surface(
         material,
         frame,
-        tangent=frame.to_world(fitted.find_tangent(si)),
+        tangent=frame.to_world(fitted.find_tangent(si, active, spot)),
         alpha_u=row[0],
         alpha_v=row[1],
         specular_albedo=specular & seen,
         diffuse_albedo=diffuse & seen,
         opacity=row[OPACITY],
-        material=mi.Float(material.number),
+        material=fitted.find_number(material.number, active, spot),
     )
 
 

@@ -7,6 +7,7 @@ in the mirror direction. At a hit the BSDF is evaluated for these two lights.
 
 from __future__ import annotations
 
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -47,16 +48,19 @@ def _find_tint(bsdf: Any, parts: Parts, view: Array, uv: Array) -> Array:
         samples = sample_bsdf(bsdf, np.tile(view, (len(uv), 1)), _SAMPLE_COUNT, uv=uv)
         beyond = (samples.delta | (samples.light[..., 2] < 0.0)) & ~samples.null
         albedo = albedo + np.where(beyond[..., None], samples.weight, 0.0).mean(axis=1)
-    return _solve(np.moveaxis(values[:, :2], 1, -1).reshape(-1, 2), albedo.ravel())
+    return solve_nonnegative(np.moveaxis(values[:, :2], 1, -1).reshape(-1, 2), albedo.ravel())
 
 
-def _solve(columns: Array, target: Array) -> Array:
-    """Return two weights >= 0 of the columns (n, 2) whose weighted sum is nearest to the target."""
-    best, least = np.zeros(2), float(target @ target)
-    for chosen in ([0, 1], [0], [1]):
-        found = np.linalg.lstsq(columns[:, chosen], target, rcond=1e-6)[0]
-        miss = float(np.sum((columns[:, chosen] @ found - target) ** 2))
-        if np.all(found >= 0.0) and miss < least:
-            best, least = np.zeros(2), miss
-            best[chosen] = found
+def solve_nonnegative(columns: Array, target: Array) -> Array:
+    """Return weights >= 0 of a few columns (n, k) whose weighted sum is nearest to the target (n,)."""
+    count = columns.shape[1]
+    best, least = np.zeros(count), float(target @ target)
+    # If all weights of the best sum are above 0, it is the best sum of these columns without the condition.
+    for size in range(count, 0, -1):
+        for chosen in map(list, combinations(range(count), size)):
+            found = np.linalg.lstsq(columns[:, chosen], target, rcond=1e-6)[0]
+            miss = float(np.sum((columns[:, chosen] @ found - target) ** 2))
+            if np.all(found >= 0.0) and miss < least:
+                best, least = np.zeros(count), miss
+                best[chosen] = found
     return best
