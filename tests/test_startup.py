@@ -71,6 +71,30 @@ def test_importing_the_package_loads_nothing_heavy() -> None:
     assert ask_python(code).stdout.strip() == "[]"
 
 
+IMPORT_ALL = """
+import importlib, pkgutil, sys
+sys.modules.update(dict.fromkeys(["halide", "llvmlite"]))
+import lobewise
+for module in pkgutil.walk_packages(lobewise.__path__, "lobewise."):
+    if module.name != "lobewise.__main__":
+        importlib.import_module(module.name)
+from lobewise.backend.jit import get_kernel
+from lobewise.filters.specks import _make_specks
+try:
+    get_kernel("cpu", ("specks",), _make_specks)
+except lobewise.LobewiseError as problem:
+    print(problem)
+"""
+
+
+def test_the_package_needs_no_compiler_until_a_kernel_is_compiled() -> None:
+    """Every module can be imported without Halide and LLVM; a kernel that must be compiled is refused in a sentence."""
+    told = ask_python(IMPORT_ALL).stdout
+    assert told.count("\n") == 1
+    assert "Halide" in told
+    assert "pip install 'lobewise[jit]'" in told
+
+
 def test_every_public_name_is_listed_and_loads_alone() -> None:
     assert set(lobewise.__all__) <= set(dir(lobewise))
     code = "import lobewise; print(sorted(set(lobewise.__all__) - set(dir(lobewise))), lobewise.Frame.__module__)"

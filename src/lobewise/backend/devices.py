@@ -13,8 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
-import halide as hl
-
+from lobewise.backend.compiler import hl
 from lobewise.errors import DeviceError, require_choice
 
 DEVICES = ("cpu", "vulkan", "cuda", "metal")

@@ -10,8 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import halide as hl
-
+from lobewise.backend.compiler import hl
 from lobewise.lobes.numbers import Namespace
 
 LOG2_E = math.log2(math.e)
@@ -77,12 +76,13 @@ def is_good(color: Sequence[hl.Expr]) -> hl.Expr:
 class _Halide:
     """The functions of Halide expressions of float32."""
 
-    number = staticmethod(hl.f32)
-    where = staticmethod(hl.select)
-    sqrt = staticmethod(hl.sqrt)
-    minimum = staticmethod(hl.min)
-    maximum = staticmethod(hl.max)
-    abs = staticmethod(hl.abs)
+    # Functions that look Halide up when they are called: the module is imported also where Halide is absent.
+    number = staticmethod(lambda value: hl.f32(value))
+    where = staticmethod(lambda condition, first, second: hl.select(condition, first, second))
+    sqrt = staticmethod(lambda value: hl.sqrt(value))
+    minimum = staticmethod(lambda a, b: hl.min(a, b))
+    maximum = staticmethod(lambda a, b: hl.max(a, b))
+    abs = staticmethod(lambda value: hl.abs(value))
 
     @staticmethod
     def expm1(value: hl.Expr) -> hl.Expr:

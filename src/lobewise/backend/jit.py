@@ -18,9 +18,8 @@ from importlib.metadata import version
 from types import FunctionType
 from typing import Any
 
-import halide as hl
-
 from lobewise.backend.buffers import Image, lend, make_output
+from lobewise.backend.compiler import hl
 from lobewise.backend.devices import make_target
 from lobewise.backend.disk import fetch_object
 from lobewise.backend.objects import compile_object

@@ -11,18 +11,18 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, TypeAlias
 
-import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend.buffers import download, take_mask
+from lobewise.backend.compiler import hl
 from lobewise.backend.jit import Scheduled, get_kernel, run_kernel
 from lobewise.backend.signature import Signature
 from lobewise.errors import InputError
 
-Vector = Sequence[hl.Expr]
+Vector: TypeAlias = "Sequence[hl.Expr]"
 """The channels of one pixel, or the components of a number."""
 
 LARGEST_FLOAT = float(np.finfo(np.float32).max)

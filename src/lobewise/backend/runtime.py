@@ -11,9 +11,7 @@ from functools import cache
 from importlib.metadata import version
 from typing import Any
 
-import halide as hl
-import llvmlite.binding as llvm
-
+from lobewise.backend.compiler import hl, load_llvm
 from lobewise.backend.devices import VULKAN_BLOCK, VULKAN_MULTIPLE, make_target
 from lobewise.backend.disk import fetch_object
 from lobewise.backend.objects import compile_object
@@ -36,6 +34,7 @@ class Runtime:
 
     def __init__(self, device: str) -> None:
         self.device = device
+        llvm = load_llvm()
         llvm.initialize_native_target()
         llvm.initialize_native_asmprinter()
         self._problems = threading.local()
@@ -72,7 +71,7 @@ class Runtime:
         for told in set(_RUNTIME_NAMES.findall(content)):
             address = self._engine.get_function_address(told.decode())
             if address:
-                llvm.add_symbol(told.decode(), address)
+                load_llvm().add_symbol(told.decode(), address)
         engine = _load_object(content)
         self._loaded.append(engine)
         return _find_function(engine, name)
@@ -108,6 +107,7 @@ class Runtime:
 
 def _load_object(content: bytes) -> Any:
     """Return an engine with an object file loaded. The file must be whole: otherwise LLVM ends the process."""
+    llvm = load_llvm()
     machine = llvm.Target.from_default_triple().create_target_machine()
     # llvmlite's memory manager puts the sections of a file side by side, so that they reach each other.
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine, use_lmm=True)

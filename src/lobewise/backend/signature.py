@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from numbers import Integral, Real
 from typing import Any, Protocol
 
-import halide as hl
 import numpy as np
 from numpy.typing import NDArray
+
+from lobewise.backend.compiler import hl
 
 Axis = int | str
 """The length of an axis, or a name: axes of one name have one length."""

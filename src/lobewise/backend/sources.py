@@ -26,6 +26,8 @@ from lobewise.backend.disk import MAX_FILE_BYTES, find_trusted_folder, write_who
 from lobewise.backend.trust import read_trusted
 
 PACKAGE = "lobewise"
+COMPILER = "lobewise.backend.compiler"
+"""The module by which kernels read Halide. It stands for the library, whose version is a part of every key."""
 _ROOT = Path(__file__).parents[1]
 _KEPT = "sources.json"
 _MAX_KEPT_MODULES = 2000
@@ -127,7 +129,7 @@ def _list_imports(node: ast.AST) -> Iterator[tuple[str, str]]:
             if alias.name.partition(".")[0] == PACKAGE:
                 yield (alias.asname, alias.name) if alias.asname else (PACKAGE, PACKAGE)
     elif isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == PACKAGE:
-        for alias in node.names:
+        for alias in node.names if node.module != COMPILER else ():
             yield alias.asname or alias.name, f"{node.module}.{alias.name}"
 
 

@@ -14,8 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import halide as hl
-
+from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, schedule_rows
 from lobewise.exporting.arguments import Argument
 from lobewise.exporting.plan import FilterPlan, Term, define_guides

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import halide as hl
-
+from lobewise.backend.compiler import hl
 from lobewise.errors import DeviceError, InputError
 
 PROCESSORS = ("x86-32", "x86-64", "arm-32", "arm-64", "wasm-32", "riscv-64")

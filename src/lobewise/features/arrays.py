@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import halide as hl
-
 from lobewise.backend.buffers import Image, take_dense
+from lobewise.backend.compiler import hl
 from lobewise.backend.signature import Signature
 from lobewise.errors import InputError
 from lobewise.features.base import Feature

@@ -15,18 +15,17 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import fields
 from numbers import Real
-from typing import Any, ClassVar
-
-import halide as hl
+from typing import Any, ClassVar, TypeAlias
 
 from lobewise.backend.buffers import Image
+from lobewise.backend.compiler import hl
 from lobewise.errors import InputError
 
-Vector = Sequence[hl.Expr]
+Vector: TypeAlias = "Sequence[hl.Expr]"
 Pixel = Any
 """The planes of one pixel as `Feature.prepare` returned them: an expression, a list, a `NamedTuple`, or nested ones."""
-Offset = tuple[hl.Expr, hl.Expr]
-Stage = Callable[[hl.Expr], hl.Expr]
+Offset: TypeAlias = "tuple[hl.Expr, hl.Expr]"
+Stage: TypeAlias = "Callable[[hl.Expr], hl.Expr]"
 """Stores an intermediate value of a row of taps in cache, which splits a long log-similarity into shorter loops."""
 
 

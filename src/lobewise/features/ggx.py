@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import halide as hl
-
+from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import HALIDE, log2
 from lobewise.features.base import Offset, Stage, Vector
 from lobewise.features.lobe import CovarianceFeature, HitPlanes, LobeFeature, find_step

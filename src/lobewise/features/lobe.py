@@ -6,8 +6,7 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, Protocol
 
-import halide as hl
-
+from lobewise.backend.compiler import hl
 from lobewise.features.base import DeclaredFeature, Vector
 from lobewise.frame import FloatArray
 from lobewise.lobes.hits import HitField, find_hit_shift

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import halide as hl
-
+from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import LOG2_E, log2
 from lobewise.features.base import DeclaredFeature, Offset, Pixel, Stage, Vector
 from lobewise.frame import FloatArray

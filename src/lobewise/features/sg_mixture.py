@@ -6,8 +6,7 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import halide as hl
-
+from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import LOG2_E, exp2, log2
 from lobewise.errors import InputError
 from lobewise.features.base import DeclaredFeature, Offset, Stage, Vector

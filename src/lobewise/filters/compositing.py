@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend import expressions
+from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, give_channels, run_pointwise, select_or_nan
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS
 from lobewise.frame import FloatArray

@@ -9,11 +9,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend.buffers import Buffer, Image, device_scope, download, lend, make_output, take_image, take_mask
+from lobewise.backend.compiler import hl
 from lobewise.backend.jit import Kernel, Scheduled, get_kernel
 from lobewise.errors import require_choice
 from lobewise.features.arrays import give_features, give_scalars

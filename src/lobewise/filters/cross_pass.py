@@ -15,9 +15,8 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
-import halide as hl
-
 from lobewise.backend import expressions
+from lobewise.backend.compiler import declare_vars, hl
 from lobewise.backend.signature import Signature
 from lobewise.features.arrays import declare_features, declare_scalars
 from lobewise.features.base import Feature, Stage
@@ -33,7 +32,7 @@ SQUARED_WEIGHT = 4
 ALBEDO_FLOOR = 1e-3
 """Albedo below which a pixel does not reveal the light that it receives; its weight is 0."""
 
-U, V = hl.Var("u"), hl.Var("v")
+U, V = declare_vars("u", "v")
 """Offset of a tap, in steps to the right and down."""
 
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
-import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend.buffers import Image, returns_host_images, take_channel, take_image, take_mask
+from lobewise.backend.compiler import hl
 from lobewise.backend.jit import Scheduled, get_kernel, run_kernel
 from lobewise.features.arrays import give_features, give_scalars
 from lobewise.features.base import Feature

@@ -19,9 +19,8 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import halide as hl
-
 from lobewise.backend import expressions
+from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import LOG2_E
 from lobewise.backend.signature import Signature
 from lobewise.features.arrays import declare_features, declare_scalars

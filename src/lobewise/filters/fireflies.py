@@ -14,11 +14,11 @@ from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
-import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend.buffers import Image, download, returns_host_images, take_image, take_mask
+from lobewise.backend.compiler import hl
 from lobewise.backend.jit import Scheduled, get_kernel, run_kernel
 from lobewise.backend.pointwise import LARGEST_FLOAT
 from lobewise.backend.signature import Signature

@@ -6,9 +6,8 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import halide as hl
-
 from lobewise.backend import expressions
+from lobewise.backend.compiler import hl
 from lobewise.backend.signature import Signature
 from lobewise.filters.planes import C, X, Y
 

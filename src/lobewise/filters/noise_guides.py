@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from functools import partial
 
-import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend import expressions
 from lobewise.backend.buffers import Image, device_scope, download, returns_host_images, take_image, take_mask
+from lobewise.backend.compiler import hl
 from lobewise.backend.jit import Scheduled, get_kernel, run_kernel
 from lobewise.backend.pointwise import LARGEST_FLOAT
 from lobewise.backend.signature import Signature

@@ -11,11 +11,10 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import halide as hl
-
+from lobewise.backend.compiler import declare_vars, hl
 from lobewise.features.base import Feature, Pixel, count_channels
 
-PIXEL = X, Y, C = hl.Var("x"), hl.Var("y"), hl.Var("c")
+PIXEL = X, Y, C = declare_vars("x", "y", "c")
 """Column, row and channel of the functions of all kernels."""
 
 

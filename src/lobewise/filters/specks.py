@@ -9,10 +9,10 @@ light is lost, and none reaches dark pixels.
 
 from __future__ import annotations
 
-import halide as hl
 import numpy as np
 
 from lobewise.backend.buffers import Image, device_scope, download, take_image
+from lobewise.backend.compiler import hl
 from lobewise.backend.jit import Scheduled, get_kernel, run_kernel
 from lobewise.backend.pointwise import LARGEST_FLOAT, is_finite
 from lobewise.backend.signature import Signature

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, NoReturn, TypeVar
 
-import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import HALIDE
 from lobewise.backend.pointwise import LARGEST_FLOAT, Grid, Vector, is_finite, run_pointwise
 from lobewise.camera import Camera

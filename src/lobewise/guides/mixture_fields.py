@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NoReturn
 
-import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import HALIDE
 from lobewise.backend.pointwise import Grid, Vector
 from lobewise.camera import Camera

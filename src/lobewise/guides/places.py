@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise, select_or_nan
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray

@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import halide as hl
 import numpy as np
 
+from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray, GBuffer

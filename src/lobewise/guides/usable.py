@@ -11,10 +11,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
-import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise
 from lobewise.frame import FloatArray, Frame
 from lobewise.guides.surfaces import find_surface_pixels, is_surface, is_surface_depth

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
-import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend.buffers import HostImage, device_scope, download, take_image, take_mask
+from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import LOG2_E
 from lobewise.backend.jit import Scheduled, get_kernel
 from lobewise.errors import InputError

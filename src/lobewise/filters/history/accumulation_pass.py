@@ -20,9 +20,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import halide as hl
-
 from lobewise.backend import expressions
+from lobewise.backend.compiler import hl
 from lobewise.backend.signature import Signature
 from lobewise.features.base import Feature
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, find_luminance

@@ -6,9 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-import halide as hl
-
 from lobewise.backend import expressions
+from lobewise.backend.compiler import hl
 from lobewise.backend.signature import Signature
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, count_samples, demodulate, find_luminance
 from lobewise.filters.history.accumulation_taps import TapGrid, Taps, U, V

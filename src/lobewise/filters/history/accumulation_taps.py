@@ -8,8 +8,7 @@ from functools import reduce
 from operator import mul
 from typing import Any
 
-import halide as hl
-
+from lobewise.backend.compiler import declare_vars, hl
 from lobewise.backend.signature import Signature
 from lobewise.features.arrays import declare_features, declare_scalars
 from lobewise.features.base import Feature, Stage
@@ -17,7 +16,7 @@ from lobewise.filters.cross_pass import make_stage
 from lobewise.filters.history.vectors import Pixels, Place
 from lobewise.filters.planes import C, GuidePlanes, X, Y, make_guide_planes
 
-U, V = hl.Var("u"), hl.Var("v")
+U, V = declare_vars("u", "v")
 """Offset of a tap, samples across and down."""
 
 

@@ -8,11 +8,11 @@ from functools import reduce
 from operator import or_
 from typing import Any
 
-import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend import expressions
+from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, give_channels, run_pointwise
 from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS

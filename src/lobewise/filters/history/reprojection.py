@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend.buffers import HostImage, device_scope, download, take_image, take_mask
+from lobewise.backend.compiler import hl
 from lobewise.backend.jit import Scheduled, get_kernel
 from lobewise.features.arrays import give_features, give_scalars
 from lobewise.features.base import Feature

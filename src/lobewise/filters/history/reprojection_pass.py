@@ -21,9 +21,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import halide as hl
-
 from lobewise.backend import expressions
+from lobewise.backend.compiler import declare_vars, hl
 from lobewise.backend.signature import Signature
 from lobewise.features.arrays import declare_features, declare_scalars
 from lobewise.features.base import Feature
@@ -45,7 +44,7 @@ NEAR = 1 << 8
 NOWHERE, IN_RUNS, APART = range(3)
 """No pixel of a vector has a place near the image; the pixels are loaded as vectors, run by run, or one by one."""
 
-U, V = hl.Var("u"), hl.Var("v")
+U, V = declare_vars("u", "v")
 """Column and row among the four pixels of a place."""
 TAPS = ((0, 0), (1, 0), (0, 1), (1, 1))
 """The four pixels of a place."""

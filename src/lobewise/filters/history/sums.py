@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-import halide as hl
 import numpy as np
 
 from lobewise.backend.buffers import HostImage, download, lend, make_output
+from lobewise.backend.compiler import hl
 from lobewise.backend.jit import Kernel
 from lobewise.backend.memory import make_planes
 from lobewise.errors import InputError

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
-import halide as hl
-
+from lobewise.backend.compiler import declare_vars, hl
 from lobewise.filters.planes import X, Y
 
-LANE, VECTOR = hl.Var("lane"), hl.Var("vector")
+LANE, VECTOR = declare_vars("lane", "vector")
 """Pixel within a vector, and number of the vector within its row."""
 
-Place = tuple[hl.Expr, hl.Expr]
+Place: TypeAlias = "tuple[hl.Expr, hl.Expr]"
 """Column and row of a pixel."""
 
 

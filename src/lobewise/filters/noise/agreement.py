@@ -7,9 +7,9 @@ widths, are this quotient, its certainty, the noise, the differences and the bri
 
 from __future__ import annotations
 
-import halide as hl
 import numpy as np
 
+from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import is_good
 from lobewise.backend.pointwise import Grid, Vector, run_pointwise
 from lobewise.filters.noise.pooling import (

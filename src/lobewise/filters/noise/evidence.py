@@ -15,9 +15,9 @@ errors is our own.
 
 from __future__ import annotations
 
-import halide as hl
 import numpy as np
 
+from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import is_good
 from lobewise.backend.pointwise import Grid, Vector, run_pointwise
 from lobewise.filters.noise.pooling import REACH as POOLING_REACH

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import halide as hl
 import numpy as np
 
+from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise
 from lobewise.filters.cross_pass import COLORS
 from lobewise.frame import FloatArray

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-import halide as hl
 import numpy as np
 
 from lobewise.backend import expressions
+from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import is_good
 from lobewise.backend.pointwise import Grid, Vector, run_pointwise
 from lobewise.filters.noise.residuals import DIFFERENCES, SHARED_NOISE_VARIANCE

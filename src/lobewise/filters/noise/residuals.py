@@ -10,10 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, run_pointwise, select_or_nan
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS, demodulate
 from lobewise.frame import FloatArray

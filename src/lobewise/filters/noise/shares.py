@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from functools import partial
 
-import halide as hl
 import numpy as np
 
+from lobewise.backend.compiler import hl
 from lobewise.backend.jit import Scheduled, get_kernel, run_kernel
 from lobewise.backend.signature import Signature
 from lobewise.filters.mixing import Network

@@ -10,8 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-import halide as hl
-
+from lobewise.backend.compiler import hl
 from lobewise.filters.planes import C, X, Y
 from lobewise.filters.refinement.shape import LAYERS, LEVELS, PLANES, SQUEEZED, UNITS
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import halide as hl
-
+from lobewise.backend.compiler import hl
 from lobewise.backend.jit import Scheduled
 from lobewise.backend.pointwise import LARGEST_FLOAT
 from lobewise.backend.signature import Signature

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-import halide as hl
-
 from lobewise.backend import expressions
+from lobewise.backend.compiler import hl
 from lobewise.backend.jit import Scheduled
 from lobewise.backend.signature import Signature
 from lobewise.filters.cross_pass import COLORS

@@ -13,9 +13,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import halide as hl
-
 from lobewise.backend import expressions
+from lobewise.backend.compiler import hl
 from lobewise.filters.cross_pass import COLORS
 from lobewise.filters.planes import C, X, Y
 from lobewise.filters.refinement.convolutions import Convolution, Input, Network, Size, define_convolution, surround

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import halide as hl
-
+from lobewise.backend.compiler import hl
 from lobewise.filters.history.accumulation_stages import AccumulationFuncs
 from lobewise.filters.history.accumulation_taps import TapGrid
 from lobewise.filters.history.vectors import LANE, VECTOR

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import halide as hl
+from lobewise.backend.compiler import hl
 
 COLUMNS, ROWS = 16, 8
 """Threads of a block, across and down: pixels of a block share most taps, so the block reads them from its cache."""

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import halide as hl
-
+from lobewise.backend.compiler import hl
 from lobewise.filters.mixing_pass import Stage
 from lobewise.filters.planes import PIXEL
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import halide as hl
-
+from lobewise.backend.compiler import hl
 from lobewise.filters.cross_pass import COLORS
 from lobewise.filters.dual_buffer_pass import GUIDE_CHANNELS
 from lobewise.filters.planes import PIXEL

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import halide as hl
-
+from lobewise.backend.compiler import hl
 from lobewise.filters.cross_pass import COLORS
 from lobewise.filters.planes import PIXEL
 from lobewise.filters.refinement.convolutions import Convolution, Input, Network

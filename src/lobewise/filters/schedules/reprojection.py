@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import halide as hl
-
+from lobewise.backend.compiler import hl
 from lobewise.filters.history.reprojection_pass import PreparationFuncs, ReprojectionFuncs, VectorFuncs, WayFuncs
 from lobewise.filters.history.vectors import LANE, VECTOR
 from lobewise.filters.planes import X, Y

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import halide as hl
-
+from lobewise.backend.compiler import hl
 from lobewise.filters.planes import C, GuidePlanes, Rows, X, Y
 
 STRIP_ROWS = 32

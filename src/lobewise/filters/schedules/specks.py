@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import halide as hl
-
+from lobewise.backend.compiler import hl
 from lobewise.filters.planes import PIXEL
 from lobewise.filters.schedules.blocks import ALIGNMENT, spread_pixels
 from lobewise.filters.schedules.rows import STRIP_ROWS

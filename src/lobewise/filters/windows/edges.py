@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import halide as hl
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise
 from lobewise.filters.noise.pooling import clamp_to_image
 from lobewise.frame import FloatArray

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import halide as hl
 import numpy as np
 
+from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise
 from lobewise.frame import FloatArray
 

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import halide as hl
 import numpy as np
 
+from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, run_pointwise
 from lobewise.filters.noise.pooling import add_channels, average_light, blur_image, count_weights
 from lobewise.frame import FloatArray

@@ -1,0 +1,66 @@
+"""Halide, which compiles kernels, and llvmlite, which loads them: both come with the extra ``lobewise[jit]``.
+
+Modules that define kernels read `hl` as if it were ``import halide as hl``. Where Halide is not installed they can
+still be imported, and the kernels that the package brings along still run; to define another kernel raises an error.
+"""
+
+from __future__ import annotations
+
+import importlib
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+from lobewise.errors import MissingDependencyError
+
+__all__ = ["declare_vars", "has_compiler", "hl", "load_llvm", "refuse_compiling"]
+
+
+def refuse_compiling(got: str) -> MissingDependencyError:
+    """Return the error for a kernel that must be compiled where the compiler is absent; ``got`` says what came."""
+    return MissingDependencyError(
+        "kernels",
+        expected="Halide and llvmlite, to compile a kernel that is not in the package",
+        got=got,
+        action="pip install 'lobewise[jit]'",
+    )
+
+
+class _Absent:
+    """Stands for Halide's module where it cannot be imported."""
+
+    def __init__(self, problem: str) -> None:
+        self._problem = problem
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            # Python itself asks modules for such names, to print them for instance.
+            raise AttributeError(name)
+        raise refuse_compiling(self._problem)
+
+
+if TYPE_CHECKING:
+    import halide as hl
+else:
+    try:
+        import halide as hl
+    except (ImportError, OSError) as problem:
+        hl = _Absent(str(problem))
+
+
+def has_compiler() -> bool:
+    """Return whether kernels can be compiled here."""
+    return not isinstance(hl, _Absent)
+
+
+def declare_vars(*names: str) -> tuple[Any, ...]:
+    """Return Halide's variables for the coordinates of kernels; None for each where Halide is absent."""
+    return tuple(hl.Var(name) if has_compiler() else None for name in names)
+
+
+@cache
+def load_llvm() -> Any:
+    """Return llvmlite's binding of LLVM; raise MissingDependencyError if it is absent."""
+    try:
+        return importlib.import_module("llvmlite.binding")
+    except (ImportError, OSError) as problem:
+        raise refuse_compiling(str(problem)) from problem
