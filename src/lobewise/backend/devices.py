@@ -13,7 +13,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
-from lobewise.backend.compiler import hl
+from lobewise.backend.compiler import has_compiler, hl
+from lobewise.backend.prebuilt import find_library
 from lobewise.errors import DeviceError, require_choice
 
 DEVICES = ("cpu", "vulkan", "cuda", "metal")
@@ -60,11 +61,13 @@ class _NoDeviceError(Exception):
 
 def list_devices() -> list[Device]:
     """Return all devices that this version has schedules for, whether they can be used here or not."""
-    target = hl.get_host_target()
-    lanes = target.natural_vector_size(hl.Float(32))
-    described = f"{target.arch.name.lower()}, {lanes} lanes of float32: {target.to_string()}"
+    target = _name_host()
+    described = f"{target.partition('-')[0]}, {count_host_lanes()} lanes of float32: {target}"
     found = [Device("cpu", True, described)]
     for name in DEVICES[1:]:
+        if not has_compiler():
+            found.append(Device(name, False, "needs Halide: pip install 'lobewise[jit]'"))
+            continue
         try:
             seen = _find(name)
             found.append(Device(name, True, seen.name, seen.is_software))
@@ -99,6 +102,10 @@ def choose_device(name: str) -> str:
 
 def make_target(device: str) -> hl.Target:
     """Return the target of a device, without Halide's checks of buffers: they are checked before a call."""
+    library = find_library() if device == "cpu" else None
+    if library is not None:
+        # A kernel that is compiled here runs beside kernels of the library, on vectors of the same width.
+        return hl.Target(library.target)
     target = hl.get_host_target()
     names = ["NoAsserts", "NoBoundsQuery", *_FEATURES.get(device, ())]
     if device == "cuda":
@@ -107,6 +114,19 @@ def make_target(device: str) -> hl.Target:
     for name in names:
         target = target.with_feature(getattr(hl.TargetFeature, name))
     return target
+
+
+@cache
+def count_host_lanes() -> int:
+    """Return the number of float32 in a vector of the processor's kernels."""
+    library = find_library()
+    return int(hl.get_host_target().natural_vector_size(hl.Float(32))) if library is None else library.lanes
+
+
+def _name_host() -> str:
+    """Return the target of the processor's kernels, as Halide writes it."""
+    library = find_library()
+    return str(hl.get_host_target().to_string()) if library is None else library.target
 
 
 @cache

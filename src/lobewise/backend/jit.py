@@ -1,5 +1,6 @@
 """Kernels: compiled once per machine, cached on disk, loaded, and called with named arguments.
 
+The kernels that come with the package are used where they are there (`lobewise.backend.prebuilt`). Others are compiled:
 Halide compiles a kernel to an object file, which takes a second or more; llvmlite loads that file, which takes some
 milliseconds. The name of a kernel's file tells what it was made from: the definitions that its maker refers to
 (`lobewise.backend.sources`), Halide's version, the target and the kernel's key. Kernels of features that other packages
@@ -10,7 +11,7 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields, is_dataclass
 from enum import Enum
 from functools import cache, partial
@@ -19,10 +20,11 @@ from types import FunctionType
 from typing import Any
 
 from lobewise.backend.buffers import Image, lend, make_output
-from lobewise.backend.compiler import hl
+from lobewise.backend.compiler import has_compiler, hl, refuse_compiling
 from lobewise.backend.devices import make_target
 from lobewise.backend.disk import fetch_object
 from lobewise.backend.objects import compile_object
+from lobewise.backend.prebuilt import find_library, name_symbol
 from lobewise.backend.runtime import Runtime, get_runtime
 from lobewise.backend.signature import Parameter, Signature, check_call, describe_call, unpack_parameters
 from lobewise.backend.sources import PACKAGE, describe_definitions
@@ -122,12 +124,33 @@ def get_kernel(device: str, key: Hashable, make: Callable[[hl.Target], Scheduled
     """
     with _kernels_lock:
         if (device, key) not in _kernels:
-            target = make_target(device)
-            if strict:
-                target = target.with_feature(hl.TargetFeature.StrictFloat)
-            known = describe_kernel(key, make)
-            _kernels[device, key] = _load(device, known and f"{known} {target}", target, make, len(_kernels))
+            bundled = _find_prebuilt(key, make, strict=strict) if device == "cpu" else None
+            _kernels[device, key] = bundled or _compile_or_load(device, key, make, strict=strict)
         return _kernels[device, key]
+
+
+def _find_prebuilt(key: Hashable, make: Callable[..., Any], *, strict: bool) -> Kernel | None:
+    """Return a kernel of the library that came with the package; None if it must be compiled here.
+
+    Raises MissingDependencyError if it must be compiled and no compiler is installed.
+    """
+    library, identity = find_library(), identify_kernel(key, make, strict=strict)
+    if library is not None and identity is not None and identity in library.kernels:
+        name, parameters = library.kernels[identity]
+        address = library.find(f"{name_symbol(identity)}_argv")
+        return Kernel(get_runtime("cpu"), address, name, unpack_parameters(parameters))
+    if has_compiler():
+        return None
+    told = _name_maker(make).removeprefix(f"{PACKAGE}.")
+    raise refuse_compiling(f"one of {told} for {library.target if library else 'this processor'}")
+
+
+def _compile_or_load(device: str, key: Hashable, make: Callable[..., Any], *, strict: bool) -> Kernel:
+    target = make_target(device)
+    if strict:
+        target = target.with_feature(hl.TargetFeature.StrictFloat)
+    known = describe_kernel(key, make)
+    return _load(device, known and f"{known} {target}", target, make, len(_kernels))
 
 
 def run_kernel(kernel: Kernel, device: str, images: Mapping[str, Image], **numbers: float) -> dict[str, Image]:
@@ -173,11 +196,13 @@ def _load(
 ) -> Kernel:
     runtime = get_runtime(device)
     symbol = "kernel_" + hashlib.sha256((known or f"{number}").encode()).hexdigest()[:24]
-    content, head = fetch_object(known, lambda: _compile(make, target, symbol), symbol=f"{symbol}_argv")
+    content, head = fetch_object(known, lambda: compile_kernel(make, target, symbol), symbol=f"{symbol}_argv")
     return Kernel(runtime, runtime.load(content, f"{symbol}_argv"), head["name"], unpack_parameters(head["parameters"]))
 
 
-def _compile(make: Callable[[hl.Target], Scheduled], target: hl.Target, symbol: str) -> tuple[bytes, dict[str, Any]]:
+def compile_kernel(
+    make: Callable[[hl.Target], Scheduled], target: hl.Target, symbol: str
+) -> tuple[bytes, dict[str, Any]]:
     """Return a kernel's object file, and its name and parameters as JSON keeps them."""
     with tell_compiling():
         funcs = make(target)
@@ -195,9 +220,21 @@ def describe_kernel(key: Hashable, make: Callable[..., Any]) -> str | None:
     """Return a text that identifies a kernel's code in all processes; None if a part is not of this package."""
     told = describe_key(key)
     names = list_definitions(key, make)
-    if told is None or not all(name.startswith(f"{PACKAGE}.") for name in names):
+    if told is None or not _are_own(names):
         return None
     return f"{version('halide')} {_describe_definitions(names)} {told}"
+
+
+def identify_kernel(key: Hashable, make: Callable[..., Any], *, strict: bool) -> str | None:
+    """Return a name that a kernel has among all of one version of this package; None if a part is not of it."""
+    told = describe_key(key)
+    if told is None or not _are_own(list_definitions(key, make)):
+        return None
+    return hashlib.sha256(f"{_name_maker(make)} {told} {strict}".encode()).hexdigest()[:24]
+
+
+def _are_own(names: Iterable[str]) -> bool:
+    return all(name.startswith(f"{PACKAGE}.") for name in names)
 
 
 _describe_definitions = cache(describe_definitions)
@@ -205,9 +242,13 @@ _describe_definitions = cache(describe_definitions)
 
 def list_definitions(key: Hashable, make: Callable[..., Any]) -> frozenset[str]:
     """Return the full names of the definitions that a kernel is made from, without those that they refer to."""
+    return frozenset({_name_definition(compile_kernel), _name_maker(make), *_list_definitions(key)})
+
+
+def _name_maker(make: Callable[..., Any]) -> str:
     while isinstance(make, partial):
         make = make.func
-    return frozenset({_name_definition(_compile), _name_definition(make), *_list_definitions(key)})
+    return _name_definition(make)
 
 
 def _name_definition(definition: Any) -> str:

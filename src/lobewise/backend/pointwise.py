@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from lobewise.backend.buffers import download, take_mask
 from lobewise.backend.compiler import hl
+from lobewise.backend.devices import count_host_lanes
 from lobewise.backend.jit import Scheduled, get_kernel, run_kernel
 from lobewise.backend.signature import Signature
 from lobewise.errors import InputError
@@ -238,7 +239,7 @@ def run_pointwise(
         tuple((name, image[0, 0].size, image.dtype == np.uint8) for name, image in held.items()),
         tuple((name, len(vector), vector.dtype != np.float32) for name, vector in vectors.items()),
         # A row of differences is a pixel shorter.
-        narrow=width <= hl.get_host_target().natural_vector_size(hl.Float(32)),
+        narrow=width <= count_host_lanes(),
     )
     kernel = get_kernel("cpu", key, partial(_make, key), strict=True)
     named = {f"{name}_{k}": float(value) for name, vector in vectors.items() for k, value in enumerate(vector)}

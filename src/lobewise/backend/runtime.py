@@ -1,4 +1,7 @@
-"""Loads Halide's runtime for a device into this process, and the object files of kernels that call it."""
+"""Loads Halide's runtime for a device into this process, and the object files of kernels that call it.
+
+The processor's runtime comes from the library of prebuilt kernels where the package has one.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,8 @@ import os
 import re
 import threading
 from collections.abc import Callable
-from functools import cache
+from contextlib import suppress
+from functools import cache, partial
 from importlib.metadata import version
 from typing import Any
 
@@ -15,6 +19,7 @@ from lobewise.backend.compiler import hl, load_llvm
 from lobewise.backend.devices import VULKAN_BLOCK, VULKAN_MULTIPLE, make_target
 from lobewise.backend.disk import fetch_object
 from lobewise.backend.objects import compile_object
+from lobewise.backend.prebuilt import find_library
 from lobewise.chunks import ForkGate, make_fork_lock
 from lobewise.errors import DeviceError
 
@@ -34,22 +39,14 @@ class Runtime:
 
     def __init__(self, device: str) -> None:
         self.device = device
-        llvm = load_llvm()
-        llvm.initialize_native_target()
-        llvm.initialize_native_asmprinter()
         self._problems = threading.local()
-        target = make_target(device)
         if device == "vulkan":
             # The runtime reads the variable when the first kernel starts; see `lobewise.backend.devices`.
             values = ("0", str(VULKAN_BLOCK), "0", "0", str(VULKAN_MULTIPLE))
             os.environ.setdefault("HL_VK_ALLOC_CONFIG", os.pathsep.join(values))
-
-        def compile_runtime(path: str) -> None:
-            hl.compile_standalone_runtime(path, target)
-
-        known = f"runtime {version('halide')} {target}"
-        content, _ = fetch_object(known, lambda: (compile_object(compile_runtime), {}), symbol="halide_error")
-        self._engine = _load_object(content)
+        library = find_library() if device == "cpu" else None
+        self.find = library.find if library else partial(_find_function, _compile_runtime(device))
+        """Returns the address of a function of the runtime; raises LookupError if there is none of this name."""
         self._loaded: list[Any] = []
         for name in _CONSTRUCTORS.get(device, ()):
             self.get("void", name)()
@@ -69,16 +66,12 @@ class Runtime:
         memory. Within one engine a file must lie within 2 GiB of the runtime.
         """
         for told in set(_RUNTIME_NAMES.findall(content)):
-            address = self._engine.get_function_address(told.decode())
-            if address:
-                load_llvm().add_symbol(told.decode(), address)
+            # Kernels may also mention names of the runtimes of other devices.
+            with suppress(LookupError):
+                load_llvm().add_symbol(told.decode(), self.find(told.decode()))
         engine = _load_object(content)
         self._loaded.append(engine)
         return _find_function(engine, name)
-
-    def find(self, name: str) -> int:
-        """Return the address of a function of the runtime."""
-        return _find_function(self._engine, name)
 
     def get(self, result: str, name: str, *arguments: Any) -> Callable[..., Any]:
         """Return a function of the runtime; ``result`` is "void", "int" for a code, or "pointer" for an address."""
@@ -105,9 +98,23 @@ class Runtime:
             )
 
 
+def _compile_runtime(device: str) -> Any:
+    """Return an engine with Halide's runtime for a device, compiled on first use on a machine."""
+    target = make_target(device)
+    known = f"runtime {version('halide')} {target}"
+
+    def write(path: str) -> None:
+        hl.compile_standalone_runtime(path, target)
+
+    content, _ = fetch_object(known, lambda: (compile_object(write), {}), symbol="halide_error")
+    return _load_object(content)
+
+
 def _load_object(content: bytes) -> Any:
     """Return an engine with an object file loaded. The file must be whole: otherwise LLVM ends the process."""
     llvm = load_llvm()
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
     machine = llvm.Target.from_default_triple().create_target_machine()
     # llvmlite's memory manager puts the sections of a file side by side, so that they reach each other.
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine, use_lmm=True)

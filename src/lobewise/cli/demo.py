@@ -16,7 +16,7 @@ from lobewise.bench.machine import find_processor
 from lobewise.chunks import count_cores
 from lobewise.denoising import denoise
 from lobewise.denoising.bad_pixels import blacken_bad
-from lobewise.errors import InputError
+from lobewise.errors import FileError, InputError
 from lobewise.frame import FloatArray, Frame
 from lobewise.io import read_frame
 from lobewise.io.files import PathLike, make_folder, write_text
@@ -133,8 +133,21 @@ def make_demo(
 
 
 def load_bundled() -> tuple[Frame, FloatArray, int]:
-    """Return the frame inside the package, its reference, and the reference's samples per pixel."""
+    """Return the frame of the repository, its reference, and the reference's samples per pixel.
+
+    Raises
+    ------
+    FileError
+        If the package was installed from a wheel: wheels do not bring the frame along.
+    """
     folder = files("lobewise").joinpath("data")
+    if not folder.joinpath(FRAME).is_file():
+        raise FileError(
+            "demo",
+            expected=f"{FRAME} in the package",
+            got="a package installed from a wheel, which has no frames",
+            action="run it from a clone of the repository, or add --live, which renders the frame with Mitsuba",
+        )
     with as_file(folder.joinpath(FRAME)) as path:
         frame = restore_positions(read_frame(path))
     with as_file(folder.joinpath(REFERENCE)) as path:

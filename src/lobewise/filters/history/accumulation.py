@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lobewise.backend.buffers import HostImage, device_scope, download, take_image, take_mask
 from lobewise.backend.compiler import hl
+from lobewise.backend.devices import count_host_lanes
 from lobewise.backend.expressions import LOG2_E
 from lobewise.backend.jit import Scheduled, get_kernel
 from lobewise.errors import InputError
@@ -29,7 +30,6 @@ from lobewise.filters.history.accumulation_stages import AccumulationFuncs
 from lobewise.filters.history.sums import (
     HISTORY_CHANNELS,
     Sums,
-    count_host_lanes,
     fill,
     run_planes,
     split_history,

@@ -16,7 +16,7 @@ from lobewise.features.arrays import give_features, give_scalars
 from lobewise.features.base import Feature
 from lobewise.filters.cross_pass import describe_structure
 from lobewise.filters.history.reprojection_pass import make_preparation, make_reprojection
-from lobewise.filters.history.sums import count_host_lanes, run_planes, split_history, widen
+from lobewise.filters.history.sums import run_planes, split_history, widen
 from lobewise.filters.schedules.reprojection import schedule_preparation, schedule_reprojection
 from lobewise.filters.schedules.rows import count_lanes
 from lobewise.frame import FloatArray
@@ -134,7 +134,7 @@ def reproject(
 def _make_preparation(features: Sequence[Feature], target: hl.Target) -> Scheduled:
     """Return the kernel of `prepare_pixels`, ready to be compiled."""
     funcs = make_preparation(features)
-    schedule_preparation(funcs, count_host_lanes())
+    schedule_preparation(funcs, int(target.natural_vector_size(hl.Float(32))))
     return Scheduled([funcs.out], funcs.signature)
 
 

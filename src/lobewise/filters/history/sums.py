@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lobewise.backend.buffers import HostImage, download, lend, make_output
-from lobewise.backend.compiler import hl
+from lobewise.backend.devices import count_host_lanes
 from lobewise.backend.jit import Kernel
 from lobewise.backend.memory import make_planes
 from lobewise.errors import InputError
@@ -83,11 +83,6 @@ def add_to_sums(
     added = [*(total * light[:, k] for k in range(3)), total, total * unit, total * luminance**2]
     for channel, value in enumerate(added):
         history[(*where, channel)] += value
-
-
-def count_host_lanes() -> int:
-    """Return the number of pixels of this machine's vectors: the smallest width of images for these kernels."""
-    return int(hl.get_host_target().natural_vector_size(hl.Float(32)))
 
 
 def widen(image: HostImage) -> HostImage:

@@ -1,0 +1,1 @@
+"""Programs that make a release: kernels compiled ahead of time, wheels, and the measurement of an installed wheel."""

@@ -1,0 +1,203 @@
+"""The list of kernels that are compiled ahead of time: all that the recipes ask for over all documented settings.
+
+``python -m releasing.catalogue`` prints how many kernels each part of the list adds.
+
+Kernels are recorded, not computed (`releasing.recording`). What the list leaves out must be compiled where it is used,
+which needs ``lobewise[jit]``: features of other packages, and numbers that are unusual for settings that are unusual.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+import lobewise
+from lobewise import Frame
+from lobewise.errors import LobewiseError
+from lobewise.settings import MAX_LOBES
+from lobewise.settings.choices import FORMS, MAX_SCALE_PIXELS, QUALITIES, SIMILARITIES
+from releasing.frames import NARROW, SIZE, combine, drop, make_frame, vary_main_images, vary_rare_images
+from releasing.recording import Wanted, record_kernels
+
+MAX_RADIUS_PIXELS = 16
+"""Largest radius whose kernels are compiled ahead of time, for the usual similarities."""
+Case = Callable[[], Any]
+
+
+def denoise(frame: Frame, **changes: Any) -> Case:
+    """Return a call of the recipe without Open Image Denoise, whose kernels are those of the quality "high"."""
+    return lambda: lobewise.denoise(frame, device="cpu", with_oidn=False, **changes)
+
+
+def list_qualities() -> Iterator[Case]:
+    """Yield every quality on every usual combination of images."""
+    rich = make_frame()
+    for frame in (*vary_main_images(rich), *vary_rare_images(rich), *vary_rare_images(combine(rich))):
+        for quality in QUALITIES:
+            yield denoise(frame, quality=quality)
+    narrow = make_frame((SIZE[0], NARROW))
+    for frame in (narrow, combine(narrow), drop(narrow, "tangent", "alpha_v")):
+        for quality in QUALITIES:
+            yield denoise(frame, quality=quality)
+
+
+def list_similarities() -> Iterator[Case]:
+    """Yield every similarity with each of its options."""
+    for whole in (make_frame(), drop(make_frame(), "tangent", "alpha_v"), drop(make_frame(), "hit_albedo")):
+        for frame in (whole, combine(whole), whole.with_changes(half_a=None, half_b=None)):
+            for similarity in SIMILARITIES:
+                for quality in QUALITIES:
+                    yield denoise(frame, quality=quality, similarity=similarity)
+                for form in FORMS:
+                    yield denoise(frame, quality="fast", form=form, similarity=similarity)
+                    if SIMILARITIES[similarity].takes_hits:
+                        yield denoise(frame, quality="fast", form=form, similarity=similarity, hit_distance=True)
+                if SIMILARITIES[similarity].takes_hits:
+                    for quality in QUALITIES:
+                        yield denoise(frame, quality=quality, similarity=similarity, hit_distance=True)
+            for quality in QUALITIES:
+                yield denoise(frame, quality=quality, similarity="normal", band_limit=1.0)
+            for lobes in range(1, MAX_LOBES + 1):
+                yield denoise(frame, quality="fast", similarity="sg_mixture", lobes=lobes)
+
+
+def list_radii() -> Iterator[Case]:
+    """Yield every radius up to `MAX_RADIUS_PIXELS` with the similarities that "auto" chooses."""
+    rich = drop(make_frame(), "tangent", "alpha_v")
+    bare = drop(rich.with_changes(half_a=None, half_b=None), "hit_albedo", "hit_normal", "hit_distance", "position")
+    for radius in range(MAX_RADIUS_PIXELS + 1):
+        for whole in (rich, bare):
+            for frame in (whole, combine(whole)):
+                for similarity in ("ggx", "normal"):
+                    yield denoise(frame, quality="high", similarity=similarity, radius=radius)
+                    yield denoise(frame, quality="balanced", similarity=similarity, radius=radius)
+                    for form in ("full", "separable"):
+                        yield denoise(frame, quality="fast", form=form, similarity=similarity, radius=radius)
+
+
+def list_upsampling() -> Iterator[Case]:
+    """Yield upsampling by every similarity and scale."""
+
+    def upsample(frame: Frame, scale: int, **changes: Any) -> Case:
+        return lambda: lobewise.upsample(lobewise.make_sparse(frame, scale, (1, 1)), device="cpu", **changes)
+
+    rich = make_frame((32, 48))
+    for frame in (rich, combine(rich), drop(rich, "tangent", "alpha_v"), drop(rich, "position"), drop(rich, *_HITS)):
+        for similarity in SIMILARITIES:
+            yield upsample(frame, 4, similarity=similarity)
+        yield upsample(frame, 4, bilinear=True)
+        for scale in range(2, MAX_SCALE_PIXELS + 1):
+            yield upsample(frame, scale)
+        yield lambda frame=frame: _recompute(frame)  # type: ignore[misc]
+
+
+_HITS = "hit_distance", "hit_normal", "hit_albedo"
+
+
+def _recompute(frame: Frame) -> Any:
+    result = lobewise.upsample(lobewise.make_sparse(frame, 4), device="cpu")
+
+    def shade(rows: np.ndarray, columns: np.ndarray) -> lobewise.Radiance:
+        images = {name: getattr(frame.radiance, name) for name in ("color", "diffuse", "specular")}
+        return lobewise.Radiance(**{n: None if i is None else i[rows, columns][:, None] for n, i in images.items()})
+
+    return lobewise.recompute(result, shade, samples=1.0, frame=frame)
+
+
+def list_histories() -> Iterator[Case]:
+    """Yield histories of three frames."""
+
+    def follow(frame: Frame, scale: int, **changes: Any) -> Case:
+        def run() -> None:
+            history = lobewise.TemporalFilter(device="cpu", **changes)
+            for number in range(3):
+                given = lobewise.make_sparse(frame, scale, (number, 0)) if scale > 1 else frame
+                history.add(given)
+
+        return run
+
+    rich = make_frame((32, 48))
+    frames = (
+        rich,
+        combine(rich),
+        drop(rich, "tangent", "alpha_v"),
+        drop(rich, *_HITS),
+        drop(rich, *_HITS, "tangent", "alpha_v", "position"),
+        drop(rich, "motion"),
+        drop(rich, "diffuse_albedo", "specular_albedo", "mean_diffuse_albedo", "mean_specular_albedo"),
+        make_frame((SIZE[0], NARROW)),
+    )
+    for frame in frames:
+        for form in FORMS:
+            yield follow(frame, 1, form=form)
+        for similarity in SIMILARITIES:
+            yield follow(frame, 1, similarity=similarity)
+            yield follow(frame, 4, similarity=similarity)
+        for scale in (2, 3, 8):
+            yield follow(frame, scale)
+
+
+def list_windows() -> Iterator[Case]:
+    """Yield windows in time of each reach over three frames."""
+
+    def join(frame: Frame, reach: int, **changes: Any) -> Case:
+        frames = [frame] + [make_frame(frame.shape, seed=seed).with_changes(gbuffer=frame.gbuffer) for seed in (2, 3)]
+        return lambda: lobewise.WindowFilter(reach, device="cpu", **changes).denoise(frames, 1)
+
+    rich = make_frame()
+    for frame in (*vary_rare_images(rich), drop(rich, *_HITS), drop(rich, "motion")):
+        yield join(frame, 1)
+    for quality in QUALITIES:
+        for similarity in SIMILARITIES:
+            yield join(rich, 2, quality=quality, similarity=similarity)
+
+
+PARTS: dict[str, Callable[[], Iterator[Case]]] = {
+    "qualities": list_qualities,
+    "similarities": list_similarities,
+    "radii": list_radii,
+    "upsampling": list_upsampling,
+    "histories": list_histories,
+    "windows": list_windows,
+}
+
+
+def list_kernels(seeds: tuple[int, ...] = (0, 1)) -> dict[str, Wanted]:
+    """Return every kernel of the list by identity."""
+    found: dict[str, Wanted] = {}
+    for cases in PARTS.values():
+        found |= record_cases(cases, seeds)
+    return found
+
+
+def record_cases(cases: Callable[[], Iterator[Case]], seeds: tuple[int, ...] = (0, 1)) -> dict[str, Wanted]:
+    """Return the kernels that cases ask for. Cases that a recipe refuses, for lack of an image, ask for few."""
+    found: dict[str, Wanted] = {}
+    for seed in seeds:
+        with record_kernels(seed) as recorded, warnings.catch_warnings():
+            # Random numbers are no image: recipes divide by zero, which changes no kernel.
+            warnings.simplefilter("ignore")
+            for run in cases():
+                try:
+                    run()
+                except LobewiseError:
+                    continue
+        found |= recorded
+    return found
+
+
+def main() -> None:
+    """Print how many kernels each part adds."""
+    found: dict[str, Wanted] = {}
+    for name, cases in PARTS.items():
+        more = record_cases(cases)
+        print(f"{name}: {len(more)} kernels, {len(more.keys() - found.keys())} of them new", flush=True)
+        found |= more
+    print(f"{len(found)} kernels for frames of {SIZE[1]}x{SIZE[0]} pixels and more")
+
+
+if __name__ == "__main__":
+    main()

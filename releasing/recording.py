@@ -1,0 +1,77 @@
+"""Records which kernels the package asks for, without compiling any.
+
+Kernels that are recorded do not compute: they fill their outputs with fixed random numbers. So a recipe runs to its end
+in milliseconds, and asks for every kernel on its way. Branches that depend on pixels are taken as these numbers say, so
+cases are run with several seeds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+from unittest.mock import patch
+
+import halide as hl
+import numpy as np
+
+from lobewise.backend import jit
+from lobewise.backend.devices import make_target
+from lobewise.backend.signature import Parameter, check_call
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A kernel that somebody asked for.
+
+    Parameters
+    ----------
+    key : hashable
+        Key of the kernel; see `lobewise.backend.jit.get_kernel`.
+    make : callable
+        Returns the scheduled kernel for a target.
+    strict : bool
+        Whether float operations keep their order.
+    """
+
+    key: Any
+    make: Callable[[hl.Target], jit.Scheduled]
+    strict: bool
+
+
+class _RecordedKernel(jit.Kernel):
+    """A kernel that fills its outputs instead of computing them."""
+
+    def __init__(self, name: str, parameters: list[Parameter], seed: int) -> None:
+        self.name, self.parameters = name, tuple(parameters)
+        self._random = np.random.default_rng(seed)
+
+    def __call__(self, **arguments: Any) -> None:
+        check_call(self.name, self.parameters, arguments)
+        for each in self.outputs:
+            array = arguments[each.name].array
+            values = self._random.uniform(0.0, 2.0, array.shape)
+            array[...] = values.astype(array.dtype)
+
+
+@contextmanager
+def record_kernels(seed: int = 0) -> Iterator[dict[str, Wanted]]:
+    """Record the processor's kernels that are asked for inside the ``with`` block, by identity.
+
+    Kernels with features of other packages have no identity, and are not recorded.
+    """
+    found: dict[str, Wanted] = {}
+    shapes: dict[tuple[str, Any], tuple[str, list[Parameter]]] = {}
+
+    def take(key: Any, make: Callable[[hl.Target], jit.Scheduled], *, strict: bool) -> jit.Kernel:
+        identity = jit.identify_kernel(key, make, strict=strict)
+        if identity is not None:
+            found.setdefault(identity, Wanted(key, make, strict))
+        if (identity or "", key) not in shapes:
+            signature = make(make_target("cpu")).signature
+            shapes[identity or "", key] = signature.name, signature.parameters
+        return _RecordedKernel(*shapes[identity or "", key], seed)
+
+    with patch.object(jit, "_find_prebuilt", take), patch.object(jit, "_kernels", {}):
+        yield found

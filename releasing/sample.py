@@ -1,0 +1,46 @@
+"""Makes ``src/lobewise/data/sample.exr``, the small frame of exports, from the frame of `lobewise demo`.
+
+``python -m releasing.sample``. All but the part that exports use is black, so that the file is small; size and camera
+are those of the whole frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import lobewise
+from lobewise.exporting.sample import COLUMNS, ROWS
+
+DATA = Path(lobewise.__file__).parent / "data"
+
+
+def blacken_outside(images: Any) -> Any:
+    """Return images that are 0 outside the part."""
+    changed = {}
+    for item in fields(images):
+        image = getattr(images, item.name)
+        if image is not None:
+            changed[item.name] = np.zeros_like(image)
+            changed[item.name][ROWS, COLUMNS] = image[ROWS, COLUMNS]
+    return replace(images, **changed)
+
+
+def main() -> None:
+    """Write the file."""
+    frame = lobewise.read_frame(str(DATA / "showroom-4spp.exr"))
+    part = frame.with_changes(
+        radiance=blacken_outside(frame.radiance),
+        gbuffer=blacken_outside(frame.gbuffer),
+        half_a=None,
+        half_b=None,
+        variance=None,
+    )
+    lobewise.write_frame(str(DATA / "sample.exr"), part)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,204 @@
+"""Kernels that come compiled with the package: used without a compiler, with the bits of the compiler, or refused."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lobewise
+from lobewise.backend import prebuilt
+from lobewise.errors import MissingDependencyError
+from releasing.frames import make_frame
+from releasing.libraries import build, compile_kernels
+from releasing.recording import record_kernels
+from releasing.systems import SYSTEMS, System
+
+pytestmark = pytest.mark.skipif(
+    prebuilt.name_system() not in SYSTEMS or shutil.which("cc") is None, reason="needs a C compiler and a known system"
+)
+
+RUN = """
+import sys
+from pathlib import Path
+from lobewise.backend import prebuilt
+{setup}
+import numpy as np
+import lobewise
+from releasing.frames import make_frame
+clean = lobewise.denoise(make_frame(), quality="fast", radius=3, device="cpu")
+np.save({output!r}, clean.image)
+print(sorted(name for name in ("halide", "llvmlite") if sys.modules.get(name)))
+"""
+BLOCKED = "sys.modules.update(halide=None, llvmlite=None); prebuilt.FOLDER = Path({folder!r})"
+COMPILED = """
+import halide as hl
+hl.get_host_target = lambda: hl.Target({target!r})
+"""
+
+
+def get_system() -> System:
+    """Return this system, with the two levels that most processors run."""
+    system = SYSTEMS[prebuilt.name_system()]
+    return replace(system, levels=system.levels[-2:])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with libraries of the kernels of the quality "fast" at radius 3."""
+    with record_kernels() as kernels:
+        lobewise.denoise(make_frame(), quality="fast", radius=3, device="cpu")
+    assert len(kernels) >= 5
+    made = tmp_path_factory.mktemp("libraries") / "kernels"
+    build(get_system(), made, ["cc"], kernels, lambda target, work: compile_kernels(kernels, target, work))
+    return made
+
+
+def run(setup: str, output: Path) -> str:
+    """Run the recipe in a process of its own, and return what it printed."""
+    code = RUN.format(setup=setup, output=str(output))
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+
+
+def test_the_library_has_the_bits_of_the_compiler(folder: Path, tmp_path: Path) -> None:
+    library = prebuilt.open_library(folder)
+    assert library is not None
+    printed = run(BLOCKED.format(folder=str(folder)), tmp_path / "library.npy")
+    assert printed.strip() == "[]", "a compiler was loaded"
+    run(COMPILED.format(target=library.target.replace("-no_asserts-no_bounds_query", "")), tmp_path / "compiled.npy")
+    found, expected = (np.load(tmp_path / f"{name}.npy") for name in ("library", "compiled"))
+    assert np.isfinite(found).all()
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_a_compiled_kernel_runs_beside_the_library(folder: Path, tmp_path: Path) -> None:
+    """A kernel that the library lacks is compiled for its target, and calls its runtime."""
+    code = f"""
+from pathlib import Path
+from lobewise.backend import prebuilt
+prebuilt.FOLDER = Path({str(folder)!r})
+from lobewise.backend.devices import make_target
+from lobewise.backend.runtime import get_runtime
+import lobewise
+from releasing.frames import make_frame
+library = prebuilt.find_library()
+assert str(make_target("cpu")) == library.target
+clean = lobewise.denoise(make_frame(), quality="fast", radius=2, device="cpu")
+assert get_runtime("cpu").find("halide_malloc") == library.find("halide_malloc")
+print(clean.image.mean() > 0.0)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout.strip() == "True", done.stderr
+
+
+def test_a_kernel_that_the_library_lacks_is_refused_without_a_compiler(folder: Path, tmp_path: Path) -> None:
+    code = f"""
+import sys
+from pathlib import Path
+from lobewise.backend import prebuilt
+{BLOCKED.format(folder=str(folder))}
+import lobewise
+from releasing.frames import make_frame
+try:
+    lobewise.denoise(make_frame(), quality="fast", radius=2)
+except lobewise.LobewiseError as problem:
+    print(problem)
+for device in ("vulkan",):
+    try:
+        lobewise.denoise(make_frame(), quality="fast", radius=3, device=device)
+    except lobewise.LobewiseError as problem:
+        print(problem)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    told = done.stdout.splitlines()
+    assert len(told) == 2, done.stderr
+    assert all("pip install 'lobewise[jit]'" in line for line in told)
+
+
+def edit_index(folder: Path, change: Callable[[dict[str, Any]], None]) -> Path:
+    """Change the index of a copy of a folder, and return the copy."""
+    index = json.loads((folder / prebuilt.INDEX_NAME).read_text())
+    change(index)
+    (folder / prebuilt.INDEX_NAME).write_text(json.dumps(index))
+    return folder
+
+
+@pytest.fixture
+def copy(folder: Path, tmp_path: Path) -> Path:
+    """Return a copy of the folder of libraries."""
+    return Path(shutil.copytree(folder, tmp_path / "copy"))
+
+
+def change_source(index: dict[str, Any]) -> None:
+    """Pretend that a module was another one when the kernels were compiled."""
+    assert index["sources"].keys() >= {"filters/cross_pass.py", "backend/expressions.py"}
+    index["sources"]["filters/cross_pass.py"] = "0" * 32
+
+
+def change_system(index: dict[str, Any]) -> None:
+    """Pretend that the kernels are those of another system."""
+    index["system"] = "amiga-m68k"
+
+
+@pytest.mark.parametrize(("change", "words"), [(change_source, "filters/cross_pass.py"), (change_system, "amiga-m68k")])
+def test_libraries_of_other_code_or_systems_are_not_used(
+    copy: Path, monkeypatch: pytest.MonkeyPatch, change: Callable[[dict[str, Any]], None], words: str
+) -> None:
+    assert prebuilt.open_library(copy) is not None
+    edit_index(copy, change)
+    assert prebuilt.open_library(copy) is None
+    monkeypatch.setattr(prebuilt, "has_compiler", lambda: False)
+    with pytest.raises(MissingDependencyError, match=words):
+        prebuilt.open_library(copy)
+
+
+def test_the_best_level_that_the_processor_runs_is_chosen(
+    copy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = tmp_path / "other.c"
+    text.write_text("int lobewise_runs_here(void) { return 0; }\n")
+    subprocess.run(["cc", "-shared", "-fPIC", "-o", str(copy / "other.so"), str(text)], check=True)
+    other = {"file": "other.so", "target": "x86-64-linux-avx1024", "lanes": 32}
+    edit_index(copy, lambda index: index["levels"].insert(0, other))
+    library = prebuilt.open_library(copy)
+    assert library is not None
+    assert library.target != other["target"]
+    edit_index(copy, lambda index: index.update(levels=[other]))
+    assert prebuilt.open_library(copy) is None
+    monkeypatch.setattr(prebuilt, "has_compiler", lambda: False)
+    with pytest.raises(MissingDependencyError, match="avx1024"):
+        prebuilt.open_library(copy)
+
+
+def test_a_source_install_has_no_libraries(tmp_path: Path) -> None:
+    assert prebuilt.open_library(tmp_path) is None
+
+
+FLAGS = {
+    "x86-64-v2": {"sse4_1", "sse4_2", "ssse3"},
+    "x86-64-v3": {"avx2", "fma", "f16c", "bmi1", "bmi2"},
+    "x86-64-v4": {"avx512f", "avx512dq", "avx512cd", "avx512bw", "avx512vl"},
+}
+
+
+@pytest.mark.skipif(prebuilt.name_system() != "linux-x86-64", reason="reads Linux' list of instructions")
+def test_libraries_know_the_processor(tmp_path: Path) -> None:
+    text = Path("/proc/cpuinfo").read_text()
+    has = set(next(line for line in text.splitlines() if line.startswith("flags")).split())
+    source = Path(__file__).parents[2] / "releasing" / "processor.c"
+    wanted: set[str] = set()
+    for level in reversed(SYSTEMS["linux-x86-64"].levels):
+        wanted |= FLAGS[level.name]
+        output = tmp_path / f"{level.name}.so"
+        options = ["-Wall", "-Wextra", "-Werror", "-O2", "-shared", "-fPIC", f"-DLEVEL={level.number}"]
+        subprocess.run(["cc", *options, "-o", str(output), str(source)], check=True)
+        assert bool(ctypes.CDLL(str(output)).lobewise_runs_here()) == (wanted <= has), level.name
