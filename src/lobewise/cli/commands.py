@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -23,10 +23,13 @@ from lobewise.cli.viewing import view
 from lobewise.errors import InputError
 from lobewise.settings import DenoiseSettings
 
+if TYPE_CHECKING:
+    from lobewise.io import FileDescription
+
 app = App(
     name="lobewise",
     help="Denoise renders of glossy things by comparing what each pixel reflects.",
-    add_completion=False,
+    add_completion=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": list(HELP_NAMES)},
 )
@@ -106,6 +109,10 @@ def inspect(
         bool, typer.Option("--attributes", "-a", help="Show every channel and the attributes as well.")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
+    page: Annotated[
+        Path | None,
+        typer.Option("--html", metavar="FILE", help="Write a page with a picture of every image in the file."),
+    ] = None,
     plan: Annotated[
         bool,
         typer.Option(
@@ -122,9 +129,9 @@ def inspect(
     from lobewise.interchange import describe_file
 
     if plan:
-        if as_json or everything or attributes:
+        if as_json or everything or attributes or page:
             raise InputError(
-                "--plan", expected="no --json, --all or --attributes beside it", got="both", action="leave one out"
+                "--plan", expected="no --json, --all, --attributes or --html", got="both", action="leave one out"
             )
         print_plan(source, reading, settings)
         return
@@ -132,12 +139,28 @@ def inspect(
         names = ", ".join(f"--{name.replace('_', '-')}" for name in settings)
         raise InputError(names, expected="--plan beside it", got="none", action="add --plan")
     found = describe_file(source, **reading.parse(), half=reading.half, also=reading.also or ())
+    if page is not None:
+        write_contents(page, source, found, reading)
     if as_json:
         typer.echo(to_json(asdict(found)), nl=False)
         return
     print_summary(found, reading.list_words())
     if everything or attributes:
         print_description(found, with_attributes=attributes)
+
+
+def write_contents(page: Path, source: Path, found: FileDescription, reading: PassReading) -> None:
+    """Write the page of a file's images."""
+    from lobewise.cli.output import print_note
+    from lobewise.interchange import import_file
+    from lobewise.io.files import require_other_files, require_writable, write_text
+    from lobewise.reporting.contents import make_contents_page
+
+    require_writable(page)
+    require_other_files([page], [source])
+    frame = import_file(source, **reading.parse(), half=reading.half, also=reading.also or (), light_passes=True).frame
+    write_text(page, make_contents_page(found, frame))
+    print_note(f"Wrote {page}.")
 
 
 def print_plan(source: Path, reading: PassReading, settings: dict[str, Any]) -> None:

@@ -45,6 +45,10 @@ def compare(
     json_output: Annotated[
         Path | None, typer.Option("--json", metavar="FILE", help="Write the figures as JSON; - is standard output.")
     ] = None,
+    page: Annotated[
+        Path | None,
+        typer.Option("--html", metavar="FILE", help="Write a page to look at: a wipe, error maps, the figures."),
+    ] = None,
 ) -> None:
     """Measure how far images are from a reference: mse, rel_mse, smape, psnr and flip.
 
@@ -60,6 +64,8 @@ def compare(
         require_writable(json_output)
         require_other_files([json_output], list_files(inputs))
     are_sequences = _are_sequences(inputs, guides)
+    if page is not None:
+        _require_page(page, inputs, are_sequences=are_sequences)
     metrics, missing = _list_metrics()
     if are_sequences:
         found = _compare_sequences(images, reference, guides, metrics)
@@ -67,6 +73,8 @@ def compare(
         found = _compare_files(images, reference, metrics)
     if missing:
         print_note(missing)
+    if page is not None:
+        _write_page(page, images, reference)
     text = to_json(found)
     if to_terminal:
         typer.echo(text, nl=False)
@@ -78,6 +86,51 @@ def compare(
         metrics += ["flicker", "ghosting"]
         title += f", {len(found['frames'])} frame{'s' if len(found['frames']) > 1 else ''}"
     print_comparison(title, metrics, [(row["path"], row) for row in found["images"]])
+
+
+def _require_page(page: Path, inputs: Sequence[Path], *, are_sequences: bool) -> None:
+    """Raise unless the page can be written, is none of the inputs, and shows single files."""
+    from lobewise.io.files import require_other_files, require_writable
+
+    if are_sequences:
+        raise InputError("--html", expected="single files", got="sequences", action="name one frame of each")
+    require_writable(page)
+    require_other_files([page], list_files(inputs))
+
+
+def _write_page(page: Path, images: Sequence[Path], reference: Path) -> None:
+    """Write the page that shows the images, their error maps and figures."""
+    import shlex
+
+    from lobewise.cli.output import print_note
+    from lobewise.interchange import read_image
+    from lobewise.io.files import write_text
+    from lobewise.reporting.report import Picture, Report, make_page
+
+    names = _shorten([*images, reference])
+    pictures = [Picture(f"image-{k + 1}", names[k], read_image(path)) for k, path in enumerate(images)]
+    words = ["lobewise", "compare", *map(str, images), "-r", str(reference), "--html", str(page)]
+    report = Report(
+        title="Comparison",
+        subtitle=f"With {reference}",
+        pictures=pictures,
+        reference=Picture("reference", f"{names[-1]} (reference)", read_image(reference)),
+        baseline=pictures[0].key,
+        left=pictures[0].key,
+        right=pictures[-1].key if len(pictures) > 1 else "reference",
+        mask=None,
+        command=shlex.join(words),
+        facts={},
+    )
+    with Steps() as steps:
+        write_text(page, make_page(report, progress=lambda done, total: steps.tell("pictures", done, total)))
+    print_note(f"Wrote {page}.")
+
+
+def _shorten(paths: Sequence[Path]) -> list[str]:
+    """Return the names of files; their whole paths where two have one name."""
+    names = [path.name for path in paths]
+    return [str(path) if names.count(path.name) > 1 else path.name for path in paths]
 
 
 def _are_sequences(paths: Sequence[Path], guides: Path | None) -> bool:

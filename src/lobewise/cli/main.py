@@ -17,6 +17,8 @@ from lobewise.errors import LobewiseError, make_printable
 
 EXIT_OK, EXIT_INTERNAL_ERROR, EXIT_USER_ERROR = 0, 1, 2
 _show_warning_by_default = warnings.showwarning
+COMPLETION_VARIABLE = "_LOBEWISE_COMPLETE"
+"""Set by the shell that asks how a command line may go on (`lobewise --install-completion`)."""
 BUG_REPORT_URL = "https://github.com/lobewise/lobewise/issues"
 
 
@@ -36,6 +38,8 @@ def run(arguments: list[str]) -> int:
     arguments = [word for place, word in enumerate(arguments) if word != "--debug" or place >= end]
     arguments = give_switches_values(arguments)
     command = typer.main.get_command(app)
+    if COMPLETION_VARIABLE in os.environ:
+        command.main(prog_name="lobewise", complete_var=COMPLETION_VARIABLE)  # prints words for the shell, and exits
     warnings.showwarning = _show_warning
     try:
         # Typer's own `main` handles exit codes, interrupts and closed pipes differently.

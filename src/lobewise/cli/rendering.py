@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lobewise.cli.options.common import parse_place
-from lobewise.cli.options.spreading import with_groups
+from lobewise.cli.options.spreading import complete_from, with_groups
 from lobewise.cli.options.writing import Output, Picture, protect_from_pictures
 from lobewise.cli.terminal.help import result_option, scene_detail, sequence_option
 from lobewise.cli.terminal.outcome import tell_picture
@@ -172,7 +172,12 @@ class Motion:
 def render(
     scene: Annotated[
         str,
-        typer.Argument(metavar="SCENE", help=f"{', '.join(list_scenes())}, or a Mitsuba XML file.", show_default=False),
+        typer.Argument(
+            metavar="SCENE",
+            help=f"{', '.join(list_scenes())}, or a Mitsuba XML file.",
+            show_default=False,
+            autocompletion=complete_from(list_scenes()),
+        ),
     ],
     output: Output,
     *,

@@ -86,13 +86,17 @@ def _lay_over(first: tuple[str, str], second: tuple[str, str]) -> str:
 
 def encode_picture(image: NDArray[np.float32], exposure: float) -> str:
     """Return the data URL of a tone-mapped PNG of at most `MAX_WIDTH_PIXELS` columns."""
+    return encode_bytes(map_tones(image, exposure))
+
+
+def encode_bytes(colors: NDArray[np.uint8]) -> str:
+    """Return the data URL of a PNG of sRGB colors, (height, width, 3), shrunk to at most `MAX_WIDTH_PIXELS` columns."""
     from PIL import Image
 
-    picture = Image.fromarray(map_tones(image, exposure))
+    picture = Image.fromarray(colors)
     if picture.width > MAX_WIDTH_PIXELS:
-        picture = picture.resize(
-            (MAX_WIDTH_PIXELS, max(1, round(picture.height * MAX_WIDTH_PIXELS / picture.width))), Image.Resampling.BOX
-        )
+        height = max(1, round(picture.height * MAX_WIDTH_PIXELS / picture.width))
+        picture = picture.resize((MAX_WIDTH_PIXELS, height), Image.Resampling.BOX)
     out = io.BytesIO()
     picture.save(out, "PNG", optimize=True)
     return "data:image/png;base64," + base64.b64encode(out.getvalue()).decode("ascii")

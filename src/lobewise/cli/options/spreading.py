@@ -129,10 +129,26 @@ def _make_option(knob: Knob, default: Any, *, optional: bool, group: str | None)
     if optional and knob.kind is not bool:
         shown, default, kind = str(default), None, kind | None
     text = knob.text.replace("`", "")
-    option = typer.Option(*declared, metavar=_show_values(knob), help=text, show_default=shown, rich_help_panel=group)
+    option = typer.Option(
+        *declared,
+        metavar=_show_values(knob),
+        help=text,
+        show_default=shown,
+        rich_help_panel=group,
+        autocompletion=complete_from(knob.choices) if knob.choices else None,
+    )
     return inspect.Parameter(
         knob.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, option]
     )
+
+
+def complete_from(choices: Sequence[str]) -> Callable[[str], list[str]]:
+    """Return a function that lists the values that an unfinished word can become, for the completion of shells."""
+
+    def list_beginning(incomplete: str) -> list[str]:
+        return [each for each in choices if each.startswith(incomplete)]
+
+    return list_beginning
 
 
 def _show_values(knob: Knob) -> str | None:

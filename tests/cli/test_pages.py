@@ -1,0 +1,86 @@
+"""`inspect --html` and `compare --html`: pages that hold every picture, and refusals."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lobewise
+from lobewise.cli import main
+from lobewise.io import write_image
+from tests.streaming.frames import make_scene
+
+BLENDER = Path(__file__).parents[1] / "data" / "foreign" / "blender_4.5_seed1.exr"
+
+
+def run(*words: object) -> int:
+    """Return the exit code of a command line."""
+    with pytest.raises(SystemExit) as stopped:
+        main([str(word) for word in words])
+    return int(stopped.value.code or 0)
+
+
+def list_figures(page: Path) -> dict[str, str]:
+    """Return the captions of a page by the names of their images."""
+    found = re.findall(
+        r'<figure><img alt="([^"]+)" src="data:image/png;base64,[^"]+"><figcaption>(.*?)</figc', page.read_text()
+    )
+    return dict(found)
+
+
+def test_inspect_shows_every_image_of_a_renderers_file(tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    assert run("inspect", BLENDER, "--html", page) == 0
+    frame = lobewise.read_frame(BLENDER)
+    figures = list_figures(page)
+    assert set(frame.gbuffer.names) <= set(figures)
+    assert {"image", "diffuse", "specular"} <= set(figures)
+    assert "Normal.X/Y/Z" in figures["normal"]
+    assert figures["normal"].count("from") >= 1
+    channels = {
+        channel for part in lobewise.io.describe_file(BLENDER).parts for channel in (c.name for c in part.channels)
+    }
+    assert channels <= set(re.findall(r"<td>([^<]*)</td>", page.read_text()))
+    assert not re.search(r'(src|href)="(?!data:)', page.read_text())
+
+
+def test_inspect_shows_a_file_of_lobewise(tmp_path: Path) -> None:
+    page, source = tmp_path / "page.html", tmp_path / "frame.exr"
+    frame = make_scene((12, 16))
+    lobewise.write_frame(source, frame)
+    assert run("inspect", source, "--html", page) == 0
+    assert set(frame.gbuffer.names) <= set(list_figures(page))
+
+
+def test_inspect_refuses_to_write_over_its_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = tmp_path / "frame.exr"
+    lobewise.write_frame(source, make_scene((12, 16)))
+    before = source.read_bytes()
+    assert run("inspect", source, "--html", source) == 2
+    assert source.read_bytes() == before
+    assert run("inspect", source, "--plan", "--html", tmp_path / "a.html") == 2
+    assert capsys.readouterr().err.count("expected") == 2
+
+
+def test_compare_writes_a_page(tmp_path: Path) -> None:
+    image = np.full((8, 9, 3), 0.5, np.float32)
+    for name, factor in (("a", 1.5), ("b", 1.1), ("c", 1.0)):
+        write_image(tmp_path / f"{name}.exr", image * factor)
+    page = tmp_path / "page.html"
+    assert run("compare", tmp_path / "a.exr", tmp_path / "b.exr", "-r", tmp_path / "c.exr", "--html", page) == 0
+    text = page.read_text()
+    assert all(f"{name}.exr" in text for name in "abc")
+    assert "c.exr (reference)" in text
+    assert not re.search(r'(src|href)="(?!data:)', text)
+
+
+def test_compare_refuses_a_page_of_sequences(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("a", "r"):
+        write_image(tmp_path / f"{name}.0001.exr", np.full((8, 9, 3), 0.5, np.float32))
+    page = tmp_path / "page.html"
+    assert run("compare", tmp_path / "a.####.exr", "-r", tmp_path / "r.####.exr", "--html", page) == 2
+    assert "single files" in capsys.readouterr().err
+    assert not page.exists()
