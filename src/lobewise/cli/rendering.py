@@ -71,13 +71,20 @@ class Sampling:
         return load_scene(scene, width=self.width, height=self.height, parameters=parameters, merge=merge)
 
     def describe_light(self, scene: Any) -> None:
-        """Print who computes the light, if there is a choice; raise InputError for a wrong integrator."""
+        """Print who computes the light, if there is a choice, and which lobes are unknown.
+
+        Raises
+        ------
+        InputError
+            If the integrator is wrong.
+        """
         from lobewise.cli.output import print_note
         from lobewise.render.integrators import plan_light
+        from lobewise.render.materials.bsdfs import tell_attributes
 
-        told = plan_light(scene, self.integrator, self.max_depth).told
-        if told:
-            print_note(told)
+        for told in (plan_light(scene, self.integrator, self.max_depth).told, tell_attributes(scene)):
+            if told:
+                print_note(told)
 
 
 @dataclass(frozen=True)

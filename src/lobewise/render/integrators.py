@@ -17,7 +17,7 @@ import numpy as np
 from lobewise.errors import InputError, require_choice, require_integer
 from lobewise.render.bridge import dr, mi
 from lobewise.render.camera import get_sensor, has_lens, is_flat
-from lobewise.render.materials.bsdfs import list_nested, list_shapes
+from lobewise.render.materials.bsdfs import list_nested, list_shapes, tell_attributes
 from lobewise.render.variant import VARIANTS
 
 INTEGRATORS = ("auto", "paths", "scene")
@@ -310,7 +310,7 @@ def tell_unseen(scene: Any) -> str:
     """Return a remark on how the pictures of `lobewise.interactive.Session` differ from the scene; empty if not at all.
 
     They differ by light of integrators that render no single rays, by media that the integrator does not render, and
-    by the width of a lens while the camera moves.
+    by the width of a lens while the camera moves. Lobes may be unknown, see `tell_attributes`.
     """
     own = scene.integrator()
     said = []
@@ -328,7 +328,8 @@ def tell_unseen(scene: Any) -> str:
         said.append("The picture is sharp while the camera moves, and is seen through the lens when the camera rests.")
     if is_flat(scene):
         said.append(TOLD_OF_FLAT)
-    return " ".join(said)
+    said.append(tell_attributes(scene))
+    return " ".join(filter(None, said))
 
 
 def _has_volumes(scene: Any) -> bool:

@@ -301,7 +301,7 @@ class TestPythonBsdf:
 
         fits = []
         monkeypatch.setattr(fitted, "_fits", type(fitted._fits)())
-        monkeypatch.setattr(fitted, "_make_fit", lambda bsdf, make=fitted._make_fit: fits.append(1) or make(bsdf))
+        monkeypatch.setattr(fitted, "_make_fit", lambda *of, make=fitted._make_fit: fits.append(1) or make(*of))
         gc.collect()
         before = sum(isinstance(item, mi.BSDF) for item in gc.get_objects())
         for sharp in (50.0, 50.0, 60.0):

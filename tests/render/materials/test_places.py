@@ -40,8 +40,13 @@ def read(bsdf: dict[str, Any]) -> Any:
     return read_material(mi.load_dict(bsdf))
 
 
-def describe(material: Any, u: Any, v: float = 0.25, *, cos_view: float = 0.8, azimuth: float = 0.0) -> Any:
-    """Return guides by name at texture coordinates ``u``, as arrays whose first axis is the hit."""
+def describe(
+    material: Any, u: Any, v: float = 0.25, *, cos_view: float = 0.8, azimuth: float = 0.0, scale: float = 1.0
+) -> Any:
+    """Return guides by name at texture coordinates ``u`` and positions (u, v, 0) times ``scale``.
+
+    The first axis of the arrays is the hit.
+    """
     import drjit as dr
     import mitsuba as mi
 
@@ -55,6 +60,7 @@ def describe(material: Any, u: Any, v: float = 0.25, *, cos_view: float = 0.8, a
     sine = (1.0 - cos_view**2) ** 0.5
     si.wi = mi.Vector3f(*(float(part) for part in (sine * np.cos(azimuth), sine * np.sin(azimuth), cos_view)))
     si.uv = mi.Point2f(np.stack([u, np.full(len(u), v)]).astype(np.float32))
+    si.p = mi.Point3f(np.stack([scale * u, np.full(len(u), scale * v), 0.0 * u]).astype(np.float32))
     surface = describe_material(material, si, mi.Bool(True))
     found = {name: np.atleast_1d(np.array(getattr(surface, name)).T) for name in GUIDES}
     return {name: np.broadcast_to(value, (len(u), *value.shape[1:])) for name, value in found.items()}
@@ -160,6 +166,51 @@ class TestRamps:
         assert np.abs(np.diff(np.log(alpha))).max() < 0.06
 
 
+class TestPositions:
+    @pytest.mark.parametrize("scale", [1.0, 40.0])
+    def test_lobes_follow_a_texture_in_space(self, mi: Any, scale: float) -> None:
+        from lobewise.render.materials.bsdfs import read_material
+
+        values = np.array([WIDE, SHARP], dtype=np.float32).reshape(1, 1, 2, 1)
+        grid = {"type": "gridvolume", "grid": mi.VolumeGrid(np.tile(values, (2, 2, 1, 1))), "filter_type": "nearest"}
+        to_world = mi.ScalarTransform4f().translate([0.0, -scale, -scale]).scale([scale, 3.0 * scale, 3.0 * scale])
+        alpha = {"type": "volume", "volume": {**grid, "to_world": to_world}}
+        material = read_material(mi.load_dict({"type": "pplastic", "alpha": alpha}), extent=scale)
+        assert material.fitted.fit.parts.positional
+        found = describe(material, [0.2, 0.8], scale=scale)
+        plain = [describe(read({"type": "pplastic", "alpha": each}), 0.5) for each in (WIDE, SHARP)]
+        for name in ("alpha_u", "alpha_v"):
+            assert np.allclose(found[name], [each[name][0] for each in plain], rtol=FITTED_ALPHA), name
+
+    def test_a_texture_on_the_surface_is_no_texture_in_space(self, mi: Any) -> None:
+        assert not read({"type": "pplastic", "alpha": CHECKER}).fitted.fit.parts.positional
+
+    def test_the_extent_is_that_of_the_scene(self, mi: Any) -> None:
+        from lobewise.render.materials.bsdfs import _find_extent
+
+        ball = {"type": "sphere", "center": [3.0, -7.0, 1.0], "radius": 2.0}
+        assert np.isclose(_find_extent(mi.load_dict({"type": "scene", "ball": ball})), 9.0)
+        assert _find_extent(mi.load_dict({"type": "scene"})) == 1.0
+
+    def test_attributes_of_meshes_are_named(self, mi: Any) -> None:
+        from lobewise.render.integrators import tell_unseen
+        from lobewise.render.materials.bsdfs import tell_attributes
+
+        def make(alpha: Any) -> Any:
+            bsdf = {"type": "twosided", "inner": {"type": "pplastic", "id": "paint", "alpha": alpha}}
+            ball = {"type": "sphere", "bsdf": bsdf}
+            return mi.load_dict({"type": "scene", "ball": ball, "sensor": {"type": "perspective"}})
+
+        worn = {"type": "mesh_attribute", "name": "vertex_wear"}
+        scene = make({"type": "checkerboard", "color0": worn, "color1": 0.2})
+        assert "BSDF 'paint' reads the mesh attribute 'vertex_wear'" in tell_attributes(scene)
+        assert tell_attributes(scene) in tell_unseen(scene)
+        assert tell_attributes(make(0.2)) == ""
+        # The roughness of a plugin with a formula is read at the hit.
+        known = {"type": "roughconductor", "alpha": worn}
+        assert tell_attributes(mi.load_dict({"type": "scene", "ball": {"type": "sphere", "bsdf": known}})) == ""
+
+
 class TestOnePlace:
     def test_equal_squares_give_the_lobes_of_no_texture(self, mi: Any) -> None:
         same = {"type": "checkerboard", "color0": 0.2, "color1": 0.2}
@@ -192,7 +243,7 @@ class TestOnePlace:
 
         bsdf = {"type": rough, "rough": CHECKER}
         first = read(bsdf)
-        monkeypatch.setattr(fitted, "_make_fit", lambda bsdf: pytest.fail("fitted again"))
+        monkeypatch.setattr(fitted, "_make_fit", lambda *_: pytest.fail("fitted again"))
         assert read(bsdf).fitted.fit.rows is first.fitted.fit.rows
 
 
@@ -214,7 +265,7 @@ class TestMathematics:
         spot = material.fitted.find_spot(bsdf, si, mi.Bool(True))
         pairs = [np.tile(each, (len(u), 1)) for each in (places.view, places.light)]
         uv = np.repeat(np.stack([u, u], axis=1), len(places.view), axis=0)
-        values = evaluate_bsdf(bsdf, *pairs, uv=uv)[:, 0].reshape(len(u), -1) * places.light[:, 2]
+        values = evaluate_bsdf(bsdf, *pairs, place=uv)[:, 0].reshape(len(u), -1) * places.light[:, 2]
         edge, share, _ = locate(make_signature(values), places.signature, places.edges)
         assert np.array_equal(np.array(spot.edge), edge)
         assert np.allclose(np.array(spot.share), share, atol=1e-3)

@@ -185,8 +185,8 @@ def make_diffuse_context() -> Any:
     return make_context(mi.BSDFFlags.Diffuse)
 
 
-def _fit_material(bsdf: Any, fits: list[Fit]) -> Material:
-    fit = fit_bsdf(bsdf)
+def _fit_material(bsdf: Any, fits: list[Fit], extent: float) -> Material:
+    fit = fit_bsdf(bsdf, extent)
     number = 0
     if fit.tables:
         # Materials with equal values share one fit, and so the object ``rows``.
@@ -197,10 +197,11 @@ def _fit_material(bsdf: Any, fits: list[Fit]) -> Material:
     return Material(bsdf=bsdf, plugin=FITTED, lobe_kind=fit.kind, fitted=FittedLobes(fit), number=number)
 
 
-def read_material(bsdf: Any, fits: list[Fit] | None = None) -> Material:
+def read_material(bsdf: Any, fits: list[Fit] | None = None, extent: float = 1.0) -> Material:
     """Return the material of a BSDF object, nested ones included. A class not in `PLUGIN_OF_CLASS` is fitted.
 
-    ``fits`` holds the scene's fits with lobe tables, in the order of their numbers; new ones are appended.
+    ``fits`` holds the scene's fits with lobe tables, in the order of their numbers; new ones are appended. ``extent``
+    is the largest coordinate of hits, for fitted BSDFs that depend on the position.
 
     Raises
     ------
@@ -212,7 +213,7 @@ def read_material(bsdf: Any, fits: list[Fit] | None = None) -> Material:
     fits = [] if fits is None else fits
     plugin = PLUGIN_OF_CLASS.get(str(bsdf.class_name()))
     if plugin is None:
-        return _fit_material(bsdf, fits)
+        return _fit_material(bsdf, fits, extent)
     objects, numbers = _list_parameters(bsdf)
     names = _NESTED.get(plugin, ())
     wanted = set(_NUMBERS.get(plugin, ()))
@@ -230,7 +231,7 @@ def read_material(bsdf: Any, fits: list[Fit] | None = None) -> Material:
         plugin=plugin,
         textures={name: value for name, value in objects.items() if name not in names},
         numbers=values,
-        nested=tuple(read_material(objects[name], fits) for name in names),
+        nested=tuple(read_material(objects[name], fits, extent) for name in names),
         lobe_kind=lobe_kind,
         diffuse_spread=spread,
         without_specular=mi.load_dict({"type": plugin, **objects, "spec_trans": 0.0})
@@ -261,15 +262,53 @@ def list_shapes(scene: Any) -> list[Any]:
     return shapes + inner
 
 
+def _find_extent(scene: Any) -> float:
+    """Return the largest coordinate of a scene's surfaces; 1 if there is none."""
+    box = scene.bbox()
+    corners = np.abs(np.array([box.min, box.max]))
+    largest = float(corners.max()) if box.valid() and np.isfinite(corners).all() else 0.0
+    return largest or 1.0
+
+
 def read_scene_materials(scene: Any) -> dict[int, Material]:
     """Return the materials of a scene's shapes, by the address of the BSDF object. Errors as in `read_material`."""
     materials: dict[int, Material] = {}
     fits: list[Fit] = []
+    extent = _find_extent(scene)
     for shape in list_shapes(scene):
         bsdf = shape.bsdf()
         if bsdf is not None and bsdf.ptr not in materials:
-            materials[bsdf.ptr] = read_material(bsdf, fits)
+            materials[bsdf.ptr] = read_material(bsdf, fits, extent)
     return materials
+
+
+def tell_attributes(scene: Any) -> str:
+    """Return a remark on fitted BSDFs that read attributes of meshes, which a fit does not know; empty without any."""
+    said: dict[str, None] = {}
+    for bsdf in (shape.bsdf() for shape in list_shapes(scene)):
+        for inner in _list_fitted(bsdf) if bsdf is not None else ():
+            for name in _list_attributes(inner):
+                said[
+                    f"BSDF {inner.id()!r} reads the mesh attribute {name!r}; its lobes are those of the attribute's "
+                    "value 0, because lobes are fitted without a mesh. Store the values in a bitmap texture instead."
+                ] = None
+    return " ".join(said)
+
+
+def _list_fitted(bsdf: Any) -> list[Any]:
+    """Return the BSDFs, of one and those nested in it, that `read_material` fits."""
+    plugin = PLUGIN_OF_CLASS.get(str(bsdf.class_name()))
+    if plugin is None:
+        return [bsdf]
+    objects = _list_parameters(bsdf)[0] if plugin in _NESTED else {}
+    return [found for name in _NESTED.get(plugin, ()) for found in _list_fitted(objects[name])]
+
+
+def _list_attributes(item: Any) -> list[str]:
+    """Return the names of mesh attributes that a BSDF or a texture reads, itself or through others."""
+    if str(item.class_name()) == "MeshAttribute":
+        return re.findall(r'name = "([^"]*)"', str(item))
+    return [name for _, inner in sorted(_list_parameters(item)[0].items()) for name in _list_attributes(inner)]
 
 
 def list_lobe_tables(materials: dict[int, Material]) -> tuple[LobeTable, ...]:

@@ -31,6 +31,7 @@ from lobewise.render.materials.probe import (
     digest_bsdf,
     evaluate_bsdf,
     find_parts,
+    is_positional,
     make_evaluate,
     repeat_place,
     sample_bsdf,
@@ -122,15 +123,20 @@ class Varying:
 _fits: OrderedDict[str, Fit] = OrderedDict()
 
 
-def fit_bsdf(bsdf: Any) -> Fit:
+def fit_bsdf(bsdf: Any, extent: float = 1.0) -> Fit:
     """Return the lobes fitted to a BSDF. BSDFs with equal values are fitted once.
 
-    Textures are evaluated at uv = (0.5, 0.5), and at the nodes of `find_places` if they change the shape of lobes.
-    UnsupportedBsdfError if the BSDF cannot be evaluated or sampled; MissingDependencyError without SciPy.
+    The BSDF is evaluated at uv = (0.5, 0.5), and at the nodes of `find_places` if textures change the shape of lobes.
+    ``extent`` is the largest coordinate of hits, for BSDFs that depend on the position. UnsupportedBsdfError if the
+    BSDF cannot be evaluated or sampled; MissingDependencyError without SciPy.
     """
     key = digest_bsdf(bsdf)
+    # Objects that move change the extent: round it, so that the fit is kept.
+    extent = 2.0 ** math.ceil(math.log2(extent))
+    if is_positional(bsdf, extent):
+        key = f"{key} {extent}"
     if key not in _fits:
-        _fits[key] = _make_fit(bsdf)
+        _fits[key] = _make_fit(bsdf, extent)
         if len(_fits) > _MAX_FITS:
             _fits.popitem(last=False)
     _fits.move_to_end(key)
@@ -142,15 +148,17 @@ def fit_bsdf(bsdf: Any) -> Fit:
     return fit if fit.table is None else replace(fit, table=replace(fit.table, name=name))
 
 
-def make_specular_evaluate(bsdf: Any, parts: Parts, *, turn: float = 0.0, uv: Array | None = None) -> Evaluate | None:
+def make_specular_evaluate(
+    bsdf: Any, parts: Parts, *, turn: float = 0.0, place: Array | None = None
+) -> Evaluate | None:
     """Return the smooth specular part as a function to fit, or None if there is none.
 
     It is the glossy reflection. For a BSDF that only transmits it is the transmission, mirrored at the surface.
-    Textures are evaluated at ``uv`` (2,).
+    It is that of one ``place`` (2 or 5,).
     """
     if parts.glossy:
         for through in (False, True):
-            evaluate = make_evaluate(bsdf, parts.glossy_lobes, through=through, turn=turn, uv=uv)
+            evaluate = make_evaluate(bsdf, parts.glossy_lobes, through=through, turn=turn, place=place)
             if any(_integrate(evaluate, cosine) > 0.0 for cosine in (1.0, 0.5, 0.2)):
                 return evaluate
     return None
@@ -177,17 +185,17 @@ def list_fitted_views(evaluate: Evaluate, cosines: Array) -> Array:
     return np.asarray(cosines[: len(seen) - seen[::-1].index(True)])
 
 
-def _make_fit(bsdf: Any) -> Fit:
-    parts = find_parts(bsdf)
-    places = find_places(bsdf, parts) if parts.textured and parts.glossy else None
+def _make_fit(bsdf: Any, extent: float = 1.0) -> Fit:
+    parts = find_parts(bsdf, extent)
+    places = find_places(bsdf, parts, extent) if parts.textured and parts.glossy else None
     if places is None:
         return _fit_place(bsdf, parts)
     # Lobes can be interpolated if all places have the same views.
-    shapes = (make_specular_evaluate(bsdf, parts, uv=uv) for uv in places.uv)
+    shapes = (make_specular_evaluate(bsdf, parts, place=place) for place in places.place)
     isotropic = all(evaluate is None or is_isotropic(evaluate) for evaluate in shapes)
     fits = tuple(
-        _fit_place(bsdf, parts, uv, isotropic=isotropic, level=level)
-        for uv, level in zip(places.uv, places.level, strict=True)
+        _fit_place(bsdf, parts, place, isotropic=isotropic, level=level)
+        for place, level in zip(places.place, places.level, strict=True)
     )
     if any(fit.table is None for fit in fits):
         return fits[0]
@@ -195,14 +203,14 @@ def _make_fit(bsdf: Any) -> Fit:
 
 
 def _fit_place(
-    bsdf: Any, parts: Parts, uv: Array | None = None, *, isotropic: bool | None = None, level: Array | None = None
+    bsdf: Any, parts: Parts, place: Array | None = None, *, isotropic: bool | None = None, level: Array | None = None
 ) -> Fit:
     """Return the lobes at one place of the texture, by default its centre.
 
     ``isotropic`` tells whether the views have azimuths; by default the lobes decide. ``level`` (3,) is the one by which
     specular albedos are divided.
     """
-    evaluate = make_specular_evaluate(bsdf, parts, uv=uv)
+    evaluate = make_specular_evaluate(bsdf, parts, place=place)
     if isotropic is None:
         isotropic = evaluate is None or is_isotropic(evaluate)
     turn = 0.0 if evaluate is None or isotropic else _find_long_axis(evaluate)
@@ -210,13 +218,13 @@ def _fit_place(
     rows = np.zeros((cosines.size, azimuths.size, _COLUMNS))
     table = None
     if evaluate is not None:
-        evaluate = make_specular_evaluate(bsdf, parts, turn=turn, uv=uv)
+        evaluate = make_specular_evaluate(bsdf, parts, turn=turn, place=place)
         assert evaluate is not None
         table = _fit_table(evaluate, cosines, None if isotropic else azimuths)
         rows[..., ALPHA] = _find_alphas(table, cosines, azimuths)
         rows[..., SPECULAR] = get_albedo(table, cosines[:, None], azimuths)
     views = _make_view_grid(cosines, azimuths + turn)
-    _complete_albedos(rows, bsdf, parts, views, _SAMPLE_COUNTS[isotropic], uv)
+    _complete_albedos(rows, bsdf, parts, views, _SAMPLE_COUNTS[isotropic], place)
     if level is not None:
         # A colour that is missing at this place has the ratio of the luminance.
         ratio = (rows[..., SPECULAR] @ LUMINANCE)[..., None] / float(level @ LUMINANCE)
@@ -285,40 +293,42 @@ def _find_alphas(table: LobeTable, cosines: Array, azimuths: Array) -> Array:
     return np.asarray(np.exp(between.reshape(alpha.shape)))
 
 
-def _complete_albedos(rows: Array, bsdf: Any, parts: Parts, views: Array, count: int, uv: Array | None = None) -> None:
+def _complete_albedos(
+    rows: Array, bsdf: Any, parts: Parts, views: Array, count: int, place: Array | None = None
+) -> None:
     """Add to the rows the albedos of transmission and of mirrors, the opacity and the diffuse spread."""
     flat = rows.reshape(-1, _COLUMNS)
-    samples = sample_bsdf(bsdf, views, count, uv=repeat_place(uv, len(views)))
+    samples = sample_bsdf(bsdf, views, count, place=repeat_place(place, len(views)))
     opacity = 1.0 - samples.null.mean(axis=1)
     beyond = samples.delta | (samples.light[..., 2] < 0.0)
     specular = np.where((beyond & ~samples.null)[..., None], samples.weight, 0.0)
-    specular *= 1.0 - _find_diffuse_shares(bsdf, parts, views, samples, uv)
+    specular *= 1.0 - _find_diffuse_shares(bsdf, parts, views, samples, place)
     flat[:, SPECULAR] += specular.mean(axis=1)
     # Samples that pass through add to no albedo: divide by the share of the others.
     flat[:, SPECULAR] /= np.maximum(opacity, 1e-6)[:, None]
     flat[:, SPECULAR] = np.clip(flat[:, SPECULAR], 0.0, 1.0)
     flat[:, OPACITY] = opacity
     if parts.diffuse:
-        flat[:, SPREAD] = _find_spreads(bsdf, parts, views, uv)
+        flat[:, SPREAD] = _find_spreads(bsdf, parts, views, place)
 
 
-def _find_diffuse_shares(bsdf: Any, parts: Parts, views: Array, samples: Samples, uv: Array | None) -> Array:
+def _find_diffuse_shares(bsdf: Any, parts: Parts, views: Array, samples: Samples, place: Array | None) -> Array:
     """Return the diffuse share of each sample, shape (V, N, 3); 0 for mirrors."""
     smooth = ~samples.delta[..., None]
     if not (parts.diffuse and parts.glossy):
         return np.where(smooth, float(parts.diffuse), 0.0)
     view, light = np.repeat(views, samples.light.shape[1], axis=0), samples.light.reshape(-1, 3)
-    place = repeat_place(uv, len(view))
-    whole = evaluate_bsdf(bsdf, view, light, uv=place)
-    part = evaluate_bsdf(bsdf, view, light, parts.diffuse_lobes, uv=place)
+    places = repeat_place(place, len(view))
+    whole = evaluate_bsdf(bsdf, view, light, place=places)
+    part = evaluate_bsdf(bsdf, view, light, parts.diffuse_lobes, place=places)
     share = np.divide(part, whole, out=np.zeros_like(whole), where=whole > 0.0).reshape(samples.weight.shape)
     return np.asarray(np.where(smooth, np.clip(share, 0.0, 1.0), 0.0))
 
 
-def _find_spreads(bsdf: Any, parts: Parts, views: Array, uv: Array | None) -> Array:
+def _find_spreads(bsdf: Any, parts: Parts, views: Array, place: Array | None) -> Array:
     """Return the diffuse albedo of each view over the value for light along the normal, shape (V, 3).
 
-    The value is multiplied again at each hit, so that textures are seen. If it is 0 at the place ``uv`` (2,), the ratio
+    The value is multiplied again at each hit, so that textures are seen. If it is 0 at the place, the ratio
     is that of Lambert's law.
     """
     # Integrate over both hemispheres by the midpoint rule, in steps of equal projected area and equal azimuth.
@@ -327,9 +337,9 @@ def _find_spreads(bsdf: Any, parts: Parts, views: Array, uv: Array | None) -> Ar
     above = np.stack(np.broadcast_arrays(sine[:, None] * np.cos(azimuth), sine[:, None] * np.sin(azimuth),
                                          cosine[:, None]), axis=-1).reshape(-1, 3)  # fmt: skip
     light = np.concatenate([above, above * [1.0, 1.0, -1.0], [[0.0, 0.0, 1.0]]])
-    place = repeat_place(uv, len(views) * len(light))
+    places = repeat_place(place, len(views) * len(light))
     values = evaluate_bsdf(bsdf, np.repeat(views, len(light), axis=0), np.tile(light, (len(views), 1)),
-                           parts.diffuse_lobes, uv=place).reshape(len(views), len(light), 3)  # fmt: skip
+                           parts.diffuse_lobes, place=places).reshape(len(views), len(light), 3)  # fmt: skip
     values = np.where(np.isfinite(values), values, 0.0)
     albedo, upward = math.pi / len(above) * values[:, :-1].sum(axis=1), values[:, -1]
     return np.asarray(np.divide(albedo, upward, out=np.full_like(albedo, math.pi), where=upward > 0.0))

@@ -27,8 +27,6 @@ from lobewise.lobes.vectors import LUMINANCE
 from lobewise.render.materials.probe import Parts, evaluate_bsdf, spread_directions, spread_points
 from lobewise.render.materials.tints import solve_nonnegative
 
-CENTRE = np.full(2, 0.5)
-"""Texture coordinates of BSDFs that do not change their shape."""
 MAX_NODES = 8
 """Number of places at which lobes are fitted. The fit of one takes about a second."""
 
@@ -55,8 +53,8 @@ _CHOICE_COUNT = 256
 class Places:
     """The nodes of one BSDF, K of them, and M pairs of directions that tell them apart."""
 
-    uv: Array
-    """Texture coordinates of the nodes, (K, 2)."""
+    place: Array
+    """The nodes, (K, 2 or 5): texture coordinates, and the position if the BSDF depends on it."""
     view: Array
     """Local unit vectors towards the viewer, (M, 3)."""
     light: Array
@@ -74,32 +72,35 @@ class Places:
     """For all places that are not black the edge, and the share of its second node, (n, 2)."""
 
 
-def find_places(bsdf: Any, parts: Parts) -> Places | None:
+def find_places(bsdf: Any, parts: Parts, extent: float = 1.0) -> Places | None:
     """Return the nodes of a BSDF's texture, or None if its glossy lobes have one shape.
 
-    The first node is the centre of the texture, unless the centre is black.
+    The first node is the centre of the texture, unless the centre is black. A BSDF that depends on the position is
+    evaluated in the cube of coordinates from ``-extent`` to ``extent``.
     """
     view, light = _list_probes()
-    uv = np.concatenate([CENTRE[None], spread_points(_PLACE_COUNT - 1, 2)])
-    light, colors = _evaluate_places(bsdf, parts, view, light, uv)
+    # The first of these points is the centre.
+    place = spread_points(_PLACE_COUNT, 5 if parts.positional else 2)
+    place[:, 2:] = extent * (2.0 * place[:, 2:] - 1.0)
+    light, colors = _evaluate_places(bsdf, parts, view, light, place)
     values = colors @ np.asarray(LUMINANCE)
     total = values.sum(axis=1)
     seen = total > _MIN_RELATIVE_VALUE * total.max()
-    uv, colors, values = uv[seen], colors[seen], values[seen]
-    if not len(uv):
+    place, colors, values = place[seen], colors[seen], values[seen]
+    if not len(place):
         return None
     signature = make_signature(values)
     chosen = _choose_nodes(signature)
     if len(chosen) == 1:
         return None
     edges = _join_nodes(signature[chosen])
-    some = np.concatenate([np.arange(0, len(uv), max(1, len(uv) // _CHOICE_COUNT)), chosen])
+    some = np.concatenate([np.arange(0, len(place), max(1, len(place) // _CHOICE_COUNT)), chosen])
     probes = _choose_probes(values[some], values[chosen], edges)
-    weight = _find_weights(bsdf, parts, uv[some[::4]], values[some[::4]][:, probes], bool(light[0, 2] < 0.0))
+    weight = _find_weights(bsdf, parts, place[some[::4]], values[some[::4]][:, probes], bool(light[0, 2] < 0.0))
     short = make_signature(values[:, probes])
     edge, share, _ = locate(short, short[chosen], edges)
     return Places(
-        uv=uv[chosen],
+        place=place[chosen],
         view=view[probes],
         light=light[probes],
         weight=weight,
@@ -128,40 +129,40 @@ def locate(signature: Array, nodes: Array, edges: NDArray[np.intp]) -> tuple[NDA
     return edge, share[rows, edge], distance[rows, edge]
 
 
-def _evaluate_places(bsdf: Any, parts: Parts, view: Array, light: Array, uv: Array) -> tuple[Array, Array]:
+def _evaluate_places(bsdf: Any, parts: Parts, view: Array, light: Array, place: Array) -> tuple[Array, Array]:
     """Return the lights (M, 3), and glossy values times the cosine, linear RGB, (places, M, 3).
 
     If the BSDF only transmits, the lights are mirrored at the surface.
     """
     for side in (1.0, -1.0):
         sided = light * [1.0, 1.0, side]
-        values = _evaluate_pairs(bsdf, parts, view, sided, uv)
+        values = _evaluate_pairs(bsdf, parts, view, sided, place)
         if values.any():
             break
     return sided, values
 
 
-def _evaluate_pairs(bsdf: Any, parts: Parts, view: Array, light: Array, uv: Array) -> Array:
+def _evaluate_pairs(bsdf: Any, parts: Parts, view: Array, light: Array, place: Array) -> Array:
     """Return glossy values times the cosine, linear RGB, (places, M, 3); 0 where they are no numbers >= 0."""
-    views, lights = np.tile(view, (len(uv), 1)), np.tile(light, (len(uv), 1))
-    values = evaluate_bsdf(bsdf, views, lights, parts.glossy_lobes, uv=np.repeat(uv, len(view), axis=0))
+    views, lights = np.tile(view, (len(place), 1)), np.tile(light, (len(place), 1))
+    values = evaluate_bsdf(bsdf, views, lights, parts.glossy_lobes, place=np.repeat(place, len(view), axis=0))
     values = np.where(np.isfinite(values) & (values > 0.0), values, 0.0) * np.abs(lights[:, 2:])
-    return np.asarray(values.reshape(len(uv), len(view), 3))
+    return np.asarray(values.reshape(len(place), len(view), 3))
 
 
-def _find_weights(bsdf: Any, parts: Parts, uv: Array, values: Array, through: bool) -> Array:
-    """Return weights (M,) whose sum with ``values`` (n, M) is nearest to the albedos of the places ``uv`` (n, 2).
+def _find_weights(bsdf: Any, parts: Parts, place: Array, values: Array, through: bool) -> Array:
+    """Return weights (M,) whose sum with ``values`` (n, M) is nearest to the albedos of the places (n, 2 or 5).
 
     The albedos are means over the views of the probes; differences are relative.
     """
-    albedo = np.zeros(len(uv))
+    albedo = np.zeros(len(place))
     for cosine, azimuth in _VIEWS:
         nodes = make_nodes(cosine, angular=32)
         above = nodes.light[:, 2] > 0.0
         x, y = math.cos(azimuth), math.sin(azimuth)
         light = nodes.light[above] @ np.asarray([[x, y, 0.0], [-y, x, 0.0], [0.0, 0.0, 1.0]])
         view = np.tile(_make_view(cosine, azimuth), (len(light), 1))
-        found = _evaluate_pairs(bsdf, parts, view, light * [1.0, 1.0, -1.0 if through else 1.0], uv)
+        found = _evaluate_pairs(bsdf, parts, view, light * [1.0, 1.0, -1.0 if through else 1.0], place)
         albedo += (found @ np.asarray(LUMINANCE)) @ nodes.weight[above] / len(_VIEWS)
     lit = albedo > 0.0
     return solve_nonnegative(values[lit] / albedo[lit, None], np.ones(int(lit.sum())))

@@ -1,7 +1,8 @@
 """Evaluates and samples a single BSDF object, without a scene.
 
-Directions are local: z is the normal, x the tangent. Textures are evaluated at uv = (0.5, 0.5) by default; attributes
-of meshes are 0. A BSDF that cannot be evaluated or sampled raises `UnsupportedBsdfError`.
+Directions are local: z is the normal, x the tangent. A *place* holds texture coordinates u and v, and after them maybe
+a position in space, so 2 or 5 numbers. By default it is uv = (0.5, 0.5) at the origin. Attributes of meshes are 0. A
+BSDF that cannot be evaluated or sampled raises `UnsupportedBsdfError`.
 """
 
 from __future__ import annotations
@@ -40,49 +41,55 @@ def make_context(lobes: Any = None, *, importance: bool = False) -> Any:
     return context
 
 
-def make_hits(view: Array, uv: Array | None = None) -> Any:
-    """Return hits on a flat surface, at ``uv`` (n, 2), seen from the local directions ``view`` (n, 3)."""
+def make_hits(view: Array, place: Array | None = None) -> Any:
+    """Return hits on a flat surface, at ``place`` (n, 2 or 5), seen from the local directions ``view`` (n, 3)."""
     si = dr.zeros(mi.SurfaceInteraction3f, len(view))
     si.t = 1.0
     si.n = mi.Normal3f(0, 0, 1)
     si.sh_frame = mi.Frame3f(mi.Vector3f(1, 0, 0), mi.Vector3f(0, 1, 0), mi.Vector3f(0, 0, 1))
     si.dp_du, si.dp_dv = mi.Vector3f(1, 0, 0), mi.Vector3f(0, 1, 0)
-    si.uv = mi.Point2f(0.5, 0.5) if uv is None else mi.Point2f(np.ascontiguousarray(uv.T, dtype=np.float32))
+    numbers = None if place is None else np.ascontiguousarray(place.T, dtype=np.float32)
+    si.uv = mi.Point2f(0.5, 0.5) if numbers is None else mi.Point2f(numbers[:2])
+    if numbers is not None and len(numbers) > 2:
+        si.p = mi.Point3f(numbers[2:])
     si.wi = _to_vectors(view)
     return si
 
 
-def evaluate_bsdf(bsdf: Any, view: Array, light: Array, lobes: Any = None, *, uv: Array | None = None) -> Array:
-    """Return the BRDF, without the cosine, for pairs of local unit vectors (n, 3), at ``uv`` (n, 2): (n, 3), 1/sr."""
+def evaluate_bsdf(bsdf: Any, view: Array, light: Array, lobes: Any = None, *, place: Array | None = None) -> Array:
+    """Return the BRDF, without the cosine, for pairs of local unit vectors (n, 3), at ``place`` (n, 2 or 5).
+
+    Shape (n, 3), 1/sr.
+    """
 
     def run() -> Any:
-        return mi.Color3f(bsdf.eval(make_context(lobes), make_hits(view, uv), _to_vectors(light), mi.Bool(True)))
+        return mi.Color3f(bsdf.eval(make_context(lobes), make_hits(view, place), _to_vectors(light), mi.Bool(True)))
 
     cosine = np.maximum(np.abs(light[:, 2:]), _MIN_COSINE)
     return np.asarray(_to_colors(_try(bsdf, run), len(view)) / cosine)
 
 
 def make_evaluate(
-    bsdf: Any, lobes: Any = None, *, through: bool = False, turn: float = 0.0, uv: Array | None = None
+    bsdf: Any, lobes: Any = None, *, through: bool = False, turn: float = 0.0, place: Array | None = None
 ) -> Callable[..., Array]:
     """Return `evaluate_bsdf` of some or all of a BSDF's lobes as `lobewise.fitting.fit.Evaluate`.
 
     With ``through`` it is the transmission, mirrored at the surface. ``turn`` is the angle from the BSDF's tangent to
-    the x of the directions, radians, counter-clockwise. Textures are evaluated at ``uv`` (2,).
+    the x of the directions, radians, counter-clockwise. The BSDF is evaluated at one ``place`` (2 or 5,).
     """
     cosine, sine = np.cos(turn), np.sin(turn)
     matrix = np.asarray([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
     flip = np.asarray([1.0, 1.0, -1.0 if through else 1.0])
 
     def evaluate(view: Array, light: Array) -> Array:
-        return evaluate_bsdf(bsdf, view @ matrix, light @ matrix * flip, lobes, uv=repeat_place(uv, len(view)))
+        return evaluate_bsdf(bsdf, view @ matrix, light @ matrix * flip, lobes, place=repeat_place(place, len(view)))
 
     return evaluate
 
 
-def repeat_place(uv: Array | None, count: int) -> Array | None:
-    """Return texture coordinates (2,) ``count`` times, (count, 2); None stays None."""
-    return None if uv is None else np.tile(uv, (count, 1))
+def repeat_place(place: Array | None, count: int) -> Array | None:
+    """Return one place (2 or 5,) ``count`` times, (count, 2 or 5); None stays None."""
+    return None if place is None else np.tile(place, (count, 1))
 
 
 @dataclass(frozen=True)
@@ -99,16 +106,16 @@ class Samples:
     delta: NDArray[np.bool_]
 
 
-def sample_bsdf(bsdf: Any, view: Array, count: int, *, uv: Array | None = None) -> Samples:
+def sample_bsdf(bsdf: Any, view: Array, count: int, *, place: Array | None = None) -> Samples:
     """Return ``count`` samples of the BSDF for each local direction ``view`` (V, 3), the same at every call.
 
-    Textures are evaluated at ``uv`` (V, 2). Weights of refraction are not scaled by the square of the index.
+    The BSDF is sampled at ``place`` (V, 2 or 5). Weights of refraction are not scaled by the square of the index.
     """
     points = np.tile(spread_points(count, 3), (len(view), 1)).astype(np.float32)
 
     def run() -> Any:
         square = mi.Point2f(np.ascontiguousarray(points[:, 1:].T))
-        hits = make_hits(np.repeat(view, count, axis=0), None if uv is None else np.repeat(uv, count, axis=0))
+        hits = make_hits(np.repeat(view, count, axis=0), None if place is None else np.repeat(place, count, axis=0))
         choice = mi.Float(points[:, 0])
         found, weight = bsdf.sample(make_context(importance=True), hits, choice, square, mi.Bool(True))
         return mi.UInt32(found.sampled_type), mi.Vector3f(found.wo), mi.Color3f(weight)
@@ -139,9 +146,11 @@ class Parts:
     behind: bool
     """Whether the BSDF reflects or transmits if seen from behind."""
     textured: bool
-    """Whether the BSDF depends on uv."""
+    """Whether the BSDF depends on uv or on the position."""
     knows_transmission: bool
     """Whether the BSDF's evaluation of what passes unscattered agrees with its samples."""
+    positional: bool = False
+    """Whether the BSDF depends on the position, at one uv."""
 
     @property
     def diffuse_lobes(self) -> Any:
@@ -154,8 +163,8 @@ class Parts:
         return mi.BSDFFlags.Glossy if self.diffuse else None
 
 
-def find_parts(bsdf: Any) -> Parts:
-    """Return the lobes and properties of a BSDF."""
+def find_parts(bsdf: Any, extent: float = 1.0) -> Parts:
+    """Return the lobes and properties of a BSDF. ``extent`` is that of `is_positional`."""
     diffuse, glossy, delta = list_flags(bsdf)
     view, light = _make_probe_directions()
     asked = (None, mi.BSDFFlags.Diffuse, mi.BSDFFlags.Glossy)
@@ -165,11 +174,23 @@ def find_parts(bsdf: Any) -> Parts:
     flip = np.asarray([1.0, 1.0, -1.0])
     behind = bool(np.any(evaluate_bsdf(bsdf, view * flip, light * flip) > 0.0))
     behind = behind or bool(np.any(sample_bsdf(bsdf, view[:8] * flip, 32).weight > 0.0))
-    elsewhere = evaluate_bsdf(bsdf, view, light, uv=spread_points(len(view), 2))
+    elsewhere = evaluate_bsdf(bsdf, view, light, place=spread_points(len(view), 2))
     good = np.isfinite(whole) & np.isfinite(elsewhere)
     textured = not are_same(elsewhere[good], whole[good])
-    knows = _knows_transmission(bsdf, view[:8])
-    return Parts(diffuse and (heeds or not glossy), glossy, delta, heeds, behind, textured, knows)
+    knows, moves = _knows_transmission(bsdf, view[:8]), is_positional(bsdf, extent)
+    return Parts(diffuse and (heeds or not glossy), glossy, delta, heeds, behind, textured or moves, knows, moves)
+
+
+def is_positional(bsdf: Any, extent: float = 1.0) -> bool:
+    """Return whether a BSDF depends on the position at one uv, in the cube from ``-extent`` to ``extent``."""
+    view, light = _make_probe_directions()
+    position = extent * (2.0 * spread_points(len(view), 3) - 1.0)
+    found = [
+        evaluate_bsdf(bsdf, view, light, place=np.concatenate([np.full((len(view), 2), 0.5), each], axis=1))
+        for each in (0.0 * position, position)
+    ]
+    good = np.isfinite(found[0]) & np.isfinite(found[1])
+    return not are_same(found[0][good], found[1][good])
 
 
 def _knows_transmission(bsdf: Any, view: Array) -> bool:
@@ -190,7 +211,7 @@ def digest_bsdf(bsdf: Any) -> str:
     answers += [evaluate_bsdf(bsdf, view, light, lobes) for lobes in (None, mi.BSDFFlags.Diffuse)]
     flip = np.asarray([1.0, 1.0, -1.0])
     answers.append(evaluate_bsdf(bsdf, view * flip, light * flip))
-    answers.append(evaluate_bsdf(bsdf, view, light, uv=spread_points(len(view), 2)))
+    answers.append(evaluate_bsdf(bsdf, view, light, place=spread_points(len(view), 2)))
     samples = sample_bsdf(bsdf, view[:8], 32)
     answers += [samples.weight, samples.light, samples.null, samples.delta]
     return hashlib.sha256(b"".join(np.ascontiguousarray(answer).tobytes() for answer in answers)).hexdigest()
@@ -251,11 +272,12 @@ def _make_probe_directions() -> tuple[Array, Array]:
 
 
 def spread_points(count: int, dimensions: int) -> Array:
-    """Return evenly spread points of the unit square or cube, shape (count, dimensions), the same at every call.
+    """Return evenly spread points of the unit cube of 2, 3 or 5 dimensions, (count, dimensions), always the same.
 
-    Source: Roberts 2018, "The unreasonable effectiveness of quasirandom sequences", the additive recurrence R_d.
+    Source: Roberts 2018, "The unreasonable effectiveness of quasirandom sequences", the additive recurrence R_d: the
+    steps are powers of the root above 1 of ``x^(d + 1) = x + 1``.
     """
-    root = {2: 1.324717957244746, 3: 1.2207440846057596}[dimensions]
+    root = {2: 1.324717957244746, 3: 1.2207440846057596, 5: 1.1347241384015194}[dimensions]
     return np.mod(0.5 + np.outer(np.arange(count), root ** -np.arange(1.0, dimensions + 1.0)), 1.0)
 
 

@@ -41,11 +41,11 @@ def _find_tint(bsdf: Any, parts: Parts, view: Array, uv: Array) -> Array:
     light = np.concatenate([[[0.0, 0.0, 1.0], view * [-1.0, -1.0, 1.0]], light])
     places = np.repeat(uv, len(light), axis=0)
     values = evaluate_bsdf(bsdf, np.tile(view, (len(places), 1)), np.tile(light, (len(uv), 1)), parts.glossy_lobes,
-                           uv=places).reshape(len(uv), -1, 3) * light[:, 2:]  # fmt: skip
+                           place=places).reshape(len(uv), -1, 3) * light[:, 2:]  # fmt: skip
     values = np.where(np.isfinite(values), values, 0.0)
     albedo = nodes.weight[above] @ values[:, 2:]
     if not parts.diffuse:
-        samples = sample_bsdf(bsdf, np.tile(view, (len(uv), 1)), _SAMPLE_COUNT, uv=uv)
+        samples = sample_bsdf(bsdf, np.tile(view, (len(uv), 1)), _SAMPLE_COUNT, place=uv)
         beyond = (samples.delta | (samples.light[..., 2] < 0.0)) & ~samples.null
         albedo = albedo + np.where(beyond[..., None], samples.weight, 0.0).mean(axis=1)
     return solve_nonnegative(np.moveaxis(values[:, :2], 1, -1).reshape(-1, 2), albedo.ravel())
