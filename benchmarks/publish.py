@@ -59,7 +59,7 @@ PAGES = {
         interactive.make_figures,
         ("interactive_quality", "interactive", "viewer", "interactive_again", "moving", "interactive_direct"),
     ),
-    "docs/materials.md": Source(materials.make_figures, ("fit_materials",)),
+    "docs/materials.md": Source(materials.make_figures, ("fit_materials", "textured_lobes")),
     "docs/mitsuba.md": Source(mitsuba.make_figures, ("mitsuba",)),
     "docs/performance.md": Source(performance.make_figures, ("filters", "roofline", "scaling")),
     "docs/quality_results.md": Source(quality.make_figures, ("quality",)),

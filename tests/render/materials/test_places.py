@@ -10,8 +10,10 @@ import pytest
 from scipy.optimize import nnls
 from scipy.sparse.csgraph import minimum_spanning_tree
 
+from lobewise import denoise
 from lobewise.fitting.table import evaluate_lobes, evaluate_table
 from lobewise.frame import GBuffer
+from lobewise.metrics import rel_mse
 from tests.render.materials.python_bsdf import register_lobes, register_rough
 from tests.render.materials.test_bsdfs import WRAPPERS, bitmap, middle, ramp_texture, rgb
 from tests.render.tolerances import EXACT, FITTED_ALBEDO, FITTED_ALPHA, FITTED_STEPS, FITTED_TEXTURE
@@ -139,6 +141,34 @@ class TestSquares:
         assert np.all(found["specular_albedo"][0] == 0.0)
         assert found["specular_albedo"][1].min() > 0.2
         assert found["alpha_u"][1] > 0.3
+
+
+@pytest.mark.slow
+def test_a_denoised_frame_keeps_the_squares(
+    mi: Any, make_box_scene: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from lobewise.render import render_frame, render_reference
+    from lobewise.render.materials import fitted
+
+    alpha = {**CHECKER, "to_uv": mi.ScalarTransform3f().scale([2.0, 2.0])}
+    to_world = mi.ScalarTransform4f().translate([0.0, 0.1, 0.3]).rotate([1, 0, 0], -90).scale(1.4)
+    bsdf = {"type": "pplastic", "distribution": "ggx", "alpha": alpha, "diffuse_reflectance": 0.0}
+    scene = make_box_scene({"plate": {"type": "rectangle", "to_world": to_world, "bsdf": bsdf}}, size=64)
+    frame = render_frame(scene, spp=16, seed=4)
+    monkeypatch.setattr(fitted, "find_places", lambda *_: None)
+    monkeypatch.setattr(fitted, "_fits", type(fitted._fits)())
+    single = render_frame(scene, spp=16, seed=4)
+    assert np.array_equal(frame.radiance.color, single.radiance.color)
+    plate = frame.gbuffer.material > 0
+    assert np.array_equal(np.unique(frame.gbuffer.material), [0.0, 1.0, 2.0])
+    # Every pixel of the plate has one of two roughnesses; without places all have one.
+    assert np.all((frame.gbuffer.alpha_v[plate] < 1.1 * SHARP) | (frame.gbuffer.alpha_v[plate] > 0.9 * WIDE))
+    assert np.ptp(single.gbuffer.alpha_v[plate]) < 0.1 * WIDE
+    reference = render_reference(scene, spp=1024, seed=5).radiance.color
+    errors = [
+        rel_mse(denoise(each, similarity="ggx", quality="fast").image, reference, plate) for each in (frame, single)
+    ]
+    assert errors[0] < 0.8 * errors[1]
 
 
 class TestRamps:
