@@ -9,7 +9,7 @@ import typer
 
 from lobewise.cli.options.spreading import with_settings
 from lobewise.errors import InputError
-from lobewise.exporting.names import CHAINS, SHADER_LANGUAGES, TARGETS, ExportSettings
+from lobewise.exporting.names import CHAINS, SHADER_LANGUAGES, TARGETS, WEB, ExportSettings
 
 
 @with_settings(ExportSettings, "similarity", "form", "radius", "lobes", "albedo", "anisotropic", only_given=True)
@@ -19,7 +19,7 @@ def export(
     ],
     settings: dict[str, Any],
     target: Annotated[
-        str, typer.Option(metavar="NAME", help="Processor and system, or hlsl, glsl, wgsl; see above.")
+        str, typer.Option(metavar="NAME", help="Processor and system, or hlsl, glsl, wgsl, web; see above.")
     ] = "host",
     name: Annotated[
         str | None,
@@ -43,6 +43,9 @@ def export(
     if target in SHADER_LANGUAGES:
         _export_shaders(output, target, chain, settings, name, force)
         return
+    if target == WEB:
+        _export_page(output, chain, settings, name, force)
+        return
     if chain is not None:
         raise InputError(
             "--chain",
@@ -56,6 +59,24 @@ def export(
 
     command = export_library(output, FilterPlan(**settings), target=target, name=name or "lobewise", force=force)
     print_line(f"Wrote {output}; README.md describes the files. In that folder: {command}")
+
+
+def _export_page(output: Path, chain: str | None, settings: dict[str, Any], name: str | None, force: bool) -> None:
+    """Write the page for browsers. Refuse options that it does not have."""
+    from lobewise.cli.output import print_line
+    from lobewise.exporting.shaders.web import export_web
+
+    given = {"chain": chain, "name": name, **settings}
+    unused = [each for each, value in given.items() if value is not None]
+    if unused:
+        raise InputError(
+            f"--{unused[0]}",
+            expected="another target beside it",
+            got=f"the target {WEB}, whose page has its own settings",
+            action="leave one of them out",
+        )
+    export_web(output, force=force)
+    print_line(f"Wrote {output}: open {output / 'index.html'} in a browser with WebGPU.")
 
 
 def _export_shaders(
@@ -93,6 +114,8 @@ export.__doc__ = f"""{export.__doc__}
 Targets, all compiled in the tests: {", ".join(TARGETS)}. Other combinations of these processors and systems may work.
 
 Shader languages: {", ".join(SHADER_LANGUAGES)}; the weights as functions, or with --chain whole compute passes.
+
+With the target {WEB}: a page that denoises a short sequence in the browser by such passes.
 
 Chains: {"; ".join(f"{name}, {what}" for name, what in CHAINS.items())}.
 """

@@ -11,6 +11,8 @@ from lobewise.settings.choices import SIMILARITIES
 from lobewise.settings.choices import Similarity as SimilarityRecord
 
 SHADER_LANGUAGES = ("hlsl", "glsl", "wgsl")
+WEB = "web"
+"""The target that is a page for browsers."""
 CHAINS = {
     "filter": "which filters every frame by itself",
     "history": "which joins it with the history of the frames before",

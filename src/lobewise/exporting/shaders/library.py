@@ -48,10 +48,15 @@ class Declaration:
         return set(_NAME.findall(code)) - {self.name}
 
 
+def copy_template(name: str) -> str:
+    """Return a file of this room's folder ``templates`` as it is."""
+    path = files("lobewise") / "exporting" / "shaders" / "templates" / name
+    return path.read_text(encoding="utf-8")
+
+
 def read_template(name: str, parts: Mapping[str, str]) -> str:
     """Return a file of this room's folder ``templates`` with every ``$name`` replaced."""
-    path = files("lobewise") / "exporting" / "shaders" / "templates" / name
-    return Template(path.read_text(encoding="utf-8")).substitute(parts)
+    return Template(copy_template(name)).substitute(parts)
 
 
 @cache

@@ -1,0 +1,103 @@
+"""Write a page that runs chains in a browser on a short sequence. It needs no server: all it reads are scripts."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Sequence
+from importlib.resources import as_file, files
+from typing import Any
+
+import lobewise
+from lobewise.denoising.automatic import resolve_settings
+from lobewise.exporting.folder import MARK, open_folder
+from lobewise.exporting.names import WEB
+from lobewise.exporting.readme import DOCS
+from lobewise.exporting.shaders.bundle import read_frames
+from lobewise.exporting.shaders.chains import make_chain
+from lobewise.exporting.shaders.constants import compute_constants, pack_constants
+from lobewise.exporting.shaders.library import copy_template, read_template
+from lobewise.exporting.shaders.passes import Chain, write_pass
+from lobewise.exporting.shaders.writing import describe_chain, name_file
+from lobewise.frame import Frame
+from lobewise.io.files import PathLike
+from lobewise.settings import DenoiseSettings, TemporalSettings
+from lobewise.temporal.recipe import find_own_weight
+
+BUNDLE = "showroom-sequence.bin.gz"
+"""The sequence inside the package; `benchmarks/pictures/web_sequence.py` renders it."""
+PAGE_CHAINS = {"history": "with a history", "filter": "every frame by itself"}
+"""The chains of the page and their titles."""
+PAGE_SETTINGS = DenoiseSettings(quality="fast", form="separable")
+"""The settings of the page's filters."""
+
+
+def make_blocks(chain: Chain, frames: Sequence[Frame]) -> list[bytes]:
+    """Return the constants of each frame of a sequence, as the passes read them."""
+    blocks = []
+    previous = None
+    for frame in frames:
+        camera = frame.require_camera("a chain")
+        values = compute_constants(
+            camera,
+            frame.shape,
+            resolve_settings(frame, PAGE_SETTINGS),
+            previous=previous,
+            temporal=TemporalSettings(),
+            own=find_own_weight(frame),
+        )
+        blocks.append(pack_constants(chain.constants, values))
+        previous = camera
+    return blocks
+
+
+def _bundle_chain(name: str, title: str, frames: Sequence[Frame]) -> dict[str, Any]:
+    """Return what the page needs of a chain: its description, its files and its constants."""
+    chain = make_chain(name, form=PAGE_SETTINGS.form)
+    texts = {
+        name_file(number, each, "wgsl"): write_pass(chain, each, "wgsl") for number, each in enumerate(chain.passes, 1)
+    }
+    blocks = [base64.b64encode(block).decode() for block in make_blocks(chain, frames)]
+    return {"title": title, "chain": describe_chain(chain, "wgsl"), "files": texts, "blocks": blocks}
+
+
+def export_web(output: PathLike, *, force: bool = False) -> list[str]:
+    """Write a folder whose ``index.html`` denoises a sequence in the browser, and return the names of its files.
+
+    Parameters
+    ----------
+    output : path
+        The folder, new or empty.
+    force : bool
+        Replace an earlier export and everything in its folder.
+
+    Raises
+    ------
+    FileError
+        If the folder is not empty or cannot be written.
+    """
+    with as_file(files("lobewise") / "data" / BUNDLE) as path:
+        frames, packed = read_frames(path), path.read_bytes()
+    chains = [_bundle_chain(name, title, frames) for name, title in PAGE_CHAINS.items()]
+    first = frames[0]
+    spp = f"{first.spp} sample" + ("" if first.spp == 1 else "s")
+    parts = {"spp": spp, "width": first.width, "height": first.height, "frames": len(frames)}
+    told = {**{name: str(value) for name, value in parts.items()}, "version": lobewise.__version__, "docs": DOCS}
+    show = copy_template("web/show.wgsl")
+    texts = {
+        "index.html": read_template("web/index.html", told),
+        "player.js": copy_template("web/player.js"),
+        "sequence.js": f'"use strict";\nconst SEQUENCE = "{base64.b64encode(packed).decode()}";\n',
+        "passes.js": f'"use strict";\nconst PASSES = {json.dumps({"show": show, "chains": chains}, indent=1)};\n',
+        "passes/show.wgsl": show,
+        MARK: json.dumps({"lobewise": lobewise.__version__, "target": WEB}) + "\n",
+    }
+    for each in chains:
+        folder = f"passes/{each['chain']['chain']}"
+        texts |= {f"{folder}/{name}": text for name, text in each["files"].items()}
+        texts[f"{folder}/chain.json"] = json.dumps(each["chain"], indent=2) + "\n"
+    with open_folder(output, force=force) as place:
+        for name, text in texts.items():
+            place(name).parent.mkdir(parents=True, exist_ok=True)
+            place(name).write_text(text, encoding="utf-8")
+    return list(texts)
