@@ -30,6 +30,7 @@ def give_images(frame: Frame | SparseFrame) -> dict[str, FloatArray]:
         "surface": fill(guides.normal, guides.alpha_u),
         "place": fill(guides.position, guides.depth),
         "motion": fill(motion),
+        "hits": fill(guides.hit_distance if guides.hit_distance is not None else np.zeros(frame.shape)),
         "diffuse": fill(radiance.diffuse),
         "specular": fill(radiance.specular),
         "diffuse_albedo": fill(guides.diffuse_albedo),

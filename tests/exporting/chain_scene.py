@@ -28,24 +28,35 @@ def find_ball(number: int) -> NDArray[np.float64]:
     return np.array([0.7 - 0.06 * number, 0.6, 0.3])
 
 
-def trace(camera: Camera, ball: NDArray[np.float64]) -> tuple[NDArray[Any], NDArray[np.int_], NDArray[Any]]:
-    """Return the distances (0 for the sky), what a pixel shows (0 sky, 1 floor, 2 still, 3 ball), and the normals."""
-    rays = camera.make_ray_directions(SIZE[1], SIZE[0]).astype(np.float64)
+def trace(
+    origin: NDArray[Any], rays: NDArray[Any], ball: NDArray[np.float64]
+) -> tuple[NDArray[Any], NDArray[np.int_], NDArray[Any]]:
+    """Return the distances (0 for the sky), what a ray shows (0 sky, 1 floor, 2 still, 3 ball), and the normals."""
     best = np.full(SIZE, np.inf)
     shown = np.zeros(SIZE, dtype=int)
     normal = np.zeros((*SIZE, 3))
-    floor = -camera.position[1] / rays[..., 1]
-    on_floor = (floor > 0) & (floor < 9.0)
+    with np.errstate(divide="ignore"):
+        floor = -origin[..., 1] / rays[..., 1]
+    on_floor = (floor > 1e-6) & (floor < 9.0)
     best[on_floor], shown[on_floor], normal[on_floor] = floor[on_floor], 1, (0.0, 1.0, 0.0)
     for number, centre in ((2, STILL), (3, ball)):
-        path = camera.position - centre
-        b, c = rays @ path, path @ path - RADIUS**2
+        path = origin - centre
+        b, c = np.sum(rays * path, axis=-1), np.sum(path * path, axis=-1) - RADIUS**2
         root = b * b - c
         distance = -b - np.sqrt(np.maximum(root, 0.0))
-        hit = (root > 0) & (distance > 0) & (distance < best)
+        hit = (root > 0) & (distance > 1e-6) & (distance < best)
         best[hit], shown[hit] = distance[hit], number
-        normal[hit] = ((camera.position + distance[..., None] * rays - centre) / RADIUS)[hit]
+        normal[hit] = ((origin + distance[..., None] * rays - centre) / RADIUS)[hit]
     return np.where(np.isfinite(best), best, 0.0), shown, normal
+
+
+def find_hits(
+    position: NDArray[Any], rays: NDArray[Any], normal: NDArray[Any], ball: NDArray[np.float64]
+) -> NDArray[Any]:
+    """Return the distance to what a mirror would show at each surface, infinite for the sky."""
+    mirrored = rays - 2.0 * np.sum(rays * normal, axis=-1, keepdims=True) * normal
+    distance, shown, _ = trace(position, mirrored, ball)
+    return np.where(shown > 0, distance, np.inf)
 
 
 def shade(position: NDArray[Any], shown: NDArray[np.int_]) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -54,11 +65,14 @@ def shade(position: NDArray[Any], shown: NDArray[np.int_]) -> tuple[NDArray[Any]
     return 1.0 + 0.6 * waves, np.where((shown == 3)[..., None], np.array([2.0, 1.0, 0.3]), 0.7 - 0.5 * waves)
 
 
-def make_frame(number: int, *, bad: bool = True, noisy: bool = True) -> Frame:
-    """Return a frame of the sequence, with motion from frame 1 on; with ``bad`` some samples are no numbers."""
+def make_frame(number: int, *, bad: bool = True, noisy: bool = True, hits: bool = False) -> Frame:
+    """Return a frame of the sequence, with motion from frame 1 on.
+
+    With ``bad`` some samples are no numbers; with ``hits`` the frame has hit distances.
+    """
     camera, ball = make_camera(number), find_ball(number)
-    depth, shown, normal = trace(camera, ball)
     rays = camera.make_ray_directions(SIZE[1], SIZE[0]).astype(np.float64)
+    depth, shown, normal = trace(np.broadcast_to(camera.position, (*SIZE, 3)), rays, ball)
     position = camera.position + depth[..., None] * rays
     there = shown > 0
     tiles = (np.floor(2.0 * position[..., 0]) + np.floor(2.0 * position[..., 2])) % 2 == 0
@@ -93,6 +107,7 @@ def make_frame(number: int, *, bad: bool = True, noisy: bool = True) -> Frame:
         specular_albedo=specular_albedo,
         mean_emission=emission,
         motion=motion,
+        hit_distance=np.where(there, find_hits(position, rays, normal, ball), 0.0) if hits else None,
     )
     return Frame(Radiance(diffuse + specular + emission, diffuse=diffuse, specular=specular), guides, camera, spp=4)
 
@@ -102,9 +117,9 @@ def make_clean_image(number: int) -> NDArray[Any]:
     return make_frame(number, bad=False, noisy=False).radiance.color
 
 
-def make_sparse_frame(number: int, scale: int, place: tuple[int, int]) -> SparseFrame:
+def make_sparse_frame(number: int, scale: int, place: tuple[int, int], *, hits: bool = False) -> SparseFrame:
     """Return frame ``number`` of which one pixel in every block is shaded."""
-    frame = make_frame(number)
+    frame = make_frame(number, hits=hits)
     shaded = slice(place[0], None, scale), slice(place[1], None, scale)
     parts = {name: getattr(frame.radiance, name)[shaded] for name in ("color", "diffuse", "specular")}
     return SparseFrame(Radiance(**parts), frame.gbuffer, scale=scale, camera=frame.camera, place=place, spp=4)

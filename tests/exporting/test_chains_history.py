@@ -18,6 +18,7 @@ from lobewise.exporting.shaders.chains import make_chain
 from lobewise.exporting.shaders.constants import compute_constants
 from lobewise.filters.history.accumulation import SampleGrid
 from lobewise.frame import FloatArray, Frame
+from lobewise.guides.places import add_grid, estimate_curvature, find_virtual_places
 from lobewise.temporal.past import HistoryReprojection
 from lobewise.temporal.recipe import find_own_weight
 from lobewise.temporal.validation import Guides, find_same_tau
@@ -55,12 +56,12 @@ def make_constants(recipe: lobewise.TemporalFilter, frame: Frame, previous: Fram
 
 
 @cache
-def run_python(darker: bool = True) -> tuple[lobewise.TemporalFilter, dict[str, Steps]]:
-    """Return a filter that has seen some frames, and the steps of the next frame, which may be darker."""
+def run_python(hits: bool) -> tuple[lobewise.TemporalFilter, dict[str, Steps]]:
+    """Return a filter that has seen some frames, and the steps of the frame of `make_last`."""
     recipe = lobewise.TemporalFilter(**SETTINGS)
     for number in range(FRAMES):
-        recipe.add(make_frame(number))
-    frame = make_last(darker)
+        recipe.add(make_frame(number, hits=hits))
+    frame = make_last(hits)
     past = recipe._past
     assert past is not None
     chosen = recipe._resolve(frame)
@@ -83,11 +84,9 @@ def run_python(darker: bool = True) -> tuple[lobewise.TemporalFilter, dict[str, 
     return recipe, steps
 
 
-def make_last(darker: bool) -> Frame:
-    """Return the frame after the others; with ``darker`` half of it lies in a shadow that is new."""
-    frame = make_frame(FRAMES)
-    if not darker:
-        return frame
+def make_last(hits: bool) -> Frame:
+    """Return the frame after the others. Half of it lies in a shadow that is new."""
+    frame = make_frame(FRAMES, hits=hits)
     shadow = np.where(np.arange(frame.width)[:, None] < frame.width // 2, np.float32(0.2), np.float32(1.0))
     parts = {name: getattr(frame.radiance, name) * shadow for name in LAYERS}
     color = frame.radiance.color - frame.radiance.diffuse - frame.radiance.specular + sum(parts.values())
@@ -112,15 +111,24 @@ class Bench:
         return self.player.run_pass(f"{layer}_{step}", {**self.given, **images}, self.constants)
 
 
-@pytest.fixture(scope="module")
-def bench(graphics: Any, language: str, folder: Path) -> Bench:
-    recipe, steps = run_python()
-    frames = [make_frame(FRAMES - 2), make_frame(FRAMES - 1), make_last(True)]
+@pytest.fixture(scope="module", params=[False, True], ids=["plain", "hits"])
+def bench(request: pytest.FixtureRequest, graphics: Any, language: str, folder: Path) -> Bench:
+    recipe, steps = run_python(request.param)
+    frames = [
+        *(make_frame(number, hits=request.param) for number in (FRAMES - 2, FRAMES - 1)),
+        make_last(request.param),
+    ]
     player = Player(graphics, make_chain("history", form="separable"), language, folder)
     made: list[dict[str, FloatArray]] = []
     for previous, frame in pairwise(frames):
         constants = make_constants(recipe, frame, previous)
-        made.append(player.run_pass("guides", give_images(frame), constants))
+        given = give_images(frame)
+        made.append(
+            {
+                **player.run_pass("guides", given, constants),
+                **player.run_pass("reflections", given, constants),
+            }
+        )
     given = {**give_images(frames[-1]), **made[1], **{f"{name}_before": image for name, image in made[0].items()}}
     for name, each in steps.items():
         given |= {
@@ -135,7 +143,7 @@ def bench(graphics: Any, language: str, folder: Path) -> Bench:
 
 def test_footprints(bench: Bench) -> None:
     """Pixels are wider where a surface moved by itself, and nowhere else."""
-    frame = make_last(True)
+    frame = make_last(False)
     angle = frame.require_camera("a history").get_pixel_angle(frame.height)
     depth = frame.gbuffer.depth
     assert depth is not None
@@ -143,6 +151,26 @@ def test_footprints(bench: Bench) -> None:
     wider = bench.given["points"][there][:, 3] / (depth[there] * angle)
     assert np.mean(np.abs(wider - 1.0) < 1e-3) > 0.5
     assert 0.05 < np.mean(wider > 1.2) < 0.5
+
+
+def test_reflections(bench: Bench) -> None:
+    """The virtual images are where Python finds them, and moved otherwise than the surfaces."""
+    frame, previous = make_last(True), make_frame(FRAMES - 1)
+    guides, camera = frame.gbuffer, frame.require_camera("a history")
+    given = {**give_images(frame)}
+    found = bench.player.run_pass("reflections", given, bench.constants)["reflections"]
+    position, normal, distance = (guides.require(name, "it") for name in ("position", "normal", "hit_distance"))
+    curvature = estimate_curvature(position, normal)
+    expected = find_virtual_places(position, curvature, distance, camera, previous.require_camera("it"))
+    known = np.isfinite(expected).all(axis=-1)
+    np.testing.assert_array_equal(np.abs(found[..., 2]) < 1e8, known)
+    near = known & (np.abs(expected) < 200.0).all(axis=-1)
+    np.testing.assert_allclose(found[near][:, 2:], expected[near], rtol=0.0, atol=2e-3)
+    assert guides.motion is not None
+    apart = expected - add_grid(guides.motion)
+    assert np.mean(np.abs(apart[near]).max(axis=-1) > 0.3) > 0.2
+    hit = np.isfinite(distance) & (distance > 0.0)
+    np.testing.assert_allclose(found[hit][:, 0], 1.0 / distance[hit], rtol=1e-5)
 
 
 @pytest.mark.parametrize("name", LAYERS)
@@ -192,15 +220,15 @@ def test_filter_and_accumulate(bench: Bench, name: str) -> None:
     compare((sums[..., :3] / np.maximum(sums[..., 3:4], 1e-30) * step.layer.albedo)[lit], step.output.image[lit])
 
 
-@pytest.mark.parametrize("form", ["separable", "atrous"])
-def test_sequence(graphics: Any, language: str, folder: Path, form: str) -> None:
+@pytest.mark.parametrize(("form", "hits"), [("separable", True), ("atrous", False)])
+def test_sequence(graphics: Any, language: str, folder: Path, form: str, hits: bool) -> None:
     """A moving camera, a moving object, a light that changes: every frame is as Python's."""
     recipe = lobewise.TemporalFilter(form=form, radius=6)
     player = Player(graphics, make_chain("history", form=form), language, folder)
     previous = None
     images = []
     for number in range(FRAMES + 2):
-        frame = make_last(True) if number == FRAMES else make_frame(number)
+        frame = make_last(hits) if number == FRAMES else make_frame(number, hits=hits)
         constants = make_constants(recipe, frame, previous)
         image = player.run(give_images(frame), constants)
         result = recipe.add(frame)

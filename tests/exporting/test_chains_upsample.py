@@ -25,7 +25,7 @@ FRAMES = 5
 
 
 def make(number: int) -> SparseFrame:
-    return make_sparse_frame(number, SCALE, list_places(SCALE)[number % SCALE**2])
+    return make_sparse_frame(number, SCALE, list_places(SCALE)[number % SCALE**2], hits=True)
 
 
 def make_constants(recipe: lobewise.TemporalFilter, frame: SparseFrame, previous: SparseFrame | None) -> dict[str, Any]:

@@ -24,6 +24,8 @@ from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 LIGHT_BITS = 5
 """Bits of the mantissa of noisy light: a rounding error of at most 1.6 %, where the noise is 100 % and more."""
 
+HIT_BITS = 6
+"""The same for hit distances: an error of 0.8 %, a tenth of what separates two hits."""
 LARGEST_NUMBER = 6e4
 """Numbers are clamped to it. Rounding would make an infinite number of the largest half floats."""
 
@@ -47,13 +49,15 @@ CHANNELS = {
     "alpha": _Channels(1, is_smooth=True),
     "depth": _Channels(1, is_smooth=True),
     "motion": _Channels(2, is_smooth=True),
+    "hits": _Channels(1, HIT_BITS),
 }
 """The images of a frame, in the order of their planes."""
 
 
 def round_half(image: FloatArray, bits: int) -> NDArray[np.uint16]:
     """Return the bits of half floats whose mantissa is rounded to ``bits`` bits."""
-    whole = np.clip(image, -LARGEST_NUMBER, LARGEST_NUMBER).astype(np.float16).view(np.uint16).astype(np.uint32)
+    image = np.where(np.isinf(image), image, np.clip(image, -LARGEST_NUMBER, LARGEST_NUMBER))
+    whole = image.astype(np.float16).view(np.uint16).astype(np.uint32)
     step = 1 << (10 - bits)
     return ((whole + step // 2) // step * step).astype(np.uint16)
 
@@ -76,6 +80,7 @@ def collect_images(frame: Frame) -> dict[str, FloatArray]:
         "alpha": guides.require("alpha_u", "a bundle"),
         "depth": guides.require("depth", "a bundle"),
         "motion": motion,
+        "hits": guides.hit_distance if guides.hit_distance is not None else np.zeros(size, np.float32),
     }
 
 
@@ -150,6 +155,7 @@ def _make_frame(images: dict[str, FloatArray], camera: Camera, spp: int | None) 
         specular_albedo=images["specular_albedo"],
         mean_emission=images["emission"],
         motion=images["motion"],
+        hit_distance=images["hits"][..., 0],
     )
     diffuse, specular = images["diffuse"], images["specular"]
     color = diffuse + specular + images["emission"]

@@ -10,6 +10,7 @@ from functools import cache
 from importlib.resources import files
 from string import Template
 
+from lobewise.denoising.layers import MIN_HIT_DISTANCE
 from lobewise.features.ggx import GGX_UNIT
 from lobewise.features.normal import LAMBERT_COEFFICIENTS
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
@@ -23,12 +24,14 @@ from lobewise.filters.history.accumulation_stages import (
     NO_TRUST_ERRORS,
 )
 from lobewise.filters.history.reprojection_pass import SNAP_PIXELS
+from lobewise.guides.places import MIN_EDGE_RATIO, MISS_DISTANCE
 from lobewise.guides.surfaces import MIN_SQUARED_NORMAL
 from lobewise.lobes.covariance import AXIS_TURN, AXIS_TURN_PER_ALPHA, GGX_LIMIT, GGX_SHARPNESS, MIN_VIEW_COSINE
 from lobewise.lobes.directions import MIN_COSINE
 from lobewise.lobes.gaussian import MIN_WARP_COSINE
 from lobewise.lobes.mixture import GGX_MIXTURES, MIN_SHARPNESS
 from lobewise.lobes.vectors import LUMINANCE
+from lobewise.temporal.validation import HIT_TOLERANCE, HIT_TOLERANCE_PER_LOBE
 
 _NAME = re.compile(r"\b(?:lobewise_|LOBEWISE_|Lobewise)\w+")
 _DECLARED = re.compile(r"^(?:const \w+ (\w+) =|struct (\w+) \{|\w+ (\w+)\(.*\) \{$)")
@@ -85,6 +88,11 @@ def list_constants() -> Mapping[str, str]:
         "MIN_WEIGHT": MIN_WEIGHT,
         "SNAP_PIXELS": SNAP_PIXELS,
         "MIN_KNOWN_FRAMES": MIN_KNOWN_FRAMES,
+        "MIN_EDGE_RATIO": MIN_EDGE_RATIO,
+        "MISS_DISTANCE": MISS_DISTANCE,
+        "MIN_HIT_DISTANCE": MIN_HIT_DISTANCE,
+        "HIT_TOLERANCE": HIT_TOLERANCE,
+        "HIT_PER_LOBE": HIT_TOLERANCE_PER_LOBE,
     }
     return {
         **{name: write_number(value) for name, value in numbers.items()},
@@ -130,15 +138,18 @@ def read_library(name: str) -> Mapping[str, Declaration]:
 
 
 def gather(libraries: Sequence[str], text: str) -> str:
-    """Return the declarations of ``libraries`` that a text reads, and those that they read, in the libraries' order."""
+    """Return the declarations that a text reads, and those that they read, each after what it reads."""
     known: dict[str, Declaration] = {}
     for library in libraries:
         known |= read_library(library)
-    needed: set[str] = set()
-    waiting = Declaration("", text).uses
-    while waiting:
-        name = waiting.pop()
-        assert name in known, f"the shader libraries declare no {name}"
-        needed.add(name)
-        waiting |= known[name].uses - needed
-    return "\n\n".join(each.text for name, each in known.items() if name in needed)
+    places = {name: place for place, name in enumerate(known)}
+    found: dict[str, str] = {}
+
+    def add(declaration: Declaration) -> None:
+        for name in sorted(declaration.uses, key=places.__getitem__):
+            if name not in found:
+                add(known[name])
+                found[name] = known[name].text
+
+    add(Declaration("", text))
+    return "\n\n".join(found.values())

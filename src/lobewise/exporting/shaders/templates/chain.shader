@@ -21,6 +21,15 @@ const float LOBEWISE_IGNORED_DIFFERENCE = $IGNORED_DIFFERENCE;
 const float LOBEWISE_MIN_WEIGHT = $MIN_WEIGHT;
 // A place this near to a pixel's centre is moved to the centre, pixels: rounding must not blur.
 const float LOBEWISE_SNAP = $SNAP_PIXELS;
+// Ratio of the squared steps to two neighbours above which the longer step crosses an object's edge.
+const float LOBEWISE_MIN_EDGE_RATIO = $MIN_EDGE_RATIO;
+// Distance of the virtual image of what is not hit, over the distance from the camera.
+const float LOBEWISE_MISS_DISTANCE = $MISS_DISTANCE;
+// Smallest hit distance, pixel footprints: nearer hits count as this far.
+const float LOBEWISE_MIN_HIT_DISTANCE = $MIN_HIT_DISTANCE;
+// Standard deviation of the logarithm of a mirror's hit distance between two frames, and more per radian of a lobe.
+const float LOBEWISE_HIT_TOLERANCE = $HIT_TOLERANCE;
+const float LOBEWISE_HIT_TOLERANCE_PER_LOBE = $HIT_PER_LOBE;
 // Frames in a trusted history from which a pixel has the narrow kernel.
 const float LOBEWISE_MIN_KNOWN_FRAMES = $MIN_KNOWN_FRAMES;
 
@@ -69,23 +78,65 @@ vec4 lobewise_split(LobewiseCovariance lobe) {
     return vec4(column / sqrt(max(longest, 1.0e-30)), mean + 0.5 * gap);
 }
 
+// Column and row, pixel centres at whole numbers, where the camera of the frame before saw a step from it, and how far
+// ahead the step leads (z; not above 0 behind the camera).
+vec3 lobewise_project(vec3 path) {
+    let float ahead = dot(path, constants.before_forward);
+    let float right = dot(path, constants.before_right) / ahead;
+    let float up = dot(path, constants.before_up) / ahead;
+    let vec2 half_size = 0.5 * vec2(float(constants.width), float(constants.height));
+    return vec3(vec2(1.0 + right, 1.0 - up) * half_size - vec2(0.5, 0.5), ahead);
+}
+
 // How far a surface moved by itself since the frame before, pixels. moved is its motion on the screen; the motion of
 // the camera is subtracted. A point that lay behind the earlier camera moved by twice the image.
 float lobewise_find_own_motion(ivec2 pixel, vec3 position, vec2 moved) {
-    let vec3 path = position - constants.before;
-    let float ahead = dot(path, constants.before_forward);
-    let vec2 size = vec2(float(constants.width), float(constants.height));
-    var vec2 still = 2.0 * size;
-    if (ahead > 0.0) {
-        let float right = dot(path, constants.before_right) / ahead;
-        let float up = dot(path, constants.before_up) / ahead;
-        still = 0.5 * vec2(1.0 + right, 1.0 - up) * size - vec2(0.5, 0.5) - vec2(float(pixel.x), float(pixel.y));
+    let vec3 seen = lobewise_project(position - constants.before);
+    var vec2 still = 2.0 * vec2(float(constants.width), float(constants.height));
+    if (seen.z > 0.0) {
+        still = seen.xy - vec2(float(pixel.x), float(pixel.y));
     }
     let float way = length(moved - still);
     if (lobewise_is_finite(way)) {
         return way;
     }
     return 0.0;
+}
+
+// From a pixel to a neighbour: the slope of the normal along the step, 1/world unit (x), and the squared step (y).
+vec2 lobewise_find_slope(ivec2 pixel, ivec2 neighbour) {
+    let vec3 way = load(place, neighbour).xyz - load(place, pixel).xyz;
+    let vec3 turn = load(surface, neighbour).xyz - load(surface, pixel).xyz;
+    let float square = dot(way, way);
+    let float slope = dot(turn, way) / max(square, 1.0e-20);
+    if (lobewise_is_finite(slope)) {
+        return vec2(slope, square);
+    }
+    return vec2(0.0, 1.0e37);
+}
+
+// The slope on the much nearer side, or else the flatter one: neither edges of objects nor creases count.
+float lobewise_choose_side(vec2 first, vec2 second) {
+    if (first.y > LOBEWISE_MIN_EDGE_RATIO * second.y) {
+        return second.x;
+    }
+    if (second.y > LOBEWISE_MIN_EDGE_RATIO * first.y || abs(first.x) < abs(second.x)) {
+        return first.x;
+    }
+    return second.x;
+}
+
+// Mean curvature of the surface at a pixel, 1/world unit, above 0 for convex.
+float lobewise_find_curvature(ivec2 pixel) {
+    let int left = clamp(pixel.x - 1, 0, max(constants.width - 2, 0));
+    let int here = clamp(pixel.x, 0, max(constants.width - 2, 0));
+    let int above = clamp(pixel.y - 1, 0, max(constants.height - 2, 0));
+    let int middle = clamp(pixel.y, 0, max(constants.height - 2, 0));
+    let vec2 before = lobewise_find_slope(ivec2(left, pixel.y), ivec2(min(left + 1, constants.width - 1), pixel.y));
+    let vec2 after = lobewise_find_slope(ivec2(here, pixel.y), ivec2(min(here + 1, constants.width - 1), pixel.y));
+    let vec2 over = lobewise_find_slope(ivec2(pixel.x, above), ivec2(pixel.x, min(above + 1, constants.height - 1)));
+    let vec2 under = lobewise_find_slope(ivec2(pixel.x, middle), ivec2(pixel.x, min(middle + 1, constants.height - 1)));
+    return 0.5 * (lobewise_choose_side(before, after) + lobewise_choose_side(over, under));
 }
 
 // log2 of the Gaussian of the distance on the screen. offset counts pixels.
@@ -290,4 +341,46 @@ LobewiseSums lobewise_weigh_own(vec4 light, float unit) {
     sums.light = vec4(weight * light.xyz, weight);
     sums.more = vec3(weight * (weight + 2.0 * unit), weight * luminance * luminance, 0.0);
     return sums;
+}
+
+// What a pixel finds in the frame before.
+struct LobewiseHistory {
+    vec4 light; // sums of weight times light, and of weights
+    vec4 more; // squared weight, squared luminance, frames; agreement, 0 to 1
+};
+
+// The history at a place in the frame before: of the four pixels around it, by bilinear weights times similarity.
+// is_surface tells whether surfaces are compared beside lobes.
+LobewiseHistory lobewise_gather(ivec2 pixel, vec2 given, bool is_surface) {
+    var LobewiseHistory found;
+    found.light = vec4(0.0, 0.0, 0.0, 0.0);
+    found.more = vec4(0.0, 0.0, 0.0, 0.0);
+    let bool is_right = given.x > -1.0 && given.x < float(constants.width);
+    let bool is_below = given.y > -1.0 && given.y < float(constants.height);
+    if (!(lobewise_is_finite(given.x + given.y) && is_right && is_below)) {
+        return found;
+    }
+    let vec2 spot = vec2(lobewise_snap(given.x), lobewise_snap(given.y));
+    let vec2 corner = floor(spot);
+    for (var int k = 0; k < 4; k += 1) {
+        let int u = k % 2;
+        let int v = k / 2;
+        let ivec2 before = ivec2(int(corner.x) + u, int(corner.y) + v);
+        if (!lobewise_is_inside(before)) {
+            continue;
+        }
+        let vec4 light = load(past_light, before);
+        let vec4 more = load(past_more, before);
+        // A history that is not a number would spread by a pixel with every frame.
+        let float total = light.x + light.y + light.z + light.w + more.x + more.y + more.z;
+        if (!lobewise_was_usable(before) || lobewise_is_bad(total)) {
+            continue;
+        }
+        let float agreement = exp2(lobewise_compare_frames(pixel, before, is_surface));
+        let vec2 share = vec2(float(1 - u), float(1 - v)) - (spot - corner);
+        let float weight = abs(share.x * share.y) * agreement;
+        found.light += weight * light;
+        found.more += weight * vec4(agreement * more.x, more.y, more.z, 1.0);
+    }
+    return found;
 }

@@ -30,12 +30,15 @@ bool lobewise_was_usable(ivec2 pixel) {
     return load(normals_before, pixel).w > 0.0;
 }
 
-// log2 of the similarity of a pixel and a pixel of the frame before, by surface and lobe.
-float lobewise_compare_frames(ivec2 pixel, ivec2 before) {
+// log2 of the similarity of a pixel and a pixel of the frame before, by surface (if is_surface) and lobe.
+float lobewise_compare_frames(ivec2 pixel, ivec2 before, bool is_surface) {
     let vec3 normal = load(normals, pixel).xyz;
     let vec3 normal_before = load(normals_before, before).xyz;
     let vec4 spot = load(points, pixel);
     let vec4 spot_before = load(points_before, before);
-    let float surface = lobewise_compare_planes(spot, normal, spot_before, normal_before);
-    return surface + lobewise_compare_cosines(normal, normal_before, constants.beta_between);
+    let float lobes = lobewise_compare_cosines(normal, normal_before, constants.beta_between);
+    if (!is_surface) {
+        return lobes;
+    }
+    return lobes + lobewise_compare_planes(spot, normal, spot_before, normal_before);
 }

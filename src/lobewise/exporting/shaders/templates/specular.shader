@@ -44,16 +44,46 @@ bool lobewise_was_usable(ivec2 pixel) {
     return load(normals_before, pixel).w > 0.0 && load(axes_before, pixel).w >= 0.0;
 }
 
-// log2 of the similarity of a pixel and a pixel of the frame before, by surface and lobe.
-float lobewise_compare_frames(ivec2 pixel, ivec2 before) {
+// 1 over the hit distance of a pixel, 0 where it is not known. Hits that are very near count as farther.
+float lobewise_bound_hit(float inverse, float depth) {
+    return min(inverse, 1.0 / (LOBEWISE_MIN_HIT_DISTANCE * constants.pixel_angle * depth));
+}
+
+// The shift that a lobe's axis gets because its pixel sees near things from another place: the step between both surface
+// points over the hit distance, across the lobes.
+vec3 lobewise_find_hit_shift(vec3 axis_i, vec3 axis_j, vec3 path, float inverse) {
+    let vec3 d = axis_j - axis_i;
+    let vec3 middle = axis_i + axis_j;
+    let float along = 0.25 * dot(middle, path) * (1.0 + 0.25 * dot(d, d));
+    return inverse * (path - along * middle);
+}
+
+// log2 of the Gaussian of the difference of two inverse hit distances, relative to the larger one.
+float lobewise_compare_hits(vec2 hit_i, vec2 hit_j) {
+    let float largest = max(max(hit_i.x, hit_j.x), 1.0e-12);
+    let float way = (hit_i.x - hit_j.x) / largest;
+    return -0.5 * LOBEWISE_LOG2_E * way * way / (hit_i.y * hit_j.y);
+}
+
+// log2 of the similarity of a pixel and a pixel of the frame before, by surface (if is_surface), lobe and what it hits.
+float lobewise_compare_frames(ivec2 pixel, ivec2 before, bool is_surface) {
     let vec4 spot = load(points, pixel);
     let vec4 spot_before = load(points_before, before);
-    let vec3 normal = load(normals, pixel).xyz;
-    let vec3 normal_before = load(normals_before, before).xyz;
-    let LobewiseSplit lobe = lobewise_join(load(axes, pixel), load(spreads, pixel), constants.tau_between);
+    let vec4 normal = load(normals, pixel);
+    let vec4 normal_before = load(normals_before, before);
     let vec4 axis_before = load(axes_before, before);
     let vec4 spread_before = load(spreads_before, before);
-    let LobewiseSplit lobe_before = lobewise_join(axis_before, spread_before, constants.tau_between);
-    let float surface = lobewise_compare_planes(spot, normal, spot_before, normal_before);
-    return surface + lobewise_compare_ggx(lobe, lobe_before, constants.beta_between);
+    let vec2 hit = load(reflections, pixel).xy;
+    let vec2 hit_before = load(reflections_before, before).xy;
+    let LobewiseSplit lobe = lobewise_join(load(axes, pixel), load(spreads, pixel), constants.tau_between);
+    var LobewiseSplit moved = lobewise_join(axis_before, spread_before, constants.tau_between);
+    let float near = lobewise_bound_hit(hit.x, normal.w);
+    let float near_before = lobewise_bound_hit(hit_before.x, normal_before.w);
+    let vec3 path = spot_before.xyz - spot.xyz;
+    moved.axis += lobewise_find_hit_shift(lobe.axis, moved.axis, path, 0.5 * (near + near_before));
+    let float lobes = lobewise_compare_ggx(lobe, moved, constants.beta_between) + lobewise_compare_hits(hit, hit_before);
+    if (!is_surface) {
+        return lobes;
+    }
+    return lobes + lobewise_compare_planes(spot, normal.xyz, spot_before, normal_before.xyz);
 }

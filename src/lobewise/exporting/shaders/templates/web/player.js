@@ -166,6 +166,7 @@ function giveImages(images, position) {
     surface: join(...images.normal, ...images.alpha),
     place: join(...position, ...images.depth),
     motion: join(...images.motion),
+    hits: join(...images.hits),
     diffuse: join(...images.diffuse),
     specular: join(...images.specular),
     diffuse_albedo: join(...images.diffuse_albedo),
