@@ -158,10 +158,10 @@ def find_definition(code: CodeType) -> str:
 
 
 KERNELS = {
-    "cross filter": list_definitions((PassKey, GgxFeature, SgMixtureFeature), cross_filter._make_scheduled),
+    "cross filter": list_definitions((PassKey, GgxFeature, SgMixtureFeature), cross_filter.make_scheduled_pass),
     "fireflies": list_definitions(("fireflies", True), fireflies._make_fireflies),
     "reprojection": list_definitions(("reprojection", GgxFeature), reprojection._make_reprojection),
-    "lobes": list_definitions((lobe_fields.define_lobes,), pointwise._make),
+    "lobes": list_definitions((lobe_fields.define_lobes,), pointwise.make_pointwise),
 }
 """What some kernels are made from."""
 

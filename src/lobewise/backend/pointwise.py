@@ -121,7 +121,7 @@ def select_or_nan(condition: hl.Expr, value: hl.Expr) -> hl.Expr:
 
 
 @dataclass(frozen=True)
-class _Key:
+class PointwiseKey:
     """Everything that changes the kernel's code."""
 
     define: Definition
@@ -133,7 +133,7 @@ class _Key:
     narrow: bool
 
 
-def _make(key: _Key, target: hl.Target) -> Scheduled:
+def make_pointwise(key: PointwiseKey, target: hl.Target) -> Scheduled:
     """Return the scheduled functions of a definition."""
     signature = Signature(key.define.__name__.lstrip("_").removeprefix("define_"))
     size = ("height", "width")
@@ -233,7 +233,7 @@ def run_pointwise(
         )
     ((_, width),) = sizes
     vectors = {name: np.atleast_1d(np.asarray(value)) for name, value in numbers.items()}
-    key = _Key(
+    key = PointwiseKey(
         define,
         options,
         tuple((name, image[0, 0].size, image.dtype == np.uint8) for name, image in held.items()),
@@ -241,7 +241,7 @@ def run_pointwise(
         # A row of differences is a pixel shorter.
         narrow=width <= count_host_lanes(),
     )
-    kernel = get_kernel("cpu", key, partial(_make, key), strict=True)
+    kernel = get_kernel("cpu", key, partial(make_pointwise, key), strict=True)
     named = {f"{name}_{k}": float(value) for name, vector in vectors.items() for k, value in enumerate(vector)}
     results = map(download, run_kernel(kernel, "cpu", held, **named).values())
     return tuple(result.view(np.bool_) if result.dtype == np.uint8 else result for result in results)

@@ -10,14 +10,23 @@ import typer
 from lobewise.cli.options.spreading import with_settings
 from lobewise.errors import InputError
 from lobewise.exporting.names import CHAINS, SHADER_LANGUAGES, TARGETS, WEB, ExportSettings
+from lobewise.exporting.pipeline.settings import PipelineSettings
+from lobewise.settings import list_knobs
+
+OWN = ("similarity", "form", "radius", "lobes", "albedo", "anisotropic")
+"""Settings of a single filter."""
+SHARED = ("similarity", "form", "radius", "anisotropic")
+"""Settings of a filter that a pipeline has, too."""
+PIPELINE = ("plan", "layers", "position", "lobe_kind")
+"""Settings of a pipeline alone."""
 
 
-@with_settings(ExportSettings, "similarity", "form", "radius", "lobes", "albedo", "anisotropic", only_given=True)
+@with_settings({**list_knobs(PipelineSettings), **list_knobs(ExportSettings)}, *OWN, *PIPELINE, only_given=True)
 def export(
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="FOLDER", help="The folder to write.", show_default=False)
-    ],
     settings: dict[str, Any],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="The folder to write.", show_default=False)
+    ] = None,
     target: Annotated[
         str, typer.Option(metavar="NAME", help="Processor and system, or hlsl, glsl, wgsl, web; see above.")
     ] = "host",
@@ -36,14 +45,24 @@ def export(
     force: Annotated[
         bool, typer.Option("--force", help="Replace an earlier export and everything in its folder.")
     ] = False,
+    list_contents: Annotated[
+        bool, typer.Option("--list", help="Print what the pipeline contains, and write nothing.")
+    ] = False,
 ) -> None:
-    """Compile a filter ahead of time: a library with C header, README and example; or shaders."""
+    """Compile a filter, or with --plan a whole plan, into a C library with README and example; or write shaders."""
     from lobewise.cli.output import print_line
 
+    if list_contents and not any(each in settings for each in PIPELINE):
+        settings["plan"] = "fast"
+    if output is None and (target in (*SHADER_LANGUAGES, WEB) or not list_contents):
+        raise InputError("--output", expected="the folder to write", got="nothing", action="add -o FOLDER")
+
     if target in SHADER_LANGUAGES:
+        assert output is not None
         _export_shaders(output, target, chain, settings, name, force)
         return
     if target == WEB:
+        assert output is not None
         _export_page(output, chain, settings, name, force)
         return
     if chain is not None:
@@ -54,6 +73,11 @@ def export(
             action="leave --chain out, or choose a shader language",
         )
 
+    if any(each in settings for each in PIPELINE):
+        _export_pipeline(output, settings, target=target, name=name or "lobewise", force=force)
+        return
+
+    assert output is not None
     from lobewise.exporting.native import export_library
     from lobewise.exporting.plan import FilterPlan
 
@@ -106,6 +130,28 @@ def _export_shaders(
     names = export_chain(output, language, chain, force=force, **settings)
     count = sum(each.endswith(f".{language}") for each in names)
     print_line(f"Wrote {output}: {count} passes, {DESCRIPTION}, README.md, which describes images and constants.")
+
+
+def _export_pipeline(output: Path | None, settings: dict[str, Any], *, target: str, name: str, force: bool) -> None:
+    """Write a pipeline, or print what it contains where there is no folder to write."""
+    from lobewise.cli.output import print_line
+
+    if alone := [each for each in settings if each not in (*SHARED, *PIPELINE)]:
+        raise InputError(
+            f"--{alone[0]}", expected="settings of a pipeline", got="one of a single filter", action="leave it out"
+        )
+    chosen = PipelineSettings(**settings)
+    if output is None:
+        from lobewise.exporting.pipeline.contents import list_contents
+        from lobewise.exporting.pipeline.planning import make_pipeline
+
+        for line in list_contents(make_pipeline(chosen, target=target, name=name)):
+            print_line(line)
+        return
+    from lobewise.exporting.pipeline.writing import export_pipeline
+
+    command = export_pipeline(output, chosen, target=target, name=name, force=force)
+    print_line(f"Wrote {output}; README.md describes the files. In that folder: {command}")
 
 
 # The narrow columns of the options would cut these names off.

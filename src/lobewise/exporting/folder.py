@@ -92,7 +92,12 @@ def open_folder(path: PathLike, *, force: bool = False) -> Iterator[Callable[[st
                 shutil.rmtree(folder)
 
 
+def read_template(file: str) -> str:
+    """Return a file of the folder ``templates``."""
+    path = files("lobewise") / "exporting" / "templates" / file
+    return path.read_text(encoding="utf-8")
+
+
 def fill_template(file: str, **parts: object) -> str:
     """Return a file of the folder ``templates`` with every ``${name}`` replaced."""
-    path = files("lobewise") / "exporting" / "templates" / file
-    return Template(path.read_text(encoding="utf-8")).substitute(parts)
+    return Template(read_template(file)).substitute(parts)

@@ -25,13 +25,13 @@ def declare_features(signature: Signature, prefix: str, features: Sequence[Featu
     *axes
         Names of the axes: rows and columns, or one axis for all pixels.
     """
-    return [signature.image(name, *axes, *array.shape[2:]) for name, array in _name_arrays(prefix, features).items()]
+    return [signature.image(name, *axes, *array.shape[2:]) for name, array in name_arrays(prefix, features).items()]
 
 
 def give_features(prefix: str, features: Sequence[Feature], size: tuple[int, int]) -> dict[str, Image]:
     """Return the arrays that `declare_features` declares, by name; raise InputError if an array has another size."""
     owners = [feature for feature in features for _ in feature.get_arrays()]
-    named = zip(_name_arrays(prefix, features).items(), owners, strict=True)
+    named = zip(name_arrays(prefix, features).items(), owners, strict=True)
     return {name: _take_array(feature, array, size) for (name, array), feature in named}
 
 
@@ -52,7 +52,7 @@ def give_scalars(features: Sequence[Feature], prefix: str = "") -> dict[str, flo
     }
 
 
-def _name_arrays(prefix: str, features: Sequence[Feature]) -> dict[str, Image]:
+def name_arrays(prefix: str, features: Sequence[Feature]) -> dict[str, Image]:
     return {
         f"{prefix}_feature{number}_{slot}": array
         for number, feature in enumerate(features)

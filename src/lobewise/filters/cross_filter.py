@@ -145,7 +145,7 @@ def run_filter(
         strict=strictness is not None,
     )
     keys = chain_passes(whole, [taps for taps, _, _ in passes], mirror=device == "cpu")
-    kernels = [get_kernel(device, key, partial(_make_scheduled, key, features)) for key in keys]
+    kernels = [get_kernel(device, key, partial(make_scheduled_pass, key, features)) for key in keys]
     run = _Run(kernels, beside, give_scalars(features), device)
     shapes = kernels[-1].list_shapes(height=size[0], width=size[1])
     outputs = {name: make_output(shape, device) for name, shape in shapes.items()}
@@ -234,7 +234,7 @@ def _list_tiles(height: int, width: int) -> list[tuple[slice, slice]]:
     ]
 
 
-def _make_scheduled(key: PassKey, features: Sequence[Feature], target: hl.Target) -> Scheduled:
+def make_scheduled_pass(key: PassKey, features: Sequence[Feature], target: hl.Target) -> Scheduled:
     """Return a pass, ready to be compiled."""
     funcs = make_pass(key, features, lanes=count_lanes(target))
     schedule_pass(funcs, target)

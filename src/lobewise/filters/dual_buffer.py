@@ -137,7 +137,7 @@ class PassRequest:
 def filter_dual_buffer(request: PassRequest) -> list[DualBufferOutput]:
     """Filter two halves of the samples by the same weights; return one output for each variant."""
     key = request.make_key()
-    kernel = get_kernel(request.device, key, partial(_make_scheduled, key, request.groups))
+    kernel = get_kernel(request.device, key, partial(make_scheduled_dual_buffer, key, request.groups))
     written = run_kernel(kernel, request.device, request.collect_images(), **request.collect_numbers())
     found: list[DualBufferOutput] = []
     for variant in range(len(request.variants)):
@@ -146,7 +146,7 @@ def filter_dual_buffer(request: PassRequest) -> list[DualBufferOutput]:
     return found
 
 
-def _make_scheduled(key: DualBufferKey, groups: Groups, target: hl.Target) -> Scheduled:
+def make_scheduled_dual_buffer(key: DualBufferKey, groups: Groups, target: hl.Target) -> Scheduled:
     """Return a dual-buffer pass, ready to be compiled."""
     funcs = make_dual_buffer_pass(key, groups, lanes=count_lanes(target))
     schedule_dual_buffer(funcs, target)

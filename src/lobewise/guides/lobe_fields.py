@@ -155,7 +155,7 @@ def spread_lobes(field: Field) -> Field:
     """
     shapes = {name: getattr(field, name) for name in SHAPES[type(field)]}
     images = {"valid": field.valid, "axis": field.axis, **shapes}
-    found = run_pointwise(_define_spread, images, {})
+    found = run_pointwise(define_spread, images, {})
     return replace(field, **dict(zip(shapes, found, strict=True)))
 
 
@@ -163,7 +163,7 @@ SHAPES: dict[type, tuple[str, ...]] = {SgField: ("sharpness",), CovarianceField:
 """The arrays that hold the width of the lobes, for each type of field."""
 
 
-def _define_spread(grid: Grid) -> list[Vector]:
+def define_spread(grid: Grid) -> list[Vector]:
     width, height = grid.size
     axis, known = grid.read("axis"), grid.read_one("valid") != 0
     none = nearest = hl.f32(LARGEST_FLOAT)

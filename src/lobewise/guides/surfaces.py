@@ -45,11 +45,11 @@ def find_surface_pixels(gbuffer: GBuffer, size: tuple[int, int]) -> NDArray[np.b
     images = {"depth": gbuffer.depth, "position": gbuffer.position, "normal": gbuffer.normal}
     if all(image is None for image in images.values()):
         return np.ones(size, dtype=bool)
-    (surface,) = run_pointwise(_define_surface, images, {})
+    (surface,) = run_pointwise(define_surface, images, {})
     return np.asarray(surface)
 
 
-def _define_surface(grid: Grid) -> list[Vector]:
+def define_surface(grid: Grid) -> list[Vector]:
     return [[hl.u8(is_surface(grid))]]
 
 
@@ -75,13 +75,13 @@ def find_places(gbuffer: GBuffer, camera: Camera) -> tuple[FloatArray, FloatArra
         assert depth is not None
         height, width = depth.shape
         numbers: dict[str, Any] = {"eye": camera.position, **get_ray_numbers(camera, (height, width))}
-        (position,) = run_pointwise(_define_positions, {"depth": depth}, numbers)
+        (position,) = run_pointwise(define_positions, {"depth": depth}, numbers)
     if depth is None:
         (depth,) = run_pointwise(_define_depths, {"position": position}, {"eye": camera.position})
     return np.asarray(position), np.asarray(depth)
 
 
-def _define_positions(grid: Grid) -> list[Vector]:
+def define_positions(grid: Grid) -> list[Vector]:
     ray = make_ray(grid, hl.Float(64))
     along = hl.f64(grid.read_one("depth")) / hl.sqrt(dot(ray, ray))
     return [[hl.f32(eye + along * component) for eye, component in zip(grid.get("eye"), ray, strict=True)]]

@@ -319,11 +319,15 @@ class SampleGrid:
     ) -> FloatArray:
         """Return the output of the pass ``make(*options)``, (rows, columns, planes)."""
         told = (tuple(map(describe_structure, each)) if isinstance(each, tuple) else each for each in options)
-        kernel = get_kernel(self._device, (make, *told), partial(_make_scheduled, make, options), strict=strict)
+        kernel = get_kernel(
+            self._device, (make, *told), partial(make_scheduled_accumulation, make, options), strict=strict
+        )
         return run_planes(kernel, self._device, images, numbers, size)
 
 
-def _make_scheduled(make: Callable[..., AccumulationFuncs], options: tuple[Any, ...], target: hl.Target) -> Scheduled:
+def make_scheduled_accumulation(
+    make: Callable[..., AccumulationFuncs], options: tuple[Any, ...], target: hl.Target
+) -> Scheduled:
     """Return a pass, ready to be compiled."""
     funcs = make(*options, max(count_lanes(target), 1))
     schedule_accumulation(funcs)

@@ -1,0 +1,115 @@
+"""What a pipeline contains, for programs (JSON), for its README, and for `lobewise export --list`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import lobewise
+from lobewise.exporting.folder import fill_template
+from lobewise.exporting.pipeline.driver import Pipeline
+from lobewise.exporting.pipeline.program.graph import Image
+from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, SPP, WIDTH
+
+HELD = "lobewise pipeline"
+"""Value of the key "kind" in the JSON of a pipeline."""
+
+
+def describe_contents(pipeline: Pipeline) -> dict[str, Any]:
+    """Return what a pipeline contains, for JSON."""
+    graph, memory = pipeline.graph, pipeline.memory
+    return {
+        "lobewise": lobewise.__version__,
+        "kind": HELD,
+        "target": pipeline.target,
+        "settings": {name: getattr(pipeline.settings, name) for name in vars(pipeline.settings)},
+        "inputs": [_describe_image(each) for each in graph.given.values()],
+        "results": [_describe_image(each) for each in graph.results.values()],
+        "state": [_describe_image(now) for now, _ in graph.kept],
+        "numbers": [
+            {"name": each.name, "default": each.default, "meaning": each.text} for each in pipeline.user_settings
+        ],
+        "bytes_per_pixel": {"between steps": memory.made_bytes, "state": memory.kept_bytes},
+        "kernels": {kernel.symbol: kernel.name for kernel in pipeline.kernels},
+        "stages": [
+            {
+                "name": stage,
+                "steps": [
+                    {
+                        "what": each.text,
+                        "function": each.function,
+                        "reads": [image.name for image in each.reads],
+                        "writes": [image.name for image in each.writes],
+                        **({"only if": each.when} if each.when else {}),
+                    }
+                    for each in operations
+                ],
+            }
+            for stage, operations in pipeline.stages
+        ],
+    }
+
+
+def _describe_image(image: Image) -> dict[str, Any]:
+    shape = [axis if isinstance(axis, int) else str(axis) for axis in image.shape]
+    return {"name": image.name, "type": image.type, "shape": shape, "unit": image.unit, "meaning": image.text}
+
+
+def list_contents(pipeline: Pipeline) -> Iterator[str]:
+    """Yield the lines of `lobewise export --list`."""
+    graph, memory = pipeline.graph, pipeline.memory
+    yield f"{pipeline.title}, for {pipeline.target}"
+    for title, images in (("Inputs", graph.given), ("Results", graph.results)):
+        yield f"{title}:"
+        for image in images.values():
+            yield f"  {image.name}: {_write_shape(image)}, {image.text}"
+    yield f"Memory: {memory.made_bytes:g} bytes for each pixel between steps, {memory.kept_bytes:g} of state."
+    if graph.kept:
+        yield f"State: {', '.join(now.name for now, _ in graph.kept)}."
+    yield f"Kernels: {len(pipeline.kernels)}."
+    for number, (stage, operations) in enumerate(pipeline.stages, 1):
+        yield f"{number}. {stage}"
+        for each in operations:
+            ways = f"{_name(each.reads)} -> {_name(each.writes)}" if each.writes else _name(each.reads)
+            yield f"   {each.text}: {ways}" + (" (only if needed)" if each.when else "")
+
+
+def _name(images: tuple[Image, ...]) -> str:
+    return ", ".join(dict.fromkeys(image.memory.name for image in images))
+
+
+def _write_shape(image: Image) -> str:
+    return " x ".join(map(str, image.shape))
+
+
+def write_readme(pipeline: Pipeline, build: str) -> str:
+    """Return the README of a pipeline in Markdown."""
+    graph, memory, name = pipeline.graph, pipeline.memory, pipeline.name
+    images = [
+        f"| `{image.name}` | {role} | {_write_shape(image)} | {image.unit} | {image.text} |"
+        for role, group in (("input", graph.given), ("result", graph.results))
+        for image in group.values()
+    ]
+    numbers = [f"| `{each.name}` | {each.default:g} | {each.text} |" for each in pipeline.user_settings]
+    held = ", ".join(f"`{each}`" for each in graph.given)
+    return fill_template(
+        "pipeline/readme.md",
+        name=name,
+        title=pipeline.title,
+        target=pipeline.target,
+        version=lobewise.__version__,
+        build=build,
+        images="\n".join(images),
+        numbers="\n".join(numbers),
+        made=f"{memory.made_bytes:g}",
+        kept=f"{memory.kept_bytes:g}",
+        kernels=len(pipeline.kernels),
+        least=pipeline.least_width,
+        frames=FRAMES,
+        width=WIDTH,
+        height=HEIGHT,
+        spp=SPP,
+        held=held,
+        steps="\n".join(list_contents(pipeline)),
+        history=fill_template("pipeline/history.md", name=name) if graph.kept else "",
+    )

@@ -1,0 +1,294 @@
+"""Write the C program of a pipeline: its memory, its numbers, and its steps in order."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import groupby
+
+import lobewise
+from lobewise.exporting.folder import fill_template, read_template
+from lobewise.exporting.pipeline.program.graph import Graph, Image, Operation
+from lobewise.exporting.pipeline.program.kernels import CompiledKernel
+from lobewise.exporting.pipeline.program.memory import MemoryPlan, plan_memory
+from lobewise.exporting.pipeline.program.numbers import write_number
+from lobewise.exporting.pipeline.recipes.constants import Constants, Setting, list_settings
+from lobewise.exporting.pipeline.settings import PipelineSettings
+
+_AXES = {"height": "HEIGHT", "width": "WIDTH", "rows": "ROWS", "columns": "COLUMNS"}
+_TYPES = {"float32": "float", "int32": "int32_t", "float64": "double"}
+_MARK = re.compile(r"^/\* routine: (\w+) \*/\n", flags=re.M)
+
+
+@dataclass(frozen=True)
+class Pipeline:
+    """Everything that the files of an exported pipeline are made from.
+
+    Parameters
+    ----------
+    settings : PipelineSettings
+    graph : Graph
+    constants : Constants
+    kernels : sequence of CompiledKernel
+    lanes : int
+        Pixels of a vector of the target.
+    name : str
+        Beginning of the names of files and functions.
+    target : str
+        Halide's full name of the target.
+    """
+
+    settings: PipelineSettings
+    graph: Graph
+    constants: Constants
+    kernels: Sequence[CompiledKernel]
+    lanes: int
+    name: str
+    target: str
+
+    @cached_property
+    def memory(self) -> MemoryPlan:
+        """Where images lie."""
+        return plan_memory(self.graph, 1.0 / self.settings.upsample**2)
+
+    @cached_property
+    def images(self) -> list[Image]:
+        """Every image, in the order of the table in C."""
+        return self.graph.list_images()
+
+    @cached_property
+    def stages(self) -> list[tuple[str, list[Operation]]]:
+        """Steps by the part of the plan that they belong to."""
+        return [(name, list(each)) for name, each in groupby(self.graph.operations, key=lambda each: each.stage)]
+
+    @property
+    def least_width(self) -> int:
+        """Smallest width of images, pixels: more than a vector of the target."""
+        return self.lanes + 1
+
+    @property
+    def title(self) -> str:
+        """The pipeline in half a line."""
+        words = [f"lobewise pipeline, plan {self.settings.plan}", self.settings.similarity]
+        words += ["history"] if self.settings.history else []
+        words += [f"one pixel of {self.settings.upsample}x{self.settings.upsample} shaded"] * (
+            self.settings.upsample > 1
+        )
+        return ", ".join(words)
+
+    @property
+    def user_settings(self) -> Sequence[Setting]:
+        """The numbers that a user sets."""
+        return list_settings(history=self.settings.history)
+
+    def get_place(self, image: Image) -> str:
+        """Return the name in C of the memory of an image."""
+        memory = image.memory
+        if memory.source == "made":
+            return f"PLACE_{self.memory.slots[memory.name]}"
+        return f"{'KEPT' if memory.source == 'kept' else 'GIVEN'}_{memory.name}"
+
+
+def write_header(pipeline: Pipeline) -> str:
+    """Return the header in C."""
+    graph, history = pipeline.graph, pipeline.settings.history
+    return fill_template(
+        "pipeline/header.h",
+        name=pipeline.name,
+        guard=f"{pipeline.name.upper()}_H",
+        title=pipeline.title,
+        target=pipeline.target,
+        version=lobewise.__version__,
+        least=pipeline.least_width,
+        settings="\n".join(f"    double {each.name}; /* {each.text} */" for each in pipeline.user_settings),
+        inputs="\n".join([*map(_declare_given, graph.given.values()), *_declare_place(pipeline)]),
+        results="\n".join(_declare_result(each) for each in graph.results.values()),
+        history_word=", and the history from frame to frame" if history else "",
+        reset_word="" if history else " (a pipeline without history has nothing to forget)",
+        stage_count=len(pipeline.stages),
+    )
+
+
+def _describe(image: Image) -> str:
+    words = {"height": "height", "width": "width", "rows": "rows", "columns": "columns"}
+    shape = " x ".join(words.get(str(axis), str(axis)) for axis in image.shape)
+    return f"{shape}: {image.text}" + (f" ({image.unit})" if image.unit else "")
+
+
+def _declare_given(image: Image) -> str:
+    return f"    const float *{image.name}; /* {_describe(image)} */"
+
+
+def _declare_result(image: Image) -> str:
+    return f"    float *{image.name}; /* {_describe(image)} */"
+
+
+def _declare_place(pipeline: Pipeline) -> list[str]:
+    scale = pipeline.settings.upsample
+    if scale == 1:
+        return []
+    return [
+        f"    int row, column; /* which pixel of each block of {scale} x {scale} was shaded, 0 to {scale - 1}; sample",
+        "                        (Y, X) was shaded at pixel (Y scale + row, X scale + column); rows is",
+        f"                        ceil((height - row) / {scale}), and columns likewise */",
+    ]
+
+
+def write_driver(pipeline: Pipeline) -> str:
+    """Return the program in C."""
+    graph, name = pipeline.graph, pipeline.name
+    return fill_template(
+        "pipeline/driver.c",
+        name=name,
+        title=pipeline.title,
+        version=lobewise.__version__,
+        least=pipeline.least_width,
+        scale=pipeline.settings.upsample,
+        places=_list_places(pipeline),
+        images="\n".join(f"    IMAGE_{image.name}," for image in pipeline.images),
+        infos="\n".join(_describe_image(pipeline, image) for image in pipeline.images),
+        numbers="\n".join(f"        double {key};" for key in pipeline.constants.derived),
+        flags="\n".join(f"    int {flag};" for flag in graph.flags),
+        prototypes="\n".join(map(_declare_kernel, pipeline.kernels)),
+        routines=_list_routines(graph, name),
+        defaults="\n".join(
+            f"    p->settings.{each.name} = {write_number(each.default)};" for each in pipeline.user_settings
+        ),
+        derived="\n".join(
+            f"    p->numbers.{key} = {write_number(value)};" for key, value in pipeline.constants.derived.items()
+        ),
+        stages="\n\n".join(_write_stage(name, *each) for each in enumerate(pipeline.stages)),
+        stage_table="\n".join(f"        run_stage_{number}," for number in range(len(pipeline.stages))),
+        stage_names="\n".join(f'    "{stage}",' for stage, _ in pipeline.stages),
+        checks=_write_checks(pipeline),
+        given=_write_given(pipeline),
+        forgetting=_write_forgetting(pipeline),
+        swapping=_write_swapping(pipeline),
+    )
+
+
+def _list_places(pipeline: Pipeline) -> str:
+    given = [*pipeline.graph.given, *pipeline.graph.results]
+    kept = [image.name for pair in pipeline.graph.kept for image in pair]
+    lines = [f"    PLACE_{number}," for number in range(pipeline.memory.count)]
+    lines += [f"    KEPT_{each}," for each in kept]
+    lines += [f"    GIVEN_{given[0]}, FIRST_GIVEN = GIVEN_{given[0]},", *(f"    GIVEN_{each}," for each in given[1:])]
+    return "\n".join(lines)
+
+
+def _describe_image(pipeline: Pipeline, image: Image) -> str:
+    shape = ", ".join(_AXES.get(str(axis), str(axis)) for axis in image.shape)
+    is_bytes = int(image.type == "uint8")
+    return (
+        f"    {{{pipeline.get_place(image)}, {is_bytes}, {image.ndim}, {{{shape}}}, {image.plane}}}, /* {image.name} */"
+    )
+
+
+def _declare_kernel(kernel: CompiledKernel) -> str:
+    words = [
+        f"{_TYPES[each.type]} {each.name}" if each.role == "number" else f"struct halide_buffer_t *{each.name}"
+        for each in kernel.parameters
+    ]
+    return f"int {kernel.symbol}({', '.join(words)});"
+
+
+def _list_routines(graph: Graph, name: str) -> str:
+    """Return the C functions that steps call, and those that these call."""
+    parts = _MARK.split(read_template("pipeline/routines.c"))
+    texts = dict(zip(parts[1::2], parts[2::2], strict=True))
+    wanted = {operation.function for operation in graph.operations if not operation.is_kernel}
+    unknown = wanted - set(texts)
+    assert not unknown, f"no C functions {unknown}"
+    while more := {other for each in wanted for other in texts if f"{other}(" in texts[each]} - wanted:
+        wanted |= more
+    return "\n".join(text.rstrip() + "\n" for key, text in texts.items() if key in wanted).replace("${name}", name)
+
+
+def _write_stage(name: str, number: int, stage: tuple[str, list[Operation]]) -> str:
+    title, operations = stage
+    lines = [
+        f"/* {title} */",
+        f"static {name}_status run_stage_{number}({name}_pipeline *p)",
+        "{",
+        "    halide_buffer_t *const i = p->images;",
+        "    int code = 0;",
+    ]
+    for operation in operations:
+        lines += _write_operation(operation)
+    return "\n".join([*lines, "    (void)i;", f"    return code ? {name}_failed : {name}_ok;", "}"])
+
+
+def _write_operation(operation: Operation) -> list[str]:
+    arguments = [f"&i[IMAGE_{value.name}]" if isinstance(value, Image) else value for _, value in operation.arguments]
+    indent = "        " if operation.when else "    "
+    lines = [f"    /* {operation.text} */"]
+    if operation.when:
+        lines.append(f"    if ({operation.when}) {{")
+    if operation.is_kernel:
+        lines.append(f"{indent}code = {operation.function}({', '.join(arguments)});")
+        lines += [f"{indent}if (code) {{", f'{indent}    return fail(p, "{operation.function}", code);', f"{indent}}}"]
+    else:
+        lines.append(f"{indent}{operation.function}({', '.join(['p', *arguments])});")
+    return [*lines, "    }"] if operation.when else lines
+
+
+def _write_checks(pipeline: Pipeline) -> str:
+    name = pipeline.name
+    conditional = {
+        image.name for each in pipeline.graph.operations if "p->frame->" in each.when for image in each.writes
+    }
+    lines = []
+    for image in (*pipeline.graph.given.values(), *pipeline.graph.results.values()):
+        if image.name not in conditional:
+            lines += [
+                f"    if (!frame->{image.name}) {{",
+                f'        return refuse(p, {name}_no_image, "the image {image.name} of the frame is NULL");',
+                "    }",
+            ]
+    if pipeline.settings.upsample > 1:
+        lines += [
+            "    if (frame->row < 0 || frame->column < 0 || frame->row >= SCALE || frame->column >= SCALE ||",
+            "        frame->row >= p->height || frame->column >= p->width) {",
+            f"        return refuse(p, {name}_bad_place, {name}_explain({name}_bad_place));",
+            "    }",
+        ]
+    return "\n".join(lines)
+
+
+def _write_given(pipeline: Pipeline) -> str:
+    lines = []
+    if pipeline.settings.upsample > 1:
+        lines += [
+            "    p->rows = (p->height - frame->row + SCALE - 1) / SCALE;",
+            "    p->columns = (p->width - frame->column + SCALE - 1) / SCALE;",
+        ]
+    for each in pipeline.graph.given:
+        # Kernels do not write to it; Halide's buffers have no other kind of pointer.
+        lines.append(f"    memcpy(&p->memory[GIVEN_{each}], &frame->{each}, sizeof(void *));")
+    lines += [f"    p->memory[GIVEN_{each}] = frame->{each};" for each in pipeline.graph.results]
+    return "\n".join(lines)
+
+
+def _write_forgetting(pipeline: Pipeline) -> str:
+    """Return the lines that make the state of the frame before 0."""
+    lines = []
+    for _, before in pipeline.graph.kept:
+        bytes_each = "1" if before.type == "uint8" else "4"
+        sizes = " * ".join(f"(size_t)find_length(p, {_AXES.get(str(axis), str(axis))})" for axis in before.shape)
+        lines.append(f"        memset(p->memory[KEPT_{before.name}], 0, {bytes_each} * {sizes});")
+    return "\n".join(lines)
+
+
+def _write_swapping(pipeline: Pipeline) -> str:
+    lines = []
+    for now, before in pipeline.graph.kept:
+        lines += [
+            "        {",
+            f"            void *const written = p->memory[KEPT_{now.name}];",
+            f"            p->memory[KEPT_{now.name}] = p->memory[KEPT_{before.name}];",
+            f"            p->memory[KEPT_{before.name}] = written;",
+            "        }",
+        ]
+    return "\n".join(lines)

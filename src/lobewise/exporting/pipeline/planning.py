@@ -1,0 +1,50 @@
+"""Make the pipeline of some settings: take the plan of the recipe, and add a call for each of its steps."""
+
+from __future__ import annotations
+
+from lobewise.denoising.planning.frame_plans import FrameTraits, plan_frame
+from lobewise.denoising.planning.layer_plans import LayerTraits
+from lobewise.exporting.pipeline.driver import Pipeline
+from lobewise.exporting.pipeline.program.graph import Graph
+from lobewise.exporting.pipeline.program.kernels import Kernels
+from lobewise.exporting.pipeline.recipes.constants import Constants
+from lobewise.exporting.pipeline.recipes.frames import PlannedFrame
+from lobewise.exporting.pipeline.recipes.guides import PipelineGuides
+from lobewise.exporting.pipeline.settings import PipelineSettings
+from lobewise.exporting.targets import get_gpu_api, parse_target, refuse_target
+from lobewise.settings.choices import get_quality
+
+
+def make_pipeline(
+    settings: PipelineSettings, *, target: str = "host", name: str = "lobewise", constants: Constants | None = None
+) -> Pipeline:
+    """Return the pipeline of some settings; nothing is compiled yet.
+
+    Parameters
+    ----------
+    settings : PipelineSettings
+    target : str
+        A processor; see `lobewise.exporting.targets.parse_target`.
+    name : str
+        Beginning of the names of files and functions.
+    constants : Constants, optional
+        Others than those of the usual example values. The program does not depend on them.
+
+    Raises
+    ------
+    InputError, DeviceError
+        If the target cannot be used.
+    """
+    if get_gpu_api(target) is not None:
+        raise refuse_target(
+            target, "a graphics processor, which a pipeline does not run on: leave --plan out, or name a processor"
+        )
+    chosen = parse_target(target)
+    guided = get_quality(settings.plan).reads_halves
+    constants = constants or Constants(settings.upsample, settings.radius, guided)
+    graph = Graph(stage="guides")
+    guides = PipelineGuides(settings, graph, Kernels(graph, chosen, name), constants)
+    traits = {each: LayerTraits(is_diffuse=each == "diffuse") for each in settings.layer_names}
+    PlannedFrame(guides, plan_frame(FrameTraits(traits), settings.resolve())).run()
+    kernels = guides.kernels
+    return Pipeline(settings, graph, constants, list(kernels.found.values()), kernels.lanes, name, chosen.to_string())

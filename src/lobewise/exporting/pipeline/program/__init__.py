@@ -1,0 +1,1 @@
+"""A pipeline as data: images, numbers, calls of kernels, and memory."""

@@ -1,0 +1,259 @@
+"""The steps of a pipeline as data: images, calls of kernels and C functions in order, and the memory that they need.
+
+An `Image` stands for an array that a frame will have. It has the shape and the type of the array, and no values. Code
+that assembles features for the filters of this package therefore works with it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from lobewise.backend.signature import Axis, Parameter
+from lobewise.exporting.pipeline.program.numbers import write_number
+
+SIZES = ("height", "width", "rows", "columns")
+"""Named axes: those of the image, and those of the samples, which are the same unless samples are sparse."""
+ALIASES = {"height_before": "height", "width_before": "width"}
+"""Other names that kernels give to these axes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """An image of a pipeline.
+
+    Parameters
+    ----------
+    name : str
+        Identifier, unique in the pipeline.
+    shape : tuple
+        Axes in NumPy's order: a name of `SIZES`, or a length.
+    type : str
+        Name of the NumPy type.
+    source : {"given", "made", "kept"}
+        "given": memory of the caller; "made": memory that the pipeline shares out; "kept": state, which the next frame
+        reads.
+    text, unit : str
+        Meaning, for images that the caller gives.
+    whole : Image, optional
+        The stack of planes that holds this plane.
+    plane : int
+        Number of the plane.
+    """
+
+    name: str
+    shape: tuple[Axis, ...]
+    type: str = "float32"
+    source: str = "made"
+    text: str = ""
+    unit: str = ""
+    whole: Image | None = None
+    plane: int = 0
+
+    @property
+    def ndim(self) -> int:
+        """Number of axes."""
+        return len(self.shape)
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type of the entries."""
+        return np.dtype(self.type)
+
+    @property
+    def memory(self) -> Image:
+        """The image whose memory this one is, or is a part of."""
+        return self if self.whole is None else self.whole
+
+    @property
+    def channels(self) -> int:
+        """Number of values of a pixel."""
+        return math.prod(length for length in self.shape if isinstance(length, int))
+
+    def take_plane(self, number: int) -> Image:
+        """Return a plane of a stack (count, height, width)."""
+        return replace(self, name=f"{self.name}_{number}", shape=self.shape[1:], whole=self, plane=number)
+
+    def list_planes(self) -> list[Image]:
+        """Return all planes of a stack (count, height, width)."""
+        count = self.shape[0]
+        assert isinstance(count, int)
+        return [self.take_plane(number) for number in range(count)]
+
+    def count_bytes(self, share: float) -> float:
+        """Return the bytes for a pixel of the image; ``share`` is the share of the pixels that have a sample."""
+        size = float(self.channels * self.dtype.itemsize)
+        return size * share if "rows" in self.shape or "columns" in self.shape else size
+
+
+@dataclass(frozen=True)
+class Operation:
+    """One step of a pipeline: a call of a kernel or of a C function.
+
+    Parameters
+    ----------
+    function : str
+        Name of the function in C.
+    arguments : sequence of (str, Image or str)
+        By the name of the parameter: an image, or an expression of C.
+    reads, writes : tuple of Image
+    text : str
+        What it does.
+    when : str
+        Expression of C; the step is skipped where it is 0. Empty for always.
+    is_kernel : bool
+        Whether it is a compiled kernel of Halide.
+    stage : str
+        Part of the plan that it belongs to.
+    """
+
+    function: str
+    arguments: Sequence[tuple[str, Image | str]]
+    reads: tuple[Image, ...]
+    writes: tuple[Image, ...]
+    text: str
+    when: str = ""
+    is_kernel: bool = True
+    stage: str = ""
+
+
+@dataclass
+class Graph:
+    """The steps of a pipeline in order, and its images."""
+
+    operations: list[Operation] = field(default_factory=list)
+    given: dict[str, Image] = field(default_factory=dict)
+    """Images that the caller gives, by name."""
+    results: dict[str, Image] = field(default_factory=dict)
+    """Images that the caller takes, by name."""
+    kept: list[tuple[Image, Image]] = field(default_factory=list)
+    """Pairs of state: the image that this frame writes, and the one that the frame before wrote."""
+    stage: str = ""
+    when: str = ""
+    flags: list[str] = field(default_factory=list)
+    """Names of whole numbers that C functions write and conditions read."""
+    _names: set[str] = field(default_factory=set)
+
+    def name(self, wanted: str) -> str:
+        """Return a name that no other image has."""
+        name, number = wanted, 2
+        while name in self._names:
+            name, number = f"{wanted}_{number}", number + 1
+        self._names.add(name)
+        return name
+
+    def give(self, name: str, *shape: Axis, text: str, unit: str = "", type: str = "float32") -> Image:
+        """Return an image that the caller gives; asked for twice, it is the same."""
+        if name not in self.given:
+            self.given[name] = Image(self.name(name), shape, type, "given", text, unit)
+        return self.given[name]
+
+    def make(self, name: str, *shape: Axis, type: str = "float32") -> Image:
+        """Return an image in memory of the pipeline."""
+        return Image(self.name(name), shape, type)
+
+    def take(self, name: str, *shape: Axis, text: str, unit: str = "") -> Image:
+        """Return an image that the caller takes: a result."""
+        self.results[name] = Image(self.name(name), shape, "float32", "given", text, unit)
+        return self.results[name]
+
+    def keep(self, name: str, *shape: Axis, type: str = "float32") -> tuple[Image, Image]:
+        """Return an image that the next frame reads, and the same image of the frame before: 0 before the first."""
+        pair = tuple(Image(self.name(each), shape, type, "kept") for each in (name, f"{name}_before"))
+        self.kept.append((pair[0], pair[1]))
+        return pair[0], pair[1]
+
+    @contextmanager
+    def part(self, stage: str) -> Iterator[None]:
+        """Name the part of the plan that steps belong to."""
+        before, self.stage = self.stage, stage
+        try:
+            yield
+        finally:
+            self.stage = before
+
+    @contextmanager
+    def only_when(self, condition: str) -> Iterator[None]:
+        """Skip steps where an expression of C is 0."""
+        before = self.when
+        self.when = f"{before} && {condition}" if before else condition
+        try:
+            yield
+        finally:
+            self.when = before
+
+    def add_flag(self, name: str) -> str:
+        """Return the C expression of a new whole number."""
+        flag = self.name(name)
+        self.flags.append(flag)
+        return f"p->{flag}"
+
+    def call(self, function: str, arguments: Mapping[str, Any], parameters: Sequence[Parameter], text: str) -> None:
+        """Add a call of a kernel, after comparing the arguments with its parameters."""
+        sizes: dict[str, Axis] = {}
+        given: list[tuple[str, Image | str]] = []
+        for each in parameters:
+            value = arguments[each.name]
+            if each.role == "number":
+                given.append((each.name, _write_argument(each, value)))
+                continue
+            assert isinstance(value, Image), f"{function} wants an image for {each.name}"
+            _require_fit(function, each, value, sizes)
+            given.append((each.name, value))
+        unknown = set(arguments) - {each.name for each in parameters}
+        assert not unknown, f"{function} has no {unknown}"
+        roles = {each.name: each.role for each in parameters}
+        images = [(name, value) for name, value in given if isinstance(value, Image)]
+        reads = tuple(image for name, image in images if roles[name] == "input")
+        writes = tuple(image for name, image in images if roles[name] == "output")
+        overlap = {image.name for image in reads} & {image.name for image in writes}
+        assert not overlap, f"{function} reads what it writes: {overlap}"
+        self.operations.append(Operation(function, given, reads, writes, text, self.when, True, self.stage))
+
+    def run(
+        self, function: str, images: Sequence[Image], numbers: Sequence[str], text: str, writes: Sequence[Image] = ()
+    ) -> None:
+        """Add a call of a C function of the driver: the images, then expressions of C."""
+        arguments: list[tuple[str, Image | str]] = [(image.name, image) for image in images]
+        arguments += [("", number) for number in numbers]
+        reads = tuple(image for image in images if image not in writes)
+        self.operations.append(Operation(function, arguments, reads, tuple(writes), text, self.when, False, self.stage))
+
+    def list_images(self) -> list[Image]:
+        """Return every image that a step names, in order of first use."""
+        found: dict[str, Image] = {}
+        for operation in self.operations:
+            for _, value in operation.arguments:
+                if isinstance(value, Image):
+                    found.setdefault(value.name, value)
+        return list(found.values())
+
+
+def _write_argument(parameter: Parameter, value: Any) -> str:
+    kind = {"float32": "float", "int32": "int32_t", "float64": "double"}[parameter.type]
+    if isinstance(value, str):
+        return value
+    if kind == "int32_t" and not hasattr(value, "code"):
+        return str(int(value))
+    return f"({kind}){write_number(value)}"
+
+
+def _require_fit(function: str, parameter: Parameter, image: Image, sizes: dict[str, Axis]) -> None:
+    """Compare an image with the parameter of a kernel: its type, its axes, and its strides."""
+    told = f"{function}: {parameter.name} is {parameter.type} {parameter.axes}, got {image.name} {image.shape}"
+    assert image.type == parameter.type, told
+    assert image.ndim == len(parameter.axes), told
+    for axis, length in zip(parameter.axes, image.shape, strict=True):
+        if isinstance(axis, int):
+            assert axis == length, told
+        else:
+            assert sizes.setdefault(axis, length) == length, told
+    dense = 1
+    for stride, length in zip(reversed(parameter.strides), reversed(image.shape), strict=True):
+        assert stride is None or stride == dense, told
+        dense = dense * length if isinstance(length, int) and isinstance(dense, int) else -1

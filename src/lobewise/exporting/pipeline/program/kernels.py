@@ -1,0 +1,238 @@
+"""The kernels of a pipeline: each is defined once, called by the names of its parameters, and compiled for the target.
+
+The functions here stand for those that run a kernel in this process, such as
+`lobewise.backend.pointwise.run_pointwise`. They take the same names and add a call to the pipeline instead.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+from lobewise.backend.compiler import hl
+from lobewise.backend.disk import fetch_object
+from lobewise.backend.jit import Scheduled, describe_kernel
+from lobewise.backend.objects import compile_object
+from lobewise.backend.pointwise import Definition, PointwiseKey, make_pointwise
+from lobewise.backend.signature import Parameter
+from lobewise.exporting.pipeline.program.graph import Graph, Image
+from lobewise.exporting.pipeline.program.numbers import Number
+from lobewise.features import Feature
+from lobewise.features.arrays import give_scalars, name_arrays
+
+
+@dataclass(frozen=True)
+class CompiledKernel:
+    """A kernel of a pipeline.
+
+    Parameters
+    ----------
+    symbol : str
+        Name of the function in C.
+    name : str
+        Name of the kernel.
+    parameters : tuple of Parameter
+    target : halide.Target
+    make : callable
+        Defines the kernel for a target.
+    known : str or None
+        Text that identifies the kernel's code in all processes, if there is one.
+    """
+
+    symbol: str
+    name: str
+    parameters: tuple[Parameter, ...]
+    target: hl.Target
+    make: Callable[[hl.Target], Scheduled]
+    known: str | None
+
+    def compile(self) -> bytes:
+        """Return the object file."""
+
+        def run() -> tuple[bytes, dict[str, Any]]:
+            funcs = self.make(self.target)
+            pipeline = hl.Pipeline(funcs.out)
+            given = funcs.signature.arguments
+            path_taker = partial(_compile_object, pipeline, given, self.symbol, self.target)
+            return compile_object(path_taker), {}
+
+        known = self.known and f"exported {self.symbol} {self.known}"
+        content, _ = fetch_object(known, run, symbol=self.symbol)
+        return content
+
+    def find_axes(self, images: Mapping[str, Image]) -> dict[str, Any]:
+        """Return the lengths of named axes by the images of a call."""
+        found: dict[str, Any] = {}
+        for each in self.parameters:
+            if each.role == "input":
+                for axis, length in zip(each.axes, images[each.name].shape, strict=True):
+                    if isinstance(axis, str):
+                        found.setdefault(axis, length)
+        return found
+
+
+def _compile_object(pipeline: hl.Pipeline, given: list[Any], symbol: str, target: hl.Target, path: str) -> None:
+    pipeline.compile_to_object(path, given, symbol, target)
+
+
+def make_kernel_target(target: hl.Target, *, strict: bool = False) -> hl.Target:
+    """Return the target of single kernels: without checks of buffers, which the driver makes, and without runtime."""
+    names = ["NoAsserts", "NoBoundsQuery", "NoRuntime", *(["StrictFloat"] if strict else [])]
+    for name in names:
+        target = target.with_feature(getattr(hl.TargetFeature, name))
+    return target
+
+
+@dataclass
+class Kernels:
+    """The kernels of a pipeline, and the calls of them that are added to its graph.
+
+    Parameters
+    ----------
+    graph : Graph
+    target : halide.Target
+        A processor.
+    prefix : str
+        Beginning of the names of functions.
+    """
+
+    graph: Graph
+    target: hl.Target
+    prefix: str
+    found: dict[tuple[Hashable, bool], CompiledKernel] = field(default_factory=dict)
+
+    @property
+    def lanes(self) -> int:
+        """Pixels of a vector of the target."""
+        return int(self.target.natural_vector_size(hl.Float(32)))
+
+    def get(self, key: Hashable, make: Callable[[hl.Target], Scheduled], *, strict: bool = False) -> CompiledKernel:
+        """Return the kernel of a key."""
+        if (key, strict) not in self.found:
+            target = make_kernel_target(self.target, strict=strict)
+            signature = make(target).signature
+            known = describe_kernel(key, make)
+            told = known and f"{known} {target.to_string()}"
+            digest = hashlib.sha256((told or str(len(self.found))).encode()).hexdigest()[:10]
+            words = "".join(letter if letter.isalnum() else "_" for letter in signature.name)
+            symbol = f"{self.prefix}_{words}_{digest}"
+            self.found[key, strict] = CompiledKernel(
+                symbol, signature.name, tuple(signature.parameters), target, make, told
+            )
+        return self.found[key, strict]
+
+    def call(
+        self,
+        kernel: CompiledKernel,
+        arguments: Mapping[str, Any],
+        *,
+        names: Mapping[str, str] | None = None,
+        into: Mapping[str, Image] | None = None,
+        text: str,
+    ) -> dict[str, Image]:
+        """Add a call; return its output images by parameter.
+
+        Parameters
+        ----------
+        kernel : CompiledKernel
+        arguments : mapping of str to Image, Number, float or str
+            By parameter. Those that the kernel does not have are left out.
+        names : mapping of str to str, optional
+            Names for the output images that the call makes, by parameter.
+        into : mapping of str to Image, optional
+            Output images that exist.
+        text : str
+            What the call does.
+        """
+        wanted = {each.name for each in kernel.parameters}
+        given = {name: value for name, value in arguments.items() if name in wanted}
+        axes = kernel.find_axes({name: value for name, value in given.items() if isinstance(value, Image)})
+        outputs: dict[str, Image] = dict(into or {})
+        for each in kernel.parameters:
+            if each.role == "output" and each.name not in outputs:
+                shape = [axes.get(axis, axis) if isinstance(axis, str) else axis for axis in each.axes]
+                name = (names or {}).get(each.name, f"{kernel.name.replace(' ', '_')}_{each.name}")
+                outputs[each.name] = self.graph.make(name, *shape, type=each.type)
+        self.graph.call(kernel.symbol, {**given, **outputs}, kernel.parameters, text)
+        return outputs
+
+    def call_stacked(
+        self,
+        kernel: CompiledKernel,
+        arguments: Mapping[str, Any],
+        *,
+        name: str,
+        text: str,
+        stack: Image | None = None,
+    ) -> Image:
+        """Add a call whose outputs are the planes of one stack (count, height, width); return the stack."""
+        outputs = [each for each in kernel.parameters if each.role == "output"]
+        if stack is None:
+            given = {key: value for key, value in arguments.items() if isinstance(value, Image)}
+            axes = kernel.find_axes(given)
+            shape = [axes.get(axis, axis) if isinstance(axis, str) else axis for axis in outputs[0].axes]
+            stack = self.graph.make(name, len(outputs), *shape)
+        into = {each.name: stack.take_plane(number) for number, each in enumerate(outputs)}
+        self.call(kernel, arguments, into=into, text=text)
+        return stack
+
+    def map_pixels(
+        self,
+        define: Definition,
+        images: Mapping[str, Image | None],
+        numbers: Mapping[str, Any],
+        *options: Hashable,
+        names: Sequence[str] = (),
+        into: Sequence[Image] = (),
+        text: str,
+    ) -> tuple[Image, ...]:
+        """Add what `lobewise.backend.pointwise.run_pointwise` computes; ``into`` are images for its first outputs."""
+        held = {name: image for name, image in images.items() if image is not None}
+        vectors = {
+            name: list(value) if isinstance(value, (list, tuple)) else [value] for name, value in numbers.items()
+        }
+        key = PointwiseKey(
+            define,
+            options,
+            tuple((name, image.channels, image.type == "uint8") for name, image in held.items()),
+            tuple((name, len(each), not _is_single(each)) for name, each in vectors.items()),
+            narrow=False,
+        )
+        kernel = self.get(key, partial(make_pointwise, key), strict=True)
+        named = {f"{name}_{k}": value for name, vector in vectors.items() for k, value in enumerate(vector)}
+        wanted = {f"out{number}": name for number, name in enumerate(names)}
+        written = {f"out{number}": image for number, image in enumerate(into)}
+        outputs = self.call(kernel, {**held, **named}, names=wanted, into=written, text=text)
+        return tuple(outputs[each.name] for each in kernel.parameters if each.role == "output")
+
+
+def _is_single(vector: Sequence[Any]) -> bool:
+    singles = {isinstance(value, str) or (isinstance(value, Number) and value.is_single) for value in vector}
+    assert len(singles) == 1, "the components of a number have one precision"
+    return singles == {True}
+
+
+def give_feature_images(prefix: str, features: Sequence[Feature]) -> dict[str, Any]:
+    """Return the images of features by the names that kernels declare."""
+    return dict(name_arrays(prefix, features))
+
+
+def give_feature_numbers(features: Sequence[Feature], prefix: str = "") -> dict[str, float]:
+    """Return the numbers of features by the names that kernels declare."""
+    return give_scalars(features, prefix)
+
+
+def make_feature(kind: Callable[..., Feature], *parts: Any, **named: Any) -> Feature:
+    """Return a feature whose arrays are `Image` and whose numbers keep their expressions.
+
+    Features check their numbers and keep plain floats, so the numbers are put back.
+    """
+    feature = kind(*parts, **named)
+    fields = getattr(feature, "__dataclass_fields__", {})
+    for name, value in [*zip(fields, parts, strict=False), *named.items()]:
+        if isinstance(value, Number):
+            object.__setattr__(feature, name, value)
+    return feature

@@ -1,0 +1,119 @@
+"""Numbers that a pipeline computes for every frame: floats that remember the C expression that they came from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+
+class Number(float):
+    """A number with its C expression.
+
+    The value is that of an example. Arithmetic with other numbers writes the expression. Functions of `math` would lose
+    it; `take_root`, `raise_to`, `choose_smaller` and `choose_larger` keep it.
+
+    Parameters
+    ----------
+    value : float
+        Example value.
+    code : str
+        C expression of type double. It is an atom: a name, a call, or an expression in brackets.
+    is_single : bool
+        Whether the value is rounded to single precision.
+    """
+
+    code: str
+    is_single: bool
+
+    def __new__(cls, value: float, code: str, *, is_single: bool = False) -> Number:
+        number = super().__new__(cls, value)
+        number.code, number.is_single = code, is_single
+        return number
+
+    def _join(self, other: Any, sign: str, compute: Callable[[float, float], float], *, turned: bool = False) -> Number:
+        pair = (write_number(self), write_number(other))
+        first, second = pair[::-1] if turned else pair
+        values = (float(other), float(self)) if turned else (float(self), float(other))
+        return Number(compute(*values), f"({first} {sign} {second})")
+
+    def __add__(self, other: float) -> Number:
+        return self._join(other, "+", lambda a, b: a + b)
+
+    def __radd__(self, other: float) -> Number:
+        return self._join(other, "+", lambda a, b: a + b, turned=True)
+
+    def __sub__(self, other: float) -> Number:
+        return self._join(other, "-", lambda a, b: a - b)
+
+    def __rsub__(self, other: float) -> Number:
+        return self._join(other, "-", lambda a, b: a - b, turned=True)
+
+    def __mul__(self, other: float) -> Number:
+        return self._join(other, "*", lambda a, b: a * b)
+
+    def __rmul__(self, other: float) -> Number:
+        return self._join(other, "*", lambda a, b: a * b, turned=True)
+
+    def __truediv__(self, other: float) -> Number:
+        return self._join(other, "/", lambda a, b: a / b)
+
+    def __rtruediv__(self, other: float) -> Number:
+        return self._join(other, "/", lambda a, b: a / b, turned=True)
+
+    def __pow__(self, other: float, modulus: None = None) -> Number:
+        if other == 2:
+            return self * self
+        return raise_to(self, other)
+
+
+def write_number(number: float) -> str:
+    """Return a number as a C expression of type double."""
+    if isinstance(number, Number):
+        return number.code
+    value = float(number)
+    if not math.isfinite(value):
+        raise ValueError(f"{value} is no constant of C")
+    return f"({value!r})" if value < 0.0 else repr(value)
+
+
+def _call(name: str, compute: Callable[..., float], *numbers: float) -> Number:
+    return Number(compute(*map(float, numbers)), f"{name}({', '.join(map(write_number, numbers))})")
+
+
+def take_root(number: float) -> Number:
+    """Return the square root."""
+    return _call("sqrt", math.sqrt, number)
+
+
+def raise_to(number: float, power: float) -> Number:
+    """Return a power, with an exponent that need not be whole."""
+    return _call("pow", math.pow, number, power)
+
+
+def choose_smaller(first: float, second: float) -> Number:
+    """Return the smaller of two numbers."""
+    return _call("fmin", min, first, second)
+
+
+def choose_larger(first: float, second: float) -> Number:
+    """Return the larger of two numbers."""
+    return _call("fmax", max, first, second)
+
+
+def find_hypotenuse(first: float, second: float) -> Number:
+    """Return the root of the sum of two squares."""
+    return _call("hypot", math.hypot, first, second)
+
+
+def round_single(number: float) -> Number:
+    """Return a number rounded to single precision, which kernels take as float32."""
+    return Number(float(np.float32(number)), f"(double)(float){write_number(number)}", is_single=True)
+
+
+def choose_given(given: Number, automatic: float) -> Number:
+    """Return a setting where the user of the pipeline gave one (it is above 0), else its automatic value."""
+    value = float(given) if given > 0.0 else float(automatic)
+    return Number(value, f"({given.code} > 0.0 ? {given.code} : {write_number(automatic)})")

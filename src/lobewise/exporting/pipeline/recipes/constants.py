@@ -1,0 +1,218 @@
+"""The numbers of a pipeline: what its user sets, what the camera gives, and what follows from both.
+
+The formulas are those of `lobewise.denoising.automatic` and `lobewise.guides`, written with `Number` so that the
+pipeline computes them for every frame. Tests compare each with its original.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from lobewise.camera import Camera
+from lobewise.denoising.automatic import (
+    BETA_DIFFUSE,
+    BETA_SPECULAR,
+    GUIDED_TAU,
+    NOISE_AT_4_SPP,
+    NOISE_EXPONENT,
+)
+from lobewise.denoising.planning.layer_plans import AUTO_SIGMA
+from lobewise.exporting.pipeline.program.numbers import (
+    Number,
+    choose_given,
+    choose_larger,
+    choose_smaller,
+    find_hypotenuse,
+    raise_to,
+    round_single,
+    take_root,
+)
+from lobewise.guides.places import get_projection_numbers
+from lobewise.guides.surfaces import get_ray_numbers
+from lobewise.lobes.band_limit import NORMAL_ERROR
+from lobewise.settings import DenoiseSettings, TemporalSettings
+from lobewise.temporal.recipe import BORROWED_ERROR, MAX_OWN_WEIGHT
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A number that the user of a pipeline may set.
+
+    Parameters
+    ----------
+    name : str
+        Name in C.
+    default : float
+        Value unless it is set; 0 where the pipeline chooses.
+    text : str
+        Its meaning.
+    """
+
+    name: str
+    default: float
+    text: str
+
+
+SPATIAL = (
+    Setting("samples_per_pixel", 4.0, "samples of a pixel (of a shaded pixel); what is automatic follows them"),
+    Setting("beta", 0.0, "exponent of the similarity of specular lobes; 0 for automatic"),
+    Setting("diffuse_beta", 0.0, "exponent of the similarity of diffuse lobes; 0 for automatic"),
+    Setting("screen_sigma", 0.0, "standard deviation of the distance on the screen, pixels; 0 for automatic"),
+    Setting("position_sigma", DenoiseSettings.position_sigma, "that of the distance in the scene, pixel footprints"),
+    Setting("tau", 0.0, "smallest width of a lobe, radians; 0 for automatic"),
+    Setting("normal_exponent", DenoiseSettings.normal_exponent, "sharpness of the comparison of normals"),
+)
+OVER_TIME = (
+    Setting("memory", TemporalSettings.memory, "share of its history that a frame keeps for the next, 0 to 1"),
+    Setting("history_beta", TemporalSettings.beta, "exponent of the similarity of lobes from frame to frame"),
+    Setting("plane_sigma", TemporalSettings.plane_sigma, "distance of a point from its old plane, pixel footprints"),
+    Setting("strictness", TemporalSettings.strictness, "how the kernel narrows as the history grows, 0 to 1"),
+    Setting("cut_share", TemporalSettings.cut_share, "share of pixels with a history below which it is dropped"),
+)
+
+
+@dataclass
+class Constants:
+    """The numbers of a pipeline. Derived ones are computed once for every frame, in the order of `derived`.
+
+    Parameters
+    ----------
+    scale : int
+        Pixels from one shaded pixel to the next.
+    radius : int
+        Radius of the kernel, pixels or samples.
+    guided : bool
+        Whether the passes are guided by the noise; other values are automatic then.
+    camera : Camera
+        Camera of the example values, and that of the frame before it.
+    size : (int, int)
+        Height and width of the example values.
+    spp : float
+        Samples per pixel of the example values.
+    """
+
+    scale: int
+    radius: int
+    guided: bool
+    camera: Camera = field(default_factory=lambda: Camera((0.5, 1.0, 3.0), (0.1, -0.2, -1.0), (0.0, 1.0, 0.0), 0.9))
+    size: tuple[int, int] = (64, 96)
+    spp: float = 4.0
+    derived: dict[str, Number] = field(default_factory=dict)
+
+    def get(self, name: str) -> Number:
+        """Return a number that the user sets."""
+        (found,) = (each for each in SPATIAL + OVER_TIME if each.name == name)
+        value = self.spp if name == "samples_per_pixel" else found.default
+        return Number(value, f"p->settings.{name}")
+
+    def derive(self, name: str, number: Number) -> Number:
+        """Return a number that is computed once for a frame."""
+        self.derived.setdefault(name, number)
+        return Number(float(number), f"p->numbers.{name}", is_single=number.is_single)
+
+    def get_vector(self, name: str, *, before: bool = False, single: bool = False) -> list[Number]:
+        """Return a vector of the camera: "eye", "forward", or a number of `get_ray_numbers`, `get_projection_numbers`.
+
+        Parameters
+        ----------
+        name : str
+        before : bool
+            Whether it is that of the frame before.
+        single : bool
+            Whether it is rounded to single precision.
+        """
+        values = {"eye": self.camera.position, "forward": self.camera.forward}
+        values |= get_ray_numbers(self.camera, self.size) | get_projection_numbers(self.camera, self.size)
+        view = "p->view_before" if before else "p->view"
+        found = [Number(float(value), f"{view}.{name}[{k}]") for k, value in enumerate(np.atleast_1d(values[name]))]
+        return [round_single(each) for each in found] if single else found
+
+    def get_rays(self) -> dict[str, list[Number]]:
+        """Return the numbers of `lobewise.guides.surfaces.get_ray_numbers`."""
+        first_row = [Number(0.0, "0.0")]
+        return {name: self.get_vector(name) for name in ("first_ray", "ray_right", "ray_down")} | {
+            "first_row": first_row
+        }
+
+    def get_projection(self) -> dict[str, list[Number]]:
+        """Return the numbers of `lobewise.guides.places.get_projection_numbers` for the camera of the frame before."""
+        names = {"before": "eye", "before_forward": "forward"}
+        names |= {name: name for name in ("before_right", "before_up")}
+        return {name: self.get_vector(own, before=True) for name, own in names.items()}
+
+    @property
+    def pixel_angle(self) -> Number:
+        """Angle of a pixel, radians."""
+        return Number(self.camera.get_pixel_angle(self.size[0]), "p->view.pixel_angle")
+
+    @property
+    def pixel_tau(self) -> Number:
+        """Band-limit of lobes that a pixel asks for; see `lobewise.lobes.band_limit.default_tau`."""
+        return self.derive("pixel_tau", find_hypotenuse(self.pixel_angle, 2.0 * NORMAL_ERROR))
+
+    @property
+    def beta(self) -> Number:
+        """Exponent of the similarity of specular lobes."""
+        return self.derive("beta", choose_given(self.get("beta"), self._choose_beta(BETA_SPECULAR)))
+
+    @property
+    def diffuse_beta(self) -> Number:
+        """Exponent of the similarity of diffuse lobes."""
+        return self.derive("diffuse_beta", choose_given(self.get("diffuse_beta"), self._choose_beta(BETA_DIFFUSE)))
+
+    def _choose_beta(self, guided: float) -> float:
+        if self.guided:
+            return guided
+        root = 2.5 * raise_to(self.get("samples_per_pixel"), 1.0 / 3.0)
+        chosen = choose_smaller(choose_larger(root, 1.0), 64.0)
+        return chosen if self.scale == 1 else chosen * (1.0 / self.scale**2) ** -0.15
+
+    @property
+    def screen_sigma(self) -> Number:
+        """Standard deviation of the distance on the screen, pixels."""
+        return self.derive("screen_sigma", choose_given(self.get("screen_sigma"), self.automatic_sigma))
+
+    @property
+    def automatic_sigma(self) -> float:
+        """What `screen_sigma` is unless the user sets it."""
+        if self.guided:
+            return AUTO_SIGMA * max(self.radius, 1) / 8.0
+        spp = (1.0 / self.scale**2) * self.get("samples_per_pixel")
+        share = choose_smaller(1.0, 0.6 * raise_to(8.0 / choose_larger(spp, 1.0), 0.25))
+        return choose_larger(self.radius * self.scale * share, 0.5)
+
+    @property
+    def tau(self) -> Number:
+        """Band-limit of the lobes that are compared within a frame, radians."""
+        automatic: Number
+        if self.guided:
+            automatic = choose_larger(GUIDED_TAU, self.pixel_tau)
+        else:
+            root = take_root(4.0 / choose_larger(self.get("samples_per_pixel"), 0.25))
+            automatic = choose_larger(self.scale * (0.03 * root), self.pixel_tau)
+        return self.derive("tau", choose_given(self.get("tau"), automatic))
+
+    @property
+    def noise(self) -> Number:
+        """Squared band-limit, single precision."""
+        return self.square_tau(self.tau)
+
+    def square_tau(self, tau: Number) -> Number:
+        """Return the square of a band-limit as kernels take it: both factors and the product in single precision."""
+        single = np.float32(tau)
+        return Number(float(single * single), f"(double)((float){tau.code} * (float){tau.code})", is_single=True)
+
+    @property
+    def own_weight(self) -> Number:
+        """Weight of a pixel's own sample; see `lobewise.temporal.recipe.find_own_weight`."""
+        noise = NOISE_AT_4_SPP * raise_to(4.0 / self.get("samples_per_pixel"), NOISE_EXPONENT)
+        own = 1.0 + BORROWED_ERROR / choose_larger(noise, BORROWED_ERROR / MAX_OWN_WEIGHT)
+        return self.derive("own", choose_smaller(own, MAX_OWN_WEIGHT))
+
+
+def list_settings(*, history: bool) -> Sequence[Setting]:
+    """Return the numbers that the user of a pipeline may set."""
+    return SPATIAL + OVER_TIME if history else SPATIAL

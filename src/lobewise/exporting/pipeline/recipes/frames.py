@@ -1,0 +1,158 @@
+"""The stages of a frame's plan as steps of a pipeline; `lobewise.denoising.stages` runs them in this process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+
+from lobewise.denoising.bad_pixels import SIGMAS
+from lobewise.denoising.planning.frame_plans import FILL_HOLES, FILTER_LAYERS, FramePlan, Stage
+from lobewise.denoising.planning.steps import FilterStep
+from lobewise.errors import InputError
+from lobewise.exporting.pipeline.program.graph import Image
+from lobewise.exporting.pipeline.program.numbers import Number
+from lobewise.exporting.pipeline.recipes import glue
+from lobewise.exporting.pipeline.recipes.guides import SIZE, PipelineGuides, PlannedLayer
+from lobewise.exporting.pipeline.recipes.steps import FilterCall, PlannedOutput, PlannedRun, add_filter, call_filter
+from lobewise.exporting.pipeline.settings import CONTENTS
+from lobewise.features import ScreenFeature
+
+NO_SIGMA = 1e15
+"""Standard deviation of the screen distance, pixels, beside which no distance counts."""
+
+
+@dataclass
+class PlannedFrame:
+    """A frame on its way through the stages of its plan."""
+
+    guides: PipelineGuides
+    plan: FramePlan
+    layers: Sequence[PlannedLayer] = ()
+    outputs: Sequence[PlannedOutput] = ()
+    parts: list[Image] = field(default_factory=list)
+    rest: Image | None = None
+    bad: Image | None = None
+    total: Image | None = None
+    holes: Image | None = None
+
+    def run(self) -> None:
+        """Add every stage of the plan; refuse stages that a pipeline cannot contain."""
+        for stage in self.plan.stages:
+            if stage not in STAGES:
+                raise InputError(
+                    "plan", expected=f"one that a pipeline contains ({CONTENTS})", got=stage.text, action="choose fast"
+                )
+            STAGES[stage](self)
+
+
+def find_bad(guides: PipelineGuides, layers: Sequence[PlannedLayer]) -> Image:
+    """Return the pixels whose radiance is NaN, infinite or negative."""
+    light = [guides.color, *(layer.radiance for layer in layers)]
+    images = {f"light{number}": image for number, image in enumerate(dict.fromkeys(light))}
+    (bad,) = guides.kernels.map_pixels(glue.define_bad, images, {}, names=["bad"], text="bad pixels")
+    return bad
+
+
+def find_rest(guides: PipelineGuides, layers: Sequence[PlannedLayer]) -> Image | None:
+    """Return the light that is in none of the layers; None where light is not told apart."""
+    if guides.settings.layers == "color":
+        return None
+    images = {"color": guides.color, **{f"noisy{k}": layer.radiance for k, layer in enumerate(layers)}}
+    (rest,) = guides.kernels.map_pixels(
+        glue.define_rest, images, {}, names=["rest"], text="emission and background, which are not filtered"
+    )
+    return rest
+
+
+def keep_unfiltered(guides: PipelineGuides, layer: PlannedLayer, output: PlannedOutput) -> Image:
+    """Return the filtered radiance, and the noisy one where no tap had weight."""
+    images = {"noisy": layer.radiance, "weight": output.weight_sum, **output.give_image("image")}
+    name = f"{layer.name}_part"
+    (part,) = guides.kernels.map_pixels(glue.define_kept, images, {}, names=[name], text="radiance of the layer")
+    return part
+
+
+def compose(frame: PlannedFrame) -> None:
+    """Add up the parts of a frame and what is in none of them, and find the pixels without a value."""
+    assert frame.bad is not None
+    images: dict[str, Image | None] = {f"part{k}": part for k, part in enumerate(frame.parts)}
+    images |= {f"weight{k}": output.weight_sum for k, output in enumerate(frame.outputs)}
+    images |= {"rest": frame.rest, "bad": frame.bad}
+    image = frame.guides.graph.take("image", *SIZE, 3, text="the denoised frame", unit="any")
+    total, holes = frame.guides.kernels.map_pixels(
+        glue.define_total, images, {}, names=["", "holes"], into=[image], text="the sum of all light, and its holes"
+    )
+    frame.total, frame.holes = total, holes
+    for layer, part in zip(frame.layers, frame.parts, strict=True) if frame.rest is not None else ():
+        text = f"the {layer.name} light of the denoised frame, or NULL"
+        result = frame.guides.graph.take(f"{layer.name}_image", *SIZE, 3, text=text, unit="any")
+        with frame.guides.graph.only_when(f"p->frame->{result.name}"):
+            text = f"{layer.name} light for the caller"
+            frame.guides.kernels.map_pixels(glue.define_good, {"image": part}, {}, into=[result], text=text)
+
+
+def filter_layers(frame: PlannedFrame) -> None:
+    """Filter every layer by its plan of the quality fast."""
+    guides, constants = frame.guides, frame.guides.constants
+    place = guides.make_place_features(constants.screen_sigma, constants.get("position_sigma"))
+    specular = guides.make_specular_feature(guides.settings.similarity, constants.beta, constants.noise)
+    frame.layers = guides.make_layers(place, specular, constants.diffuse_beta)
+    frame.bad = find_bad(guides, frame.layers)
+    frame.rest = find_rest(guides, frame.layers)
+    outputs = []
+    for layer in frame.layers:
+        output = PlannedRun(guides, layer).run(frame.plan.layers[layer.name], {FilterStep: add_filter})
+        outputs.append(output)
+        with guides.graph.part(f"{layer.name}: radiance"):
+            frame.parts.append(keep_unfiltered(guides, layer, output))
+    frame.outputs = outputs
+
+
+def fill_holes(frame: PlannedFrame) -> None:
+    """Fill the pixels without a value from their neighbours; see `lobewise.denoising.bad_pixels.refill`."""
+    with frame.guides.graph.part("sum of the light"):
+        compose(frame)
+    assert frame.total is not None and frame.holes is not None
+    with frame.guides.graph.part(FILL_HOLES.name):
+        fill_image(frame.guides, frame.total, frame.holes)
+
+
+def fill_image(guides: PipelineGuides, image: Image, holes: Image) -> None:
+    """Fill the holes of an image in place."""
+    graph, kernels = guides.graph, guides.kernels
+    with ExitStack() as conditions:
+        conditions.enter_context(graph.only_when(_count(guides, holes)))
+        mean = [Number(0.0, f"p->mean_color[{k}]", is_single=True) for k in range(3)]
+        graph.run("find_mean_color", [guides.color], [], "mean colour of the good pixels")
+        everywhere = graph.make("everywhere", *SIZE, type="uint8")
+        graph.run("fill_bytes", [everywhere], ["1"], "a mask of all pixels", writes=[everywhere])
+        images = {"image": image, "holes": holes}
+        (source,) = kernels.map_pixels(glue.define_emptied, images, {}, names=["emptied"], text="NaN in the holes")
+        for sigma in SIGMAS:
+            features = [ScreenFeature(NO_SIGMA if sigma is None else sigma)]
+            found = call_filter(kernels, FilterCall(source, everywhere, features, "atrous", 0, name="around"))
+            assert isinstance(found.image, Image)
+            images = {"image": source, "holes": holes, "filled": found.image, "weight": found.weight_sum}
+            source, holes = kernels.map_pixels(
+                glue.define_refilled, images, {}, names=["refilled", "holes"], text="fill holes from neighbours"
+            )
+            kernels.map_pixels(
+                glue.define_patched,
+                {"image": source, "holes": holes},
+                {"mean": mean},
+                into=[image],
+                text="the result, and the mean colour in the holes that are left",
+            )
+            conditions.enter_context(graph.only_when(_count(guides, holes)))
+
+
+def _count(guides: PipelineGuides, holes: Image) -> str:
+    """Return the expression of C that counts the holes of an image."""
+    left = guides.graph.add_flag("holes_left")
+    guides.graph.run("count_holes", [holes], [f"&{left}"], "count the holes")
+    return left
+
+
+STAGES: Mapping[Stage, Callable[[PlannedFrame], None]] = {FILTER_LAYERS: filter_layers, FILL_HOLES: fill_holes}
+"""What adds each stage to a pipeline."""

@@ -1,0 +1,160 @@
+"""Small steps of a pipeline, pixel by pixel: what recipes compute with NumPy between the kernels of the filters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import reduce
+from operator import and_, or_
+
+from lobewise.backend.compiler import hl
+from lobewise.backend.expressions import is_good
+from lobewise.backend.pointwise import LARGEST_FLOAT, Grid, Vector, is_finite, select_or_nan
+from lobewise.filters.cross_pass import ALBEDO_FLOOR
+
+
+def define_both(grid: Grid) -> list[Vector]:
+    """Return where all masks hold."""
+    return [[hl.u8(reduce(and_, (grid.read_one(name) != 0 for name in grid.images)))]]
+
+
+def define_any(grid: Grid) -> list[Vector]:
+    """Return where any mask holds."""
+    return [[hl.u8(reduce(or_, (grid.read_one(name) != 0 for name in grid.images)))]]
+
+
+def define_none(grid: Grid) -> list[Vector]:
+    """Return where no mask holds."""
+    return [[hl.u8(reduce(and_, (grid.read_one(name) == 0 for name in grid.images)))]]
+
+
+def define_bad(grid: Grid) -> list[Vector]:
+    """Return where a pixel of any image is NaN, infinite or negative; see `find_bad_pixels`."""
+    return [[hl.u8(~reduce(and_, (is_good(grid.read(name)) for name in grid.images)))]]
+
+
+def _read_parts(grid: Grid, prefix: str) -> list[Vector]:
+    names = [f"{prefix}{number}" for number in range(len(grid.images))]
+    return [grid.read_channels(name) for name in names if name in grid.images or f"{name}_channel0" in grid.images]
+
+
+def read_rest(grid: Grid) -> Vector:
+    """Return the light that is in none of the parts ``noisy0`` and so on of ``color``; see `find_rest`."""
+    zero = hl.f32(0.0)
+    rest = grid.read("color")
+    for part in _read_parts(grid, "noisy"):
+        rest = [value - _clamp_light(light) for value, light in zip(rest, part, strict=True)]
+    good = [(value > zero) & (value <= hl.f32(LARGEST_FLOAT)) for value in rest]
+    return [hl.select(known, value, zero) for known, value in zip(good, rest, strict=True)]
+
+
+def _clamp_light(value: hl.Expr) -> hl.Expr:
+    """Return 0 for a negative value; NaN stays, as with `numpy.maximum`."""
+    return hl.select(value < hl.f32(0.0), hl.f32(0.0), value)
+
+
+def define_rest(grid: Grid) -> list[Vector]:
+    """Return the light of ``color`` that is in none of the parts."""
+    return [read_rest(grid)]
+
+
+def define_kept(grid: Grid) -> list[Vector]:
+    """Return filtered radiance, and the noisy one where nothing was gathered; see `keep_unfiltered`."""
+    noisy, lost = grid.read("noisy"), grid.read_one("weight") <= hl.f32(0.0)
+    good = is_good(noisy)
+    return [
+        [
+            _select_bits(lost, select_or_nan(good, raw), value)
+            for raw, value in zip(noisy, grid.read_channels("image"), strict=True)
+        ]
+    ]
+
+
+def _select_bits(condition: hl.Expr, first: hl.Expr, second: hl.Expr) -> hl.Expr:
+    """Return one of two float32 that may be NaN."""
+    bits = [hl.reinterpret(hl.UInt(32), value) for value in (first, second)]
+    return hl.reinterpret(hl.Float(32), hl.select(condition, *bits))
+
+
+def define_total(grid: Grid) -> list[Vector]:
+    """Return the sum of the parts ``part0`` and so on and of ``rest``, and where it is a hole.
+
+    A hole is not finite or negative, or a bad pixel that no filter reached; see `Filtered.find_holes`.
+    """
+    parts = _read_parts(grid, "part")
+    total = parts[0]
+    for part in (*parts[1:], *([grid.read("rest")] if grid.has("rest") else [])):
+        total = [value + more for value, more in zip(total, part, strict=True)]
+    weights = [name for name in grid.images if name.startswith("weight")]
+    untouched = reduce(and_, (grid.read_one(name) <= hl.f32(0.0) for name in weights))
+    hole = ~is_good(total) | ((grid.read_one("bad") != 0) & untouched)
+    return [total, [hl.u8(hole)]]
+
+
+def define_emptied(grid: Grid) -> list[Vector]:
+    """Return an image that is NaN in its holes."""
+    known = grid.read_one("holes") == 0
+    return [[select_or_nan(known, value) for value in grid.read("image")]]
+
+
+def define_refilled(grid: Grid) -> list[Vector]:
+    """Return an image with filled holes, and the holes that are left; see `refill`."""
+    hole = grid.read_one("holes") != 0
+    reached = hole & (grid.read_one("weight") > hl.f32(0.0))
+    values = zip(grid.read("image"), grid.read("filled"), strict=True)
+    image = [_select_bits(reached, filled, value) for value, filled in values]
+    return [image, [hl.u8(hole & ~(grid.read_one("weight") > hl.f32(0.0)))]]
+
+
+def define_patched(grid: Grid) -> list[Vector]:
+    """Return an image with a colour in its holes."""
+    hole = grid.read_one("holes") != 0
+    pairs = zip(grid.read("image"), grid.get("mean"), strict=True)
+    return [[_select_bits(hole, mean, value) for value, mean in pairs]]
+
+
+def define_support(grid: Grid, count: int) -> list[Vector]:
+    """Return weight sum and effective samples of the least supported layer that reflects; see `find_support`."""
+    total, effective = grid.read_one("weight0"), grid.read_one("effective0")
+    known = _is_reflecting(grid, 0)
+    for number in range(1, count):
+        here, weight = _is_reflecting(grid, number), grid.read_one(f"weight{number}")
+        weaker = here & (~known | (weight < total))
+        total = hl.select(weaker, weight, total)
+        effective = hl.select(weaker, grid.read_one(f"effective{number}"), effective)
+        known = known | here
+    return [[total], [effective]]
+
+
+def _is_reflecting(grid: Grid, number: int) -> hl.Expr:
+    there = grid.read_one(f"mask{number}") != 0
+    if not grid.has(f"albedo{number}"):
+        return there
+    return there & reduce(or_, (tint > hl.f32(ALBEDO_FLOOR) for tint in grid.read(f"albedo{number}")))
+
+
+def define_good(grid: Grid) -> list[Vector]:
+    """Return an image with 0 where a pixel is not finite or negative; see `blacken_bad`."""
+    value = grid.read_channels("image")
+    good = is_good(value)
+    return [[hl.select(good, each, hl.f32(0.0)) for each in value]]
+
+
+def define_sum(grid: Grid) -> list[Vector]:
+    """Return the sum of images of one channel."""
+    first, *others = (grid.read_one(name) for name in grid.images)
+    return [[sum(others, first)]]
+
+
+def define_whole_albedo(grid: Grid, least: float) -> list[Vector]:
+    """Return the albedo of all light; see `find_whole_albedo`."""
+    known: Sequence[Vector] = [grid.read(name) for name in grid.images]
+    albedo = known[0] if len(known) == 1 else [a + b for a, b in zip(*known, strict=True)]
+    bound = hl.f32(least)
+    # NumPy's maximum of channels is NaN where one is, and then counts as black.
+    finite = reduce(and_, (~_is_nan(value) for value in albedo))
+    bright = finite & (hl.max(*albedo) > bound)
+    return [[hl.select(bright, hl.select(value > bound, value, bound), hl.f32(1.0)) for value in albedo]]
+
+
+def _is_nan(value: hl.Expr) -> hl.Expr:
+    return ~is_finite(value) & ~(hl.abs(value) > hl.f32(LARGEST_FLOAT))

@@ -1,0 +1,95 @@
+"""The settings of an exported pipeline, and the refusal of what a pipeline cannot contain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from lobewise.errors import InputError
+from lobewise.settings import LARGEST_RADIUS, Declared, Form, Knob, ResolvedSettings, document
+from lobewise.settings import Similarity as SimilarityName
+from lobewise.settings.choices import MAX_SCALE_PIXELS, Similarity, get_quality, get_similarity
+
+PLANS = ("fast",)
+CONTENTS = (
+    "the plan fast, and the similarities normal, sg, asg and ggx; not Open Image Denoise, no network, and nothing that "
+    "is chosen for each frame"
+)
+"""What a pipeline can contain, for messages."""
+
+
+@dataclass(frozen=True)
+class PipelineSettings(Declared):
+    """The settings of a pipeline that are fixed when it is compiled."""
+
+    plan: Annotated[str, Knob("Export a whole plan, by its quality, as a pipeline in C and C++: fast.")] = "fast"
+    similarity: Annotated[SimilarityName, Knob("What two pixels must share to be averaged.")] = "ggx"
+    form: Annotated[Form, Knob("Which neighbours count.")] = "full"
+    radius: Annotated[
+        int, Knob("Pixels (samples, with upsampling) from the centre to the edge of the kernel.", high=LARGEST_RADIUS)
+    ] = 8
+    history: Annotated[bool, Knob("Whether frames are joined with those before them.")] = False
+    upsample: Annotated[
+        int, Knob("Distance of shaded pixels, pixels: one pixel of a block is shaded.", low=1, high=MAX_SCALE_PIXELS)
+    ] = 1
+    layers: Annotated[
+        Literal["apart", "color"], Knob("Whether diffuse and specular light come apart, or all light in one image.")
+    ] = "apart"
+    position: Annotated[bool, Knob("Whether positions are given beside depths; else the camera tells them.")] = False
+    anisotropic: Annotated[bool, Knob("Whether lobes come from two roughnesses and a tangent.")] = False
+    lobe_kind: Annotated[bool, Knob("Whether an image tells the kind of each pixel's lobe.")] = False
+    hit_distance: Annotated[bool, Knob("Whether histories follow reflections, by the distances that rays went.")] = (
+        False
+    )
+
+    def __post_init__(self) -> None:
+        if self.plan not in PLANS:
+            raise _refuse("plan", self.plan, "choose fast")
+        super().__post_init__()
+        if self.history or self.upsample > 1:
+            raise _refuse("history or upsampling", "it", "leave it out")
+        if self.record.is_mixture:
+            raise _refuse("similarity", self.similarity, "choose ggx, or export the filter alone, without --plan")
+        guided = get_quality(self.plan).reads_halves
+        if guided and (self.history or self.upsample > 1):
+            what = "history" if self.history else "upsampling"
+            raise _refuse("plan", f"{self.plan} with {what}", f"choose the plan fast for {what}")
+        if self.form not in get_quality(self.plan).forms or (self.upsample > 1 and self.form != "full"):
+            raise _refuse("form", self.form, "leave it out")
+        if self.hit_distance and not (self.history and self.layers == "apart"):
+            raise _refuse("hit_distance", "without history or with one layer", "add history, or leave it out")
+        if self.anisotropic and not self.record.has_covariance:
+            raise _refuse("anisotropic", self.similarity, "choose asg or ggx")
+
+    @property
+    def record(self) -> Similarity:
+        """The record of the similarity."""
+        return get_similarity(self.similarity)
+
+    @property
+    def layer_names(self) -> tuple[str, ...]:
+        """Names of the layers."""
+        return ("diffuse", "specular") if self.layers == "apart" else ("color",)
+
+    def resolve(self) -> ResolvedSettings:
+        """Return the settings of the recipe whose plan is exported; a pipeline computes their numbers itself."""
+        return ResolvedSettings(
+            quality=get_quality(self.plan).name,
+            similarity=self.similarity,
+            form=self.form,
+            radius=self.radius,
+            beta=1.0,
+            diffuse_beta=1.0,
+            screen_sigma=1.0,
+            tau=0.01,
+            device="cpu",
+            hit_distance=False,
+            with_oidn=False,
+        )
+
+
+def _refuse(what: str, got: str, action: str) -> InputError:
+    return InputError(what, expected=f"what a pipeline can contain ({CONTENTS})", got=got, action=action)
+
+
+document(PipelineSettings)

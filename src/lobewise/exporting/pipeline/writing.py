@@ -1,0 +1,189 @@
+"""Write the folder of a pipeline: kernels, driver, headers, packages for build systems, and the example."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import lobewise
+from lobewise.backend.compiler import hl
+from lobewise.errors import InputError
+from lobewise.exporting.example import choose_bound
+from lobewise.exporting.folder import MARK, fill_template, open_folder, require_folder
+from lobewise.exporting.pipeline.contents import describe_contents, write_readme
+from lobewise.exporting.pipeline.driver import Pipeline, write_driver, write_header
+from lobewise.exporting.pipeline.planning import make_pipeline
+from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, SPP, WIDTH, make_sample
+from lobewise.exporting.pipeline.settings import PipelineSettings
+from lobewise.exporting.plan import FilterPlan
+from lobewise.exporting.targets import get_runtime_headers, parse_target
+from lobewise.io.files import PathLike
+
+Place = Callable[[str], Path]
+
+
+def export_pipeline(
+    output: PathLike, settings: PipelineSettings, *, target: str = "host", name: str = "lobewise", force: bool = False
+) -> str:
+    """Write a folder with a pipeline; return the command that builds its example.
+
+    Parameters
+    ----------
+    output : path
+        The folder, new or empty.
+    settings : PipelineSettings
+    target : str
+        A processor from `lobewise.exporting.names.TARGETS`, or another one that Halide knows.
+    name : str
+        Prefix of files and functions: an identifier of C.
+    force : bool
+        Replace an earlier export and everything in its folder.
+
+    Raises
+    ------
+    InputError, DeviceError
+        If name or target cannot be used.
+    FileError
+        If the folder is not empty or cannot be written.
+    """
+    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]{0,63}", name):
+        raise InputError("--name", expected="an identifier of C", got=repr(name), action="such as my_pipeline")
+    require_folder(output, force=force)
+    pipeline = make_pipeline(settings, target=target, name=name)
+    sample = make_sample(settings, pipeline.graph)
+    with open_folder(output, force=force) as place:
+        place("kernels").mkdir()
+        for file, content in compile_kernels(pipeline, target):
+            place(f"kernels/{file}").write_bytes(content)
+        for header in get_runtime_headers(pipeline.target):
+            shutil.copyfile(header, place(header.name))
+        place("frames.raw").write_bytes(b"".join(each.pack() for each in sample))
+        place("expected.raw").write_bytes(b"".join(each.expected.astype("<f4").tobytes() for each in sample))
+        for file, text in write_texts(pipeline).items():
+            place(file).write_text(text, encoding="utf-8")
+        command = describe_build(pipeline, build_libraries(pipeline, place))
+        place("README.md").write_text(write_readme(pipeline, command), encoding="utf-8")
+    return command
+
+
+def name_objects(pipeline: Pipeline) -> list[str]:
+    """Return the files of the compiled kernels and of Halide's runtime, inside of the folder ``kernels``."""
+    end = "obj" if "windows" in pipeline.target else "o"
+    return [f"{kernel.symbol}.{end}" for kernel in pipeline.kernels] + [f"{pipeline.name}_runtime.{end}"]
+
+
+def compile_kernels(pipeline: Pipeline, target: str) -> list[tuple[str, bytes]]:
+    """Return the object files of a pipeline by name."""
+    contents = [kernel.compile() for kernel in pipeline.kernels] + [compile_runtime(target)]
+    return list(zip(name_objects(pipeline), contents, strict=True))
+
+
+def compile_runtime(target: str) -> bytes:
+    """Return Halide's runtime for a target as an object file: threads, memory, errors."""
+    from tempfile import TemporaryDirectory
+
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "runtime.o"
+        hl.compile_standalone_runtime(str(path), parse_target(target))
+        return path.read_bytes()
+
+
+def write_texts(pipeline: Pipeline) -> dict[str, str]:
+    """Return the text files of an export by name."""
+    name, version = pipeline.name, lobewise.__version__
+    objects = ['    "$' + f'{{_{name}_folder}}/kernels/{each}"' for each in name_objects(pipeline)]
+    root = "${pcfiledir}"
+    return {
+        f"{name}.h": write_header(pipeline),
+        f"{name}.c": write_driver(pipeline),
+        f"{name}.hpp": fill_template(
+            "pipeline/wrapper.hpp", name=name, title=pipeline.title, guard=f"{name.upper()}_HPP"
+        ),
+        "example.cpp": write_example(pipeline),
+        f"{name}Config.cmake": fill_template(
+            "pipeline/config.cmake",
+            name=name,
+            objects="\n".join(objects),
+            cmake_file="${CMAKE_CURRENT_LIST_FILE}",
+        ),
+        f"{name}ConfigVersion.cmake": fill_template("pipeline/version.cmake", name=name, version=version),
+        "CMakeLists.txt": fill_template("pipeline/CMakeLists.txt", name=name),
+        f"{name}.pc": fill_template(
+            "pipeline/pkgconfig.pc",
+            name=name,
+            title=pipeline.title,
+            version=version,
+            root=root,
+            include="${includedir}",
+            link="${libdir}",
+        ),
+        MARK: json.dumps(describe_contents(pipeline), indent=1) + "\n",
+    }
+
+
+def write_example(pipeline: Pipeline) -> str:
+    """Return the example in C++."""
+    indent, scale = "            ", pipeline.settings.upsample
+    lines = []
+    for image in pipeline.graph.given.values():
+        count = str(image.channels)
+        count += " * samples" if "rows" in image.shape else " * width * height"
+        lines.append(f"{indent}const std::vector<float> {image.name} = read<float>(input, {count});")
+        lines.append(f"{indent}frame.{image.name} = {image.name}.data();")
+    places = []
+    if scale > 1:
+        places = [
+            "frame.row = static_cast<int>(view[13]);",
+            "frame.column = static_cast<int>(view[14]);",
+            f"const std::size_t samples = static_cast<std::size_t>(((height - frame.row + {scale - 1}) / {scale}) *",
+            f"                                                     ((width - frame.column + {scale - 1}) / {scale}));",
+        ]
+    return fill_template(
+        "pipeline/example.cpp",
+        name=pipeline.name,
+        width=WIDTH,
+        height=HEIGHT,
+        frames=FRAMES,
+        spp=f"{SPP:g}",
+        places="".join(f"{indent}{line}\n" for line in places),
+        reading="\n".join(lines),
+        bound=f"{choose_bound(FilterPlan(), pipeline.target):g}",
+    )
+
+
+def build_libraries(pipeline: Pipeline, place: Place) -> bool:
+    """Build the static and the shared library where this machine has a C compiler for the target."""
+    compiler, archiver = shutil.which("cc"), shutil.which("ar")
+    host = parse_target("host")
+    target = hl.Target(pipeline.target)
+    fits = (target.os, target.arch, target.bits) == (host.os, host.arch, host.bits) and host.os != hl.TargetOS.Windows
+    if compiler is None or archiver is None or not fits:
+        return False
+    folder, name = place("."), pipeline.name
+    kernels = [f"kernels/{each}" for each in name_objects(pipeline)]
+    shared = f"lib{name}.dylib" if host.os == hl.TargetOS.OSX else f"lib{name}.so"
+    commands = [
+        [compiler, "-std=c99", "-O2", "-fPIC", "-c", f"{name}.c", "-o", f"{name}.o"],
+        [archiver, "rcs", f"lib{name}.a", f"{name}.o", *kernels],
+        [compiler, "-shared", f"{name}.o", *kernels, "-o", shared, "-lpthread", "-ldl", "-lm"],
+    ]
+    for command in commands:
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+        if done.returncode != 0:
+            for file in (f"lib{name}.a", shared, f"{name}.o"):
+                (folder / file).unlink(missing_ok=True)
+            return False
+    (folder / f"{name}.o").unlink()
+    return True
+
+
+def describe_build(pipeline: Pipeline, built: bool) -> str:
+    """Return the command that builds and runs the example."""
+    name = pipeline.name
+    if not built:
+        return "cmake -B build && cmake --build build && build/example"
+    return f"c++ -std=c++11 example.cpp lib{name}.a -o example -lpthread -ldl -lm && ./example"

@@ -1,0 +1,233 @@
+"""Exported pipelines: C++ agrees with Python, the steps are those of the plan, and memory is shared out safely."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lobewise.cli.main import run
+from lobewise.denoising.automatic import choose_beta, choose_screen_sigma, choose_tau
+from lobewise.errors import InputError
+from lobewise.exporting.pipeline.driver import write_driver, write_header
+from lobewise.exporting.pipeline.planning import make_pipeline
+from lobewise.exporting.pipeline.program.graph import Graph
+from lobewise.exporting.pipeline.program.memory import find_spans, plan_memory
+from lobewise.exporting.pipeline.program.numbers import Number, choose_larger, raise_to, round_single, write_number
+from lobewise.exporting.pipeline.recipes.constants import Constants
+from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, WIDTH
+from lobewise.exporting.pipeline.settings import PipelineSettings
+from lobewise.lobes.band_limit import default_tau
+from tests.exporting.conftest import find_program
+from tests.exporting.pipelines import LIBRARIES, STRICT, build, export, run_example
+
+RADIUS = 3
+
+
+@pytest.fixture(scope="session")
+def cpp() -> str:
+    """Return the system's C++ compiler."""
+    return find_program("g++", "g++")
+
+
+@pytest.fixture(scope="module")
+def fast(compiler: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of the plan fast."""
+    return export(tmp_path_factory.mktemp("fast") / "out", radius=RADIUS)
+
+
+def test_numbers_keep_their_expressions() -> None:
+    number = Number(3.0, "p->x")
+    assert write_number(2.0 / (number * number) - 1) == "((2.0 / (p->x * p->x)) - 1.0)"
+    assert write_number(number**2) == "(p->x * p->x)"
+    assert write_number(choose_larger(raise_to(number, 0.5), -1.0)) == "fmax(pow(p->x, 0.5), (-1.0))"
+    assert float(2.0 / (number * number) - 1) == pytest.approx(2.0 / 9.0 - 1.0)
+    third = round_single(1.0 / number)
+    assert float(third) == float(np.float32(1.0 / 3.0))
+    assert third.is_single
+
+
+@pytest.mark.parametrize("spp", [0.5, 1.0, 4.0, 64.0, 4096.0])
+@pytest.mark.parametrize("radius", [0, 8])
+def test_automatic_numbers_are_those_of_the_recipe(spp: float, radius: int) -> None:
+    constants = Constants(1, radius, False, spp=spp)
+    pixel_tau = default_tau(constants.camera, constants.size[0])
+    assert float(constants.beta) == choose_beta(spp)
+    assert float(constants.screen_sigma) == choose_screen_sigma(spp, radius)
+    assert float(constants.tau) == pytest.approx(choose_tau(spp, pixel_tau), rel=1e-15)
+
+
+@pytest.mark.parametrize("settings", [PipelineSettings(), PipelineSettings(layers="color", form="separable")])
+def test_no_number_of_a_frame_is_compiled_in(settings: PipelineSettings) -> None:
+    """The program is the same whatever example values its numbers had."""
+    other = Constants(1, settings.radius, False, size=(30, 500), spp=77.0)
+    pipelines = [make_pipeline(settings), make_pipeline(settings, constants=other)]
+    assert write_driver(pipelines[0]) == write_driver(pipelines[1])
+    assert write_header(pipelines[0]) == write_header(pipelines[1])
+
+
+def test_images_that_are_needed_at_once_lie_apart() -> None:
+    graph = make_pipeline(PipelineSettings()).graph
+    plan, spans = plan_memory(graph, 1.0), find_spans(graph)
+    for image, (first, last) in spans.items():
+        for other, (start, stop) in spans.items():
+            if other is not image and plan.slots[other.name] == plan.slots[image.name]:
+                assert last < start or stop < first, f"{image.name} and {other.name}"
+    whole = sum(image.count_bytes(1.0) for image in spans)
+    assert plan.made_bytes < 0.6 * whole
+
+
+def test_a_call_must_fit_its_kernel() -> None:
+    graph = Graph()
+    pipeline = make_pipeline(PipelineSettings())
+    kernel = next(each for each in pipeline.kernels if each.name == "cross pass")
+    image = graph.make("image", "height", "width")
+    with pytest.raises(AssertionError, match="source"):
+        graph.call(
+            kernel.symbol, dict.fromkeys((each.name for each in kernel.parameters), image), kernel.parameters, ""
+        )
+
+
+def test_cpp_agrees_with_python(fast: Path, cpp: str) -> None:
+    found = run_example(fast, cpp)
+    assert len(found) == FRAMES
+    assert max(found) <= 1e-5
+    made, expected = (np.fromfile(fast / f"{name}.raw", np.float32) for name in ("output", "expected"))
+    images = made.reshape(FRAMES, HEIGHT, WIDTH, 3)
+    assert made.size == expected.size
+    assert np.isfinite(images).all()
+    assert (images.std(axis=(1, 2, 3)) > 0.05).all()
+
+
+def test_driver_is_c99_without_warnings(fast: Path, compiler: str) -> None:
+    build(fast, compiler, "-std=c99", "-O2", *STRICT, "-c", "lobewise.c", "-o", "strict.o")
+
+
+CHECKS = """
+#include <stdio.h>
+#include <string.h>
+#include "lobewise.h"
+static int failures;
+static void expect(lobewise_status found, lobewise_status wanted, const char *what) {
+    if (found != wanted) { printf("%s: %s\\n", what, lobewise_explain(found)); failures++; }
+}
+int main(void) {
+    static float image[3 * 64 * 64], result[3 * 64 * 64];
+    lobewise_pipeline *p;
+    lobewise_settings settings;
+    lobewise_camera camera = {{0, 1, 4}, {0, 0, -1}, {0, 1, 0}, 0.8, 0, {0, 0}};
+    lobewise_frame frame;
+    memset(&frame, 0, sizeof frame);
+    expect(lobewise_create(1, 64, &p), lobewise_bad_size, "a narrow image");
+    expect(lobewise_create(64, 0, &p), lobewise_bad_size, "no rows");
+    expect(lobewise_create(64, 64, NULL), lobewise_no_image, "no pointer");
+    expect(lobewise_create(64, 64, &p), lobewise_ok, "a pipeline");
+    expect(lobewise_run(p, &camera, &frame), lobewise_no_image, "no images");
+    if (!strstr(lobewise_get_message(p), "NULL")) { puts(lobewise_get_message(p)); failures++; }
+    frame.color = frame.diffuse = frame.specular = frame.normal = frame.diffuse_albedo = image;
+    frame.specular_albedo = frame.depth = frame.alpha = image;
+    frame.image = result;
+    camera.up[1] = 0; camera.up[2] = 2;
+    expect(lobewise_run(p, &camera, &frame), lobewise_bad_camera, "up along forward");
+    camera.up[1] = 1; camera.fov_y = 3.2;
+    expect(lobewise_run(p, &camera, &frame), lobewise_bad_camera, "a wide angle");
+    camera.fov_y = 0.8;
+    lobewise_get_settings(p, &settings);
+    settings.beta = -1.0;
+    expect(lobewise_set_settings(p, &settings), lobewise_bad_setting, "a negative beta");
+    settings.beta = 0.0; settings.samples_per_pixel = 0.0;
+    expect(lobewise_set_settings(p, &settings), lobewise_bad_setting, "no samples");
+    settings.samples_per_pixel = 2.0;
+    expect(lobewise_set_settings(p, &settings), lobewise_ok, "settings");
+    expect(lobewise_run(p, &camera, &frame), lobewise_ok, "a black frame");
+    printf("%lu\\n", (unsigned long)lobewise_count_bytes(p));
+    lobewise_reset(p);
+    lobewise_destroy(p);
+    lobewise_destroy(NULL);
+    return failures;
+}
+"""
+
+
+def test_bad_input_is_refused(fast: Path, compiler: str) -> None:
+    (fast / "checks.c").write_text(CHECKS)
+    build(fast, compiler, "-std=c99", *STRICT, "checks.c", "liblobewise.a", "-o", "checks", *LIBRARIES)
+    done = subprocess.run(["./checks"], cwd=fast, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
+    told = json.loads((fast / "lobewise-export.json").read_text())["bytes_per_pixel"]
+    expected = sum(told.values()) * 64 * 64
+    assert expected < int(done.stdout) < expected + 40_000
+
+
+def test_cmake_finds_the_package(fast: Path, cpp: str, tmp_path: Path) -> None:
+    cmake = find_program("cmake", "cmake")
+    build(tmp_path, cmake, "-S", str(fast), "-B", "build", "-DCMAKE_BUILD_TYPE=Release")
+    build(tmp_path, cmake, "--build", "build")
+    done = subprocess.run([tmp_path / "build" / "example"], cwd=fast, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_pkg_config_and_shared_library(fast: Path, cpp: str) -> None:
+    program = find_program("pkg-config", "pkg-config")
+    words = [program, "--cflags", "--libs", "lobewise"]
+    told = subprocess.run(words, env={"PKG_CONFIG_PATH": str(fast)}, capture_output=True, text=True, check=True)
+    build(fast, cpp, "-std=c++11", "example.cpp", "-o", "shared", *told.stdout.split(), f"-Wl,-rpath,{fast}")
+    linked = subprocess.run(["ldd", "shared"], cwd=fast, capture_output=True, text=True, check=True)
+    assert "liblobewise.so" in linked.stdout
+    done = subprocess.run(["./shared"], cwd=fast, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
+
+
+def test_contents_name_every_step(fast: Path) -> None:
+    told = json.loads((fast / "lobewise-export.json").read_text())
+    driver = (fast / "lobewise.c").read_text()
+    functions = {step["function"] for stage in told["stages"] for step in stage["steps"]}
+    assert set(told["kernels"]) <= functions
+    assert all(f"{function}(" in driver for function in functions)
+    assert {each["name"] for each in told["inputs"]} >= {"color", "diffuse", "specular", "normal", "depth", "alpha"}
+    readme = (fast / "README.md").read_text()
+    assert all(f"`{each['name']}`" in readme for each in told["inputs"])
+
+
+def test_a_change_of_the_plan_changes_the_export() -> None:
+    texts = {write_driver(make_pipeline(PipelineSettings(form=form))) for form in ("full", "separable", "atrous")}
+    assert len(texts) == 3
+
+
+def test_list_prints_the_contents(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["export", "--plan", "fast", "--list"]) == 0
+    out = capsys.readouterr().out
+    assert "specular_albedo: height x width x 3" in out
+    assert "full kernel, 17x17 pixels" in out
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--plan", "high"], "what a pipeline can contain"),
+        (["--plan", "auto"], "what a pipeline can contain"),
+        (["--plan", "fast", "--similarity", "sg_mixture"], "what a pipeline can contain"),
+        (["--plan", "fast", "--lobes", "2"], "one of a single filter"),
+        (["--plan", "fast", "--target", "x86-64-linux-avx2-fma-vulkan"], "a graphics processor"),
+        (["--plan", "fast", "--name", "9"], "an identifier of C"),
+    ],
+)
+def test_what_a_pipeline_cannot_contain_is_refused(
+    words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["export", *words, "-o", str(tmp_path / "out")]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_output_is_needed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["export", "--plan", "fast"]) == 2
+    assert "-o FOLDER" in capsys.readouterr().err
+
+
+def test_settings_name_no_unknown_layers() -> None:
+    with pytest.raises(InputError, match="layers"):
+        PipelineSettings(layers="three")  # type: ignore[arg-type]
