@@ -60,7 +60,14 @@ def test_automatic_numbers_are_those_of_the_recipe(spp: float, radius: int) -> N
     assert float(constants.tau) == pytest.approx(choose_tau(spp, pixel_tau), rel=1e-15)
 
 
-@pytest.mark.parametrize("settings", [PipelineSettings(), PipelineSettings(layers="color", form="separable")])
+@pytest.mark.parametrize(
+    "settings",
+    [
+        PipelineSettings(),
+        PipelineSettings(layers="color", form="separable"),
+        PipelineSettings(history=True, hit_distance=True),
+    ],
+)
 def test_no_number_of_a_frame_is_compiled_in(settings: PipelineSettings) -> None:
     """The program is the same whatever example values its numbers had."""
     other = Constants(1, settings.radius, False, size=(30, 500), spp=77.0)
@@ -69,8 +76,9 @@ def test_no_number_of_a_frame_is_compiled_in(settings: PipelineSettings) -> None
     assert write_header(pipelines[0]) == write_header(pipelines[1])
 
 
-def test_images_that_are_needed_at_once_lie_apart() -> None:
-    graph = make_pipeline(PipelineSettings()).graph
+@pytest.mark.parametrize("history", [False, True])
+def test_images_that_are_needed_at_once_lie_apart(history: bool) -> None:
+    graph = make_pipeline(PipelineSettings(history=history)).graph
     plan, spans = plan_memory(graph, 1.0), find_spans(graph)
     for image, (first, last) in spans.items():
         for other, (start, stop) in spans.items():

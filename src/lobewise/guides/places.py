@@ -93,11 +93,11 @@ def find_surface_places(
     size = int(depth.shape[0]), int(depth.shape[1])
     numbers: dict[str, Any] = {**get_projection_numbers(previous, size), **get_ray_numbers(camera, size)}
     images = {"depth": depth, "position": position, "motion": motion}
-    where, *allowance = run_pointwise(_define_surface_places, images, numbers)
+    where, *allowance = run_pointwise(define_surface_places, images, numbers)
     return where, allowance[0] if allowance else None
 
 
-def _define_surface_places(grid: Grid) -> list[Vector]:
+def define_surface_places(grid: Grid) -> list[Vector]:
     there = is_surface_depth(grid.read_one("depth"))
     steps = zip(subtract([hl.f64(p) for p in grid.read("position")], grid.get("before")), _ray(grid), strict=True)
     place, known = project_step(grid, [hl.select(there, step, ray) for step, ray in steps])
@@ -125,11 +125,11 @@ def estimate_curvature(position: FloatArray, normal: FloatArray) -> FloatArray:
     edges of objects nor creases count. An image of a single row or column is flat in the other direction.
     """
     images = {"position": position, "normal": normal}
-    (curvature,) = run_pointwise(_define_curvature, images, {"edge": np.float32(MIN_EDGE_RATIO)})
+    (curvature,) = run_pointwise(define_curvature, images, {"edge": np.float32(MIN_EDGE_RATIO)})
     return np.asarray(curvature)
 
 
-def _define_curvature(grid: Grid) -> list[Vector]:
+def define_curvature(grid: Grid) -> list[Vector]:
     x, y = grid.x, grid.y
     last_x, last_y = (hl.max(extent - 2, 0) for extent in grid.size)
     # From a pixel to its right neighbour; the last column has none.
@@ -177,11 +177,11 @@ def find_virtual_places(
     size = int(curvature.shape[0]), int(curvature.shape[1])
     images = {"distance": hit_distance, "curvature": curvature, "position": position}
     numbers = {"eye": camera.position, "far": MISS_DISTANCE, **get_projection_numbers(previous, size)}
-    (places,) = run_pointwise(_define_image_places, images, numbers)
+    (places,) = run_pointwise(define_image_places, images, numbers)
     return np.asarray(places)
 
 
-def _define_image_places(grid: Grid) -> list[Vector]:
+def define_image_places(grid: Grid) -> list[Vector]:
     one = hl.f64(1.0)
     (far,) = grid.get("far")
     position = [hl.f64(component) for component in grid.read("position")]

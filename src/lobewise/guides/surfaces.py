@@ -97,11 +97,11 @@ def find_inverse_hits(distance: FloatArray, depth: FloatArray | None = None, nea
 
     With ``depth``, t is at least ``nearest`` times the depth.
     """
-    (inverse,) = run_pointwise(_define_inverse_hits, {"distance": distance, "depth": depth}, {"nearest": nearest})
+    (inverse,) = run_pointwise(define_inverse_hits, {"distance": distance, "depth": depth}, {"nearest": nearest})
     return np.asarray(inverse)
 
 
-def _define_inverse_hits(grid: Grid) -> list[Vector]:
+def define_inverse_hits(grid: Grid) -> list[Vector]:
     distance = grid.read_one("distance")
     known = distance > hl.f32(0.0)
     if grid.has("depth"):
@@ -115,11 +115,11 @@ def _define_inverse_hits(grid: Grid) -> list[Vector]:
 def find_tolerances(alpha_u: FloatArray, alpha_v: FloatArray | None, least: float, slope: float) -> FloatArray:
     """Return ``least + slope * alpha`` with the larger alpha, (height, width). NaN counts as alpha 0."""
     images = {"alpha_u": alpha_u, "alpha_v": alpha_v}
-    (tolerance,) = run_pointwise(_define_tolerances, images, {"least": least, "slope": slope})
+    (tolerance,) = run_pointwise(define_tolerances, images, {"least": least, "slope": slope})
     return np.asarray(tolerance)
 
 
-def _define_tolerances(grid: Grid) -> list[Vector]:
+def define_tolerances(grid: Grid) -> list[Vector]:
     alphas = [grid.read_one(name) for name in ("alpha_u", "alpha_v") if grid.has(name)]
     known = is_finite(sum(alphas[1:], alphas[0]))
     widest = hl.select(known, hl.max(*alphas, hl.f32(0.0)), hl.f32(0.0))
@@ -135,11 +135,11 @@ def find_footprints(
     """
     images = {"surface": surface, "depth": depth, "allowance": allowance}
     numbers = {"pixel_angle": np.float32(pixel_angle), "allowed": np.float32(allowed)}
-    (footprint,) = run_pointwise(_define_footprints, images, numbers)
+    (footprint,) = run_pointwise(define_footprints, images, numbers)
     return np.asarray(footprint)
 
 
-def _define_footprints(grid: Grid) -> list[Vector]:
+def define_footprints(grid: Grid) -> list[Vector]:
     (angle,), (allowed,) = grid.get("pixel_angle"), grid.get("allowed")
     footprint = grid.read_one("depth") * angle
     if grid.has("allowance"):
@@ -174,11 +174,11 @@ def put_backdrop(
     eye = np.zeros(3) if camera is None else camera.position
     images = {"surface": surface, "normal": normal, "position": position}
     numbers = {"eye": eye.astype(np.float32), "far": np.float32(far), **rays}
-    facing, flat, *points = run_pointwise(_define_backdrop, images, numbers)
+    facing, flat, *points = run_pointwise(define_backdrop, images, numbers)
     return Backdrop(facing, flat, points[0] if points else None)
 
 
-def _define_backdrop(grid: Grid) -> list[Vector]:
+def define_backdrop(grid: Grid) -> list[Vector]:
     there = grid.read_one("surface") != 0
     ray = make_ray(grid, hl.Float(32))
     inverse = hl.f32(1.0) / hl.sqrt(dot(ray, ray))

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from lobewise.denoising.planning.frame_plans import FrameTraits, plan_frame
-from lobewise.denoising.planning.layer_plans import LayerTraits
+from lobewise.denoising.planning.layer_plans import LayerTraits, plan_history
 from lobewise.exporting.pipeline.driver import Pipeline
 from lobewise.exporting.pipeline.program.graph import Graph
 from lobewise.exporting.pipeline.program.kernels import Kernels
@@ -45,6 +47,11 @@ def make_pipeline(
     graph = Graph(stage="guides")
     guides = PipelineGuides(settings, graph, Kernels(graph, chosen, name), constants)
     traits = {each: LayerTraits(is_diffuse=each == "diffuse") for each in settings.layer_names}
-    PlannedFrame(guides, plan_frame(FrameTraits(traits), settings.resolve())).run()
+    plan = plan_frame(FrameTraits(traits), settings.resolve())
+    if settings.history:
+        growth, own = constants.get("strictness"), constants.own_weight
+        over_time = plan_history(settings.resolve(), growth=growth, own=own)
+        plan = replace(plan, layers=dict.fromkeys(plan.layers, over_time))
+    PlannedFrame(guides, plan).run()
     kernels = guides.kernels
     return Pipeline(settings, graph, constants, list(kernels.found.values()), kernels.lanes, name, chosen.to_string())

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from lobewise.camera import Camera
 from lobewise.denoising.recipe import denoise
 from lobewise.exporting.pipeline.program.graph import Graph
-from lobewise.exporting.pipeline.scene import HEIGHT, SPP, WIDTH, make_frame
+from lobewise.exporting.pipeline.scene import CUT, HEIGHT, SPP, WIDTH, make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
-from lobewise.frame import FloatArray, Frame, Radiance
+from lobewise.frame import FloatArray, Frame, GBuffer, LobeKind, Radiance
+from lobewise.guides.surfaces import find_places
 from lobewise.settings import DenoiseSettings
 from lobewise.settings.choices import get_quality
+from lobewise.temporal import TemporalFilter
 
-FRAMES = 4
+FRAMES = CUT + 1
+"""The last one follows a cut."""
 
 
 @dataclass(frozen=True)
@@ -62,10 +66,26 @@ def make_sample(settings: PipelineSettings, graph: Graph) -> list[SampleFrame]:
 def prepare_frame(settings: PipelineSettings, frame: Frame) -> Frame:
     """Return a frame with the images that the pipeline reads, and no others."""
     guides = frame.gbuffer
-    changes = {} if settings.history else {"motion": None}
+    changes: dict[str, Any] = {} if settings.history and settings.motion else {"motion": None}
     changes |= {} if settings.hit_distance else {"hit_distance": None}
     radiance = frame.radiance if settings.layers == "apart" else Radiance(frame.radiance.color)
+    if settings.position:
+        place, _ = find_places(guides, frame.require_camera("positions"))
+        changes["position"] = place
+    if settings.anisotropic:
+        alpha, normal = (guides.require(name, "brushed surfaces") for name in ("alpha_u", "normal"))
+        changes |= {"alpha_v": np.float32(0.5) * alpha, "tangent": np.cross(normal, np.array([0.3, 0.9, 0.1]))}
+    if settings.lobe_kind:
+        changes["lobe_kind"] = find_kinds(guides)
     return replace(frame, radiance=radiance, gbuffer=replace(guides, **changes))
+
+
+def find_kinds(guides: GBuffer) -> FloatArray:
+    """Return kinds of lobes: diffuse surfaces have none, the smoothest are mirrors."""
+    alpha = guides.require("alpha_u", "kinds of lobes")
+    diffuse = np.float32(LobeKind.NONE)
+    kind = np.where(alpha < 0.04, np.float32(LobeKind.DELTA), np.float32(LobeKind.GGX))
+    return np.where(alpha > 0.2, diffuse, kind).astype(np.float32)
 
 
 def make_settings(settings: PipelineSettings) -> DenoiseSettings:
@@ -82,14 +102,18 @@ def make_settings(settings: PipelineSettings) -> DenoiseSettings:
 
 def run_recipe(settings: PipelineSettings, frames: list[Frame]) -> list[FloatArray]:
     """Return what Python makes of frames, one after the other."""
-    return [denoise(frame, make_settings(settings)).image for frame in frames]
+    wanted = make_settings(settings)
+    if settings.history:
+        over_time = TemporalFilter(wanted)
+        return [over_time.add(frame).image for frame in frames]
+    return [denoise(frame, wanted).image for frame in frames]
 
 
 def collect_images(graph: Graph, frame: Frame) -> dict[str, FloatArray]:
     """Return the images that a pipeline is given, by name."""
     guides, radiance = frame.gbuffer, frame.radiance
     named = {"color": radiance.color, "diffuse": radiance.diffuse, "specular": radiance.specular}
-    named |= {"alpha": guides.alpha_u}
+    named |= {} if guides.alpha_v is not None else {"alpha": guides.alpha_u}
     found = {}
     for name in graph.given:
         image = named.get(name) if name in named else getattr(guides, name)

@@ -24,6 +24,8 @@ BALL_STEP = np.array([0.04, 0.0, -0.02])
 """Way of the last ball from frame to frame."""
 LIGHT = np.array([0.4, 0.8, 0.45]) / np.linalg.norm([0.4, 0.8, 0.45])
 NO_BALL = -1
+CUT = 4
+"""Number of the frame from which on another camera looks at the scene."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,9 @@ class Traced:
 
 def place_camera(number: int) -> Camera:
     """Return the camera of a frame."""
+    if number >= CUT:
+        position = np.array([-3.0, 0.9, -2.5])
+        return Camera(position, np.array([0.3, 0.5, 0.0]) - position, (0.0, 1.0, 0.0), FOV_Y)
     position = np.array([0.3 + 0.05 * number, 1.3 + 0.01 * number, 4.2 - 0.03 * number])
     return Camera(position, np.array([0.02, 0.5, 0.0]) - position, (0.0, 1.0, 0.0), FOV_Y)
 

@@ -12,8 +12,8 @@ from lobewise.settings.choices import MAX_SCALE_PIXELS, Similarity, get_quality,
 
 PLANS = ("fast",)
 CONTENTS = (
-    "the plan fast, and the similarities normal, sg, asg and ggx; not Open Image Denoise, no network, and nothing that "
-    "is chosen for each frame"
+    "the plan fast, a history, and the similarities normal, sg, asg and ggx; not Open Image Denoise, no network, and "
+    "nothing that is chosen for each frame"
 )
 """What a pipeline can contain, for messages."""
 
@@ -35,6 +35,9 @@ class PipelineSettings(Declared):
     layers: Annotated[
         Literal["apart", "color"], Knob("Whether diffuse and specular light come apart, or all light in one image.")
     ] = "apart"
+    motion: Annotated[bool, Knob("With a history, whether motion vectors are given; else only the camera moves.")] = (
+        True
+    )
     position: Annotated[bool, Knob("Whether positions are given beside depths; else the camera tells them.")] = False
     anisotropic: Annotated[bool, Knob("Whether lobes come from two roughnesses and a tangent.")] = False
     lobe_kind: Annotated[bool, Knob("Whether an image tells the kind of each pixel's lobe.")] = False
@@ -46,8 +49,8 @@ class PipelineSettings(Declared):
         if self.plan not in PLANS:
             raise _refuse("plan", self.plan, "choose fast")
         super().__post_init__()
-        if self.history or self.upsample > 1:
-            raise _refuse("history or upsampling", "it", "leave it out")
+        if self.upsample > 1:
+            raise _refuse("upsampling", "it", "leave it out")
         if self.record.is_mixture:
             raise _refuse("similarity", self.similarity, "choose ggx, or export the filter alone, without --plan")
         guided = get_quality(self.plan).reads_halves

@@ -76,7 +76,7 @@ def join_layers(
     for number, (mask, albedo) in enumerate(lobes):
         images |= {f"effective{number}": outputs[number].effective_samples}
         images |= {f"mask{number}": mask, f"albedo{number}": albedo}
-    told = run_pointwise(_define_joined, images, {}, len(outputs), len(lobes))
+    told = run_pointwise(define_joined, images, {}, len(outputs), len(lobes))
     image, holes, weight_sum, effective, *more = told
     variance = more.pop(0) if variances else None
     return JoinedLayers(image, tuple(more), weight_sum, effective, variance, holes)
@@ -86,16 +86,16 @@ def find_reflecting(mask: NDArray[np.bool_], albedo: FloatArray | None, floor: f
     """Return where pixels of a mask have an albedo with a channel above ``floor``; the mask itself without albedo."""
     if albedo is None:
         return mask
-    (found,) = run_pointwise(_define_reflecting, {"mask": mask, "albedo": albedo}, {"floor": np.float32(floor)})
+    (found,) = run_pointwise(define_reflecting, {"mask": mask, "albedo": albedo}, {"floor": np.float32(floor)})
     return np.asarray(found)
 
 
-def _define_reflecting(grid: Grid) -> list[Vector]:
+def define_reflecting(grid: Grid) -> list[Vector]:
     (floor,) = grid.get("floor")
     return [[hl.u8((grid.read_one("mask") != 0) & reduce(or_, (tint > floor for tint in grid.read("albedo"))))]]
 
 
-def _define_joined(grid: Grid, layers: int, lobes: int) -> list[Vector]:
+def define_joined(grid: Grid, layers: int, lobes: int) -> list[Vector]:
     zero = hl.f32(0.0)
     means = [grid.read_channels(f"mean{number}") for number in range(layers)]
     total = [_add([mean[k] for mean in means]) for k in range(COLORS)]

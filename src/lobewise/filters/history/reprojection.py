@@ -61,7 +61,7 @@ def prepare_pixels(mask: NDArray[np.bool_], features: Sequence[Feature]) -> Comp
         return ComparedPixels(tuple(features), wide, None, shape)
     arrays = {name: widen(download(image)) for name, image in give_features("own", features, shape).items()}
     key = "preparation", *map(describe_structure, features)
-    kernel = get_kernel("cpu", key, partial(_make_preparation, features))
+    kernel = get_kernel("cpu", key, partial(make_scheduled_preparation, features))
     size = (shape[0], wide.shape[1])
     planes = run_planes(kernel, "cpu", {"mask": wide, **arrays}, give_scalars(features), size)
     return ComparedPixels(tuple(features), wide, np.moveaxis(planes, -1, 0), shape)
@@ -127,18 +127,18 @@ def reproject(
         images |= {"planes": now.planes, "planes_before": before.planes}
     numbers = {"memory": memory, "rows": before.shape[0], "columns": before.shape[1], **give_scalars(now.features)}
     key = "reprojection", virtual_from, *map(describe_structure, now.features)
-    kernel = get_kernel(device, key, partial(_make_reprojection, now.features, virtual_from))
+    kernel = get_kernel(device, key, partial(make_scheduled_reprojection, now.features, virtual_from))
     return run_planes(kernel, device, images, numbers, size)
 
 
-def _make_preparation(features: Sequence[Feature], target: hl.Target) -> Scheduled:
+def make_scheduled_preparation(features: Sequence[Feature], target: hl.Target) -> Scheduled:
     """Return the kernel of `prepare_pixels`, ready to be compiled."""
     funcs = make_preparation(features)
     schedule_preparation(funcs, int(target.natural_vector_size(hl.Float(32))))
     return Scheduled([funcs.out], funcs.signature)
 
 
-def _make_reprojection(features: Sequence[Feature], virtual_from: int | None, target: hl.Target) -> Scheduled:
+def make_scheduled_reprojection(features: Sequence[Feature], virtual_from: int | None, target: hl.Target) -> Scheduled:
     """Return the kernel of `reproject`, ready to be compiled."""
     lanes = max(count_lanes(target), 1)
     funcs = make_reprojection(features, virtual_from, lanes)

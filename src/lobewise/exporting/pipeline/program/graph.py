@@ -68,7 +68,7 @@ class Image:
     @property
     def memory(self) -> Image:
         """The image whose memory this one is, or is a part of."""
-        return self if self.whole is None else self.whole
+        return self if self.whole is None else self.whole.memory
 
     @property
     def channels(self) -> int:
@@ -77,7 +77,7 @@ class Image:
 
     def take_plane(self, number: int) -> Image:
         """Return a plane of a stack (count, height, width)."""
-        return replace(self, name=f"{self.name}_{number}", shape=self.shape[1:], whole=self, plane=number)
+        return replace(self, name=f"{self.name}_plane{number}", shape=self.shape[1:], whole=self, plane=number)
 
     def list_planes(self) -> list[Image]:
         """Return all planes of a stack (count, height, width)."""

@@ -5,19 +5,35 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from typing import Any
 
 from lobewise.denoising.bad_pixels import SIGMAS
+from lobewise.denoising.layers import MIN_HIT_DISTANCE
 from lobewise.denoising.planning.frame_plans import FILL_HOLES, FILTER_LAYERS, FramePlan, Stage
-from lobewise.denoising.planning.steps import FilterStep
+from lobewise.denoising.planning.steps import HISTORY, AccumulateStep, FilterStep, Step
 from lobewise.errors import InputError
 from lobewise.exporting.pipeline.program.graph import Image
 from lobewise.exporting.pipeline.program.numbers import Number
 from lobewise.exporting.pipeline.recipes import glue
 from lobewise.exporting.pipeline.recipes.guides import SIZE, PipelineGuides, PlannedLayer
-from lobewise.exporting.pipeline.recipes.steps import FilterCall, PlannedOutput, PlannedRun, add_filter, call_filter
+from lobewise.exporting.pipeline.recipes.history import add_inverse_hits, make_history
+from lobewise.exporting.pipeline.recipes.steps import (
+    FilterCall,
+    PlannedOutput,
+    PlannedRun,
+    add_accumulation,
+    add_filter,
+    call_filter,
+)
 from lobewise.exporting.pipeline.settings import CONTENTS
-from lobewise.features import ScreenFeature
+from lobewise.features import Feature, ScreenFeature
+from lobewise.lobes.hits import HitField
 
+STEPS: Mapping[type[Step], Callable[[PlannedRun, Any], Sequence[Any]]] = {
+    FilterStep: add_filter,
+    AccumulateStep: add_accumulation,
+}
+"""What adds each kind of step to a pipeline."""
 NO_SIGMA = 1e15
 """Standard deviation of the screen distance, pixels, beside which no distance counts."""
 
@@ -93,20 +109,51 @@ def compose(frame: PlannedFrame) -> None:
 
 
 def filter_layers(frame: PlannedFrame) -> None:
-    """Filter every layer by its plan of the quality fast."""
+    """Filter every layer by its plan of the quality fast, and join it with its history where there is one."""
     guides, constants = frame.guides, frame.guides.constants
     place = guides.make_place_features(constants.screen_sigma, constants.get("position_sigma"))
-    specular = guides.make_specular_feature(guides.settings.similarity, constants.beta, constants.noise)
+    specular, alike = make_specular_features(guides)
     frame.layers = guides.make_layers(place, specular, constants.diffuse_beta)
     frame.bad = find_bad(guides, frame.layers)
     frame.rest = find_rest(guides, frame.layers)
+    history, found = None, {}
+    if alike is not None:
+        masks = {layer.name: layer.mask for layer in frame.layers}
+        history = make_history(guides, [alike], specular[1], masks)
+        found = history.find_all()
     outputs = []
     for layer in frame.layers:
-        output = PlannedRun(guides, layer).run(frame.plan.layers[layer.name], {FilterStep: add_filter})
+        run = PlannedRun(guides, layer)
+        if history is not None:
+            run.images |= {HISTORY: found[layer.name], "sums": history.keep_sums(layer.name)}
+        output = run.run(frame.plan.layers[layer.name], STEPS)
         outputs.append(output)
         with guides.graph.part(f"{layer.name}: radiance"):
             frame.parts.append(keep_unfiltered(guides, layer, output))
     frame.outputs = outputs
+
+
+def make_specular_features(guides: PipelineGuides) -> tuple[tuple[Feature, Image], Feature | None]:
+    """Return what compares specular light within a frame, its pixels, and what compares it between frames.
+
+    The last is None without a history.
+    """
+    constants, settings = guides.constants, guides.settings
+    if not settings.history:
+        return guides.make_specular_feature(settings.similarity, constants.beta, constants.noise), None
+    beta, same = constants.get("history_beta"), constants.square_tau(constants.pixel_tau)
+    hits = None
+    if settings.hit_distance and settings.record.has_lobes:
+        places: Any = guides.position, add_inverse_hits(guides, MIN_HIT_DISTANCE * constants.pixel_angle)
+        hits = HitField(*places)
+    if settings.record.has_covariance and not settings.record.fits_gaussian:
+        valid, (own, other) = guides.split_lobes([constants.noise, same])
+        mask = guides.join_masks(valid)
+        feature = guides.make_split_feature(own, constants.beta)
+        return (feature, mask), guides.make_split_feature(other, beta, hits)
+    feature, mask = guides.make_specular_feature(settings.similarity, constants.beta, constants.noise)
+    alike, _ = guides.make_specular_feature(settings.similarity, beta, same, hits=hits)
+    return (feature, mask), alike
 
 
 def fill_holes(frame: PlannedFrame) -> None:

@@ -203,7 +203,7 @@ class PipelineGuides:
         return make_feature(NormalFeature, self.normal, self.constants.get("normal_exponent"))
 
     def make_specular_feature(
-        self, similarity: str, beta: float, noise: Number, *, spread: bool = False
+        self, similarity: str, beta: float, noise: Number, *, spread: bool = False, hits: object = None
     ) -> tuple[Feature, Image]:
         """Return the feature that compares specular light, and its pixels; see `make_specular_features`."""
         record = get_similarity(similarity)
@@ -211,7 +211,7 @@ class PipelineGuides:
             return make_feature(NormalFeature, self.normal, self.constants.get("normal_exponent")), self.surface
         valid, lobe = self.make_lobes(similarity, noise, spread=spread)
         kind = SgFeature if not record.has_covariance else AsgFeature if record.fits_gaussian else GgxFeature
-        return make_feature(kind, *lobe, beta), self.join_masks(valid)
+        return make_feature(kind, *lobe, beta, hits), self.join_masks(valid)
 
     def make_split_feature(self, lobe: Sequence[Any], beta: float, hits: object = None) -> Feature:
         """Return the feature that compares split lobes."""

@@ -37,3 +37,71 @@ static void find_mean_color(${name}_pipeline *p, const halide_buffer_t *color)
         p->mean_color[channel] = (float)(sums[channel] / (count > 1.0 ? count : 1.0));
     }
 }
+
+/* routine: copy_image */
+static void copy_image(${name}_pipeline *p, const halide_buffer_t *from, halide_buffer_t *to)
+{
+    size_t bytes = from->type.bits / 8;
+    int axis;
+    (void)p;
+    for (axis = 0; axis < from->dimensions; axis++) {
+        bytes *= (size_t)from->dim[axis].extent;
+    }
+    memcpy(to->host, from->host, bytes);
+}
+
+/* routine: clear_image */
+static void clear_image(${name}_pipeline *p, halide_buffer_t *image)
+{
+    size_t bytes = image->type.bits / 8;
+    int axis;
+    (void)p;
+    for (axis = 0; axis < image->dimensions; axis++) {
+        bytes *= (size_t)image->dim[axis].extent;
+    }
+    memset(image->host, 0, bytes);
+}
+
+/* routine: measure_cover */
+static void measure_cover(${name}_pipeline *p, const halide_buffer_t *mask, double least, int *is_covered)
+{
+    /* Whether more than a share of the pixels has the light of a mask. */
+    const size_t pixels = (size_t)p->width * (size_t)p->height;
+    size_t count = 0, k;
+    for (k = 0; k < pixels; k++) {
+        count += mask->host[k] != 0;
+    }
+    *is_covered = (double)count / (double)pixels > least;
+}
+
+/* routine: judge_cut */
+static void judge_cut(
+    ${name}_pipeline *p, const halide_buffer_t *agreement, const halide_buffer_t *places, const halide_buffer_t *mask,
+    double least_agreement, double longest_step, int most_samples, int *has_history)
+{
+    /* The history counts where enough surfaces are found in the frame before, not too far away. */
+    const float *agrees = (const float *)agreement->host, *place = (const float *)places->host;
+    const int shorter = p->width < p->height ? p->width : p->height;
+    const int longer = p->width < p->height ? p->height : p->width;
+    const int step = shorter / most_samples > 1 ? shorter / most_samples : 1;
+    const float reach = (float)(longest_step * longer);
+    size_t found = 0, count = 0;
+    int x, y;
+    for (y = 0; y < p->height; y += step) {
+        for (x = 0; x < p->width; x += step) {
+            const size_t k = (size_t)y * (size_t)p->width + (size_t)x;
+            const int near = fabsf(place[2 * k] - (float)x) < reach && fabsf(place[2 * k + 1] - (float)y) < reach;
+            const int is_surface = mask->host[k] != 0;
+            count += is_surface;
+            found += is_surface && near && (double)agrees[k] > least_agreement;
+        }
+    }
+    *has_history = count == 0 || (double)found / (double)count >= p->settings.cut_share;
+}
+
+/* routine: set_flag */
+static void set_flag(${name}_pipeline *p, int *flag, int value)
+{
+    (void)p;
+    *flag = value;
+}

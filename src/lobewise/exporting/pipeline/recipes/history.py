@@ -1,0 +1,313 @@
+"""The history of a pipeline: where each pixel was a frame ago, and what it keeps; see `lobewise.temporal.past`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+from lobewise.exporting.pipeline.program.graph import Image
+from lobewise.exporting.pipeline.program.kernels import give_feature_images, give_feature_numbers, make_feature
+from lobewise.exporting.pipeline.program.numbers import Number, round_single
+from lobewise.exporting.pipeline.recipes.guides import SIZE, PipelineGuides
+from lobewise.features import DiffuseFeature, Feature, HitDistanceFeature, NormalFeature, PlaneFeature
+from lobewise.filters.cross_pass import describe_structure
+from lobewise.filters.history.reprojection import make_scheduled_preparation, make_scheduled_reprojection
+from lobewise.filters.history.reprojection_pass import AGREEMENT
+from lobewise.filters.history.sums import HISTORY_CHANNELS
+from lobewise.guides.places import (
+    MIN_EDGE_RATIO,
+    MISS_DISTANCE,
+    define_curvature,
+    define_image_places,
+    define_surface_places,
+)
+from lobewise.guides.surfaces import define_backdrop, define_footprints, define_inverse_hits, define_tolerances
+from lobewise.temporal.past import MAX_SHARE_SAMPLES, MAX_STEP, MIN_AGREEMENT, MIN_DIFFUSE_SHARE
+from lobewise.temporal.validation import BACKGROUND_DISTANCE, HIT_TOLERANCE, HIT_TOLERANCE_PER_LOBE
+
+HAS_PAST, HAS_HISTORY = "p->has_past", "p->has_history"
+
+
+@dataclass
+class Compared:
+    """What recognises the pixels of a layer a frame later; see `lobewise.temporal.validation.ValidationFeatures`.
+
+    Parameters
+    ----------
+    name : str
+    mask : Image
+        Pixels that have this light.
+    surface : tuple of Feature
+        Compared at the earlier place of the surface.
+    virtual : int
+        How many of them, the last ones, are compared at the earlier place of the reflection; 0 where it is not tracked.
+    """
+
+    name: str
+    mask: Image
+    surface: tuple[Feature, ...]
+    virtual: int = 0
+    planes: tuple[Image, Image] | None = None
+    masks: tuple[Image, Image] | None = None
+    sums: tuple[Image, Image] | None = None
+
+
+@dataclass
+class PlannedHistory:
+    """The history of the layers of a frame.
+
+    Parameters
+    ----------
+    guides : PipelineGuides
+    masks : mapping of str to Image
+        Pixels that have the light of each layer, by name.
+    compared : dict of str to Compared
+    """
+
+    guides: PipelineGuides
+    masks: Mapping[str, Image]
+    compared: dict[str, Compared]
+    footprint: Image
+    allowance: Image | None
+    places: Image
+    virtual_places: Image | None
+    found: dict[str, Image] = field(default_factory=dict)
+
+    def find_all(self) -> dict[str, Image]:
+        """Add the search of the history of every layer; return their sums, (7, height, width) each, by name."""
+        graph = self.guides.graph
+        for each in self.compared.values():
+            self._prepare(each)
+        with graph.part("history: places of a frame ago"):
+            self._judge_cut()
+            self._forget()
+        for name in self.masks:
+            with graph.part(f"{name}: history"):
+                if name not in self.found:
+                    with graph.only_when(HAS_HISTORY):
+                        self._find(name)
+                with graph.only_when(f"!{HAS_HISTORY}"):
+                    found = self.found[name]
+                    graph.run("clear_image", [found], [], "no history", writes=[found])
+        for each in self.compared.values():
+            assert each.masks is not None
+            with graph.part("history: memory"):
+                graph.run("copy_image", [each.mask, each.masks[0]], [], "pixels of the layer", writes=[each.masks[0]])
+        return {
+            name: replace(found, name=f"{found.name}_sums", shape=(HISTORY_CHANNELS, *SIZE), whole=found)
+            for name, found in self.found.items()
+            if name in self.masks
+        }
+
+    def keep_sums(self, name: str) -> Image:
+        """Return the memory for the new sums of a layer."""
+        sums = self.compared[name].sums
+        assert sums is not None
+        return sums[0]
+
+    def _prepare(self, each: Compared) -> None:
+        """Add the planes by which a layer is compared, in this frame and in the next."""
+        graph, name = self.guides.graph, each.name
+        with graph.part("history: what is compared"):
+            each.masks = graph.keep(f"{name}_mask", *SIZE, type="uint8")
+            each.planes = self._call_preparation(each)
+        if name in self.masks:
+            each.sums = graph.keep(f"{name}_sums", HISTORY_CHANNELS, *SIZE)
+
+    def _call_preparation(self, each: Compared) -> tuple[Image, Image]:
+        kernels = self.guides.kernels
+        key = "preparation", *map(describe_structure, each.surface)
+        kernel = kernels.get(key, partial(make_scheduled_preparation, each.surface))
+        if each.planes is None:
+            count = sum(parameter.role == "output" for parameter in kernel.parameters)
+            each.planes = self.guides.graph.keep(f"{each.name}_planes", count, *SIZE)
+        given = give_feature_images("own", each.surface) | give_feature_numbers(each.surface)
+        text = f"planes that {each.name} light is recognised by"
+        kernels.call_stacked(kernel, {"mask": each.mask, **given}, name="", stack=each.planes[0], text=text)
+        return each.planes
+
+    def _find(self, name: str) -> None:
+        """Add the reprojection of a layer."""
+        kernels, each = self.guides.kernels, self.compared[name]
+        assert each.masks is not None and each.planes is not None
+        tracked = self.virtual_places is not None and each.virtual > 0
+        virtual_from = len(each.surface) - each.virtual if tracked else None
+        key = "reprojection", virtual_from, *map(describe_structure, each.surface)
+        kernel = kernels.get(key, partial(make_scheduled_reprojection, each.surface, virtual_from))
+        past = each.sums[1] if each.sums is not None else self._make_nothing()
+        images = {"places": self.places, "virtual_places": self.virtual_places, "past": past}
+        images |= {"mask": self.masks.get(name, each.mask), "mask_before": each.masks[1]}
+        images |= {"planes": each.planes[0], "planes_before": each.planes[1]}
+        numbers = {"memory": self.guides.constants.get("memory"), "rows": "p->height", "columns": "p->width"}
+        given = {**images, **numbers, **give_feature_numbers(each.surface)}
+        text = f"history of {name} light"
+        self.found[name] = kernels.call_stacked(kernel, given, name=f"{name}_history", text=text)
+
+    def _make_nothing(self) -> Image:
+        """Return sums of nothing: how much of the image continues is measured without light."""
+        graph = self.guides.graph
+        nothing = graph.make("no_sums", HISTORY_CHANNELS, *SIZE)
+        graph.run("clear_image", [nothing], [], "sums of nothing", writes=[nothing])
+        return nothing
+
+    def _judge_cut(self) -> None:
+        """Measure how much of the image continues, by diffuse light where there is enough of it."""
+        graph = self.guides.graph
+        graph.run("set_flag", [], [f"&{graph.add_flag('has_history')}", "0"], "no history is known yet")
+        if "diffuse" not in self.masks:
+            with graph.only_when(HAS_PAST):
+                self._find("rest")
+                self._judge("rest", self.compared["rest"].mask)
+            return
+        covered, mask = graph.add_flag("is_covered"), self.masks["diffuse"]
+        graph.run("measure_cover", [mask], [str(MIN_DIFFUSE_SHARE), f"&{covered}"], "how much is diffuse")
+        with graph.only_when(HAS_PAST):
+            self._find("diffuse")
+            with graph.only_when(covered):
+                self._judge("diffuse", mask)
+            with graph.only_when(f"!{covered}"):
+                self._find("rest")
+                self._judge("rest", self.compared["rest"].mask)
+
+    def _judge(self, name: str, mask: Image) -> None:
+        agreement = self.found[name].take_plane(AGREEMENT)
+        numbers = [str(MIN_AGREEMENT), str(MAX_STEP), str(MAX_SHARE_SAMPLES), f"&{HAS_HISTORY}"]
+        text = "whether the image continues the frame before"
+        self.guides.graph.run("judge_cut", [agreement, self.places, mask], numbers, text)
+
+    def _forget(self) -> None:
+        """Where there is no history, nothing has moved by itself: the next frame compares plain footprints."""
+        if self.allowance is None:
+            return
+        graph = self.guides.graph
+        with graph.only_when(f"!{HAS_HISTORY}"):
+            graph.run("clear_image", [self.allowance], [], "no motion is known", writes=[self.allowance])
+            add_footprints(self.guides, self.allowance, self.footprint)
+            for each in self.compared.values():
+                self._call_preparation(each)
+
+
+def add_footprints(guides: PipelineGuides, allowance: Image | None, into: Image | None = None) -> Image:
+    """Add the width of every pixel on its surface; wider where objects moved by themselves."""
+    constants = guides.constants
+    images = {"surface": guides.surface, "depth": guides.depth, "allowance": allowance}
+    allowed = round_single(1.0 / constants.get("plane_sigma"))
+    numbers = {"pixel_angle": round_single(constants.pixel_angle), "allowed": allowed}
+    (found,) = guides.kernels.map_pixels(
+        define_footprints,
+        images,
+        numbers,
+        names=["footprint"],
+        into=[] if into is None else [into],
+        text="widths of pixels on their surfaces",
+    )
+    return found
+
+
+def add_places(guides: PipelineGuides) -> tuple[Image, Image | None]:
+    """Add the earlier place of every surface, and how far it moved by itself, pixels."""
+    constants = guides.constants
+    motion = None
+    if guides.settings.motion:
+        text = "from a pixel to the place of its surface in the frame before: columns, rows"
+        motion = guides.graph.give("motion", *SIZE, 2, text=text, unit="pixels")
+    images = {"depth": guides.depth, "position": guides.position, "motion": motion}
+    numbers = {**constants.get_projection(), **constants.get_rays()}
+    places, *allowance = guides.kernels.map_pixels(
+        define_surface_places, images, numbers, names=["places", "allowance"], text="places of surfaces a frame ago"
+    )
+    return places, allowance[0] if allowance else None
+
+
+def add_virtual_places(guides: PipelineGuides) -> Image:
+    """Add the earlier place of every reflection; see `lobewise.guides.places.find_virtual_places`."""
+    constants = guides.constants
+    images = {"position": guides.position, "normal": guides.normal}
+    edge = {"edge": Number(MIN_EDGE_RATIO, str(MIN_EDGE_RATIO), is_single=True)}
+    (curvature,) = guides.kernels.map_pixels(
+        define_curvature, images, edge, names=["curvature"], text="curvature of surfaces"
+    )
+    images = {"distance": give_hits(guides), "curvature": curvature, "position": guides.position}
+    numbers = {"eye": constants.get_vector("eye"), "far": Number(MISS_DISTANCE, str(MISS_DISTANCE))}
+    (places,) = guides.kernels.map_pixels(
+        define_image_places,
+        images,
+        {**numbers, **constants.get_projection()},
+        names=["virtual_places"],
+        text="places of reflections a frame ago",
+    )
+    return places
+
+
+def give_hits(guides: PipelineGuides) -> Image:
+    """Return the hit distances."""
+    text = "distance from the surface to what its reflection shows; 0 where unknown, infinite for the sky"
+    return guides.graph.give("hit_distance", *SIZE, text=text, unit="world units")
+
+
+def make_history(
+    guides: PipelineGuides, alike: Sequence[Feature], lobes: Image, masks: Mapping[str, Image]
+) -> PlannedHistory:
+    """Return the history of a frame's layers, as `make_validation_features` and `HistoryReprojection` describe it.
+
+    Parameters
+    ----------
+    guides : PipelineGuides
+    alike : sequence of Feature
+        What compares specular light, or all light in one image, between frames.
+    lobes : Image
+        Pixels that have such light.
+    masks : mapping of str to Image
+        Pixels that have the light of each layer.
+    """
+    constants, graph = guides.constants, guides.graph
+    with graph.part("history: places of a frame ago"):
+        places, allowance = add_places(guides)
+        virtual_places = add_virtual_places(guides) if guides.settings.hit_distance else None
+        if allowance is not None:
+            with graph.only_when(f"!{HAS_PAST}"):
+                graph.run("clear_image", [allowance], [], "no motion is known", writes=[allowance])
+        footprint = add_footprints(guides, allowance)
+        images = {"surface": guides.surface, "normal": guides.normal, "position": guides.position}
+        far = Number(BACKGROUND_DISTANCE, str(BACKGROUND_DISTANCE), is_single=True)
+        numbers = {"eye": constants.get_vector("eye", single=True), "far": far, **constants.get_rays()}
+        names = ["facing", "flat_normal", "flat_position"]
+        facing, flat, position = guides.kernels.map_pixels(
+            define_backdrop, images, numbers, names=names, text="a wall far away in place of the background"
+        )
+        virtual = [*alike, *_make_hit_features(guides)] if guides.settings.hit_distance else []
+    plane = make_feature(PlaneFeature, position, flat, footprint, constants.get("plane_sigma"))
+    facing_feature = make_feature(NormalFeature, facing, constants.get("normal_exponent"))
+    found = [Compared("rest", guides.surface, (plane, facing_feature))]
+    if "diffuse" in masks:
+        diffuse = facing_feature
+        if guides.settings.record.has_lobes:
+            diffuse = make_feature(DiffuseFeature, guides.normal, constants.get("history_beta"))
+        found.append(Compared("diffuse", guides.surface, (plane, diffuse)))
+    name = "specular" if "diffuse" in masks else "color"
+    found.append(Compared(name, lobes, (plane, *(virtual or alike)), len(virtual)))
+    compared = {each.name: each for each in found}
+    return PlannedHistory(guides, masks, compared, footprint, allowance, places, virtual_places)
+
+
+def _make_hit_features(guides: PipelineGuides) -> list[Feature]:
+    """Return the feature that compares hit distances between frames."""
+    alphas = {name: image for name, image in guides.alphas.items() if name != "tangent"}
+    numbers = {"least": HIT_TOLERANCE, "slope": HIT_TOLERANCE_PER_LOBE}
+    given = {name: Number(value, str(value)) for name, value in numbers.items()}
+    (tolerance,) = guides.kernels.map_pixels(
+        define_tolerances, alphas, given, names=["tolerance"], text="tolerances of hit distances"
+    )
+    return [make_feature(HitDistanceFeature, add_inverse_hits(guides, None), tolerance)]
+
+
+def add_inverse_hits(guides: PipelineGuides, nearest: Number | None) -> Image:
+    """Add the inverse of every hit distance; with ``nearest`` hits are at least so many depths away."""
+    images = {"distance": give_hits(guides), "depth": None if nearest is None else guides.depth}
+    numbers = {"nearest": Number(0.0, "0.0") if nearest is None else nearest}
+    name = "inverse_hit" if nearest is None else "inverse_far_hit"
+    (found,) = guides.kernels.map_pixels(
+        define_inverse_hits, images, numbers, names=[name], text="inverse hit distances"
+    )
+    return found

@@ -1,0 +1,87 @@
+"""Exported histories: C++ follows Python from frame to frame, over a cut, and after a reset."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, WIDTH, make_settings, prepare_frame, run_recipe
+from lobewise.exporting.pipeline.scene import CUT, make_frame
+from lobewise.exporting.pipeline.settings import PipelineSettings
+from lobewise.temporal import TemporalFilter
+from tests.exporting.conftest import find_program
+from tests.exporting.pipelines import LIBRARIES, build, export, run_example
+
+SETTINGS: dict[str, Any] = {"radius": 2, "history": True, "hit_distance": True}
+
+
+@pytest.fixture(scope="session")
+def cpp() -> str:
+    """Return the system's C++ compiler."""
+    return find_program("g++", "g++")
+
+
+@pytest.fixture(scope="module")
+def history(compiler: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a pipeline with a history that follows reflections."""
+    return export(tmp_path_factory.mktemp("history") / "out", **SETTINGS)
+
+
+def read_images(folder: Path, name: str) -> Any:
+    """Return the images of a file of an export, (frames, height, width, 3)."""
+    return np.fromfile(folder / name, np.float32).reshape(-1, HEIGHT, WIDTH, 3)
+
+
+def test_example_has_a_history_and_a_cut() -> None:
+    settings = PipelineSettings(**SETTINGS)
+    over_time = TemporalFilter(make_settings(settings))
+    frames = [prepare_frame(settings, make_frame(number)) for number in range(FRAMES)]
+    shares = [over_time.add(frame).settings["history_share"] for frame in frames]
+    assert shares[0] == 0.0
+    assert min(shares[1:CUT]) > 0.8
+    assert shares[CUT] == 0.0
+
+
+def test_cpp_follows_python(history: Path, cpp: str) -> None:
+    assert max(run_example(history, cpp)) <= 1e-5
+    made = read_images(history, "output.raw")
+    settings = PipelineSettings(**SETTINGS)
+    frames = [prepare_frame(settings, make_frame(number)) for number in range(FRAMES)]
+    alone = [run_recipe(settings, [frame])[0] for frame in frames]
+    changed = [float(np.abs(image - other).max()) for image, other in zip(made, alone, strict=True)]
+    assert max(changed[0], changed[CUT]) < 1e-4
+    assert min(changed[1:CUT]) > 0.05
+
+
+def test_a_reset_forgets_everything(history: Path, cpp: str) -> None:
+    """The example with a reset before each frame gives what each frame gives alone."""
+    program = (history / "example.cpp").read_text()
+    assert "pipeline.run(camera, frame);" in program
+    changed = program.replace("pipeline.run(camera, frame);", "pipeline.reset(); pipeline.run(camera, frame);")
+    (history / "reset.cpp").write_text(changed.replace("output.raw", "reset.raw"))
+    build(history, cpp, "-std=c++11", "reset.cpp", "liblobewise.a", "-o", "reset", *LIBRARIES)
+    subprocess.run(["./reset"], cwd=history, capture_output=True)
+    settings = PipelineSettings(**SETTINGS)
+    found = read_images(history, "reset.raw")
+    for number, image in enumerate(found):
+        (alone,) = run_recipe(settings, [prepare_frame(settings, make_frame(number))])
+        np.testing.assert_allclose(image, alone, rtol=1e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"layers": "color", "form": "separable", "similarity": "sg"},
+        {"motion": False, "position": True, "similarity": "normal", "form": "atrous"},
+        {"anisotropic": True, "lobe_kind": True, "similarity": "asg"},
+    ],
+    ids=lambda settings: settings["similarity"],
+)
+def test_other_histories_follow_python(settings: dict[str, Any], compiler: str, cpp: str, tmp_path: Path) -> None:
+    folder = export(tmp_path / "out", radius=2, history=True, **settings)
+    assert max(run_example(folder, cpp)) <= 1e-5
