@@ -17,7 +17,7 @@ OWN = ("similarity", "form", "radius", "lobes", "albedo", "anisotropic")
 """Settings of a single filter."""
 SHARED = ("similarity", "form", "radius", "anisotropic")
 """Settings of a filter that a pipeline has, too."""
-PIPELINE = ("plan", "history", "motion", "hit_distance", "layers", "position", "lobe_kind")
+PIPELINE = ("plan", "history", "upsample", "motion", "hit_distance", "layers", "position", "lobe_kind")
 """Settings of a pipeline alone."""
 
 
@@ -140,6 +140,11 @@ def _export_pipeline(output: Path | None, settings: dict[str, Any], *, target: s
         raise InputError(
             f"--{alone[0]}", expected="settings of a pipeline", got="one of a single filter", action="leave it out"
         )
+    if settings.get("upsample", 1) > 1:
+        # The radius counts samples.
+        from lobewise.upsampling import DEFAULT_RADIUS
+
+        settings.setdefault("radius", DEFAULT_RADIUS)
     chosen = PipelineSettings(**settings)
     if output is None:
         from lobewise.exporting.pipeline.contents import list_contents

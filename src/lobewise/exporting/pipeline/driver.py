@@ -66,7 +66,7 @@ class Pipeline:
     @property
     def least_width(self) -> int:
         """Smallest width of images, pixels: more than a vector of the target."""
-        return self.lanes + 1
+        return (self.lanes + 1) * self.settings.upsample
 
     @property
     def title(self) -> str:
@@ -88,7 +88,7 @@ class Pipeline:
         memory = image.memory
         if memory.source == "made":
             return f"PLACE_{self.memory.slots[memory.name]}"
-        return f"{'KEPT' if memory.source == 'kept' else 'GIVEN'}_{memory.name}"
+        return f"{memory.source.upper()}_{memory.name}"
 
 
 def write_header(pipeline: Pipeline) -> str:
@@ -153,6 +153,14 @@ def write_driver(pipeline: Pipeline) -> str:
         flags="\n".join(f"    int {flag};" for flag in graph.flags),
         prototypes="\n".join(map(_declare_kernel, pipeline.kernels)),
         routines=_list_routines(graph, name),
+        flats="\n".join(
+            f"    fill_floats(p, FLAT_{image.name}, {image.flat!r}f);"
+            for image in graph.flats.values()
+            if image.flat != 0.0
+        ),
+        fill_floats=fill_template("pipeline/fill_floats.c", name=name)
+        if any(image.flat for image in graph.flats.values())
+        else "",
         defaults="\n".join(
             f"    p->settings.{each.name} = {write_number(each.default)};" for each in pipeline.user_settings
         ),
@@ -174,16 +182,22 @@ def _list_places(pipeline: Pipeline) -> str:
     kept = [image.name for pair in pipeline.graph.kept for image in pair]
     lines = [f"    PLACE_{number}," for number in range(pipeline.memory.count)]
     lines += [f"    KEPT_{each}," for each in kept]
+    lines += [f"    FLAT_{each}," for each in pipeline.graph.flats]
     lines += [f"    GIVEN_{given[0]}, FIRST_GIVEN = GIVEN_{given[0]},", *(f"    GIVEN_{each}," for each in given[1:])]
     return "\n".join(lines)
 
 
 def _describe_image(pipeline: Pipeline, image: Image) -> str:
     shape = ", ".join(_AXES.get(str(axis), str(axis)) for axis in image.shape)
-    is_bytes = int(image.type == "uint8")
-    return (
-        f"    {{{pipeline.get_place(image)}, {is_bytes}, {image.ndim}, {{{shape}}}, {image.plane}}}, /* {image.name} */"
+    numbers = (
+        pipeline.get_place(image),
+        int(image.type == "uint8"),
+        image.ndim,
+        f"{{{shape}}}",
+        image.plane,
+        image.still,
     )
+    return f"    {{{', '.join(map(str, numbers))}}}, /* {image.name} */"
 
 
 def _declare_kernel(kernel: CompiledKernel) -> str:

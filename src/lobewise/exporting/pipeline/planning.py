@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from lobewise.denoising.planning.frame_plans import FrameTraits, plan_frame
-from lobewise.denoising.planning.layer_plans import LayerTraits, plan_history
+from lobewise.denoising.planning.layer_plans import LayerTraits, plan_history, plan_upsampling
 from lobewise.exporting.pipeline.driver import Pipeline
 from lobewise.exporting.pipeline.program.graph import Graph
 from lobewise.exporting.pipeline.program.kernels import Kernels
@@ -14,6 +14,7 @@ from lobewise.exporting.pipeline.recipes.frames import PlannedFrame
 from lobewise.exporting.pipeline.recipes.guides import PipelineGuides
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.exporting.targets import get_gpu_api, parse_target, refuse_target
+from lobewise.settings import TemporalSettings
 from lobewise.settings.choices import get_quality
 
 
@@ -50,8 +51,12 @@ def make_pipeline(
     plan = plan_frame(FrameTraits(traits), settings.resolve())
     if settings.history:
         growth, own = constants.get("strictness"), constants.own_weight
-        over_time = plan_history(settings.resolve(), growth=growth, own=own)
+        known = min(TemporalSettings.history_radius, settings.radius)
+        over_time = plan_history(settings.resolve(), growth=growth, own=own, known_radius=known)
         plan = replace(plan, layers=dict.fromkeys(plan.layers, over_time))
+    elif settings.upsample > 1:
+        every = plan_upsampling(settings.radius, settings.upsample)
+        plan = replace(plan, layers=dict.fromkeys(plan.layers, every))
     PlannedFrame(guides, plan).run()
     kernels = guides.kernels
     return Pipeline(settings, graph, constants, list(kernels.found.values()), kernels.lanes, name, chosen.to_string())

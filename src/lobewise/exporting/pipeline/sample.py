@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,7 +17,9 @@ from lobewise.frame import FloatArray, Frame, GBuffer, LobeKind, Radiance
 from lobewise.guides.surfaces import find_places
 from lobewise.settings import DenoiseSettings
 from lobewise.settings.choices import get_quality
+from lobewise.sparse_frame import AnyFrame, SparseFrame
 from lobewise.temporal import TemporalFilter
+from lobewise.upsampling import upsample
 
 FRAMES = CUT + 1
 """The last one follows a cut."""
@@ -55,10 +57,10 @@ class SampleFrame:
 
 def make_sample(settings: PipelineSettings, graph: Graph) -> list[SampleFrame]:
     """Return the frames of the example, filtered by the recipe whose plan is exported."""
-    frames = [prepare_frame(settings, make_frame(number)) for number in range(FRAMES)]
+    frames = [make_sparse(settings, prepare_frame(settings, make_frame(number)), number) for number in range(FRAMES)]
     results = run_recipe(settings, frames)
     return [
-        SampleFrame(frame.require_camera("a pipeline"), (0, 0), collect_images(graph, frame), expected)
+        SampleFrame(frame.require_camera("a pipeline"), get_place(frame), collect_images(graph, frame), expected)
         for frame, expected in zip(frames, results, strict=True)
     ]
 
@@ -67,6 +69,7 @@ def prepare_frame(settings: PipelineSettings, frame: Frame) -> Frame:
     """Return a frame with the images that the pipeline reads, and no others."""
     guides = frame.gbuffer
     changes: dict[str, Any] = {} if settings.history and settings.motion else {"motion": None}
+    changes |= {} if settings.upsample > 1 else {"mean_emission": None}
     changes |= {} if settings.hit_distance else {"hit_distance": None}
     radiance = frame.radiance if settings.layers == "apart" else Radiance(frame.radiance.color)
     if settings.position:
@@ -88,6 +91,23 @@ def find_kinds(guides: GBuffer) -> FloatArray:
     return np.where(alpha > 0.2, diffuse, kind).astype(np.float32)
 
 
+def make_sparse(settings: PipelineSettings, frame: Frame, number: int) -> AnyFrame:
+    """Return a frame with one shaded pixel of each block, another one in each frame; the frame without blocks."""
+    scale = settings.upsample
+    if scale == 1:
+        return frame
+    row, column = number % scale, (2 * number + 1) % scale
+    images = [frame.radiance.color, *(frame.radiance.parts or ())]
+    color, diffuse, specular = (image[row::scale, column::scale] for image in images)
+    radiance = Radiance(color, diffuse=diffuse, specular=specular)
+    return SparseFrame(radiance, frame.gbuffer, scale, (row, column), frame.camera, spp=frame.spp)
+
+
+def get_place(frame: AnyFrame) -> tuple[int, int]:
+    """Return row and column of the shaded pixel in each block."""
+    return frame.place if isinstance(frame, SparseFrame) else (0, 0)
+
+
 def make_settings(settings: PipelineSettings) -> DenoiseSettings:
     """Return the settings by which the recipe of this package does what a pipeline does."""
     return DenoiseSettings(
@@ -100,19 +120,23 @@ def make_settings(settings: PipelineSettings) -> DenoiseSettings:
     )
 
 
-def run_recipe(settings: PipelineSettings, frames: list[Frame]) -> list[FloatArray]:
+def run_recipe(settings: PipelineSettings, frames: Sequence[AnyFrame]) -> list[FloatArray]:
     """Return what Python makes of frames, one after the other."""
     wanted = make_settings(settings)
     if settings.history:
         over_time = TemporalFilter(wanted)
         return [over_time.add(frame).image for frame in frames]
-    return [denoise(frame, wanted).image for frame in frames]
+    return [
+        upsample(frame, wanted).image if isinstance(frame, SparseFrame) else denoise(frame, wanted).image
+        for frame in frames
+    ]
 
 
-def collect_images(graph: Graph, frame: Frame) -> dict[str, FloatArray]:
+def collect_images(graph: Graph, frame: AnyFrame) -> dict[str, FloatArray]:
     """Return the images that a pipeline is given, by name."""
     guides, radiance = frame.gbuffer, frame.radiance
     named = {"color": radiance.color, "diffuse": radiance.diffuse, "specular": radiance.specular}
+    named |= {"emission": guides.mean_emission}
     named |= {} if guides.alpha_v is not None else {"alpha": guides.alpha_u}
     found = {}
     for name in graph.given:

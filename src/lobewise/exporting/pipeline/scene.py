@@ -104,6 +104,7 @@ def make_frame(number: int, *, size: tuple[int, int] = (HEIGHT, WIDTH), halves: 
         diffuse_albedo=albedos[0].astype(np.float32),
         specular_albedo=albedos[1].astype(np.float32),
         motion=find_motion(place, ray, hit.which, there, number),
+        mean_emission=emission.astype(np.float32),
         hit_distance=np.where(there, second.distance, 0.0).astype(np.float32),
     )
     whole, first, second_half = (_join(parts[0][k], parts[1][k], emission) for k in range(3))

@@ -12,8 +12,8 @@ from lobewise.settings.choices import MAX_SCALE_PIXELS, Similarity, get_quality,
 
 PLANS = ("fast",)
 CONTENTS = (
-    "the plan fast, a history, and the similarities normal, sg, asg and ggx; not Open Image Denoise, no network, and "
-    "nothing that is chosen for each frame"
+    "the plan fast, a history, upsampling, and the similarities normal, sg, asg and ggx; not Open Image Denoise, no "
+    "network, and nothing that is chosen for each frame"
 )
 """What a pipeline can contain, for messages."""
 
@@ -49,8 +49,8 @@ class PipelineSettings(Declared):
         if self.plan not in PLANS:
             raise _refuse("plan", self.plan, "choose fast")
         super().__post_init__()
-        if self.upsample > 1:
-            raise _refuse("upsampling", "it", "leave it out")
+        if self.upsample > 1 and self.layers == "color":
+            raise _refuse("layers", "one layer with upsampling", "give diffuse and specular light apart")
         if self.record.is_mixture:
             raise _refuse("similarity", self.similarity, "choose ggx, or export the filter alone, without --plan")
         guided = get_quality(self.plan).reads_halves

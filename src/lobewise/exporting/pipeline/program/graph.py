@@ -35,15 +35,17 @@ class Image:
         Axes in NumPy's order: a name of `SIZES`, or a length.
     type : str
         Name of the NumPy type.
-    source : {"given", "made", "kept"}
+    source : {"given", "made", "kept", "flat"}
         "given": memory of the caller; "made": memory that the pipeline shares out; "kept": state, which the next frame
-        reads.
+        reads; "flat": one value at all pixels.
     text, unit : str
         Meaning, for images that the caller gives.
     whole : Image, optional
         The stack of planes that holds this plane.
     plane : int
         Number of the plane.
+    flat : float, optional
+        Value of all pixels, if it is one. All rows then lie in one place.
     """
 
     name: str
@@ -54,6 +56,7 @@ class Image:
     unit: str = ""
     whole: Image | None = None
     plane: int = 0
+    flat: float | None = None
 
     @property
     def ndim(self) -> int:
@@ -69,6 +72,11 @@ class Image:
     def memory(self) -> Image:
         """The image whose memory this one is, or is a part of."""
         return self if self.whole is None else self.whole.memory
+
+    @property
+    def still(self) -> int:
+        """Number of the axis whose entries lie in one place; -1 for none."""
+        return -1 if self.flat is None else self.ndim - 2
 
     @property
     def channels(self) -> int:
@@ -87,6 +95,8 @@ class Image:
 
     def count_bytes(self, share: float) -> float:
         """Return the bytes for a pixel of the image; ``share`` is the share of the pixels that have a sample."""
+        if self.flat is not None:
+            return 0.0
         size = float(self.channels * self.dtype.itemsize)
         return size * share if "rows" in self.shape or "columns" in self.shape else size
 
@@ -133,6 +143,8 @@ class Graph:
     """Images that the caller takes, by name."""
     kept: list[tuple[Image, Image]] = field(default_factory=list)
     """Pairs of state: the image that this frame writes, and the one that the frame before wrote."""
+    flats: dict[str, Image] = field(default_factory=dict)
+    """Images of one value, by name."""
     stage: str = ""
     when: str = ""
     flags: list[str] = field(default_factory=list)
@@ -156,6 +168,12 @@ class Graph:
     def make(self, name: str, *shape: Axis, type: str = "float32") -> Image:
         """Return an image in memory of the pipeline."""
         return Image(self.name(name), shape, type)
+
+    def make_flat(self, name: str, value: float, *shape: Axis) -> Image:
+        """Return an image of one value, 0 or 1; asked for twice, it is the same. Its rows lie in one place."""
+        if name not in self.flats:
+            self.flats[name] = Image(self.name(name), shape, source="flat", flat=value)
+        return self.flats[name]
 
     def take(self, name: str, *shape: Axis, text: str, unit: str = "") -> Image:
         """Return an image that the caller takes: a result."""

@@ -10,13 +10,19 @@ from typing import Any
 from lobewise.denoising.bad_pixels import SIGMAS
 from lobewise.denoising.layers import MIN_HIT_DISTANCE
 from lobewise.denoising.planning.frame_plans import FILL_HOLES, FILTER_LAYERS, FramePlan, Stage
-from lobewise.denoising.planning.steps import HISTORY, AccumulateStep, FilterStep, Step
+from lobewise.denoising.planning.steps import HISTORY, AccumulateStep, FilterStep, Step, UpsampleStep
 from lobewise.errors import InputError
 from lobewise.exporting.pipeline.program.graph import Image
 from lobewise.exporting.pipeline.program.numbers import Number
 from lobewise.exporting.pipeline.recipes import glue
 from lobewise.exporting.pipeline.recipes.guides import SIZE, PipelineGuides, PlannedLayer
 from lobewise.exporting.pipeline.recipes.history import add_inverse_hits, make_history
+from lobewise.exporting.pipeline.recipes.samples import (
+    add_sparse_accumulation,
+    add_upsampling,
+    join_sparse,
+    reflect_enough,
+)
 from lobewise.exporting.pipeline.recipes.steps import (
     FilterCall,
     PlannedOutput,
@@ -34,6 +40,11 @@ STEPS: Mapping[type[Step], Callable[[PlannedRun, Any], Sequence[Any]]] = {
     AccumulateStep: add_accumulation,
 }
 """What adds each kind of step to a pipeline."""
+SPARSE_STEPS: Mapping[type[Step], Callable[[PlannedRun, Any], Sequence[Any]]] = {
+    UpsampleStep: add_upsampling,
+    AccumulateStep: add_sparse_accumulation,
+}
+"""The same where samples are sparse."""
 NO_SIGMA = 1e15
 """Standard deviation of the screen distance, pixels, beside which no distance counts."""
 
@@ -91,6 +102,10 @@ def keep_unfiltered(guides: PipelineGuides, layer: PlannedLayer, output: Planned
 
 def compose(frame: PlannedFrame) -> None:
     """Add up the parts of a frame and what is in none of them, and find the pixels without a value."""
+    if frame.guides.settings.upsample > 1:
+        frame.total, frame.holes, frame.parts = join_sparse(frame.guides, [*frame.layers], [*frame.outputs])
+        give_parts(frame)
+        return
     assert frame.bad is not None
     images: dict[str, Image | None] = {f"part{k}": part for k, part in enumerate(frame.parts)}
     images |= {f"weight{k}": output.weight_sum for k, output in enumerate(frame.outputs)}
@@ -100,7 +115,14 @@ def compose(frame: PlannedFrame) -> None:
         glue.define_total, images, {}, names=["", "holes"], into=[image], text="the sum of all light, and its holes"
     )
     frame.total, frame.holes = total, holes
-    for layer, part in zip(frame.layers, frame.parts, strict=True) if frame.rest is not None else ():
+    give_parts(frame)
+
+
+def give_parts(frame: PlannedFrame) -> None:
+    """Give the light of each layer to callers that ask for it."""
+    if len(frame.layers) == 1:
+        return
+    for layer, part in zip(frame.layers, frame.parts, strict=True):
         text = f"the {layer.name} light of the denoised frame, or NULL"
         result = frame.guides.graph.take(f"{layer.name}_image", *SIZE, 3, text=text, unit="any")
         with frame.guides.graph.only_when(f"p->frame->{result.name}"):
@@ -114,20 +136,27 @@ def filter_layers(frame: PlannedFrame) -> None:
     place = guides.make_place_features(constants.screen_sigma, constants.get("position_sigma"))
     specular, alike = make_specular_features(guides)
     frame.layers = guides.make_layers(place, specular, constants.diffuse_beta)
-    frame.bad = find_bad(guides, frame.layers)
-    frame.rest = find_rest(guides, frame.layers)
+    if guides.settings.upsample > 1:
+        if alike is not None:
+            frame.layers = [reflect_enough(guides, layer) for layer in frame.layers]
+    else:
+        frame.bad = find_bad(guides, frame.layers)
+        frame.rest = find_rest(guides, frame.layers)
     history, found = None, {}
     if alike is not None:
         masks = {layer.name: layer.mask for layer in frame.layers}
         history = make_history(guides, [alike], specular[1], masks)
         found = history.find_all()
     outputs = []
+    sparse = guides.settings.upsample > 1
     for layer in frame.layers:
         run = PlannedRun(guides, layer)
         if history is not None:
             run.images |= {HISTORY: found[layer.name], "sums": history.keep_sums(layer.name)}
-        output = run.run(frame.plan.layers[layer.name], STEPS)
+        output = run.run(frame.plan.layers[layer.name], {**STEPS, **(SPARSE_STEPS if sparse else {})})
         outputs.append(output)
+        if sparse:
+            continue
         with guides.graph.part(f"{layer.name}: radiance"):
             frame.parts.append(keep_unfiltered(guides, layer, output))
     frame.outputs = outputs

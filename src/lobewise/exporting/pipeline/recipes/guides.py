@@ -68,6 +68,8 @@ class PipelineGuides:
     graph: Graph
     kernels: Kernels
     constants: Constants
+    picked: dict[str, Image] = field(default_factory=dict)
+    """Images at the shaded pixels, by the names of the images of all pixels."""
     _made: dict[str, Image] = field(default_factory=dict)
 
     def give_light(self, name: str, text: str) -> Image:

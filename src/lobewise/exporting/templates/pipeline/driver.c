@@ -32,6 +32,7 @@ struct image_info {
     int axes;
     int shape[4];
     int plane; /* number of the plane, for images that are a plane of a larger one */
+    int still; /* axis whose entries lie in one place, or -1 */
 };
 
 static const struct image_info INFO[IMAGES] = {
@@ -177,12 +178,13 @@ static size_t describe_image(${name}_pipeline *p, int image)
     memset(buffer, 0, sizeof *buffer);
     for (axis = 0; axis < info->axes; axis++) {
         halide_dimension_t *d = &p->dims[image][axis];
+        const int number = info->axes - 1 - axis;
         d->min = 0;
-        d->extent = find_length(p, info->shape[info->axes - 1 - axis]);
-        d->stride = stride;
+        d->extent = find_length(p, info->shape[number]);
+        d->stride = number == info->still ? 0 : stride;
         d->flags = 0;
-        stride *= d->extent;
-        bytes *= (size_t)d->extent;
+        stride *= number == info->still ? 1 : d->extent;
+        bytes *= number == info->still ? 1 : (size_t)d->extent;
     }
     buffer->dim = p->dims[image];
     buffer->dimensions = info->axes;
@@ -224,6 +226,7 @@ static int allocate(${name}_pipeline *p)
     return 1;
 }
 
+${fill_floats}
 ${name}_status ${name}_create(int width, int height, ${name}_pipeline **pipeline)
 {
     ${name}_pipeline *p;
@@ -249,6 +252,7 @@ ${defaults}
         ${name}_destroy(p);
         return ${name}_no_memory;
     }
+${flats}
     *pipeline = p;
     return ${name}_ok;
 }

@@ -105,3 +105,23 @@ static void set_flag(${name}_pipeline *p, int *flag, int value)
     (void)p;
     *flag = value;
 }
+
+/* routine: pick_samples */
+static void pick_samples(
+    ${name}_pipeline *p, const halide_buffer_t *from, halide_buffer_t *to, int row, int column, int is_stack)
+{
+    /* Entries of a pixel lie together; a stack has one image after the other. */
+    const size_t layers = is_stack ? (size_t)from->dim[2].extent : 1;
+    const size_t bytes = from->type.bits / 8 * (from->dimensions > 2 && !is_stack ? (size_t)from->dim[0].extent : 1);
+    const uint8_t *source = from->host;
+    uint8_t *target = to->host;
+    size_t layer;
+    int y, x;
+    for (layer = 0; layer < layers; layer++, source += bytes * (size_t)p->width * (size_t)p->height) {
+        for (y = row; y < p->height; y += SCALE) {
+            for (x = column; x < p->width; x += SCALE, target += bytes) {
+                memcpy(target, source + bytes * ((size_t)y * (size_t)p->width + (size_t)x), bytes);
+            }
+        }
+    }
+}
