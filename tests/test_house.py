@@ -49,6 +49,7 @@ ROOMS = [
     "exporting",
     "viewer",
     "bench",
+    "doctor",
     "cli",
     "__main__",
 ]

@@ -10,6 +10,7 @@ import typer
 import lobewise
 from lobewise.cli.benching import bench
 from lobewise.cli.comparing import compare
+from lobewise.cli.doctor import doctor
 from lobewise.cli.exporting import export
 from lobewise.cli.filtering import denoise, upsample
 from lobewise.cli.fitting import fit
@@ -190,3 +191,6 @@ def devices() -> None:
     from lobewise.cli.output import print_devices
 
     print_devices([(device.name, device.available, device.reason) for device in list_devices()])
+
+
+app.command(epilog=EXAMPLES["doctor"])(doctor)

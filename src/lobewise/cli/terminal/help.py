@@ -52,6 +52,7 @@ EXAMPLES = {
     "fit": "lobewise fit brass.binary -o brass.lobes\nlobewise fit -o pot.lobes --mitsuba 'scene.xml#pot'",
     "compare": "lobewise compare noisy.exr clean.exr -r reference.exr",
     "export": "lobewise export -o filter --similarity ggx\nlobewise export -o weights --target wgsl",
+    "doctor": "lobewise doctor\nlobewise doctor --json",
     "inspect": "lobewise inspect frame.exr\nlobewise inspect --all frame.exr",
 }
 """Example commands of each verb, one per line."""

@@ -1,0 +1,147 @@
+"""The program, Python, the platform, the terminal, and what renders and filters: devices, kernels, LLVM."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+import sys
+import time
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import numpy as np
+
+import lobewise
+from lobewise.backend.devices import list_devices
+from lobewise.backend.prebuilt import find_library
+from lobewise.bench.machine import describe_machine
+from lobewise.doctor.report import Problem, Section, name_path
+from lobewise.errors import LobewiseError, MissingDependencyError
+from lobewise.render.variant import LIBRARY_VARIABLE, find_llvm, query_llvm_version
+
+TEST_PIXELS = 16
+"""Width and height of the image that is filtered as a test."""
+
+
+def examine_program() -> Section:
+    """Return which lobewise runs."""
+    facts = {"version": lobewise.__version__, "folder": name_path(Path(lobewise.__file__).parent)}
+    commit = describe_machine().get("commit")
+    return Section("lobewise", {**facts, **({"commit": commit} if commit else {})})
+
+
+def examine_python() -> Section:
+    """Return which Python runs."""
+    kind = "virtual" if sys.prefix != sys.base_prefix else "conda" if os.environ.get("CONDA_PREFIX") else "none"
+    return Section(
+        "Python",
+        {
+            "version": f"{platform.python_version()} ({platform.python_implementation()})",
+            "program": name_path(sys.executable or "unknown"),
+            "environment": kind,
+        },
+    )
+
+
+def examine_platform() -> Section:
+    """Return system, processor and memory."""
+    machine = describe_machine()
+    facts = {
+        "system": platform.platform(),
+        "machine": platform.machine(),
+        "processor": machine["processor"],
+        "cores": f"{machine['cores']}, of which filters use {machine['threads']}",
+    }
+    try:
+        size = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, OSError, ValueError):
+        return Section("Platform", facts)  # Windows has no sysconf
+    return Section("Platform", {**facts, "memory": f"{size / 2**30:.1f} GiB"})
+
+
+def examine_terminal() -> Section:
+    """Return what standard output is."""
+    columns, rows = shutil.get_terminal_size((80, 24))
+    stream = sys.stdout
+    return Section(
+        "Terminal",
+        {
+            "output": "a terminal" if stream is not None and stream.isatty() else "a file or a pipe",
+            "size": f"{columns} columns, {rows} rows",
+            "encoding": getattr(stream, "encoding", None) or "unknown",
+            "TERM": os.environ.get("TERM", "") or "not set",
+            "colours": "off (NO_COLOR)" if os.environ.get("NO_COLOR") else "as the terminal has them",
+        },
+    )
+
+
+def examine_devices() -> Section:
+    """Return the devices on which filters run. A machine without a graphics card has no problem."""
+    try:
+        devices = list_devices()
+    except LobewiseError as problem:
+        return Section("Devices", {"cpu": f"no: {problem}"})
+    facts = {}
+    for one in devices:
+        emulated = ", emulated by the processor" if one.is_software else ""
+        facts[one.name] = f"{'yes' if one.available else 'no'}: {one.reason}{emulated}"
+    return Section("Devices", facts)
+
+
+def examine_kernels() -> Section:
+    """Return where kernels come from, and whether one runs."""
+    facts = {}
+    try:
+        library = find_library()
+        facts["in the package"] = "none" if library is None else library.target
+    except LobewiseError as problem:
+        facts["in the package"] = f"none: {problem}"
+    facts["compiler"] = f"Halide {_find_version('halide')}, llvmlite {_find_version('llvmlite')}"
+    start = time.perf_counter()
+    try:
+        _filter_image()
+    except Exception as problem:  # whatever stops a filter is what the report is for
+        facts["test"] = "failed"
+        reason = " ".join(str(problem).split()).rstrip(".") or type(problem).__name__
+        action = "do what the message says, or report it"
+        if isinstance(problem, MissingDependencyError):
+            reason, _, action = reason.rpartition("; ")
+        return Section("Kernels", facts, (Problem(f"no filter runs on the processor ({reason})", action, fatal=True),))
+    size = f"{TEST_PIXELS}x{TEST_PIXELS}"
+    facts["test"] = f"filtered an image of {size} pixels in {time.perf_counter() - start:.2f} s"
+    return Section("Kernels", facts)
+
+
+def examine_mitsuba() -> Section:
+    """Return whether `lobewise render` and `view` can render: Mitsuba, and LLVM for the processor."""
+    found = _find_version("mitsuba")
+    if found == "not installed":
+        return Section("Mitsuba", {"mitsuba": "not installed; needed to render (pip install 'lobewise[mitsuba]')"})
+    try:
+        path = find_llvm()
+    except MissingDependencyError as problem:
+        what, _, action = str(problem).rstrip(".").rpartition("; ")
+        return Section("Mitsuba", {"mitsuba": found, "LLVM": "none"}, (Problem(f"rendering: {what}", action),))
+    facts = {"mitsuba": found, "LLVM": f"{query_llvm_version(path)}, {path}"}
+    named = os.environ.get(LIBRARY_VARIABLE)
+    return Section("Mitsuba", {**facts, LIBRARY_VARIABLE: named} if named else facts)
+
+
+def _filter_image() -> None:
+    """Filter a small image on the processor."""
+    side = TEST_PIXELS
+    color = np.full((side, side, 3), 0.5, np.float32)
+    normal = np.zeros((side, side, 3), np.float32)
+    normal[..., 2] = 1.0
+    frame = lobewise.Frame(lobewise.Radiance(color), lobewise.GBuffer(normal=normal))
+    image = lobewise.denoise(frame, quality="fast", similarity="normal", radius=1, device="cpu", with_oidn=False).image
+    if not np.allclose(image, color, atol=1e-3):
+        raise RuntimeError("an even image came out uneven")
+
+
+def _find_version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "not installed"

@@ -1,0 +1,157 @@
+"""The packages that lobewise needs, and those of its extras, from the metadata of the installed package."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, requires, version
+
+from lobewise.doctor.report import Problem, Section
+from lobewise.peers import explain_no_oidn
+
+MODULES = {"numpy": "numpy", "openexr": "OpenEXR", "pillow": "PIL", "halide": "halide", "llvmlite": "llvmlite.binding"}
+"""Modules to load of packages that hold machine code, which may be that of another system."""
+_SKIPPED_EXTRAS = ("dev", "demo", "docs")
+"""Extras that are other extras together, or are for people who change lobewise."""
+_REQUIREMENT = re.compile(r"(?P<name>[\w.-]+)\s*(?P<extras>\[[^\]]*\])?\s*(?P<versions>[^;]*)(?:;(?P<marker>.*))?")
+
+
+@dataclass(frozen=True)
+class Package:
+    """A package that lobewise or one of its extras needs."""
+
+    name: str
+    versions: str
+    """The versions that do, such as ``>=21,<22``; may be empty."""
+    extra: str
+    """The extra that needs the package; empty if lobewise itself does."""
+    found: str
+    """The version that is installed; empty if there is none."""
+
+    @property
+    def fits(self) -> bool:
+        """Whether the installed version does."""
+        return bool(self.found) and is_version_among(self.found, self.versions)
+
+
+def read_packages() -> list[Package]:
+    """Return the packages that lobewise and its extras need; an empty list if lobewise is not installed by pip."""
+    try:
+        lines = requires("lobewise") or []
+    except PackageNotFoundError:
+        return []
+    return list(parse_requirements(lines, sys.version_info[:2]))
+
+
+def parse_requirements(lines: list[str], python: tuple[int, ...]) -> Iterator[Package]:
+    """Yield the packages of requirements in the form of PEP 508, as far as lobewise's own requirements use it."""
+    for line in lines:
+        found = _REQUIREMENT.fullmatch(line.strip())
+        if found is None or found["name"].lower() == "lobewise":
+            continue
+        marker = found["marker"] or ""
+        extra = re.search(r"extra\s*==\s*['\"]([^'\"]+)['\"]", marker)
+        limit = re.search(r"python_version\s*(<=|>=|<|>|==)\s*['\"]([\d.]+)['\"]", marker)
+        if limit and not _compare(python, limit[1], _parse_version(limit[2])):
+            continue
+        if extra is not None and extra[1] in _SKIPPED_EXTRAS:
+            continue
+        yield Package(found["name"], found["versions"].strip(), extra[1] if extra else "", _find_version(found["name"]))
+
+
+def is_version_among(found: str, versions: str) -> bool:
+    """Return whether a version lies within limits such as ``>=1.1,<2``; other kinds of limits are not checked.
+
+    Examples
+    --------
+    >>> is_version_among("1.10.2", ">=1.9,<2"), is_version_among("2.0rc1", ">=1.9,<2")
+    (True, False)
+    """
+    limits = re.findall(r"(<=|>=|<|>)\s*([\d.]+)", versions)
+    return all(_compare(_parse_version(found), sign, _parse_version(limit)) for sign, limit in limits)
+
+
+def examine_packages() -> Section:
+    """Return the versions of the packages that lobewise needs, with a problem for each that is missing or broken."""
+    packages = [package for package in read_packages() if not package.extra]
+    facts = {package.name: package.found or "not installed" for package in packages}
+    problems = []
+    if not packages:
+        action = "pip install lobewise, or in a checkout pip install -e ."
+        problems.append(Problem("lobewise was not installed by pip, so the versions it needs are unknown", action))
+    for package in packages:
+        want = f"{package.name}{package.versions}"
+        if not package.found:
+            problems.append(Problem(f"{package.name} is not installed", f"pip install '{want}'", fatal=True))
+        elif not package.fits:
+            what = f"{package.name} is of version {package.found}, and lobewise needs {package.versions}"
+            problems.append(Problem(what, f"pip install '{want}'", fatal=True))
+    problems += _list_broken(packages, fatal=True)
+    return Section("Packages", facts, tuple(problems))
+
+
+def examine_extras() -> Section:
+    """Return what is installed of each extra. A missing extra is no problem; a wrong version is one."""
+    extras: dict[str, list[Package]] = {}
+    for package in read_packages():
+        if package.extra:
+            extras.setdefault(package.extra, []).append(package)
+    facts, problems = {}, []
+    for extra, packages in extras.items():
+        told = ", ".join(f"{package.name} {package.found or 'not installed'}" for package in packages)
+        lacks = not all(package.found for package in packages)
+        facts[extra] = f"{told} (pip install 'lobewise[{extra}]')" if lacks else told
+        for package in packages:
+            if package.found and not package.fits:
+                what = f"{package.name} is of version {package.found}, and lobewise[{extra}] needs {package.versions}"
+                problems.append(Problem(what, f"pip install '{package.name}{package.versions}'"))
+        problems += _list_broken(packages, fatal=False)
+    oidn = explain_no_oidn()
+    if "cannot be loaded" in oidn:
+        what, _, action = oidn.rpartition("; ")
+        problems.append(Problem(what, action))
+    return Section("Extras", facts, tuple(problems))
+
+
+def _list_broken(packages: list[Package], *, fatal: bool) -> list[Problem]:
+    """Return a problem for each package that is installed and cannot be loaded."""
+    found = []
+    for package in packages:
+        module = MODULES.get(package.name.lower())
+        reason = _try_to_load(module) if package.found and module else ""
+        if reason:
+            action = f"pip install --force-reinstall --no-deps '{package.name}{package.versions}'"
+            found.append(Problem(f"{package.name} cannot be loaded ({reason})", action, fatal))
+    return found
+
+
+def _find_version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return ""
+
+
+def _try_to_load(module: str) -> str:
+    """Return why a module cannot be loaded; empty if it can."""
+    try:
+        importlib.import_module(module)
+    except Exception as problem:  # a broken extension can raise anything
+        return " ".join(f"{type(problem).__name__}: {problem}".split())[:200]
+    return ""
+
+
+def _parse_version(text: str) -> tuple[int, ...]:
+    """Return the release numbers of a version, without trailing zeros."""
+    found = re.match(r"\d+(?:\.\d+)*", text)
+    numbers = [int(part) for part in found[0].split(".")] if found else []
+    while numbers and numbers[-1] == 0:
+        numbers.pop()
+    return tuple(numbers)
+
+
+def _compare(one: tuple[int, ...], sign: str, two: tuple[int, ...]) -> bool:
+    return {"<": one < two, "<=": one <= two, ">": one > two, ">=": one >= two, "==": one == two}[sign]
