@@ -52,6 +52,7 @@ class TestVerb:
         ("module", "told"),
         [
             ("OpenEXR", r"openexr cannot be loaded \(ModuleNotFoundError.*pip install --force-reinstall"),
+            ("numpy", r"numpy cannot be loaded"),
             ("halide", r"halide cannot be loaded"),
         ],
     )
@@ -156,7 +157,7 @@ class TestPackages:
 
     def test_a_broken_open_image_denoise(self, monkeypatch: pytest.MonkeyPatch) -> None:
         told = "Open Image Denoise is installed but cannot be loaded (no such file); reinstall pyoidn"
-        monkeypatch.setattr(packages, "explain_no_oidn", lambda: told)
+        monkeypatch.setattr("lobewise.peers.explain_no_oidn", lambda: told)
         (found,) = packages.examine_extras().problems
         assert found.action == "reinstall pyoidn"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Annotated
 
 import typer
@@ -20,16 +21,15 @@ def doctor(
     The report is plain text, to be pasted where you ask for help: versions, extras, devices, LLVM, the cache of
     compiled kernels, folders, terminal. The exit code is 0 unless lobewise cannot work here.
     """
-    from lobewise.cli.output import print_line, to_json
     from lobewise.doctor.examining import examine
 
     with Steps() as steps:
         steps.tell("Looking at this machine")
         report = examine()
     if as_json:
-        typer.echo(to_json(report.to_record()), nl=False)
+        typer.echo(json.dumps(report.to_record(), indent=2, ensure_ascii=False))
     else:
         for line in report.list_lines():
-            print_line(line)
+            typer.echo(line)
     if not report.works:
         raise typer.Exit(EXIT_CANNOT_WORK)

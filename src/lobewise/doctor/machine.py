@@ -10,8 +10,6 @@ import time
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-import numpy as np
-
 import lobewise
 from lobewise.backend.devices import list_devices
 from lobewise.backend.prebuilt import find_library
@@ -130,6 +128,9 @@ def examine_mitsuba() -> Section:
 
 def _filter_image() -> None:
     """Filter a small image on the processor."""
+    # The report must be made where NumPy cannot be imported.
+    import numpy as np
+
     side = TEST_PIXELS
     color = np.full((side, side, 3), 0.5, np.float32)
     normal = np.zeros((side, side, 3), np.float32)

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
 
 from lobewise.doctor.report import Problem, Section
-from lobewise.peers import explain_no_oidn
 
 MODULES = {"numpy": "numpy", "openexr": "OpenEXR", "pillow": "PIL", "halide": "halide", "llvmlite": "llvmlite.binding"}
 """Modules to load of packages that hold machine code, which may be that of another system."""
@@ -109,11 +108,17 @@ def examine_extras() -> Section:
                 what = f"{package.name} is of version {package.found}, and lobewise[{extra}] needs {package.versions}"
                 problems.append(Problem(what, f"pip install '{package.name}{package.versions}'"))
         problems += _list_broken(packages, fatal=False)
-    oidn = explain_no_oidn()
-    if "cannot be loaded" in oidn:
-        what, _, action = oidn.rpartition("; ")
-        problems.append(Problem(what, action))
-    return Section("Extras", facts, tuple(problems))
+    return Section("Extras", facts, (*problems, *_list_oidn_problems()))
+
+
+def _list_oidn_problems() -> list[Problem]:
+    """Return a problem if Open Image Denoise is installed and cannot be loaded."""
+    try:
+        from lobewise.peers import explain_no_oidn
+    except ImportError:
+        return []  # without NumPy, which is a problem of its own
+    what, _, action = explain_no_oidn().rpartition("; ")
+    return [Problem(what, action)] if "cannot be loaded" in what else []
 
 
 def _list_broken(packages: list[Package], *, fatal: bool) -> list[Problem]:
