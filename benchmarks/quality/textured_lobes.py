@@ -22,10 +22,10 @@ import numpy as np
 
 from benchmarks.common import describe_machine, write_json
 from lobewise import denoise
+from lobewise.display.tones import map_tones
 from lobewise.frame import Frame
 from lobewise.io.png import encode_png
 from lobewise.metrics import rel_mse
-from lobewise.reporting.display import map_tones
 
 ALPHAS = (0.05, 0.4)
 SQUARES = 6
