@@ -139,7 +139,9 @@ def write_whole(path: Path, content: bytes) -> str:
             with suppress(OSError):
                 temporary.unlink()
     except OSError as problem:
-        return (problem.strerror or str(problem)).lower()
+        # Windows replaces no file that somebody reads. Another process then has written the same kernel.
+        is_there = os.name == "nt" and isinstance(problem, PermissionError) and path.is_file()
+        return "" if is_there else (problem.strerror or str(problem)).lower()
     return ""
 
 

@@ -28,7 +28,7 @@ def find_processor() -> str:
     """Return the name of the processor."""
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():
-        for line in cpuinfo.read_text().splitlines():
+        for line in cpuinfo.read_text(encoding="utf-8").splitlines():
             if "model name" in line:
                 return line.split(":", 1)[1].strip()
     return platform.processor() or platform.machine()

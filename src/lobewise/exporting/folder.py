@@ -76,6 +76,8 @@ def open_folder(path: PathLike, *, force: bool = False) -> Iterator[Callable[[st
             temporary.chmod(0o777 & ~read_mask())
             if target.is_dir() and any(target.iterdir()):
                 aside = Path(tempfile.mkdtemp(prefix=f".{target.name[:80]}.", suffix=".old", dir=target.parent))
+                # Windows renames no folder to the name of another one, not even of an empty one.
+                aside.rmdir()
                 os.replace(target, aside)
                 try:
                     os.replace(temporary, target)
@@ -84,6 +86,8 @@ def open_folder(path: PathLike, *, force: bool = False) -> Iterator[Callable[[st
                     raise
                 made[:] = [aside]
             else:
+                if target.is_dir():
+                    target.rmdir()
                 os.replace(temporary, target)
                 made.clear()
     finally:

@@ -20,14 +20,9 @@ from typing import Any
 from lobewise.errors import FileError, LobewiseError
 from lobewise.io.documents import parse_json, read_document
 from lobewise.io.files import make_folder, refusing, write_text
+from lobewise.io.locks import try_lock
 from lobewise.io.sequence import FramePattern
 from lobewise.sequence import name_beside
-
-try:
-    import fcntl
-except ImportError:
-    # Windows: without locks, two clients of one sequence are not told apart.
-    fcntl = None  # type: ignore[assignment]
 
 LEDGER_ENDING = ".lobewise-farm"
 """Ending of the folder's name."""
@@ -70,19 +65,13 @@ class Ledger:
         with refusing(f"records {str(self.folder)!r}", "a folder that can be written to", "check its permissions"):
             stream = path.open("w")
         with stream:
-            if fcntl is not None:
-                try:
-                    fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                except BlockingIOError:
-                    raise FileError(
-                        f"records {str(self.folder)!r}",
-                        expected="no other run that writes this sequence",
-                        got="one that is at work",
-                        action="wait for it, or stop it",
-                    ) from None
-                except OSError:
-                    # A file system without locks.
-                    pass
+            if not try_lock(stream.fileno()):
+                raise FileError(
+                    f"records {str(self.folder)!r}",
+                    expected="no other run that writes this sequence",
+                    got="one that is at work",
+                    action="wait for it, or stop it",
+                )
             yield
 
     def prove(

@@ -12,11 +12,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO
 
-try:
-    import fcntl
-except ImportError:
-    # Windows: there an open file cannot be replaced, so two writers hinder each other anyway.
-    fcntl = None  # type: ignore[assignment]
+from lobewise.io.locks import HAS_POSIX_FILES, try_lock
 
 MAX_NAME_BYTES = 255
 """Longest file name of usual file systems."""
@@ -43,16 +39,14 @@ def name_temporary(target: Path) -> Path:
 def remove_temporary(target: Path) -> None:
     """Remove the temporary file that a killed process left for a target; keep it while another process writes it."""
     path = name_temporary(target)
-    with suppress(OSError), path.open("rb+") as stream:
-        if fcntl is not None:
-            try:
-                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
+    with suppress(OSError):
+        with path.open("rb+") as stream:
+            if not try_lock(stream.fileno()):
                 return
-            except OSError:
-                # A file system without locks.
-                pass
-        path.unlink()
+            if HAS_POSIX_FILES:
+                path.unlink()
+        if not HAS_POSIX_FILES:
+            path.unlink()
 
 
 class Replacement:
@@ -79,8 +73,11 @@ class Replacement:
     def __exit__(
         self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if not HAS_POSIX_FILES:
+            with suppress(OSError):
+                self.stream.close()
         if not self._is_done:
-            # Remove the file while it is locked: afterwards another process may own it.
+            # Remove the file while it is locked, where the system can: afterwards another process may own it.
             with suppress(OSError):
                 self._temporary.unlink()
         with suppress(OSError):
@@ -91,7 +88,7 @@ class Replacement:
         self.stream.flush()
         os.fsync(self.stream.fileno())
         told = _keep_properties(self._target, self.stream.fileno())
-        if fcntl is None:
+        if not HAS_POSIX_FILES:
             self.stream.close()
         os.replace(self._temporary, self._target)
         self._is_done = True
@@ -108,14 +105,8 @@ def _open_locked(path: Path) -> int:
             raise OSError(f"{str(path)!r} beside it, which is a link")
         descriptor = os.open(path, _OPEN, 0o600)
         try:
-            if fcntl is not None:
-                try:
-                    fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                except BlockingIOError:
-                    raise OSError(f"another process that is writing it (it holds {str(path)!r})") from None
-                except OSError:
-                    # A file system without locks.
-                    pass
+            if not try_lock(descriptor):
+                raise OSError(f"another process that is writing it (it holds {str(path)!r})")
             if _is_at(descriptor, path) and _is_own(descriptor, path):
                 os.ftruncate(descriptor, 0)
                 return descriptor

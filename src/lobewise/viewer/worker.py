@@ -172,5 +172,5 @@ def describe_failure(problem: Exception) -> str:
 def measure_memory() -> int:
     """Return the memory of this process, bytes; 0 on systems that do not tell it."""
     if sys.platform == "linux":
-        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+        return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
     return 0
