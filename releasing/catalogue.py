@@ -10,20 +10,29 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 import lobewise
 from lobewise import Frame
+from lobewise.bench.plan import Extent, list_jobs
 from lobewise.errors import LobewiseError
+from lobewise.interactive import InteractiveSettings, Session
+from lobewise.interactive.settings import METHODS, UNFILTERED
+from lobewise.render import load_scene, make_orbit
 from lobewise.settings import MAX_LOBES
 from lobewise.settings.choices import FORMS, MAX_SCALE_PIXELS, QUALITIES, SIMILARITIES
-from releasing.frames import NARROW, SIZE, combine, drop, make_frame, vary_main_images, vary_rare_images
+from releasing.frames import NARROW, SIZE, combine, draw_images, drop, make_frame, vary_main_images, vary_rare_images
 from releasing.recording import Wanted, record_kernels
 
 MAX_RADIUS_PIXELS = 16
 """Largest radius whose kernels are compiled ahead of time, for the usual similarities."""
+BENCH_SIZE = 64, 48
+"""Columns and rows of the images of benchmarks here."""
+RANDOM_FRAMES = 1000
+"""Random sets of images of a frame."""
 Case = Callable[[], Any]
 
 
@@ -42,6 +51,15 @@ def list_qualities() -> Iterator[Case]:
     for frame in (narrow, combine(narrow), drop(narrow, "tangent", "alpha_v")):
         for quality in QUALITIES:
             yield denoise(frame, quality=quality)
+
+
+def list_drawn_images() -> Iterator[Case]:
+    """Yield every quality on random sets of images."""
+    for frame in draw_images(make_frame(), RANDOM_FRAMES):
+        for quality in QUALITIES:
+            yield denoise(frame, quality=quality)
+        for similarity in ("sg", "normal"):
+            yield denoise(frame, quality="fast", similarity=similarity)
 
 
 def list_similarities() -> Iterator[Case]:
@@ -155,13 +173,49 @@ def list_windows() -> Iterator[Case]:
             yield join(rich, 2, quality=quality, similarity=similarity)
 
 
+def list_benchmarks() -> Iterator[Case]:
+    """Yield the jobs of `lobewise bench` on small images, without Open Image Denoise."""
+    extent = Extent(size=BENCH_SIZE, sizes=(BENCH_SIZE,), recipe_size=BENCH_SIZE, radius_size=BENCH_SIZE)
+    for job in list_jobs(extent, "cpu", peers=False):
+        yield from job.make().values()
+
+
+def list_interactive_frames() -> Iterator[Case]:
+    """Yield frames of an interactive session by every method and similarity, while camera and light move.
+
+    Needs Mitsuba: the kernels filter what it renders.
+    """
+    scene = load_scene("showroom", width=48, height=48)
+    session = Session(scene, options={"voxel_cones": {"resolution": 32}})
+    path = make_orbit(session.camera, (0.0, 0.75, -0.6), 3, 1.0)
+
+    def follow(settings: InteractiveSettings) -> Case:
+        return lambda: [session.render(camera, settings) for camera in (*path, path[-1])]
+
+    usual = InteractiveSettings()
+    for method in METHODS:
+        yield follow(replace(usual, method=method))
+    for similarity in (*SIMILARITIES, UNFILTERED):
+        yield follow(InteractiveSettings(similarity=similarity))
+    for name in ("temporal", "filter_direct", "limit_lobes"):
+        for value in (True, False):
+            yield follow(replace(usual, **{name: value}))
+    for radius in range(1, MAX_RADIUS_PIXELS + 1):
+        yield follow(replace(usual, radius=radius))
+    for scale in (1, 2, 3, 8):
+        yield follow(replace(usual, scale=scale))
+
+
 PARTS: dict[str, Callable[[], Iterator[Case]]] = {
     "qualities": list_qualities,
+    "random images": list_drawn_images,
     "similarities": list_similarities,
     "radii": list_radii,
     "upsampling": list_upsampling,
     "histories": list_histories,
     "windows": list_windows,
+    "benchmarks": list_benchmarks,
+    "interactive frames": list_interactive_frames,
 }
 
 

@@ -128,6 +128,40 @@ def vary_rare_images(frame: Frame) -> Iterator[Frame]:
         yield from _split_layers(frame)
 
 
+def draw_images(frame: Frame, count: int, seed: int = 1) -> Iterator[Frame]:
+    """Yield the frame with random sets of images, as files of many renderers have them."""
+    rng = np.random.default_rng(seed)
+    layered = [frame, *_split_layers(frame)]
+    for _ in range(count):
+        each = layered[rng.integers(len(layered))] if rng.random() < 0.3 else frame
+        absent = [name for names in _TOGETHER if rng.random() < 0.5 for name in names]
+        each = drop(each, *absent)
+        each = each if rng.random() < 0.5 else each.with_changes(half_a=None, half_b=None)
+        each = each if rng.random() < 0.5 else each.with_changes(variance=None)
+        each = each if rng.random() < 0.8 else each.with_changes(camera=None)
+        yield combine(each) if rng.random() < 0.4 and not each.layers else each
+
+
+_TOGETHER = (
+    ("depth",),
+    ("position",),
+    ("alpha_v", "tangent"),
+    ("alpha_u", "alpha_v", "tangent"),
+    ("lobe_kind",),
+    ("diffuse_albedo",),
+    ("specular_albedo",),
+    ("mean_normal", "mean_diffuse_albedo", "mean_specular_albedo"),
+    ("hit_distance",),
+    ("hit_normal",),
+    ("hit_albedo",),
+    ("mean_emission",),
+    ("coverage",),
+    ("object_share",),
+    ("motion",),
+)
+"""Images of a G-buffer that are present or absent together."""
+
+
 def _split_layers(frame: Frame) -> Iterator[Frame]:
     """Yield the frame with a layer for each kind of lobe, with and without albedo, halves and parts."""
     light, halves = frame.radiance, (frame.half_a, frame.half_b)

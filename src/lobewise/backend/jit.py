@@ -141,8 +141,8 @@ def _find_prebuilt(key: Hashable, make: Callable[..., Any], *, strict: bool) -> 
         return Kernel(get_runtime("cpu"), address, name, unpack_parameters(parameters))
     if has_compiler():
         return None
-    told = _name_maker(make).removeprefix(f"{PACKAGE}.")
-    raise refuse_compiling(f"one of {told} for {library.target if library else 'this processor'}")
+    parts = sorted(name.removeprefix(f"{PACKAGE}.") for name in list_definitions(key, make) - {_OWN_PART})
+    raise refuse_compiling(f"one of {' and '.join(parts)}")
 
 
 def _compile_or_load(device: str, key: Hashable, make: Callable[..., Any], *, strict: bool) -> Kernel:
@@ -216,6 +216,10 @@ def compile_kernel(
     }
 
 
+_OWN_PART = f"{__name__}.{compile_kernel.__name__}"
+"""The part of this module that every kernel is made by."""
+
+
 def describe_kernel(key: Hashable, make: Callable[..., Any]) -> str | None:
     """Return a text that identifies a kernel's code in all processes; None if a part is not of this package."""
     told = describe_key(key)
@@ -242,7 +246,7 @@ _describe_definitions = cache(describe_definitions)
 
 def list_definitions(key: Hashable, make: Callable[..., Any]) -> frozenset[str]:
     """Return the full names of the definitions that a kernel is made from, without those that they refer to."""
-    return frozenset({_name_definition(compile_kernel), _name_maker(make), *_list_definitions(key)})
+    return frozenset({_OWN_PART, _name_maker(make), *_list_definitions(key)})
 
 
 def _name_maker(make: Callable[..., Any]) -> str:

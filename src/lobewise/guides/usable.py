@@ -65,31 +65,43 @@ def check_guides(frame: FrameT) -> tuple[FrameT, list[Unusable]]:
 
 
 def has_unusable(frame: AnyFrame) -> bool:
-    """Return whether any guide of a frame has an impossible value."""
+    """Return whether any guide of a frame has an impossible value.
+
+    Each image has a pass of its own, so that a few kernels serve every set of guides.
+    """
     guides = frame.gbuffer
-    names = (*ALBEDOS, *ALPHAS, "depth", "normal", "position")
-    images = {name: getattr(guides, name) for name in names}
     layers = frame.layers if isinstance(frame, Frame) else ()
-    images |= {f"albedo{number}": layer.albedo for number, layer in enumerate(layers)}
-    if all(image is None for image in images.values()):
+    albedos = [*(getattr(guides, name) for name in ALBEDOS), *(layer.albedo for layer in layers)]
+    ranges: list[tuple[FloatArray | None, float, float]] = [(albedo, MIN_ALBEDO, MAX_ALBEDO) for albedo in albedos]
+    ranges += [(getattr(guides, name), 0.0, 1.0) for name in ALPHAS]
+    ranges.append((guides.normal, -MAX_NORMAL_LENGTH, MAX_NORMAL_LENGTH))
+    if any(_has_odd(image, least, most) for image, least, most in ranges if image is not None):
+        return True
+    if guides.depth is None:
         return False
-    (odd,) = run_pointwise(_define_odd, images, {}, len(layers))
+    surfaces = {"depth": guides.depth, "normal": guides.normal, "position": guides.position}
+    (lost,) = run_pointwise(_define_lost, surfaces, {})
+    return bool(lost.any())
+
+
+def _has_odd(image: FloatArray, least: float, most: float) -> bool:
+    (odd,) = run_pointwise(_define_odd, {"image": image}, {}, least, most)
     return bool(odd.any())
 
 
-def _define_odd(grid: Grid, layers: int) -> list[Vector]:
-    """Return whether a pixel has an impossible value, or a surface without a normal or a place."""
+def _define_odd(grid: Grid, least: float, most: float) -> list[Vector]:
+    """Return whether a channel of a pixel is out of range or not finite."""
     odd = hl.Expr(False)
-    ranges = dict.fromkeys((*ALBEDOS, *(f"albedo{k}" for k in range(layers))), (MIN_ALBEDO, MAX_ALBEDO))
-    ranges |= dict.fromkeys(ALPHAS, (0.0, 1.0)) | {"normal": (-MAX_NORMAL_LENGTH, MAX_NORMAL_LENGTH)}
-    for name, (least, most) in ranges.items():
-        for value in grid.read(name) if grid.has(name) else ():
-            odd = odd | (value < hl.f32(least)) | (value > hl.f32(most)) | ~is_finite(value)
-    if grid.has("depth"):
-        depth = grid.read_one("depth")
-        odd = odd | (depth < hl.f32(0.0)) | (~is_finite(depth) & ~(depth > hl.f32(0.0)))
-        odd = odd | (is_surface_depth(depth) & ~is_surface(grid))
+    for value in grid.read("image"):
+        odd = odd | (value < hl.f32(least)) | (value > hl.f32(most)) | ~is_finite(value)
     return [[hl.u8(odd)]]
+
+
+def _define_lost(grid: Grid) -> list[Vector]:
+    """Return whether a depth is impossible, or belongs to a surface without a normal or a place."""
+    depth = grid.read_one("depth")
+    odd = (depth < hl.f32(0.0)) | (~is_finite(depth) & ~(depth > hl.f32(0.0)))
+    return [[hl.u8(odd | (is_surface_depth(depth) & ~is_surface(grid)))]]
 
 
 def find_unusable(frame: AnyFrame, rows: slice = slice(None)) -> list[Unusable]:

@@ -1,0 +1,109 @@
+"""The list of kernels that wheels bring along holds all that the verbs ask for on the test files."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lobewise
+from lobewise.cli.main import run
+from lobewise.filters.cross_pass import PassKey
+from lobewise.settings.choices import FORMS, QUALITIES, SIMILARITIES
+from releasing.catalogue import list_kernels
+from releasing.frames import SIZE, make_frame
+from releasing.recording import Wanted, record_kernels
+
+TESTS = Path(__file__).parents[1]
+FILES = sorted((TESTS / "data" / "foreign").rglob("*.exr"))
+
+
+@pytest.fixture(scope="module")
+def catalogue() -> set[str]:
+    """Return the identities of all kernels of the list."""
+    return set(list_kernels(seeds=(0,)))
+
+
+def find_missing(catalogue: set[str], *commands: list[str]) -> list[str]:
+    """Return the makers of kernels that commands ask for and the list lacks."""
+    found: dict[str, Wanted] = {}
+    for words in commands:
+        with record_kernels(seed=5) as recorded, warnings.catch_warnings():
+            # Recorded kernels return random numbers, on which recipes divide by zero.
+            warnings.simplefilter("ignore")
+            assert run(words) == 0, words
+        assert recorded, words
+        found |= recorded
+    return [f"{wanted.make} {wanted.key}" for name, wanted in found.items() if name not in catalogue]
+
+
+@pytest.fixture
+def own_file(tmp_path: Path) -> Path:
+    """Return a file with every guide that lobewise writes."""
+    path = tmp_path / "own.exr"
+    lobewise.write_frame(path, make_frame((50, 70), seed=9))
+    return path
+
+
+@pytest.mark.slow
+@pytest.mark.mitsuba
+class TestVerbs:
+    @pytest.mark.parametrize("file", FILES, ids=lambda path: path.stem)
+    def test_denoise(self, file: Path, catalogue: set[str], tmp_path: Path) -> None:
+        words = ["denoise", str(file), "-o", str(tmp_path / "out.exr"), "--offline", "--device", "cpu"]
+        assert find_missing(catalogue, *([*words, "--quality", name] for name in QUALITIES)) == []
+
+    def test_denoise_own_files(self, own_file: Path, catalogue: set[str], tmp_path: Path) -> None:
+        words = ["denoise", str(own_file), "-o", str(tmp_path / "out.exr"), "--offline", "--device", "cpu"]
+        commands = [[*words, "--similarity", name] for name in SIMILARITIES]
+        commands += [[*words, "--quality", "fast", "--form", name] for name in FORMS]
+        commands += [[*words, "--radius", str(radius)] for radius in (2, 12)]
+        commands += [[*words, "--rows", "20"]]
+        assert find_missing(catalogue, *commands) == []
+
+    @pytest.mark.parametrize("option", [["--temporal"], ["--window", "1"]], ids=str)
+    def test_sequences(self, option: list[str], catalogue: set[str], tmp_path: Path) -> None:
+        for number in range(1, 4):
+            lobewise.write_frame(tmp_path / f"in.{number:04}.exr", make_frame((50, 70), seed=number))
+        words = ["denoise", str(tmp_path / "in.####.exr"), "-o", str(tmp_path / "out.####.exr"), "--device", "cpu"]
+        assert find_missing(catalogue, [*words, *option]) == []
+
+    def test_upsample(self, catalogue: set[str], tmp_path: Path) -> None:
+        sparse = tmp_path / "sparse.exr"
+        lobewise.write_sparse_frame(sparse, lobewise.make_sparse(make_frame((50, 70)), 4, (1, 2)))
+        words = ["upsample", str(sparse), "-o", str(tmp_path / "out.exr"), "--device", "cpu"]
+        assert find_missing(catalogue, words) == []
+
+
+def test_recording_runs_recipes_to_their_end() -> None:
+    frame = make_frame()
+    with record_kernels() as found:
+        clean = lobewise.denoise(frame, quality="balanced", device="cpu")
+    assert clean.image.shape == frame.radiance.color.shape
+    assert len(found) > 20
+    assert all(len(name) == 24 for name in found)
+
+
+class OwnPlaces(lobewise.Feature):
+    """A feature of another package: this test."""
+
+    def get_arrays(self) -> tuple[np.ndarray, ...]:
+        return (np.zeros(SIZE, np.float32),)
+
+    def log2_similarity(self, i: Any, j: Any, parameters: Any, offset: Any, stage: Any) -> Any:
+        return -1.0 * (i[0] - j[0]) * (i[0] - j[0])
+
+
+def test_kernels_with_features_of_others_are_not_recorded() -> None:
+    frame, settings = make_frame(), {"quality": "fast", "device": "cpu"}
+    with record_kernels() as usual:
+        lobewise.denoise(frame, **settings)
+    with record_kernels() as found:
+        clean = lobewise.denoise(frame, features=[OwnPlaces()], **settings)
+    assert clean.image.shape == (*SIZE, 3)
+    passes = {name for name, wanted in usual.items() if isinstance(wanted.key, PassKey)}
+    assert passes
+    assert found.keys() == usual.keys() - passes
