@@ -79,7 +79,8 @@ def make_frame(number: int, *, bad: bool = True, noisy: bool = True, hits: bool 
     alpha = np.choose(shown, [0.0, np.where(tiles, 0.5, 0.12), 0.04, 0.25])
     rng = np.random.default_rng(5 + number)
     diffuse_albedo = np.where(there[..., None], np.array([0.2, 0.22, 0.25]) + 0.3 * tiles[..., None], 0.0)
-    diffuse_albedo[shown == 2] = 0.0
+    # Too dark to show the light of samples.
+    diffuse_albedo[shown == 2] = 6e-4
     specular_albedo = np.where(there[..., None], [0.3, 0.5, 0.4], 0.0)
     lights = shade(np.where((shown == 3)[..., None], position - ball, position), shown)
     grain = rng.gamma(2.0, 0.5, (2, *SIZE, 1)) if noisy else np.ones((2, 1, 1, 1))
@@ -88,8 +89,12 @@ def make_frame(number: int, *, bad: bool = True, noisy: bool = True, hits: bool 
         for k, (light, albedo) in enumerate(zip(lights, (diffuse_albedo, specular_albedo), strict=True))
     )
     emission = np.where(there[..., None], 0.0, np.array([0.4, 0.6, 1.0]))
+    color = diffuse + specular + emission
     if bad:
         diffuse[38:40, 20:23], specular[30, 5] = np.nan, -1.0
+        color = diffuse + specular + emission
+        # A pixel of unknown emission, and normals so short that they mean no surface.
+        emission[35, 40], normal[36, 45:47] = np.nan, 0.05 * normal[36, 45:47]
     motion = None
     if number:
         previous = make_camera(number - 1)
@@ -109,7 +114,7 @@ def make_frame(number: int, *, bad: bool = True, noisy: bool = True, hits: bool 
         motion=motion,
         hit_distance=np.where(there, find_hits(position, rays, normal, ball), 0.0) if hits else None,
     )
-    return Frame(Radiance(diffuse + specular + emission, diffuse=diffuse, specular=specular), guides, camera, spp=4)
+    return Frame(Radiance(color, diffuse=diffuse, specular=specular), guides, camera, spp=4)
 
 
 def make_clean_image(number: int) -> NDArray[Any]:

@@ -61,7 +61,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("passes")
 
 
-@pytest.fixture(scope="module", params=SHADER_LANGUAGES)
+@pytest.fixture(
+    scope="module",
+    params=[name if name == "wgsl" else pytest.param(name, marks=pytest.mark.slow) for name in SHADER_LANGUAGES],
+)
 def language(request: pytest.FixtureRequest) -> str:
     """Return a shader language; without the reference compiler only WGSL."""
     if request.param != "wgsl":

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 import lobewise
 from lobewise.cli.main import run
 from lobewise.denoising.automatic import resolve_settings
-from lobewise.denoising.layers import Layer, make_layers
+from lobewise.denoising.layers import Layer, find_surface, make_layers
 from lobewise.exporting.names import CHAINS, SHADER_LANGUAGES
 from lobewise.exporting.shaders.chains import make_chain
 from lobewise.exporting.shaders.constants import compute_constants
@@ -53,11 +53,12 @@ def test_guides(graphics: Any, language: str, folder: Path) -> None:
     constants = compute_constants(frame.require_camera("lobes"), frame.shape, settings)
     made = player.run_pass("guides", give_images(frame), constants)
     axes, spreads = made["axes"], made["spreads"]
-    np.testing.assert_array_equal(axes[..., 3] >= 0.0, field.valid)
-    assert 0 < np.count_nonzero(field.valid) < field.valid.size
-    x, y, z, *t, large, small = (each[field.valid] for each in field.lobes[settings.tau])
+    valid = field.valid & find_surface(frame)
+    np.testing.assert_array_equal(axes[..., 3] >= 0.0, valid)
+    assert 0 < np.count_nonzero(valid) < np.count_nonzero(field.valid) < valid.size
+    x, y, z, *t, large, small = (each[valid] for each in field.lobes[settings.tau])
     noise = settings.tau**2
-    axes, spreads = axes[field.valid], spreads[field.valid]
+    axes, spreads = axes[valid], spreads[valid]
     np.testing.assert_allclose(axes[:, :3], np.stack([x, y, z], axis=-1), rtol=0.0, atol=2e-6)
     np.testing.assert_allclose(axes[:, 3] + noise, large, rtol=1e-4)
     np.testing.assert_allclose(spreads[:, 3] + noise, small, rtol=1e-4)

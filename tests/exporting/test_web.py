@@ -15,9 +15,13 @@ import pytest
 
 import lobewise
 from lobewise.cli.main import run
+from lobewise.exporting.names import CHAINS
 from lobewise.exporting.shaders.bundle import LIGHT_BITS, pack_frames, read_frames
+from lobewise.exporting.shaders.chains import make_chain
+from lobewise.exporting.shaders.passes import write_pass
 from lobewise.exporting.shaders.web import BUNDLE, PAGE_CHAINS, PAGE_SETTINGS, export_web
 from lobewise.frame import FloatArray, Frame
+from lobewise.settings import FORMS
 from tests.exporting.chain_scene import make_frame
 from tests.exporting.conftest import lack
 
@@ -158,6 +162,28 @@ def test_page_plays(window: Window) -> None:
     assert window.page.inner_text("#play") == "Play"
     window.page.evaluate("page.running")
     assert window.errors == []
+
+
+COMPILE = """async (text) => {
+    const module = page.device.createShaderModule({ code: text });
+    const told = (await module.getCompilationInfo()).messages.map((one) => `${one.lineNum}: ${one.message}`);
+    page.device.pushErrorScope("validation");
+    page.device.createComputePipeline({ layout: "auto", compute: { module, entryPoint: "main" } });
+    const error = await page.device.popErrorScope();
+    return error ? [...told, error.message] : told;
+}"""
+
+
+@pytest.mark.slow
+def test_browser_compiles_every_pass(window: Window) -> None:
+    """The tests of chains use another compiler of WGSL than Chromium has."""
+    for name in CHAINS:
+        for form in ("full",) if name == "upsample" else FORMS:
+            chain = make_chain(name, form=form)
+            for each in chain.passes:
+                assert window.page.evaluate(COMPILE, write_pass(chain, each, "wgsl")) == [], (name, form, each.name)
+    assert window.page.evaluate(COMPILE, "@compute @workgroup_size(1) fn main() { let x: i32 = 1.5; }") != []
+    window.errors.clear()
 
 
 @pytest.mark.slow
