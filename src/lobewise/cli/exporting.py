@@ -38,7 +38,7 @@ def export(
         str | None,
         typer.Option(
             metavar="NAME",
-            help="With hlsl, glsl, wgsl: whole compute passes instead of single functions; see above.",
+            help="Whole compute passes in a shader language.",
             show_default=False,
         ),
     ] = None,
@@ -164,9 +164,6 @@ export.__doc__ = f"""{export.__doc__}
 
 Targets, all compiled in the tests: {", ".join(TARGETS)}. Other combinations of these processors and systems may work.
 
-Shader languages: {", ".join(SHADER_LANGUAGES)}; the weights as functions, or with --chain whole compute passes.
-
-With the target {WEB}: a page that denoises a short sequence in the browser by such passes.
-
-Chains: {"; ".join(f"{name}, {what}" for name, what in CHAINS.items())}.
+Shaders: --target {", ".join(SHADER_LANGUAGES)} writes the weights as functions, with --chain {", ".join(CHAINS)}
+whole compute passes; --target {WEB} writes a page that runs such passes in the browser.
 """
