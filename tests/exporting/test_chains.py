@@ -20,6 +20,7 @@ from lobewise.exporting.names import CHAINS, SHADER_LANGUAGES
 from lobewise.exporting.shaders.chains import make_chain
 from lobewise.exporting.shaders.constants import compute_constants
 from lobewise.exporting.shaders.language import Field, lay_out
+from lobewise.exporting.shaders.passes import write_pass
 from lobewise.exporting.shaders.writing import export_chain
 from lobewise.filters.cross_filter import run_filter
 from lobewise.frame import Frame
@@ -146,6 +147,15 @@ def test_every_image_is_used() -> None:
         chain = make_chain(name)
         used = {image for each in chain.passes for image in (*each.reads.values(), *each.writes.values())}
         assert used == {image.name for image in chain.images}
+
+
+def test_no_loop_variable_is_declared_twice() -> None:
+    """Older compilers of HLSL know the variable of a loop after the loop, too."""
+    texts = [write_pass(chain, each, "hlsl") for chain in map(make_chain, CHAINS) for each in chain.passes]
+    functions = [function for text in texts for function in re.split(r"^}$", text, flags=re.M)]
+    variables = [re.findall(r"for \(int (\w+) =", function) for function in functions]
+    assert any(len(names) > 2 for names in variables)
+    assert all(len(set(names)) == len(names) for names in variables)
 
 
 @pytest.mark.parametrize("language", SHADER_LANGUAGES)

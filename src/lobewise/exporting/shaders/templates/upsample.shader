@@ -11,9 +11,9 @@ main {
     // Average the trust of the samples around.
     var float trusted = 0.0;
     var float told = 0.0;
-    for (var int v = -1; v <= 1; v += 1) {
-        for (var int u = -1; u <= 1; u += 1) {
-            let ivec2 tap = block + ivec2(u, v);
+    for (var int down = -1; down <= 1; down += 1) {
+        for (var int right = -1; right <= 1; right += 1) {
+            let ivec2 tap = block + ivec2(right, down);
             let float weight = exp2(lobewise_compare_tap(own, pixel, tap, 0.0));
             if (weight > 0.0) {
                 trusted += weight * load(trust, tap).x;
