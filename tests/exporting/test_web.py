@@ -19,7 +19,7 @@ from lobewise.exporting.names import CHAINS
 from lobewise.exporting.shaders.bundle import LIGHT_BITS, pack_frames, read_frames
 from lobewise.exporting.shaders.chains import make_chain
 from lobewise.exporting.shaders.passes import write_pass
-from lobewise.exporting.shaders.web import BUNDLE, PAGE_CHAINS, PAGE_SETTINGS, export_web
+from lobewise.exporting.shaders.web import BUNDLE, PAGE_CHAINS, PAGE_SETTINGS, export_web, take_samples
 from lobewise.frame import FloatArray, Frame
 from lobewise.settings import FORMS
 from tests.exporting.chain_scene import make_frame
@@ -112,10 +112,11 @@ def window(engine: Any, folder: Path) -> Iterator[Window]:
 
 def compute(chain: str, frames: list[Frame]) -> FloatArray:
     """Return Python's result of the last frame."""
+    settings = PAGE_SETTINGS[chain]
     if chain == "filter":
-        return lobewise.denoise(frames[-1], PAGE_SETTINGS).image
-    recipe = lobewise.TemporalFilter(PAGE_SETTINGS)
-    return [recipe.add(frame).image for frame in frames][-1]
+        return lobewise.denoise(frames[-1], settings).image
+    recipe = lobewise.TemporalFilter(settings)
+    return [recipe.add(frame).image for frame in (take_samples(frames) if chain == "upsample" else frames)][-1]
 
 
 @pytest.mark.slow

@@ -19,32 +19,60 @@ from lobewise.exporting.shaders.constants import compute_constants, pack_constan
 from lobewise.exporting.shaders.library import copy_template, read_template
 from lobewise.exporting.shaders.passes import Chain, write_pass
 from lobewise.exporting.shaders.writing import describe_chain, name_file
-from lobewise.frame import Frame
+from lobewise.frame import Frame, Radiance
 from lobewise.io.files import PathLike
 from lobewise.settings import DenoiseSettings, TemporalSettings
+from lobewise.sparse_frame import AnyFrame, SparseFrame, list_places
 from lobewise.temporal.recipe import find_own_weight
+from lobewise.upsampling import DEFAULT_RADIUS
 
 BUNDLE = "showroom-sequence.bin.gz"
 """The sequence inside the package; `benchmarks/pictures/web_sequence.py` renders it."""
-PAGE_CHAINS = {"history": "with a history", "filter": "every frame by itself"}
+PAGE_CHAINS = {
+    "history": "with a history",
+    "filter": "every frame by itself",
+    "upsample": "from one pixel in four, with a history",
+}
 """The chains of the page and their titles."""
-PAGE_SETTINGS = DenoiseSettings(quality="fast", form="separable")
+PAGE_SETTINGS = {
+    "history": DenoiseSettings(quality="fast", form="separable"),
+    "filter": DenoiseSettings(quality="fast", form="separable"),
+    "upsample": DenoiseSettings(quality="fast", radius=DEFAULT_RADIUS),
+}
 """The settings of the page's filters."""
+PAGE_SCALE = 2
+"""Distance of the shaded pixels of the chain "upsample", pixels."""
 
 
-def make_blocks(chain: Chain, frames: Sequence[Frame]) -> list[bytes]:
+def take_samples(frames: Sequence[Frame]) -> list[SparseFrame]:
+    """Return the frames with the light of one pixel in every block, another one in every frame."""
+    taken = []
+    for number, frame in enumerate(frames):
+        place = list_places(PAGE_SCALE)[number % PAGE_SCALE**2]
+        shaded = slice(place[0], None, PAGE_SCALE), slice(place[1], None, PAGE_SCALE)
+        light = frame.radiance
+        assert light.diffuse is not None and light.specular is not None
+        samples = Radiance(light.color[shaded], diffuse=light.diffuse[shaded], specular=light.specular[shaded])
+        taken.append(SparseFrame(samples, frame.gbuffer, PAGE_SCALE, place=place, camera=frame.camera, spp=frame.spp))
+    return taken
+
+
+def make_blocks(chain: Chain, frames: Sequence[AnyFrame]) -> list[bytes]:
     """Return the constants of each frame of a sequence, as the passes read them."""
     blocks = []
     previous = None
     for frame in frames:
+        scale, place = (frame.scale, frame.place) if isinstance(frame, SparseFrame) else (1, (0, 0))
         camera = frame.require_camera("a chain")
         values = compute_constants(
             camera,
             frame.shape,
-            resolve_settings(frame, PAGE_SETTINGS),
+            resolve_settings(frame, PAGE_SETTINGS[chain.name], scale),
             previous=previous,
             temporal=TemporalSettings(),
             own=find_own_weight(frame),
+            scale=scale,
+            place=place,
         )
         blocks.append(pack_constants(chain.constants, values))
         previous = camera
@@ -53,12 +81,17 @@ def make_blocks(chain: Chain, frames: Sequence[Frame]) -> list[bytes]:
 
 def _bundle_chain(name: str, title: str, frames: Sequence[Frame]) -> dict[str, Any]:
     """Return what the page needs of a chain: its description, its files and its constants."""
-    chain = make_chain(name, form=PAGE_SETTINGS.form)
+    settings = PAGE_SETTINGS[name]
+    chain = make_chain(name, form=settings.form)
+    sparse = take_samples(frames) if name == "upsample" else []
     texts = {
         name_file(number, each, "wgsl"): write_pass(chain, each, "wgsl") for number, each in enumerate(chain.passes, 1)
     }
-    blocks = [base64.b64encode(block).decode() for block in make_blocks(chain, frames)]
-    return {"title": title, "chain": describe_chain(chain, "wgsl"), "files": texts, "blocks": blocks}
+    blocks = [base64.b64encode(block).decode() for block in make_blocks(chain, sparse or frames)]
+    told = {"title": title, "chain": describe_chain(chain, "wgsl"), "files": texts, "blocks": blocks}
+    if not sparse:
+        return {**told, "scale": 1, "places": []}
+    return {**told, "scale": PAGE_SCALE, "places": [frame.place for frame in sparse]}
 
 
 def export_web(output: PathLike, *, force: bool = False) -> list[str]:

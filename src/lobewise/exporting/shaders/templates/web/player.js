@@ -175,6 +175,21 @@ function giveImages(images, position) {
   };
 }
 
+// The images of a frame of which one pixel in every block is shaded, at a row and column of the block.
+function takeSamples(images, size, scale, place) {
+  const taken = { ...images };
+  for (const name of ["diffuse", "specular"]) {
+    taken[name] = new Float32Array(4 * size.columns * size.rows);
+    for (let y = 0, k = 0; y < size.rows; y++) {
+      for (let x = 0; x < size.columns; x++, k += 4) {
+        const from = 4 * ((y * scale + place[0]) * size.width + x * scale + place[1]);
+        taken[name].set(images[name].subarray(from, from + 4), k);
+      }
+    }
+  }
+  return taken;
+}
+
 // Draws the noisy frame and the result of a chain on a canvas.
 class Screen {
   constructor(device, canvas, code) {
@@ -257,7 +272,11 @@ class Page {
     this.device = await openDevice();
     const { width, height, frames } = readFrames(await unzip(decodeBase64(SEQUENCE)));
     this.frames = frames;
-    this.chains = PASSES.chains.map((each) => new Chain(this.device, each.chain, each.files, { width, height }));
+    this.chains = PASSES.chains.map((each) => {
+      // The size of the image is a multiple of the size of blocks.
+      const values = { width, height, columns: width / each.scale, rows: height / each.scale };
+      return new Chain(this.device, each.chain, each.files, values);
+    });
     this.blocks = PASSES.chains.map((each) => each.blocks.map(decodeBase64));
     this.screen = new Screen(this.device, document.getElementById("picture"), PASSES.show);
     this.chosen = 0;
@@ -273,7 +292,10 @@ class Page {
   // than it does. After the last frame the first one follows, without a history.
   async step() {
     this.frame = (this.frame + 1) % this.frames.length;
-    this.chains[this.chosen].run(this.frames[this.frame], this.blocks[this.chosen][this.frame]);
+    const { scale, places } = PASSES.chains[this.chosen], chain = this.chains[this.chosen];
+    let images = this.frames[this.frame];
+    if (scale > 1) images = takeSamples(images, chain.values, scale, places[this.frame]);
+    chain.run(images, this.blocks[this.chosen][this.frame]);
     document.getElementById("frame").textContent = `Frame ${this.frame + 1} of ${this.frames.length}`;
     this.draw();
     await this.device.queue.onSubmittedWorkDone();

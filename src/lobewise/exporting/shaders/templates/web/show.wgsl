@@ -32,7 +32,11 @@ fn show(@builtin(position) place: vec4<f32>) -> @location(0) vec4<f32> {
     }
     var light = textureLoad(image, pixel, 0).xyz;
     if (pixel.x < line) {
-        light = textureLoad(diffuse, pixel, 0).xyz + textureLoad(specular, pixel, 0).xyz + textureLoad(emission, pixel, 0).xyz;
+        // Samples of blocks are shown as blocks.
+        let block = textureDimensions(image).x / textureDimensions(diffuse).x;
+        let sampled = pixel / i32(block);
+        light = textureLoad(diffuse, sampled, 0).xyz + textureLoad(specular, sampled, 0).xyz;
+        light += textureLoad(emission, pixel, 0).xyz;
     }
     return vec4<f32>(encode(light), 1.0);
 }
