@@ -159,7 +159,7 @@ def find_definition(code: CodeType) -> str:
 
 KERNELS = {
     "cross filter": list_definitions((PassKey, GgxFeature, SgMixtureFeature), cross_filter.make_scheduled_pass),
-    "fireflies": list_definitions(("fireflies", True), fireflies._make_fireflies),
+    "fireflies": list_definitions(("fireflies", True), fireflies.make_fireflies),
     "reprojection": list_definitions(("reprojection", GgxFeature), reprojection.make_scheduled_reprojection),
     "lobes": list_definitions((lobe_fields.define_lobes,), pointwise.make_pointwise),
 }

@@ -57,7 +57,7 @@ def composite_light(
     """
     named = {f"light{k}": image for k, image in enumerate(images)}
     others = {"lit": lit, "radiance": radiance, "albedo": albedo, "coverage": coverage}
-    (composite,) = run_pointwise(_define_composite, {**named, **others}, {})
+    (composite,) = run_pointwise(define_composite, {**named, **others}, {})
     return np.asarray(composite)
 
 
@@ -137,7 +137,7 @@ def average_emission(emission: FloatArray, mean: FloatArray, spp: float | None) 
     return np.where(good, emission + share * (np.where(good, mean, np.float32(0.0)) - emission), emission)
 
 
-def _define_composite(grid: Grid) -> list[Vector]:
+def define_composite(grid: Grid) -> list[Vector]:
     width, height = grid.size
     zero, half = hl.f32(0.0), hl.f32(0.5)
 

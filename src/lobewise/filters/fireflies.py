@@ -101,7 +101,7 @@ def bound_fireflies(
         If an image is not real numbers of the mask's size.
     """
     images, tinted = take_halves(halves, albedo, mask), albedo is not None
-    kernel = get_kernel(device, ("fireflies", tinted), partial(_make_fireflies, tinted))
+    kernel = get_kernel(device, ("fireflies", tinted), partial(make_fireflies, tinted))
     a, b, *sums = run_kernel(kernel, device, images).values()
     tally = np.stack([download(rows).sum(axis=1, dtype=np.float64) for rows in sums], axis=1)
     return BoundedHalves(a, b, tally)
@@ -156,7 +156,7 @@ class Light(NamedTuple):
     """Of the radiance itself; 0 where the half is bad."""
 
 
-def _make_fireflies(tinted: bool, target: hl.Target) -> Scheduled:
+def make_fireflies(tinted: bool, target: hl.Target) -> Scheduled:
     """Return the kernel. It writes the bounded halves, and for each row partial sums of `BoundedHalves.tally`."""
     signature, lanes = Signature("fireflies"), target.natural_vector_size(hl.Float(32))
     size = "height", "width"

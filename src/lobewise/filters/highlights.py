@@ -120,11 +120,11 @@ def split_highlights(
     """
     images, tinted = take_halves(halves, albedo, mask), albedo is not None
     kinds = Kinds(shared, single, paired)
-    kernel = get_kernel(device, ("highlights", tinted, kinds), partial(_make_highlights, tinted, kinds))
+    kernel = get_kernel(device, ("highlights", tinted, kinds), partial(make_highlights, tinted, kinds))
     return SplitHalves(*run_kernel(kernel, device, images).values())
 
 
-def _make_highlights(tinted: bool, kinds: Kinds, target: hl.Target) -> Scheduled:
+def make_highlights(tinted: bool, kinds: Kinds, target: hl.Target) -> Scheduled:
     """Return the kernel: it writes both halves without highlights, and the light of the highlights."""
     signature, size = Signature("highlights"), ("height", "width")
     halves, albedo, mask = declare_halves(signature, tinted)

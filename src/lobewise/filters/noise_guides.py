@@ -38,7 +38,7 @@ LOG_OFFSET_SHARE = 0.04
 """Offset added before taking the logarithm, as a share of the mean light of the whole image."""
 
 
-def _make_noise_guide(target: hl.Target) -> Scheduled:
+def make_scheduled_noise_guide(target: hl.Target) -> Scheduled:
     """Return the kernel of `make_noise_guide`."""
     signature = Signature("noise guide")
     halves = [signature.image(name, "height", "width", COLORS) for name in ("a", "b")]
@@ -65,7 +65,7 @@ def _make_noise_guide(target: hl.Target) -> Scheduled:
     return Scheduled([out], signature)
 
 
-def _make_light_sums(tinted: bool, target: hl.Target) -> Scheduled:
+def make_light_sums(tinted: bool, target: hl.Target) -> Scheduled:
     """Return the kernel of `measure_light`. It sums each row in a fixed number of parts, so the order never changes."""
     signature, lanes = Signature("light sums"), target.natural_vector_size(hl.Float(32))
     lane, y = hl.Var("lane"), Y
@@ -120,7 +120,7 @@ def measure_light(
         images["albedo"] = take_image("albedo", albedo, (height, width, COLORS))
     images["mask"] = take_mask(mask)
     tinted = albedo is not None
-    kernel = get_kernel(device, ("light sums", tinted), partial(_make_light_sums, tinted))
+    kernel = get_kernel(device, ("light sums", tinted), partial(make_light_sums, tinted))
     sums = download(run_kernel(kernel, device, images)["sums"])
     return np.stack([sums.sum(axis=1, dtype=np.float64), np.count_nonzero(mask, axis=1)], axis=1)
 
@@ -151,7 +151,7 @@ def make_noise_guide(a: Image, b: Image, level: float, device: str = "cpu", *, f
     """
     shape = (*a.shape[:2], COLORS)
     images = {name: take_image("half", image, shape) for name, image in (("a", a), ("b", b))}
-    kernel = get_kernel(device, ("noise guide",), _make_noise_guide)
+    kernel = get_kernel(device, ("noise guide",), make_scheduled_noise_guide)
     return run_kernel(kernel, device, images, offset=find_log_offset(level), floor=floor)["guide"]
 
 

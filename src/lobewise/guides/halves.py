@@ -65,7 +65,7 @@ def _list_parts(frame: Frame) -> dict[str, tuple[FloatArray, Any, Any]]:
 
 def mark_bad(image: FloatArray) -> FloatArray:
     """Return an image (height, width, 3) with all channels of a pixel NaN if one is NaN, infinite or negative."""
-    (marked,) = run_pointwise(_define_marked, {"image": image}, {})
+    (marked,) = run_pointwise(define_marked, {"image": image}, {})
     return marked
 
 
@@ -78,7 +78,7 @@ def split_checkerboard(image: FloatArray) -> tuple[FloatArray, FloatArray]:
     return even, odd
 
 
-def _define_marked(grid: Grid) -> list[Vector]:
+def define_marked(grid: Grid) -> list[Vector]:
     colour = grid.read("image")
     good = is_good(colour)
     return [[select_or_nan(good, value) for value in colour]]

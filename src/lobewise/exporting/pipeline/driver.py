@@ -7,8 +7,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
+from string import Template
+
+import numpy as np
+from numpy.typing import NDArray
 
 import lobewise
+from lobewise.denoising.light_loss import (
+    MAX_FALL,
+    MAX_GAIN,
+    MAX_GAIN_PER_FIREFLY,
+    MAX_SHARED_AS_NOISE,
+    MAX_TAKERS_GAIN,
+)
 from lobewise.exporting.folder import fill_template, read_template
 from lobewise.exporting.pipeline.program.graph import Graph, Image, Operation
 from lobewise.exporting.pipeline.program.kernels import CompiledKernel
@@ -150,7 +161,10 @@ def write_driver(pipeline: Pipeline) -> str:
         images="\n".join(f"    IMAGE_{image.name}," for image in pipeline.images),
         infos="\n".join(_describe_image(pipeline, image) for image in pipeline.images),
         numbers="\n".join(f"        double {key};" for key in pipeline.constants.derived),
-        flags="\n".join(f"    int {flag};" for flag in graph.flags),
+        flags="\n".join(
+            [*(f"    int {flag};" for flag in graph.flags), *(f"    double {real};" for real in graph.reals)]
+        ),
+        held="\n".join(_write_held(*each) for each in graph.held.items()),
         prototypes="\n".join(map(_declare_kernel, pipeline.kernels)),
         routines=_list_routines(graph, name),
         flats="\n".join(
@@ -183,8 +197,17 @@ def _list_places(pipeline: Pipeline) -> str:
     lines = [f"    PLACE_{number}," for number in range(pipeline.memory.count)]
     lines += [f"    KEPT_{each}," for each in kept]
     lines += [f"    FLAT_{each}," for each in pipeline.graph.flats]
-    lines += [f"    GIVEN_{given[0]}, FIRST_GIVEN = GIVEN_{given[0]},", *(f"    GIVEN_{each}," for each in given[1:])]
+    outside = [f"HELD_{each}" for each in pipeline.graph.held] + [f"GIVEN_{each}" for each in given]
+    lines += [f"    {outside[0]}, FIRST_OUTSIDE = {outside[0]},", *(f"    {each}," for each in outside[1:])]
     return "\n".join(lines)
+
+
+def _write_held(name: str, values: NDArray[np.float32]) -> str:
+    """Return an array of C; nine digits tell a float32 from all others."""
+    numbers = [f"{float(value):.9g}" for value in values.ravel()]
+    words = [f"{word}f" if "." in word or "e" in word else f"{word}.0f" for word in numbers]
+    lines = [", ".join(words[start : start + 12]) for start in range(0, len(words), 12)]
+    return f"static const float HELD_VALUES_{name}[] = {{\n    " + ",\n    ".join(lines) + "\n};"
 
 
 def _describe_image(pipeline: Pipeline, image: Image) -> str:
@@ -208,6 +231,16 @@ def _declare_kernel(kernel: CompiledKernel) -> str:
     return f"int {kernel.symbol}({', '.join(words)});"
 
 
+ROUTINE_NUMBERS = {
+    "max_shared_as_noise": MAX_SHARED_AS_NOISE,
+    "max_gain_per_firefly": MAX_GAIN_PER_FIREFLY,
+    "max_fall": MAX_FALL,
+    "max_takers_gain": MAX_TAKERS_GAIN,
+    "max_gain": MAX_GAIN,
+}
+"""Numbers of the recipe in the C functions of the driver."""
+
+
 def _list_routines(graph: Graph, name: str) -> str:
     """Return the C functions that steps call, and those that these call."""
     parts = _MARK.split(read_template("pipeline/routines.c"))
@@ -217,7 +250,8 @@ def _list_routines(graph: Graph, name: str) -> str:
     assert not unknown, f"no C functions {unknown}"
     while more := {other for each in wanted for other in texts if f"{other}(" in texts[each]} - wanted:
         wanted |= more
-    return "\n".join(text.rstrip() + "\n" for key, text in texts.items() if key in wanted).replace("${name}", name)
+    text = "\n".join(text.rstrip() + "\n" for key, text in texts.items() if key in wanted)
+    return Template(text).substitute(name=name, **ROUTINE_NUMBERS)
 
 
 def _write_stage(name: str, number: int, stage: tuple[str, list[Operation]]) -> str:
@@ -282,6 +316,13 @@ def _write_given(pipeline: Pipeline) -> str:
         # Kernels do not write to it; Halide's buffers have no other kind of pointer.
         lines.append(f"    memcpy(&p->memory[GIVEN_{each}], &frame->{each}, sizeof(void *));")
     lines += [f"    p->memory[GIVEN_{each}] = frame->{each};" for each in pipeline.graph.results]
+    for each in pipeline.graph.held:
+        lines += [
+            "    {",
+            f"        const float *values = HELD_VALUES_{each};",
+            f"        memcpy(&p->memory[HELD_{each}], &values, sizeof(void *));",
+            "    }",
+        ]
     return "\n".join(lines)
 
 

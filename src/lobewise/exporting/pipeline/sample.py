@@ -57,7 +57,9 @@ class SampleFrame:
 
 def make_sample(settings: PipelineSettings, graph: Graph) -> list[SampleFrame]:
     """Return the frames of the example, filtered by the recipe whose plan is exported."""
-    frames = [make_sparse(settings, prepare_frame(settings, make_frame(number)), number) for number in range(FRAMES)]
+    halves = get_quality(settings.plan).reads_halves
+    made = [make_frame(number, halves=halves) for number in range(FRAMES)]
+    frames = [make_sparse(settings, prepare_frame(settings, frame), number) for number, frame in enumerate(made)]
     results = run_recipe(settings, frames)
     return [
         SampleFrame(frame.require_camera("a pipeline"), get_place(frame), collect_images(graph, frame), expected)
@@ -71,7 +73,11 @@ def prepare_frame(settings: PipelineSettings, frame: Frame) -> Frame:
     changes: dict[str, Any] = {} if settings.history and settings.motion else {"motion": None}
     changes |= {} if settings.upsample > 1 else {"mean_emission": None}
     changes |= {} if settings.hit_distance else {"hit_distance": None}
-    radiance = frame.radiance if settings.layers == "apart" else Radiance(frame.radiance.color)
+    radiance = choose_light(settings, frame.radiance)
+    if frame.half_a is not None and frame.half_b is not None:
+        both = choose_light(settings, frame.half_a), choose_light(settings, frame.half_b)
+        frame = replace(frame, half_a=both[0], half_b=both[1])
+        radiance = average_light(*both)
     if settings.position:
         place, _ = find_places(guides, frame.require_camera("positions"))
         changes["position"] = place
@@ -81,6 +87,23 @@ def prepare_frame(settings: PipelineSettings, frame: Frame) -> Frame:
     if settings.lobe_kind:
         changes["lobe_kind"] = find_kinds(guides)
     return replace(frame, radiance=radiance, gbuffer=replace(guides, **changes))
+
+
+def choose_light(settings: PipelineSettings, radiance: Radiance) -> Radiance:
+    """Return diffuse and specular light apart, or all light in one image."""
+    return radiance if settings.layers == "apart" else Radiance(radiance.color)
+
+
+def average_light(a: Radiance, b: Radiance) -> Radiance:
+    """Return the mean of both halves of the samples, as the pipeline computes it."""
+
+    def average(name: str) -> FloatArray | None:
+        first, second = getattr(a, name), getattr(b, name)
+        return None if first is None else np.float32(0.5) * first + np.float32(0.5) * second
+
+    color = average("color")
+    assert color is not None
+    return Radiance(color, diffuse=average("diffuse"), specular=average("specular"))
 
 
 def find_kinds(guides: GBuffer) -> FloatArray:
@@ -136,6 +159,9 @@ def collect_images(graph: Graph, frame: AnyFrame) -> dict[str, FloatArray]:
     """Return the images that a pipeline is given, by name."""
     guides, radiance = frame.gbuffer, frame.radiance
     named = {"color": radiance.color, "diffuse": radiance.diffuse, "specular": radiance.specular}
+    for half in ("half_a", "half_b"):
+        light = getattr(frame, half, None)
+        named |= {f"{half}_{part}": getattr(light, part, None) for part in ("color", "diffuse", "specular")}
     named |= {"emission": guides.mean_emission}
     named |= {} if guides.alpha_v is not None else {"alpha": guides.alpha_u}
     found = {}

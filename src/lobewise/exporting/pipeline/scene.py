@@ -161,10 +161,11 @@ def _add_noise(light: NDArray[np.float64], noise: np.random.Generator, halves: b
 
 def _join(diffuse: NDArray[np.float64], specular: NDArray[np.float64], emission: NDArray[np.float64]) -> Radiance:
     parts = [each.astype(np.float32) for each in (diffuse, specular, emission)]
-    # Some pixels have no value, as renderers write them.
+    # Some pixels have no value, as renderers write them: on a ball, where its light fills them, and in the sky.
     color = parts[0] + parts[1] + parts[2]
     for image in (color, parts[0], parts[1]):
         image[20, 30:33] = np.nan
+        image[4:7, 50:54] = np.nan
     return Radiance(color, diffuse=parts[0], specular=parts[1])
 
 

@@ -10,10 +10,10 @@ from lobewise.settings import LARGEST_RADIUS, Declared, Form, Knob, ResolvedSett
 from lobewise.settings import Similarity as SimilarityName
 from lobewise.settings.choices import MAX_SCALE_PIXELS, Similarity, get_quality, get_similarity
 
-PLANS = ("fast",)
+PLANS = ("fast", "balanced")
 CONTENTS = (
-    "the plan fast, a history, upsampling, and the similarities normal, sg, asg and ggx; not Open Image Denoise, no "
-    "network, and nothing that is chosen for each frame"
+    "the plan fast, alone, with a history, with upsampling or both; the plan balanced; the similarities normal, sg, "
+    "asg and ggx; not Open Image Denoise, not the network of high, and nothing that is chosen for each frame"
 )
 """What a pipeline can contain, for messages."""
 
@@ -22,7 +22,9 @@ CONTENTS = (
 class PipelineSettings(Declared):
     """The settings of a pipeline that are fixed when it is compiled."""
 
-    plan: Annotated[str, Knob("Export a whole plan, by its quality, as a pipeline in C and C++: fast.")] = "fast"
+    plan: Annotated[str, Knob("Export a whole plan, by its quality, as a pipeline in C and C++: fast or balanced.")] = (
+        "fast"
+    )
     similarity: Annotated[SimilarityName, Knob("What two pixels must share to be averaged.")] = "ggx"
     form: Annotated[Form, Knob("Which neighbours count.")] = "full"
     radius: Annotated[

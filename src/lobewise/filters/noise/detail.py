@@ -121,16 +121,16 @@ def find_detail(
         for start in range(top, bottom, FEATURE_ROWS):
             rows = slice(start, min(start + FEATURE_ROWS, bottom))
             inside = slice(rows.start - first, rows.stop - first)
-            (found,) = run_pointwise(_define_features, {name: each[inside] for name, each in pooled.items()}, numbers)
+            (found,) = run_pointwise(define_features, {name: each[inside] for name, each in pooled.items()}, numbers)
             yield rows, np.asarray(found)
 
 
 def _pool(images: Mapping[str, FloatArray | None], floor: np.float32) -> dict[str, FloatArray]:
     """Return the images that features are computed from: squared difference, local light, averages at each width."""
     bounds = {"floor": floor}
-    apart, noise, light = run_pointwise(_define_difference, images, bounds)
+    apart, noise, light = run_pointwise(define_difference, images, bounds)
     held = {"apart": apart, "noise": noise, "light": light, "filtered": images["filtered"]}
-    (sums,) = run_pointwise(_define_products, held, bounds)
+    (sums,) = run_pointwise(define_products, held, bounds)
     pooled: dict[str, FloatArray] = {"own": np.ascontiguousarray(sums[..., 0]), "light": light}
     for number in range(max(LEVELS) + 1):
         sums = blur_image(sums, 2**number)
@@ -139,7 +139,7 @@ def _pool(images: Mapping[str, FloatArray | None], floor: np.float32) -> dict[st
     return pooled
 
 
-def _define_difference(grid: Grid) -> list[Vector]:
+def define_difference(grid: Grid) -> list[Vector]:
     """Define the difference over local luminance, the squared noise over squared local luminance, local luminance."""
     filtered, noisy = grid.read("filtered"), grid.read("noisy")
     squares, known = estimate_noise(grid, "filtered")
@@ -157,7 +157,7 @@ def _define_difference(grid: Grid) -> list[Vector]:
     ]
 
 
-def _define_products(grid: Grid) -> list[Vector]:
+def define_products(grid: Grid) -> list[Vector]:
     """Define the channels to average: square, products with neighbours, their mean square, noise, excess, slope."""
     apart = grid.read("apart")
     square = add_channels([value * value for value in apart])
@@ -174,7 +174,7 @@ def _define_products(grid: Grid) -> list[Vector]:
     return [values]
 
 
-def _define_features(grid: Grid) -> list[Vector]:
+def define_features(grid: Grid) -> list[Vector]:
     values: list[hl.Expr] = []
     (factor,) = grid.get("factor")
     bound, one = hl.f32(MAX_STANDARD_ERRORS), hl.f32(1.0)

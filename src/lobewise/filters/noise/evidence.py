@@ -91,7 +91,7 @@ def find_noisy_share(
     """
     told, factor = gather_noise(halves, variance, shared=shared)
     images = {"filtered": filtered, "noisy": noisy, **told}
-    (sums,) = run_pointwise(_define_excess, images, {"floor": np.float32(min(max(floor, 1e-24), 1e30))}, by_darker)
+    (sums,) = run_pointwise(define_excess, images, {"floor": np.float32(min(max(floor, 1e-24), 1e30))}, by_darker)
     levels = []
     for number in range(BLUR_COUNT):
         sums = blur_image(sums, 2**number)
@@ -102,12 +102,12 @@ def find_noisy_share(
         held = {"sums": levels[number], "near": levels[0], "wide": wide, "share": share}
         error = MARGIN_STANDARD_ERRORS**2 * factor / count_weights(number)
         numbers = {"error": np.float32(error), "most": np.float32(concentration)}
-        (share,) = run_pointwise(_define_share, held, numbers)
-    (share,) = run_pointwise(_define_kept, {"share": share, "noisy": noisy}, {})
+        (share,) = run_pointwise(define_share, held, numbers)
+    (share,) = run_pointwise(define_kept, {"share": share, "noisy": noisy}, {})
     return np.asarray(share)
 
 
-def _define_excess(grid: Grid, by_darker: bool) -> list[Vector]:
+def define_excess(grid: Grid, by_darker: bool) -> list[Vector]:
     """Define excess, squared excess and variance, each summed over channels and over the squared local luminance."""
     luminance = average_light(grid, "filtered")
     if by_darker:
@@ -124,7 +124,7 @@ def _define_excess(grid: Grid, by_darker: bool) -> list[Vector]:
     return [[hl.select(good, value, hl.f32(0.0)) for value in (excess, excess * excess, square)]]
 
 
-def _define_share(grid: Grid) -> list[Vector]:
+def define_share(grid: Grid) -> list[Vector]:
     """Define the larger of the share so far and this blur's share: certain error over certain error plus variance."""
     excess, square, variance = grid.read("sums")
     excess_near, _, variance_near = grid.read("near")
@@ -138,6 +138,6 @@ def _define_share(grid: Grid) -> list[Vector]:
     return [[hl.max(grid.read_one("share"), certain / hl.max(certain + noise, hl.f32(_MIN_SQUARE)))]]
 
 
-def _define_kept(grid: Grid) -> list[Vector]:
+def define_kept(grid: Grid) -> list[Vector]:
     """Define the share, 0 where the noisy image is bad."""
     return [[hl.select(is_good(grid.read("noisy")), grid.read_one("share"), hl.f32(0.0))]]

@@ -138,11 +138,11 @@ def _mirror(place: hl.Expr, size: hl.Expr) -> hl.Expr:
 def blur_image(image: FloatArray, step: int) -> FloatArray:
     """Return an image blurred along rows and columns with five taps ``step`` pixels apart."""
     for along_rows in (True, False):
-        (image,) = run_pointwise(_define_blur, {"image": image}, {"step": np.float32(step)}, along_rows)
+        (image,) = run_pointwise(define_blur, {"image": image}, {"step": np.float32(step)}, along_rows)
     return np.asarray(image)
 
 
-def _define_blur(grid: Grid, along_rows: bool) -> list[Vector]:
+def define_blur(grid: Grid, along_rows: bool) -> list[Vector]:
     width, height = grid.size
     (step,) = grid.get("step")
     totals: list[hl.Expr] = []

@@ -34,12 +34,12 @@ def find_shares(seen: FloatArray, network: Network, count: int) -> FloatArray:
     network.require_fit(seen.shape[-1], count)
     sizes = seen.shape[-1], *(len(bias) for bias in network.biases)
     arrays = {name: np.ascontiguousarray(each, np.float32) for name, each in network.name_arrays().items()}
-    kernel = get_kernel("cpu", ("shares", sizes), partial(_make_shares, sizes))
+    kernel = get_kernel("cpu", ("shares", sizes), partial(make_shares, sizes))
     found = run_kernel(kernel, "cpu", {"seen": np.ascontiguousarray(seen, np.float32), **arrays})
     return np.asarray(found["shares"])
 
 
-def _make_shares(sizes: tuple[int, ...], target: hl.Target) -> Scheduled:
+def make_shares(sizes: tuple[int, ...], target: hl.Target) -> Scheduled:
     """Return the kernel, scheduled by rows and vectors."""
     signature = Signature("shares")
     seen = signature.image("seen", "height", "width", sizes[0])

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lobewise.backend.signature import Axis, Parameter
 from lobewise.exporting.pipeline.program.numbers import write_number
@@ -35,9 +36,9 @@ class Image:
         Axes in NumPy's order: a name of `SIZES`, or a length.
     type : str
         Name of the NumPy type.
-    source : {"given", "made", "kept", "flat"}
+    source : {"given", "made", "kept", "flat", "held"}
         "given": memory of the caller; "made": memory that the pipeline shares out; "kept": state, which the next frame
-        reads; "flat": one value at all pixels.
+        reads; "flat": one value at all pixels; "held": values that are compiled in.
     text, unit : str
         Meaning, for images that the caller gives.
     whole : Image, optional
@@ -149,6 +150,10 @@ class Graph:
     when: str = ""
     flags: list[str] = field(default_factory=list)
     """Names of whole numbers that C functions write and conditions read."""
+    reals: list[str] = field(default_factory=list)
+    """Names of numbers that C functions write."""
+    held: dict[str, NDArray[np.float32]] = field(default_factory=dict)
+    """Arrays that are compiled in, by the names of their images."""
     _names: set[str] = field(default_factory=set)
 
     def name(self, wanted: str) -> str:
@@ -210,6 +215,18 @@ class Graph:
         flag = self.name(name)
         self.flags.append(flag)
         return f"p->{flag}"
+
+    def add_real(self, name: str) -> str:
+        """Return the C expression of a new number."""
+        real = self.name(name)
+        self.reals.append(real)
+        return f"p->{real}"
+
+    def hold(self, name: str, values: NDArray[np.floating[Any]]) -> Image:
+        """Return an image whose values are compiled in."""
+        image = Image(self.name(name), values.shape, source="held")
+        self.held[image.name] = np.ascontiguousarray(values, np.float32)
+        return image
 
     def call(self, function: str, arguments: Mapping[str, Any], parameters: Sequence[Parameter], text: str) -> None:
         """Add a call of a kernel, after comparing the arguments with its parameters."""

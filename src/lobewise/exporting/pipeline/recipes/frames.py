@@ -9,12 +9,29 @@ from typing import Any
 
 from lobewise.denoising.bad_pixels import SIGMAS
 from lobewise.denoising.layers import MIN_HIT_DISTANCE
-from lobewise.denoising.planning.frame_plans import FILL_HOLES, FILTER_LAYERS, FramePlan, Stage
+from lobewise.denoising.planning.frame_plans import (
+    FILL_HOLES,
+    FILTER_LAYERS,
+    KEEP_LIGHT,
+    TAKE_BACK_NOISY,
+    FramePlan,
+    Stage,
+)
 from lobewise.denoising.planning.steps import HISTORY, AccumulateStep, FilterStep, Step, UpsampleStep
 from lobewise.errors import InputError
 from lobewise.exporting.pipeline.program.graph import Image
 from lobewise.exporting.pipeline.program.numbers import Number
-from lobewise.exporting.pipeline.recipes import glue
+from lobewise.exporting.pipeline.recipes import evidence, glue
+from lobewise.exporting.pipeline.recipes.evidence import FoundFrame
+from lobewise.exporting.pipeline.recipes.guided import (
+    GUIDED_STEPS,
+    SIMPLE,
+    HalfLayer,
+    HalfOutput,
+    join_halves,
+    prepare_halves,
+    run_layer,
+)
 from lobewise.exporting.pipeline.recipes.guides import SIZE, PipelineGuides, PlannedLayer
 from lobewise.exporting.pipeline.recipes.history import add_inverse_hits, make_history
 from lobewise.exporting.pipeline.recipes.samples import (
@@ -62,6 +79,9 @@ class PlannedFrame:
     bad: Image | None = None
     total: Image | None = None
     holes: Image | None = None
+    halves: list[HalfLayer] = field(default_factory=list)
+    noisy: list[Image] = field(default_factory=list)
+    supports: list[Image] = field(default_factory=list)
 
     def run(self) -> None:
         """Add every stage of the plan; refuse stages that a pipeline cannot contain."""
@@ -131,7 +151,12 @@ def give_parts(frame: PlannedFrame) -> None:
 
 
 def filter_layers(frame: PlannedFrame) -> None:
-    """Filter every layer by its plan of the quality fast, and join it with its history where there is one."""
+    """Filter every layer by its plan."""
+    (filter_halves if frame.guides.constants.guided else filter_plain)(frame)
+
+
+def filter_plain(frame: PlannedFrame) -> None:
+    """Filter every layer by its guides alone, and join it with its history where there is one."""
     guides, constants = frame.guides, frame.guides.constants
     place = guides.make_place_features(constants.screen_sigma, constants.get("position_sigma"))
     specular, alike = make_specular_features(guides)
@@ -185,10 +210,61 @@ def make_specular_features(guides: PipelineGuides) -> tuple[tuple[Feature, Image
     return (feature, mask), alike
 
 
+def filter_halves(frame: PlannedFrame) -> None:
+    """Filter both halves of the samples of every layer by its plan."""
+    guides, constants = frame.guides, frame.guides.constants
+    settings = guides.settings
+    specular = guides.make_specular_feature(settings.similarity, constants.beta, constants.noise, spread=True)
+    pilot = specular[0]
+    if settings.record.has_covariance:
+        pilot, _ = guides.make_specular_feature(SIMPLE, constants.beta, constants.noise, spread=True)
+    layers = guides.make_layers([], specular, constants.diffuse_beta)
+    frame.bad, frame.rest = find_bad(guides, layers), find_rest(guides, layers)
+    for layer in layers:
+        with guides.graph.part(f"{layer.name}: samples"):
+            half = prepare_halves(guides, layer, layer.features[0] if layer.is_diffuse else pilot)
+            frame.noisy.append(join_halves(guides, half))
+        output: HalfOutput = run_layer(guides, half).run(frame.plan.layers[layer.name], GUIDED_STEPS)
+        assert output.image is not None
+        frame.halves.append(half)
+        frame.supports.append(output.support)
+        frame.parts.append(output.image)
+    frame.layers = frame.halves
+
+
+def take_back(frame: PlannedFrame) -> None:
+    """Take the noisy image back where it has less error than the filtered one."""
+    found = FoundFrame(frame.halves, frame.noisy, frame.parts, frame.rest)
+    with frame.guides.graph.part(TAKE_BACK_NOISY.name):
+        mixed = evidence.take_back(frame.guides, found, frame.guides.color)
+        frame.rest = mixed.pop() if frame.rest is not None else None
+        frame.parts = mixed
+        frame.total = evidence.compose(frame.guides, frame.parts, frame.rest)
+
+
+def keep_light(frame: PlannedFrame) -> None:
+    """Share the light that bounding took out over each layer."""
+    assert frame.total is not None
+    with frame.guides.graph.part(KEEP_LIGHT.name):
+        found = evidence.keep_light(frame.guides, frame.halves, frame.parts, frame.total)
+        frame.total, frame.parts = found
+
+
+def check_total(frame: PlannedFrame) -> None:
+    """Find the pixels without a value in a frame whose light is summed up already."""
+    images: dict[str, Image | None] = {f"support{k}": support for k, support in enumerate(frame.supports)}
+    images |= {"image": frame.total, "bad": frame.bad}
+    image = frame.guides.graph.take("image", *SIZE, 3, text="the denoised frame", unit="any")
+    frame.total, frame.holes = frame.guides.kernels.map_pixels(
+        glue.define_checked, images, {}, names=["", "holes"], into=[image], text="the result, and its holes"
+    )
+    give_parts(frame)
+
+
 def fill_holes(frame: PlannedFrame) -> None:
     """Fill the pixels without a value from their neighbours; see `lobewise.denoising.bad_pixels.refill`."""
     with frame.guides.graph.part("sum of the light"):
-        compose(frame)
+        (check_total if frame.supports else compose)(frame)
     assert frame.total is not None and frame.holes is not None
     with frame.guides.graph.part(FILL_HOLES.name):
         fill_image(frame.guides, frame.total, frame.holes)
@@ -230,5 +306,10 @@ def _count(guides: PipelineGuides, holes: Image) -> str:
     return left
 
 
-STAGES: Mapping[Stage, Callable[[PlannedFrame], None]] = {FILTER_LAYERS: filter_layers, FILL_HOLES: fill_holes}
+STAGES: Mapping[Stage, Callable[[PlannedFrame], None]] = {
+    FILTER_LAYERS: filter_layers,
+    TAKE_BACK_NOISY: take_back,
+    KEEP_LIGHT: keep_light,
+    FILL_HOLES: fill_holes,
+}
 """What adds each stage to a pipeline."""

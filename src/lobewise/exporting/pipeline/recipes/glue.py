@@ -158,3 +158,97 @@ def define_whole_albedo(grid: Grid, least: float) -> list[Vector]:
 
 def _is_nan(value: hl.Expr) -> hl.Expr:
     return ~is_finite(value) & ~(hl.abs(value) > hl.f32(LARGEST_FLOAT))
+
+
+def define_mean(grid: Grid) -> list[Vector]:
+    """Return the mean of the images ``a`` and ``b``."""
+    half = hl.f32(0.5)
+    return [[half * p + half * q for p, q in zip(grid.read("a"), grid.read("b"), strict=True)]]
+
+
+def define_joined_halves(grid: Grid) -> list[Vector]:
+    """Return the mean of both halves and the light of highlights; see `join_halves`."""
+    (mean,) = define_mean(grid)
+    return [[value + more for value, more in zip(mean, grid.read("kept"), strict=True)]]
+
+
+def define_lit(grid: Grid) -> list[Vector]:
+    """Return where a layer has light that anything supports."""
+    return [[hl.u8((grid.read_one("mask") != 0) & (grid.read("support")[0] > hl.f32(0.0)))]]
+
+
+def define_with_highlights(grid: Grid) -> list[Vector]:
+    """Return an image plus the light of highlights where there is light."""
+    lit = grid.read_one("lit") != 0
+    pairs = zip(grid.read("image"), grid.read("kept"), strict=True)
+    return [[_select_bits(lit, value + more, value) for value, more in pairs]]
+
+
+def define_composed(grid: Grid) -> list[Vector]:
+    """Return the sum of the parts ``part0`` and so on and of ``rest``; see `compose`."""
+    parts = _read_parts(grid, "part")
+    total = parts[0]
+    for part in (*parts[1:], *([grid.read("rest")] if grid.has("rest") else [])):
+        total = [value + more for value, more in zip(total, part, strict=True)]
+    return [total]
+
+
+def define_checked(grid: Grid) -> list[Vector]:
+    """Return an image, and its holes: not finite or negative, or bad and not supported by ``support0`` and so on."""
+    image = grid.read("image")
+    supports = [name for name in grid.images if name.startswith("support")]
+    untouched = reduce(and_, (grid.read(name)[0] <= hl.f32(0.0) for name in supports))
+    return [image, [hl.u8(~is_good(image) | ((grid.read_one("bad") != 0) & untouched))]]
+
+
+def define_channel(grid: Grid, number: int) -> list[Vector]:
+    """Return one channel of an image."""
+    return [[grid.read("image")[number]]]
+
+
+def define_share_taken(grid: Grid, most: float) -> list[Vector]:
+    """Return the share of the noisy image that is taken back; see `take_back_noisy`."""
+    zero, color = hl.f32(0.0), grid.read("color")
+    share = hl.select(is_good(color), grid.read("shares")[0], zero)
+    share = hl.max(share, grid.read_one("certain"))
+    dim = reduce(and_, (value < hl.f32(most) for value in color))
+    return [[hl.select(dim, share, zero)]]
+
+
+def define_mixed(grid: Grid) -> list[Vector]:
+    """Return a part mixed with its noisy light; where the mixture is not finite, the part."""
+    share = grid.read_one("share")
+    mixed = [
+        part + share * (_clamp_light(noisy) - part)
+        for part, noisy in zip(grid.read("part"), grid.read("noisy"), strict=True)
+    ]
+    taken = share > hl.f32(0.0)
+    pairs = zip(mixed, grid.read("part"), strict=True)
+    return [[_select_bits(is_finite(value) & taken, value, part) for value, part in pairs]]
+
+
+def define_takers(grid: Grid, most: float) -> list[Vector]:
+    """Return the share of each pixel's light that takes part in sharing; see `find_takers`."""
+    part = grid.read("part")
+    light = _add_doubles(part, is_good(part))
+    bound = hl.f64(3.0)
+    if grid.has("albedo"):
+        albedo = grid.read("albedo")
+        bound = _add_doubles(albedo, is_good(albedo))
+    bound = bound * (hl.f64(most) * grid.get("level")[0])
+    there = (grid.read_one("mask") != 0) & (light > hl.f64(0.0))
+    share = bound / hl.select(there, light, hl.f64(1.0))
+    return [[hl.select(there, hl.f32(hl.min(share, hl.f64(1.0))), hl.f32(0.0))]]
+
+
+def _add_doubles(values: Vector, good: hl.Expr) -> hl.Expr:
+    x, y, z = (hl.f64(hl.select(good, value, hl.f32(0.0))) for value in values)
+    return x + y + z
+
+
+def define_brightened(grid: Grid) -> list[Vector]:
+    """Return an image plus the gain of a part's light; see `brighten`."""
+    taker = grid.read_one("taker")
+    first, whole = (grid.get(name)[0] for name in ("takers", "all"))
+    factor = hl.select(taker > hl.f32(0.0), first * taker + whole, hl.f32(0.0))
+    return [[value + part * factor for value, part in zip(grid.read("image"), grid.read("part"), strict=True)]]

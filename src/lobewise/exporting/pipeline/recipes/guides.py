@@ -11,7 +11,7 @@ from lobewise.exporting.pipeline.program.graph import Graph, Image
 from lobewise.exporting.pipeline.program.kernels import Kernels, make_feature
 from lobewise.exporting.pipeline.program.numbers import Number
 from lobewise.exporting.pipeline.recipes.constants import Constants
-from lobewise.exporting.pipeline.recipes.glue import define_both, define_whole_albedo
+from lobewise.exporting.pipeline.recipes.glue import define_both, define_mean, define_whole_albedo
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.features import (
     AsgFeature,
@@ -38,6 +38,7 @@ from lobewise.settings.choices import get_similarity
 
 SIZE = "height", "width"
 SAMPLES = "rows", "columns"
+HALVES = "half_a", "half_b"
 
 
 @dataclass(frozen=True)
@@ -77,10 +78,25 @@ class PipelineGuides:
         size = SIZE if self.settings.upsample == 1 else SAMPLES
         return self.graph.give(name, *size, 3, text=f"{text}, linear radiance", unit="any")
 
+    def give_halves(self, name: str) -> list[Image]:
+        """Return the images of both halves of the samples of some light."""
+        text = "all light" if name == "color" else f"{name} light, albedo included,"
+        return [self.give_light(f"{half}_{name}", f"{text} of one half of the samples") for half in HALVES]
+
+    def take_light(self, name: str, text: str) -> Image:
+        """Return some light of all samples: an image of the caller, or the mean of two."""
+        if not self.constants.guided:
+            return self.give_light(name, text)
+        if name not in self._made:
+            halves = dict(zip("ab", self.give_halves(name), strict=True))
+            text = f"{name} light of all samples"
+            (self._made[name],) = self.kernels.map_pixels(define_mean, halves, {}, names=[name], text=text)
+        return self._made[name]
+
     @property
     def color(self) -> Image:
         """All noisy light."""
-        return self.give_light("color", "all noisy light: diffuse, specular, emission and background")
+        return self.take_light("color", "all noisy light: diffuse, specular, emission and background")
 
     @property
     def normal(self) -> Image:
@@ -252,7 +268,7 @@ class PipelineGuides:
             )
             return [PlannedLayer("color", self.color, albedo, mask, (*place, feature))]
         light = {
-            name: self.give_light(name, f"noisy {name} light, albedo included") for name in ("diffuse", "specular")
+            name: self.take_light(name, f"noisy {name} light, albedo included") for name in ("diffuse", "specular")
         }
         scattered = (*place, self.make_diffuse_feature(diffuse))
         return [

@@ -1,6 +1,7 @@
 /* ${title}: the steps of the plan, in order. Made by lobewise ${version} from the plan; do not edit. C99. */
 #include "${name}.h"
 
+#include <float.h>
 #include <math.h>
 #include <stdint.h>
 #include <stdio.h>
@@ -38,6 +39,8 @@ struct image_info {
 static const struct image_info INFO[IMAGES] = {
 ${infos}
 };
+
+${held}
 
 /* What a camera gives. Directions are of unit length; rays have length 1 along the camera's axis. */
 struct view {
@@ -213,7 +216,7 @@ static int allocate(${name}_pipeline *p)
         place = INFO[image].place;
         needed[place] = bytes > needed[place] ? bytes : needed[place];
     }
-    for (place = 0; place < FIRST_GIVEN; place++) {
+    for (place = 0; place < FIRST_OUTSIDE; place++) {
         const size_t bytes = needed[place] + ALIGNMENT + MARGIN;
         char *memory = calloc(1, bytes);
         if (!memory) {

@@ -1,3 +1,13 @@
+/* routine: is_good_pixel */
+static int is_good_pixel(const float *pixel)
+{
+    int channel, good = 1;
+    for (channel = 0; channel < 3; channel++) {
+        good = good && pixel[channel] >= 0.0f && pixel[channel] <= 3.40282347e38f;
+    }
+    return good;
+}
+
 /* routine: count_holes */
 static void count_holes(${name}_pipeline *p, const halide_buffer_t *holes, int *count)
 {
@@ -24,10 +34,7 @@ static void find_mean_color(${name}_pipeline *p, const halide_buffer_t *color)
     size_t k;
     int channel;
     for (k = 0; k < pixels; k++, pixel += 3) {
-        int good = 1;
-        for (channel = 0; channel < 3; channel++) {
-            good = good && pixel[channel] >= 0.0f && pixel[channel] <= 3.40282347e38f;
-        }
+        const int good = is_good_pixel(pixel);
         for (channel = 0; good && channel < 3; channel++) {
             sums[channel] += pixel[channel];
         }
@@ -124,4 +131,61 @@ static void pick_samples(
             }
         }
     }
+}
+
+/* routine: find_level */
+static void find_level(${name}_pipeline *p, const halide_buffer_t *sums, const halide_buffer_t *mask, double *level)
+{
+    /* The light of rows in parts, over the number of pixels of the layer. */
+    const size_t parts = (size_t)sums->dim[0].extent * (size_t)p->height;
+    const size_t pixels = (size_t)p->width * (size_t)p->height;
+    const float *part = (const float *)sums->host;
+    double light = 0.0, count = 0.0;
+    size_t k;
+    for (k = 0; k < parts; k++) {
+        light += part[k];
+    }
+    for (k = 0; k < pixels; k++) {
+        count += mask->host[k] != 0;
+    }
+    *level = light / (count > 1.0 ? count : 1.0);
+}
+
+/* routine: find_gain */
+static void find_gain(
+    ${name}_pipeline *p, const halide_buffer_t *noisy, const halide_buffer_t *filtered, const halide_buffer_t *taker,
+    double *takers, double *all)
+{
+    /* How much of a layer's light is shared out, over the light that takes part and over all of it. The light that is
+       missing is as sure as the equal fireflies are many that would explain it. */
+    const size_t pixels = (size_t)p->width * (size_t)p->height;
+    const float *before = (const float *)noisy->host, *after = (const float *)filtered->host;
+    const float *share = (const float *)taker->host;
+    double missing = 0.0, squared = 0.0, taking = 0.0, whole = 0.0, fireflies, known, shared, most, second;
+    size_t k;
+    *takers = *all = 0.0;
+    for (k = 0; k < pixels; k++, before += 3, after += 3) {
+        if (is_good_pixel(before) && is_good_pixel(after)) {
+            const double light = (double)after[0] + after[1] + after[2];
+            const double lost = (double)before[0] + before[1] + before[2] - light;
+            missing += lost;
+            squared += lost * lost;
+            taking += light * share[k];
+            whole += share[k] > 0.0f ? light : 0.0;
+        }
+    }
+    if (!(taking > 0.0 && squared > 0.0 && squared <= DBL_MAX) || missing == 0.0) {
+        return;
+    }
+    fireflies = fmax(missing * missing / squared, 1.0);
+    known = (1.0 - 1.0 / (fireflies * fireflies)) * fabs(missing);
+    shared = fmax(known, fmin(fabs(missing), ${max_shared_as_noise} * whole));
+    most = ${max_gain_per_firefly} * fireflies;
+    if (missing < 0.0) {
+        *all = -fmin(fmin(shared / whole, most), ${max_fall});
+        return;
+    }
+    *takers = fmin(fmin(shared / taking, most), ${max_takers_gain});
+    second = (shared - *takers * taking) / whole;
+    *all = fmin(fmin(second, most), ${max_gain});
 }

@@ -1,0 +1,194 @@
+"""What the samples tell about a filtered frame, as steps of a pipeline: lost detail, and lost light.
+
+See `lobewise.denoising.evidence` and `lobewise.denoising.light_loss`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from lobewise.denoising.evidence import MAX_CONCENTRATION, MAX_RADIANCE
+from lobewise.denoising.light_loss import MAX_TAKER
+from lobewise.denoising.networks import load_networks
+from lobewise.exporting.pipeline.program.graph import Image
+from lobewise.exporting.pipeline.program.numbers import Number, choose_larger, choose_smaller, round_single
+from lobewise.exporting.pipeline.recipes import glue
+from lobewise.exporting.pipeline.recipes.guided import HalfLayer
+from lobewise.exporting.pipeline.recipes.guides import SIZE, PipelineGuides
+from lobewise.filters.noise.detail import LEVELS, define_difference, define_features, define_products
+from lobewise.filters.noise.evidence import (
+    BLUR_COUNT,
+    FIRST_BLUR,
+    MARGIN_STANDARD_ERRORS,
+    define_excess,
+    define_kept,
+    define_share,
+)
+from lobewise.filters.noise.pooling import DARK_SHARE, count_weights, define_blur
+from lobewise.filters.noise.shares import make_shares
+
+
+@dataclass(frozen=True)
+class FoundFrame:
+    """The filtered layers of a frame: noisy light, filtered light, and the light that is in none of them."""
+
+    layers: Sequence[HalfLayer]
+    noisy: Sequence[Image]
+    parts: Sequence[Image]
+    rest: Image | None
+
+
+def compose(guides: PipelineGuides, parts: Sequence[Image], rest: Image | None) -> Image:
+    """Return the sum of all light."""
+    images: dict[str, Image | None] = {f"part{k}": part for k, part in enumerate(parts)}
+    if len(parts) == 1 and rest is None:
+        return parts[0]
+    (total,) = guides.kernels.map_pixels(
+        glue.define_composed, {**images, "rest": rest}, {}, names=["total"], text="the sum of all light"
+    )
+    return total
+
+
+def _single(value: float) -> Number:
+    return Number(float(np.float32(value)), repr(float(np.float32(value))), is_single=True)
+
+
+def _blur(guides: PipelineGuides, image: Image, step: int) -> Image:
+    for along_rows in (True, False):
+        (image,) = guides.kernels.map_pixels(
+            define_blur,
+            {"image": image},
+            {"step": _single(step)},
+            along_rows,
+            names=["blurred"],
+            text=f"blur, taps {step} pixels apart",
+        )
+    return image
+
+
+def take_back(guides: PipelineGuides, found: FoundFrame, color: Image) -> list[Image]:
+    """Return the parts of a frame, and the rest where there is one, mixed with their noisy light."""
+    kernels, levels = guides.kernels, [layer.level for layer in found.layers if layer.level is not None]
+    level: Number = levels[0]
+    for other in levels[1:]:
+        level = choose_larger(level, other)
+    total = compose(guides, found.parts, found.rest)
+    images: dict[str, Image | None] = {"image": total}
+    (filtered,) = kernels.map_pixels(glue.define_good, images, {}, names=["good"], text="the filtered image, finite")
+    halves = dict(zip(("half_a", "half_b"), guides.give_halves("color"), strict=True))
+    told = {"filtered": filtered, "noisy": color, **halves}
+    shares = find_shares(guides, told, level)
+    certain = find_certain(guides, told, level)
+    images = {"color": color, "shares": shares, "certain": certain}
+    (share,) = kernels.map_pixels(
+        glue.define_share_taken, images, {}, MAX_RADIANCE, names=["share"], text="share of the noisy image"
+    )
+    pairs = [*zip(found.parts, found.noisy, strict=True)]
+    # The light that no surface scattered is not filtered: nothing of it is lost.
+    pairs += [(found.rest, found.rest)] if found.rest is not None else []
+    mixed: list[Image] = []
+    for part, noisy in pairs:
+        images = {"part": part, "noisy": noisy, "share": share}
+        mixed += kernels.map_pixels(glue.define_mixed, images, {}, names=["mixed"], text="take the noisy light back")
+    return mixed
+
+
+def find_shares(guides: PipelineGuides, told: dict[str, Image], level: Number) -> Image:
+    """Return the shares that the network predicts; see `find_share_taken_back`."""
+    kernels = guides.kernels
+    level = choose_smaller(choose_larger(level, 1e-12), 1e12)
+    dark = DARK_SHARE * level
+    floor = {"floor": round_single(choose_larger(dark * dark, 1e-24))}
+    names = ["apart", "noise", "light"]
+    apart, noise, light = kernels.map_pixels(
+        define_difference, told, floor, names=names, text="difference to the noisy image"
+    )
+    images = {"apart": apart, "noise": noise, "light": light, "filtered": told["filtered"]}
+    (sums,) = kernels.map_pixels(define_products, images, floor, names=["products"], text="products with neighbours")
+    (own,) = kernels.map_pixels(glue.define_channel, {"image": sums}, {}, 0, names=["own"], text="squared difference")
+    pooled = {"own": own, "light": light}
+    for number in range(max(LEVELS) + 1):
+        sums = _blur(guides, sums, 2**number)
+        if number in LEVELS:
+            pooled[f"sums{number}"] = sums
+    numbers = {
+        "counts": [_single(count_weights(number)) for number in LEVELS],
+        "factor": _single(1.0),
+        "level": round_single(level),
+        "flags": [_single(1.0), _single(0.0)],
+    }
+    (seen,) = kernels.map_pixels(define_features, pooled, numbers, names=["seen"], text="features of the difference")
+    network = load_networks()["noisy"]
+    count = seen.shape[-1]
+    assert isinstance(count, int)
+    network.require_fit(count, 2)
+    sizes = count, *(len(bias) for bias in network.biases)
+    arrays = {name: guides.graph.hold(f"network_{name}", array) for name, array in network.name_arrays().items()}
+    kernel = kernels.get(("shares", sizes), partial(make_shares, sizes))
+    return kernels.call(kernel, {"seen": seen, **arrays}, text="a small network says how much to take back")["shares"]
+
+
+def find_certain(guides: PipelineGuides, told: dict[str, Image], level: Number) -> Image:
+    """Return the share of the noisy image that the halves prove; see `find_noisy_share`."""
+    kernels = guides.kernels
+    dark = DARK_SHARE * level
+    floor = round_single(choose_smaller(choose_larger(dark * dark, 1e-24), 1e30))
+    text = "excess of the difference over the noise"
+    (sums,) = kernels.map_pixels(define_excess, told, {"floor": floor}, False, names=["excess"], text=text)
+    levels = []
+    for number in range(BLUR_COUNT):
+        sums = _blur(guides, sums, 2**number)
+        levels.append(sums)
+    images = {"image": levels[-1]}
+    (wide,) = kernels.map_pixels(glue.define_channel, images, {}, 1, names=["wide"], text="wide average")
+    share = guides.graph.make("no_share", *SIZE)
+    guides.graph.run("clear_image", [share], [], "no share is proved yet", writes=[share])
+    for number in range(FIRST_BLUR, BLUR_COUNT):
+        held = {"sums": levels[number], "near": levels[0], "wide": wide, "share": share}
+        error = MARGIN_STANDARD_ERRORS**2 / count_weights(number)
+        numbers = {"error": _single(error), "most": _single(MAX_CONCENTRATION)}
+        (share,) = kernels.map_pixels(define_share, held, numbers, names=["proved"], text="share that is proved")
+    images = {"share": share, "noisy": told["noisy"]}
+    (share,) = kernels.map_pixels(define_kept, images, {}, names=["certain"], text="share that is certain")
+    return share
+
+
+def keep_light(
+    guides: PipelineGuides, layers: Sequence[HalfLayer], parts: Sequence[Image], image: Image
+) -> tuple[Image, list[Image]]:
+    """Return a frame and its parts, with the light that bounding took shared out; see `keep_light`."""
+    kernels, graph, found = guides.kernels, guides.graph, []
+    for layer, part in zip(layers, parts, strict=True):
+        assert layer.level is not None
+        images = {"part": part, "albedo": layer.albedo, "mask": layer.mask}
+        (taker,) = kernels.map_pixels(
+            glue.define_takers,
+            images,
+            {"level": layer.level},
+            MAX_TAKER,
+            names=[f"{layer.name}_taker"],
+            text="light that takes part in sharing",
+        )
+        gains = [graph.add_real(f"{name}_gain_{layer.name}") for name in ("takers", "all")]
+        graph.run(
+            "find_gain", [layer.radiance, part, taker], [f"&{gain}" for gain in gains], f"gain of {layer.name} light"
+        )
+        found.append((taker, gains))
+    bright = []
+    for (taker, gains), layer, part in zip(found, layers, parts, strict=True):
+        names = zip(("takers", "all"), gains, strict=True)
+        numbers = {name: Number(0.0, f"(double)(float){gain}", is_single=True) for name, gain in names}
+        for name, source in (("total", image), (f"{layer.name}_part", part)):
+            images = {"image": source, "part": part, "taker": taker}
+            (result,) = kernels.map_pixels(
+                glue.define_brightened, images, numbers, names=[name], text=f"share {layer.name} light out"
+            )
+            if name == "total":
+                image = result
+            else:
+                bright.append(result)
+    return image, bright

@@ -1,0 +1,78 @@
+"""The exported plan "balanced": C++ agrees with Python, for its passes and for what the samples tell afterwards."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lobewise.denoising.automatic import resolve_all
+from lobewise.denoising.networks import load_networks
+from lobewise.denoising.planning.frame_plans import FILL_HOLES, FILTER_LAYERS, KEEP_LIGHT, TAKE_BACK_NOISY
+from lobewise.denoising.stages import start_run
+from lobewise.exporting.pipeline.driver import write_driver
+from lobewise.exporting.pipeline.planning import make_pipeline
+from lobewise.exporting.pipeline.recipes.constants import Constants
+from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, WIDTH, make_settings, prepare_frame
+from lobewise.exporting.pipeline.scene import make_frame
+from lobewise.exporting.pipeline.settings import PipelineSettings
+from tests.exporting.conftest import find_program
+from tests.exporting.pipelines import export, run_example
+
+SETTINGS: dict[str, Any] = {"radius": 2, "plan": "balanced"}
+
+
+@pytest.fixture(scope="session")
+def cpp() -> str:
+    """Return the system's C++ compiler."""
+    return find_program("g++", "g++")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("changes", [{}, {"layers": "color", "similarity": "normal"}], ids=["apart", "color"])
+def test_cpp_agrees_with_python(changes: dict[str, Any], compiler: str, cpp: str, tmp_path: Path) -> None:
+    folder = export(tmp_path / "out", **SETTINGS, **changes)
+    assert max(run_example(folder, cpp)) <= 1e-5
+    images = np.fromfile(folder / "output.raw", np.float32).reshape(FRAMES, HEIGHT, WIDTH, 3)
+    assert (images.std(axis=(1, 2, 3)) > 0.05).all()
+    names = {each["name"] for each in json.loads((folder / "lobewise-export.json").read_text())["inputs"]}
+    assert {"half_a_color", "half_b_color"} <= names
+    assert "color" not in names
+
+
+def test_every_stage_changes_the_example() -> None:
+    """The example is taken back, brightened and filled, so that agreement with Python tells about each stage."""
+    settings = PipelineSettings(**SETTINGS)
+    frame = prepare_frame(settings, make_frame(0, halves=True))
+    state = start_run(frame, resolve_all(frame, make_settings(settings)))
+    changed = {}
+    for stage in state.plan.stages:
+        before = None if state.found is None else np.nan_to_num(state.total)
+        state = state.run([stage])
+        changed[stage] = before is None or float(np.abs(np.nan_to_num(state.total) - before).max())
+    assert list(changed) == [FILTER_LAYERS, TAKE_BACK_NOISY, KEEP_LIGHT, FILL_HOLES]
+    assert min(changed.values()) > 1e-3
+
+
+def test_no_number_of_a_frame_is_compiled_in() -> None:
+    settings = PipelineSettings(plan="balanced")
+    other = Constants(1, settings.radius, True, size=(30, 500), spp=77.0)
+    texts = [write_driver(make_pipeline(settings)), write_driver(make_pipeline(settings, constants=other))]
+    assert texts[0] == texts[1]
+
+
+def test_network_is_compiled_in() -> None:
+    driver = write_driver(make_pipeline(PipelineSettings(plan="balanced")))
+    network = load_networks()["noisy"]
+    begin = driver.index("HELD_VALUES_network_centre[] = {")
+    words = driver[begin : driver.index("};", begin)].split("{")[1].replace("f", "").split(",")
+    np.testing.assert_array_equal(np.array(words, np.float64).astype(np.float32), network.mean)
+
+
+def test_stages_are_those_of_the_plan() -> None:
+    stages = [name for name, _ in make_pipeline(PipelineSettings(plan="balanced")).stages]
+    assert "diffuse: dual-buffer pass, 7x7 taps, exponent of lobes 4, 40 variances" in stages
+    assert stages[-4:] == ["take back", "keep light", "sum of the light", "fill holes"]
