@@ -123,6 +123,7 @@ def test_everything_public_is_tried(tmp_path: Path) -> None:
         "RadianceLayer": "checked as GBuffer is",
         "LobeTable": "tests/test_lobe_table.py",
         "Result": "made by lobewise",
+        "ProgressBar": "tests/display/test_progress.py",
         "Rays": "tests/denoising/test_rays.py",
         "DenoisedFile": "made by lobewise",
         "Feature": "a protocol",

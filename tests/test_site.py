@@ -81,6 +81,8 @@ def test_notebook_runs(path: Path, request: pytest.FixtureRequest) -> None:
     printed = "".join(output.get("text", "") for output in outputs)
     pictures = sum("text/html" in output.get("data", {}) for output in outputs)
     assert pictures >= PICTURES.get(path.stem, 1)
+    if path.stem == "mitsuba":
+        assert any("reference 100 %" in str(output.get("data", {}).get("text/html")) for output in outputs)
     if path.stem == "engine":
         differences = re.findall(r"largest relative difference (\S+)", printed)
         assert len(differences) == 5, printed

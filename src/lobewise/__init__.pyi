@@ -4,6 +4,7 @@ from .adaptive import find_unsupported as find_unsupported
 from .adaptive import recompute as recompute
 from .camera import Camera as Camera
 from .denoising import denoise as denoise
+from .display.progress import ProgressBar as ProgressBar
 from .errors import LobewiseError as LobewiseError
 from .features.base import Feature as Feature
 from .frame import Frame as Frame
