@@ -80,7 +80,8 @@ class ProgressBar:
         from rich.progress import Progress
 
         if self._terminal is None:
-            self._terminal = Progress(console=Console(stderr=True), transient=True)
+            # A redirected standard error says that it is no terminal.
+            self._terminal = Progress(console=Console(stderr=True), transient=True, redirect_stderr=False)
             self._terminal.add_task(text, total=1.0)
             self._terminal.start()
         self._terminal.update(self._terminal.task_ids[0], description=text, completed=share, refresh=True)
