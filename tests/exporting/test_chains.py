@@ -20,6 +20,7 @@ from lobewise.exporting.names import CHAINS, SHADER_LANGUAGES
 from lobewise.exporting.shaders.chains import make_chain
 from lobewise.exporting.shaders.constants import compute_constants
 from lobewise.exporting.shaders.language import Field, lay_out
+from lobewise.exporting.shaders.listing import count_bytes
 from lobewise.exporting.shaders.passes import write_pass
 from lobewise.exporting.shaders.writing import export_chain
 from lobewise.filters.cross_filter import run_filter
@@ -187,3 +188,23 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     )
     assert "12 passes" in capsys.readouterr().out
     assert (tmp_path / "out" / "05_diffuse_step_8.hlsl").is_file()
+
+
+def test_listing(capsys: pytest.CaptureFixture[str]) -> None:
+    """``--list`` prints what a chain contains, and writes nothing."""
+    assert run(["export", "--target", "glsl", "--chain", "history", "--list"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    chain = make_chain("history")
+    passes = [line for line in lines if re.match(r"\d+\. ", line)]
+    assert len(passes) == len(chain.passes)
+    assert passes[0].startswith("1. guides: surface, place, motion -> points, normals, axes, spreads")
+    assert any(line.startswith("  hits: width x height, distance") for line in lines)
+    # Nine images of 16 bytes are kept, and their earlier versions.
+    assert f" {2 * 9 * 16} from frame to frame" in next(line for line in lines if line.startswith("Memory"))
+    assert run(["export", "--target", "glsl", "--chain", "history", "--list", "--radius", "3"]) == 2
+
+
+def test_memory_is_shared_by_images_of_a_frame() -> None:
+    """The filter of a layer keeps the sums of two passes at once; guides and the sums of the other layer stay."""
+    within, kept = count_bytes(make_chain("filter"))
+    assert (within, kept) == ((4 + 1 + 2 + 2) * 16, 0)

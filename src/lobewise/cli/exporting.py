@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from lobewise.cli.exporting_shaders import export_page, export_shaders, print_chain
 from lobewise.cli.options.spreading import with_settings
 from lobewise.errors import InputError
 from lobewise.exporting.names import CHAINS, SHADER_LANGUAGES, TARGETS, WEB, ExportSettings
@@ -46,12 +47,15 @@ def export(
         bool, typer.Option("--force", help="Replace an earlier export and everything in its folder.")
     ] = False,
     list_contents: Annotated[
-        bool, typer.Option("--list", help="Print what the pipeline contains, and write nothing.")
+        bool, typer.Option("--list", help="Print what the pipeline or chain contains, and write nothing.")
     ] = False,
 ) -> None:
     """Compile a filter, or with --plan a whole plan, into a C library with README and example; or write shaders."""
     from lobewise.cli.output import print_line
 
+    if target in SHADER_LANGUAGES and chain is not None and list_contents:
+        print_chain(target, chain, settings, name)
+        return
     if list_contents and not any(each in settings for each in PIPELINE):
         settings["plan"] = "fast"
     if output is None and (target in (*SHADER_LANGUAGES, WEB) or not list_contents):
@@ -59,11 +63,11 @@ def export(
 
     if target in SHADER_LANGUAGES:
         assert output is not None
-        _export_shaders(output, target, chain, settings, name, force)
+        export_shaders(output, target, chain, settings, name, force)
         return
     if target == WEB:
         assert output is not None
-        _export_page(output, chain, settings, name, force)
+        export_page(output, chain, settings, name, force)
         return
     if chain is not None:
         raise InputError(
@@ -83,53 +87,6 @@ def export(
 
     command = export_library(output, FilterPlan(**settings), target=target, name=name or "lobewise", force=force)
     print_line(f"Wrote {output}; README.md describes the files. In that folder: {command}")
-
-
-def _export_page(output: Path, chain: str | None, settings: dict[str, Any], name: str | None, force: bool) -> None:
-    """Write the page for browsers. Refuse options that it does not have."""
-    from lobewise.cli.output import print_line
-    from lobewise.exporting.shaders.web import export_web
-
-    given = {"chain": chain, "name": name, **settings}
-    unused = [each for each, value in given.items() if value is not None]
-    if unused:
-        raise InputError(
-            f"--{unused[0]}",
-            expected="another target beside it",
-            got=f"the target {WEB}, whose page has its own settings",
-            action="leave one of them out",
-        )
-    export_web(output, force=force)
-    print_line(f"Wrote {output}: open {output / 'index.html'} in a browser with WebGPU.")
-
-
-def _export_shaders(
-    output: Path, language: str, chain: str | None, settings: dict[str, Any], name: str | None, force: bool
-) -> None:
-    """Write shader functions, or the passes of a chain. Refuse options that neither has."""
-    from lobewise.cli.output import print_line
-
-    known = {"form"} if chain is not None else set()
-    unused = [*(each for each in settings if each not in known), *(["name"] if name is not None else [])]
-    if unused:
-        has = "whose chains compare specular lobes by 'ggx' and take the radius as a constant"
-        raise InputError(
-            f"--{unused[0]}",
-            expected="a processor or device as target beside it",
-            got=f"the shader language {language}, {has if chain is not None else 'whose file has all weights'}",
-            action="leave one of them out",
-        )
-    if chain is None:
-        from lobewise.exporting.shaders.functions import export_shader
-
-        export_shader(output, language, force=force)
-        print_line(f"Wrote {output}: lobewise.{language}, README.md.")
-        return
-    from lobewise.exporting.shaders.writing import DESCRIPTION, export_chain
-
-    names = export_chain(output, language, chain, force=force, **settings)
-    count = sum(each.endswith(f".{language}") for each in names)
-    print_line(f"Wrote {output}: {count} passes, {DESCRIPTION}, README.md, which describes images and constants.")
 
 
 def _export_pipeline(output: Path | None, settings: dict[str, Any], *, target: str, name: str, force: bool) -> None:

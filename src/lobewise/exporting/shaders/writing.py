@@ -13,6 +13,7 @@ from lobewise.exporting.readme import DOCS
 from lobewise.exporting.shaders.chains import make_chain
 from lobewise.exporting.shaders.language import lay_out
 from lobewise.exporting.shaders.library import read_template
+from lobewise.exporting.shaders.listing import count_bytes
 from lobewise.exporting.shaders.passes import WORKGROUP, Chain, Image, Lifetime, Pass, write_pass
 from lobewise.io.files import PathLike
 
@@ -96,6 +97,7 @@ def write_readme(chain: Chain, language: str) -> str:
         groups = ", ".join(_list_groups(each))
         file = name_file(number, each, language)
         passes.append(f"| `{file}` | {each.comment.splitlines()[0]} | {groups} | {bindings} |")
+    within, stays = count_bytes(chain)
     swap = ""
     if kept:
         names = ", ".join(f"`{image.before}`" for image in kept)
@@ -109,6 +111,8 @@ def write_readme(chain: Chain, language: str) -> str:
             "images": "\n".join(images),
             "constants": "\n".join(constants),
             "bytes": str(offsets[""]),
+            "within": str(within),
+            "kept": str(stays),
             "passes": "\n".join(passes),
             "binding": read_template(f"bindings_{language}.md", {}).strip(),
             "swap": swap,
