@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from lobewise.cli.exporting import PIPELINE, SHARED
 from lobewise.cli.main import run
 from lobewise.exporting.example import (
     MAX_DEVICE_DIFFERENCE,
@@ -16,13 +17,14 @@ from lobewise.exporting.example import (
 )
 from lobewise.exporting.names import TARGETS
 from lobewise.exporting.shaders.functions import make_shader
+from tests.exporting.conftest import find_program
 
 PAGE = (Path(__file__).parents[2] / "docs" / "export.md").read_text()
 
 
 def get_block(language: str) -> str:
     """Return the first block of code in a language."""
-    return re.findall(rf"```{language}\n(.*?)```", PAGE, flags=re.S)[0]
+    return re.findall(rf"```{re.escape(language)}\n(.*?)```", PAGE, flags=re.S)[0]
 
 
 def test_targets_are_listed() -> None:
@@ -61,3 +63,30 @@ def test_commands_run_and_program_compiles(
     words = ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-c", "own.c"]
     done = subprocess.run([compiler, *words], cwd=folder, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.slow
+def test_pipeline_commands_run_and_class_compiles(
+    compiler: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cpp = find_program("g++", "g++")
+    monkeypatch.chdir(tmp_path)
+    export, enter, *commands = get_block("bash").splitlines()
+    assert run(export.split()[1:]) == 0
+    assert " && ".join(commands) in capsys.readouterr().out
+    folder = tmp_path / enter.removeprefix("cd ")
+    for command in commands:
+        subprocess.run(command, shell=True, cwd=folder, check=True)
+    (folder / "own.cpp").write_text(get_block("c++"))
+    words = ["-std=c++11", "-Wall", "-Wextra", "-pedantic", "-Werror", "-c", "own.cpp"]
+    done = subprocess.run([cpp, *words], cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_options_of_pipelines_are_those_of_the_page() -> None:
+    """Every option of a pipeline is in the page's table, and the table names no other."""
+    table = PAGE.split("| option | what it adds |")[1].split("\n\n")[0]
+    named = set(re.findall(r"`--([a-z-]+)", table))
+    own = {name.replace("_", "-") for name in (*PIPELINE, *SHARED)}
+    own = (own - {"motion"}) | {"no-motion"}
+    assert named == own | {"name", "target", "list", "form"}

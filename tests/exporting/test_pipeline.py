@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.performance.pipelines import Library, pack_frame
 from lobewise.cli.main import run
 from lobewise.denoising.automatic import choose_beta, choose_screen_sigma, choose_tau
 from lobewise.errors import InputError
@@ -18,8 +19,10 @@ from lobewise.exporting.pipeline.program.graph import Graph
 from lobewise.exporting.pipeline.program.memory import find_spans, plan_memory
 from lobewise.exporting.pipeline.program.numbers import Number, choose_larger, raise_to, round_single, write_number
 from lobewise.exporting.pipeline.recipes.constants import Constants
-from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, WIDTH
+from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, WIDTH, collect_images, prepare_frame, run_recipe
+from lobewise.exporting.pipeline.scene import SPP, make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
+from lobewise.exporting.pipeline.writing import compile_kernels
 from lobewise.lobes.band_limit import default_tau
 from tests.exporting.conftest import find_program
 from tests.exporting.pipelines import LIBRARIES, STRICT, build, export, run_example
@@ -110,6 +113,26 @@ def test_cpp_agrees_with_python(fast: Path, cpp: str) -> None:
     assert (images.std(axis=(1, 2, 3)) > 0.05).all()
 
 
+def test_holes_are_filled_inside_a_box(fast: Path) -> None:
+    """A frame larger than the reach of the filling: only the box around the holes is computed."""
+    size = (200, 320)
+    settings = PipelineSettings(radius=RADIUS)
+    frame = prepare_frame(settings, make_frame(0, size=size))
+    (expected,) = run_recipe(settings, [frame])
+    pipeline, image = Library(fast, size), np.empty((*size, 3), np.float32)
+    given = {
+        name: np.ascontiguousarray(each) for name, each in collect_images(make_pipeline(settings).graph, frame).items()
+    }
+    told = json.loads((fast / "lobewise-export.json").read_text())
+    camera = frame.require_camera("a pipeline")
+    view = [*camera.position, *camera.forward, *camera.up, camera.fov_y, 0.0, *camera.shift]
+    pipeline.set(samples_per_pixel=SPP)
+    pipeline.run(view, pack_frame(given, (0, 0), image, told))
+    pipeline.free()
+    assert np.isnan(given["color"]).any()
+    np.testing.assert_allclose(image, expected, rtol=1e-5)
+
+
 def test_driver_is_c99_without_warnings(fast: Path, compiler: str) -> None:
     build(fast, compiler, "-std=c99", "-O2", *STRICT, "-c", "lobewise.c", "-o", "strict.o")
 
@@ -148,7 +171,11 @@ int main(void) {
     expect(lobewise_set_settings(p, &settings), lobewise_bad_setting, "a negative beta");
     settings.beta = 0.0; settings.samples_per_pixel = 0.0;
     expect(lobewise_set_settings(p, &settings), lobewise_bad_setting, "no samples");
-    settings.samples_per_pixel = 2.0;
+    failures += !strstr(lobewise_get_message(p), "samples_per_pixel must be above 0");
+    settings.samples_per_pixel = 2.0; settings.position_sigma = 0.0;
+    expect(lobewise_set_settings(p, &settings), lobewise_bad_setting, "no position sigma");
+    settings.position_sigma = 16.0;
+    expect(lobewise_run(NULL, &camera, &frame), lobewise_no_image, "no pipeline");
     expect(lobewise_set_settings(p, &settings), lobewise_ok, "settings");
     expect(lobewise_run(p, &camera, &frame), lobewise_ok, "a black frame");
     printf("%lu\\n", (unsigned long)lobewise_count_bytes(p));
@@ -203,6 +230,24 @@ def test_contents_name_every_step(fast: Path) -> None:
 def test_a_change_of_the_plan_changes_the_export() -> None:
     texts = {write_driver(make_pipeline(PipelineSettings(form=form))) for form in ("full", "separable", "atrous")}
     assert len(texts) == 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("target", "magic"),
+    [
+        ("x86-64-linux", b"\x7fELF"),
+        ("arm-64-osx", b"\xcf\xfa\xed\xfe"),
+        ("x86-64-windows-avx2-fma", b"\x64\x86"),
+        ("wasm-32-wasmrt-wasm_simd128", b"\0asm"),
+    ],
+)
+def test_other_processors_are_compiled_for(target: str, magic: bytes) -> None:
+    pipeline = make_pipeline(PipelineSettings(radius=1, similarity="normal"), target=target)
+    objects = dict(compile_kernels(pipeline, target))
+    assert len(objects) == len(pipeline.kernels) + 1
+    assert all(content.startswith(magic) for content in objects.values())
+    assert all(kernel.symbol.encode() in b"".join(objects.values()) for kernel in pipeline.kernels)
 
 
 def test_list_prints_the_contents(capsys: pytest.CaptureFixture[str]) -> None:

@@ -172,12 +172,16 @@ def write_driver(pipeline: Pipeline) -> str:
             for image in graph.flats.values()
             if image.flat != 0.0
         ),
+        crop=fill_template("pipeline/crop.c", name=name) if any(each.in_box for each in graph.operations) else "",
         fill_floats=fill_template("pipeline/fill_floats.c", name=name)
         if any(image.flat for image in graph.flats.values())
         else "",
         defaults="\n".join(
             f"    p->settings.{each.name} = {write_number(each.default)};" for each in pipeline.user_settings
         ),
+        most=", ".join(write_number(each.most) for each in pipeline.user_settings),
+        zero=", ".join(str(int(each.may_be_zero)) for each in pipeline.user_settings),
+        setting_names=", ".join(f'"{each.name}"' for each in pipeline.user_settings),
         derived="\n".join(
             f"    p->numbers.{key} = {write_number(value)};" for key, value in pipeline.constants.derived.items()
         ),
@@ -269,17 +273,28 @@ def _write_stage(name: str, number: int, stage: tuple[str, list[Operation]]) -> 
 
 
 def _write_operation(operation: Operation) -> list[str]:
-    arguments = [f"&i[IMAGE_{value.name}]" if isinstance(value, Image) else value for _, value in operation.arguments]
-    indent = "        " if operation.when else "    "
-    lines = [f"    /* {operation.text} */"]
-    if operation.when:
-        lines.append(f"    if ({operation.when}) {{")
+    cropped: list[str] = []
+    arguments: list[str] = []
+    for _, value in operation.arguments:
+        if isinstance(value, Image) and operation.in_box:
+            number = len(cropped)
+            cropped.append(f"parts[{number}] = crop(p, IMAGE_{value.name}, dims[{number}]);")
+            arguments.append(f"&parts[{number}]")
+        else:
+            arguments.append(f"&i[IMAGE_{value.name}]" if isinstance(value, Image) else value)
+    lines = []
+    if cropped:
+        lines = [f"halide_dimension_t dims[{len(cropped)}][4];", f"halide_buffer_t parts[{len(cropped)}];", *cropped]
     if operation.is_kernel:
-        lines.append(f"{indent}code = {operation.function}({', '.join(arguments)});")
-        lines += [f"{indent}if (code) {{", f'{indent}    return fail(p, "{operation.function}", code);', f"{indent}}}"]
+        lines.append(f"code = {operation.function}({', '.join(arguments)});")
+        lines += ["if (code) {", f'    return fail(p, "{operation.function}", code);', "}"]
     else:
-        lines.append(f"{indent}{operation.function}({', '.join(['p', *arguments])});")
-    return [*lines, "    }"] if operation.when else lines
+        lines.append(f"{operation.function}({', '.join(['p', *arguments])});")
+    note = f"    /* {operation.text} */"
+    if operation.when or cropped:
+        opening = f"    if ({operation.when}) {{" if operation.when else "    {"
+        return [note, opening, *(f"        {line}" for line in lines), "    }"]
+    return [note, *(f"    {line}" for line in lines)]
 
 
 def _write_checks(pipeline: Pipeline) -> str:

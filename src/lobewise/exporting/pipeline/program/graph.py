@@ -96,7 +96,7 @@ class Image:
 
     def count_bytes(self, share: float) -> float:
         """Return the bytes for a pixel of the image; ``share`` is the share of the pixels that have a sample."""
-        if self.flat is not None:
+        if self.flat is not None or not {"width", "columns"}.intersection(map(str, self.shape)):
             return 0.0
         size = float(self.channels * self.dtype.itemsize)
         return size * share if "rows" in self.shape or "columns" in self.shape else size
@@ -121,6 +121,8 @@ class Operation:
         Whether it is a compiled kernel of Halide.
     stage : str
         Part of the plan that it belongs to.
+    in_box : bool
+        Whether it is given the box of its images that a C function has found.
     """
 
     function: str
@@ -131,6 +133,7 @@ class Operation:
     when: str = ""
     is_kernel: bool = True
     stage: str = ""
+    in_box: bool = False
 
 
 @dataclass
@@ -148,6 +151,7 @@ class Graph:
     """Images of one value, by name."""
     stage: str = ""
     when: str = ""
+    in_box: bool = False
     flags: list[str] = field(default_factory=list)
     """Names of whole numbers that C functions write and conditions read."""
     reals: list[str] = field(default_factory=list)
@@ -210,6 +214,15 @@ class Graph:
         finally:
             self.when = before
 
+    @contextmanager
+    def only_in_box(self) -> Iterator[None]:
+        """Give steps the box of their images that a C function has found."""
+        before, self.in_box = self.in_box, True
+        try:
+            yield
+        finally:
+            self.in_box = before
+
     def add_flag(self, name: str) -> str:
         """Return the C expression of a new whole number."""
         flag = self.name(name)
@@ -248,7 +261,9 @@ class Graph:
         writes = tuple(image for name, image in images if roles[name] == "output")
         overlap = {image.name for image in reads} & {image.name for image in writes}
         assert not overlap, f"{function} reads what it writes: {overlap}"
-        self.operations.append(Operation(function, given, reads, writes, text, self.when, True, self.stage))
+        self.operations.append(
+            Operation(function, given, reads, writes, text, self.when, True, self.stage, self.in_box)
+        )
 
     def run(
         self, function: str, images: Sequence[Image], numbers: Sequence[str], text: str, writes: Sequence[Image] = ()
@@ -257,7 +272,9 @@ class Graph:
         arguments: list[tuple[str, Image | str]] = [(image.name, image) for image in images]
         arguments += [("", number) for number in numbers]
         reads = tuple(image for image in images if image not in writes)
-        self.operations.append(Operation(function, arguments, reads, tuple(writes), text, self.when, False, self.stage))
+        self.operations.append(
+            Operation(function, arguments, reads, tuple(writes), text, self.when, False, self.stage, self.in_box)
+        )
 
     def list_images(self) -> list[Image]:
         """Return every image that a step names, in order of first use."""

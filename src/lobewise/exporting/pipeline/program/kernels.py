@@ -10,6 +10,8 @@ import hashlib
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from lobewise.backend.compiler import hl
@@ -50,7 +52,7 @@ class CompiledKernel:
     known: str | None
 
     def compile(self) -> bytes:
-        """Return the object file."""
+        """Return the object file. Those of 64-bit machines are kept on disk."""
 
         def run() -> tuple[bytes, dict[str, Any]]:
             funcs = self.make(self.target)
@@ -59,6 +61,12 @@ class CompiledKernel:
             path_taker = partial(_compile_object, pipeline, given, self.symbol, self.target)
             return compile_object(path_taker), {}
 
+        if self.target.bits != 64:
+            with TemporaryDirectory() as folder:
+                path = Path(folder) / "kernel.o"
+                funcs = self.make(self.target)
+                _compile_object(hl.Pipeline(funcs.out), funcs.signature.arguments, self.symbol, self.target, str(path))
+                return path.read_bytes()
         known = self.known and f"exported {self.symbol} {self.known}"
         content, _ = fetch_object(known, run, symbol=self.symbol)
         return content

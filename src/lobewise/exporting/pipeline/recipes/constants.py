@@ -49,28 +49,57 @@ class Setting:
         Value unless it is set; 0 where the pipeline chooses.
     text : str
         Its meaning.
+    may_be_zero : bool
+        Whether 0 is allowed.
+    most : float
+        Largest value.
     """
 
     name: str
     default: float
     text: str
+    may_be_zero: bool = False
+    most: float = 1e15
 
 
 SPATIAL = (
     Setting("samples_per_pixel", 4.0, "samples of a pixel (of a shaded pixel); what is automatic follows them"),
-    Setting("beta", 0.0, "exponent of the similarity of specular lobes; 0 for automatic"),
-    Setting("diffuse_beta", 0.0, "exponent of the similarity of diffuse lobes; 0 for automatic"),
-    Setting("screen_sigma", 0.0, "standard deviation of the distance on the screen, pixels; 0 for automatic"),
+    Setting("beta", 0.0, "exponent of the similarity of specular lobes; 0 for automatic", may_be_zero=True),
+    Setting("diffuse_beta", 0.0, "exponent of the similarity of diffuse lobes; 0 for automatic", may_be_zero=True),
+    Setting(
+        "screen_sigma",
+        0.0,
+        "standard deviation of the distance on the screen, pixels; 0 for automatic",
+        may_be_zero=True,
+    ),
     Setting("position_sigma", DenoiseSettings.position_sigma, "that of the distance in the scene, pixel footprints"),
-    Setting("tau", 0.0, "smallest width of a lobe, radians; 0 for automatic"),
+    Setting("tau", 0.0, "smallest width of a lobe, radians; 0 for automatic", may_be_zero=True),
     Setting("normal_exponent", DenoiseSettings.normal_exponent, "sharpness of the comparison of normals"),
 )
 OVER_TIME = (
-    Setting("memory", TemporalSettings.memory, "share of its history that a frame keeps for the next, 0 to 1"),
+    Setting(
+        "memory",
+        TemporalSettings.memory,
+        "share of its history that a frame keeps for the next, 0 to 1",
+        may_be_zero=True,
+        most=1.0,
+    ),
     Setting("history_beta", TemporalSettings.beta, "exponent of the similarity of lobes from frame to frame"),
     Setting("plane_sigma", TemporalSettings.plane_sigma, "distance of a point from its old plane, pixel footprints"),
-    Setting("strictness", TemporalSettings.strictness, "how the kernel narrows as the history grows, 0 to 1"),
-    Setting("cut_share", TemporalSettings.cut_share, "share of pixels with a history below which it is dropped"),
+    Setting(
+        "strictness",
+        TemporalSettings.strictness,
+        "how the kernel narrows as the history grows, 0 to 1",
+        may_be_zero=True,
+        most=1.0,
+    ),
+    Setting(
+        "cut_share",
+        TemporalSettings.cut_share,
+        "share of pixels with a history below which it is dropped",
+        may_be_zero=True,
+        most=1.0,
+    ),
 )
 
 

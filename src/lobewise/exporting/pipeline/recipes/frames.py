@@ -50,6 +50,7 @@ from lobewise.exporting.pipeline.recipes.steps import (
 )
 from lobewise.exporting.pipeline.settings import CONTENTS
 from lobewise.features import Feature, ScreenFeature
+from lobewise.filters.forms import ATROUS_REACH
 from lobewise.lobes.hits import HitField
 
 STEPS: Mapping[type[Step], Callable[[PlannedRun, Any], Sequence[Any]]] = {
@@ -271,12 +272,16 @@ def fill_holes(frame: PlannedFrame) -> None:
 
 
 def fill_image(guides: PipelineGuides, image: Image, holes: Image) -> None:
-    """Fill the holes of an image in place."""
+    """Fill the holes of an image in place, inside of the box around them."""
     graph, kernels = guides.graph, guides.kernels
     with ExitStack() as conditions:
-        conditions.enter_context(graph.only_when(_count(guides, holes)))
+        left = graph.add_flag("holes_left")
+        graph.run("find_holes", [holes], [str(ATROUS_REACH), f"&{left}"], "find the holes, and the box around them")
+        conditions.enter_context(graph.only_when(left))
         mean = [Number(0.0, f"p->mean_color[{k}]", is_single=True) for k in range(3)]
         graph.run("find_mean_color", [guides.color], [], "mean colour of the good pixels")
+        # No hole depends on pixels outside of the box.
+        conditions.enter_context(graph.only_in_box())
         everywhere = graph.make("everywhere", *SIZE, type="uint8")
         graph.run("fill_bytes", [everywhere], ["1"], "a mask of all pixels", writes=[everywhere])
         images = {"image": image, "holes": holes}

@@ -63,6 +63,9 @@ ${numbers}
     } numbers;
 ${flags}
     float mean_color[3];
+    struct {
+        int left, top, width, height;
+    } box; /* part of the image that some steps compute */
     void *allocated[PLACES];
     void *memory[PLACES];
     halide_dimension_t dims[IMAGES][4];
@@ -97,7 +100,7 @@ const char *${name}_explain(${name}_status status)
     case ${name}_bad_size: return "width must be ${least} to 32768 and height 1 to 32768";
     case ${name}_no_image: return "an image that the pipeline reads or writes is NULL";
     case ${name}_bad_camera: return "the camera needs finite numbers, angles above 0 and below pi, and an up vector that is not parallel to forward";
-    case ${name}_bad_setting: return "a setting is not finite or below 0, or samples_per_pixel is 0";
+    case ${name}_bad_setting: return "a setting is out of range";
     case ${name}_bad_place: return "row and column of the shaded pixel must lie inside its block";
     case ${name}_failed: return "a kernel failed";
     }
@@ -197,6 +200,7 @@ static size_t describe_image(${name}_pipeline *p, int image)
     return bytes;
 }
 
+${crop}
 static void place_images(${name}_pipeline *p)
 {
     int image;
@@ -281,15 +285,18 @@ void ${name}_get_settings(const ${name}_pipeline *p, ${name}_settings *settings)
 
 ${name}_status ${name}_set_settings(${name}_pipeline *p, const ${name}_settings *settings)
 {
+    /* By setting, in order: the largest value, and whether 0 is allowed. */
+    static const double MOST[] = {${most}};
+    static const int ZERO[] = {${zero}};
+    static const char *const NAMES[] = {${setting_names}};
     const double *values = (const double *)settings;
     size_t k;
-    for (k = 0; k < sizeof *settings / sizeof(double); k++) {
-        if (!(values[k] >= 0.0 && values[k] <= 1e15)) {
-            return refuse(p, ${name}_bad_setting, ${name}_explain(${name}_bad_setting));
+    for (k = 0; k < sizeof MOST / sizeof *MOST; k++) {
+        if (!(values[k] >= 0.0 && values[k] <= MOST[k] && (values[k] > 0.0 || ZERO[k]))) {
+            snprintf(p->message, sizeof p->message, "the setting %s must be %s 0 and at most %g", NAMES[k],
+                     ZERO[k] ? "at least" : "above", MOST[k]);
+            return ${name}_bad_setting;
         }
-    }
-    if (!(settings->samples_per_pixel > 0.0)) {
-        return refuse(p, ${name}_bad_setting, ${name}_explain(${name}_bad_setting));
     }
     p->settings = *settings;
     return ${name}_ok;
@@ -341,6 +348,9 @@ ${name}_status ${name}_run(${name}_pipeline *p, const ${name}_camera *camera, co
 ${stage_table}
     };
     int k;
+    if (!p) {
+        return ${name}_no_image;
+    }
     if (!camera || !frame) {
         return refuse(p, ${name}_no_image, "camera or frame is NULL");
     }

@@ -15,7 +15,7 @@ typedef enum ${name}_status {
     ${name}_bad_size = 2,   /* width or height out of range */
     ${name}_no_image = 3,   /* a pointer of the frame is NULL */
     ${name}_bad_camera = 4, /* a number is not finite, or up is parallel to forward */
-    ${name}_bad_setting = 5,
+    ${name}_bad_setting = 5, /* out of range */
     ${name}_bad_place = 6,  /* the shaded pixel is not inside its block */
     ${name}_failed = 7      /* a kernel failed; the message says which */
 } ${name}_status;

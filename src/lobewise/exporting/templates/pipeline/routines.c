@@ -11,18 +11,57 @@ static int is_good_pixel(const float *pixel)
 /* routine: count_holes */
 static void count_holes(${name}_pipeline *p, const halide_buffer_t *holes, int *count)
 {
-    const size_t pixels = (size_t)p->width * (size_t)p->height;
-    size_t k;
+    int x, y;
+    (void)p;
     *count = 0;
-    for (k = 0; k < pixels; k++) {
-        *count += holes->host[k] != 0;
+    for (y = 0; y < holes->dim[1].extent; y++) {
+        const uint8_t *row = holes->host + (ptrdiff_t)y * holes->dim[1].stride;
+        for (x = 0; x < holes->dim[0].extent; x++) {
+            *count += row[x] != 0;
+        }
     }
+}
+
+/* routine: find_holes */
+static void find_holes(${name}_pipeline *p, const halide_buffer_t *holes, int reach, int *count)
+{
+    /* The box holds all holes and what their filling reads; it is at least as wide as a vector. */
+    int left = p->width, right = -1, top = p->height, bottom = -1, x, y;
+    *count = 0;
+    for (y = 0; y < p->height; y++) {
+        const uint8_t *row = holes->host + (size_t)y * (size_t)p->width;
+        for (x = 0; x < p->width; x++) {
+            if (row[x]) {
+                *count += 1;
+                left = x < left ? x : left;
+                right = x > right ? x : right;
+                top = y < top ? y : top;
+                bottom = y;
+            }
+        }
+    }
+    left = left > reach ? left - reach : 0;
+    top = top > reach ? top - reach : 0;
+    right = right + reach + 1 < p->width ? right + reach + 1 : p->width;
+    bottom = bottom + reach + 1 < p->height ? bottom + reach + 1 : p->height;
+    if (right - left < LEAST_WIDTH) {
+        left = right > LEAST_WIDTH ? right - LEAST_WIDTH : 0;
+        right = left + LEAST_WIDTH;
+    }
+    p->box.left = left;
+    p->box.top = top;
+    p->box.width = right - left;
+    p->box.height = bottom - top;
 }
 
 /* routine: fill_bytes */
 static void fill_bytes(${name}_pipeline *p, halide_buffer_t *image, int value)
 {
-    memset(image->host, value, (size_t)p->width * (size_t)p->height);
+    int y;
+    (void)p;
+    for (y = 0; y < image->dim[1].extent; y++) {
+        memset(image->host + (ptrdiff_t)y * image->dim[1].stride, value, (size_t)image->dim[0].extent);
+    }
 }
 
 /* routine: find_mean_color */

@@ -1,0 +1,46 @@
+"""The figures of docs/export.md, measured by `performance/pipelines.py`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from benchmarks.pages.tables import list_facts, make_table
+
+PARTS = "fast, separable, history, hit distances"
+"""The pipeline whose parts are listed."""
+MEGA = 1e6
+
+
+def make_figures(measured: Mapping[str, Any]) -> dict[str, str]:
+    """Return the figures of docs/export.md by place."""
+    height, width = measured["size"]
+    machine = measured["machine"]
+    run = {
+        "Frames": f"{width}x{height} pixels, {measured['spp']} samples per pixel",
+        "Machine": f"{machine['processor']}, one thread; more threads share the rows",
+    }
+    return {
+        "pipelines-run": list_facts(run),
+        "pipelines": make_rows(measured["pipelines"]),
+        "pipeline-parts": make_parts(measured["pipelines"][PARTS]),
+    }
+
+
+def make_rows(pipelines: Mapping[str, Any]) -> str:
+    """Return the table of pipelines: memory, processor time, kernels."""
+    header = ["pipeline", "processor time per million pixels", "bytes per pixel", "of them state", "kernels"]
+    rows = []
+    for name, row in pipelines.items():
+        seconds, planned = row["nanoseconds_per_pixel"] * MEGA / 1e9, row["planned_bytes_per_pixel"]
+        numbers = [f"{row['bytes_per_pixel']:.0f}", f"{planned['state']:.0f}", str(row["kernels"])]
+        rows.append([name, f"{seconds:.2f} s", *numbers])
+    return make_table(header, rows)
+
+
+def make_parts(row: Mapping[str, Any]) -> str:
+    """Return the table of the parts of a pipeline, as shares of its time."""
+    total = row["nanoseconds_per_pixel"]
+    header = ["part", "share of the processor time"]
+    shares = [[name, f"{100.0 * value / total:.0f} %"] for name, value in row["stages"].items()]
+    return make_table(header, shares)
