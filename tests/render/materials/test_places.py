@@ -190,6 +190,18 @@ class TestRamps:
             one, two = (evaluate_lobes(evaluate_table(table, normal, view), light, "sg") for table in tables)
             assert one @ two / np.linalg.norm(one) / np.linalg.norm(two) > FITTED_STEPS, alpha
 
+    @pytest.mark.slow
+    def test_brushed_lobes_have_few_nodes(self, rough: str) -> None:
+        brushed = {"type": rough, "stretch": 1.5}
+        material = read({**brushed, "rough": ramp_texture(SHARP, WIDE)})
+        assert len(material.fitted.fit.varying.fits) == 4
+        assert not material.fitted.fit.is_isotropic
+        for u in (0.1, 0.9):
+            found = describe(material, u, cos_view=0.9)
+            plain = describe(read({**brushed, "rough": SHARP + (WIDE - SHARP) * u}), 0.5, cos_view=0.9)
+            for name in ("alpha_u", "alpha_v"):
+                assert np.isclose(found[name][0], plain[name][0], rtol=FITTED_ALPHA), name
+
     def test_alphas_do_not_jump(self, rough: str) -> None:
         material = read({"type": rough, "rough": ramp_texture(SHARP, WIDE)})
         alpha = describe(material, np.linspace(0.02, 0.98, 200))["alpha_u"]

@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.fitting.arrays import Array
-from lobewise.fitting.blending import blend_tables
 from lobewise.fitting.fit import Evaluate, fit_lobes
 from lobewise.fitting.nodes import make_nodes
 from lobewise.fitting.table import get_albedo, get_equivalent_alphas, order_lobes
 from lobewise.frame import FloatArray, LobeKind
 from lobewise.lobe_table import LobeTable
 from lobewise.lobes.vectors import LUMINANCE
+from lobewise.render.materials.place_tables import make_tables
 from lobewise.render.materials.places import Places, find_places
 from lobewise.render.materials.probe import (
     Parts,
@@ -41,14 +41,14 @@ from lobewise.render.materials.tints import find_tints
 LOBES = 3
 """Lobes per view. A mixture has room for these and a diffuse lobe."""
 
+MAX_BRUSHED_NODES = 4
+"""Largest number of nodes of a texture whose lobes are anisotropic. The fit of one takes three times as long."""
+
 AZIMUTHS = 8
 """Number of azimuths of an anisotropic material's views, a multiple of 4."""
 
 MIN_COSINE = 0.05
 """Smallest n.v of the views. Views have equal steps of the square root of n.v."""
-
-STEPS = 4
-"""Number of steps from one node of a texture to the next, at which there are lobe tables."""
 
 # Number of n.v of the views, and of samples per view, for isotropic (True) and anisotropic materials.
 _VIEW_COUNTS = {True: 12, False: 6}
@@ -117,7 +117,7 @@ class Varying:
     tables: tuple[LobeTable, ...]
     """The lobe tables of the nodes and of steps between them, as far as there are places on the texture."""
     numbers: NDArray[np.uint32]
-    """For each edge and for 0 to `STEPS` steps along it the index of the nearest table, (K - 1, STEPS + 1)."""
+    """For each edge and step along it the index of the nearest table; see `make_tables`."""
 
 
 _fits: OrderedDict[str, Fit] = OrderedDict()
@@ -193,13 +193,17 @@ def _make_fit(bsdf: Any, extent: float = 1.0) -> Fit:
     # Lobes can be interpolated if all places have the same views.
     shapes = (make_specular_evaluate(bsdf, parts, place=place) for place in places.place)
     isotropic = all(evaluate is None or is_isotropic(evaluate) for evaluate in shapes)
+    if not isotropic and len(places.place) > MAX_BRUSHED_NODES:
+        places = find_places(bsdf, parts, extent, most=MAX_BRUSHED_NODES)
+        assert places is not None
     fits = tuple(
         _fit_place(bsdf, parts, place, isotropic=isotropic, level=level)
         for place, level in zip(places.place, places.level, strict=True)
     )
-    if any(fit.table is None for fit in fits):
+    tables = [fit.table for fit in fits if fit.table is not None]
+    if len(tables) < len(fits):
         return fits[0]
-    return replace(fits[0], varying=Varying(places, fits, *_make_tables(places, fits)))
+    return replace(fits[0], varying=Varying(places, fits, *make_tables(places, tables)))
 
 
 def _fit_place(
@@ -235,31 +239,6 @@ def _fit_place(
         rows[..., TINT] = tints.reshape(*rows.shape[:2], -1)
     kind = LobeKind.GGX if table is not None else LobeKind.DELTA if parts.delta else LobeKind.NONE
     return Fit(parts, kind, table, turn, rows.astype(np.float32))
-
-
-def _make_tables(places: Places, fits: tuple[Fit, ...]) -> tuple[tuple[LobeTable, ...], NDArray[np.uint32]]:
-    """Return `Varying.tables` and `Varying.numbers`. Only tables that some place needs are made."""
-    numbers = np.zeros((len(places.edges), STEPS + 1), dtype=np.uint32)
-    tables: list[LobeTable] = []
-    nodes: dict[int, int] = {}
-    edge, step = places.visited[:, 0].astype(int), np.rint(places.visited[:, 1] * STEPS).astype(int)
-    for row, ends in enumerate(places.edges):
-        first, second = (fits[end].table for end in ends)
-        assert first is not None
-        assert second is not None
-        for end in map(int, ends):
-            if end not in nodes:
-                nodes[end] = len(tables)
-                tables.append(first if end == ends[0] else second)
-        numbers[row, 0], numbers[row, STEPS] = (nodes[int(end)] for end in ends)
-        alike = first.axis.shape == second.axis.shape and np.array_equal(first.cosine, second.cosine)
-        used = {0, STEPS} | (set(step[edge == row].tolist()) if alike else set())
-        for index in sorted(used - {0, STEPS}):
-            numbers[row, index] = len(tables)
-            tables.append(blend_tables(first, second, index / STEPS))
-        for index in set(range(STEPS + 1)) - used:
-            numbers[row, index] = numbers[row, min(used, key=lambda other: abs(other - index))]
-    return tuple(tables), numbers
 
 
 def _fit_table(evaluate: Evaluate, cosines: Array, azimuths: Array | None) -> LobeTable:

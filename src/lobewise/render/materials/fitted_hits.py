@@ -10,7 +10,8 @@ import numpy as np
 
 from lobewise.lobes.vectors import LUMINANCE
 from lobewise.render.bridge import dr, mi
-from lobewise.render.materials.fitted import ALPHA, MIN_COSINE, SPECULAR, SPREAD, STEPS, TINT, Fit, Varying
+from lobewise.render.materials.fitted import ALPHA, MIN_COSINE, SPECULAR, SPREAD, TINT, Fit, Varying
+from lobewise.render.materials.place_tables import STEPS
 from lobewise.render.materials.probe import make_context
 
 _ALPHAS = range(ALPHA.start, ALPHA.stop)

@@ -72,11 +72,11 @@ class Places:
     """For all places that are not black the edge, and the share of its second node, (n, 2)."""
 
 
-def find_places(bsdf: Any, parts: Parts, extent: float = 1.0) -> Places | None:
+def find_places(bsdf: Any, parts: Parts, extent: float = 1.0, *, most: int = MAX_NODES) -> Places | None:
     """Return the nodes of a BSDF's texture, or None if its glossy lobes have one shape.
 
     The first node is the centre of the texture, unless the centre is black. A BSDF that depends on the position is
-    evaluated in the cube of coordinates from ``-extent`` to ``extent``.
+    evaluated in the cube of coordinates from ``-extent`` to ``extent``. There are at most ``most`` nodes.
     """
     view, light = _list_probes()
     # The first of these points is the centre.
@@ -90,7 +90,7 @@ def find_places(bsdf: Any, parts: Parts, extent: float = 1.0) -> Places | None:
     if not len(place):
         return None
     signature = make_signature(values)
-    chosen = _choose_nodes(signature)
+    chosen = _choose_nodes(signature, most)
     if len(chosen) == 1:
         return None
     edges = _join_nodes(signature[chosen])
@@ -190,10 +190,10 @@ def _make_view(cosine: float, azimuth: float) -> Array:
     return np.asarray([sine * math.cos(azimuth), sine * math.sin(azimuth), cosine])
 
 
-def _choose_nodes(signature: Array) -> list[int]:
-    """Return rows of signatures (n, M), the first one included, that are near to nearly all rows."""
+def _choose_nodes(signature: Array, most: int) -> list[int]:
+    """Return at most so many rows of signatures (n, M), the first one included, that are near to nearly all rows."""
     chosen = [0]
-    while len(chosen) < MAX_NODES:
+    while len(chosen) < most:
         nodes = signature[chosen]
         near = np.linalg.norm(signature[:, None] - nodes, axis=-1).min(axis=1)
         gap = near if len(chosen) == 1 else locate(signature, nodes, _join_nodes(nodes))[2]
