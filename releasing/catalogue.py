@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -27,7 +28,7 @@ from lobewise.settings.choices import FORMS, MAX_SCALE_PIXELS, QUALITIES, SIMILA
 from releasing.frames import NARROW, SIZE, combine, draw_images, drop, make_frame, vary_main_images, vary_rare_images
 from releasing.recording import Wanted, record_kernels
 
-MAX_RADIUS_PIXELS = 16
+MAX_RADIUS_PIXELS = 12
 """Largest radius whose kernels are compiled ahead of time, for the usual similarities."""
 BENCH_SIZE = 64, 48
 """Columns and rows of the images of benchmarks here."""
@@ -219,27 +220,22 @@ PARTS: dict[str, Callable[[], Iterator[Case]]] = {
 }
 
 
-def list_kernels(seeds: tuple[int, ...] = (0, 1)) -> dict[str, Wanted]:
+def list_kernels() -> dict[str, Wanted]:
     """Return every kernel of the list by identity."""
-    found: dict[str, Wanted] = {}
+    found = record_cases(list_qualities, seed=1)
     for cases in PARTS.values():
-        found |= record_cases(cases, seeds)
+        found |= record_cases(cases)
     return found
 
 
-def record_cases(cases: Callable[[], Iterator[Case]], seeds: tuple[int, ...] = (0, 1)) -> dict[str, Wanted]:
+def record_cases(cases: Callable[[], Iterator[Case]], seed: int = 0) -> dict[str, Wanted]:
     """Return the kernels that cases ask for. Cases that a recipe refuses, for lack of an image, ask for few."""
-    found: dict[str, Wanted] = {}
-    for seed in seeds:
-        with record_kernels(seed) as recorded, warnings.catch_warnings():
-            # Random numbers are no image: recipes divide by zero, which changes no kernel.
-            warnings.simplefilter("ignore")
-            for run in cases():
-                try:
-                    run()
-                except LobewiseError:
-                    continue
-        found |= recorded
+    with record_kernels(seed) as found, warnings.catch_warnings():
+        # Random numbers are no image: recipes divide by zero, which changes no kernel.
+        warnings.simplefilter("ignore")
+        for run in cases():
+            with suppress(LobewiseError):
+                run()
     return found
 
 

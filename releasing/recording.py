@@ -1,8 +1,8 @@
 """Records which kernels the package asks for, without compiling any.
 
 Kernels that are recorded do not compute: they fill their outputs with fixed random numbers. So a recipe runs to its end
-in milliseconds, and asks for every kernel on its way. Branches that depend on pixels are taken as these numbers say, so
-cases are run with several seeds.
+in milliseconds, and asks for every kernel on its way. Branches that depend on pixels are taken as these numbers say.
+Kernels that look for faults find none with even seeds, and some with odd ones.
 """
 
 from __future__ import annotations
@@ -19,6 +19,9 @@ import numpy as np
 from lobewise.backend import jit
 from lobewise.backend.devices import make_target
 from lobewise.backend.signature import Parameter, check_call
+
+FAULT_FINDERS = ("odd", "lost")
+"""Names of kernels that return whether a pixel is impossible."""
 
 
 @dataclass(frozen=True)
@@ -46,12 +49,13 @@ class _RecordedKernel(jit.Kernel):
     def __init__(self, name: str, parameters: list[Parameter], seed: int) -> None:
         self.name, self.parameters = name, tuple(parameters)
         self._random = np.random.default_rng(seed)
+        self._largest = 0.0 if name in FAULT_FINDERS and seed % 2 == 0 else 2.0
 
     def __call__(self, **arguments: Any) -> None:
         check_call(self.name, self.parameters, arguments)
         for each in self.outputs:
             array = arguments[each.name].array
-            values = self._random.uniform(0.0, 2.0, array.shape)
+            values = self._random.uniform(0.0, self._largest, array.shape)
             array[...] = values.astype(array.dtype)
 
 
