@@ -149,6 +149,7 @@ def write_bindings(fields: Sequence[Field], bindings: Sequence[Binding], languag
         "hlsl": ["};", "[[vk::binding(0, 0)]] ConstantBuffer<Constants> constants : register(b0);"],
         "wgsl": ["}", "@group(0) @binding(0) var<uniform> constants: Constants;"],
     }[language]
+    lines.append("")
     counts = {"t": 0, "u": 0}
     for number, each in enumerate(bindings, 1):
         space = "t" if each.format is None else "u"

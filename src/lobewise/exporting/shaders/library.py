@@ -45,6 +45,11 @@ class Declaration:
     text: str
 
     @property
+    def is_constant(self) -> bool:
+        """Whether this is a constant."""
+        return self.name.isupper()
+
+    @property
     def uses(self) -> set[str]:
         """Names of other declarations that this one reads."""
         code = "\n".join(line.partition("//")[0] for line in self.text.splitlines())
@@ -152,4 +157,7 @@ def gather(libraries: Sequence[str], text: str) -> str:
                 found[name] = known[name].text
 
     add(Declaration("", text))
-    return "\n\n".join(found.values())
+    # Constants come first, without gaps.
+    constants = [name for name in known if name in found and known[name].is_constant]
+    others = [declared for name, declared in found.items() if name not in constants]
+    return "\n\n".join(["\n".join(found[name] for name in constants), *others])

@@ -6,13 +6,13 @@ const float LOBEWISE_MIN_SQUARED_NORMAL = $MIN_SQUARED_NORMAL;
 const float LOBEWISE_LOG2_E = 1.442695041;
 // Shares of red, green and blue in the luminance.
 const vec3 LOBEWISE_LUMINANCE = $LUMINANCE;
-// Exponent unit of the overlap of two GGX lobes.
+// Exponent that all exponents of the overlap of two GGX lobes are multiples of.
 const float LOBEWISE_GGX_UNIT = $GGX_UNIT;
 // Taps of the form "atrous": log2 of the B-spline weights at the distances 0, 1 and 2.
 const vec3 LOBEWISE_PROFILE = $PROFILE;
 // Radius of the window in which samples and history are compared, samples.
 const int LOBEWISE_TRUST_RADIUS = $TRUST_RADIUS;
-// The same difference in standard errors: from the first on the trust is 0, up to the second it is 1.
+// Difference of samples and history, in standard errors: from the first on the trust is 0, up to the second it is 1.
 const float LOBEWISE_NO_TRUST_ERRORS = $NO_TRUST_ERRORS;
 const float LOBEWISE_FULL_TRUST_ERRORS = $FULL_TRUST_ERRORS;
 // Relative difference of samples and history that does not count as a change.

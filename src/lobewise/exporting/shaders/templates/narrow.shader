@@ -29,5 +29,5 @@ main {
     }
     // The kernel narrows as the history grows: weights are raised to the power unit.
     let float frames = load(history_more, pixel).z * share;
-    store(narrowing, pixel, vec4(share, pow(frames + 1.0, constants.growth), 0.0, 0.0));
+    store(narrowing, pixel, vec4(share, exp2(constants.growth * log2(frames + 1.0)), 0.0, 0.0));
 }

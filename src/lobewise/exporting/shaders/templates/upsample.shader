@@ -25,8 +25,9 @@ main {
     if (told > 0.0) {
         share = trusted / told;
     }
-    // The kernel narrows as the history grows: weights are raised to the power unit. It is small where there is one.
-    let float unit = pow(past_more.z * share + 1.0, constants.growth);
+    // The kernel narrows as the history grows: weights are raised to the power unit. It also has fewer taps where there
+    // is a history.
+    let float unit = exp2(constants.growth * log2(past_more.z * share + 1.0));
     let ivec2 nearest = ivec2(min(block.x, constants.columns - 1), min(block.y, constants.rows - 1));
     var int reach = constants.radius;
     var float narrowing = 0.0;
