@@ -53,7 +53,7 @@ def make_upsampling_figures(skies: dict[str, Any], measured: dict[str, Any]) -> 
 PAGES = {
     "README.md": Source(users.make_readme_figures, ("users",)),
     "docs/bench.md": Source(bench.make_figures, ("startup",)),
-    "docs/export.md": Source(exports.make_figures, ("pipelines",)),
+    "docs/export.md": Source(exports.make_figures, ("pipelines", "chains")),
     "docs/farm.md": Source(farm.make_figures, ("farm",)),
     "docs/gallery.md": Source(gallery.make_figures, ("gallery",)),
     "docs/how_it_works.md": Source(how_it_works.make_figures, ("paper_pair",)),

@@ -1,4 +1,4 @@
-"""The figures of docs/export.md, measured by `performance/pipelines.py`."""
+"""The figures of docs/export.md, measured by `performance/pipelines.py` and `performance/chains.py`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ PARTS = "fast, separable, history, hit distances"
 MEGA = 1e6
 
 
-def make_figures(measured: Mapping[str, Any]) -> dict[str, str]:
+def make_figures(measured: Mapping[str, Any], chains: Mapping[str, Any]) -> dict[str, str]:
     """Return the figures of docs/export.md by place."""
     height, width = measured["size"]
     machine = measured["machine"]
@@ -24,7 +24,21 @@ def make_figures(measured: Mapping[str, Any]) -> dict[str, str]:
         "pipelines-run": list_facts(run),
         "pipelines": make_rows(measured["pipelines"]),
         "pipeline-parts": make_parts(measured["pipelines"][PARTS]),
+        "chains": make_chain_rows(chains),
     }
+
+
+def make_chain_rows(measured: Mapping[str, Any]) -> str:
+    """Return the table of chains: time of a frame on a graphics card, and its most expensive passes."""
+    header = ["chain", "radius", "passes", f"time on {measured['adapter']['device']}", "slowest pass"]
+    rows = []
+    for row in measured["chains"]:
+        slowest = max(row["pass_ms"], key=row["pass_ms"].__getitem__)
+        told = f"`{slowest}` {row['pass_ms'][slowest]:.2f} ms"
+        radius = "5 sparse passes" if row["form"] == "atrous" else str(row["radius"])
+        name = f"`{row['chain']}`, {row['form']}"
+        rows.append([name, radius, str(len(row["pass_ms"])), f"{row['frame_ms']:.1f} ms", told])
+    return make_table(header, rows)
 
 
 def make_rows(pipelines: Mapping[str, Any]) -> str:
