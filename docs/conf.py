@@ -26,6 +26,8 @@ exclude_patterns = ["**/.ipynb_checkpoints"]
 
 myst_enable_extensions = ["attrs_inline", "colon_fence"]
 myst_heading_anchors = 4
+# Blocks without a language are commands.
+highlight_language = "none"
 # Languages that Pygments does not know; words of docstrings that name two attributes, such as "shape".
 suppress_warnings = ["misc.highlighting_failure", "ref.python"]
 # The tests run the notebooks; pages show the outputs that the files hold.
