@@ -113,6 +113,17 @@ def test_cpp_agrees_with_python(fast: Path, cpp: str) -> None:
     assert (images.std(axis=(1, 2, 3)) > 0.05).all()
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("plan", ["fast", "balanced"])
+def test_emission_may_come_by_itself(plan: str, compiler: str, cpp: str, tmp_path: Path) -> None:
+    folder = export(tmp_path / "out", radius=2, plan=plan, emission=True)
+    told = json.loads((folder / "lobewise-export.json").read_text())
+    names = {each["name"] for each in told["inputs"]}
+    assert "emission" in names
+    assert not any("color" in name for name in names)
+    assert max(run_example(folder, cpp)) <= 1e-5
+
+
 def test_holes_are_filled_inside_a_box(fast: Path) -> None:
     """A frame larger than the reach of the filling: only the box around the holes is computed."""
     size = (200, 320)
@@ -263,6 +274,8 @@ def test_list_prints_the_contents(capsys: pytest.CaptureFixture[str]) -> None:
         (["--plan", "high"], "what a pipeline can contain"),
         (["--plan", "auto"], "what a pipeline can contain"),
         (["--plan", "fast", "--similarity", "sg_mixture"], "what a pipeline can contain"),
+        (["--emission", "--layers", "color"], "what a pipeline can contain"),
+        (["--emission", "--upsample", "2"], "what a pipeline can contain"),
         (["--plan", "fast", "--lobes", "2"], "one of a single filter"),
         (["--plan", "fast", "--target", "x86-64-linux-avx2-fma-vulkan"], "a graphics processor"),
         (["--plan", "fast", "--name", "9"], "an identifier of C"),

@@ -18,7 +18,7 @@ OWN = ("similarity", "form", "radius", "lobes", "albedo", "anisotropic")
 """Settings of a single filter."""
 SHARED = ("similarity", "form", "radius", "anisotropic")
 """Settings of a filter that a pipeline has, too."""
-PIPELINE = ("plan", "history", "upsample", "motion", "hit_distance", "layers", "position", "lobe_kind")
+PIPELINE = ("plan", "history", "upsample", "motion", "hit_distance", "layers", "emission", "position", "lobe_kind")
 """Settings of a pipeline alone."""
 
 

@@ -62,8 +62,13 @@ def make_sample(settings: PipelineSettings, graph: Graph) -> list[SampleFrame]:
     frames = [make_sparse(settings, prepare_frame(settings, frame), number) for number, frame in enumerate(made)]
     results = run_recipe(settings, frames)
     return [
-        SampleFrame(frame.require_camera("a pipeline"), get_place(frame), collect_images(graph, frame), expected)
-        for frame, expected in zip(frames, results, strict=True)
+        SampleFrame(
+            frame.require_camera("a pipeline"),
+            get_place(frame),
+            collect_images(graph, frame, whole.gbuffer.mean_emission),
+            expected,
+        )
+        for whole, frame, expected in zip(made, frames, results, strict=True)
     ]
 
 
@@ -155,14 +160,14 @@ def run_recipe(settings: PipelineSettings, frames: Sequence[AnyFrame]) -> list[F
     ]
 
 
-def collect_images(graph: Graph, frame: AnyFrame) -> dict[str, FloatArray]:
-    """Return the images that a pipeline is given, by name."""
+def collect_images(graph: Graph, frame: AnyFrame, emission: FloatArray | None = None) -> dict[str, FloatArray]:
+    """Return the images that a pipeline is given, by name; ``emission`` that of a frame that does not tell it."""
     guides, radiance = frame.gbuffer, frame.radiance
     named = {"color": radiance.color, "diffuse": radiance.diffuse, "specular": radiance.specular}
     for half in ("half_a", "half_b"):
         light = getattr(frame, half, None)
         named |= {f"{half}_{part}": getattr(light, part, None) for part in ("color", "diffuse", "specular")}
-    named |= {"emission": guides.mean_emission}
+    named |= {"emission": guides.mean_emission if emission is None else emission}
     named |= {} if guides.alpha_v is not None else {"alpha": guides.alpha_u}
     found = {}
     for name in graph.given:

@@ -37,6 +37,9 @@ class PipelineSettings(Declared):
     layers: Annotated[
         Literal["apart", "color"], Knob("Whether diffuse and specular light come apart, or all light in one image.")
     ] = "apart"
+    emission: Annotated[
+        bool, Knob("Whether emission and background come in an image of their own, instead of all light in one.")
+    ] = False
     motion: Annotated[bool, Knob("With a history, whether motion vectors are given; else only the camera moves.")] = (
         True
     )
@@ -61,6 +64,12 @@ class PipelineSettings(Declared):
             raise _refuse("plan", f"{self.plan} with {what}", f"choose the plan fast for {what}")
         if self.form not in get_quality(self.plan).forms or (self.upsample > 1 and self.form != "full"):
             raise _refuse("form", self.form, "leave it out")
+        if self.emission and (self.upsample > 1 or self.layers == "color"):
+            raise _refuse(
+                "emission",
+                "upsampling, which has it anyway" if self.upsample > 1 else "one layer",
+                "leave it out" if self.upsample > 1 else "give diffuse and specular light apart",
+            )
         if self.hit_distance and not (self.history and self.layers == "apart"):
             raise _refuse("hit_distance", "without history or with one layer", "add history, or leave it out")
         if self.anisotropic and not self.record.has_covariance:

@@ -106,6 +106,10 @@ def find_rest(guides: PipelineGuides, layers: Sequence[PlannedLayer]) -> Image |
     """Return the light that is in none of the layers; None where light is not told apart."""
     if guides.settings.layers == "color":
         return None
+    if guides.settings.emission:
+        text = "emission and background, which are not filtered"
+        (rest,) = guides.kernels.map_pixels(glue.define_good, {"image": guides.emission}, {}, names=["rest"], text=text)
+        return rest
     images = {"color": guides.color, **{f"noisy{k}": layer.radiance for k, layer in enumerate(layers)}}
     (rest,) = guides.kernels.map_pixels(
         glue.define_rest, images, {}, names=["rest"], text="emission and background, which are not filtered"

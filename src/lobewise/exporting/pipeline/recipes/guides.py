@@ -11,7 +11,7 @@ from lobewise.exporting.pipeline.program.graph import Graph, Image
 from lobewise.exporting.pipeline.program.kernels import Kernels, make_feature
 from lobewise.exporting.pipeline.program.numbers import Number
 from lobewise.exporting.pipeline.recipes.constants import Constants
-from lobewise.exporting.pipeline.recipes.glue import define_both, define_mean, define_whole_albedo
+from lobewise.exporting.pipeline.recipes.glue import define_both, define_composed, define_mean, define_whole_albedo
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.features import (
     AsgFeature,
@@ -39,6 +39,13 @@ from lobewise.settings.choices import get_similarity
 SIZE = "height", "width"
 SAMPLES = "rows", "columns"
 HALVES = "half_a", "half_b"
+
+
+def describe_light(name: str) -> str:
+    """Return the meaning of an image of radiance by its name."""
+    part = name.rpartition("_")[2]
+    text = "all noisy light" if part == "color" else f"noisy {part} light, albedo included"
+    return f"{text}, of one half of the samples" if name.startswith(HALVES) else text
 
 
 @dataclass(frozen=True)
@@ -74,14 +81,36 @@ class PipelineGuides:
     _made: dict[str, Image] = field(default_factory=dict)
 
     def give_light(self, name: str, text: str) -> Image:
-        """Return an image of radiance: of the samples."""
+        """Return an image of radiance: of the samples. All light is summed up where emission comes by itself."""
+        if name.endswith("color") and self.settings.emission:
+            return self._add_light(name)
         size = SIZE if self.settings.upsample == 1 else SAMPLES
         return self.graph.give(name, *size, 3, text=f"{text}, linear radiance", unit="any")
 
+    @property
+    def emission(self) -> Image:
+        """Light that no surface scattered."""
+        text = "light that no surface scattered, emission and background, at every pixel; it is not filtered"
+        return self.graph.give("emission", *SIZE, 3, text=text, unit="any")
+
+    def _add_light(self, name: str) -> Image:
+        if name not in self._made:
+            prefix = name.removesuffix("color")
+            parts = [self.give_light(f"{prefix}{each}", describe_light(f"{prefix}{each}")) for each in self.parts]
+            images = {f"part{k}": part for k, part in enumerate(parts)} | {"rest": self.emission}
+            (self._made[name],) = self.kernels.map_pixels(
+                define_composed, images, {}, names=[name], text="all light of the samples"
+            )
+        return self._made[name]
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Names of the light that lobes scattered."""
+        return "diffuse", "specular"
+
     def give_halves(self, name: str) -> list[Image]:
         """Return the images of both halves of the samples of some light."""
-        text = "all light" if name == "color" else f"{name} light, albedo included,"
-        return [self.give_light(f"{half}_{name}", f"{text} of one half of the samples") for half in HALVES]
+        return [self.give_light(f"{half}_{name}", describe_light(f"{half}_{name}")) for half in HALVES]
 
     def take_light(self, name: str, text: str) -> Image:
         """Return some light of all samples: an image of the caller, or the mean of two."""
@@ -267,9 +296,7 @@ class PipelineGuides:
                 define_whole_albedo, both, {}, MIN_WHOLE_ALBEDO, names=["albedo"], text="albedo of all light"
             )
             return [PlannedLayer("color", self.color, albedo, mask, (*place, feature))]
-        light = {
-            name: self.take_light(name, f"noisy {name} light, albedo included") for name in ("diffuse", "specular")
-        }
+        light = {name: self.take_light(name, describe_light(name)) for name in ("diffuse", "specular")}
         scattered = (*place, self.make_diffuse_feature(diffuse))
         return [
             PlannedLayer("diffuse", light["diffuse"], self.give_albedo("diffuse"), self.surface, scattered, True),

@@ -131,13 +131,11 @@ def join_sparse(
     guides: PipelineGuides, layers: list[PlannedLayer], outputs: list[PlannedOutput]
 ) -> tuple[Image, Image, list[Image]]:
     """Return the sum of all light, its holes, and the light of each layer; see `lobewise.upsampling.join_sparse`."""
-    text = "emission and background of every pixel, without noise: light that no surface scattered"
-    exact = guides.graph.give("emission", *SIZE, 3, text=text, unit="any")
     masks = {f"mask{k}": layer.mask for k, layer in enumerate(layers)}
     (reflecting,) = guides.kernels.map_pixels(
         define_any, masks, {}, names=["reflecting"], text="pixels that reflect any light"
     )
-    images: dict[str, Image | None] = {"exact": exact, "reflecting": reflecting}
+    images: dict[str, Image | None] = {"exact": guides.emission, "reflecting": reflecting}
     for number, output in enumerate(outputs):
         images |= {**output.give_image(f"mean{number}"), f"weight{number}": output.weight_sum}
     for number, (layer, output) in enumerate(zip(layers, outputs, strict=True)):
