@@ -164,7 +164,7 @@ def _join(diffuse: NDArray[np.float64], specular: NDArray[np.float64], emission:
     # Some pixels have no value, as renderers write them: on a ball, where its light fills them, and in the sky.
     color = parts[0] + parts[1] + parts[2]
     for image in (color, parts[0], parts[1]):
-        image[20, 30:33] = np.nan
+        image[20:21, 30:33] = np.nan
         image[4:7, 50:54] = np.nan
     return Radiance(color, diffuse=parts[0], specular=parts[1])
 
