@@ -43,8 +43,8 @@ def compare(found: NDArray[Any], expected: NDArray[Any], rtol: float = RTOL) -> 
     assert np.max(np.abs(found - expected) / size) < rtol
 
 
-def choose(frame: Frame, form: str) -> Any:
-    return resolve_settings(frame, DenoiseSettings(quality="fast", form=form, radius=6))
+def choose(frame: Frame, form: str, similarity: Any = "ggx") -> Any:
+    return resolve_settings(frame, DenoiseSettings(quality="fast", form=form, radius=6, similarity=similarity))
 
 
 def test_guides(graphics: Any, language: str, folder: Path) -> None:
@@ -93,13 +93,13 @@ def test_filter_passes(graphics: Any, language: str, folder: Path, form: str) ->
         compare(light[there][:, :3] / light[there][:, 3:] * layer.albedo[there], expected.image[there])
 
 
-@pytest.mark.parametrize("form", FORMS)
-def test_filter_chain(graphics: Any, language: str, folder: Path, form: str) -> None:
+@pytest.mark.parametrize(("form", "similarity"), [*((form, "ggx") for form in FORMS), ("separable", "sg")])
+def test_filter_chain(graphics: Any, language: str, folder: Path, form: Any, similarity: Any) -> None:
     frame = make_frame(0)
-    settings = choose(frame, form)
-    player = Player(graphics, make_chain("filter", form=form), language, folder)
+    settings = choose(frame, form, similarity)
+    player = Player(graphics, make_chain("filter", form=form, similarity=similarity), language, folder)
     image = player.run(give_images(frame), compute_constants(frame.require_camera("lobes"), frame.shape, settings))
-    result = lobewise.denoise(frame, quality="fast", form=form, radius=6)
+    result = lobewise.denoise(frame, quality="fast", form=form, radius=6, similarity=similarity)
     compare(image[..., :3], result.image)
     assert np.abs(image[..., :3] - frame.radiance.color).max(where=np.isfinite(frame.radiance.color), initial=0) > 0.1
 
@@ -174,6 +174,7 @@ def test_no_language_pads_constants_otherwise(language: str) -> None:
         (["--target", "wgsl", "--chain", "fliter"], "did you mean 'filter'"),
         (["--target", "wgsl", "--chain", "filter", "--radius", "3"], "take the radius as a constant"),
         (["--target", "wgsl", "--radius", "3"], "whose file has all weights"),
+        (["--target", "wgsl", "--chain", "filter", "--similarity", "asg"], "expected one of ggx, sg"),
     ],
 )
 def test_refusals(words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -220,11 +220,13 @@ def test_filter_and_accumulate(bench: Bench, name: str) -> None:
     compare((sums[..., :3] / np.maximum(sums[..., 3:4], 1e-30) * step.layer.albedo)[lit], step.output.image[lit])
 
 
-@pytest.mark.parametrize(("form", "hits"), [("separable", True), ("atrous", False)])
-def test_sequence(graphics: Any, language: str, folder: Path, form: str, hits: bool) -> None:
+@pytest.mark.parametrize(
+    ("form", "hits", "similarity"), [("separable", True, "ggx"), ("atrous", False, "ggx"), ("separable", True, "sg")]
+)
+def test_sequence(graphics: Any, language: str, folder: Path, form: Any, hits: bool, similarity: Any) -> None:
     """A moving camera, a moving object, a light that changes: every frame is as Python's."""
-    recipe = lobewise.TemporalFilter(form=form, radius=6)
-    player = Player(graphics, make_chain("history", form=form), language, folder)
+    recipe = lobewise.TemporalFilter(form=form, radius=6, similarity=similarity)
+    player = Player(graphics, make_chain("history", form=form, similarity=similarity), language, folder)
     previous = None
     images = []
     for number in range(FRAMES + 2):

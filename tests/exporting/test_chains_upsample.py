@@ -77,9 +77,10 @@ def test_passes(graphics: Any, language: str, folder: Path, name: str) -> None:
     compare((sums[..., :3] / np.maximum(sums[..., 3:4], 1e-30) * layer.albedo)[lit], expected.image[lit])
 
 
-def test_sequence(graphics: Any, language: str, folder: Path) -> None:
-    recipe = lobewise.TemporalFilter()
-    player = Player(graphics, make_chain("upsample"), language, folder)
+@pytest.mark.parametrize("similarity", ["ggx", "sg"])
+def test_sequence(graphics: Any, language: str, folder: Path, similarity: Any) -> None:
+    recipe = lobewise.TemporalFilter(similarity=similarity)
+    player = Player(graphics, make_chain("upsample", similarity=similarity), language, folder)
     previous = None
     for number in range(FRAMES):
         frame = make(number)

@@ -54,16 +54,16 @@ def print_chain(language: str, chain: str, settings: dict[str, Any], name: str |
     from lobewise.exporting.shaders.listing import list_chain
 
     refuse_unused(language, chain, settings, name)
-    for line in list_chain(make_chain(chain, form=settings.get("form")), language):
+    for line in list_chain(make_chain(chain, **settings), language):
         print_line(line)
 
 
 def refuse_unused(language: str, chain: str | None, settings: dict[str, Any], name: str | None) -> None:
     """Raise an error if there is an option that shader functions, or the passes of a chain, do not have."""
-    known = {"form"} if chain is not None else set()
+    known = {"form", "similarity"} if chain is not None else set()
     unused = [*(each for each in settings if each not in known), *(["name"] if name is not None else [])]
     if unused:
-        has = "whose chains compare specular lobes by 'ggx' and take the radius as a constant"
+        has = "whose chains have a form and a similarity, and take the radius as a constant"
         raise InputError(
             name_option(unused[0]),
             expected="a processor or device as target beside it",

@@ -21,7 +21,9 @@ from lobewise.exporting.shaders.images import (
 )
 from lobewise.exporting.shaders.passes import Chain, Image, Lifetime
 from lobewise.exporting.shaders.steps import (
+    LOBES,
     OWN_FOOTPRINT,
+    Lobes,
     make_accumulate_pass,
     make_composite_pass,
     make_filter_passes,
@@ -35,13 +37,17 @@ from lobewise.exporting.shaders.steps import (
 from lobewise.settings import FORMS
 
 
-def make_filter_chain(form: str) -> Chain:
+def make_filter_chain(form: str, lobes: Lobes) -> Chain:
     """Return the chain that filters each frame by itself: `lobewise.denoise` with quality "fast"."""
-    passes, images, last = [make_guides_pass("spot.w * constants.pixel_angle")], list_guides(Lifetime.FRAME), {}
-    for layer in LAYERS:
+    passes, images = (
+        [make_guides_pass(lobes, "spot.w * constants.pixel_angle")],
+        list_guides(lobes.guides, Lifetime.FRAME),
+    )
+    last = {}
+    for layer in lobes.layers:
         more, between = make_filter_passes(layer, form, "1.0")
         passes, images = [*passes, *more], [*images, *between]
-        last[layer] = more[-1].writes["added_light"]
+        last[layer.name] = more[-1].writes["added_light"]
     return Chain(
         name="filter",
         comment="Filters every frame by itself, as lobewise.denoise does with the quality 'fast'.",
@@ -51,20 +57,22 @@ def make_filter_chain(form: str) -> Chain:
     )
 
 
-def make_history_chain(form: str) -> Chain:
+def make_history_chain(form: str, lobes: Lobes) -> Chain:
     """Return the chain that joins each frame with its history: `TemporalFilter` on whole frames."""
     screen = "0.0" if form == "atrous" else "lobewise_compare_screen(offset, constants.screen_sigma)"
-    guides = [*list_guides(Lifetime.KEPT), REFLECTIONS]
+    guides = [*list_guides(lobes.guides, Lifetime.KEPT), REFLECTIONS]
     images = [*GIVEN, MOTION, HITS, *guides, *keep(guides)]
-    passes = [make_guides_pass(OWN_FOOTPRINT, ["motion"]), make_reflections_pass()]
-    for layer in LAYERS:
-        filters, between = make_filter_passes(layer, form, "load(narrowing, pixel).y", narrowing=f"{layer}_narrowing")
+    passes = [make_guides_pass(lobes, OWN_FOOTPRINT, ["motion"]), make_reflections_pass()]
+    for layer in lobes.layers:
+        filters, between = make_filter_passes(
+            layer, form, "load(narrowing, pixel).y", narrowing=f"{layer.name}_narrowing"
+        )
         narrowing = Image(
-            name=f"{layer}_narrowing",
+            name=f"{layer.name}_narrowing",
             comment="trust in the history (x), power to which the pixel raises its weights (y)",
             lifetime=Lifetime.FRAME,
         )
-        images += [*list_history(layer), narrowing, *between]
+        images += [*list_history(layer.name), narrowing, *between]
         whole = {"here": "pixel", "other": "tap"}
         passes += [
             make_reproject_pass(layer),
@@ -82,21 +90,26 @@ def make_history_chain(form: str) -> Chain:
     )
 
 
-def make_upsample_chain(form: str) -> Chain:
+def make_upsample_chain(form: str, lobes: Lobes) -> Chain:
     """Return the chain that upsamples and accumulates sparse frames: `TemporalFilter` on sparse frames."""
     require_choice("form of the chain 'upsample'", form, ("full",))
     screen = "lobewise_compare_screen(offset, constants.screen_sigma)"
-    guides = [*list_guides(Lifetime.KEPT), REFLECTIONS]
+    guides = [*list_guides(lobes.guides, Lifetime.KEPT), REFLECTIONS]
     sparse = {"here": "lobewise_find_pixel(pixel)", "other": "lobewise_find_pixel(tap)"}
     given = [replace(image, extent=SAMPLES) if image.name in LAYERS else image for image in GIVEN]
     images = [*given, MOTION, HITS, *guides, *keep(guides)]
-    passes = [make_guides_pass(OWN_FOOTPRINT, ["motion"]), make_reflections_pass()]
-    for layer in LAYERS:
+    passes = [make_guides_pass(lobes, OWN_FOOTPRINT, ["motion"]), make_reflections_pass()]
+    for layer in lobes.layers:
         images += [
-            replace(image, extent=SAMPLES) if image.name == f"{layer}_trust" else image for image in list_history(layer)
+            replace(image, extent=SAMPLES) if image.name == f"{layer.name}_trust" else image
+            for image in list_history(layer.name)
         ]
         trust = make_trust_pass(layer, screen, sparse, SAMPLES)
-        passes += [make_reproject_pass(layer), replace(trust, libraries=[layer, "sparse"]), make_upsample_pass(layer)]
+        passes += [
+            make_reproject_pass(layer),
+            replace(trust, libraries=[*layer.libraries, "sparse"]),
+            make_upsample_pass(layer),
+        ]
     return Chain(
         name="upsample",
         comment="Brings frames of which one pixel in every block is shaded to all pixels, and joins them with their "
@@ -115,12 +128,13 @@ _MAKERS = {
 """What makes each chain, and its usual form."""
 
 
-def make_chain(name: str, *, form: str | None = None) -> Chain:
+def make_chain(name: str, *, form: str | None = None, similarity: str = "ggx") -> Chain:
     """Return a chain by its name, with the chain's usual form unless ``form`` names another.
 
-    Raises InputError if there is no such chain, or if the chain has no filter of this form.
+    Raises InputError if there is no such chain, or if it has no filter of this form or no lobes of this similarity.
     """
     require_choice("chain", name, tuple(CHAINS))
+    require_choice("similarity of a chain", similarity, tuple(LOBES))
     make, usual = _MAKERS[name]
     require_choice("form", form or usual, FORMS)
-    return make(form or usual)
+    return make(form or usual, LOBES[similarity])

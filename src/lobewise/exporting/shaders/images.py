@@ -55,9 +55,9 @@ REFLECTIONS = Image(
 )
 
 
-def list_guides(lifetime: Lifetime) -> list[Image]:
-    """Return the images that compare pixels."""
-    return [
+def list_guides(names: Sequence[str], lifetime: Lifetime) -> list[Image]:
+    """Return some of the images by which pixels are compared."""
+    known = [
         Image(
             name="points",
             comment="position in world space (xyz), width of a pixel on the surface, world units (w)",
@@ -66,7 +66,7 @@ def list_guides(lifetime: Lifetime) -> list[Image]:
         Image(name="normals", comment="normal (xyz), distance from the camera or 0 (w)", lifetime=lifetime),
         Image(
             name="axes",
-            comment="axis of the specular lobe (xyz), its larger variance, rad^2, -1 without a lobe (w)",
+            comment="axis of the specular lobe (xyz), its variance or the larger one of two, rad^2; -1 without a lobe (w)",
             lifetime=lifetime,
         ),
         Image(
@@ -75,6 +75,7 @@ def list_guides(lifetime: Lifetime) -> list[Image]:
             lifetime=lifetime,
         ),
     ]
+    return [image for image in known if image.name in names]
 
 
 def list_sums(name: str, what: str, lifetime: Lifetime) -> list[Image]:

@@ -10,14 +10,65 @@ from lobewise.exporting.shaders.library import copy_template
 from lobewise.exporting.shaders.passes import Image, Lifetime, Pass
 from lobewise.filters.forms import ATROUS_RADIUS, Taps, list_passes
 
-_LIGHT = {"diffuse": "light that surfaces scatter diffusely", "specular": "light that surfaces reflect"}
-_GUIDES = ("points", "normals", "axes", "spreads")
+
+@dataclass(frozen=True)
+class Layer:
+    """Light that is filtered apart.
+
+    Parameters
+    ----------
+    name : str
+    light : str
+        What it is, for comments.
+    libraries : sequence of str
+        The shader functions that compare its pixels.
+    guides : sequence of str
+        The images that they read.
+    is_reflected : bool
+        Whether its history is also looked for at the place of the reflection.
+    """
+
+    name: str
+    light: str
+    libraries: Sequence[str]
+    guides: Sequence[str]
+    is_reflected: bool = False
+
+    def bind_guides(self) -> dict[str, str]:
+        """Return the guides as bindings."""
+        return {name: name for name in self.guides}
 
 
-def list_layer_guides(layer: str) -> dict[str, str]:
-    """Return the guides that a layer's pixels are compared by, as bindings."""
-    return {name: name for name in (_GUIDES if layer == "specular" else _GUIDES[:2])}
+@dataclass(frozen=True)
+class Lobes:
+    """A kind of specular lobes: the images that hold it, and the templates that make and compare it."""
 
+    guides: Sequence[str]
+    library: str
+    part: str
+    none: str = ""
+    """What the pass that makes lobes also stores for a pixel without one."""
+
+    @property
+    def layers(self) -> tuple[Layer, Layer]:
+        """The layers of light."""
+        reflected = "light that surfaces reflect"
+        return (
+            Layer("diffuse", "light that surfaces scatter diffusely", ("diffuse",), ("points", "normals")),
+            Layer("specular", reflected, (self.library, "specular"), self.guides, is_reflected=True),
+        )
+
+
+LOBES = {
+    "ggx": Lobes(
+        ("points", "normals", "axes", "spreads"),
+        "lobes_ggx",
+        "lobe_ggx.part",
+        "        store(spreads, pixel, vec4(0.0, 0.0, 0.0, 1.0));\n",
+    ),
+    "sg": Lobes(("points", "normals", "axes"), "lobes_sg", "lobe_sg.part"),
+}
+"""The kinds of lobes that chains have, by similarity."""
 
 OWN_FOOTPRINT = (
     "spot.w * constants.pixel_angle * (1.0 + "
@@ -26,15 +77,15 @@ OWN_FOOTPRINT = (
 """Width of a pixel on its surface, wider where the surface moved by itself."""
 
 
-def make_guides_pass(footprint: str, more: Sequence[str] = ()) -> Pass:
+def make_guides_pass(lobes: Lobes, footprint: str, more: Sequence[str] = ()) -> Pass:
     """Return the pass that makes lobes."""
     return Pass(
         name="guides",
         comment="Makes what the other passes compare pixels by: place, normal and the lobe of the specular reflection.",
         body="guides.shader",
-        parts={"footprint": footprint},
+        parts={"footprint": footprint, "lobe": copy_template(lobes.part), "none": lobes.none},
         reads={name: name for name in ("surface", "place", *more)},
-        writes={name: name for name in _GUIDES},
+        writes={name: name for name in lobes.guides},
     )
 
 
@@ -62,12 +113,12 @@ def _describe_taps(taps: Taps, step: int) -> _Taps:
     return _Taps(name, f"a {name}", "line.shader", parts)
 
 
-def make_filter_passes(layer: str, form: str, power: str, **more: str) -> tuple[list[Pass], list[Image]]:
+def make_filter_passes(layer: Layer, form: str, power: str, **more: str) -> tuple[list[Pass], list[Image]]:
     """Return the filter passes of a layer and the images between them.
 
     Parameters
     ----------
-    layer : {"diffuse", "specular"}
+    layer : Layer
     form : str
         One of `lobewise.settings.FORMS`.
     power : str
@@ -77,20 +128,20 @@ def make_filter_passes(layer: str, form: str, power: str, **more: str) -> tuple[
     """
     passes: list[Pass] = []
     images: list[Image] = []
-    read, source = "lobewise_read_radiance", {"radiance": layer, "albedo": f"{layer}_albedo"}
+    read, source = "lobewise_read_radiance", {"radiance": layer.name, "albedo": f"{layer.name}_albedo"}
     for taps, _, step in list_passes(form, 0):
         told = _describe_taps(taps, step)
-        after = f"{layer}_{told.name}"
-        images += list_sums(after, f"{layer} light, summed over {told.over}", Lifetime.FRAME)
+        after = f"{layer.name}_{told.name}"
+        images += list_sums(after, f"{layer.name} light, summed over {told.over}", Lifetime.FRAME)
         passes.append(
             Pass(
                 name=after,
-                comment=f"Sums similar pixels over {told.over}: {_LIGHT[layer]}.\n"
+                comment=f"Sums similar pixels over {told.over}: {layer.light}.\n"
                 "weight = place on the screen * place in the scene * overlap of the lobes",
                 body=told.body,
                 parts={**told.parts, "power": power, "read": read},
-                libraries=[layer],
-                reads={**list_layer_guides(layer), **source, **more},
+                libraries=layer.libraries,
+                reads={**layer.bind_guides(), **source, **more},
                 writes={"added_light": f"{after}_light", "added_more": f"{after}_more"},
             )
         )
@@ -109,106 +160,106 @@ def make_reflections_pass() -> Pass:
     )
 
 
-def make_reproject_pass(layer: str) -> Pass:
+def make_reproject_pass(layer: Layer) -> Pass:
     """Return the pass that finds a layer's history."""
-    guides = list_layer_guides(layer)
+    guides = layer.bind_guides()
     where = "at its place in the frame before"
     part = ""
-    if layer == "specular":
+    if layer.is_reflected:
         guides["reflections"] = "reflections"
         where = "at the places of its surface and of its reflection in the frame before"
         part = copy_template("reflection.part")
     return Pass(
-        name=f"{layer}_reproject",
-        comment=f"Finds the history of every pixel {where}: {_LIGHT[layer]}.\n"
+        name=f"{layer.name}_reproject",
+        comment=f"Finds the history of every pixel {where}: {layer.light}.\n"
         "The history counts as far as surface and lobe are alike.",
         body="reproject.shader",
         parts={"reflection": part},
-        libraries=[layer],
+        libraries=layer.libraries,
         reads={
             "motion": "motion",
             **guides,
             **{f"{name}_before": f"{name}_before" for name in guides},
-            **{f"past_{part}": f"{layer}_kept_{part}_before" for part in ("light", "more")},
+            **{f"past_{part}": f"{layer.name}_kept_{part}_before" for part in ("light", "more")},
         },
-        writes={f"history_{part}": f"{layer}_history_{part}" for part in ("light", "more")},
+        writes={f"history_{part}": f"{layer.name}_history_{part}" for part in ("light", "more")},
     )
 
 
-def make_trust_pass(layer: str, screen: str, parts: dict[str, str], extent: tuple[str, str]) -> Pass:
+def make_trust_pass(layer: Layer, screen: str, parts: dict[str, str], extent: tuple[str, str]) -> Pass:
     """Return the pass that compares the samples of a layer with its history."""
     return Pass(
-        name=f"{layer}_trust",
-        comment=f"Tells how far the samples of this frame confirm the history: {_LIGHT[layer]}.\n"
+        name=f"{layer.name}_trust",
+        comment=f"Tells how far the samples of this frame confirm the history: {layer.light}.\n"
         "The mean difference around a pixel is compared with its standard error, colour by colour.",
         body="trust.shader",
         parts={"screen": screen, "columns": extent[0], "rows": extent[1], **parts},
-        libraries=[layer],
+        libraries=layer.libraries,
         reads={
-            **list_layer_guides(layer),
-            "radiance": layer,
-            "albedo": f"{layer}_albedo",
-            "history_light": f"{layer}_history_light",
+            **layer.bind_guides(),
+            "radiance": layer.name,
+            "albedo": f"{layer.name}_albedo",
+            "history_light": f"{layer.name}_history_light",
         },
-        writes={"trust": f"{layer}_trust"},
+        writes={"trust": f"{layer.name}_trust"},
         extent=extent,
     )
 
 
-def make_narrow_pass(layer: str, screen: str) -> Pass:
+def make_narrow_pass(layer: Layer, screen: str) -> Pass:
     """Return the pass that computes the trust of every pixel, and how narrow its kernel is."""
     return Pass(
-        name=f"{layer}_narrow",
-        comment=f"Averages the trust around every pixel, and narrows its kernel as its history grows: {_LIGHT[layer]}.",
+        name=f"{layer.name}_narrow",
+        comment=f"Averages the trust around every pixel, and narrows its kernel as its history grows: {layer.light}.",
         body="narrow.shader",
         parts={"screen": screen},
-        libraries=[layer],
+        libraries=layer.libraries,
         reads={
-            **list_layer_guides(layer),
-            "trust": f"{layer}_trust",
-            "history_more": f"{layer}_history_more",
+            **layer.bind_guides(),
+            "trust": f"{layer.name}_trust",
+            "history_more": f"{layer.name}_history_more",
         },
-        writes={"narrowing": f"{layer}_narrowing"},
+        writes={"narrowing": f"{layer.name}_narrowing"},
     )
 
 
-def make_accumulate_pass(layer: str, sums: str) -> Pass:
+def make_accumulate_pass(layer: Layer, sums: str) -> Pass:
     """Return the pass that adds the filtered frame to the history."""
-    guides = list_layer_guides(layer)
+    guides = layer.bind_guides()
     needed = ("normals", "axes") if "axes" in guides else ("normals",)
     return Pass(
-        name=f"{layer}_accumulate",
-        comment=f"Adds the filtered frame and the pixel's own sample to the history: {_LIGHT[layer]}.",
+        name=f"{layer.name}_accumulate",
+        comment=f"Adds the filtered frame and the pixel's own sample to the history: {layer.light}.",
         body="accumulate.shader",
-        libraries=[layer],
+        libraries=layer.libraries,
         reads={
             **{name: name for name in needed},
-            "radiance": layer,
-            "albedo": f"{layer}_albedo",
-            **{f"history_{part}": f"{layer}_history_{part}" for part in ("light", "more")},
-            "narrowing": f"{layer}_narrowing",
+            "radiance": layer.name,
+            "albedo": f"{layer.name}_albedo",
+            **{f"history_{part}": f"{layer.name}_history_{part}" for part in ("light", "more")},
+            "narrowing": f"{layer.name}_narrowing",
             **{f"sums_{part}": f"{sums}_{part}" for part in ("light", "more")},
         },
-        writes={f"kept_{part}": f"{layer}_kept_{part}" for part in ("light", "more")},
+        writes={f"kept_{part}": f"{layer.name}_kept_{part}" for part in ("light", "more")},
     )
 
 
-def make_upsample_pass(layer: str) -> Pass:
+def make_upsample_pass(layer: Layer) -> Pass:
     """Return the pass that brings samples to all pixels and adds them to the history."""
     return Pass(
-        name=f"{layer}_upsample",
-        comment=f"Brings one sample of every block to all pixels and adds it to the history: {_LIGHT[layer]}.\n"
+        name=f"{layer.name}_upsample",
+        comment=f"Brings one sample of every block to all pixels and adds it to the history: {layer.light}.\n"
         "The weight of a sample is the similarity of the pixel and of the shaded pixel.",
         body="upsample.shader",
-        libraries=[layer, "sparse"],
+        libraries=[*layer.libraries, "sparse"],
         reads={
-            **list_layer_guides(layer),
-            "radiance": layer,
-            "albedo": f"{layer}_albedo",
-            **{f"history_{part}": f"{layer}_history_{part}" for part in ("light", "more")},
-            "trust": f"{layer}_trust",
+            **layer.bind_guides(),
+            "radiance": layer.name,
+            "albedo": f"{layer.name}_albedo",
+            **{f"history_{part}": f"{layer.name}_history_{part}" for part in ("light", "more")},
+            "trust": f"{layer.name}_trust",
         },
-        writes={f"kept_{part}": f"{layer}_kept_{part}" for part in ("light", "more")},
+        writes={f"kept_{part}": f"{layer.name}_kept_{part}" for part in ("light", "more")},
     )
 
 

@@ -123,7 +123,13 @@ def write_readme(chain: Chain, language: str) -> str:
 
 
 def export_chain(
-    output: PathLike, language: str, chain: str, *, form: str | None = None, force: bool = False
+    output: PathLike,
+    language: str,
+    chain: str,
+    *,
+    form: str | None = None,
+    similarity: str = "ggx",
+    force: bool = False,
 ) -> list[str]:
     """Write a folder with the compute passes of a chain, and return the names of its files.
 
@@ -136,6 +142,8 @@ def export_chain(
         A name in `lobewise.exporting.names.CHAINS`.
     form : {"full", "separable", "atrous"}, optional
         Which neighbours the filter sums over; by default a row and then a column. "upsample" has "full" alone.
+    similarity : {"ggx", "sg"}
+        How specular lobes are compared; "sg" needs one image less.
     force : bool
         Replace an earlier export and everything in its folder.
 
@@ -147,7 +155,7 @@ def export_chain(
         If the folder is not empty or cannot be written.
     """
     require_choice("shader language", language, SHADER_LANGUAGES)
-    made = make_chain(chain, form=form)
+    made = make_chain(chain, form=form, similarity=similarity)
     told = describe_chain(made, language)
     texts = {
         name_file(number, each, language): write_pass(made, each, language)

@@ -167,32 +167,6 @@ float lobewise_compare_cosines(vec3 normal_i, vec3 normal_j, float beta) {
     return -beta * x * quotient;
 }
 
-// A GGX lobe, its covariance split: S = narrow (I - axis axis^T) + t t^T.
-struct LobewiseSplit {
-    vec3 axis;
-    vec3 t;
-    float wide; // the larger principal variance, rad^2
-    float narrow; // the smaller one
-};
-
-// log2 of the overlap of two GGX lobes, to the power beta: as lobewise_ggx_weight, from split covariances.
-float lobewise_compare_ggx(LobewiseSplit i, LobewiseSplit j, float beta) {
-    let vec3 d = j.axis - i.axis;
-    let float on_i = dot(d, i.t);
-    let float on_j = dot(d, j.t);
-    let float both = dot(i.t, j.t);
-    let float quadratic = (i.wide + j.wide) * dot(d, d) - on_i * on_i - on_j * on_j;
-    let float root_i = sqrt(i.wide * i.narrow);
-    let float root_j = sqrt(j.wide * j.narrow);
-    let float mean = root_i + root_j;
-    // sqrt(P) is at least the mean of both s. Rounding may violate this.
-    let float second = max((i.wide + j.narrow) * (j.wide + i.narrow) - both * both, mean * mean);
-    let float q = min(quadratic / second, 4.0e4);
-    let float tail = 8.0 * log2(1.0 + 0.25 * q);
-    let float areas = log2(second * sqrt(second) / mean);
-    return LOBEWISE_GGX_UNIT * beta * (log2(2.0 * root_i) + log2(2.0 * root_j) - tail - areas);
-}
-
 // What a tap adds to the sums of a pixel.
 struct LobewiseTap {
     vec4 light; // light and weight

@@ -8,20 +8,16 @@ main {
         store(points, pixel, vec4(0.0, 0.0, 0.0, 1.0));
         store(normals, pixel, vec4(0.0, 0.0, 0.0, 0.0));
         store(axes, pixel, vec4(0.0, 0.0, 0.0, -1.0));
-        store(spreads, pixel, vec4(0.0, 0.0, 0.0, 1.0));
-        return;
+$none        return;
     }
     let vec3 view = path / length(path);
     let vec3 normal = lobewise_face_viewer(given.xyz / sqrt(square), view);
-    // The lobe has no band-limit yet: passes add their own, the square of an angle, to both variances.
-    let LobewiseCovariance lobe = lobewise_make_isotropic(normal, view, clamp(given.w, 0.0, 1.0), 0.0);
-    let vec4 parts = lobewise_split(lobe);
-    var float wide = parts.w;
-    if (!lobewise_is_finite(given.w + lobe.axis.x + lobe.axis.y + lobe.axis.z + lobe.determinant)) {
+    let float alpha = clamp(given.w, 0.0, 1.0);
+    // The lobe has no band-limit yet: passes add their own, the square of an angle, to its variances.
+$lobe    if (!lobewise_is_finite(given.w + axis.x + axis.y + axis.z + wide)) {
         wide = -1.0;
     }
     store(points, pixel, vec4(spot.xyz, $footprint));
     store(normals, pixel, vec4(given.xyz, spot.w));
-    store(axes, pixel, vec4(lobe.axis, wide));
-    store(spreads, pixel, vec4(parts.xyz, lobe.determinant / max(parts.w, 1.0e-30)));
+    store(axes, pixel, vec4(axis, wide));
 }

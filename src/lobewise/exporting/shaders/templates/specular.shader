@@ -1,29 +1,17 @@
-// The lobe of a pixel, from its axis and larger variance, and from t and its smaller variance. The square of a
-// band-limit is added to both variances.
-LobewiseSplit lobewise_join(vec4 axis, vec4 spread, float tau) {
-    var LobewiseSplit lobe;
-    lobe.axis = axis.xyz;
-    lobe.t = spread.xyz;
-    lobe.wide = axis.w + tau * tau;
-    lobe.narrow = spread.w + tau * tau;
-    return lobe;
-}
-
 // What pixels are compared by: their places, and their specular lobes.
 struct LobewiseGuide {
     vec3 position;
     float depth; // 0 where the pixel shows no surface, or has no lobe
-    LobewiseSplit lobe;
+    LobewiseLobe lobe;
 };
 
 // The guide of a pixel.
 LobewiseGuide lobewise_read_guide(ivec2 pixel) {
-    let vec4 axis = load(axes, pixel);
     var LobewiseGuide guide;
     guide.position = load(points, pixel).xyz;
     guide.depth = load(normals, pixel).w;
-    guide.lobe = lobewise_join(axis, load(spreads, pixel), constants.tau);
-    if (axis.w < 0.0) {
+    guide.lobe = lobewise_read_lobe(pixel, constants.tau);
+    if (load(axes, pixel).w < 0.0) {
         guide.depth = 0.0;
     }
     return guide;
@@ -31,7 +19,7 @@ LobewiseGuide lobewise_read_guide(ivec2 pixel) {
 
 // log2 of the weight of the lobes of two pixels of this frame.
 float lobewise_compare_lobes(LobewiseGuide i, LobewiseGuide j) {
-    return lobewise_compare_ggx(i.lobe, j.lobe, constants.beta);
+    return lobewise_compare_reflections(i.lobe, j.lobe, constants.beta);
 }
 
 // Whether a pixel of this frame has light of this layer.
@@ -71,17 +59,16 @@ float lobewise_compare_frames(ivec2 pixel, ivec2 before, bool is_surface) {
     let vec4 spot_before = load(points_before, before);
     let vec4 normal = load(normals, pixel);
     let vec4 normal_before = load(normals_before, before);
-    let vec4 axis_before = load(axes_before, before);
-    let vec4 spread_before = load(spreads_before, before);
     let vec2 hit = load(reflections, pixel).xy;
     let vec2 hit_before = load(reflections_before, before).xy;
-    let LobewiseSplit lobe = lobewise_join(load(axes, pixel), load(spreads, pixel), constants.tau_between);
-    var LobewiseSplit moved = lobewise_join(axis_before, spread_before, constants.tau_between);
+    let LobewiseLobe lobe = lobewise_read_lobe(pixel, constants.tau_between);
+    var LobewiseLobe moved = lobewise_read_lobe_before(before, constants.tau_between);
     let float near = lobewise_bound_hit(hit.x, normal.w);
     let float near_before = lobewise_bound_hit(hit_before.x, normal_before.w);
     let vec3 path = spot_before.xyz - spot.xyz;
     moved.axis += lobewise_find_hit_shift(lobe.axis, moved.axis, path, 0.5 * (near + near_before));
-    let float lobes = lobewise_compare_ggx(lobe, moved, constants.beta_between) + lobewise_compare_hits(hit, hit_before);
+    let float alike = lobewise_compare_reflections(lobe, moved, constants.beta_between);
+    let float lobes = alike + lobewise_compare_hits(hit, hit_before);
     if (!is_surface) {
         return lobes;
     }
