@@ -66,7 +66,7 @@ def list_guides(names: Sequence[str], lifetime: Lifetime) -> list[Image]:
         Image(name="normals", comment="normal (xyz), distance from the camera or 0 (w)", lifetime=lifetime),
         Image(
             name="axes",
-            comment="axis of the specular lobe (xyz), its variance or the larger one of two, rad^2; -1 without a lobe (w)",
+            comment="axis of the specular lobe (xyz), its variance or the larger of two, rad^2; -1 without a lobe (w)",
             lifetime=lifetime,
         ),
         Image(
