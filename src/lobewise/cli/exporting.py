@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from lobewise.cli.exporting_shaders import export_page, export_shaders, print_chain
 from lobewise.cli.options.spreading import with_settings
+from lobewise.cli.terminal.help import FILTER_DETAILS
 from lobewise.errors import InputError
 from lobewise.exporting.names import CHAINS, SHADER_LANGUAGES, TARGETS, WEB, ExportSettings
 from lobewise.exporting.pipeline.settings import PipelineSettings
@@ -20,9 +20,18 @@ SHARED = ("similarity", "form", "radius", "anisotropic")
 """Settings of a filter that a pipeline has, too."""
 PIPELINE = ("plan", "history", "upsample", "motion", "hit_distance", "layers", "emission", "position", "lobe_kind")
 """Settings of a pipeline alone."""
+USUAL = ("similarity", "form", "radius", "albedo", "plan", "history", "upsample")
+"""Settings that the short help shows."""
 
 
-@with_settings({**list_knobs(PipelineSettings), **list_knobs(ExportSettings)}, *OWN, *PIPELINE, only_given=True)
+@with_settings(
+    {**list_knobs(PipelineSettings), **list_knobs(ExportSettings)},
+    *OWN,
+    *PIPELINE,
+    only_given=True,
+    group=FILTER_DETAILS,
+    usual=USUAL,
+)
 def export(
     settings: dict[str, Any],
     output: Annotated[
@@ -54,7 +63,7 @@ def export(
     from lobewise.cli.output import print_line
 
     if target in SHADER_LANGUAGES and chain is not None and list_contents:
-        print_chain(target, chain, settings, name)
+        _print_chain(target, chain, settings, name)
         return
     if list_contents and not any(each in settings for each in PIPELINE):
         settings["plan"] = "fast"
@@ -63,11 +72,11 @@ def export(
 
     if target in SHADER_LANGUAGES:
         assert output is not None
-        export_shaders(output, target, chain, settings, name, force)
+        _export_shaders(output, target, chain, settings, name, force)
         return
     if target == WEB:
         assert output is not None
-        export_page(output, chain, settings, name, force)
+        _export_page(output, chain, settings, name, force)
         return
     if chain is not None:
         raise InputError(
@@ -87,6 +96,74 @@ def export(
 
     command = export_library(output, FilterPlan(**settings), target=target, name=name or "lobewise", force=force)
     print_line(f"Wrote {output}; README.md describes the files. In that folder: {command}")
+
+
+def _export_page(output: Path, chain: str | None, settings: dict[str, Any], name: str | None, force: bool) -> None:
+    """Write the page for browsers. Refuse options that it does not have."""
+    from lobewise.cli.output import print_line
+    from lobewise.exporting.shaders.web import export_web
+
+    given = {"chain": chain, "name": name, **settings}
+    unused = [each for each, value in given.items() if value is not None]
+    if unused:
+        raise InputError(
+            _name_option(unused[0]),
+            expected="another target beside it",
+            got=f"the target {WEB}, whose page has its own settings",
+            action="leave one of them out",
+        )
+    export_web(output, force=force)
+    print_line(f"Wrote {output}: open {output / 'index.html'} in a browser with WebGPU.")
+
+
+def _export_shaders(
+    output: Path, language: str, chain: str | None, settings: dict[str, Any], name: str | None, force: bool
+) -> None:
+    """Write shader functions, or the passes of a chain. Refuse options that neither has."""
+    from lobewise.cli.output import print_line
+
+    _refuse_unused(language, chain, settings, name)
+    if chain is None:
+        from lobewise.exporting.shaders.functions import export_shader
+
+        export_shader(output, language, force=force)
+        print_line(f"Wrote {output}: lobewise.{language}, README.md.")
+        return
+    from lobewise.exporting.shaders.writing import DESCRIPTION, export_chain
+
+    names = export_chain(output, language, chain, force=force, **settings)
+    count = sum(each.endswith(f".{language}") for each in names)
+    print_line(f"Wrote {output}: {count} passes, {DESCRIPTION}, README.md, which describes images and constants.")
+
+
+def _print_chain(language: str, chain: str, settings: dict[str, Any], name: str | None) -> None:
+    """Print what a chain contains. Refuse options that it does not have."""
+    from lobewise.cli.output import print_line
+    from lobewise.exporting.shaders.chains import make_chain
+    from lobewise.exporting.shaders.listing import list_chain
+
+    _refuse_unused(language, chain, settings, name)
+    for line in list_chain(make_chain(chain, **settings), language):
+        print_line(line)
+
+
+def _refuse_unused(language: str, chain: str | None, settings: dict[str, Any], name: str | None) -> None:
+    """Raise an error if there is an option that shader functions, or the passes of a chain, do not have."""
+    known = {"form", "similarity"} if chain is not None else set()
+    unused = [*(each for each in settings if each not in known), *(["name"] if name is not None else [])]
+    if unused:
+        has = "whose chains have a form and a similarity, and take the radius as a constant"
+        raise InputError(
+            _name_option(unused[0]),
+            expected="a processor or device as target beside it",
+            got=f"the shader language {language}, {has if chain is not None else 'whose file has all weights'}",
+            action="leave one of them out",
+        )
+
+
+def _name_option(setting: str) -> str:
+    """Return the option of a setting, as users write it."""
+    return "--" + setting.replace("_", "-")
 
 
 def _export_pipeline(output: Path | None, settings: dict[str, Any], *, target: str, name: str, force: bool) -> None:
