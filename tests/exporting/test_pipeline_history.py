@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import platform
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,7 @@ import pytest
 from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, WIDTH, make_settings, prepare_frame, run_recipe
 from lobewise.exporting.pipeline.scene import CUT, make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
+from lobewise.exporting.pipeline.writing import export_pipeline
 from lobewise.temporal import TemporalFilter
 from tests.exporting.conftest import find_program
 from tests.exporting.pipelines import LIBRARIES, build, export, run_example
@@ -70,6 +73,16 @@ def test_a_reset_forgets_everything(history: Path, cpp: str) -> None:
     for number, image in enumerate(found):
         (alone,) = run_recipe(settings, [prepare_frame(settings, make_frame(number))])
         np.testing.assert_allclose(image, alone, rtol=1e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(platform.machine() != "x86_64" or sys.platform != "linux", reason="runs code for x86-64 Linux")
+@pytest.mark.parametrize("target", ["x86-64-linux", "x86-64-linux-avx2-fma"])
+def test_narrower_vectors_follow_python(target: str, compiler: str, cpp: str, tmp_path: Path) -> None:
+    """Each vector width has code of its own: places that are NaN must not be found with any."""
+    export_pipeline(tmp_path / "out", PipelineSettings(**SETTINGS, similarity="sg"), target=target)
+    bound = 1e-5 if "fma" in target else 5e-5
+    assert max(run_example(tmp_path / "out", cpp)) <= bound
 
 
 @pytest.mark.slow

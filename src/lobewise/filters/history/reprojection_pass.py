@@ -23,6 +23,7 @@ from typing import Any
 
 from lobewise.backend import expressions
 from lobewise.backend.compiler import declare_vars, hl
+from lobewise.backend.pointwise import is_finite
 from lobewise.backend.signature import Signature
 from lobewise.features.arrays import declare_features, declare_scalars
 from lobewise.features.base import Feature
@@ -202,7 +203,8 @@ def _find_spot(raw: hl.Expr, length: hl.Expr, usable: hl.Expr) -> tuple[hl.Expr,
 
     Places far outside the image, and NaN, must not become an index. A pixel that is not usable has no place.
     """
-    near = usable & (raw > hl.f32(-1.0)) & (raw < hl.f32(length))
+    # Comparisons do not tell NaN from numbers: the compiler may assume that there is none.
+    near = usable & is_finite(raw) & (raw > hl.f32(-1.0)) & (raw < hl.f32(length))
     value = hl.select(near, raw, hl.f32(OUTSIDE))
     whole = hl.floor(value + hl.f32(0.5))
     value = hl.select(hl.abs(value - whole) < hl.f32(SNAP_PIXELS), whole, value)
