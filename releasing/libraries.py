@@ -172,7 +172,7 @@ def build(
         "sources": list_sources(kernels),
         "kernels": described,
     }
-    (folder / prebuilt.INDEX_NAME).write_text(json.dumps(index, separators=(",", ":")))
+    (folder / prebuilt.INDEX_NAME).write_text(json.dumps(index, separators=(",", ":")), encoding="utf-8")
 
 
 def choose_linker(name: str) -> list[str]:

@@ -1,0 +1,121 @@
+"""What goes into a wheel, how it is weighed, and what the demonstration says in a wheel."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from lobewise.cli import demo
+from lobewise.errors import FileError
+from lobewise.exporting import sample
+from releasing import wheels
+from releasing.systems import SYSTEMS
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def hook(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Return the hook of the build; only its base class is hatchling's."""
+    parent = ModuleType("hatchling.builders.hooks.plugin.interface")
+    parent.BuildHookInterface = object  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, parent.__name__, parent)
+    described = importlib.util.spec_from_file_location("wheel_hook", ROOT / "releasing" / "wheel_hook.py")
+    assert described is not None
+    assert described.loader is not None
+    module = importlib.util.module_from_spec(described)
+    described.loader.exec_module(module)
+    return module.KernelsHook()
+
+
+def make_data() -> dict[str, Any]:
+    """Return the data of a build before hooks."""
+    return {"pure_python": True, "force_include": {}}
+
+
+@pytest.mark.parametrize("system", SYSTEMS.values(), ids=lambda system: system.name)
+def test_a_wheel_with_kernels_is_for_one_system(
+    system: Any, hook: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "index.json").write_text(json.dumps({"wheel": system.tag}))
+    monkeypatch.setenv("LOBEWISE_KERNELS", str(tmp_path))
+    data = make_data()
+    hook.initialize("standard", data)
+    assert data == {
+        "pure_python": False,
+        "tag": f"py3-none-{system.tag}",
+        "force_include": {str(tmp_path): "lobewise/backend/prebuilt"},
+    }
+    data = make_data()
+    hook.initialize("editable", data)
+    assert data == make_data()
+
+
+def test_a_wheel_without_kernels_is_for_all_systems(hook: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("LOBEWISE_KERNELS", raising=False)
+    data = make_data()
+    hook.initialize("standard", data)
+    assert data == make_data()
+
+
+def make_row(megabytes: float, first: float) -> dict[str, Any]:
+    """Return the figures of an installation whose second call takes a second."""
+    return {
+        "python": "3.12.1",
+        "megabytes_without_numpy": megabytes,
+        "first_processor_seconds": first,
+        "second_processor_seconds": 1.0,
+    }
+
+
+@pytest.mark.parametrize(
+    ("row", "words"), [(make_row(120.0, 3.0), ""), (make_row(120.1, 1.0), "120.1 MB"), (make_row(1.0, 3.1), "2.1 s")]
+)
+def test_limits(row: dict[str, Any], words: str) -> None:
+    faults = wheels.list_faults([row])
+    assert len(faults) == bool(words)
+    assert words in "".join(faults)
+
+
+def test_sizes_of_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, size in {
+        "numpy/core.so": 3_000_000,
+        "numpy.libs/blas.so": 2_000_000,
+        "numpy-2.1.0.dist-info/METADATA": 1_000_000,
+        "lobewise/backend/prebuilt/index.json": 4_000_000,
+        "lobewise-0.1.0.dist-info/RECORD": 500_000,
+        "pip/main.py": 9_000_000,
+        "pip-25.0.dist-info/RECORD": 9_000_000,
+    }.items():
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(bytes(size))
+
+    class Done:
+        stdout = f"{tmp_path}\n"
+
+    monkeypatch.setattr(wheels.subprocess, "run", lambda *_, **__: Done())
+    assert wheels.weigh_packages(Path("bin")) == {"numpy": 6.0, "lobewise": 4.5}
+
+
+def test_the_demonstration_says_where_its_frames_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    frame, _, _ = demo.load_bundled()
+    assert frame.shape == (512, 512)
+    monkeypatch.setattr(demo, "FRAME", "absent.exr")
+    with pytest.raises(FileError, match=r"clone of the repository, or add --live"):
+        demo.load_bundled()
+
+
+def test_wheels_hold_the_sample_of_exports_and_no_frames_of_the_demonstration() -> None:
+    folder = ROOT / "src" / "lobewise" / "data"
+    left_out = set(folder.glob("showroom-*.exr"))
+    assert {demo.FRAME, demo.REFERENCE} == {path.name for path in left_out}
+    assert sample.FRAME not in {path.name for path in left_out}
+    assert (folder / sample.FRAME).stat().st_size < 200_000
+    assert 'exclude = ["src/lobewise/data/showroom-*.exr"]' in (ROOT / "pyproject.toml").read_text()
