@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -36,6 +37,11 @@ from releasing.systems import SYSTEMS, Level, System
 PROCESSOR = Path(__file__).with_name("processor.c")
 PROCESSES = 2
 """Kernels that are compiled at once."""
+RUNTIME = "runtime"
+"""Name of the runtime's object file; the others are named by kernels."""
+RUNTIME_FUNCTIONS = ("halide_set_error_handler", "halide_set_custom_print", "halide_shutdown_thread_pool")
+"""Functions of the runtime that Python calls (`lobewise.backend.runtime`)."""
+_RUNTIME_NAME = re.compile(rb"(?<=\0)halide_\w+(?=\0)")
 Described = tuple[str, list[Any]]
 """Name and packed parameters of a kernel."""
 Compile = Callable[[str, Path], dict[str, Described]]
@@ -104,7 +110,10 @@ def link(system: System, level: Level, objects: Sequence[Path], output: Path, li
     """Link object files of kernels and runtime into a library that shows its kernels and its runtime."""
     is_zig = "ziglang" in linker
     command = [*linker, *(["-target", system.zig] if is_zig else []), f"-DLEVEL={level.number}", "-O2", "-shared", "-s"]
-    if not system.name.startswith("windows"):
+    sources = [PROCESSOR]
+    if system.name.startswith("windows"):
+        sources.append(write_exports(objects, output.with_suffix(".c")))
+    else:
         command.append("-fPIC")
     if system.name.startswith("linux"):
         # A library's own functions call its own runtime, whatever else the process has loaded.
@@ -112,11 +121,23 @@ def link(system: System, level: Level, objects: Sequence[Path], output: Path, li
     listed = output.with_suffix(".rsp")
     listed.write_text("\n".join(f'"{each.as_posix()}"' for each in objects))
     try:
-        subprocess.run([*command, "-o", str(output), str(PROCESSOR), f"@{listed}"], check=True)
+        subprocess.run([*command, "-o", str(output), *map(str, sources), f"@{listed}"], check=True)
     finally:
-        listed.unlink()
-    for rest in (*output.parent.glob("*.pdb"), *output.parent.glob("*.lib")):
-        rest.unlink()
+        for ending in ("rsp", "c", "pdb", "lib"):
+            for rest in output.parent.glob(f"*.{ending}"):
+                rest.unlink()
+
+
+def write_exports(objects: Sequence[Path], path: Path) -> Path:
+    """Write a C file that makes a library on Windows show its kernels and what they and Python call of the runtime."""
+    names = set(RUNTIME_FUNCTIONS)
+    for each in objects:
+        if each.stem != RUNTIME:
+            names |= {name.decode() for name in _RUNTIME_NAME.findall(each.read_bytes())}
+            names.add(f"{prebuilt.name_symbol(each.stem)}_argv")
+    lines = [rf'__asm__(".section .drectve,\"yn\"\n.ascii \" -export:{name}\"\n");' for name in sorted(names)]
+    path.write_text("\n".join(lines) + "\n", encoding="ascii")
+    return path
 
 
 def build_level(
@@ -127,7 +148,7 @@ def build_level(
     with tempfile.TemporaryDirectory() as scratch:
         work = Path(scratch)
         found = compile_all(target, work)
-        (work / "runtime.o").write_bytes(compile_runtime(target))
+        (work / f"{RUNTIME}.o").write_bytes(compile_runtime(target))
         link(system, level, sorted(work.glob("*.o")), folder / f"{level.name}{system.suffix}", linker)
     return dict(sorted(found.items()))
 

@@ -21,6 +21,8 @@ static unsigned read_xcr0(void) {
 #define BIT(number) (1u << (number))
 
 #if defined(_WIN32)
+/* Halide's objects ask Microsoft's C library for this name where they use floating point; other C libraries lack it. */
+int _fltused = 0;
 __declspec(dllexport)
 #else
 __attribute__((visibility("default")))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -19,7 +20,7 @@ import lobewise
 from lobewise.backend import prebuilt
 from lobewise.errors import MissingDependencyError
 from releasing.frames import make_frame
-from releasing.libraries import build, compile_kernels
+from releasing.libraries import build, compile_kernels, write_exports
 from releasing.recording import record_kernels
 from releasing.systems import SYSTEMS, System
 
@@ -181,6 +182,16 @@ def test_the_best_level_that_the_processor_runs_is_chosen(
 
 def test_a_source_install_has_no_libraries(tmp_path: Path) -> None:
     assert prebuilt.open_library(tmp_path) is None
+
+
+def test_libraries_of_windows_show_kernels_and_what_they_call(tmp_path: Path) -> None:
+    kernel, runtime = tmp_path / "0123abcd.o", tmp_path / "runtime.o"
+    kernel.write_bytes(b"code\0halide_do_par_for\0kernel_0123abcd\0halide_error \0")
+    runtime.write_bytes(b"\0halide_internal\0")
+    told = write_exports([kernel, runtime], tmp_path / "exports.c").read_text()
+    names = re.findall(r"-export:(\w+)", told)
+    called = ["halide_set_custom_print", "halide_set_error_handler", "halide_shutdown_thread_pool"]
+    assert names == ["halide_do_par_for", *called, "kernel_0123abcd_argv"]
 
 
 FLAGS = {
