@@ -27,8 +27,9 @@ from lobewise.exporting.pipeline.program.memory import MemoryPlan, plan_memory
 from lobewise.exporting.pipeline.program.numbers import write_number
 from lobewise.exporting.pipeline.recipes.constants import Constants, Setting, list_settings
 from lobewise.exporting.pipeline.settings import PipelineSettings
+from lobewise.filters.noise.detail import FEATURE_ROWS
 
-_AXES = {"height": "HEIGHT", "width": "WIDTH", "rows": "ROWS", "columns": "COLUMNS"}
+_AXES = {"height": "HEIGHT", "width": "WIDTH", "rows": "ROWS", "columns": "COLUMNS", "band": "BAND"}
 _TYPES = {"float32": "float", "int32": "int32_t", "float64": "double"}
 _MARK = re.compile(r"^/\* routine: (\w+) \*/\n", flags=re.M)
 
@@ -156,6 +157,7 @@ def write_driver(pipeline: Pipeline) -> str:
         title=pipeline.title,
         version=lobewise.__version__,
         least=pipeline.least_width,
+        band_rows=FEATURE_ROWS,
         scale=pipeline.settings.upsample,
         places=_list_places(pipeline),
         images="\n".join(f"    IMAGE_{image.name}," for image in pipeline.images),
@@ -235,6 +237,14 @@ def _declare_kernel(kernel: CompiledKernel) -> str:
     return f"int {kernel.symbol}({', '.join(words)});"
 
 
+BAND_LOOP = (
+    "    /* Rows in bands, so that the images of a band take little memory. */",
+    "    p->box.left = 0;",
+    "    p->box.width = p->width;",
+    "    for (p->box.top = 0; p->box.top < p->height; p->box.top += BAND_ROWS) {",
+    "        const int left = p->height - p->box.top;",
+    "        p->box.height = left < BAND_ROWS ? left : BAND_ROWS;",
+)
 ROUTINE_NUMBERS = {
     "max_shared_as_noise": MAX_SHARED_AS_NOISE,
     "max_gain_per_firefly": MAX_GAIN_PER_FIREFLY,
@@ -267,8 +277,9 @@ def _write_stage(name: str, number: int, stage: tuple[str, list[Operation]]) -> 
         "    halide_buffer_t *const i = p->images;",
         "    int code = 0;",
     ]
-    for operation in operations:
-        lines += _write_operation(operation)
+    for in_band, group in groupby(operations, key=lambda each: each.in_band):
+        written = [line for operation in group for line in _write_operation(operation)]
+        lines += [*BAND_LOOP, *(f"    {line}" for line in written), "    }"] if in_band else written
     return "\n".join([*lines, "    (void)i;", f"    return code ? {name}_failed : {name}_ok;", "}"])
 
 

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from lobewise.backend.signature import Axis, Parameter
 from lobewise.exporting.pipeline.program.numbers import write_number
 
-SIZES = ("height", "width", "rows", "columns")
-"""Named axes: those of the image, and those of the samples, which are the same unless samples are sparse."""
+SIZES = ("height", "width", "rows", "columns", "band")
+"""Named axes: those of the image, those of the samples, which are the same unless samples are sparse, and the rows of a
+band."""
 ALIASES = {"height_before": "height", "width_before": "width"}
 """Other names that kernels give to these axes."""
 
@@ -96,7 +97,7 @@ class Image:
 
     def count_bytes(self, share: float) -> float:
         """Return the bytes for a pixel of the image; ``share`` is the share of the pixels that have a sample."""
-        if self.flat is not None or not {"width", "columns"}.intersection(map(str, self.shape)):
+        if self.flat is not None or "band" in self.shape or not {"width", "columns"}.intersection(map(str, self.shape)):
             return 0.0
         size = float(self.channels * self.dtype.itemsize)
         return size * share if "rows" in self.shape or "columns" in self.shape else size
@@ -123,6 +124,8 @@ class Operation:
         Part of the plan that it belongs to.
     in_box : bool
         Whether it is given the box of its images that a C function has found.
+    in_band : bool
+        Whether it runs for bands of rows, one after the other. The box is the band then.
     """
 
     function: str
@@ -134,6 +137,7 @@ class Operation:
     is_kernel: bool = True
     stage: str = ""
     in_box: bool = False
+    in_band: bool = False
 
 
 @dataclass
@@ -152,6 +156,7 @@ class Graph:
     stage: str = ""
     when: str = ""
     in_box: bool = False
+    in_band: bool = False
     flags: list[str] = field(default_factory=list)
     """Names of whole numbers that C functions write and conditions read."""
     reals: list[str] = field(default_factory=list)
@@ -223,6 +228,16 @@ class Graph:
         finally:
             self.in_box = before
 
+    @contextmanager
+    def only_in_bands(self) -> Iterator[None]:
+        """Run steps for bands of rows, one after the other. Images with the axis "band" hold one band."""
+        with self.only_in_box():
+            self.in_band = True
+            try:
+                yield
+            finally:
+                self.in_band = False
+
     def add_flag(self, name: str) -> str:
         """Return the C expression of a new whole number."""
         flag = self.name(name)
@@ -262,7 +277,7 @@ class Graph:
         overlap = {image.name for image in reads} & {image.name for image in writes}
         assert not overlap, f"{function} reads what it writes: {overlap}"
         self.operations.append(
-            Operation(function, given, reads, writes, text, self.when, True, self.stage, self.in_box)
+            Operation(function, given, reads, writes, text, self.when, True, self.stage, self.in_box, self.in_band)
         )
 
     def run(
@@ -273,7 +288,9 @@ class Graph:
         arguments += [("", number) for number in numbers]
         reads = tuple(image for image in images if image not in writes)
         self.operations.append(
-            Operation(function, arguments, reads, tuple(writes), text, self.when, False, self.stage, self.in_box)
+            Operation(
+                function, arguments, reads, tuple(writes), text, self.when, False, self.stage, self.in_box, self.in_band
+            )
         )
 
     def list_images(self) -> list[Image]:
@@ -301,6 +318,7 @@ def _require_fit(function: str, parameter: Parameter, image: Image, sizes: dict[
     assert image.type == parameter.type, told
     assert image.ndim == len(parameter.axes), told
     for axis, length in zip(parameter.axes, image.shape, strict=True):
+        length = "height" if length == "band" else length
         if isinstance(axis, int):
             assert axis == length, told
         else:

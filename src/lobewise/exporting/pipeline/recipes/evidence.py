@@ -19,7 +19,7 @@ from lobewise.exporting.pipeline.program.numbers import Number, choose_larger, c
 from lobewise.exporting.pipeline.recipes import glue
 from lobewise.exporting.pipeline.recipes.guided import HalfLayer
 from lobewise.exporting.pipeline.recipes.guides import SIZE, PipelineGuides
-from lobewise.filters.noise.detail import LEVELS, define_difference, define_features, define_products
+from lobewise.filters.noise.detail import COUNT, LEVELS, define_difference, define_features, define_products
 from lobewise.filters.noise.evidence import (
     BLUR_COUNT,
     FIRST_BLUR,
@@ -121,15 +121,19 @@ def find_shares(guides: PipelineGuides, told: dict[str, Image], level: Number) -
         "level": round_single(level),
         "flags": [_single(1.0), _single(0.0)],
     }
-    (seen,) = kernels.map_pixels(define_features, pooled, numbers, names=["seen"], text="features of the difference")
     network = load_networks()["noisy"]
-    count = seen.shape[-1]
-    assert isinstance(count, int)
-    network.require_fit(count, 2)
-    sizes = count, *(len(bias) for bias in network.biases)
+    network.require_fit(COUNT, 2)
+    sizes = COUNT, *(len(bias) for bias in network.biases)
     arrays = {name: guides.graph.hold(f"network_{name}", array) for name, array in network.name_arrays().items()}
     kernel = kernels.get(("shares", sizes), partial(make_shares, sizes))
-    return kernels.call(kernel, {"seen": seen, **arrays}, text="a small network says how much to take back")["shares"]
+    # The features of a whole image would take more memory than all other images.
+    seen, shares = guides.graph.make("seen", "band", "width", COUNT), guides.graph.make("shares", *SIZE, 2)
+    with guides.graph.only_in_bands():
+        text = "features of the difference"
+        kernels.map_pixels(define_features, pooled, numbers, into=[seen], text=text)
+        text = "a small network says how much to take back"
+        kernels.call(kernel, {"seen": seen, **arrays}, into={"shares": shares}, text=text)
+    return shares
 
 
 def find_certain(guides: PipelineGuides, told: dict[str, Image], level: Number) -> Image:

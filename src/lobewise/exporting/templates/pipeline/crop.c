@@ -1,4 +1,4 @@
-/* The box of an image; dims is memory for its axes. */
+/* The box of an image, or the first rows of the memory of a band; dims is memory for its axes. */
 static halide_buffer_t crop(const ${name}_pipeline *p, int image, halide_dimension_t *dims)
 {
     halide_buffer_t part = p->images[image];
@@ -8,7 +8,9 @@ static halide_buffer_t crop(const ${name}_pipeline *p, int image, halide_dimensi
     for (axis = 0; axis < info->axes; axis++) {
         const int shape = info->shape[info->axes - 1 - axis];
         dims[axis] = part.dim[axis];
-        if (shape == HEIGHT || shape == WIDTH) {
+        if (shape == BAND) {
+            dims[axis].extent = p->box.height;
+        } else if (shape == HEIGHT || shape == WIDTH) {
             dims[axis].extent = shape == HEIGHT ? p->box.height : p->box.width;
             part.host += bytes * dims[axis].stride * (shape == HEIGHT ? p->box.top : p->box.left);
         }
