@@ -19,6 +19,7 @@ import numpy as np
 import lobewise
 from lobewise import Frame
 from lobewise.bench.plan import Extent, list_jobs
+from lobewise.doctor.machine import examine_kernels
 from lobewise.errors import LobewiseError
 from lobewise.interactive import InteractiveSettings, Session
 from lobewise.interactive.settings import METHODS, UNFILTERED
@@ -181,6 +182,11 @@ def list_benchmarks() -> Iterator[Case]:
         yield from job.make().values()
 
 
+def list_examinations() -> Iterator[Case]:
+    """Yield the filter by which `lobewise doctor` finds out whether kernels run."""
+    yield examine_kernels
+
+
 def list_interactive_frames() -> Iterator[Case]:
     """Yield frames of an interactive session by every method and similarity, while camera and light move.
 
@@ -216,6 +222,7 @@ PARTS: dict[str, Callable[[], Iterator[Case]]] = {
     "histories": list_histories,
     "windows": list_windows,
     "benchmarks": list_benchmarks,
+    "examinations": list_examinations,
     "interactive frames": list_interactive_frames,
 }
 

@@ -11,6 +11,7 @@ import pytest
 
 import lobewise
 from lobewise.cli.main import run
+from lobewise.doctor.machine import examine_kernels
 from lobewise.filters.cross_pass import PassKey
 from lobewise.settings.choices import FORMS, QUALITIES, SIMILARITIES
 from releasing.catalogue import list_kernels
@@ -70,6 +71,12 @@ class TestVerbs:
             lobewise.write_frame(tmp_path / f"in.{number:04}.exr", make_frame((50, 70), seed=number))
         words = ["denoise", str(tmp_path / "in.####.exr"), "-o", str(tmp_path / "out.####.exr"), "--device", "cpu"]
         assert find_missing(catalogue, [*words, *option]) == []
+
+    def test_doctor(self, catalogue: set[str]) -> None:
+        with record_kernels() as found:
+            examine_kernels()
+        assert found
+        assert found.keys() <= catalogue
 
     def test_upsample(self, catalogue: set[str], tmp_path: Path) -> None:
         sparse = tmp_path / "sparse.exr"
