@@ -56,7 +56,8 @@ def install(python: str, wheel: Path, folder: Path) -> Path:
     subprocess.run([python, "-m", "venv", str(folder)], check=True)
     programs = folder / "bin"
     command = [str(programs / "python"), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", str(wheel)]
-    subprocess.run(command, check=True)
+    # What PYTHONPATH shows would count as installed.
+    subprocess.run(command, env={name: value for name, value in os.environ.items() if name != "PYTHONPATH"}, check=True)
     return programs
 
 
