@@ -39,6 +39,12 @@ FRAME = ROOT / "src" / "lobewise" / "data" / "showroom-4spp.exr"
 _REPEATS = 3
 
 
+def test_verbs() -> None:
+    """Prove that the verbs ask for no kernel that the catalogue lacks; takes minutes."""
+    command = [sys.executable, "-m", "pytest", "-q", "tests/releasing"]
+    subprocess.run(command, cwd=ROOT, env={**os.environ, "LOBEWISE_TEST_RELEASE": "1"}, check=True)
+
+
 def build_wheel(libraries: Path, folder: Path) -> Path:
     """Build the wheel of a folder of libraries, check its metadata, and return its path."""
     with tempfile.TemporaryDirectory() as made:
@@ -149,7 +155,10 @@ def main() -> int:
     parser.add_argument("--python", action="append", help="an interpreter to measure with; may be given several times")
     parser.add_argument("--no-measure", action="store_true", help="build and check only")
     parser.add_argument("--readme", action="store_true", help="also run the commands of the README")
+    parser.add_argument("--no-tests", action="store_true", help="do not test what kernels the verbs ask for")
     options = parser.parse_args()
+    if not options.no_tests:
+        test_verbs()
     wheel = build_wheel(options.libraries, options.output)
     print(f"{wheel}: {wheel.stat().st_size / 1e6:.1f} MB")
     if options.no_measure:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lobewise
-from lobewise.cli import main
+from lobewise.cli.main import run as run_program
 from lobewise.io import write_image
 from tests.streaming.frames import make_scene
 
@@ -18,9 +18,7 @@ BLENDER = Path(__file__).parents[1] / "data" / "foreign" / "blender_4.5_seed1.ex
 
 def run(*words: object) -> int:
     """Return the exit code of a command line."""
-    with pytest.raises(SystemExit) as stopped:
-        main([str(word) for word in words])
-    return int(stopped.value.code or 0)
+    return run_program([str(word) for word in words])
 
 
 def list_figures(page: Path) -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from pathlib import Path
 from typing import Any
@@ -51,7 +52,10 @@ def own_file(tmp_path: Path) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.mitsuba
+@pytest.mark.skipif("LOBEWISE_TEST_RELEASE" not in os.environ, reason="minutes; set LOBEWISE_TEST_RELEASE=1")
 class TestVerbs:
+    """Run before a release: `releasing/wheels.py` does."""
+
     @pytest.mark.parametrize("file", FILES, ids=lambda path: path.stem)
     def test_denoise(self, file: Path, catalogue: set[str], tmp_path: Path) -> None:
         words = ["denoise", str(file), "-o", str(tmp_path / "out.exr"), "--offline", "--device", "cpu"]
@@ -62,7 +66,7 @@ class TestVerbs:
         commands = [[*words, "--similarity", name] for name in SIMILARITIES]
         commands += [[*words, "--quality", "fast", "--form", name] for name in FORMS]
         commands += [[*words, "--radius", str(radius)] for radius in (2, 12)]
-        commands += [[*words, "--rows", "20"]]
+        commands += [[*words, "--bands", "20"]]
         assert find_missing(catalogue, *commands) == []
 
     @pytest.mark.parametrize("option", [["--temporal"], ["--window", "1"]], ids=str)
