@@ -16,6 +16,15 @@ from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.lobe_table import LobeTable
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Skip the tests that are for releases, unless they are asked for."""
+    if "LOBEWISE_TEST_RELEASE" not in os.environ:
+        skip = pytest.mark.skip(reason="runs before a release; set LOBEWISE_TEST_RELEASE=1")
+        for item in items:
+            if item.get_closest_marker("release"):
+                item.add_marker(skip)
+
+
 @pytest.fixture
 def rng() -> np.random.Generator:
     """Return random numbers that are the same in every run."""

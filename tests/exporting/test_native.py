@@ -21,6 +21,7 @@ from lobewise.exporting.plan import FilterPlan
 from lobewise.exporting.sample import make_sample
 from lobewise.exporting.targets import parse_target
 from lobewise.guides.mixture_fields import define_mixture, make_mixture_field
+from tests.releases import choose_for_release
 
 WARNINGS = ["-std=c99", "-O1", "-Wall", "-Wextra", "-pedantic", "-Werror"]
 QUICK = FilterPlan("sg", "separable", 3)
@@ -363,8 +364,16 @@ def _name_machine(code: bytes) -> str:
     return {0x8664: "x86-64", 0xAA64: "arm-64"}[int.from_bytes(code[:2], "little")] + "-coff"
 
 
+USUAL_TARGETS = {
+    "host", "x86-64-linux", "x86-64-windows-avx2-fma", "arm-64-osx", "arm-64-android", "wasm-32-wasmrt-wasm_simd128",
+    "x86-64-linux-avx2-fma-cuda", "x86-64-windows-avx2-fma-vulkan", "x86-64-linux-avx2-fma-opencl",
+    "x86-64-windows-avx2-fma-d3d12compute", "arm-64-ios-metal", "wasm-32-wasmrt-wasm_simd128-webgpu",
+}  # fmt: skip
+"""Each processor, system and interface once."""
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("target", TARGETS)
+@pytest.mark.parametrize("target", choose_for_release(TARGETS, USUAL_TARGETS))
 def test_every_target_compiles(target: str, tmp_path: Path) -> None:
     folder = tmp_path / "export"
     apis = [api for api in MARKS if api in target.split("-")]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import warnings
 from pathlib import Path
 from typing import Any
@@ -52,7 +51,7 @@ def own_file(tmp_path: Path) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.mitsuba
-@pytest.mark.skipif("LOBEWISE_TEST_RELEASE" not in os.environ, reason="minutes; set LOBEWISE_TEST_RELEASE=1")
+@pytest.mark.release
 class TestVerbs:
     """Run before a release: `releasing/wheels.py` does."""
 

@@ -191,6 +191,7 @@ class TestRamps:
             assert one @ two / np.linalg.norm(one) / np.linalg.norm(two) > FITTED_STEPS, alpha
 
     @pytest.mark.slow
+    @pytest.mark.release
     def test_brushed_lobes_have_few_nodes(self, rough: str) -> None:
         brushed = {"type": rough, "stretch": 1.5}
         material = read({**brushed, "rough": ramp_texture(SHARP, WIDE)})
