@@ -100,6 +100,7 @@ def test_frames_with_a_window_have_the_bits_of_one_process(sources: Path, folder
     assert read_outputs(folder) == read_outputs(alone)
 
 
+@pytest.mark.release
 def test_pictures_follow_the_first_frame(sources: Path, folder: Path, tmp_path: Path) -> None:
     alone = tmp_path / "alone"
     alone.mkdir()

@@ -172,7 +172,9 @@ def test_a_denoised_frame_keeps_the_squares(
 
 
 class TestRamps:
-    @pytest.mark.parametrize("distribution", ["ggx", pytest.param("beckmann", marks=pytest.mark.slow)])
+    @pytest.mark.parametrize(
+        "distribution", ["ggx", pytest.param("beckmann", marks=[pytest.mark.slow, pytest.mark.release])]
+    )
     def test_lobes_between_the_nodes(self, mi: Any, distribution: str) -> None:
         plastic = {"type": "pplastic", "distribution": distribution}
         material = read({**plastic, "alpha": ramp_texture(SHARP, WIDE)})
