@@ -17,7 +17,8 @@ pytestmark = [pytest.mark.mitsuba, pytest.mark.slow]
 
 USUAL_SCENES = {
     "metal of textured roughness", "rough glass", "principled under a bump map",
-    "mask of two sides of a map of a blend", "polarised plastic under a normal map", "thin principled", "picture of a sky", "textured lamp", "instances",
+    "mask of two sides of a map of a blend", "polarised plastic under a normal map", "thin principled",
+    "picture of a sky", "textured lamp", "instances",
     "cropped film", "fog in rough glass", "camera in fog", "direct light alone", "lamps hidden behind nothing",
 }  # fmt: skip
 """Scenes of every kind; the others are their relatives and run before a release."""
