@@ -297,3 +297,22 @@ def test_output_is_needed(capsys: pytest.CaptureFixture[str]) -> None:
 def test_settings_name_no_unknown_layers() -> None:
     with pytest.raises(InputError, match="layers"):
         PipelineSettings(layers="three")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--plan", "fast", "-o", "folder"],
+        ["--target", "wgsl", "--chain", "filter", "-o", "folder"],
+        ["--target", "wgsl"],
+        ["--target", "web"],
+    ],
+    ids=" ".join,
+)
+def test_a_list_writes_nothing_and_refuses_what_has_none(
+    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(["export", "--list", *words]) == 2
+    assert "--list: expected" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []

@@ -20,6 +20,7 @@ SHARED = ("similarity", "form", "radius", "anisotropic")
 """Settings of a filter that a pipeline has, too."""
 PIPELINE = ("plan", "history", "upsample", "motion", "hit_distance", "layers", "emission", "position", "lobe_kind")
 """Settings of a pipeline alone."""
+DEFAULT_NAME = "lobewise"
 USUAL = ("similarity", "form", "radius", "albedo", "plan", "history", "upsample")
 """Settings that the short help shows."""
 
@@ -42,7 +43,9 @@ def export(
     ] = "host",
     name: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Beginning of the names of files and C functions.", show_default="lobewise"),
+        typer.Option(
+            metavar="NAME", help="Beginning of the names of files and C functions.", show_default=DEFAULT_NAME
+        ),
     ] = None,
     chain: Annotated[
         str | None,
@@ -60,41 +63,71 @@ def export(
     ] = False,
 ) -> None:
     """Compile a filter, or with --plan a whole plan, into a C library with README and example; or write shaders."""
-    from lobewise.cli.output import print_line
-
-    if target in SHADER_LANGUAGES and chain is not None and list_contents:
-        _print_chain(target, chain, settings, name)
-        return
-    if list_contents and not any(each in settings for each in PIPELINE):
-        settings["plan"] = "fast"
-    if output is None and (target in (*SHADER_LANGUAGES, WEB) or not list_contents):
-        raise InputError("--output", expected="the folder to write", got="nothing", action="add -o FOLDER")
-
-    if target in SHADER_LANGUAGES:
-        assert output is not None
-        _export_shaders(output, target, chain, settings, name, force)
-        return
-    if target == WEB:
-        assert output is not None
-        _export_page(output, chain, settings, name, force)
-        return
-    if chain is not None:
+    is_shader = target in SHADER_LANGUAGES
+    if chain is not None and target != WEB and not is_shader:
         raise InputError(
             "--chain",
             expected=f"a target of {', '.join(SHADER_LANGUAGES)} beside it",
             got=f"the target {target}, whose library has one function",
             action="leave --chain out, or choose a shader language",
         )
-
-    if any(each in settings for each in PIPELINE):
-        _export_pipeline(output, settings, target=target, name=name or "lobewise", force=force)
+    if list_contents:
+        _print_contents(output, target, chain, settings, name)
         return
+    if output is None:
+        raise InputError("--output", expected="the folder to write", got="nothing", action="add -o FOLDER")
+    if is_shader:
+        _export_shaders(output, target, chain, settings, name, force)
+    elif target == WEB:
+        _export_page(output, chain, settings, name, force)
+    elif any(each in settings for each in PIPELINE):
+        _export_pipeline(output, settings, target=target, name=name or DEFAULT_NAME, force=force)
+    else:
+        _export_filter(output, settings, target=target, name=name or DEFAULT_NAME, force=force)
 
-    assert output is not None
+
+def _print_contents(
+    output: Path | None, target: str, chain: str | None, settings: dict[str, Any], name: str | None
+) -> None:
+    """Print what a pipeline or a chain contains. Refuse a folder, and targets without a list."""
+    from lobewise.cli.output import print_line
+
+    if output is not None:
+        raise InputError(
+            "--list",
+            expected="no folder beside it: it writes nothing",
+            got=f"-o {output}",
+            action="leave one of them out",
+        )
+    if target == WEB or (target in SHADER_LANGUAGES and chain is None):
+        raise InputError(
+            "--list",
+            expected="a pipeline, or a shader language with --chain",
+            got=f"the target {target}" + ("" if target == WEB else " without --chain"),
+            action="leave --list out: the folder's README tells the contents",
+        )
+    if chain is not None:
+        from lobewise.exporting.shaders.chains import make_chain
+        from lobewise.exporting.shaders.listing import list_chain
+
+        _refuse_unused(target, chain, settings, name)
+        lines = list_chain(make_chain(chain, **settings), target)
+    else:
+        from lobewise.exporting.pipeline.contents import list_contents
+        from lobewise.exporting.pipeline.planning import make_pipeline
+
+        lines = list_contents(make_pipeline(_choose_pipeline(settings), target=target, name=name or DEFAULT_NAME))
+    for line in lines:
+        print_line(line)
+
+
+def _export_filter(output: Path, settings: dict[str, Any], *, target: str, name: str, force: bool) -> None:
+    """Write a single filter."""
+    from lobewise.cli.output import print_line
     from lobewise.exporting.native import export_library
     from lobewise.exporting.plan import FilterPlan
 
-    command = export_library(output, FilterPlan(**settings), target=target, name=name or "lobewise", force=force)
+    command = export_library(output, FilterPlan(**settings), target=target, name=name, force=force)
     print_line(f"Wrote {output}; README.md describes the files. In that folder: {command}")
 
 
@@ -136,17 +169,6 @@ def _export_shaders(
     print_line(f"Wrote {output}: {count} passes, {DESCRIPTION}, README.md, which describes images and constants.")
 
 
-def _print_chain(language: str, chain: str, settings: dict[str, Any], name: str | None) -> None:
-    """Print what a chain contains. Refuse options that it does not have."""
-    from lobewise.cli.output import print_line
-    from lobewise.exporting.shaders.chains import make_chain
-    from lobewise.exporting.shaders.listing import list_chain
-
-    _refuse_unused(language, chain, settings, name)
-    for line in list_chain(make_chain(chain, **settings), language):
-        print_line(line)
-
-
 def _refuse_unused(language: str, chain: str | None, settings: dict[str, Any], name: str | None) -> None:
     """Raise an error if there is an option that shader functions, or the passes of a chain, do not have."""
     known = {"form", "similarity"} if chain is not None else set()
@@ -166,10 +188,8 @@ def _name_option(setting: str) -> str:
     return "--" + setting.replace("_", "-")
 
 
-def _export_pipeline(output: Path | None, settings: dict[str, Any], *, target: str, name: str, force: bool) -> None:
-    """Write a pipeline, or print what it contains where there is no folder to write."""
-    from lobewise.cli.output import print_line
-
+def _choose_pipeline(settings: dict[str, Any]) -> PipelineSettings:
+    """Return the settings of a pipeline. Refuse those that a single filter alone has."""
     if alone := [each for each in settings if each not in (*SHARED, *PIPELINE)]:
         raise InputError(
             f"--{alone[0]}", expected="settings of a pipeline", got="one of a single filter", action="leave it out"
@@ -178,18 +198,16 @@ def _export_pipeline(output: Path | None, settings: dict[str, Any], *, target: s
         # The radius counts samples.
         from lobewise.upsampling import DEFAULT_RADIUS
 
-        settings.setdefault("radius", DEFAULT_RADIUS)
-    chosen = PipelineSettings(**settings)
-    if output is None:
-        from lobewise.exporting.pipeline.contents import list_contents
-        from lobewise.exporting.pipeline.planning import make_pipeline
+        settings = {"radius": DEFAULT_RADIUS, **settings}
+    return PipelineSettings(**settings)
 
-        for line in list_contents(make_pipeline(chosen, target=target, name=name)):
-            print_line(line)
-        return
+
+def _export_pipeline(output: Path, settings: dict[str, Any], *, target: str, name: str, force: bool) -> None:
+    """Write a pipeline."""
+    from lobewise.cli.output import print_line
     from lobewise.exporting.pipeline.writing import export_pipeline
 
-    command = export_pipeline(output, chosen, target=target, name=name, force=force)
+    command = export_pipeline(output, _choose_pipeline(settings), target=target, name=name, force=force)
     print_line(f"Wrote {output}; README.md describes the files. In that folder: {command}")
 
 

@@ -10,6 +10,8 @@ from lobewise.settings import LARGEST_RADIUS, MAX_LOBES, Declared, Form, Knob, S
 from lobewise.settings.choices import SIMILARITIES
 from lobewise.settings.choices import Similarity as SimilarityRecord
 
+MAX_NAME_LETTERS = 64
+"""Longest prefix of exported files and functions."""
 SHADER_LANGUAGES = ("hlsl", "glsl", "wgsl")
 WEB = "web"
 """The target that is a page for browsers."""
@@ -100,3 +102,9 @@ class ExportSettings(Declared):
 
 
 document(ExportSettings)
+
+
+def require_identifier(name: str, example: str) -> None:
+    """Raise InputError unless a prefix of files and functions is an identifier of C of at most 64 letters."""
+    if not name.isidentifier() or not name.isascii() or len(name) > MAX_NAME_LETTERS:
+        raise InputError("--name", expected="an identifier of C", got=repr(name), action=f"such as {example}")

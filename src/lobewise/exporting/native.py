@@ -10,12 +10,12 @@ from dataclasses import asdict
 from pathlib import Path
 
 import lobewise
-from lobewise.errors import InputError
 from lobewise.exporting.arguments import Argument
 from lobewise.exporting.compiling import compile_filter, compile_lobes
 from lobewise.exporting.contents import Contents, Function
 from lobewise.exporting.example import make_example
 from lobewise.exporting.folder import MARK, fill_template, open_folder, require_folder
+from lobewise.exporting.names import require_identifier
 from lobewise.exporting.plan import FilterPlan
 from lobewise.exporting.readme import describe_build, make_readme
 from lobewise.exporting.sample import make_sample
@@ -47,8 +47,7 @@ def export_library(
     FileError
         If the folder is not empty or cannot be written.
     """
-    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]{0,63}", name):
-        raise InputError("--name", expected="an identifier of C", got=repr(name), action="such as my_filter")
+    require_identifier(name, "my_filter")
     require_folder(output, force=force)
     contents = Contents(plan, name, parse_target(target).to_string(), make_sample(plan))
     sample = contents.sample

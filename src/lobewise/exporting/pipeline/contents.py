@@ -25,7 +25,7 @@ def describe_contents(pipeline: Pipeline) -> dict[str, Any]:
         "settings": {name: getattr(pipeline.settings, name) for name in vars(pipeline.settings)},
         "inputs": [_describe_image(each) for each in graph.given.values()],
         "results": [_describe_image(each) for each in graph.results.values()],
-        "state": [_describe_image(now) for now, _ in graph.kept],
+        "state": [_describe_image(written) for written, _ in graph.kept],
         "numbers": [
             {"name": each.name, "default": each.default, "meaning": each.text} for each in pipeline.user_settings
         ],
@@ -65,7 +65,7 @@ def list_contents(pipeline: Pipeline) -> Iterator[str]:
             yield f"  {image.name}: {_write_shape(image)}, {image.text}"
     yield f"Memory: {memory.made_bytes:g} bytes for each pixel between steps, {memory.kept_bytes:g} of state."
     if graph.kept:
-        yield f"State: {', '.join(now.name for now, _ in graph.kept)}."
+        yield f"State: {', '.join(written.name for written, _ in graph.kept)}."
     yield f"Kernels: {len(pipeline.kernels)}."
     for number, (stage, operations) in enumerate(pipeline.stages, 1):
         yield f"{number}. {stage}"

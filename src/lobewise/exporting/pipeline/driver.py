@@ -363,12 +363,13 @@ def _write_forgetting(pipeline: Pipeline) -> str:
 
 
 def _write_swapping(pipeline: Pipeline) -> str:
+    """Return the lines that make the state of this frame the state of the frame before."""
     lines = []
-    for now, before in pipeline.graph.kept:
+    for written, before in pipeline.graph.kept:
         lines += [
             "        {",
-            f"            void *const written = p->memory[KEPT_{now.name}];",
-            f"            p->memory[KEPT_{now.name}] = p->memory[KEPT_{before.name}];",
+            f"            void *const written = p->memory[KEPT_{written.name}];",
+            f"            p->memory[KEPT_{written.name}] = p->memory[KEPT_{before.name}];",
             f"            p->memory[KEPT_{before.name}] = written;",
             "        }",
         ]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -11,9 +10,9 @@ from pathlib import Path
 
 import lobewise
 from lobewise.backend.compiler import hl
-from lobewise.errors import InputError
 from lobewise.exporting.example import choose_bound
 from lobewise.exporting.folder import MARK, fill_template, open_folder, require_folder
+from lobewise.exporting.names import require_identifier
 from lobewise.exporting.pipeline.contents import describe_contents, write_readme
 from lobewise.exporting.pipeline.driver import Pipeline, write_driver, write_header
 from lobewise.exporting.pipeline.planning import make_pipeline
@@ -50,8 +49,7 @@ def export_pipeline(
     FileError
         If the folder is not empty or cannot be written.
     """
-    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]{0,63}", name):
-        raise InputError("--name", expected="an identifier of C", got=repr(name), action="such as my_pipeline")
+    require_identifier(name, "my_pipeline")
     require_folder(output, force=force)
     pipeline = make_pipeline(settings, target=target, name=name)
     sample = make_sample(settings, pipeline.graph)

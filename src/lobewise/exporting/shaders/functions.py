@@ -5,8 +5,8 @@ from __future__ import annotations
 from lobewise.errors import require_choice
 from lobewise.exporting.folder import MARK, open_folder
 from lobewise.exporting.names import SHADER_LANGUAGES
+from lobewise.exporting.shaders.declarations import list_constants, read_template
 from lobewise.exporting.shaders.language import translate_text
-from lobewise.exporting.shaders.library import list_constants, read_template
 from lobewise.io.files import PathLike
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 
+from lobewise.exporting.shaders.declarations import gather, read_template
 from lobewise.exporting.shaders.language import (
     Binding,
     Field,
@@ -13,7 +14,6 @@ from lobewise.exporting.shaders.language import (
     write_bindings,
     write_entry,
 )
-from lobewise.exporting.shaders.library import gather, read_template
 
 WORKGROUP = 8, 8
 """Threads of a workgroup, across and down: 64 fit every graphics card, and a square reads few pixels twice."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from lobewise.exporting.shaders.declarations import copy_template
 from lobewise.exporting.shaders.images import list_sums
-from lobewise.exporting.shaders.library import copy_template
 from lobewise.exporting.shaders.passes import Image, Lifetime, Pass
 from lobewise.filters.forms import ATROUS_RADIUS, Taps, list_passes
 
@@ -44,7 +44,7 @@ class Lobes:
     """A kind of specular lobes: the images that hold it, and the templates that make and compare it."""
 
     guides: Sequence[str]
-    library: str
+    functions: str
     part: str
     none: str = ""
     """What the pass that makes lobes also stores for a pixel without one."""
@@ -55,7 +55,7 @@ class Lobes:
         reflected = "light that surfaces reflect"
         return (
             Layer("diffuse", "light that surfaces scatter diffusely", ("diffuse",), ("points", "normals")),
-            Layer("specular", reflected, (self.library, "specular"), self.guides, is_reflected=True),
+            Layer("specular", reflected, (self.functions, "specular"), self.guides, is_reflected=True),
         )
 
 

@@ -16,7 +16,7 @@ from lobewise.exporting.readme import DOCS
 from lobewise.exporting.shaders.bundle import read_frames
 from lobewise.exporting.shaders.chains import make_chain
 from lobewise.exporting.shaders.constants import compute_constants, pack_constants
-from lobewise.exporting.shaders.library import copy_template, read_template
+from lobewise.exporting.shaders.declarations import copy_template, read_template
 from lobewise.exporting.shaders.passes import Chain, write_pass
 from lobewise.exporting.shaders.writing import describe_chain, name_file
 from lobewise.frame import Frame, Radiance

@@ -11,8 +11,8 @@ from lobewise.exporting.folder import MARK, open_folder
 from lobewise.exporting.names import SHADER_LANGUAGES
 from lobewise.exporting.readme import DOCS
 from lobewise.exporting.shaders.chains import make_chain
+from lobewise.exporting.shaders.declarations import read_template
 from lobewise.exporting.shaders.language import lay_out
-from lobewise.exporting.shaders.library import read_template
 from lobewise.exporting.shaders.listing import count_bytes
 from lobewise.exporting.shaders.passes import WORKGROUP, Chain, Image, Lifetime, Pass, write_pass
 from lobewise.io.files import PathLike
