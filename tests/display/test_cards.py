@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import lobewise
+from lobewise.display import cards
 from lobewise.display.cards import MAX_WIDTH_PIXELS, make_card
 from lobewise.display.tones import choose_exposure, map_tones
 from tests.streaming.frames import make_scene
@@ -99,7 +100,16 @@ def test_other_recipes_know_their_noisy_frame(method: str) -> None:
 def test_wide_pictures_are_shrunk() -> None:
     image = np.full((10, 4 * MAX_WIDTH_PIXELS, 3), 0.5, np.float32)
     (picture,) = read_pictures(make_card("wide", {"light": image}, []))
-    assert picture.shape == (2, MAX_WIDTH_PIXELS, 3)
+    assert picture.shape == (3, MAX_WIDTH_PIXELS, 3)
+
+
+def test_large_images_are_thinned_before_they_are_painted(monkeypatch: pytest.MonkeyPatch) -> None:
+    painted = []
+    monkeypatch.setattr(
+        cards, "map_tones", lambda image, exposure: painted.append(image.shape) or map_tones(image, 1.0)
+    )
+    make_card("large", {"light": np.ones((20, 4 * MAX_WIDTH_PIXELS, 3), np.float32)}, [])
+    assert painted == [(5, MAX_WIDTH_PIXELS, 3)]
 
 
 def test_texts_are_escaped(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import base64
 import html
 import io
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +40,7 @@ def make_card(title: str, pictures: Mapping[str, NDArray[np.float32]], facts: Se
     str
         HTML that needs no other file. All texts are escaped.
     """
-    tags = _encode_all(pictures)
+    tags = _encode_all({name: thin_out(image) for name, image in pictures.items()})
     shown = _lay_over(*tags.items()) if len(tags) == 2 else "".join(tags.values())
     rows = "".join(
         f'<tr><th style="text-align:left;vertical-align:top;padding:1px 12px 1px 0;white-space:nowrap">'
@@ -82,6 +83,12 @@ def _lay_over(first: tuple[str, str], second: tuple[str, str]) -> str:
         f'<input type="range" min="0" max="100" value="50" oninput="{move}" aria-label="Edge between the pictures" '
         'style="position:absolute;inset:0;width:100%;height:100%;margin:0;opacity:0;cursor:ew-resize"></div>'
     )
+
+
+def thin_out(image: NDArray[Any]) -> NDArray[Any]:
+    """Return every n-th row and column of a large image, at least `MAX_WIDTH_PIXELS` columns: painting takes memory."""
+    step = max(image.shape[1] // MAX_WIDTH_PIXELS, 1)
+    return image[::step, ::step]
 
 
 def encode_picture(image: NDArray[np.float32], exposure: float) -> str:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.display.cards import encode_bytes
+from lobewise.display.cards import encode_bytes, thin_out
 from lobewise.display.guides import paint_guide, paint_light
 from lobewise.frame import Frame, Radiance
 from lobewise.io import FileDescription
@@ -109,7 +109,7 @@ def _list_light(frame: Frame) -> Iterator[tuple[str, NDArray[np.float32]]]:
 
 def _show(name: str, text: str, image: NDArray[np.float32], *, light: bool = False) -> str:
     """Return the figure of an image, with its range."""
-    picture = paint_light(image) if light else paint_guide(name, image)
+    picture = paint_light(thin_out(image)) if light else paint_guide(name, thin_out(image))
     finite = image[np.isfinite(image)]
     told = f"{finite.min():.4g} to {finite.max():.4g}" if finite.size else "no finite number"
     lost = 1.0 - finite.size / image.size
