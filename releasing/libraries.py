@@ -179,11 +179,13 @@ def build(
     described: dict[str, Described] = {}
     for level in system.levels:
         found = build_level(system, level, folder, linker, compile_all)
-        if described not in ({}, found):
-            raise SystemExit(f"{level.name}: its kernels take other parameters than those of the level above")
-        described = found
+        described = described or found
+        if found.keys() != described.keys():
+            raise SystemExit(f"{level.name}: it has other kernels than {levels[0]['file']}")
         path = folder / f"{level.name}{system.suffix}"
-        levels.append({"file": path.name, "target": name_target(system, level), "lanes": level.lanes})
+        # Kernels that count by lanes have an entry for each lane.
+        other = {identity: told for identity, told in found.items() if told != described[identity]}
+        levels.append({"file": path.name, "target": name_target(system, level), "lanes": level.lanes, "kernels": other})
         print(f"{path}: {len(found)} kernels, {path.stat().st_size / 1e6:.1f} MB", flush=True)
     index = {
         "halide": version("halide"),

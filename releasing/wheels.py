@@ -171,7 +171,11 @@ def main() -> int:
         "wheel": {"name": wheel.name, "megabytes": round(wheel.stat().st_size / 1e6, 1)},
         "kernels": len(index["kernels"]),
         "libraries": [
-            {**level, "megabytes": round((options.libraries / level["file"]).stat().st_size / 1e6, 1)}
+            {
+                "file": level["file"],
+                "target": level["target"],
+                "megabytes": round((options.libraries / level["file"]).stat().st_size / 1e6, 1),
+            }
             for level in index["levels"]
         ],
         "installed": rows,

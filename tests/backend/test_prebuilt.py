@@ -55,10 +55,13 @@ def get_system() -> System:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with libraries of the kernels of the quality "fast" at radius 3."""
+    """Return a folder with libraries of the kernels of the quality "fast", and of a kernel that counts by lanes."""
     with record_kernels() as kernels:
         lobewise.denoise(make_frame(), quality="fast", radius=3, device="cpu")
     assert len(kernels) >= 5
+    with record_kernels() as more:
+        lobewise.denoise(make_frame(), quality="balanced", radius=3, device="cpu")
+    kernels |= dict([next(each for each in more.items() if "fireflies" in str(each[1].make))])
     made = tmp_path_factory.mktemp("libraries") / "kernels"
     build(get_system(), made, ["cc"], kernels, lambda target, work: compile_kernels(kernels, target, work))
     return made
@@ -79,6 +82,17 @@ def test_the_library_has_the_bits_of_the_compiler(folder: Path, tmp_path: Path) 
     found, expected = (np.load(tmp_path / f"{name}.npy") for name in ("library", "compiled"))
     assert np.isfinite(found).all()
     np.testing.assert_array_equal(found, expected)
+
+
+def test_every_level_has_the_parameters_of_its_own_lanes(folder: Path, tmp_path: Path) -> None:
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    for level in json.loads((folder / prebuilt.INDEX_NAME).read_bytes())["levels"]:
+        edit_index(copy, lambda index, level=level: index.update(levels=[level]))
+        library = prebuilt.open_library(copy)
+        assert library is not None
+        (parameters,) = [told for name, told in library.kernels.values() if name == "fireflies"]
+        counts = {each[0]: each[3] for each in parameters}
+        assert counts["seen"] == counts["taken"] == ["height", level["lanes"]]
 
 
 def test_a_compiled_kernel_runs_beside_the_library(folder: Path, tmp_path: Path) -> None:

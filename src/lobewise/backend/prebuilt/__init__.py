@@ -91,7 +91,8 @@ def open_library(folder: Path) -> Library | None:
         for level in index["levels"]:
             code = ctypes.CDLL(str(folder / level["file"]))
             if code.lobewise_runs_here():
-                return Library(level["target"], level["lanes"], index["kernels"], code)
+                # A level lists the kernels whose parameters are not those of the first level.
+                return Library(level["target"], level["lanes"], {**index["kernels"], **level["kernels"]}, code)
         problem = f"a processor without the instructions of {index['levels'][-1]['target']}"
     if has_compiler():
         return None
