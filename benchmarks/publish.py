@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 from benchmarks.common import RESULTS, ROOT
 from benchmarks.pages import (
     bench,
+    core,
     exports,
     farm,
     films,
@@ -73,6 +74,7 @@ PAGES = {
     "docs/research/refinement.md": Source(trials.make_refinement_figures, ("refinement_trials",)),
     "docs/research/rays.md": Source(rays.make_trial_figures, ("rays",)),
     "docs/results.md": Source(results.make_figures, ("similarities", "filters", "paper_table", "upsampling")),
+    "docs/start.md": Source(core.make_figures, ("core",)),
     "docs/streaming.md": Source(streaming.make_figures, ("streaming",)),
     "docs/temporal.md": Source(temporal.make_figures, ("reflections",)),
     "docs/upsampling.md": Source(make_upsampling_figures, ("skies", "rays")),
