@@ -14,10 +14,12 @@ import pytest
 from lobewise.camera import Camera
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.lobe_table import LobeTable
+from tests.releases import mark_listed
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Skip the tests that are for releases, unless they are asked for."""
+    mark_listed(items)
     if "LOBEWISE_TEST_RELEASE" not in os.environ:
         skip = pytest.mark.skip(reason="runs before a release; set LOBEWISE_TEST_RELEASE=1")
         for item in items:

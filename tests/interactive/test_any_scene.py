@@ -82,9 +82,11 @@ def make_lens_scene(mi: Any, **more: Any) -> Any:
     return mi.load_dict(make_room(mi, object=make_ball({"type": "roughplastic"}), sensor=make_sensor(mi, **more)))
 
 
+LENS = {"type": "thinlens", "aperture_radius": 0.4, "focus_distance": 1.5}
+
+
 def test_a_lens_is_seen_when_the_camera_rests(mi: Any) -> None:
-    lens = {"type": "thinlens", "aperture_radius": 0.4, "focus_distance": 1.5}
-    scene = make_lens_scene(mi, **lens)
+    scene = make_lens_scene(mi, **LENS)
     session = Session(scene, settings=replace(PLAIN, spp=MANY_SAMPLES))
     first = session.render()
     for _ in range(LENS_FRAMES):
@@ -93,13 +95,18 @@ def test_a_lens_is_seen_when_the_camera_rests(mi: Any) -> None:
     assert np.abs(first.image - sharp).mean() < np.abs(first.image - blurred).mean()
     assert np.abs(last.image - blurred).mean() < 0.25 * np.abs(sharp - blurred).mean()
     check_picture(last.image, blurred)
-    # The lens moves with the camera.
+
+
+def test_a_moved_lens_is_seen(mi: Any) -> None:
+    scene = make_lens_scene(mi, **LENS)
+    session = Session(scene, settings=replace(PLAIN, spp=MANY_SAMPLES))
     moved = replace(session.camera, position=session.camera.position + 0.4 * session.camera.right)
     for _ in range(LENS_FRAMES):
         last = session.render(moved)
+    blurred, sharp = sample_reference(mi, scene), sample_reference(mi, make_lens_scene(mi))
     assert np.abs(last.image - blurred).mean() > 0.5 * np.abs(sharp - blurred).mean()
     matrix = mi.ScalarTransform4f(make_matrix(moved))
-    check_picture(last.image, sample_reference(mi, make_lens_scene(mi, **lens, to_world=matrix)))
+    check_picture(last.image, sample_reference(mi, make_lens_scene(mi, **LENS, to_world=matrix)))
 
 
 def test_a_cropped_film_can_be_resized(mi: Any) -> None:

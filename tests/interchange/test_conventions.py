@@ -313,16 +313,23 @@ def spread(image: np.ndarray, deviation: float = 0.5) -> np.ndarray:
     return image
 
 
-def test_noise_that_pixels_share_is_judged_further_apart(tmp_path: Path) -> None:
-    channels = write_showroom()
-    right = import_channels(channels, tmp_path)
+def import_with_shared_noise(channels: Channels, folder: Path) -> Imported:
     color = np.stack([channels[letter] for letter in "RGB"], axis=-1)
     channels |= name("", spread(color))
     for head in ("diffuse", "specular"):
         channels = change(head, spread)(channels)
-    found = import_channels(channels, tmp_path)
+    return import_channels(channels, folder)
+
+
+def test_noise_that_pixels_share_is_found(tmp_path: Path) -> None:
+    found = import_with_shared_noise(write_showroom(), tmp_path)
     assert [(one.what, one.mended) for one in found.findings] == [("noise shared by pixels", True)]
     assert found.frame.noise_is_shared
+
+
+def test_shared_noise_costs_little_where_it_is_known(tmp_path: Path) -> None:
+    right = import_channels(write_showroom(), tmp_path)
+    found = import_with_shared_noise(write_showroom(), tmp_path)
     reference = read_showroom()[1]
     error = rel_mse(lobewise.denoise(right.frame, quality="balanced").image, reference)
     mended, trusting = (
