@@ -162,8 +162,9 @@ def define_products(grid: Grid) -> list[Vector]:
     apart = grid.read("apart")
     square = add_channels([value * value for value in apart])
     products = []
+    read = grid.keep(grid.read("apart", *clamp_to_image(grid, 0, 0)))
     for dx, dy in (offset for pair in OFFSETS for offset in pair):
-        near = grid.read("apart", *clamp_to_image(grid, dx, dy))
+        near = read(grid.x + dx, grid.y + dy)
         products.append(add_channels([p * q for p, q in zip(apart, near, strict=True)]))
     spread = _add_squares(products) * hl.f32(1.0 / len(products))
     noise, luminance = grid.read_one("noise"), grid.read_one("light")

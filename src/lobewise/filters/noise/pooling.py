@@ -82,12 +82,14 @@ def clamp_to_image(grid: Grid, dx: int, dy: int) -> tuple[hl.Expr, hl.Expr]:
 
 def average_light(grid: Grid, name: str) -> hl.Expr:
     """Return the mean of the channels of an image around the pixel; bad pixels count as 0."""
+    near = grid.read(name, *clamp_to_image(grid, 0, 0))
+    read = grid.keep([hl.select(is_good(near), add_channels(near), hl.f32(0.0))])
     total, taps = hl.f32(0.0), range(-2, 3)
     for j in taps:
         for i in taps:
             share = hl.f32(BLUR_WEIGHTS[i + 2] * BLUR_WEIGHTS[j + 2] / 3.0)
-            near = grid.read(name, *clamp_to_image(grid, i, j))
-            total = total + hl.select(is_good(near), share * add_channels(near), hl.f32(0.0))
+            (light,) = read(grid.x + i, grid.y + j)
+            total = total + share * light
     return total
 
 
@@ -115,18 +117,17 @@ def square_residual(grid: Grid, name: str) -> tuple[list[hl.Expr], hl.Expr]:
 
     Taps outside the image are mirrored: a tap that repeated the pixel itself would hide noise.
     """
-    width, height = grid.size
+    at = [hl.clamp(_mirror(place, size), 0, size - 1) for place, size in zip((grid.x, grid.y), grid.size, strict=True)]
+    noisy, filtered = grid.read("noisy", *at), grid.read(name, *at)
+    read = grid.keep([p - q for p, q in zip(noisy, filtered, strict=True)])
+    read_good = grid.keep([hl.cast(hl.UInt(8), is_good(noisy) & is_good(filtered))])
     totals, good = [hl.f32(0.0)] * 3, hl.cast(hl.Bool(), True)
     for row, down in enumerate(DIFFERENCES):
         for column, across in enumerate(DIFFERENCES):
-            at = tuple(
-                hl.clamp(_mirror(place + RESIDUAL_STEP * (number - 1), size), 0, size - 1)
-                for place, number, size in ((grid.x, column, width), (grid.y, row, height))
-            )
-            noisy, filtered = grid.read("noisy", *at), grid.read(name, *at)
-            good = good & is_good(noisy) & is_good(filtered)
+            near = grid.x + RESIDUAL_STEP * (column - 1), grid.y + RESIDUAL_STEP * (row - 1)
+            good = good & (read_good(*near)[0] != hl.u8(0))
             share = hl.f32(down * across / 6.0)
-            totals = [total + share * (p - q) for total, p, q in zip(totals, noisy, filtered, strict=True)]
+            totals = [total + share * value for total, value in zip(totals, read(*near), strict=True)]
     return [total * total for total in totals], good
 
 
@@ -143,13 +144,16 @@ def blur_image(image: FloatArray, step: int) -> FloatArray:
 
 
 def define_blur(grid: Grid, along_rows: bool) -> list[Vector]:
-    width, height = grid.size
+    _, height = grid.size
     (step,) = grid.get("step")
+    read = grid.keep(grid.read("image", *clamp_to_image(grid, 0, 0))) if along_rows else None
     totals: list[hl.Expr] = []
     for number, weight in enumerate(BLUR_WEIGHTS):
         offset = (number - 2) * hl.cast(hl.Int(32), step)
-        x = hl.clamp(grid.x + offset, 0, width - 1) if along_rows else grid.x
-        y = grid.y if along_rows else hl.clamp(grid.y + offset, 0, height - 1)
-        values = [hl.f32(weight) * value for value in grid.read("image", x, y)]
+        if read is None:
+            near = grid.read("image", grid.x, hl.clamp(grid.y + offset, 0, height - 1))
+        else:
+            near = read(grid.x + offset, grid.y)
+        values = [hl.f32(weight) * value for value in near]
         totals = [total + value for total, value in zip(totals, values, strict=True)] if totals else values
     return [totals]

@@ -75,11 +75,16 @@ def _find_residual(
     image, albedo = (grid.images[name][0] if grid.has(name) else None for name in ("image", "albedo"))
     assert image is not None, "the caller gives one"
 
+    # Pixels at the border are repeated outside.
+    at = hl.clamp(grid.x, 0, width - 1), hl.clamp(grid.y, 0, height - 1)
+    light, there = demodulate(image, albedo, at, hl.f32(ALBEDO_FLOOR))
+    (known,) = grid.read("mask", *at)
+    read = grid.keep([convert(value) for value in light])
+    read_good = grid.keep([hl.cast(hl.UInt(8), there & (known != 0))])
+
     def take(dx: int, dy: int) -> tuple[list[hl.Expr], hl.Expr]:
-        at = hl.clamp(grid.x + dx, 0, width - 1), hl.clamp(grid.y + dy, 0, height - 1)
-        light, good = demodulate(image, albedo, at, hl.f32(ALBEDO_FLOOR))
-        (known,) = grid.read("mask", *at)
-        return [convert(value) for value in light], good & (known != 0)
+        near = grid.x + dx, grid.y + dy
+        return read(*near), read_good(*near)[0] != hl.u8(0)
 
     own, good = take(0, 0)
     totals: list[hl.Expr] = [hl.f32(0.0)] * COLORS
