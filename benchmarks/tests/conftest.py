@@ -1,4 +1,4 @@
-"""Fixtures of the package's tests that those of the benchmarks use as well, and PyTorch."""
+"""Fixtures and hooks of the package's tests that those of the benchmarks use as well, and PyTorch."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from tests.conftest import full_frame, make_frame, mi, rng
+from tests.conftest import full_frame, make_frame, mi, pytest_collection_modifyitems, rng
 
-__all__ = ["full_frame", "make_frame", "mi", "rng", "torch"]
+__all__ = ["full_frame", "make_frame", "mi", "pytest_collection_modifyitems", "rng", "torch"]
 
 
 @pytest.fixture(scope="session")

@@ -8,6 +8,7 @@ from benchmarks.robustness.kills import WAYS, run_kills
 
 
 @pytest.mark.slow
+@pytest.mark.release
 def test_some_kills() -> None:
     names = set()
     for name, counts in run_kills(len(WAYS), seed=3):
