@@ -14,17 +14,12 @@ import pytest
 from lobewise.camera import Camera
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.lobe_table import LobeTable
-from tests.releases import mark_listed
+from tests.releases import skip_releases
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Skip the tests that are for releases, unless they are asked for."""
-    mark_listed(items)
-    if "LOBEWISE_TEST_RELEASE" not in os.environ:
-        skip = pytest.mark.skip(reason="runs before a release; set LOBEWISE_TEST_RELEASE=1")
-        for item in items:
-            if item.get_closest_marker("release"):
-                item.add_marker(skip)
+    skip_releases(items)
 
 
 @pytest.fixture

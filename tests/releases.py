@@ -5,6 +5,7 @@ A test is for releases if it has the marker ``release`` or if `LIST` names it.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,8 @@ from typing import Any
 import pytest
 
 LIST = Path(__file__).with_name("release_cases.txt")
+SWITCH = "LOBEWISE_TEST_RELEASE"
+"""Variable of the environment by which all tests run."""
 
 
 def choose_for_release(cases: Collection[str], usual: Collection[str]) -> list[Any]:
@@ -32,9 +35,12 @@ def name_test(node: str) -> tuple[str, str]:
     return name, name.partition("[")[0]
 
 
-def mark_listed(items: Iterable[pytest.Item]) -> None:
-    """Mark the tests that the list names."""
+def skip_releases(items: Iterable[pytest.Item]) -> None:
+    """Mark the tests that the list names, and skip all that are for releases, unless they are asked for."""
     listed = read_list()
+    skip = pytest.mark.skip(reason=f"runs before a release; set {SWITCH}=1")
     for item in items:
         if not listed.isdisjoint(name_test(item.nodeid)):
             item.add_marker(pytest.mark.release)
+        if SWITCH not in os.environ and item.get_closest_marker("release"):
+            item.add_marker(skip)

@@ -153,16 +153,19 @@ def define_composite(grid: Grid) -> list[Vector]:
     light = read_light(grid.x, grid.y)
     known = grid.read_one("lit") != 0
     if grid.has("coverage"):
+        # Pixels at the border are repeated outside.
+        at = hl.clamp(grid.x, 0, width - 1), hl.clamp(grid.y, 0, height - 1)
+        read = grid.keep([*read_light(*at), *read_albedo(*at)])
+        read_lit = grid.keep(grid.read("lit", *at))
         sums: list[hl.Expr] = [zero] * COLORS
         weights: list[hl.Expr] = [zero] * COLORS
         area: hl.Expr = zero
         for k, share in enumerate(grid.read("coverage")):
-            x = hl.clamp(grid.x + (k % 3 - 1), 0, width - 1)
-            y = hl.clamp(grid.y + (k // 3 - 1), 0, height - 1)
-            (lit,) = grid.read("lit", x, y)
-            counted = hl.select(lit != 0, share, zero)
+            near = grid.x + (k % 3 - 1), grid.y + (k // 3 - 1)
+            counted = hl.select(read_lit(*near)[0] != 0, share, zero)
             area = area + counted
-            for channel, (value, tint) in enumerate(zip(read_light(x, y), read_albedo(x, y), strict=True)):
+            there = read(*near)
+            for channel, (value, tint) in enumerate(zip(there[:COLORS], there[COLORS:], strict=True)):
                 weight = counted * tint
                 sums[channel] = sums[channel] + weight * value
                 weights[channel] = weights[channel] + weight

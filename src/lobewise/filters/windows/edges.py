@@ -64,13 +64,15 @@ def _define_edges(grid: Grid) -> list[Vector]:
     if grid.has("share"):
         edge = edge | (grid.read_one("share") < hl.f32(MIN_OBJECT_SHARE))
     best, way = depth, [zero, zero]
+    at = clamp_to_image(grid, 0, 0)
+    read = grid.keep([find_depth(grid.read("depth", *at)[0]), *grid.read("normal", *at), *grid.read("position", *at)])
     for dy in (-1, 0, 1):
         for dx in (-1, 0, 1):
             if dx == dy == 0:
                 continue
-            at = clamp_to_image(grid, dx, dy)
-            there, other = find_depth(grid.read("depth", *at)[0]), grid.read("normal", *at)
-            step = subtract(grid.read("position", *at), own)
+            there, *vectors = read(grid.x + dx, grid.y + dy)
+            other, place = vectors[:3], vectors[3:]
+            step = subtract(place, own)
             offset = hl.min(hl.abs(dot(step, normal)), hl.abs(dot(step, other)))
             least = hl.min(depth, there)
             is_apart = is_finite(offset) & (offset > hl.f32(MAX_OFFSET_FOOTPRINTS) * grid.get("angle")[0] * least)
