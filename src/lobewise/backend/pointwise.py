@@ -82,7 +82,12 @@ class Grid:
         return self.keep(values)(self.x, self.y)
 
     def keep(self, values: Vector) -> Callable[[hl.Expr, hl.Expr], list[hl.Expr]]:
-        """Return a function that reads ``values`` at a pixel (x, y); they are computed once for a whole row."""
+        """Return a function that reads ``values`` at a pixel (x, y); they are computed once for a whole row.
+
+        Definitions that read several neighbours keep what they read, at a column and row clamped to the image, and
+        read the kept values at any place around the pixel. Reading the image itself at clamped columns would gather
+        every lane by itself, which compiles and runs several times as long.
+        """
         func = hl.Func(f"row{len(self.stages)}")
         func[self.x, self.y] = hl.Tuple(list(values)) if len(values) > 1 else values[0]
         self.stages.append(func)
