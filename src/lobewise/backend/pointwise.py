@@ -51,6 +51,12 @@ class Grid:
         first = int(channels > 1)
         return param.dim(first).extent(), param.dim(first + 1).extent()
 
+    @property
+    def inside(self) -> tuple[hl.Expr, hl.Expr]:
+        """Column and row of this pixel, or of the nearest pixel of the image if this one lies outside."""
+        width, height = self.size
+        return hl.clamp(self.x, 0, width - 1), hl.clamp(self.y, 0, height - 1)
+
     def has(self, *names: str) -> bool:
         """Return whether all images of these names are given."""
         return all(name in self.images for name in names)
@@ -84,9 +90,9 @@ class Grid:
     def keep(self, values: Vector) -> Callable[[hl.Expr, hl.Expr], list[hl.Expr]]:
         """Return a function that reads ``values`` at a pixel (x, y); they are computed once for a whole row.
 
-        Definitions that read several neighbours keep what they read, at a column and row clamped to the image, and
-        read the kept values at any place around the pixel. Reading the image itself at clamped columns would gather
-        every lane by itself, which compiles and runs several times as long.
+        Definitions that read several neighbours keep the values of the pixel at `inside`, and then read the kept values
+        at every neighbour. Reading the image itself at clamped columns would load every lane by itself, which takes
+        several times as long to compile and to run.
         """
         func = hl.Func(f"row{len(self.stages)}")
         func[self.x, self.y] = hl.Tuple(list(values)) if len(values) > 1 else values[0]

@@ -91,10 +91,9 @@ def composite_parts(
 
 
 def _define_part(grid: Grid) -> list[Vector]:
-    width, height = grid.size
     zero = hl.f32(0.0)
     # The values of every pixel, 0 where it does not count, are computed once for all of its neighbours.
-    at = hl.clamp(grid.x, 0, width - 1), hl.clamp(grid.y, 0, height - 1)
+    at = grid.inside
     lit = grid.read("lit", *at)[0] != 0
     tints, lights = [], []
     for value, albedo in zip(grid.read_channels("part", *at), grid.read("albedo", *at), strict=True):
@@ -138,7 +137,6 @@ def average_emission(emission: FloatArray, mean: FloatArray, spp: float | None) 
 
 
 def define_composite(grid: Grid) -> list[Vector]:
-    width, height = grid.size
     zero, half = hl.f32(0.0), hl.f32(0.5)
 
     def read_light(x: hl.Expr, y: hl.Expr) -> Vector:
@@ -153,8 +151,7 @@ def define_composite(grid: Grid) -> list[Vector]:
     light = read_light(grid.x, grid.y)
     known = grid.read_one("lit") != 0
     if grid.has("coverage"):
-        # Pixels at the border are repeated outside.
-        at = hl.clamp(grid.x, 0, width - 1), hl.clamp(grid.y, 0, height - 1)
+        at = grid.inside
         read = grid.keep([*read_light(*at), *read_albedo(*at)])
         read_lit = grid.keep(grid.read("lit", *at))
         sums: list[hl.Expr] = [zero] * COLORS

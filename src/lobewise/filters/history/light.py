@@ -157,9 +157,7 @@ def _find_lengths(grid: Grid, old: Vector, turn: hl.Expr) -> list[hl.Expr]:
 
 def _find_bounds(grid: Grid) -> list[tuple[hl.Expr, hl.Expr]]:
     """Return the least and the largest mean of each light that this frame's light around the pixel allows."""
-    width, height = grid.size
-    # Pixels at the border are repeated outside.
-    values = grid.read("now", hl.clamp(grid.x, 0, width - 1), hl.clamp(grid.y, 0, height - 1))[:DIFFUSE_FRAMES]
+    values = grid.read("now", *grid.inside)[:DIFFUSE_FRAMES]
     read = grid.keep([*values, *(value * value for value in values)])
     reach = range(-RADIUS_PIXELS, RADIUS_PIXELS + 1)
     # Sum columns first: a column of the square serves all squares that it lies in.

@@ -25,7 +25,6 @@ from lobewise.filters.noise.pooling import (
     add_channels,
     average_light,
     blur_image,
-    clamp_to_image,
     count_weights,
     estimate_noise,
     find_slope,
@@ -162,7 +161,7 @@ def define_products(grid: Grid) -> list[Vector]:
     apart = grid.read("apart")
     square = add_channels([value * value for value in apart])
     products = []
-    read = grid.keep(grid.read("apart", *clamp_to_image(grid, 0, 0)))
+    read = grid.keep(grid.read("apart", *grid.inside))
     for dx, dy in (offset for pair in OFFSETS for offset in pair):
         near = read(grid.x + dx, grid.y + dy)
         products.append(add_channels([p * q for p, q in zip(apart, near, strict=True)]))

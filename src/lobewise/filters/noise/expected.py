@@ -60,12 +60,9 @@ def _define_light(grid: Grid) -> list[Vector]:
 
 
 def _define_expected(grid: Grid) -> list[Vector]:
-    width, height = grid.size
     (level,) = grid.get("level")
     inverse = hl.f32(1.0) / level
-    # Pixels at the border are repeated outside.
-    at = hl.clamp(grid.x, 0, width - 1), hl.clamp(grid.y, 0, height - 1)
-    logarithm = hl.log(grid.read("light", *at)[0] * inverse + hl.f32(DARK_LEVEL))
+    logarithm = hl.log(grid.read("light", *grid.inside)[0] * inverse + hl.f32(DARK_LEVEL))
     read = grid.keep([logarithm, logarithm * logarithm])
     reach = range(-CONTRAST_RADIUS_PIXELS, CONTRAST_RADIUS_PIXELS + 1)
     # Sum columns first: a column of the square serves all squares that it lies in.

@@ -74,15 +74,9 @@ def count_weights(level: int) -> float:
     return 4.0 * math.pi * (4.0 ** (level + 1) - 1.0) / 3.0
 
 
-def clamp_to_image(grid: Grid, dx: int, dy: int) -> tuple[hl.Expr, hl.Expr]:
-    """Return column and row of the pixel (dx, dy) away, clamped to the image."""
-    width, height = grid.size
-    return hl.clamp(grid.x + dx, 0, width - 1), hl.clamp(grid.y + dy, 0, height - 1)
-
-
 def average_light(grid: Grid, name: str) -> hl.Expr:
     """Return the mean of the channels of an image around the pixel; bad pixels count as 0."""
-    near = grid.read(name, *clamp_to_image(grid, 0, 0))
+    near = grid.read(name, *grid.inside)
     read = grid.keep([hl.select(is_good(near), add_channels(near), hl.f32(0.0))])
     total, taps = hl.f32(0.0), range(-2, 3)
     for j in taps:
@@ -95,9 +89,9 @@ def average_light(grid: Grid, name: str) -> hl.Expr:
 
 def find_slope(grid: Grid, name: str) -> hl.Expr:
     """Return the squared slope of an image's channels, summed."""
-    total = hl.f32(0.0)
+    read, total = grid.keep(grid.read(name, *grid.inside)), hl.f32(0.0)
     for dx, dy in ((1, 0), (0, 1)):
-        ahead, behind = (grid.read(name, *clamp_to_image(grid, sign * dx, sign * dy)) for sign in (1, -1))
+        ahead, behind = (read(grid.x + sign * dx, grid.y + sign * dy) for sign in (1, -1))
         total = total + add_channels([(p - q) * (p - q) for p, q in zip(ahead, behind, strict=True)])
     return hl.f32(0.25) * total
 
@@ -146,7 +140,7 @@ def blur_image(image: FloatArray, step: int) -> FloatArray:
 def define_blur(grid: Grid, along_rows: bool) -> list[Vector]:
     _, height = grid.size
     (step,) = grid.get("step")
-    read = grid.keep(grid.read("image", *clamp_to_image(grid, 0, 0))) if along_rows else None
+    read = grid.keep(grid.read("image", *grid.inside)) if along_rows else None
     totals: list[hl.Expr] = []
     for number, weight in enumerate(BLUR_WEIGHTS):
         offset = (number - 2) * hl.cast(hl.Int(32), step)

@@ -71,12 +71,10 @@ def _find_residual(
     grid: Grid, step: int, convert: Callable[[hl.Expr], hl.Expr] = lambda value: value
 ) -> tuple[list[hl.Expr], list[hl.Expr], hl.Expr]:
     """Return residual, value and whether the pixel is good; the value is radiance over albedo, converted."""
-    width, height = grid.size
     image, albedo = (grid.images[name][0] if grid.has(name) else None for name in ("image", "albedo"))
     assert image is not None, "the caller gives one"
 
-    # Pixels at the border are repeated outside.
-    at = hl.clamp(grid.x, 0, width - 1), hl.clamp(grid.y, 0, height - 1)
+    at = grid.inside
     light, there = demodulate(image, albedo, at, hl.f32(ALBEDO_FLOOR))
     (known,) = grid.read("mask", *at)
     read = grid.keep([convert(value) for value in light])

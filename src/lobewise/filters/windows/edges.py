@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise
-from lobewise.filters.noise.pooling import clamp_to_image
 from lobewise.frame import FloatArray
 from lobewise.guides.surfaces import is_surface_depth
 from lobewise.lobes.vectors import dot, subtract
@@ -64,7 +63,7 @@ def _define_edges(grid: Grid) -> list[Vector]:
     if grid.has("share"):
         edge = edge | (grid.read_one("share") < hl.f32(MIN_OBJECT_SHARE))
     best, way = depth, [zero, zero]
-    at = clamp_to_image(grid, 0, 0)
+    at = grid.inside
     read = grid.keep([find_depth(grid.read("depth", *at)[0]), *grid.read("normal", *at), *grid.read("position", *at)])
     for dy in (-1, 0, 1):
         for dx in (-1, 0, 1):
