@@ -1,4 +1,4 @@
-"""Threads and another run change no bit of what a kernel or recipe gives: a process of one thread, against this one."""
+"""No bit of a result depends on threads: those of a kernel, and those that call the library at the same time."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from lobewise import Frame, TemporalFilter, WindowFilter, make_sparse, upsample
 from lobewise.denoising import denoise
 from lobewise.filters.fireflies import bound_fireflies
 from lobewise.filters.history.reprojection import run_reprojection as reproject
@@ -106,3 +108,48 @@ def test_threads_and_another_run_change_nothing(name: str, alone: dict[str, byte
     expected = CALLS[name]()
     assert CALLS[name]() == expected
     assert alone[name] == expected
+
+
+CALLERS = 8
+"""Threads that call the library at the same time."""
+CALLS_OF_A_TEST = int(os.environ.get("LOBEWISE_THREAD_CALLS", "32"))
+"""Rare faults need more calls: set the variable to 1000 after a change of what threads share."""
+FRAMES = [make_frame((37, 43), seed=seed) for seed in range(4)]
+
+
+def denoise_bits(quality: str, frame: Frame) -> bytes:
+    return denoise(frame, quality=quality).image.tobytes()
+
+
+def filter_with_past(frame: Frame) -> bytes:
+    """Return the second image of a history: a thread has a filter of its own."""
+    history = TemporalFilter()
+    history.add(FRAMES[0])
+    return history.add(frame).image.tobytes()
+
+
+def filter_window(frame: Frame) -> bytes:
+    """Return the image of a frame that is filtered with the frame before it: a thread has a filter of its own."""
+    return WindowFilter(1, quality="balanced").denoise([FRAMES[0], frame], 1).image.tobytes()
+
+
+def upsample_sparse(frame: Frame) -> bytes:
+    return upsample(make_sparse(frame, 2)).image.tobytes()
+
+
+RECIPES: dict[str, Callable[[Frame], bytes]] = {
+    **{quality: partial(denoise_bits, quality) for quality in ("auto", "fast", "balanced", "high")},
+    "upsample": upsample_sparse,
+    "history": filter_with_past,
+    "window": filter_window,
+}
+
+
+@pytest.mark.parametrize("name", RECIPES)
+def test_calls_from_several_threads_give_the_bits_of_a_loop(name: str) -> None:
+    run = RECIPES[name]
+    expected = [run(frame) for frame in FRAMES]
+    with ThreadPoolExecutor(CALLERS) as pool:
+        found = list(pool.map(run, FRAMES * (CALLS_OF_A_TEST // len(FRAMES))))
+    wrong = [number for number, bits in enumerate(found) if bits != expected[number % len(FRAMES)]]
+    assert not wrong, f"{len(wrong)} of {len(found)} calls"

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import importlib
 import time
-from functools import cache, lru_cache
+from functools import cache
 from typing import Any
 
 import numpy as np
 
-from lobewise.errors import MissingDependencyError, make_printable, require_choice
+from lobewise.chunks import make_fork_lock
+from lobewise.errors import DeviceError, MissingDependencyError, make_printable, require_choice
 from lobewise.frame import FloatArray, Frame
 
 OIDN_GUIDES = ("prefiltered", "mean", "centre")
@@ -133,7 +134,10 @@ def _make_finite(image: FloatArray) -> FloatArray:
     return np.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0)
 
 
-@lru_cache(maxsize=2)
+_prefilter_lock = make_fork_lock()
+
+
+@cache
 def _open_prefilter(name: str) -> tuple[Any, Any]:
     """Return the library's device and its filter for one kind of guide; both are kept for the next frame."""
     from pyoidn import OIDN_FILTER_TYPE_RT, Device, Filter
@@ -144,14 +148,30 @@ def _open_prefilter(name: str) -> tuple[Any, Any]:
 
 
 def _prefilter(name: str, image: FloatArray) -> FloatArray:
-    """Return an albedo or normal image denoised by the library, without any other image as guide."""
+    """Return an albedo or normal image denoised by the library, without any other image as guide.
+
+    Raises
+    ------
+    DeviceError
+        If the library reports a problem.
+    """
     from pyoidn import OIDN_FORMAT_FLOAT3, OIDN_IMAGE_OUTPUT, OIDN_QUALITY_HIGH
 
-    _, network = _open_prefilter(name)
     output = np.empty_like(image)
-    network.set_image(name, image, OIDN_FORMAT_FLOAT3)
-    network.set_image(OIDN_IMAGE_OUTPUT, output, OIDN_FORMAT_FLOAT3)
-    network.set_quality(OIDN_QUALITY_HIGH)
-    network.commit()
-    network.execute()
+    # A filter holds the images of one call: another thread would replace them before the library reads them.
+    with _prefilter_lock:
+        device, network = _open_prefilter(name)
+        network.set_image(name, image, OIDN_FORMAT_FLOAT3)
+        network.set_image(OIDN_IMAGE_OUTPUT, output, OIDN_FORMAT_FLOAT3)
+        network.set_quality(OIDN_QUALITY_HIGH)
+        network.commit()
+        network.execute()
+        problem = device.get_error()
+    if problem:
+        raise DeviceError(
+            "device",
+            expected=f"Open Image Denoise to filter the {name}",
+            got=make_printable(problem),
+            action="try a smaller image, or with_oidn=False",
+        )
     return output

@@ -76,7 +76,7 @@ class _Shared:
 
 
 class Session:
-    """Renders frames of a scene for a camera that moves. It needs no window.
+    """Renders frames of a scene for a camera that moves. It needs no window, and belongs to one thread of a process.
 
     Parameters
     ----------

@@ -57,7 +57,8 @@ class TemporalFilter:
     Each pixel carries the sum of all weights and the sum of all weighted samples, so that well supported estimates
     weigh more, whichever frame they came from. A pixel finds its history at the earlier place of its surface point and
     at the earlier place of its reflection. It takes the history as far as surface and lobe match, and drops it where
-    the samples of this frame contradict it. Memory does not grow with the length of the sequence.
+    the samples of this frame contradict it. Memory does not grow with the length of the sequence. One thread at a time
+    uses a filter; several filters may run at once.
 
     Frames are filtered with the quality "fast" alone, and only in total, diffuse and specular: named layers of a frame
     and their passes are not. Where the noise is moderate `lobewise.denoise`, frame by frame, has less error.

@@ -52,7 +52,8 @@ class WindowFilter:
     frame has less noise; it is denoised like any frame. Pixels that few frames show are taken from the frame that was
     denoised by itself.
 
-    Frames are prepared once, and kept as long as windows need them.
+    Frames are prepared once, and kept as long as windows need them. One thread at a time uses a filter; several filters
+    may run at once.
 
     Parameters
     ----------
