@@ -31,12 +31,23 @@ def rng() -> np.random.Generator:
 @pytest.fixture(scope="session")
 def exr_folder() -> Path:
     """Return the folder of real EXR files, or skip and say how to get it."""
+    return find_data("exr")
+
+
+@pytest.fixture(scope="session")
+def field_folder() -> Path:
+    """Return the folder of small inputs that once came out wrong, or skip and say how to get it."""
+    return find_data("field")
+
+
+def find_data(name: str) -> Path:
+    """Return a folder of the test data, or skip the test and say how to get it."""
     root = os.environ.get("LOBEWISE_TEST_DATA")
     if not root:
         pytest.skip("set LOBEWISE_TEST_DATA to a folder that contains exr/ with the files docs/conventions.md lists")
-    folder = Path(root) / "exr"
+    folder = Path(root) / name
     if not folder.is_dir():
-        pytest.fail(f"LOBEWISE_TEST_DATA is {root!r}, which has no folder exr/")
+        pytest.fail(f"LOBEWISE_TEST_DATA is {root!r}, which has no folder {name}/")
     return folder
 
 

@@ -1,31 +1,52 @@
 """Images that belong to a layer, or to the whole frame, filtered by the layer's weights, so that sums still hold.
 
 The weights of a filter depend on the guides and on the noise of the layer, not on the image that is averaged. So the
-passes of the layer run over each of these images. Other steps change the layer too: fireflies are bounded, and the
-quality "high" mixes images. Each image is multiplied by the ratio of the layer's result to the layer's radiance after
-the passes alone.
+passes of the layer run over each of these images. What else happens to the layer happens to an image with the light of
+the image itself: its own samples are bounded, its own highlights are kept, and its own samples are taken back where the
+layer's are. Only factors of the layer's light (of the refining network, of light that is shared out, of the mixture)
+are those of the layer. So an image stays black where it has no light, whatever the layer has there.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
-from lobewise.backend.buffers import device_scope, download
-from lobewise.chunks import Chunk, run_chunks
+from lobewise.backend.buffers import device_scope
 from lobewise.denoising.bad_pixels import blacken_bad
+from lobewise.denoising.evidence import mix_noisy
 from lobewise.denoising.layers import Layer, filter_layer, make_layers
-from lobewise.denoising.noisy import NoisyLayer, make_noisy_layers
+from lobewise.denoising.noisy import NoisyLayer, join_halves, make_noisy_layers
 from lobewise.denoising.planning.layer_plans import plan_balanced
 from lobewise.denoising.running import LayerRun, finish_layer
 from lobewise.features import Feature
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.guides.halves import mark_bad
+from lobewise.lobes.vectors import LUMINANCE
 from lobewise.settings import ResolvedSettings
 from lobewise.settings.choices import get_quality
+
+
+@dataclass(frozen=True, kw_only=True)
+class Passed:
+    """What happened to a layer.
+
+    Parameters
+    ----------
+    before : (height, width, 3), optional
+        The layer before the noisy image was taken back; None where no network refined it.
+    share : (height, width), optional
+        The share of the noisy layer that was taken back; None for none.
+    clean : (height, width, 3)
+        The result.
+    """
+
+    clean: FloatArray
+    before: FloatArray | None = None
+    share: FloatArray | None = None
 
 
 @device_scope()
@@ -33,8 +54,8 @@ def filter_also(
     frame: Frame,
     settings: ResolvedSettings,
     features: Sequence[Feature],
-    clean: Mapping[str, FloatArray],
-    image: FloatArray,
+    layers: Mapping[str, Passed],
+    whole: Passed,
 ) -> dict[str, FloatArray]:
     """Return the images of ``frame.also`` and, as ``layer/part``, the parts of its layers, filtered.
 
@@ -42,26 +63,26 @@ def filter_also(
     ----------
     frame, settings, features
         As they were filtered.
-    clean : mapping of str to (height, width, 3)
-        The filtered layers.
-    image : (height, width, 3)
-        The filtered total.
+    layers : mapping of str to Passed
+        What happened to the layers that the frame names.
+    whole : Passed
+        What happened to the total.
     """
     found: dict[str, FloatArray] = {}
     wanted = {layer.name: layer.parts for layer in frame.layers if layer.parts}
     if wanted:
         filters = make_filters(frame, settings, features)
         for name, parts in wanted.items():
-            filtered = _filter_parts(*filters[name], parts, clean[name])
+            filtered = _filter_parts(*filters[name], parts, layers[name])
             found |= {f"{name}/{part}": each for part, each in filtered.items()}
     if frame.also:
-        whole = frame.with_changes(layers=(), radiance=Radiance(frame.radiance.color))
-        found |= _filter_parts(*make_filters(whole, settings, features)["color"], frame.also, image)
+        total = frame.with_changes(layers=(), radiance=Radiance(frame.radiance.color))
+        found |= _filter_parts(*make_filters(total, settings, features)["color"], frame.also, whole)
     return found
 
 
-Filter = Callable[[Sequence[FloatArray]], list[FloatArray]]
-"""Runs some images through the weights of a layer."""
+Filter = Callable[[Sequence[FloatArray]], list[tuple[FloatArray, FloatArray]]]
+"""Runs images through the weights of a layer: returns each filtered, and its samples without fireflies."""
 
 
 def make_filters(
@@ -76,15 +97,28 @@ def make_filters(
 
 
 def _filter_parts(
-    radiance: FloatArray, run: Filter, parts: Mapping[str, FloatArray], clean: FloatArray
+    radiance: FloatArray, run: Filter, parts: Mapping[str, FloatArray], layer: Passed
 ) -> dict[str, FloatArray]:
     """Return images that belong to a layer, filtered by its weights and brought to its result."""
     images = list(parts.values())
     whole = _is_sum(radiance, images)
-    filtered = [blacken_bad(each) for each in run(images if whole else [*images, radiance])]
-    base = np.asarray(np.sum(filtered, axis=0, dtype=np.float32)) if whole else filtered.pop()
-    ratio = np.divide(clean, base, out=np.ones_like(base), where=base > 0.0)
-    return {part: np.asarray(each * ratio) for part, each in zip(parts, filtered, strict=True)}
+    filtered = [(blacken_bad(each), noisy) for each, noisy in run(images if whole else [*images, radiance])]
+    base = _sum_whole([each for each, _ in filtered], whole)
+    factor = np.float32(1.0) if layer.before is None else _divide(layer.before, base)
+    refined = [each * factor for each, _ in filtered]
+    if layer.share is not None:
+        refined = [mix_noisy(each, own, layer.share) for each, (_, own) in zip(refined, filtered, strict=True)]
+    ratio = _divide(layer.clean, _sum_whole(refined, whole))
+    return {part: np.asarray(each * ratio) for part, each in zip(parts, refined, strict=False)}
+
+
+def _sum_whole(images: Sequence[FloatArray], are_parts: bool) -> FloatArray:
+    """Return the layer from its parts; of images that do not sum to the layer the last is the layer itself."""
+    return np.asarray(np.sum(images, axis=0, dtype=np.float32)) if are_parts else images[-1]
+
+
+def _divide(image: FloatArray, by: FloatArray) -> FloatArray:
+    return np.divide(image, by, out=np.ones_like(by), where=(by > 0.0) & np.isfinite(image))
 
 
 def _is_sum(image: FloatArray, parts: Sequence[FloatArray]) -> bool:
@@ -94,52 +128,59 @@ def _is_sum(image: FloatArray, parts: Sequence[FloatArray]) -> bool:
         return not bool((apart > np.float32(2e-3) * np.abs(image)).any())
 
 
-def _run_plain(layer: Layer, settings: ResolvedSettings, images: Sequence[FloatArray]) -> list[FloatArray]:
+def _run_plain(
+    layer: Layer, settings: ResolvedSettings, images: Sequence[FloatArray]
+) -> list[tuple[FloatArray, FloatArray]]:
     found = []
     for image in images:
         output = filter_layer(layer, settings, image)
         lost = (output.weight_sum <= 0.0)[..., None]
-        found.append(np.where(lost, blacken_bad(image), output.image))
+        found.append((np.where(lost, blacken_bad(image), output.image), image))
     return found
 
 
 def _run_guided(
     frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings, images: Sequence[FloatArray]
-) -> list[FloatArray]:
+) -> list[tuple[FloatArray, FloatArray]]:
     """Return images after the passes of a layer with its guides; two at a time take the places of its halves."""
     until_guides, passes = plan_balanced(noisy.traits, settings).split_guides()
     own = LayerRun(frame, noisy.layer, settings, noisy)
     own.run(until_guides, keep=until_guides.guides)
-    bounded = _find_bounded_share(noisy)
-    found: list[FloatArray] = []
+    joined = join_halves(noisy)
+    highlights = _find_share_kept(noisy, joined)
+    bounded = [_bound_part(image, joined) for image in images]
+    found: list[tuple[FloatArray, FloatArray]] = []
     for start in range(0, len(images), 2):
-        pair = [np.asarray(image * bounded) for image in images[start : start + 2]]
-        halves = [mark_bad(image) for image in pair]
+        pair = bounded[start : start + 2]
+        kept = [None if highlights is None else image * highlights for image in pair]
+        rest = [image if light is None else image - light for image, light in zip(pair, kept, strict=True)]
+        halves = [mark_bad(image) for image in rest]
         # Both images are samples of every pixel, even where the layer itself has no halves.
         both = replace(noisy, samples=(halves[0], halves[-1]), is_whole=True)
         state = replace(own, found=both, images=dict(own.images))
         state.run(passes)
         (output,) = (state.images[name] for name in passes.steps[-1].writes)
-        for image, light in zip(pair, (output.a, output.b), strict=False):
-            mine = replace(both, layer=replace(noisy.layer, radiance=image))
-            found.append(finish_layer(frame, mine, (light,), output).image)
+        for image, highlight, light in zip(pair, kept, (output.a, output.b), strict=False):
+            mine = replace(both, layer=replace(noisy.layer, radiance=image), kept=highlight)
+            found.append((finish_layer(frame, mine, (light,), output).image, image))
     return found
 
 
-def _find_bounded_share(noisy: NoisyLayer) -> FloatArray:
-    """Return what the bounding of fireflies left of every pixel, (height, width, 3), in [0, 1]."""
-    a, b = map(download, noisy.halves)
-    radiance, share = noisy.layer.radiance, np.empty_like(noisy.layer.radiance)
+def _bound_part(image: FloatArray, bounded: FloatArray) -> FloatArray:
+    """Return a part of a layer, nowhere brighter than the layer after its fireflies were bounded.
 
-    def find(chunk: Chunk) -> None:
-        halves = a[chunk], b[chunk]
-        there = [np.isfinite(half) for half in halves]
-        total = sum(np.where(known, half, np.float32(0.0)) for known, half in zip(there, halves, strict=True))
-        mean = total / np.maximum(there[0].astype(np.float32) + there[1], np.float32(1.0))
-        # Settings of NumPy are a thread's own.
-        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-            left = np.where(radiance[chunk] > 0.0, mean / radiance[chunk], np.float32(1.0))
-        share[chunk] = np.clip(np.nan_to_num(left, nan=0.0), 0.0, 1.0)
+    A part without a firefly keeps its light where the layer has one: the share that was cut off belongs to others.
+    """
+    weights = np.array(LUMINANCE, np.float32)
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+        scale = np.minimum((bounded @ weights) / (image @ weights), np.float32(1.0))
+    return np.asarray(image * np.where(np.isnan(scale), np.float32(1.0), scale)[..., None])
 
-    run_chunks(find, *noisy.layer.mask.shape)
-    return share
+
+def _find_share_kept(noisy: NoisyLayer, joined: FloatArray) -> FloatArray | None:
+    """Return the share of each pixel's light that highlights hold, (height, width, 1), in [0, 1]; None without any."""
+    if noisy.kept is None:
+        return None
+    kept, light = (image.sum(axis=-1, keepdims=True) for image in (noisy.kept, blacken_bad(joined)))
+    share = np.divide(kept, light, out=np.zeros_like(kept), where=light > 0.0)
+    return np.asarray(np.clip(share, 0.0, 1.0))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,27 +25,15 @@ MAX_RADIANCE = 1e36
 Rows = NDArray[np.float64]
 
 
-def take_back_noisy(
-    frame: Frame,
-    image: FloatArray,
-    noisy: Sequence[FloatArray],
-    parts: Sequence[FloatArray],
-    level: float,
-    *,
-    refined: bool = False,
-) -> list[FloatArray]:
-    """Return the filtered parts, mixed with the noisy parts where the filter removed detail.
+def find_share_lost(frame: Frame, image: FloatArray, level: float, *, refined: bool = False) -> FloatArray:
+    """Return the share of the noisy image to take back where the filter removed detail, (height, width), in [0, 1].
 
     Parameters
     ----------
     frame : Frame
         The noisy frame.
     image : array, shape (height, width, 3)
-        The filtered image: the sum of the parts and of the light that is in no part.
-    noisy : sequence of arrays, shape (height, width, 3)
-        The noisy layers without fireflies.
-    parts : sequence of arrays, shape (height, width, 3)
-        The filtered layers. Values that are not finite stay.
+        The filtered image: the sum of the layers and of the light that is in no layer.
     level : float
         Mean light of the samples of the whole image, radiance over albedo, > 0.
     refined : bool
@@ -65,8 +51,7 @@ def take_back_noisy(
         )
         share = np.maximum(share, certain)
     # The parts are added later, and near the largest float their sum overflows.
-    share = np.where(np.max(color, axis=-1) < MAX_RADIANCE, share, np.float32(0.0))
-    return [_mix(part, light, share) for part, light in zip(parts, noisy, strict=True)]
+    return np.where(np.max(color, axis=-1) < MAX_RADIANCE, share, np.float32(0.0))
 
 
 def find_image_halves(frame: Frame) -> tuple[FloatArray, FloatArray] | None:
@@ -107,7 +92,8 @@ def find_share_taken_back(
     return share
 
 
-def _mix(part: FloatArray, noisy: FloatArray, share: FloatArray) -> FloatArray:
+def mix_noisy(part: FloatArray, noisy: FloatArray, share: FloatArray) -> FloatArray:
+    """Return a filtered part with a share, (height, width), of its samples; where these are not finite, the part."""
     with np.errstate(invalid="ignore", over="ignore"):
         # A negative part counts as no light, as in the total.
         mixed = part + share[..., None] * (np.maximum(noisy, np.float32(0.0)) - part)

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend.buffers import device_scope
-from lobewise.denoising.also import filter_also
+from lobewise.denoising.also import Passed, filter_also
 from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, find_bad_pixels, find_good
 from lobewise.denoising.combining import choose_between, denoise_with_peer, share_out
-from lobewise.denoising.evidence import take_back_noisy
+from lobewise.denoising.evidence import find_share_lost, mix_noisy
 from lobewise.denoising.layers import Layer, Support, make_layers
 from lobewise.denoising.light_loss import brighten, find_gain, find_share_missing, find_takers, sum_missing
 from lobewise.denoising.noisy import join_halves, make_noisy_layers
@@ -68,6 +68,10 @@ class Filtered:
         Whether the network refined the image.
     uncounted : (height, width), bool, optional
         Pixels that do not tell how much light the layers lost: there the network moved light between them and the rest.
+    taken_from : Filtered, optional
+        The layers before the noisy image was taken back.
+    share_taken : (height, width), optional
+        The share of the noisy image that was taken back.
     """
 
     layers: Sequence[Layer]
@@ -82,6 +86,8 @@ class Filtered:
     levels: Sequence[float] = ()
     is_refined: bool = False
     uncounted: NDArray[np.bool_] | None = None
+    taken_from: Filtered | None = None
+    share_taken: FloatArray | None = None
 
     def find_takers(self) -> list[FloatArray]:
         """Return the share of each pixel's light that takes part in sharing, for every layer; see `find_takers`."""
@@ -252,10 +258,12 @@ def take_back(state: FrameRun) -> FrameRun:
     noisy, parts = found.noisy, found.parts
     if found.rest is not None and found.noisy_rest is not None:
         noisy, parts = [*noisy, found.noisy_rest], [*parts, found.rest]
-    mixed = take_back_noisy(state.frame, found.image, noisy, parts, level, refined=refined)
+    share = find_share_lost(state.frame, found.image, level, refined=refined)
+    mixed = [mix_noisy(*each, share) for each in zip(parts, noisy, strict=True)]
     rest = mixed.pop() if len(mixed) > len(found.parts) else None
     image = compose(state.frame, mixed, rest)
-    return replace(state, found=replace(found, parts=mixed, rest=rest, image=image))
+    after = replace(found, parts=mixed, rest=rest, image=image, taken_from=found, share_taken=share)
+    return replace(state, found=after)
 
 
 def keep_light(state: FrameRun) -> FrameRun:
@@ -294,7 +302,15 @@ def mix_peer(state: FrameRun) -> FrameRun:
 
 def filter_passes(state: FrameRun) -> FrameRun:
     """Filter the images that belong to a layer or to the total."""
-    also = filter_also(state.frame, state.settings, state.features, name_layers(state), state.total)
+    found, clean = state.filtered, name_layers(state)
+    before, share = found.taken_from, found.share_taken
+    refined = before if before is not None and before.is_refined else None
+    parts = (
+        {} if refined is None else {layer.name: part for layer, part in zip(refined.layers, refined.parts, strict=True)}
+    )
+    layers = {name: Passed(clean=image, before=parts.get(name), share=share) for name, image in clean.items()}
+    whole = Passed(clean=state.total, before=None if refined is None else refined.image, share=share)
+    also = filter_also(state.frame, state.settings, state.features, layers, whole)
     return replace(state, also=also)
 
 

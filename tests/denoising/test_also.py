@@ -1,0 +1,113 @@
+"""Light passes and light groups keep their own light: none takes the highlights, fireflies or detail of another."""
+
+from __future__ import annotations
+
+from functools import reduce
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lobewise import read_frame
+from lobewise.denoising import denoise
+from lobewise.frame import FloatArray, Frame, Radiance
+from lobewise.peers import has_oidn
+from lobewise.radiance import RadianceLayer
+from tests.denoising.test_denoising import make_frame
+
+QUALITIES = ("fast", "balanced", "high", *(("auto",) if has_oidn() else ()))
+SHAPE = (48, 64)
+REACH = 40
+"""Pixels that no filter reaches, with the largest kernel and the network."""
+LAMP = (slice(10, 13), slice(12, 15))
+FIREFLY = (30, 20)
+
+
+def make_group(rng: np.random.Generator, left: float, right: float) -> FloatArray:
+    """Return noisy light of a lamp that is brighter on one side."""
+    light = np.where(np.arange(SHAPE[1]) < SHAPE[1] // 2, left, right)[None, :, None] * np.ones((*SHAPE, 3))
+    return (light * rng.gamma(2.0, 0.5, (*SHAPE, 1))).astype(np.float32)
+
+
+def make_groups() -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
+    """Return noisy light groups and their truths: one has a highlight and a firefly, one is black on the right."""
+    rng = np.random.default_rng(3)
+    sides = {"key": (1.0, 0.5), "fill": (0.1, 0.3), "rim": (0.2, 0.0)}
+    noisy = {name: make_group(rng, *side) for name, side in sides.items()}
+    truth = {
+        name: np.where(np.arange(SHAPE[1]) < SHAPE[1] // 2, *side)[None, :, None] * np.ones((*SHAPE, 3))
+        for name, side in sides.items()
+    }
+    for images in (noisy, truth):
+        images["key"][LAMP] = 60.0
+    noisy["key"][FIREFLY] = 500.0
+    return noisy, truth
+
+
+@pytest.fixture(params=["groups", "passes"])
+def split(request: pytest.FixtureRequest) -> tuple[Frame, dict[str, FloatArray], dict[str, FloatArray]]:
+    """Return a frame whose total, or whose specular layer, is the sum of three images, and these; then their truths."""
+    noisy, truth = make_groups()
+    total = reduce(np.add, noisy.values())
+    frame = make_frame(SHAPE, apart=False)
+    if request.param == "groups":
+        return frame.with_changes(radiance=Radiance(total), also=noisy), noisy, truth
+    black = np.zeros_like(total)
+    layers = (
+        RadianceLayer("diffuse", "diffuse", black, frame.gbuffer.diffuse_albedo),
+        RadianceLayer("gloss", "glossy", total, frame.gbuffer.specular_albedo, parts=noisy),
+    )
+    named = {f"gloss/{name}": image for name, image in noisy.items()}
+    frame = frame.with_changes(radiance=Radiance(total, black, total), layers=layers)
+    return frame, named, {f"gloss/{name}": image for name, image in truth.items()}
+
+
+@pytest.mark.parametrize("quality", QUALITIES)
+def test_every_part_is_nearer_to_its_truth_than_its_samples(
+    quality: str, split: tuple[Frame, dict[str, FloatArray], dict[str, FloatArray]]
+) -> None:
+    frame, noisy, truth = split
+    result = denoise(frame, quality=quality)
+    total = reduce(np.add, (result.also[name] for name in noisy))
+    np.testing.assert_allclose(total, result.image, rtol=2e-3, atol=1e-4)
+    for name, image in noisy.items():
+        done, before = (np.square(each - truth[name]).mean() for each in (result.also[name], image))
+        assert done < before, name
+
+
+@pytest.mark.parametrize("quality", QUALITIES)
+def test_a_firefly_or_highlight_of_one_part_leaves_the_others_alone(
+    quality: str, split: tuple[Frame, dict[str, FloatArray], dict[str, FloatArray]]
+) -> None:
+    frame, noisy, truth = split
+    result = denoise(frame, quality=quality)
+    for name in noisy:
+        if not name.endswith("key"):
+            for place in (LAMP, FIREFLY):
+                done = result.also[name][place]
+                assert done.max() < 3.0 * noisy[name].max(), (name, place)
+                assert done.mean() > 0.2 * truth[name][place].mean(), (name, place)
+
+
+@pytest.mark.parametrize("quality", QUALITIES)
+def test_a_part_that_is_black_around_a_pixel_stays_black(
+    quality: str, split: tuple[Frame, dict[str, FloatArray], dict[str, FloatArray]]
+) -> None:
+    frame, noisy, _ = split
+    result = denoise(frame, quality=quality)
+    dark = next(name for name in noisy if name.endswith("rim"))
+    assert not result.also[dark][:, SHAPE[1] // 2 + 24 :].any()
+
+
+@pytest.mark.real_exr
+@pytest.mark.parametrize("quality", QUALITIES)
+def test_no_pass_of_a_file_gets_light_that_none_of_its_neighbours_has(quality: str, field_folder: Path) -> None:
+    frame = read_frame(field_folder / "passes_leak.exr")
+    result = denoise(frame, quality=quality)
+    for layer in frame.layers:
+        for part, image in layer.parts.items():
+            done = result.also[f"{layer.name}/{part}"]
+            assert done.max() <= 1.05 * image.max(), part
+            assert done.sum() == pytest.approx(image.sum(), rel=0.03), part
+    # A highlight of direct light lies beside this pixel, and no indirect light.
+    assert result.also["glossy/GlossInd"][17, 39].max() < 0.5
