@@ -111,3 +111,23 @@ def test_no_pass_of_a_file_gets_light_that_none_of_its_neighbours_has(quality: s
             assert done.sum() == pytest.approx(image.sum(), rel=0.03), part
     # A highlight of direct light lies beside this pixel, and no indirect light.
     assert result.also["glossy/GlossInd"][17, 39].max() < 0.5
+
+
+@pytest.mark.parametrize("quality", QUALITIES)
+def test_a_lamp_in_view_stays_in_its_own_light_group(quality: str) -> None:
+    """The total has exact light, of a lamp in view: the group of a sky keeps its dim light in these pixels."""
+    noisy, _ = make_groups()
+    frame = make_frame(SHAPE)
+    diffuse, specular = 0.5 * reduce(np.add, noisy.values()), 0.5 * reduce(np.add, noisy.values())
+    shone = np.zeros((*SHAPE, 3), np.float32)
+    shone[40:44, 40:44] = 80.0
+    groups = {**noisy, "lamp": shone}
+    radiance = Radiance(diffuse + specular + shone, diffuse, specular)
+    result = denoise(
+        frame.with_changes(radiance=radiance, also=groups, unscattered={"emission": shone}), quality=quality
+    )
+    lamp = shone[..., 0] > 0.0
+    for name, image in noisy.items():
+        assert result.also[name][lamp].max() < 3.0 * image.max(), name
+    total = reduce(np.add, (result.also[name] for name in groups))
+    np.testing.assert_allclose(total, result.image, rtol=2e-3, atol=1e-4)

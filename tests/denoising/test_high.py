@@ -340,9 +340,9 @@ class TestPeer:
         mixed = np.float32([[[1.3] * 3, [0.9] * 3, [0.4] * 3, [0.2] * 3]])
         image, (scattered, reflected), gain = share_out(mixed, before, [diffuse, specular])
         np.testing.assert_allclose(image[0, :, 0], [1.3, 0.9, 0.4, 0.0], rtol=1e-5)
-        np.testing.assert_allclose(scattered[0, :, 0], [1.2, 0.0, 0.0, 0.0], rtol=1e-5)
-        np.testing.assert_allclose(reflected[0, :, 0], 0.0, atol=1e-6)
-        np.testing.assert_allclose(gain[0, :, 0], [1.0, 1.8, 0.4, 1.0], rtol=1e-5)
+        np.testing.assert_allclose(scattered[0, :, 0], [1.2, 0.0, 0.6 / 9.0, 0.0], rtol=1e-5)
+        np.testing.assert_allclose(reflected[0, :, 0], [0.0, 0.0, 0.2 / 9.0, 0.0], atol=1e-6)
+        np.testing.assert_allclose(gain[0, :, 0], [1.0, 1.8, 0.4 - 0.8 / 9.0, 1.0], rtol=1e-5)
         rest = before - np.nan_to_num(diffuse) - np.nan_to_num(specular)
         np.testing.assert_allclose(scattered + reflected + rest * gain, image, rtol=1e-5, atol=1e-6)
 
@@ -488,3 +488,11 @@ def test_each_quality_takes_back_by_its_own_network(quality: str, name: str, mon
     monkeypatch.setattr(evidence, "load_networks", lambda: Recorded(load_networks()))
     denoise(make_frame((24, 24)), quality=quality)
     assert asked == [name]
+
+
+def test_an_error_of_the_mixture_at_a_lamp_stays_small_in_the_light_that_the_lamp_scatters() -> None:
+    scattered, lamp = np.full((1, 1, 3), 0.02, np.float32), np.float32(60.0)
+    before = scattered + lamp
+    image, (part,), gain = share_out(before * np.float32(1.05), before, [scattered])
+    assert part.max() < 0.05
+    np.testing.assert_allclose(part + lamp * gain, image, rtol=1e-6)

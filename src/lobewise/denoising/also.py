@@ -56,6 +56,7 @@ def filter_also(
     features: Sequence[Feature],
     layers: Mapping[str, Passed],
     whole: Passed,
+    rest: tuple[FloatArray, FloatArray],
 ) -> dict[str, FloatArray]:
     """Return the images of ``frame.also`` and, as ``layer/part``, the parts of its layers, filtered.
 
@@ -66,7 +67,9 @@ def filter_also(
     layers : mapping of str to Passed
         What happened to the layers that the frame names.
     whole : Passed
-        What happened to the total.
+        What happened to the light that surfaces scatter, in total.
+    rest : pair of (height, width, 3)
+        The other light of the total, emission and background, before and after.
     """
     found: dict[str, FloatArray] = {}
     wanted = {layer.name: layer.parts for layer in frame.layers if layer.parts}
@@ -76,8 +79,13 @@ def filter_also(
             filtered = _filter_parts(*filters[name], parts, layers[name])
             found |= {f"{name}/{part}": each for part, each in filtered.items()}
     if frame.also:
-        total = frame.with_changes(layers=(), radiance=Radiance(frame.radiance.color))
-        found |= _filter_parts(*make_filters(total, settings, features)["color"], frame.also, whole)
+        before, after = rest
+        share = _find_share(before, frame.radiance.color)
+        scattered = {name: image - share * image for name, image in frame.also.items()}
+        total = frame.with_changes(layers=(), radiance=Radiance(frame.radiance.color - before))
+        filtered = _filter_parts(*make_filters(total, settings, features)["color"], scattered, whole)
+        exact = share * _divide(after, before)
+        found |= {name: image + exact * blacken_bad(frame.also[name]) for name, image in filtered.items()}
     return found
 
 
@@ -181,6 +189,11 @@ def _find_share_kept(noisy: NoisyLayer, joined: FloatArray) -> FloatArray | None
     """Return the share of each pixel's light that highlights hold, (height, width, 1), in [0, 1]; None without any."""
     if noisy.kept is None:
         return None
-    kept, light = (image.sum(axis=-1, keepdims=True) for image in (noisy.kept, blacken_bad(joined)))
-    share = np.divide(kept, light, out=np.zeros_like(kept), where=light > 0.0)
+    return _find_share(noisy.kept, joined)
+
+
+def _find_share(part: FloatArray, image: FloatArray) -> FloatArray:
+    """Return the share of each pixel's light that a part of an image holds, (height, width, 1), in [0, 1]."""
+    some, light = (blacken_bad(each).sum(axis=-1, keepdims=True) for each in (part, image))
+    share = np.divide(some, light, out=np.zeros_like(some), where=light > 0.0)
     return np.asarray(np.clip(share, 0.0, 1.0))

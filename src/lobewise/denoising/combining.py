@@ -10,7 +10,7 @@ far the images are apart, how noisy the frame is and which image the samples are
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,6 +29,8 @@ from lobewise.settings.choices import get_similarity
 
 MAX_BLACK_RADIANCE = 1e-30
 """Radiance up to which light counts as black, so that no part has a share of it."""
+MAX_RATIO_TO_IMAGE = 2.0
+"""Largest change of the scattered light over that of the whole image, and the other way round."""
 TRUST_WITHOUT_HALVES = 0.75
 """Factor of the shares that the network gives to other images than the peer's where the frame has no halves. Where
 pixels share samples the factor is 1, because the peer leaves such noise. The network was trained on frames of our
@@ -170,9 +172,11 @@ class Shares(NamedTuple):
 def share_out(image: FloatArray, before: FloatArray, parts: Sequence[FloatArray]) -> Shares:
     """Return the parts of ``before``, scaled so that they and the exact light sum to ``image``.
 
-    The exact light is the light of ``before`` that is in no part. It stays, and each part keeps its share of the rest.
-    Where the image is darker than the exact light alone, or there is no other light, the exact light is scaled: out of
-    focus it is noisy, and the mixture is not. Where there is no light at all, the image stays 0.
+    The exact light is the light of ``before`` that is in no part. It stays, and each part keeps its share of the rest,
+    as long as that changes the parts by at most `MAX_RATIO_TO_IMAGE` times more or less than the image. Beyond, exact
+    light is scaled as well: at a lamp a small error of the mixture would otherwise become many times the light that the
+    lamp's surface scatters, and out of focus the exact light is noisy. Where there is no light at all, the image stays
+    0.
 
     Parameters
     ----------
@@ -186,11 +190,24 @@ def share_out(image: FloatArray, before: FloatArray, parts: Sequence[FloatArray]
     rest = np.maximum(before - filtered, np.float32(0.0))
     scattered, exact = filtered > MAX_BLACK_RADIANCE, rest > MAX_BLACK_RADIANCE
     image = np.where(scattered | exact, image, before)
-    scaled = exact & (~scattered | (image < rest))
-    gain = np.divide(image, rest, out=np.ones_like(rest), where=scaled)
-    wanted = np.where(scaled, np.float32(0.0), image - rest)
-    factor = np.divide(wanted, filtered, out=np.zeros_like(filtered), where=scattered)
+
+    alone = _divide(image - rest, filtered, scattered)
+    change, most = _divide(image, before, scattered & exact), np.float32(MAX_RATIO_TO_IMAGE)
+    bounded = np.minimum(np.clip(alone, change / most, change * most), _divide(image, filtered, scattered))
+    factor = np.where(exact, bounded, alone)
+    others = image - factor * filtered
+    gain = np.divide(
+        np.maximum(others, np.float32(0.0)),
+        rest,
+        out=np.ones_like(rest),
+        where=exact & (~scattered | (factor != alone)),
+    )
     return Shares(image, [part * factor for part in good], gain)
+
+
+def _divide(light: Any, by: Any, where: Any) -> FloatArray:
+    """Return a quotient, 0 outside of ``where``."""
+    return np.asarray(np.divide(light, by, out=np.zeros_like(by), where=where))
 
 
 def denoise_with_peer(frame: Frame, image: FloatArray) -> FloatArray:

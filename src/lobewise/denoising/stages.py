@@ -29,6 +29,7 @@ from lobewise.denoising.planning.frame_plans import (
     describe_frame,
     plan_frame,
 )
+from lobewise.denoising.refining.inputs import sum_light as sum_parts
 from lobewise.denoising.refining.lamps import find_edges, find_refined, find_shining, find_small
 from lobewise.denoising.refining.network import find_factor
 from lobewise.denoising.refining.whole_image import WholeImage, measure_whole
@@ -309,8 +310,15 @@ def filter_passes(state: FrameRun) -> FrameRun:
         {} if refined is None else {layer.name: part for layer, part in zip(refined.layers, refined.parts, strict=True)}
     )
     layers = {name: Passed(clean=image, before=parts.get(name), share=share) for name, image in clean.items()}
-    whole = Passed(clean=state.total, before=None if refined is None else refined.image, share=share)
-    also = filter_also(state.frame, state.settings, state.features, layers, whole)
+    # What is not in the layers had no filter. Where there is none, all of a filled hole counts as scattered.
+    rest = find_rest(state.frame)
+    rest = np.zeros_like(state.total) if rest is None else rest
+    scattered = sum_parts(found.parts)
+    rest_after = np.where(rest > 0.0, np.maximum(state.total - scattered, np.float32(0.0)), np.float32(0.0))
+    whole = Passed(
+        clean=state.total - rest_after, before=None if refined is None else sum_parts(refined.parts), share=share
+    )
+    also = filter_also(state.frame, state.settings, state.features, layers, whole, (rest, rest_after))
     return replace(state, also=also)
 
 
