@@ -120,3 +120,49 @@ def test_short_words_stand_for_images() -> None:
     result = Result(image, number, number, number > 0.0, {"quality": "fast", "similarity": "ggx"}, 0.25, diffuse=image)
     told = "image, diffuse, quality fast, similarity ggx, 0 bad pixels, 0.25 s"
     assert repr(result) == f"Result(50x40: {told})"
+
+
+@pytest.mark.parametrize(
+    ("shape", "advice"),
+    [
+        ((3, 6, 5), r"it looks like channels first \(CHW\): pass image.transpose\(1, 2, 0\)\."),
+        ((4, 6, 5), r"it looks like channels first \(CHW\): pass image.transpose\(1, 2, 0\)\[\.\.\., :3\]\."),
+        ((6, 5, 4), r"it looks like RGBA: pass image\[\.\.\., :3\]\."),
+        ((6, 5), r"it looks gray: pass np\.repeat\(image\[\.\.\., None\], 3, axis=-1\)\."),
+        ((6, 5, 1), r"it looks gray: pass np\.repeat\(image, 3, axis=-1\)\."),
+        ((1, 6, 5), r"it looks gray: pass np\.repeat\(image\[0\]\[\.\.\., None\], 3, axis=-1\)\."),
+        ((2, 6, 5, 3), "it looks like a batch: pass one image at a time"),
+        ((2, 3, 6, 5), "it looks like a batch: pass one image at a time"),
+    ],
+)
+def test_arrays_of_another_layout_get_advice_that_works(shape: tuple[int, ...], advice: str) -> None:
+    image = np.ones(shape, np.float32)
+    with pytest.raises(InputError, match=advice) as caught:
+        Radiance(image)
+    told = str(caught.value).partition("pass ")[2].removesuffix(".")
+    mended = image[0] if image.ndim == 4 else eval(told, {"image": image, "np": np})
+    if mended.shape != (3, 6, 5):
+        assert Radiance(mended).shape == (6, 5)
+
+
+@pytest.mark.parametrize(
+    ("name", "shape", "advice"),
+    [
+        ("depth", (6, 5, 1), r"such as image\[\.\.\., 0\]"),
+        ("depth", (1, 6, 5), r"channels first \(CHW\): pass image\[0\]"),
+        ("motion", (2, 6, 5), r"pass image.transpose\(1, 2, 0\)"),
+        ("motion", (6, 5, 3), r"pass image\[\.\.\., :2\]"),
+    ],
+)
+def test_guides_of_another_layout_get_advice_too(name: str, shape: tuple[int, ...], advice: str) -> None:
+    with pytest.raises(InputError, match=advice):
+        GBuffer(**{name: np.ones(shape, np.float32)})
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.int32])
+def test_pictures_are_no_radiance(kind: type) -> None:
+    picture = np.full((6, 5, 3), 200, kind)
+    with pytest.raises(InputError, match=r"color: expected linear radiance in floating point, got u?int\d+, "):
+        Radiance(picture)
+    # Guides may be counted: kinds of lobes, materials.
+    assert GBuffer(lobe_kind=picture[..., 0]).lobe_kind is not None

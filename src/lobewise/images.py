@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
@@ -31,8 +31,11 @@ ABSENT: Any = None
 """Default of a field that holds an optional image."""
 
 
-def as_image(name: str, value: ArrayLike | None, channels: int | None) -> FloatArray | None:
-    """Return ``value`` as a read-only C-contiguous float32 array (H, W) or (H, W, channels)."""
+def as_image(name: str, value: ArrayLike | None, channels: int | None, *, is_light: bool = False) -> FloatArray | None:
+    """Return ``value`` as a read-only C-contiguous float32 array (H, W) or (H, W, channels).
+
+    ``is_light`` says that it is radiance, which integers are not.
+    """
     if value is None:
         return None
     array = _read_array(name, value)
@@ -43,7 +46,15 @@ def as_image(name: str, value: ArrayLike | None, channels: int | None) -> FloatA
             name,
             expected=f"a real array of shape {shape}",
             got=f"{array.dtype} of shape {array.shape}",
-            action="reshape it or leave it out",
+            action=advise_shape(array.shape, channels) if array.dtype.kind in "fiub" else "convert it to real numbers",
+        )
+    if is_light and array.dtype.kind in "iu":
+        raise InputError(
+            name,
+            expected="linear radiance in floating point",
+            got=f"{array.dtype}, as pictures for screens have",
+            action=f"divide it by {255 if array.dtype.itemsize == 1 else 'the value of white'} and undo the curve for "
+            "screens, such as (image / 255.0) ** 2.2",
         )
     if 0 in array.shape:
         raise InputError(
@@ -54,6 +65,28 @@ def as_image(name: str, value: ArrayLike | None, channels: int | None) -> FloatA
         out = out.view()
     out.flags.writeable = False
     return out
+
+
+def advise_shape(shape: tuple[int, ...], channels: int | None) -> str:
+    """Return what to do with an array of a wrong shape, so that it becomes an image (height, width, channels)."""
+    if len(shape) == 4:
+        return "it looks like a batch: pass one image at a time"
+    if len(shape) == 2 and channels == 3:
+        return "it looks gray: pass np.repeat(image[..., None], 3, axis=-1)"
+    if len(shape) != 3:
+        return "reshape it or leave it out"
+    count, (first, _, last) = channels or 1, shape
+    if channels == 3 and last == 1:
+        return "it looks gray: pass np.repeat(image, 3, axis=-1)"
+    if channels == 3 and first == 1:
+        return "it looks gray: pass np.repeat(image[0][..., None], 3, axis=-1)"
+    if last == count + 1 and channels is not None:
+        return f"{'it looks like RGBA: ' if channels == 3 else ''}pass image[..., :{count}]"
+    if first in (count, count + 1) and last > 4:
+        alpha = f"[..., :{count}]" if first > count else ""
+        mended = f"image.transpose(1, 2, 0){alpha}" if channels else "image[0]"
+        return f"it looks like channels first (CHW): pass {mended}"
+    return "pass one channel, such as image[..., 0]" if channels is None else "reshape it or leave it out"
 
 
 def _read_array(name: str, value: Any) -> NDArray[Any]:
@@ -77,10 +110,10 @@ def _read_array(name: str, value: Any) -> NDArray[Any]:
 
 
 def as_images(what: str, images: Mapping[str, ArrayLike], shape: tuple[int, int] | None) -> Mapping[str, FloatArray]:
-    """Return images (height, width, 3) by name, each checked like `as_image` and of the size ``shape``."""
+    """Return images of light (height, width, 3) by name, checked like `as_image`, and of the size ``shape``."""
     found = {}
     for name, value in images.items():
-        image = as_image(f"{what} {name!r}", value, 3)
+        image = as_image(f"{what} {name!r}", value, 3, is_light=True)
         if image is None:
             continue
         if shape is not None and image.shape[:2] != shape:
@@ -108,14 +141,15 @@ def refuse_size(
 class Images:
     """Shared checks of the frozen data classes whose fields are images of one size."""
 
-    def check_images(self, channels: Mapping[str, int | None]) -> None:
+    def check_images(self, channels: Mapping[str, int | None], lights: Collection[str] = ()) -> None:
         """Make the named fields read-only images of one size.
 
-        ``channels`` gives the number of channels of each field; None stands for an image (height, width).
+        ``channels`` gives the number of channels of each field; None stands for an image (height, width). ``lights``
+        are the fields that hold radiance.
         """
         size: tuple[str, tuple[int, int]] | None = None
         for name, count in channels.items():
-            image = as_image(name, getattr(self, name), count)
+            image = as_image(name, getattr(self, name), count, is_light=name in lights)
             object.__setattr__(self, name, image)
             if image is None:
                 continue

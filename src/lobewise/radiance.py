@@ -53,7 +53,8 @@ class Radiance(Images):
     def __post_init__(self) -> None:
         if self.color is None:
             raise InputError("color", expected="an image", got="nothing", action="pass the noisy radiance")
-        self.check_images(dict.fromkeys(("color", "diffuse", "specular", "direct", "indirect"), 3))
+        names = ("color", "diffuse", "specular", "direct", "indirect")
+        self.check_images(dict.fromkeys(names, 3), lights=names)
 
     @property
     def parts(self) -> tuple[FloatArray, FloatArray] | None:
@@ -106,7 +107,8 @@ class RadianceLayer(Images):
         require_choice(f"layer {self.name!r}, lobe", self.lobe, LOBES)
         if self.radiance is None:
             raise InputError(f"layer {self.name!r}", expected="an image", got="nothing", action="leave the layer out")
-        self.check_images(dict.fromkeys(("radiance", "albedo", "half_a", "half_b"), 3))
+        lights = ("radiance", "half_a", "half_b")
+        self.check_images(dict.fromkeys((*lights, "albedo"), 3), lights=lights)
         object.__setattr__(self, "parts", as_images(f"layer {self.name!r}, part", self.parts, self.shape))
 
     @property
