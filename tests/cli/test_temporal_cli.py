@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -149,3 +150,21 @@ def test_mistakes_are_told_in_one_sentence(line, words, folder: Path, tmp_path: 
     for word in words:
         assert word in error
     assert not list(tmp_path.glob("o*"))
+
+
+def test_a_missing_frame_is_named_and_notes_name_their_frame(
+    tmp_path: Path, rng: np.random.Generator, capsys: pytest.CaptureFixture[str]
+) -> None:
+    camera = make_camera(shift=0.0)
+    for number in (1, 2, 4):
+        frame = make_frame(camera, None, noise=0.5, seed=number)
+        if number == 2:
+            frame = frame.with_changes(gbuffer=replace(frame.gbuffer, diffuse_albedo=np.full((*frame.shape, 3), 7.0)))
+        write_frame(tmp_path / f"d.{number:04d}.exr", frame)
+    line = ["denoise", str(tmp_path / "d.####.exr"), "-o", str(tmp_path / "o.####.exr"), "--quality", "fast"]
+    assert run(line) == 0
+    told = " ".join(capsys.readouterr().err.split())
+    assert told.startswith("Frame 3 of 1 to 4 is missing.")
+    assert "Frame 2: diffuse_albedo is above 1" in told
+    assert "Frame 1: Used: lobewise's own filters" in told
+    assert told.count("Used:") == 1

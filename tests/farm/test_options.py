@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lobewise.cli.farming import name_frames
 from lobewise.cli.main import run
 from lobewise.cli.options.farming import GIB, parse_memory
 from lobewise.errors import InputError
 from lobewise.farm import connection
 from lobewise.io import write_frame
+from lobewise.io.sequence import name_frames
 from lobewise.streaming import DEFAULT_MEMORY, find_limits
 from lobewise.streaming.plan import MAX_WHOLE_GIB
 from tests.streaming.frames import make_scene

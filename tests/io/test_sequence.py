@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from lobewise.errors import FileError, InputError
-from lobewise.io.sequence import FramePattern, is_pattern
+from lobewise.io.sequence import FramePattern, describe_gaps, is_pattern
 
 
 @pytest.mark.parametrize("text", ["a.####.exr", "a.%04d.exr", "a%d.exr", "#", "x/a_##_b.exr", Path("a.#.exr")])
@@ -91,3 +91,23 @@ def test_nothing_found_is_said_with_what_is_near(there, near, tmp_path):
 def test_a_folder_that_is_not_there(tmp_path):
     with pytest.raises(FileError, match="expected a folder that can be read, got no such file"):
         FramePattern.parse(tmp_path / "no" / "a.#.exr").find()
+
+
+@pytest.mark.parametrize(
+    ("numbers", "told"),
+    [
+        ([1], ""),
+        ([3, 4, 5], ""),
+        ([1, 2, 4], "Frame 3 of 1 to 4 is missing."),
+        ([1, 3, 7], "Frames 2, 4 to 6 of 1 to 7 are missing."),
+        (list(range(1, 100, 2)), "49 frames of 1 to 99 are missing, the first of them 2."),
+    ],
+)
+def test_missing_numbers_are_named(numbers: list[int], told: str) -> None:
+    assert describe_gaps(numbers) == told
+
+
+@pytest.mark.parametrize("text", ["a.####.exr", "v2_#_b(1).exr"])
+def test_a_file_has_its_number(text: str) -> None:
+    pattern = FramePattern.parse(text)
+    assert [pattern.read_number(pattern.name(number)) for number in (0, 7, 12345)] == [0, 7, 12345]

@@ -12,13 +12,13 @@ from typing import Any
 from lobewise.cli.options.farming import Farm
 from lobewise.cli.output import describe_result, describe_settings, print_line, print_note
 from lobewise.cli.running import FileFilter, Job, Request, run_filter
-from lobewise.cli.terminal.outcome import Remarks, hide_numbers, tell_picture
+from lobewise.cli.terminal.outcome import Remarks, hide_numbers, tell_gaps, tell_picture
 from lobewise.cli.terminal.steps import Steps
 from lobewise.errors import LobewiseError
 from lobewise.farm.running import FarmJob, FarmReport, filter_on_farm
 from lobewise.farm.tasks import Told
 from lobewise.io.files import require_exr_name
-from lobewise.io.sequence import FramePattern
+from lobewise.io.sequence import FramePattern, name_frames
 from lobewise.reporting.picture import Pictures, name_picture
 from lobewise.sequence import filter_sequence
 
@@ -58,7 +58,7 @@ class FrameWork:
 
         def write(path: Path, result: Any, found: Any, _: Path) -> None:
             verb.write(path, result, found)
-            remarks.tell_result(result)
+            remarks.tell_result(result, by_name[path])
             done(by_name[path])
 
         report = filter_sequence(
@@ -144,6 +144,7 @@ def _run_on_farm(job: Job, request: Request[Any, Any], fingerprint: str, farm: F
         with_oidn=request.asks_for_oidn,
         memory=farm.memory,
     )
+    tell_gaps(farm_job.source)
     filtering = f"Filtering {job.source.name}"
     with job.steps as steps:
         report = filter_on_farm(
@@ -182,15 +183,3 @@ def _tell_failures(report: FarmReport) -> None:
     if traces:
         raise RuntimeError(told) from RuntimeError(f"on a worker:\n{traces[0]}")
     raise LobewiseError(f"{told}; mend what is said above and give the same command again, which filters only these.")
-
-
-def name_frames(numbers: Sequence[int]) -> str:
-    """Return a name such as "Frame 7" or "Frames 7, 9 to 12"."""
-    runs: list[list[int]] = []
-    for number in numbers:
-        if runs and number == runs[-1][-1] + 1:
-            runs[-1].append(number)
-        else:
-            runs.append([number])
-    words = [str(run[0]) if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs]
-    return f"Frame{'s' if len(numbers) != 1 else ''} {', '.join(words)}"

@@ -13,7 +13,7 @@ import typer
 from lobewise.cli.options.bands import Bands, FileInBands, choose_bands
 from lobewise.cli.options.common import OverTime, Source, Telling, parse_place
 from lobewise.cli.options.farming import Farm
-from lobewise.cli.options.reading import PassReading, find_counterpart, name_frame
+from lobewise.cli.options.reading import PassReading, find_counterpart, find_number, name_frame
 from lobewise.cli.options.shading import Reshading
 from lobewise.cli.options.spreading import with_groups, with_settings
 from lobewise.cli.options.windows import FileInWindow, Window, WindowReader, list_window, require_window
@@ -243,7 +243,8 @@ class _Denoiser:
                 pictures.write_from_file(target)
             return
         better = self.shade(result, found.frame)
-        self.request.writing.write(target, better, found, self.job.remarks)
+        frame = find_number(found.container.path, self.job.source)
+        self.request.writing.write(target, better, found, self.job.remarks, frame)
         if pictures is not None:
             pictures.write(target, better.image)
 

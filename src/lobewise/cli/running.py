@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 from lobewise.cli.options.bands import FileInBands
 from lobewise.cli.options.common import Telling
 from lobewise.cli.options.writing import Picture, find_first
-from lobewise.cli.terminal.outcome import Remarks, tell_picture, tell_settings
+from lobewise.cli.terminal.outcome import Remarks, tell_gaps, tell_picture, tell_settings
 from lobewise.cli.terminal.steps import Steps
 
 if TYPE_CHECKING:
@@ -166,12 +166,15 @@ def _filter_file(job: Job, verb: FileFilter[FileT, ResultT]) -> ResultT:
 
 def _filter_sequence(job: Job, verb: FileFilter[FileT, ResultT], fingerprint: str) -> SequenceReport[ResultT]:
     from lobewise.cli.output import print_note
+    from lobewise.io.sequence import FramePattern
     from lobewise.sequence import filter_sequence
 
     def write(target: Path, result: ResultT, found: FileT, path: Path) -> None:
         verb.write(target, result, found)
-        job.remarks.tell_result(result)
+        job.remarks.tell_result(result, pattern.read_number(path))
 
+    pattern = FramePattern.parse(job.source)
+    tell_gaps(pattern)
     with job.steps as steps:
         return filter_sequence(
             job.source,

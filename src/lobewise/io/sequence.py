@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 from lobewise.errors import FileError, InputError, find_nearest
@@ -12,6 +14,38 @@ from lobewise.io.files import PathLike, say_reason
 
 # Placeholder of the number: #### as in Blender, or %04d as in C and ffmpeg.
 _RUN = re.compile(r"#+|%(?:0([1-9]\d?))?d")
+
+
+MAX_RUNS_NAMED = 8
+"""Most runs of missing frames that are named."""
+
+
+def name_frames(numbers: Sequence[int]) -> str:
+    """Return a name such as "Frame 7" or "Frames 7, 9 to 12"."""
+    runs: list[list[int]] = []
+    for number in numbers:
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    words = [str(run[0]) if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs]
+    return f"Frame{'s' if len(numbers) != 1 else ''} {', '.join(words)}"
+
+
+def describe_gaps(numbers: Sequence[int]) -> str:
+    """Return a sentence on the frames that are missing between the first and the last; empty where none is.
+
+    ``numbers`` are those of the existing frames, in their order.
+    """
+    missing = [range(one + 1, other) for one, other in pairwise(numbers) if other > one + 1]
+    if not missing:
+        return ""
+    count = sum(map(len, missing))
+    within = f"of {numbers[0]} to {numbers[-1]}"
+    if len(missing) > MAX_RUNS_NAMED:
+        return f"{count} frames {within} are missing, the first of them {missing[0][0]}."
+    named = name_frames([number for run in missing for number in run])
+    return f"{named} {within} {'is' if count == 1 else 'are'} missing."
 
 
 def is_pattern(text: PathLike) -> bool:
@@ -58,6 +92,10 @@ class FramePattern:
     def name(self, number: int) -> Path:
         """Return the file of a frame, ``number`` >= 0."""
         return self.folder / f"{self.before}{number:0{self.width}d}{self.after}"
+
+    def read_number(self, path: Path) -> int:
+        """Return the number of a file that `find` or `name` returned."""
+        return int(path.name[len(self.before) : len(path.name) - len(self.after)])
 
     def find(self) -> list[tuple[int, Path]]:
         """Return the existing files with their numbers, in the order of the numbers.

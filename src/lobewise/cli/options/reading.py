@@ -160,7 +160,7 @@ class PassReading(Reading):
         # A finding holds figures of one frame: of a sequence only the first frame's are printed.
         known = {one.told: f"{one.what}, {one.mended}" for one in found.findings}
         for note in found.remarks:
-            remarks.tell(note, known.get(note, note))
+            remarks.tell(note, known.get(note, note), find_number(path, source))
         return found
 
     def _find_half(self, path: Path, source: Path) -> Path:
@@ -191,8 +191,14 @@ def find_counterpart(path: Path, source: Path, other: Path) -> Path:
 
     if not is_pattern(source):
         return other
-    number = {found: number for number, found in FramePattern.parse(source).find()}[path]
-    return FramePattern.parse(other).name(number)
+    return FramePattern.parse(other).name(FramePattern.parse(source).read_number(path))
+
+
+def find_number(path: Path, source: Path) -> int | None:
+    """Return the number of a file of the sequence ``source``; None where that is a single file."""
+    from lobewise.io.sequence import FramePattern, is_pattern
+
+    return FramePattern.parse(source).read_number(path) if is_pattern(source) else None
 
 
 def name_frame(source: Path, number: int) -> Path:

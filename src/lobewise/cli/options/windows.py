@@ -68,7 +68,7 @@ class WindowReader:
         """Return a file with the files around it. A missing number, or a frame of another size, ends the window."""
         from lobewise.io.sequence import FramePattern
 
-        middle = {found: number for number, found in FramePattern.parse(self._source).find()}[path]
+        middle = FramePattern.parse(self._source).read_number(path)
         window = list_window(self._source, middle, self._reach)
         first, wanted = window[0][0], [each for _, each in window]
         kept, self._kept = self._kept, {}

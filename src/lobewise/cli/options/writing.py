@@ -46,8 +46,11 @@ class Writing:
         """Name of the first option that the user gave, empty for none."""
         return next((f"--{name}" for name in ("suffix", "only", "confidence") if getattr(self, name)), "")
 
-    def write(self, target: Path, result: Result, found: Imported, remarks: Remarks) -> None:
-        """Write a result into a copy of its file; ``remarks`` prints which channels changed their meaning."""
+    def write(self, target: Path, result: Result, found: Imported, remarks: Remarks, frame: int | None = None) -> None:
+        """Write a result into a copy of its file; ``remarks`` prints which channels changed their meaning.
+
+        ``frame`` is the number of the file in a sequence.
+        """
         from lobewise.adaptive import find_unsupported
         from lobewise.interchange import write_result
 
@@ -61,7 +64,7 @@ class Writing:
             rerender=find_unsupported(result).astype("f4") if self.confidence else None,
         )
         for note in notes:
-            remarks.tell(note)
+            remarks.tell(note, frame=frame)
 
 
 @dataclass(frozen=True)

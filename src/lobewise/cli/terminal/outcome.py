@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from lobewise.frame import Result
+    from lobewise.io.sequence import FramePattern
     from lobewise.reporting.picture import Pictures
     from lobewise.streaming import DenoisedFile
 
 
 class Remarks:
-    """Prints remarks, each once: a sequence has the same remarks for every frame.
+    """Prints remarks, each once and with its frame: a sequence has the same remarks for many frames.
 
     Parameters
     ----------
@@ -26,27 +27,40 @@ class Remarks:
         self.told: dict[str, str] = {}
         """Remarks by key."""
 
-    def tell(self, note: str, key: str = "") -> None:
-        """Print a note, unless a note with its key was printed before; by default the note is its own key."""
+    def tell(self, note: str, key: str = "", frame: int | None = None) -> None:
+        """Print a note, unless a note with its key was printed before; by default the note is its own key.
+
+        ``frame`` is the number of the note's frame in a sequence.
+        """
         from lobewise.cli.output import print_note
 
         if (key or note) in self.told:
             return
-        self.told[key or note] = note
+        told = note if frame is None else f"Frame {frame}: {note}"
+        self.told[key or note] = told
         if not self._is_silent:
-            print_note(note)
+            print_note(told)
 
-    def tell_result(self, result: Result | DenoisedFile) -> None:
+    def tell_result(self, result: Result | DenoisedFile, frame: int | None = None) -> None:
         """Print the method, what is wrong with the guides, and which images of the frame were not used."""
         unused = f"Not used with these settings: {', '.join(result.unused)}."
         used = [f"Used: {result.method}."] if result.method else []
         for note in (*used, *result.notes, *([unused] if result.unused else [])):
-            self.tell(note, hide_numbers(note))
+            self.tell(note, hide_numbers(note), frame)
 
 
 def hide_numbers(note: str) -> str:
     """Return a remark without its figures, which differ from frame to frame: only the first frame's are printed."""
     return re.sub(r"\d+(\.\d+)?", "#", note)
+
+
+def tell_gaps(source: FramePattern) -> None:
+    """Print which frames of a sequence are missing between its first and its last, if any is."""
+    from lobewise.cli.output import print_note
+    from lobewise.io.sequence import describe_gaps
+
+    if gaps := describe_gaps([number for number, _ in source.find()]):
+        print_note(gaps)
 
 
 def tell_picture(output: Path, pictures: Pictures | None) -> None:
