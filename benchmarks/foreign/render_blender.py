@@ -24,6 +24,7 @@ import time
 from pathlib import Path
 
 import bpy
+from blender_crowds import CROWDS
 from blender_films import FILMS
 from blender_parts import clear
 from blender_scenes import SCENES
@@ -44,7 +45,7 @@ PASSES = {
     ),
 }  # fmt: skip
 EVERY = "every"
-KINDS = {**SCENES, **SHOTS, **FILMS}
+KINDS = {**SCENES, **SHOTS, **CROWDS, **FILMS}
 
 
 def set_up(width: int, height: int, passes: str) -> None:
