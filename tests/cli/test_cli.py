@@ -112,7 +112,7 @@ class TestProgram:
         def explode(_path, **_options):
             raise ZeroDivisionError("a\nb")
 
-        monkeypatch.setattr("lobewise.interchange.describe_file", explode)
+        monkeypatch.setattr("lobewise.interchange.describing.inspect_file", explode)
         assert run(["inspect", str(frame_file)]) == 1
         out, err = capsys.readouterr()
         assert (out, err.count("\n")) == ("", 1)
@@ -129,7 +129,7 @@ class TestProgram:
         def interrupt(_path, **_options):
             raise KeyboardInterrupt
 
-        monkeypatch.setattr("lobewise.interchange.describe_file", interrupt)
+        monkeypatch.setattr("lobewise.interchange.describing.inspect_file", interrupt)
         assert run(["inspect", str(frame_file)]) == 130
         assert capsys.readouterr().err == "lobewise: interrupted; every output is whole, or as it was.\n"
 

@@ -10,9 +10,9 @@ import pytest
 from renderers import WRITERS, Written, make_scene, write
 
 from lobewise.cli.main import run
-from lobewise.cli.terminal.summary import foretell_method
 from lobewise.denoising.automatic import ask, resolve_all
 from lobewise.denoising.inputs import list_unused
+from lobewise.denoising.planning.foretelling import foretell_method
 from lobewise.errors import LobewiseError
 from lobewise.interchange import describe_file, import_file
 from lobewise.settings import DenoiseSettings
@@ -77,7 +77,7 @@ def check_words(path: Path, capsys: pytest.CaptureFixture[str], folder: Path) ->
     parts = capsys.readouterr()
     # What is said of the default's unused images is asked above: the quality fast uses less.
     words = " ".join([*parts.out.split(), *re.sub(r"Not used with these settings: .*", "", parts.err).split()])
-    words += f" Not used with these settings: {', '.join(unused)}\n {foretell_method(described)}"
+    words += f" Not used with these settings: {', '.join(unused)}\n {foretell_method(found.frame, DenoiseSettings())}"
     for use, sentence in ABSENT.items():
         if use in uses:
             assert not re.search(sentence, words), f"{path.name}: {use} is used, and missing"

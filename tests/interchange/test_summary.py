@@ -6,6 +6,7 @@ import json
 import shlex
 import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from lobewise.interchange import describe_file, import_file, read_frame, write_r
 from lobewise.interchange.preset import load_presets
 from lobewise.io import write_frame
 from lobewise.io.exr.describe import COSTS
+from lobewise.streaming import plan
 
 FOREIGN = Path(__file__).parents[1] / "data" / "foreign"
 BLENDER = FOREIGN / "blender_5.2_multipart.exr"
@@ -56,6 +58,32 @@ def test_the_summary_of_a_blender_file_fits_a_screen(
     assert "into Combined and 4 more passes of light" in told
     assert "Missing" not in told
     assert "┃" not in told
+
+
+@pytest.mark.parametrize("renderer", ["cycles", "mitsuba", "lobewise", "alone"])
+def test_the_method_is_that_of_the_result(renderer: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "a.exr"
+    if renderer == "alone":
+        OpenEXR.File({}, {name: np.ones((8, 8), "f4") for name in "RGB"}).write(str(path))
+    elif renderer == "lobewise":
+        frame = read_frame(BLENDER)
+        # Every normal is the same: it tells Open Image Denoise nothing.
+        flat = np.broadcast_to(np.float32([0.0, 0.0, 1.0]), (*frame.shape, 3))
+        guides = replace(frame.gbuffer, normal=flat, denoiser_normal=None)
+        write_frame(path, frame.with_changes(gbuffer=guides))
+    else:
+        write_some(path, renderer, without=())
+    method = denoise(read_frame(path)).method
+    assert json.loads(ask(capsys, "inspect", "--json", path))["method"] == method
+    assert method in " ".join(ask(capsys, "inspect", path).split())
+
+
+def test_a_file_in_bands_is_foretold_without_open_image_denoise(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_frame(tmp_path / "a.exr", read_frame(BLENDER))
+    monkeypatch.setattr(plan, "MAX_WHOLE_GIB", 1e-9)
+    assert "this one is denoised in bands" in " ".join(ask(capsys, "inspect", tmp_path / "a.exr").split())
 
 
 def test_tables_and_attributes_are_asked_for(capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,7 +14,6 @@ from exr_bytes import EXOTIC, inject_attributes
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.io import describe_file, read_frame, write_frame
 from lobewise.io.exr.schema import CAMERA, DENOISED, LOBES, SCHEMA, SLOTS, SPP
-from lobewise.peers import name_oidn_guides
 
 
 def test_a_full_frame(full_frame, tmp_path):
@@ -36,13 +35,6 @@ def test_a_full_frame(full_frame, tmp_path):
     values = {name: value for name, _, value in part.attributes}
     assert values["lobewise/camera/position"] == "1 2 0.1"
     assert values["lobewise/spp"] == "4"
-
-
-def test_images_for_denoisers_are_guides_of_open_image_denoise(rng, tmp_path):
-    path = tmp_path / "a.exr"
-    color, albedo, normal = (rng.random((5, 4, 3), dtype=np.float32) for _ in range(3))
-    write_frame(path, Frame(Radiance(color), GBuffer(denoiser_albedo=albedo, denoiser_normal=normal)))
-    assert describe_file(path).oidn_guides == name_oidn_guides(read_frame(path)) == ("albedo", "normal")
 
 
 def test_what_is_missing_is_said(rng, tmp_path):

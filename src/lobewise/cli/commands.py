@@ -25,6 +25,8 @@ from lobewise.errors import InputError
 from lobewise.settings import DenoiseSettings
 
 if TYPE_CHECKING:
+    from lobewise.frame import Frame
+    from lobewise.interchange import Imported
     from lobewise.io import FileDescription
 
 app = App(
@@ -127,7 +129,7 @@ def inspect(
 
     from lobewise.cli.output import print_description, to_json
     from lobewise.cli.terminal.summary import print_summary
-    from lobewise.interchange import describe_file
+    from lobewise.interchange.describing import inspect_file
 
     if plan:
         if as_json or everything or attributes or page:
@@ -139,13 +141,14 @@ def inspect(
     if settings:
         names = ", ".join(f"--{name.replace('_', '-')}" for name in settings)
         raise InputError(names, expected="--plan beside it", got="none", action="add --plan")
-    found = describe_file(source, **reading.parse(), half=reading.half, also=reading.also or ())
+    found, imported = inspect_file(source, **reading.parse(), half=reading.half, also=reading.also or ())
     if page is not None:
         write_contents(page, source, found, reading)
+    method = foretell_file(source, reading, imported) if found.outputs and not found.refusals else ""
     if as_json:
-        typer.echo(to_json(asdict(found)), nl=False)
+        typer.echo(to_json({**asdict(found), "method": method}), nl=False)
         return
-    print_summary(found, reading.list_words())
+    print_summary(found, method, reading.list_words())
     if everything or attributes:
         print_description(found, with_attributes=attributes)
 
@@ -164,23 +167,39 @@ def write_contents(page: Path, source: Path, found: FileDescription, reading: Pa
     print_note(f"Wrote {page}.")
 
 
-def print_plan(source: Path, reading: PassReading, settings: dict[str, Any]) -> None:
-    """Print the plan by which `denoise` would filter a file."""
+def foretell_file(source: Path, reading: PassReading, imported: Imported | None) -> str:
+    """Return how `denoise` without options for its filters will make the image of a file.
+
+    ``imported`` is the file if it was read already.
+    """
+    from lobewise.denoising.planning.foretelling import foretell_method
+
+    frame, height = (imported.frame, None) if imported else read_planned(source, reading, {})
+    return foretell_method(frame, DenoiseSettings(), whole=height is None)
+
+
+def read_planned(source: Path, reading: PassReading, settings: dict[str, Any]) -> tuple[Frame, int | None]:
+    """Return the frame of a file, or of a file that is denoised in bands its first row and its height."""
     from lobewise.cli.options.bands import choose_bands
     from lobewise.cli.options.reading import refuse_results
-    from lobewise.denoising.planning.foretelling import foretell
     from lobewise.interchange import import_file
     from lobewise.io.exr.bands import BandReader
 
-    asked = DenoiseSettings(**settings)
-    if choose_bands(source, "auto", settings, "--with-oidn" if asked.asks_for_oidn else reading.option):
+    needs_whole = "--with-oidn" if DenoiseSettings(**settings).asks_for_oidn else reading.option
+    if choose_bands(source, "auto", settings, needs_whole):
         reader = BandReader(source)
-        lines = foretell(reader.read_frame(0, 1), asked, height=reader.shape[0])
-    else:
-        found = import_file(source, **reading.parse(), half=reading.half, also=reading.also or (), light_passes=True)
-        refuse_results(source, found.findings)
-        lines = foretell(found.frame, asked)
-    for line in lines:
+        return reader.read_frame(0, 1), reader.shape[0]
+    found = import_file(source, **reading.parse(), half=reading.half, also=reading.also or (), light_passes=True)
+    refuse_results(source, found.findings)
+    return found.frame, None
+
+
+def print_plan(source: Path, reading: PassReading, settings: dict[str, Any]) -> None:
+    """Print the plan by which `denoise` would filter a file."""
+    from lobewise.denoising.planning.foretelling import foretell
+
+    frame, height = read_planned(source, reading, settings)
+    for line in foretell(frame, DenoiseSettings(**settings), height=height):
         typer.echo(line)
 
 

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from lobewise.denoising.automatic import explain_ours
 from lobewise.denoising.bad_pixels import find_good
 from lobewise.denoising.evidence import find_image_halves
 from lobewise.denoising.networks import load_networks
@@ -24,7 +25,7 @@ from lobewise.filters.noise.shares import find_shares
 from lobewise.frame import FloatArray, Frame
 from lobewise.lobes.vectors import LUMINANCE
 from lobewise.peers import denoise_oidn, name_oidn_guides
-from lobewise.settings import DenoiseSettings
+from lobewise.settings import DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_similarity
 
 MAX_BLACK_RADIANCE = 1e-30
@@ -124,7 +125,31 @@ def can_mix(frame: Frame) -> bool:
     return bool(name_oidn_guides(frame))
 
 
-def describe_method(settings: DenoiseSettings, guides: Sequence[str], *, mixes: bool, why_ours: str = "") -> str:
+def name_method(
+    frame: Frame,
+    named: DenoiseSettings,
+    chosen: ResolvedSettings,
+    *,
+    whole: bool = True,
+    with_features: bool = False,
+) -> str:
+    """Return a sentence without a full stop: the filters and networks that make the image of a frame.
+
+    Parameters
+    ----------
+    frame : Frame
+        Prepared as its filters see it.
+    named, chosen : DenoiseSettings
+        The settings of the user, and what became of them on this frame.
+    whole, with_features : bool
+        As of `lobewise.denoising.automatic.ask`.
+    """
+    return describe_method(
+        chosen, name_oidn_guides(frame), why_ours=explain_ours(named, whole=whole, with_features=with_features)
+    )
+
+
+def describe_method(settings: DenoiseSettings, guides: Sequence[str], *, why_ours: str = "") -> str:
     """Return a sentence without a full stop: the filters and networks that make the image.
 
     Parameters
@@ -133,8 +158,6 @@ def describe_method(settings: DenoiseSettings, guides: Sequence[str], *, mixes: 
         Its quality and its ``with_oidn`` are chosen.
     guides : sequence of str
         Result of `lobewise.peers.name_oidn_guides`.
-    mixes : bool
-        Result of `can_mix`.
     why_ours : str
         Result of `lobewise.denoising.automatic.explain_ours`.
     """
@@ -145,10 +168,9 @@ def describe_method(settings: DenoiseSettings, guides: Sequence[str], *, mixes: 
         ours += f", comparing {similarity.compares if knows else 'the picture alone'}"
     if not settings.asks_for_oidn:
         return f"{ours}, quality {settings.quality}" + (f" ({why_ours})" if why_ours else "")
-    told = f"Open Image Denoise with {' and '.join(guides)}" if guides else "Open Image Denoise without guides"
-    if mixes:
-        return f"{told}, mixed pixel by pixel with {ours}"
-    return f"{told}, alone, because the frame has neither albedo nor normals"
+    if guides:
+        return f"Open Image Denoise with {' and '.join(guides)}, mixed pixel by pixel with {ours}"
+    return "Open Image Denoise without guides, alone, because the frame has neither albedo nor normals"
 
 
 class Shares(NamedTuple):

@@ -11,9 +11,9 @@ from weakref import ref
 
 import numpy as np
 
-from lobewise.denoising.automatic import ask, change_settings, explain_ours, resolve_all
+from lobewise.denoising.automatic import ask, change_settings, resolve_all
 from lobewise.denoising.bad_pixels import blacken_bad, require_some_good
-from lobewise.denoising.combining import can_mix, describe_method
+from lobewise.denoising.combining import name_method
 from lobewise.denoising.evidence import count_blurred, describe_blurred
 from lobewise.denoising.inputs import list_unused
 from lobewise.denoising.layers import find_support
@@ -25,7 +25,7 @@ from lobewise.features import Feature
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.frame import FloatArray, Frame, Result
 from lobewise.guides.usable import check_guides
-from lobewise.peers import name_oidn_guides, require_oidn
+from lobewise.peers import require_oidn
 from lobewise.settings import DenoiseChanges, DenoiseSettings
 from lobewise.settings.choices import get_quality
 
@@ -119,12 +119,7 @@ def run_recipe(frame: Frame, named: DenoiseSettings, features: Sequence[Feature]
         settings=asdict(chosen),
         seconds=time.perf_counter() - start,
         energy_lost=state.energy_lost,
-        method=describe_method(
-            chosen,
-            name_oidn_guides(frame),
-            mixes=can_mix(frame),
-            why_ours=explain_ours(named, with_features=bool(features)),
-        ),
+        method=name_method(frame, named, chosen, with_features=bool(features)),
         notes=(*notes, *describe_filtering(state, local.filtered)),
         unused=list_unused(frame, chosen),
         find_noisy=noisy,

@@ -27,7 +27,6 @@ from lobewise.io.exr.describe import describe_file as describe_own
 from lobewise.io.exr.layout import find_beauty
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.files import PathLike
-from lobewise.peers import name_oidn_guides
 
 
 def describe_file(
@@ -48,12 +47,25 @@ def describe_file(
     FileError, MissingChannelError, InputError
         As `import_file`, for a file of another renderer. Errors in a lobewise file become notes instead.
     """
+    return inspect_file(path, preset=preset, mapping=mapping, camera=camera, half=half, also=also)[0]
+
+
+def inspect_file(
+    path: PathLike,
+    *,
+    preset: PathLike | None = None,
+    mapping: Mapping[str, str] | None = None,
+    camera: Camera | None = None,
+    half: PathLike | None = None,
+    also: Sequence[str] = (),
+) -> tuple[FileDescription, Imported | None]:
+    """Return the description of a file as `describe_file`, and the file itself if its pixels were read."""
     container = read_container(path)
     asked = preset is not None or mapping or camera is not None or half is not None or also
     if not container.parts or (not asked and is_own(container)):
         own = describe_own(path)
         marks = _list_refusals(check_own_mark(container)) if find_beauty(container.parts) else ()
-        return replace(own, notes=(*own.notes, *marks), refusals=(*own.refusals, *marks))
+        return replace(own, notes=(*own.notes, *marks), refusals=(*own.refusals, *marks)), None
     found = import_file(path, preset=preset, mapping=mapping, camera=camera, half=half, also=also, light_passes=True)
     # A user who maps the color says that this image is noisy, so the checks must not refuse it.
     marks = () if "color" in (mapping or {}) else _list_refusals(found.findings)
@@ -62,8 +74,8 @@ def describe_file(
         require_target(found)
     except InputError as problem:
         told = f"Denoising will refuse this: {problem}"
-        return replace(described, notes=(*described.notes, told), refusals=(*marks, told))
-    return replace(described, refusals=marks)
+        return replace(described, notes=(*described.notes, told), refusals=(*marks, told)), found
+    return replace(described, refusals=marks), found
 
 
 def _list_refusals(findings: Iterable[Finding]) -> tuple[str, ...]:
@@ -106,7 +118,6 @@ def describe_import(found: Imported) -> FileDescription:
         ),
         unusable=tuple(channels.refused.values()),
         alone=" ".join(describe_alone(channels, frame)),
-        oidn_guides=name_oidn_guides(frame),
     )
 
 

@@ -189,7 +189,7 @@ def denoise_file(
         seconds=time.perf_counter() - start,
         notes=seen.list_notes(reader, share_bounded),
         unused=list_unused(BandReader(source, lobe_tables=lobe_tables).read_frame(0, 1), chosen),
-        method=describe_method(chosen, ("normal",), mixes=apart, why_ours=explain_ours(named, whole=False)),
+        method=describe_method(chosen, ("normal",), why_ours=explain_ours(named, whole=False)),
     )
 
 

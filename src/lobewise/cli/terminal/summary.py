@@ -11,12 +11,9 @@ from rich.console import Console
 from rich.table import Table
 
 from lobewise.cli.output import make_text, open_console
-from lobewise.denoising.automatic import ask, explain_ours
-from lobewise.denoising.combining import describe_method
 from lobewise.interchange.checks.finding import list_names
 from lobewise.io import FileDescription
 from lobewise.io.exr.describe import ChannelDescription, Lack, PartDescription
-from lobewise.settings import DenoiseSettings
 
 MAX_NOTES = 6
 """Most notes in the summary; `inspect --all` prints all of them."""
@@ -41,13 +38,15 @@ COSTS = {
 """Visible effect of each lack."""
 
 
-def print_summary(found: FileDescription, options: Sequence[str]) -> None:
+def print_summary(found: FileDescription, method: str, options: Sequence[str]) -> None:
     """Print how denoising will treat a file.
 
     Parameters
     ----------
     found : FileDescription
         The file.
+    method : str
+        How `denoise` will make the image, a sentence without a full stop; empty for a file that it refuses.
     options : sequence of str
         Options that the user gave to `inspect` and that `denoise` takes as well, as words of a command line.
     """
@@ -59,7 +58,7 @@ def print_summary(found: FileDescription, options: Sequence[str]) -> None:
     grid.add_column(overflow="fold")
     told = {found.alone, *found.unusable, *found.refusals, *(lack.told for lack in found.lacks)}
     rows: list[tuple[str, Sequence[str]]] = [
-        ("Denoised", [f"by {foretell_method(found)}"] if found.outputs or found.roles else []),
+        ("Denoised", [f"by {method}"] if method else []),
         ("Compared", [_describe_surfaces(found)] if found.outputs or found.roles else []),
         ("Light", list(_describe_light(found))),
         ("Unusable", found.unusable),
@@ -76,14 +75,6 @@ def print_summary(found: FileDescription, options: Sequence[str]) -> None:
             grid.add_row(make_text("" if number else label), make_text(text))
     console.print(grid)
     _print_commands(console, found, options)
-
-
-def foretell_method(found: FileDescription) -> str:
-    """Return how `lobewise denoise` without options makes the image of a file, in a sentence."""
-    settings = DenoiseSettings()
-    return describe_method(
-        ask(settings, {}), found.oidn_guides, mixes="layers" in found.uses, why_ours=explain_ours(settings)
-    )
 
 
 def describe_quality(found: FileDescription) -> str:
@@ -133,9 +124,7 @@ def _describe_origin(found: FileDescription) -> str:
 def _describe_surfaces(found: FileDescription) -> str:
     """Return the properties of surfaces that the filter compares."""
     known = [text for use, text in SURFACES.items() if use in found.uses]
-    if not known:
-        return "the picture alone"
-    return list_names(known) + (", so what each pixel reflects" if set(SURFACES) <= set(found.uses) else "")
+    return list_names(known) if known else "the picture alone"
 
 
 def _describe_light(found: FileDescription) -> Iterator[str]:

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.denoising.automatic import ask, explain_ours, resolve_all
-from lobewise.denoising.combining import can_mix, describe_method
+from lobewise.denoising.automatic import ask, resolve_all
+from lobewise.denoising.combining import name_method
 from lobewise.denoising.planning.frame_plans import FramePlan, FrameTraits, describe_frame, plan_frame
 from lobewise.denoising.planning.layer_plans import LayerTraits
 from lobewise.frame import Frame
 from lobewise.guides.usable import bound_guides
-from lobewise.peers import name_oidn_guides, require_oidn
+from lobewise.peers import require_oidn
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_quality
 
@@ -23,6 +23,16 @@ MEASURED_RADIUS = 8
 """Radius of the settings with which the times of the qualities were measured, pixels."""
 MEASURED_FRAME = FrameTraits({"diffuse": LayerTraits(is_diffuse=True), "specular": LayerTraits(is_diffuse=False)})
 """Layers of the frame with which the times of the qualities were measured."""
+
+
+def foretell_method(frame: Frame, settings: DenoiseSettings, *, whole: bool = True) -> str:
+    """Return how `lobewise.denoise` would make the image of a frame, in a sentence without a full stop.
+
+    ``whole`` says that it would not be filtered in bands; in bands, ``frame`` may be some of its rows. The errors are
+    those of `foretell`.
+    """
+    frame = bound_guides(frame)
+    return name_method(frame, settings, resolve_all(frame, ask(settings, {}, whole=whole)), whole=whole)
 
 
 def foretell(frame: Frame, settings: DenoiseSettings, *, height: int | None = None) -> list[str]:
@@ -49,8 +59,7 @@ def foretell(frame: Frame, settings: DenoiseSettings, *, height: int | None = No
     if chosen.with_oidn:
         require_oidn()
     plan = plan_frame(describe_frame(frame), chosen)
-    peer = name_oidn_guides(frame)
-    method = describe_method(chosen, peer, mixes=can_mix(frame), why_ours=explain_ours(settings, whole=whole))
+    method = name_method(frame, settings, chosen, whole=whole)
     rows, width = frame.shape
     height = height or rows
     held = count_bytes(frame) * height // rows

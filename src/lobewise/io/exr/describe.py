@@ -104,19 +104,6 @@ class Lack:
     told: str = ""
 
 
-OIDN_FIELDS = {
-    "albedo": {
-        "diffuse_albedo",
-        "specular_albedo",
-        "mean_diffuse_albedo",
-        "mean_specular_albedo",
-        "denoiser_albedo",
-    },
-    "normal": {"normal", "mean_normal", "denoiser_normal"},
-}
-"""Images of a frame, by the guide of Open Image Denoise that they serve as."""
-
-
 @dataclass(frozen=True)
 class FileDescription:
     """What `describe_file` found.
@@ -165,8 +152,6 @@ class FileDescription:
         The notes that say which passes are there but cannot be used, and why.
     alone : str
         The note that says what to expect where there is nothing to denoise by but the image; empty where there is.
-    oidn_guides : tuple of str
-        What Open Image Denoise would be handed beside the image, of "albedo" and "normal".
     """
 
     path: str
@@ -191,7 +176,6 @@ class FileDescription:
     refusals: tuple[str, ...] = ()
     unusable: tuple[str, ...] = ()
     alone: str = ""
-    oidn_guides: tuple[str, ...] = ()
 
 
 def describe_file(path: PathLike) -> FileDescription:
@@ -250,7 +234,6 @@ def describe_file(path: PathLike) -> FileDescription:
         lacks=tuple(lacks),
         outputs=tuple(slot.label for slot in SLOTS[:3] if (slot.owner, slot.field) in found),
         refusals=tuple(refusals),
-        oidn_guides=tuple(name for name, fields in OIDN_FIELDS.items() if fields & gbuffer),
     )
 
 
