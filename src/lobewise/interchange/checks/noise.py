@@ -18,6 +18,10 @@ MAX_GUIDE_STEP = 0.03
 """Largest difference between the guides of neighbours on one surface."""
 MIN_BRIGHTNESS = 0.02
 """Compressed brightness, in [0, 1), below which a pixel is not measured."""
+MIN_ALBEDO = 0.02
+"""Albedo of all lobes up to which a pixel shows a lamp or the sky, or scatters too little to be measured."""
+MAX_UNSCATTERED_SHARE = 0.5
+"""Share of emission and background in the light of a pixel from which on their lack of noise would count."""
 MAX_CORRELATION_OF_INDEPENDENT = -0.605
 """Correlation of neighbouring second differences, of the lowest tenth of the tiles. Up to this value pixels are
 independent: theory says -2/3. Textures and shadows raise the correlation in some tiles, a filter raises it in all."""
@@ -50,9 +54,10 @@ def check_noise(frame: Frame, *, has_normals: bool) -> tuple[bool, list[Finding]
     """Return whether neighbouring pixels share their noise, and a finding if they do or if a denoiser ran already.
 
     The check measures pixels inside surfaces, whose normals and albedos equal those of their neighbours. There the
-    second differences between neighbours are noise. If pixels are independent, a second difference has the correlation
-    -2/3 with the next one, whatever the distribution: ``a - 2b + c`` and ``b - 2c + d`` with independent, equal
-    variances have the covariance -4 and the variance 6.
+    second differences between neighbours are noise. A sky and lamps have none in any render, so they are left out.
+    If pixels are independent, a second difference has the correlation -2/3 with the next one, whatever the
+    distribution: ``a - 2b + c`` and ``b - 2c + d`` with independent, equal variances have the covariance -4 and the
+    variance 6.
 
     Parameters
     ----------
@@ -67,7 +72,9 @@ def check_noise(frame: Frame, *, has_normals: bool) -> tuple[bool, list[Finding]
     tiles = _choose_tiles(frame.shape)
     guides = (frame.gbuffer.normal, frame.gbuffer.diffuse_albedo, frame.gbuffer.specular_albedo)
     known = [_cut(image, tiles) for image in guides if image is not None]
-    correlation, noise = _measure(_cut(frame.radiance.color, tiles), known)
+    seen = find_scattering(frame)
+    scatters = np.stack([seen[tile] for tile in tiles]) if tiles else np.zeros((0, 3, 3), np.bool_)
+    correlation, noise = _measure(_cut(frame.radiance.color, tiles), known, scatters)
     if len(noise) < MIN_TILES:
         return False, []
     lowest, low, middle = np.quantile(correlation, (0.1, 0.25, 0.5))
@@ -102,6 +109,21 @@ def check_noise(frame: Frame, *, has_normals: bool) -> tuple[bool, list[Finding]
     return False, []
 
 
+def find_scattering(frame: Frame) -> NDArray[np.bool_]:
+    """Return which pixels, (height, width), show a surface that scatters most of the light that is seen there."""
+    guides = frame.gbuffer
+    there = np.ones(frame.shape, np.bool_) if guides.normal is None else (guides.normal != 0.0).any(axis=-1)
+    albedos = [image for image in (guides.diffuse_albedo, guides.specular_albedo) if image is not None]
+    # The albedo for denoisers is black where the others were lifted for a division.
+    albedos = albedos if guides.denoiser_albedo is None else [guides.denoiser_albedo]
+    if albedos:
+        there &= (np.sum(albedos, axis=0, dtype=np.float32) > MIN_ALBEDO).any(axis=-1)
+    if frame.unscattered:
+        unscattered = np.sum(list(frame.unscattered.values()), axis=0, dtype=np.float32).sum(axis=-1)
+        there &= unscattered < MAX_UNSCATTERED_SHARE * frame.radiance.color.sum(axis=-1)
+    return np.asarray(there)
+
+
 def _choose_tiles(shape: tuple[int, int]) -> list[tuple[slice, slice]]:
     """Return tiles that are spread evenly over an image."""
     side = TILE_SIDE if min(shape) >= 4 * TILE_SIDE else SMALL_TILE_SIDE
@@ -119,8 +141,10 @@ def _cut(image: FloatArray, tiles: list[tuple[slice, slice]]) -> Numbers:
     return np.stack([image[tile] for tile in tiles]) if tiles else np.zeros((0, 3, 3, 3), np.float32)
 
 
-def _measure(color: Numbers, guides: list[Numbers]) -> tuple[Numbers, Numbers]:
+def _measure(color: Numbers, guides: list[Numbers], scatters: NDArray[np.bool_]) -> tuple[Numbers, Numbers]:
     """Return the correlation of neighbouring second differences and the relative noise of each tile with surfaces.
+
+    Only pixels in ``scatters``, (tiles, rows, columns), are measured.
 
     Both are measured on brightness that is compressed to [0, 1), so that a few bright samples do not dominate.
     """
@@ -131,8 +155,9 @@ def _measure(color: Numbers, guides: list[Numbers]) -> tuple[Numbers, Numbers]:
     if not lit.size:
         return np.zeros(0, np.float32), np.zeros(0, np.float32)
     light = gray / (gray + np.median(lit))
-    second, inside = _find_differences(light, guides)
-    turned = _find_differences(light.swapaxes(1, 2), [guide.swapaxes(1, 2) for guide in guides])
+    shown = np.where(scatters, light, np.float32(0.0))
+    second, inside = _find_differences(shown, guides)
+    turned = _find_differences(shown.swapaxes(1, 2), [guide.swapaxes(1, 2) for guide in guides])
     sums = _sum_products(second, inside) + _sum_products(*turned)
     shows = (sums[2] > MIN_SHARE_INSIDE_SURFACE * light[0].size) & (sums[1] > 0.0)
     if not shows.any():
