@@ -237,6 +237,8 @@ class Frame(Guided):
     noise_is_shared : bool
         Whether neighbouring pixels share samples, as with a pixel filter that spreads samples. The noise of neighbours
         is then not independent, and without halves it is estimated from pixels that are two apart.
+    notes : tuple of str
+        Sentences on the frame's file that results repeat, such as which of its noisy images are not in the frame.
 
     Raises
     ------
@@ -257,6 +259,7 @@ class Frame(Guided):
     unscattered: Mapping[str, FloatArray] = field(default_factory=dict)
     also: Mapping[str, FloatArray] = field(default_factory=dict)
     noise_is_shared: bool = False
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         require_kind("radiance", self.radiance, Radiance)

@@ -96,7 +96,7 @@ def run_recipe(frame: Frame, named: DenoiseSettings, features: Sequence[Feature]
     """Denoise a frame; ``named`` are the settings before anything is chosen."""
     start, noisy = time.perf_counter(), ref(frame.radiance.color)
     frame, unusable = check_guides(frame)
-    notes = tuple(map(str, unusable))
+    notes = (*frame.notes, *map(str, unusable))
     chosen = resolve_all(frame, ask(named, {}, with_features=bool(features)))
     if chosen.with_oidn:
         require_oidn()

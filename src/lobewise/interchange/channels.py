@@ -3,15 +3,20 @@
 A pass is a group of channels whose names differ only in the last word. Some renderers write all passes into one part
 (``ViewLayer.DiffCol.R``). Others write one part per pass (a part ``DiffCol`` with channels ``R``, ``G``, ``B``). They
 also name the components differently. This module gives both kinds of files the same list of `Pass`.
+
+A file of several views (the eyes of a stereo pair) names the view of a channel in the word before the component
+(``ViewLayer.DiffCol.left.R``) or in the header of the part. The path of a pass is the same in every view.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
 from lobewise.io.exr.container import Container, Part
+from lobewise.io.exr.layout import find_beauty
 
 COMPONENTS = {
     "red": "r", "green": "g", "blue": "b", "alpha": "a",
@@ -22,6 +27,10 @@ COLOR, VECTOR, PLANE = ("rgb", "xyz"), ("xyz", "rgb"), ("xy", "uv", "rg")
 """Component orders of colors, 3D vectors and 2D vectors; the first complete order counts."""
 SINGLE_COMPONENTS = ("", "z", "v", "x", "t", "i", "u", "r", "y", "a")
 """Components that can hold a pass of one value; the first one present counts."""
+BLENDERS_VIEW = re.compile(r".+\.Combined\.([^.]+)\.R")
+"""Name of a red channel of a view in Blender's MultiLayer files, whose header does not list the views."""
+EYES = ("left", "right")
+"""Names that are views where both name a red channel, even if the header does not list them."""
 
 
 @dataclass(frozen=True)
@@ -33,14 +42,23 @@ class Pass:
     part : Part
         The part of the file that holds the channels.
     path : str
-        Name of the pass with its prefix, as in the file: ``ViewLayer.DiffCol``; empty for plain R, G and B.
+        Name of the pass with its prefix and without its view: ``ViewLayer.DiffCol``; empty for plain R, G and B.
     channels : dict of str to str
         Channel names by component in lower case. A channel without a component has the empty string as key.
+    view : str
+        The view that the pass belongs to, one of `list_views`.
     """
 
     part: Part
     path: str
     channels: dict[str, str]
+    view: str = ""
+
+    @property
+    def written_path(self) -> str:
+        """The path as the channels of the file have it, with the view."""
+        component, name = next(iter(self.channels.items()))
+        return name.rpartition(".")[0] if component else name
 
     def pick(self, orders: Sequence[str]) -> tuple[str, ...] | None:
         """Return the channels of the first order of components, such as ``rgb``, for which no channel is missing."""
@@ -76,38 +94,76 @@ class Pass:
         return "".join(f"{word}." for word in kept)
 
 
+def list_views(container: Container) -> tuple[str, ...]:
+    """Return the names of the views; one empty name for a file without views.
+
+    The first view is the default one: channels and parts that name no view belong to it. Source: "Storing Multi-View
+    Images in OpenEXR Files", the attributes ``multiView`` and ``view``. In Blender's MultiLayer files the names of the
+    channels alone tell the views.
+    """
+    declared = [name for part in container.parts for name in part.views]
+    beauty = find_beauty(container.parts)
+    of_parts = [beauty.view if beauty else "", *(part.view for part in container.parts if part.view)]
+    names = [channel.name for part in container.parts for channel in part.channels]
+    told = [match[1] for name in names if (match := BLENDERS_VIEW.fullmatch(name))]
+    ends = {name.split(".")[-2] for name in names if name.endswith(".R")}
+    eyes = EYES if ends.issuperset(EYES) else ()
+    found = declared or (of_parts if any(of_parts) else []) or told or eyes or [""]
+    return tuple(dict.fromkeys(found))
+
+
 def list_passes(container: Container) -> list[Pass]:
-    """Return the readable passes in the order of the file."""
+    """Return the readable passes of all views in the order of the file."""
     return _group(container, unread=False)
 
 
 def list_unread_passes(container: Container) -> list[Pass]:
-    """Return the passes that cannot be read, because they are deep or subsampled."""
+    """Return the passes of all views that cannot be read, because they are deep or subsampled."""
     return _group(container, unread=True)
 
 
 def _group(container: Container, *, unread: bool) -> list[Pass]:
-    found: dict[tuple[int, str], Pass] = {}
+    views = list_views(container)
+    found: dict[tuple[int, str, str], Pass] = {}
     for part in container.parts:
         for channel in part.channels:
             if bool(part.find_obstacle(channel)) == unread:
-                path, component = _split(channel.name, part.name if container.multipart else "")
-                one = found.setdefault((part.index, path), Pass(part, path, {}))
+                view, name = _take_view(channel.name, views)
+                view = view or part.view or views[0]
+                path, component = _split(name, _name_part(part, view) if container.multipart else "")
+                one = found.setdefault((part.index, path, view), Pass(part, path, {}, view))
                 one.channels.setdefault(component, channel.name)
     return [*found.values(), *_join_letters(found)]
 
 
-def _join_letters(found: dict[tuple[int, str], Pass]) -> list[Pass]:
+def _take_view(name: str, views: Sequence[str]) -> tuple[str, str]:
+    """Return the view in a channel's name, empty if there is none, and the name without it."""
+    *words, component = name.split(".")
+    if words and words[-1] and words[-1] in views:
+        return words[-1], ".".join([*words[:-1], component])
+    return "", name
+
+
+def _name_part(part: Part, view: str) -> str:
+    """Return the name of a part without its view: ``depth`` for ``depth_left`` or ``depth.left``."""
+    for ending in (f".{view}", f"_{view}"):
+        if view and part.name.endswith(ending):
+            return part.name.removesuffix(ending)
+    return part.name
+
+
+def _join_letters(found: dict[tuple[int, str, str], Pass]) -> list[Pass]:
     """Return vector passes whose channel names have no dot, such as ``Nsx``, ``Nsy``, ``Nsz`` of older pbrt files."""
     joined = []
-    for (index, path), one in found.items():
-        names = {letter: found.get((index, path[:-1] + letter)) for letter in "xyz"}
+    for (index, path, view), one in found.items():
+        names = {letter: found.get((index, path[:-1] + letter, view)) for letter in "xyz"}
         if (
             path.endswith("x")
             and len(path) > 1
             and all(other and set(other.channels) == {""} for other in names.values())
         ):
-            joined.append(Pass(one.part, path[:-1], {letter: path[:-1] + letter for letter in "xyz"}))
+            letters = {letter: other.channels[""] for letter, other in names.items() if other}
+            joined.append(Pass(one.part, path[:-1], letters, view))
     return joined
 
 
@@ -126,9 +182,5 @@ def _split(name: str, part: str) -> tuple[str, str]:
 
 
 def keep_beside(passes: Iterable[Pass], part: Part) -> list[Pass]:
-    """Return the passes that have the same data window as ``part`` and do not belong to another view."""
-    return [
-        one
-        for one in passes
-        if one.part.data_window == part.data_window and (one.part.view in ("", part.view) or not part.view)
-    ]
+    """Return the passes that have the same data window as ``part``."""
+    return [one for one in passes if one.part.data_window == part.data_window]

@@ -10,6 +10,7 @@ from lobewise.errors import InputError
 from lobewise.frame import Frame
 from lobewise.interchange.checks import MARKED, Finding, check_own_mark, describe_alone, list_uses
 from lobewise.interchange.imported import Imported
+from lobewise.interchange.importing.leftovers import describe_own_left_noisy
 from lobewise.interchange.mapping import ChannelMap, Found
 from lobewise.interchange.preset import CONVERSIONS, ROLES, Preset
 from lobewise.interchange.reading import import_file, is_own
@@ -65,7 +66,8 @@ def inspect_file(
     if not container.parts or (not asked and is_own(container)):
         own = describe_own(path)
         marks = _list_refusals(check_own_mark(container)) if find_beauty(container.parts) else ()
-        return replace(own, notes=(*own.notes, *marks), refusals=(*own.refusals, *marks)), None
+        left = describe_own_left_noisy(container)
+        return replace(own, notes=(*left, *own.notes, *marks), refusals=(*own.refusals, *marks)), None
     found = import_file(path, preset=preset, mapping=mapping, camera=camera, half=half, also=also, light_passes=True)
     # A user who maps the color says that this image is noisy, so the checks must not refuse it.
     marks = () if "color" in (mapping or {}) else _list_refusals(found.findings)
@@ -101,7 +103,7 @@ def describe_import(found: Imported) -> FileDescription:
         spp=frame.spp,
         materials=(),
         similarities=list_similarities(guides, frame.camera if frame.gbuffer.is_placed else None),
-        notes=found.notes,
+        notes=(*frame.notes, *found.notes),
         preset=channels.preset.title,
         reason=channels.reason,
         roles=tuple(

@@ -88,6 +88,11 @@ class ImageReader:
         for one in (*channels.roles.values(), *layers, *mattes, channels.shown):
             if one is not None:
                 self._wanted.setdefault(one.source.part.index, set()).update(one.channels)
+        # Whether the alpha beside the image has noise is told to the user.
+        target = channels.target.source
+        self._wanted.setdefault(target.part.index, set()).update(
+            target.channels[each] for each in "a" if each in target.channels
+        )
 
     def __call__(self, found: Found) -> FloatArray:
         """Return an image without conversions: (height, width, channels), or (height, width) for one channel."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from lobewise.errors import InputError, require_choice
 from lobewise.frame import FloatArray, Radiance
-from lobewise.interchange.channels import COLOR, Pass, keep_beside, list_passes
+from lobewise.interchange.channels import COLOR, Pass
 from lobewise.interchange.imported import ImageReader, Imported
 from lobewise.interchange.lighting import PartOutput, name_pass
 from lobewise.interchange.mapping import Found
@@ -32,11 +32,10 @@ def add_also(found: Imported, patterns: Sequence[str], read: ImageReader) -> Imp
         )
     used = {channel for one in found.outputs.values() for channel in one.found.channels}
     used |= {channel for one in found.map.roles.values() for channel in one.channels}
-    beside = keep_beside(list_passes(found.container), found.map.roles["color"].source.part)
     layers = {layer.name: layer for layer in found.frame.layers}
     whole, outputs, notes = dict(found.frame.also), dict(found.outputs), list(found.notes)
     for pattern in patterns:
-        chosen = [(one, one.pick(COLOR)) for one in beside if one.matches(pattern)]
+        chosen = [(one, one.pick(COLOR)) for one in found.map.beside if one.matches(pattern)]
         taken = [(one, channels) for one, channels in chosen if channels and not used.intersection(channels)]
         if not taken:
             raise InputError(

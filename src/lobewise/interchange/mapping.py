@@ -16,7 +16,9 @@ from lobewise.interchange.channels import (
     keep_beside,
     list_passes,
     list_unread_passes,
+    list_views,
 )
+from lobewise.interchange.pictures import Picture, choose_view, keep_layer, list_images, list_pictures
 from lobewise.interchange.preset import (
     ROLES,
     SINGLE_VALUE_ROLES,
@@ -28,7 +30,7 @@ from lobewise.interchange.preset import (
     require_conversion,
 )
 from lobewise.io.exr.container import Container, Part, show_name
-from lobewise.io.exr.layout import find_beauty, refuse_missing_image
+from lobewise.io.exr.layout import refuse_missing_image
 from lobewise.io.files import PathLike
 
 ORDERS: dict[str, Sequence[str]] = {"normal": VECTOR, "position": VECTOR, "motion": PLANE}
@@ -99,8 +101,12 @@ class ChannelMap:
         The passes of each Cryptomatte in the order of their ranks.
     prefix : str
         Prefix of the chosen passes, such as the view layer.
-    others : tuple of str
-        Prefixes of further color images, which are not used.
+    picture : Picture
+        The view and view layer of the images.
+    pictures : tuple of Picture
+        All pictures of the file, in all views and view layers.
+    beside : tuple of Pass
+        The passes of this view and view layer that have the pixels of the image.
     shown : Found or None
         The image that viewers show, if the renderer denoised it and kept the noisy image in another pass.
     refused : mapping of str to str
@@ -113,7 +119,9 @@ class ChannelMap:
     layers: tuple[FoundLayer, ...]
     cryptomatte: tuple[tuple[Found, ...], ...]
     prefix: str = ""
-    others: tuple[str, ...] = ()
+    picture: Picture = field(default_factory=Picture)
+    pictures: tuple[Picture, ...] = ()
+    beside: tuple[Pass, ...] = ()
     shown: Found | None = None
     refused: Mapping[str, str] = field(default_factory=dict)
 
@@ -144,7 +152,12 @@ def choose_preset(container: Container, passes: Iterable[Pass], asked: PathLike 
 
 
 def map_channels(
-    container: Container, *, preset: PathLike | None = None, mapping: Mapping[str, str] | None = None
+    container: Container,
+    *,
+    preset: PathLike | None = None,
+    mapping: Mapping[str, str] | None = None,
+    view: str | None = None,
+    layer: str | None = None,
 ) -> ChannelMap:
     """Map the channels of a file to the images of a frame.
 
@@ -156,18 +169,23 @@ def map_channels(
         Name of a preset, or path of a preset file; by default, the preset is recognised from the file.
     mapping : mapping of str to str, optional
         Channels by role, in the syntax of `parse_mapping`. They override the preset.
+    view, layer : str, optional
+        The view and the view layer; by default the first ones, or those of the channels in ``mapping``.
 
     Raises
     ------
     InputError
-        If a role, preset or channel is not known.
+        If a role, preset, channel, view or view layer is not known.
     MissingChannelError
         If there is no image.
     """
-    passes, unread = list_passes(container), list_unread_passes(container)
-    chosen, reason = choose_preset(container, passes, preset)
+    everything, unread = list_passes(container), list_unread_passes(container)
+    chosen, reason = choose_preset(container, everything, preset)
+    view = choose_view(list_views(container), everything, mapping or {}, view)
+    passes, unread = ([one for one in each if one.view == view] for each in (everything, unread))
     own = {role: parse_mapping(role, text, passes, unread) for role, text in (mapping or {}).items()}
-    color, prefix, others = _find_color(container, chosen, passes, own.get("color"))
+    images = list_images(chosen, passes)
+    color, prefix = _find_color(container, images, passes, own.get("color"), layer)
     for role, mapped in own.items():
         if apart := _compare_pixels(mapped.source.part, color.source.part):
             raise InputError(
@@ -176,6 +194,7 @@ def map_channels(
                 got=f"one that {apart}",
                 action="render the pass at the size of the image",
             )
+    passes = keep_layer(passes, chosen, prefix, images)
     beside = keep_beside(passes, color.source.part)
     roles = {"color": color}
     for role, rules in chosen.roles.items():
@@ -185,17 +204,24 @@ def map_channels(
     roles |= {role: found for role, found in own.items() if role not in roles}
     layers: dict[str, FoundLayer] = {}
     for rule in chosen.layers:
-        layer = _find_layer(rule, beside, prefix)
-        if layer is not None:
-            layers.setdefault(rule.name, layer)
+        if (one := _find_layer(rule, beside, prefix)) is not None:
+            layers.setdefault(rule.name, one)
     mattes = [_find_matte(name, beside, prefix) for name in chosen.cryptomatte]
-    shown = None if "color" in own else _find_shown(chosen, color, beside, prefix)
-    refused = {
-        **_list_refused_roles(chosen, roles, color, [*passes, *unread]),
-        **_list_refused_layers(chosen, layers, beside),
-    }
     return ChannelMap(
-        chosen, reason, roles, tuple(layers.values()), tuple(filter(None, mattes)), prefix, others, shown, refused
+        chosen,
+        reason,
+        roles,
+        tuple(layers.values()),
+        tuple(filter(None, mattes)),
+        prefix=prefix,
+        picture=Picture(view, prefix.removesuffix(".")),
+        pictures=list_pictures(container, chosen, everything),
+        beside=tuple(beside),
+        shown=None if "color" in own else _find_shown(chosen, color, beside, prefix),
+        refused={
+            **_list_refused_roles(chosen, roles, color, [*passes, *unread]),
+            **_list_refused_layers(chosen, layers, beside),
+        },
     )
 
 
@@ -217,7 +243,7 @@ def parse_mapping(role: str, text: str, passes: Sequence[Pass], unread: Sequence
     known = {channel: one for one in passes for channel in one.channels.values()}
     if len(names) == 1 and (count > 1 or names[0] not in known):
         for one in passes:
-            channels = _pick(role, one) if one.matches(names[0]) else None
+            channels = _pick(role, one) if one.matches(names[0]) or one.written_path == names[0] else None
             if channels:
                 return Found(one, channels, tuple(convert))
     kept_out = {channel: one for one in unread for channel in one.channels.values()}
@@ -249,24 +275,21 @@ def _pick(role: str, one: Pass, component: str | None = None) -> tuple[str, ...]
 
 
 def _find_color(
-    container: Container, preset: Preset, passes: Sequence[Pass], own: Found | None
-) -> tuple[Found, str, tuple[str, ...]]:
-    """Return the color image, its prefix, and the prefixes of further color images."""
+    container: Container,
+    images: Mapping[str, tuple[Pass, Rule]],
+    passes: Sequence[Pass],
+    own: Found | None,
+    layer: str | None,
+) -> tuple[Found, str]:
+    """Return the color image and its prefix: that of the user, of the view layer asked for, or the first one."""
     if own is not None:
-        return own, own.source.get_prefix(own.source.path.rpartition(".")[2]), ()
-    first = find_beauty(container.parts) or container.parts[0]
-    views = [one for one in passes if one.part.view in ("", first.view)]
-    for rule in preset.roles.get("color", (Rule(""),)):
-        alike = [one for one in views if one.matches(rule.source) and one.pick(COLOR)]
-        if alike:
-            channels = alike[0].pick(COLOR)
-            assert channels is not None
-            prefixes = [one.get_prefix(rule.source) for one in alike]
-            return Found(alike[0], channels, rule.convert), prefixes[0], tuple(prefixes[1:])
-    for one in views:
-        # No rule matches: take the first pass with R, G and B that has no path, or whose path is the name of its part.
-        if one.path in ("", one.part.name) and (channels := one.pick(COLOR[:1])):
-            return Found(one, channels), "", ()
+        return own, own.source.get_prefix(own.source.path.rpartition(".")[2])
+    if layer is not None:
+        layers = {prefix.removesuffix("."): prefix for prefix in images}
+        images = {layers[require_choice("layer", layer, layers)]: images[layers[layer]]}
+    for prefix, (one, rule) in images.items():
+        if (channels := one.pick(COLOR)) is not None:
+            return Found(one, channels, rule.convert), prefix
     has_image = any(one.pick(COLOR) for one in passes)
     raise refuse_missing_image(
         container,
@@ -329,11 +352,8 @@ def _list_refused_roles(
 
 
 def _explain_refusal(role: str, one: Pass, color: Found) -> str | None:
-    """Return why a pass cannot have a role; None if nothing prevents it, or if it belongs to another view."""
-    part, image = one.part, color.source.part
-    if part.view and image.view and part.view != image.view:
-        return None
-    apart = _compare_pixels(part, image)
+    """Return why a pass cannot have a role; None if nothing prevents it."""
+    apart = _compare_pixels(one.part, color.source.part)
     wanted = "X, Y and Z" if role in ("normal", "position") else "X and Y" if role == "motion" else "R, G and B"
     if one.obstacle:
         reason = f"it is {one.obstacle}"

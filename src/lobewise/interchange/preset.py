@@ -68,7 +68,7 @@ LOBES = ("diffuse", "subsurface", "volume", "glossy", "coat", "transmission", "e
 free of noise and not filtered."""
 ATTRIBUTES = (
     *("name", "title", "attributes", "versions", "passes", "files", "samples", "samples_squared"),
-    *("notes", "advice", "layer", "cryptomatte", "shown"),
+    *("notes", "advice", "layer", "cryptomatte", "shown", "light_groups"),
 )
 """Keys of a preset file beside the roles."""
 
@@ -114,6 +114,8 @@ class Preset:
         Rules of the layers. Of several rules with one name, the first whose passes are all present counts.
     cryptomatte : tuple of str
         Names of Cryptomatte passes without their numbers, the finest first.
+    light_groups : tuple of str
+        Patterns of passes with the light of some lamps. The name of the group stands for the asterisk at the end.
     samples, samples_squared : tuple of str
         Attributes that hold the samples per pixel, or their square root.
     files : tuple of str
@@ -135,6 +137,7 @@ class Preset:
     shown: tuple[str, ...] = ()
     layers: tuple[LayerRule, ...] = ()
     cryptomatte: tuple[str, ...] = ()
+    light_groups: tuple[str, ...] = ()
     samples: tuple[str, ...] = ()
     samples_squared: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
@@ -201,6 +204,7 @@ def _parse(data: bytes, where: str) -> Preset:
         shown=_take_texts(given, "shown", what),
         layers=tuple(_parse_layer(rule, f"{what}, layer") for rule in _take(given, "layer", list, what, [])),
         cryptomatte=_take_texts(given, "cryptomatte", what),
+        light_groups=_take_texts(given, "light_groups", what),
         samples=_take_texts(given, "samples", what),
         samples_squared=_take_texts(given, "samples_squared", what),
         files=_take_texts(given, "files", what),

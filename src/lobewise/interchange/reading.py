@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,10 +11,12 @@ from lobewise.errors import InputError
 from lobewise.frame import FloatArray, Frame
 from lobewise.interchange.checks import check_own_mark
 from lobewise.interchange.imported import ImageReader, Imported
+from lobewise.interchange.importing.leftovers import describe_left_noisy, describe_own_left_noisy
 from lobewise.interchange.importing.steps import import_foreign
 from lobewise.interchange.joining import add_also, join_halves
 from lobewise.interchange.lighting import name_pass
 from lobewise.interchange.mapping import map_channels
+from lobewise.interchange.pictures import Picture
 from lobewise.interchange.siblings import find_family
 from lobewise.io.exr.container import Channel, Container, Part, Window
 from lobewise.io.exr.frames import read_whole
@@ -111,6 +113,7 @@ def import_file(
     lobe_tables: Sequence[LobeTable] | None = None,
     also: Sequence[str] = (),
     light_passes: bool = False,
+    denoised: Collection[Picture] = (),
 ) -> Imported:
     """Return the frame of an EXR file, with notes, findings and the channels that receive results.
 
@@ -123,6 +126,8 @@ def import_file(
         name begins its own (``DiffDir_key``), else like the image.
     light_passes : bool
         Whether each pass of a layer (direct, indirect) is filtered too, so that it can be written back.
+    denoised : collection of Picture
+        Further pictures of the file that are denoised, so that no note says that they stay noisy.
 
     Raises
     ------
@@ -136,7 +141,11 @@ def import_file(
         require_shaded(container)
         frame = read_whole(path, container, lobe_tables)
         frame = frame if camera is None else frame.with_changes(camera=camera)
-        found = Imported(frame, container, findings=check_own_mark(container))
+        found = Imported(
+            frame.with_changes(notes=describe_own_left_noisy(container)),
+            container,
+            findings=check_own_mark(container),
+        )
     else:
         if lobe_tables is not None:
             raise InputError(
@@ -151,6 +160,9 @@ def import_file(
     if also:
         with name_file(path):
             found = add_also(found, also, read)
+    if found.map is not None:
+        notes = describe_left_noisy(found, read, {found.map.picture, *denoised})
+        found = replace(found, frame=found.frame.with_changes(notes=notes))
     if not light_passes:
         found = _leave_passes(found)
     if half is None:

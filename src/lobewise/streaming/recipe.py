@@ -49,6 +49,7 @@ from lobewise.filters.noise_guides import find_level
 from lobewise.frame import FloatArray
 from lobewise.guides.usable import Unusable, bound_guides, find_unusable, join_unusable
 from lobewise.interchange.checks import check_own_mark
+from lobewise.interchange.importing.leftovers import describe_own_left_noisy
 from lobewise.interchange.reading import is_own
 from lobewise.io.exr.bands import BandReader, BandWriter
 from lobewise.io.exr.parsing import read_container
@@ -244,6 +245,7 @@ class _Seen:
         """Return the notes on the whole frame, one sentence each."""
         light = np.concatenate(self.light) if self.light else np.zeros((0, 3))
         return (
+            *describe_own_left_noisy(reader.container),
             *(one.told for one in check_own_mark(reader.container)),
             *map(str, join_unusable(self.unusable)),
             *describe_loss(light, share_bounded),

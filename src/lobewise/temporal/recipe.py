@@ -171,6 +171,8 @@ class TemporalFilter:
         notes = tuple(map(str, unusable))
         if isinstance(frame, SparseFrame):
             notes += describe_exact_light(frame)
+        else:
+            notes += frame.notes
         chosen = self._resolve(frame)
         if isinstance(frame, SparseFrame):
             frame = tint_samples(frame)

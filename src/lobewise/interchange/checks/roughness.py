@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lobewise.frame import FloatArray
-from lobewise.interchange.channels import keep_beside, list_passes
 from lobewise.interchange.checks.finding import Finding
 from lobewise.interchange.checks.geometry import MIN_PIXELS, choose_centers
 from lobewise.interchange.mapping import ChannelMap, Found
 from lobewise.interchange.values import convert_plain, undo_mean_roughness
-
-if TYPE_CHECKING:
-    from lobewise.io.exr.container import Container
 
 MIN_DIFFERENCE_OF_WRONG = 0.05
 """Median difference between the roughness and the second pass, from which on the meaning of the roughness is wrong."""
@@ -59,13 +54,13 @@ def check_range(roughness: FloatArray, label: str) -> list[Finding]:
     return [Finding("roughness out of range", f"{told}: clamped.", mended=True)]
 
 
-def find_second(container: Container, channels: ChannelMap) -> Found | None:
+def find_second(channels: ChannelMap) -> Found | None:
     """Return the pass of the mean roughness over all lobes, if another pass is used as the roughness."""
     rules = [rule for rule in channels.preset.roles.get("roughness", ()) if "cycles_roughness" in rule.convert]
     taken = channels.roles.get("roughness")
     if not rules or taken is None or "cycles_roughness" in taken.convert:
         return None
-    for one in keep_beside(list_passes(container), channels.roles["color"].source.part):
+    for one in channels.beside:
         single = one.pick_single(rules[0].component)
         if single and one.matches(rules[0].source) and one.get_prefix(rules[0].source) == channels.prefix:
             return Found(one, single)

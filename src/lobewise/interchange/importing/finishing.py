@@ -71,7 +71,7 @@ def check_roughness_range(draft: Draft) -> Outcome:
 
 def check_roughness_meaning(draft: Draft) -> Outcome:
     """Check by a second pass whether the roughness is perceptual, alpha or glossiness."""
-    second = find_second(draft.container, draft.channels)
+    second = find_second(draft.channels)
     if second is None or draft.microfacet_alpha is None:
         return Outcome(draft)
     alpha, findings = check_roughness(

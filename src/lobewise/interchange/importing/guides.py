@@ -17,7 +17,7 @@ LOBE_ALBEDOS = ("diffuse_albedo", "specular_albedo")
 
 
 def tell_channels(draft: Draft) -> Outcome:
-    """Tell which image is filtered, and which images like it are only copied."""
+    """Tell which image is filtered, if the renderer denoised its own."""
     channels = draft.channels
     notes = [*channels.preset.notes]
     if channels.shown is not None:
@@ -25,8 +25,6 @@ def tell_channels(draft: Draft) -> Outcome:
             f"{channels.shown.label} was denoised by the renderer: the noisy image, {channels.roles['color'].label}, "
             f"is filtered, and the result goes into {channels.shown.label}."
         )
-    if channels.others:
-        notes.append(f"There are images of the same kind beside it that are only copied: {', '.join(channels.others)}.")
     return Outcome(draft, notes=notes)
 
 

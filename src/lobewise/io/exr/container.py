@@ -132,6 +132,12 @@ class Part:
         """The part's view, for example ``left``; empty if it has none."""
         return self.get_text("view")
 
+    @property
+    def views(self) -> tuple[str, ...]:
+        """The views whose channels the part holds, the default one first; empty if the header does not list them."""
+        item = self.get("multiView")
+        return _unpack_texts(item.value) if item and item.type == "stringvector" else ()
+
     def find_obstacle(self, channel: Channel) -> str:
         """Return why no image can be made of a channel, to follow "the channel is"; empty if one can be made."""
         if self.deep:
@@ -170,6 +176,19 @@ class Container:
 
 def _pack_name(name: str) -> bytes:
     return name.encode("utf-8", "surrogateescape") + b"\0"
+
+
+def _unpack_texts(data: bytes) -> tuple[str, ...]:
+    """Return the texts of an attribute of the type ``stringvector``, each after its size; empty if it is damaged."""
+    texts, at = [], 0
+    while at + 4 <= len(data):
+        (size,) = struct.unpack_from("<i", data, at)
+        at += 4
+        if not 0 < size <= len(data) - at:
+            return ()
+        texts.append(data[at : at + size].decode("utf-8", "replace"))
+        at += size
+    return tuple(texts) if at == len(data) else ()
 
 
 def crop_part(part: Part, first: int, stop: int) -> Part:

@@ -49,7 +49,7 @@ def write_copy(
         By the index of a part and the name of a channel: new values for channels of the file, stored in the channel's
         type, and new channels, stored as 32-bit floats.
     settings : mapping
-        Written into the header of ``beauty`` with the names of the ``changed`` channels.
+        Written into the header of ``beauty`` with the names of the ``changed`` and ``added`` channels.
     only : bool
         Whether the copy has only the changed and added channels, and only the parts that have any.
 
@@ -62,12 +62,13 @@ def write_copy(
     """
     require_writable(path)
     more = added or {}
-    headers = make_headers(container, beauty, settings, changed)
+    written = {index: [*changed.get(index, ()), *more.get(index, ())] for index in {*changed, *more}}
+    headers = make_headers(container, beauty, settings, written)
     spools: dict[int, ChunkSpool] = {}
     told: list[str] = []
     version, parts = container.version, list(container.parts)
     with open_spool(path) as stream:
-        for index in sorted({*changed, *more}):
+        for index in sorted(written):
             part = container.parts[index]
             planes = _Planes(part, changed.get(index, {}), more.get(index, {}), only=only)
             planes.check(container)

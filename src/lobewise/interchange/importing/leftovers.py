@@ -1,0 +1,152 @@
+"""Name the noisy images of a file that denoising leaves as they are: other pictures, and passes of the same picture."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterable, Iterator, Sequence
+
+import numpy as np
+
+from lobewise.frame import FloatArray
+from lobewise.interchange.channels import COLOR, Pass, list_views
+from lobewise.interchange.imported import ImageReader, Imported
+from lobewise.interchange.lighting import is_smooth, name_pass
+from lobewise.interchange.mapping import ChannelMap, Found
+from lobewise.interchange.pictures import Picture
+from lobewise.interchange.preset import load_presets
+from lobewise.interchange.siblings import FIRST_SIBLING_INDEX
+from lobewise.io.exr.container import Container, show_name
+from lobewise.io.exr.header import read_replaced
+
+MAX_NAMES = 4
+"""Most names of one kind in the sentence."""
+MAX_COPY_DIFFERENCE = 1e-2
+"""Largest mean difference of a copy of the picture, as a share of the picture's mean. Copies differ by rounding."""
+FRACTIONS = (0.01, 0.99)
+"""Alpha between these values is a share of the samples, and as noisy as the picture."""
+BAND = re.compile(r"\d+([.,]\d+)?\s*nm", re.IGNORECASE)
+"""Last word of the name of a spectral band. Source: Fichet et al. 2021, "An OpenEXR Layout for Spectral Images"."""
+OWN_PARTS = ("direct", "indirect")
+"""Light of files in lobewise's own channel names that no filter writes."""
+
+
+def describe_left_noisy(found: Imported, read: ImageReader, denoised: Collection[Picture]) -> tuple[str, ...]:
+    """Return a sentence that names the noisy images that stay in the file; nothing if none stay.
+
+    Parameters
+    ----------
+    found : Imported
+        The picture that is denoised, of a file of another renderer.
+    read : ImageReader
+        Reads images of the file.
+    denoised : collection of Picture
+        The pictures of the file that are denoised.
+    """
+    channels = found.map
+    assert channels is not None
+    unused = list(_list_unused(found, channels))
+    views, layers = ({getattr(each, what): None for each in channels.pictures} for what in ("view", "layer"))
+    words = [
+        *_name("view", [each for each in views if each not in {one.view for one in denoised}]),
+        *_name("view layer", [each for each in layers if each not in {one.layer for one in denoised}]),
+        *_name("light group", _list_groups(channels, unused)),
+        *_name("pass of light", _list_light(channels, unused, read), many="passes of light"),
+        *_name_pictures(channels, [one for one in unused if _is_picture(channels, one.source)], read),
+        *(["alpha"] if _has_noisy_alpha(channels, read) else []),
+        *_count_bands(channels.beside),
+    ]
+    return _say(words)
+
+
+def describe_own_left_noisy(container: Container) -> tuple[str, ...]:
+    """Return the sentence of `describe_left_noisy` for a file in lobewise's own channel names."""
+    names = {channel.name for part in container.parts for channel in part.channels}
+    light = [word for word in OWN_PARTS if f"{word}.R" in names]
+    return _say([*_name("view", list_views(container)[1:]), *_name("pass of light", light, many="passes of light")])
+
+
+def _say(words: Sequence[str]) -> tuple[str, ...]:
+    return (f"Left noisy: {', '.join(words)}.",) if words else ()
+
+
+def _name(what: str, names: Sequence[str], many: str = "") -> list[str]:
+    """Return the names of things of one kind in a list of at most one text: ``views 'left', 'right'``."""
+    if not names:
+        return []
+    told = ", ".join(repr(show_name(name)) for name in names[:MAX_NAMES])
+    more = len(names) - MAX_NAMES
+    return [f"{what if len(names) == 1 else many or f'{what}s'} {told}{f' and {more} more' if more > 0 else ''}"]
+
+
+def _list_unused(found: Imported, channels: ChannelMap) -> Iterator[Found]:
+    """Yield the images of three channels that no result is written to, that are no guides, and not denoised before."""
+    before = read_replaced(found.container) or {}
+    # A noisy image whose result goes into another pass stays on purpose.
+    used = [*(one.found for one in found.outputs.values()), *channels.roles.values()]
+    used += [one for layer in channels.layers for one in (layer.albedo,) if one]
+    taken = {(one.source.part.index, name) for one in used for name in one.channels}
+    guides = [rule.source for role, rules in channels.preset.roles.items() if role != "color" for rule in rules]
+    for one in channels.beside:
+        names = one.pick(COLOR[:1])
+        index = one.part.index
+        if not names or index >= FIRST_SIBLING_INDEX or any(source and one.matches(source) for source in guides):
+            continue
+        if not any((index, name) in taken or name in before.get(index, ()) for name in names):
+            yield Found(one, names)
+
+
+def _is_light(channels: ChannelMap, one: Pass) -> bool:
+    """Return whether a pass has a name of light in the preset; in that of no renderer, of light in any preset."""
+    preset = channels.preset
+    presets = load_presets().values() if preset.name == "generic" else (preset,)
+    rules = [rule for each in presets for rule in each.layers if rule.lobe != "exact"]
+    return any(one.matches(name) for rule in rules for name in rule.light)
+
+
+def _list_groups(channels: ChannelMap, unused: Iterable[Found]) -> list[str]:
+    names: dict[str, None] = {}
+    for pattern in channels.preset.light_groups:
+        for one in (found.source for found in unused):
+            if one.matches(pattern) and not _is_light(channels, one) and not _is_picture(channels, one):
+                last, beginning = name_pass(one.path), pattern.rstrip("*")
+                names[last if "*" in beginning else last[len(beginning) :].lstrip("_") or last] = None
+    return list(names)
+
+
+def _list_light(channels: ChannelMap, unused: Iterable[Found], read: ImageReader) -> list[str]:
+    light = [one for one in unused if _is_light(channels, one.source)]
+    return [name_pass(one.source.path) for one in light if not is_smooth(_take_finite(read, one))]
+
+
+def _is_picture(channels: ChannelMap, one: Pass) -> bool:
+    """Return whether a pass has a name of the picture; a pass without a path has."""
+    return not one.path or any(rule.source and one.matches(rule.source) for rule in channels.preset.roles["color"])
+
+
+def _name_pictures(channels: ChannelMap, alike: Sequence[Found], read: ImageReader) -> list[str]:
+    """Return images with names of the picture: the copies of it, or all of them if the user chose another image."""
+    if not alike:
+        return []
+    if not _is_picture(channels, channels.roles["color"].source):
+        return _name("picture", [one.source.path for one in alike])
+    picture = _take_finite(read, channels.roles["color"])
+    most = MAX_COPY_DIFFERENCE * float(np.abs(picture).mean())
+    copies = [one.source.path for one in alike if float(np.abs(_take_finite(read, one) - picture).mean()) <= most]
+    return _name("copy of the picture", copies, many="copies of the picture")
+
+
+def _take_finite(read: ImageReader, found: Found) -> FloatArray:
+    return np.nan_to_num(read(found), nan=0.0, posinf=0.0, neginf=0.0)
+
+
+def _has_noisy_alpha(channels: ChannelMap, read: ImageReader) -> bool:
+    source = channels.target.source
+    if "a" not in source.channels:
+        return False
+    alpha, (low, high) = read(Found(source, (source.channels["a"],))), FRACTIONS
+    return bool(((alpha > low) & (alpha < high)).any())
+
+
+def _count_bands(passes: Iterable[Pass]) -> list[str]:
+    count = sum(bool(BAND.search(name)) for one in passes for name in one.channels.values())
+    return [f"{count} spectral band{'s' if count > 1 else ''}"] if count else []

@@ -1,0 +1,104 @@
+"""Find the pictures of a file, one for each view (the eyes of a stereo pair) and view layer, and the passes of one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from lobewise.errors import require_choice
+from lobewise.interchange.channels import COLOR, Pass, list_views
+from lobewise.interchange.preset import Preset, Rule
+from lobewise.io.exr.container import Container
+
+
+@dataclass(frozen=True)
+class Picture:
+    """Name of a picture of a file.
+
+    Parameters
+    ----------
+    view : str
+        The view, such as ``left``; empty in a file without views.
+    layer : str
+        The view layer, the beginning of the names of its passes; empty where names have no such beginning.
+    """
+
+    view: str = ""
+    layer: str = ""
+
+    @property
+    def label(self) -> str:
+        """The picture as a user reads it: ``view 'left'``, or ``view layer 'Trees', view 'left'``."""
+        named = (("view layer", self.layer), ("view", self.view))
+        return ", ".join(f"{what} {name!r}" for what, name in named if name)
+
+
+def choose_view(
+    views: Sequence[str], passes: Iterable[Pass], mapping: Mapping[str, str], asked: str | None = None
+) -> str:
+    """Return the view to read: the one asked for, else the one whose channels the user mapped, else the first.
+
+    Raises
+    ------
+    InputError
+        If the file has no view of the name that was asked for.
+    """
+    if asked is not None:
+        return require_choice("view", asked, views)
+    return find_mapped_view(passes, mapping) or views[0]
+
+
+def find_mapped_view(passes: Iterable[Pass], mapping: Mapping[str, str]) -> str:
+    """Return the view of the first channel or pass that the user mapped by its name in one view; empty for none."""
+    names = {name.strip() for text in mapping.values() for name in text.partition(":")[0].split(",")}
+    for one in passes:
+        own = {*one.channels.values(), *([one.written_path] if one.written_path != one.path else [])}
+        if own & names:
+            return one.view
+    return ""
+
+
+def list_images(preset: Preset, passes: Sequence[Pass]) -> dict[str, tuple[Pass, Rule]]:
+    """Return the color images of the passes of one view by their prefixes, the one to take by default first.
+
+    Passes without a prefix have one image. The images of view layers have a prefix each, such as ``ViewLayer.``.
+    """
+    found: dict[str, tuple[Pass, Rule]] = {}
+    for rule in preset.roles.get("color", (Rule(""),)):
+        for one in passes:
+            if one.matches(rule.source) and one.pick(COLOR):
+                prefix, first = one.get_prefix(rule.source), next(iter(found), None)
+                # After an image without a prefix only images by the same name are its like.
+                if first is None or (first and prefix) or found[first][1] is rule:
+                    found.setdefault(prefix, (one, rule))
+    for one in passes if not found else ():
+        # No rule matches: take the first pass with R, G and B that has no path, or whose path is the name of its part.
+        if (one.path in ("", one.part.name) or not one.written_path) and one.pick(COLOR[:1]):
+            return {"": (one, Rule(""))}
+    return found
+
+
+def list_pictures(container: Container, preset: Preset, passes: Iterable[Pass]) -> tuple[Picture, ...]:
+    """Return the pictures of a file, in each view the one to take by default first."""
+    known = list(passes)
+    views = {view: [one for one in known if one.view == view] for view in list_views(container)}
+    return tuple(
+        Picture(view, prefix.removesuffix(".")) for view, own in views.items() for prefix in list_images(preset, own)
+    )
+
+
+def keep_layer(passes: Sequence[Pass], preset: Preset, prefix: str, prefixes: Iterable[str]) -> list[Pass]:
+    """Return the passes without those of other view layers.
+
+    An image that has no other passes of its own, such as that of Blender's compositor, may take the passes of a layer.
+    """
+    known = {prefix, *prefixes}
+
+    def find_owner(one: Pass) -> str:
+        return max((each for each in known if one.path.startswith(each)), key=len, default="")
+
+    images = [rule.source for rule in preset.roles.get("color", ())]
+    own = [one for one in passes if find_owner(one) == prefix]
+    if all(any(map(one.matches, images)) for one in own):
+        return list(passes)
+    return [one for one in passes if find_owner(one) in ("", prefix)]

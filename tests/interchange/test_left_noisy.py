@@ -1,0 +1,158 @@
+"""One line names the noisy images of a file that denoising leaves as they are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from renderers import WRITERS, Written, make_scene, name, write
+
+import lobewise
+from lobewise.cli.main import run
+from lobewise.frame import Frame, GBuffer, Radiance
+from lobewise.io import write_frame
+
+LAYER = "View Layer.001"
+
+
+def find_left(path: Path, **options: object) -> list[str]:
+    """Return the lines that the frame of a file carries."""
+    return [note for note in lobewise.read_frame(path, **options).notes if note.startswith("Left noisy")]  # type: ignore[arg-type]
+
+
+def copy_layer(written: Written, other: str) -> None:
+    """Add the passes of the view layer again under another name, with other noise."""
+    for key, plane in list(written.channels.items()):
+        written.channels[key.replace(LAYER, other)] = plane[::-1]
+
+
+def add_eyes(written: Written) -> None:
+    """Name every channel twice, once for each eye, as Blender does."""
+    for key, plane in list(written.channels.items()):
+        head, _, component = key.rpartition(".")
+        del written.channels[key]
+        written.channels |= {f"{head}.{eye}.{component}": plane for eye in ("left", "right")}
+
+
+def add_groups(written: Written) -> None:
+    color = make_scene().color
+    for number, group in enumerate(("lamp", "sky")):
+        written.channels |= name(f"{LAYER}.Combined_{group}", 0.5 * color[:, :: 1 - 2 * number])
+
+
+def add_grain_in_alpha(written: Written) -> None:
+    surface = make_scene().surface
+    grain = np.random.default_rng(3).binomial(8, 0.5, surface.shape) / 8.0
+    written.channels[f"{LAYER}.Combined.A"] = np.where(surface, 1.0, grain)
+
+
+def add_bands(written: Written) -> None:
+    for wavelength in ("450,00", "550,00", "650,00"):
+        written.channels[f"S0.{wavelength}nm"] = make_scene().color[..., 0]
+
+
+def leave_out_albedo(written: Written) -> None:
+    for key in [key for key in written.channels if "GlossCol" in key]:
+        del written.channels[key]
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda written: copy_layer(written, "Wood"), "view layer 'Wood'"),
+        (lambda written: [copy_layer(written, f"W{k}") for k in range(6)], "view layers 'W0', 'W1', 'W2', 'W3' and 2"),
+        (add_eyes, "view 'right'"),
+        (add_groups, "light groups 'lamp', 'sky'"),
+        (add_grain_in_alpha, "alpha"),
+        (add_bands, "3 spectral bands"),
+        (leave_out_albedo, "passes of light 'GlossDir', 'GlossInd'"),
+    ],
+)
+def test_each_kind_is_named(change: Callable[[Written], object], told: str, tmp_path: Path) -> None:
+    written = WRITERS["cycles"](make_scene())
+    write(tmp_path / "plain.exr", written)
+    assert find_left(tmp_path / "plain.exr") == []
+    change(written)
+    write(tmp_path / "more.exr", written)
+    (line,) = find_left(tmp_path / "more.exr")
+    assert line.startswith(f"Left noisy: {told}")
+    assert line.endswith(".")
+
+
+def test_kinds_share_one_line(tmp_path: Path) -> None:
+    written = WRITERS["cycles"](make_scene())
+    add_groups(written)
+    add_grain_in_alpha(written)
+    add_eyes(written)
+    write(tmp_path / "a.exr", written)
+    assert find_left(tmp_path / "a.exr") == ["Left noisy: view 'right', light groups 'lamp', 'sky', alpha."]
+
+
+def test_a_copy_of_the_picture_is_named(tmp_path: Path) -> None:
+    written = WRITERS["mitsuba"](make_scene())
+    write(tmp_path / "a.exr", written)
+    assert find_left(tmp_path / "a.exr") == ["Left noisy: copy of the picture 'image'."]
+    for key in [key for key in written.channels if key.startswith("image")]:
+        # Another image than the picture is no copy.
+        written.channels[key] = np.ones_like(written.channels[key])
+    write(tmp_path / "b.exr", written)
+    assert find_left(tmp_path / "b.exr") == []
+
+
+def test_all_three_places_say_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    written = WRITERS["cycles"](make_scene())
+    add_groups(written)
+    add_grain_in_alpha(written)
+    path, told = tmp_path / "a.exr", "Left noisy: light groups 'lamp', 'sky', alpha."
+    write(path, written)
+    assert lobewise.denoise(lobewise.read_frame(path), quality="fast").notes[0] == told
+    assert run(["denoise", str(path), "-o", str(tmp_path / "b.exr"), "--quality", "fast"]) == 0
+    assert told in " ".join(capsys.readouterr().err.split())
+    assert run(["inspect", str(path)]) == 0
+    assert told in " ".join(capsys.readouterr().out.split())
+    temporal = lobewise.TemporalFilter()
+    assert temporal.add(lobewise.read_frame(path)).notes[0] == told
+    frames = [lobewise.read_frame(path)] * 2
+    assert told in lobewise.WindowFilter(1, quality="fast").denoise(frames, 0).notes
+
+
+def test_what_is_filtered_is_not_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    written = WRITERS["cycles"](make_scene())
+    add_groups(written)
+    path = tmp_path / "a.exr"
+    write(path, written)
+    assert run(["denoise", str(path), "-o", str(tmp_path / "b.exr"), "--quality", "fast", "--also", "Combined_*"]) == 0
+    assert "Left noisy" not in capsys.readouterr().err
+
+
+def test_what_lobewise_wrote_before_is_not_named(tmp_path: Path) -> None:
+    written = WRITERS["cycles"](make_scene())
+    write(tmp_path / "a.exr", written)
+    assert run(["denoise", str(tmp_path / "a.exr"), "-o", str(tmp_path / "b.exr"), "--suffix", "_clean"]) == 0
+    assert find_left(tmp_path / "b.exr") == []
+
+
+def test_a_picture_that_the_user_did_not_choose_is_named(tmp_path: Path) -> None:
+    written = WRITERS["cycles"](make_scene())
+    add_groups(written)
+    write(tmp_path / "a.exr", written)
+    (line,) = find_left(tmp_path / "a.exr", mapping={"color": "Combined_lamp"})
+    assert "light group 'sky'" in line
+    assert f"picture '{LAYER}.Combined'" in line
+
+
+def test_light_of_a_file_in_lobewises_names(
+    rng: np.random.Generator, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    color = rng.gamma(1.0, 1.0, (12, 16, 3)).astype("f4")
+    normal = np.broadcast_to(np.float32([0.0, 0.0, 1.0]), color.shape)
+    path, told = tmp_path / "a.exr", "Left noisy: passes of light 'direct', 'indirect'."
+    write_frame(path, Frame(Radiance(color, direct=0.5 * color, indirect=0.5 * color), GBuffer(normal=normal)))
+    assert find_left(path) == [told]
+    for bands in ("off", "4"):
+        assert run(["denoise", str(path), "-o", str(tmp_path / "b.exr"), "--quality", "fast", "--bands", bands]) == 0
+        assert told in capsys.readouterr().err
+    assert run(["inspect", str(path)]) == 0
+    assert told in " ".join(capsys.readouterr().out.split())
