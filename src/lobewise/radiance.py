@@ -20,7 +20,7 @@ class Radiance(Images):
     Parameters
     ----------
     color : array_like, shape (height, width, 3)
-        Total radiance, linear, scene-referred, >= 0.
+        Total radiance, linear, scene-referred. It may be below 0, as colours outside of the gamut are.
     diffuse, specular : array_like, shape (height, width, 3), optional
         The light whose first bounce was diffuse, or specular. The rest, ``color - diffuse - specular``, is emission and
         background.
@@ -80,7 +80,7 @@ class RadianceLayer(Images):
     lobe : {"diffuse", "subsurface", "volume", "glossy", "coat", "transmission"}
         Kind of the first scattering.
     radiance : array_like, shape (height, width, 3)
-        Linear, albedo included, >= 0.
+        Linear, albedo included.
     albedo : array_like, shape (height, width, 3), optional
         The radiance is divided by it before the filter and multiplied by it after, in [0, 1].
     half_a, half_b : array_like, shape (height, width, 3), optional

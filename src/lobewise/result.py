@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -30,7 +30,7 @@ class Result:
         ``(sum w)^2 / sum w^2``: number of equally weighted neighbours with the same variance, >= 1 where the filter
         gathered anything.
     bad_pixels : (height, width), bool
-        Pixels that were NaN, infinite or negative, had weight 0 and were refilled.
+        Pixels that were NaN, infinite or far below the light around them, had weight 0 and were refilled.
     variance : (height, width) or None
         Estimated variance of the image's luminance, where the image has a history.
     energy_lost : float
@@ -79,6 +79,24 @@ class Result:
     def bad_pixel_count(self) -> int:
         """How many pixels were refilled."""
         return int(np.count_nonzero(self.bad_pixels))
+
+    def subtract(self, other: Result) -> Result:
+        """Return this result with the images of another subtracted, where both have them; the rest stays."""
+
+        def take(first: FloatArray | None, second: FloatArray | None) -> FloatArray | None:
+            return first if first is None or second is None else first - second
+
+        def take_all(first: Mapping[str, FloatArray], second: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+            return {name: image - second[name] if name in second else image for name, image in first.items()}
+
+        return replace(
+            self,
+            image=self.image - other.image,
+            diffuse=take(self.diffuse, other.diffuse),
+            specular=take(self.specular, other.specular),
+            layers=take_all(self.layers, other.layers),
+            also=take_all(self.also, other.also),
+        )
 
     def __repr__(self) -> str:
         images = [name for name in ("image", "diffuse", "specular", "variance") if getattr(self, name) is not None]

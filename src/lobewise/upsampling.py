@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.denoising.automatic import change_settings, require_full, require_plain, resolve_settings
-from lobewise.denoising.bad_pixels import fill_holes, find_bad_pixels, require_some_good
+from lobewise.denoising.bad_pixels import describe_bad, fill_holes, find_bad_pixels, require_some_good
 from lobewise.denoising.layers import (
     Layer,
     describe_exact_light,
@@ -28,6 +28,7 @@ from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.filters.history.joining import JoinedLayers, join_layers
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance, Result
+from lobewise.guides.negative import split_negative
 from lobewise.guides.usable import check_guides
 from lobewise.settings import DenoiseChanges, DenoiseSettings
 from lobewise.sparse_frame import SparseFrame
@@ -91,6 +92,7 @@ def upsample(
     require_full(asked)
     require_plain(asked, "upsampling")
     chosen = resolve_settings(frame, asked, frame.scale)
+    frame, below = split_negative(frame)
     if not bilinear:
         frame = tint_samples(frame)
     bad = find_bad_pixels(Frame(frame.radiance))
@@ -106,7 +108,7 @@ def upsample(
     outputs = [run_plain(frame, layer, chosen, plan) for layer in layers]
     joined = join_layers(outputs, [(layers[0].mask, None)]) if bilinear else join_sparse(frame, layers, outputs)
     diffuse, specular = joined.parts or (None, None)
-    return Result(
+    result = Result(
         image=fill_holes(joined.image, joined.holes, frame, chosen.device),
         diffuse=diffuse,
         specular=specular,
@@ -114,9 +116,12 @@ def upsample(
         effective_samples=joined.effective_samples,
         bad_pixels=spread(frame, bad),
         settings={**asdict(chosen), "scale": frame.scale, "place": frame.place, "bilinear": bilinear},
-        seconds=time.perf_counter() - start,
-        notes=notes,
+        seconds=0.0,
+        notes=(*notes, *describe_bad(int(np.count_nonzero(bad)), bad.size)),
     )
+    if below is not None:
+        result = result.subtract(upsample(below, asked, bilinear=bilinear, features=features))
+    return replace(result, seconds=time.perf_counter() - start)
 
 
 def join_sparse(

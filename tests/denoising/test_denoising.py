@@ -168,7 +168,7 @@ def test_bad_pixels_are_counted_and_refilled(apart: bool, quality: str) -> None:
     frame = make_frame(apart=apart)
     color = frame.radiance.color.copy()
     diffuse = frame.radiance.diffuse.copy() if frame.radiance.diffuse is not None else None
-    for at, value in (((3, 3), np.nan), ((10, 30), np.inf), ((11, 31), -2.0)):
+    for at, value in (((3, 3), np.nan), ((10, 30), np.inf), ((11, 31), -200.0)):
         color[at] = value
         if diffuse is not None:
             diffuse[at] = value

@@ -501,7 +501,7 @@ class TestSettings:
     def test_bad_pixels_are_filled_and_leave_no_trace(self):
         frames = make_still(4)
         broken = np.array(frames[2].radiance.color)
-        broken[10, 10:13] = [[np.nan], [np.inf], [-1.0]]
+        broken[10, 10:13] = [[np.nan], [np.inf], [-100.0]]
         frames[2] = replace(frames[2], radiance=replace(frames[2].radiance, color=broken, diffuse=broken))
         results = run(frames)
         assert results[2].bad_pixel_count == 3

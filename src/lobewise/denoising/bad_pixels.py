@@ -16,6 +16,8 @@ SIGMAS: tuple[float | None, ...] = (1.0, 16.0, None)
 """Standard deviations of the rounds that fill holes, pixels. None weighs all pixels of the kernel alike."""
 MAX_WINDOWS_SHARE = 0.5
 """Area of the windows around single holes over that of the image, above which the whole image is filtered instead."""
+MAX_SHARE_BAD = 0.01
+"""Share of the pixels above which bad ones are no accident, and the user is asked."""
 REFILL_REACH = len(SIGMAS) * ATROUS_REACH
 """Reach of the filling, pixels: each round reads the pixels that the round before filled."""
 
@@ -55,6 +57,16 @@ def require_some_good(bad: int, count: int, what: str) -> None:
             got=f"{bad} bad {what}s of {count}",
             action="check the render or the channel mapping",
         )
+
+
+def describe_bad(bad: int, count: int) -> tuple[str, ...]:
+    """Return the question that many bad pixels raise, or nothing; ``bad`` of ``count`` pixels are bad."""
+    if bad <= MAX_SHARE_BAD * count:
+        return ()
+    return (
+        f"{100.0 * bad / count:.2g} % of the pixels are NaN, infinite or far below the light around them, and are "
+        "filled from their neighbours: is this channel the picture, and did its render end?",
+    )
 
 
 def refill(image: FloatArray, holes: NDArray[np.bool_], mean: FloatArray, device: str) -> FloatArray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import reduce
 from typing import TYPE_CHECKING
 from weakref import ref
@@ -12,7 +12,7 @@ from weakref import ref
 import numpy as np
 
 from lobewise.denoising.automatic import ask, change_settings, resolve_all
-from lobewise.denoising.bad_pixels import blacken_bad, require_some_good
+from lobewise.denoising.bad_pixels import describe_bad, require_some_good
 from lobewise.denoising.combining import name_method
 from lobewise.denoising.evidence import count_blurred, describe_blurred
 from lobewise.denoising.inputs import list_unused
@@ -24,6 +24,7 @@ from lobewise.errors import require_kind
 from lobewise.features import Feature
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.frame import FloatArray, Frame, Result
+from lobewise.guides.negative import split_negative
 from lobewise.guides.usable import check_guides
 from lobewise.peers import require_oidn
 from lobewise.settings import DenoiseChanges, DenoiseSettings
@@ -71,7 +72,8 @@ def denoise(
     Returns
     -------
     Result
-        Finite, non-negative radiance and the filter's statistics.
+        Finite radiance and the filter's statistics. Light below 0 (colours outside of the gamut, the ringing of pixel
+        filters) stays below 0, filtered.
 
     Raises
     ------
@@ -100,14 +102,16 @@ def run_recipe(frame: Frame, named: DenoiseSettings, features: Sequence[Feature]
     chosen = resolve_all(frame, ask(named, {}, with_features=bool(features)))
     if chosen.with_oidn:
         require_oidn()
+    frame, below = split_negative(frame)
     state = start_run(frame, chosen, features)
-    require_some_good(int(np.count_nonzero(state.bad)), state.bad.size, "pixel")
+    bad = int(np.count_nonzero(state.bad))
+    require_some_good(bad, state.bad.size, "pixel")
     local = state.run(state.plan.local_stages)
     state = local.run(state.plan.stages[len(state.plan.local_stages) :])
     found = state.filtered
     diffuse, specular = join_parts(found.layers, found.parts)
     weight_sum, effective_samples = find_support(found.layers, found.supports)
-    return Result(
+    result = Result(
         image=state.total,
         diffuse=diffuse,
         specular=specular,
@@ -117,13 +121,21 @@ def run_recipe(frame: Frame, named: DenoiseSettings, features: Sequence[Feature]
         effective_samples=np.ascontiguousarray(effective_samples),
         bad_pixels=state.bad,
         settings=asdict(chosen),
-        seconds=time.perf_counter() - start,
+        seconds=0.0,
         energy_lost=state.energy_lost,
         method=name_method(frame, named, chosen, with_features=bool(features)),
-        notes=(*notes, *describe_filtering(state, local.filtered)),
+        notes=(*notes, *describe_bad(bad, state.bad.size), *describe_filtering(state, local.filtered)),
         unused=list_unused(frame, chosen),
         find_noisy=noisy,
     )
+    if below is not None:
+        result = result.subtract(filter_below(below, named, features))
+    return replace(result, seconds=time.perf_counter() - start)
+
+
+def filter_below(below: Frame, named: DenoiseSettings, features: Sequence[Feature]) -> Result:
+    """Return the light below 0 of a frame, see `split_negative`, filtered by the guides alone."""
+    return run_recipe(below, replace(named, quality="fast", with_oidn=False), features)
 
 
 def scale_unscattered(state: FrameRun) -> dict[str, FloatArray]:
@@ -131,7 +143,8 @@ def scale_unscattered(state: FrameRun) -> dict[str, FloatArray]:
     if not state.gains:
         return {}
     unscattered = state.frame.unscattered.items()
-    return {name: blacken_bad(reduce(np.multiply, state.gains, light)) for name, light in unscattered}
+    scaled = {name: reduce(np.multiply, state.gains, light) for name, light in unscattered}
+    return {name: np.where(np.isfinite(light), light, np.float32(0.0)) for name, light in scaled.items()}
 
 
 def describe_filtering(state: FrameRun, before: Filtered) -> tuple[str, ...]:

@@ -222,7 +222,10 @@ class Denoiser:
             clean = result.image
             notes.append(f"Used: {result.method}.")
             if result.bad_pixel_count:
-                notes.append(f"{result.bad_pixel_count} pixels were NaN, infinite or negative, and were refilled.")
+                notes.append(
+                    f"{result.bad_pixel_count} pixels were NaN, infinite or far below the light around them, and were "
+                    "refilled."
+                )
         parts = [clean[..., :count]]
         if image.shape[2] > count:
             alpha = image[..., count:]

@@ -68,6 +68,8 @@ class Finisher:
             begin, end = max(first - REFILL_REACH, 0), min(stop + REFILL_REACH, count)
             around = self._images["color"][begin:end], self._holes[begin:end]
             done["color"] = refill(*around, self._find_mean(), self._device)[first - begin : stop - begin]
+        for field in [name for name in done if name.startswith("below ")]:
+            done[field.removeprefix("below ")] = done[field.removeprefix("below ")] - done.pop(field)
         keep = max(stop - REFILL_REACH, 0)
         # Copy, so that the memory of the rows above is freed.
         self._images = {field: image[keep:].copy() for field, image in self._images.items()}

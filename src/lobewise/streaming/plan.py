@@ -9,6 +9,7 @@ from lobewise.denoising.inputs import Images, list_images
 from lobewise.denoising.planning.frame_plans import find_reach
 from lobewise.filters.noise.evidence import REACH as EVIDENCE_REACH
 from lobewise.filters.refinement.shape import MULTIPLE
+from lobewise.guides.negative import REACH as NEGATIVE_REACH
 from lobewise.io.exr.bands import BandReader
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_quality
@@ -97,7 +98,8 @@ def find_band_reach(settings: ResolvedSettings) -> int:
 
     Filters without halves do not read the evidence, but the note on blurred detail does.
     """
-    return find_reach(settings) + (0 if get_quality(settings.quality).reads_halves else EVIDENCE_REACH)
+    noted = 0 if get_quality(settings.quality).reads_halves else EVIDENCE_REACH
+    return find_reach(settings) + NEGATIVE_REACH + noted
 
 
 def cut_bands(height: int, rows: int) -> Bands:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,12 +41,14 @@ from lobewise.denoising.light_loss import (
 )
 from lobewise.denoising.noisy import make_bounded_layers, measure_layer
 from lobewise.denoising.refining.whole_image import WholeImage, join_measured, measure_rows
-from lobewise.denoising.stages import filter_frame
+from lobewise.denoising.stages import Filtered, filter_frame
 from lobewise.errors import InputError, name_value
 from lobewise.filters.fireflies import REACH as FIREFLY_REACH
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.filters.noise_guides import find_level
 from lobewise.frame import FloatArray
+from lobewise.guides.negative import REACH as NEGATIVE_REACH
+from lobewise.guides.negative import split_negative
 from lobewise.guides.usable import Unusable, bound_guides, find_unusable, join_unusable
 from lobewise.interchange.checks import check_own_mark
 from lobewise.interchange.importing.leftovers import describe_own_left_noisy
@@ -174,11 +176,12 @@ def denoise_file(
             noisy = ("variance", "color") in reader.images
             variances = measure().variances if noisy else np.empty(0)
             chosen = resolve_all(probe, asked, spp=judge_noise(variances, probe.spp))
+        below = resolve_all(replace(probe, variance=None), replace(asked, quality="fast", with_oidn=False))
         whole = measure().whole if guided else None
         share_bounded = find_energy_lost(measure().tallies) if guided else 0.0
         seen = _Seen(share_bounded >= MIN_SHARE_BOUNDED, get_quality(chosen.quality).refines)
         kept = KeptBands(waiting)
-        bad_count = _filter(reader, kept, chosen, whole, bands, tell, seen)
+        bad_count = _filter(reader, kept, _Settings(chosen, below), whole, bands, tell, seen)
         finish_bands(reader, kept, writer, Finisher(lambda: measure().mean_color, chosen.device), seen.find_gains())
         writer.finish(output, asdict(chosen))
     return DenoisedFile(
@@ -215,6 +218,13 @@ def _check(source: PathLike, asked: DenoiseSettings, rows: int | None, memory: f
             got="one of another renderer",
             action="use read_frame, denoise and write_result",
         )
+
+
+class _Settings(NamedTuple):
+    """Settings of a frame, and of its light below 0."""
+
+    above: ResolvedSettings
+    below: ResolvedSettings
 
 
 @dataclass(frozen=True)
@@ -276,8 +286,8 @@ def _measure(reader: BandReader, settings: ResolvedSettings, bands: Bands, tell:
     variances: list[Rows] = []
     bad_count = 0
     for number, band in enumerate(bands):
-        top, bottom = widen(band, FIREFLY_REACH if guided else 0, height)
-        frame = bound_guides(reader.read_frame(top, bottom))
+        top, bottom = widen(band, NEGATIVE_REACH + (FIREFLY_REACH if guided else 0), height)
+        frame, _ = split_negative(bound_guides(reader.read_frame(top, bottom)))
         core = slice(band[0] - top, band[1] - top)
         bad_count += int(np.count_nonzero(find_bad_pixels(frame)[core]))
         colors.append(sum_colors(frame)[core])
@@ -289,7 +299,7 @@ def _measure(reader: BandReader, settings: ResolvedSettings, bands: Bands, tell:
         elif frame.variance is not None:
             variances.append(list_relative_variances(reader.read_frame(*band)))
         if number + 1 < len(bands):
-            reader.forget(widen(bands[number + 1], FIREFLY_REACH, height)[0])
+            reader.forget(widen(bands[number + 1], NEGATIVE_REACH + FIREFLY_REACH, height)[0])
         tell("Measuring", band[1], height)
     require_some_good(bad_count, height * width, "pixel")
     levels = tuple(find_level(np.concatenate(light)) for light in zip(*lights, strict=True))
@@ -304,7 +314,7 @@ def _measure(reader: BandReader, settings: ResolvedSettings, bands: Bands, tell:
 def _filter(
     reader: BandReader,
     kept: KeptBands,
-    settings: ResolvedSettings,
+    settings: _Settings,
     whole: WholeImage | None,
     bands: Bands,
     tell: Progress,
@@ -312,7 +322,7 @@ def _filter(
 ) -> int:
     """Filter and keep band after band; return the number of bad pixels. ``seen`` collects the notes."""
     height, width = reader.shape
-    reach, bad_count = find_band_reach(settings), 0
+    reach, bad_count = find_band_reach(settings.above), 0
     tell("Filtering", 0, height)
     for number, band in enumerate(bands):
         top, bottom = widen(band, reach, height)
@@ -330,7 +340,7 @@ def _filter(
 
 def _filter_band(
     reader: BandReader,
-    settings: ResolvedSettings,
+    settings: _Settings,
     whole: WholeImage | None,
     rows: tuple[int, int],
     core: slice,
@@ -339,24 +349,37 @@ def _filter_band(
     """Return the images of the rows of ``core`` by their fields, and the number of bad pixels.
 
     Beside the fields there are ``holes``, the pixels without a value, and for each layer ``taker0`` and so on, the
-    share of its light that takes part in sharing.
+    share of its light that takes part in sharing. "below color" and so on is the filtered light below 0 of a field.
     """
     frame = reader.read_frame(*rows)
     seen.unusable += find_unusable(frame, core)
-    frame = bound_guides(frame)
-    if forgets(settings):
+    frame, below = split_negative(bound_guides(frame))
+    if forgets(settings.above):
         reader.forget(reader.shape[0])
-    found = filter_frame(frame, settings, (), whole)
+    found = filter_frame(frame, settings.above, (), whole)
     bad = find_bad_pixels(frame)
     takers = found.find_takers()
     seen.missing.append(found.sum_missing(takers, core))
     if seen.measures_light:
         seen.light.append(sum_light(frame, found.image, bad, core))
-    if not get_quality(settings.quality).reads_halves:
+    if not get_quality(settings.above.quality).reads_halves:
         seen.blurred.append(count_blurred(frame, found.image, core))
-    images: dict[str, NDArray[Any]] = {"color": found.image[core], "holes": found.find_holes(bad)[core]}
-    if len(found.parts) == 2:
-        for field, part in zip(("diffuse", "specular"), found.parts, strict=True):
-            images[field] = blacken_bad(part[core])
+    images: dict[str, NDArray[Any]] = {"holes": found.find_holes(bad)[core], **_name_fields(found, core)}
+    nothing = {f"below {field}": np.zeros_like(images[field]) for field in images if field != "holes"}
+    if below is None:
+        images |= nothing
+    else:
+        fields = _name_fields(filter_frame(below, settings.below), core)
+        images |= {f"below {field}": image for field, image in fields.items()}
     images |= {f"taker{number}": taker[core] for number, taker in enumerate(takers)}
     return images, int(np.count_nonzero(bad[core]))
+
+
+def _name_fields(found: Filtered, core: slice) -> dict[str, FloatArray]:
+    """Return the rows of ``core`` of the filtered images by their fields."""
+    images = {"color": found.image[core]}
+    if len(found.parts) == 2:
+        images |= {
+            field: blacken_bad(part[core]) for field, part in zip(("diffuse", "specular"), found.parts, strict=True)
+        }
+    return images

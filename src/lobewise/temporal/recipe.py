@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 
 from lobewise.backend.memory import MemoryPool
 from lobewise.denoising.automatic import estimate_spp, expect_noise, require_full, require_plain, resolve_settings
-from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, find_bad_pixels, find_good, require_some_good
+from lobewise.denoising.bad_pixels import (
+    blacken_bad,
+    describe_bad,
+    fill_holes,
+    find_bad_pixels,
+    find_good,
+    require_some_good,
+)
 from lobewise.denoising.layers import (
     Layer,
     Support,
@@ -25,6 +32,7 @@ from lobewise.denoising.layers import (
 )
 from lobewise.denoising.planning.layer_plans import plan_history
 from lobewise.denoising.planning.steps import LayerPlan
+from lobewise.denoising.recipe import filter_below
 from lobewise.denoising.running import run_with_history
 from lobewise.denoising.stages import compose, find_averaged_rest, keep_unfiltered
 from lobewise.errors import InputError, require_choice, require_kind
@@ -35,12 +43,13 @@ from lobewise.filters.history.joining import find_reflecting
 from lobewise.filters.history.sums import add_to_sums, split_sums
 from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.guides.lobe_fields import SplitField
+from lobewise.guides.negative import split_negative
 from lobewise.guides.usable import check_guides
 from lobewise.settings import DenoiseSettings, ResolvedSettings, TemporalChanges, TemporalSettings
 from lobewise.sparse_frame import AnyFrame, SparseFrame
 from lobewise.temporal.past import HistoryReprojection, Past, pack_past, unpack_past
 from lobewise.temporal.validation import Guides, find_same_tau
-from lobewise.upsampling import DEFAULT_RADIUS, UNSCATTERED, join_sparse, spread, tint_radiance, tint_samples
+from lobewise.upsampling import DEFAULT_RADIUS, UNSCATTERED, join_sparse, spread, tint_radiance, tint_samples, upsample
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -174,6 +183,7 @@ class TemporalFilter:
         else:
             notes += frame.notes
         chosen = self._resolve(frame)
+        frame, below = split_negative(frame)
         if isinstance(frame, SparseFrame):
             frame = tint_samples(frame)
         bad = find_bad_pixels(Frame(frame.radiance))
@@ -195,7 +205,12 @@ class TemporalFilter:
         self._albedos = {name: layer.albedo for name, layer in layers.items() if name not in UNSCATTERED}
         self._is_sparse = isinstance(frame, SparseFrame)
         self._past = Past(guides, chosen.similarity, kept, reprojection.validation, reprojection.allowance)
-        return replace(result, notes=notes)
+        if below is not None:
+            # Light below 0 is dim and needs no history.
+            asked, sparse = self._ask(frame), isinstance(below, SparseFrame)
+            found = upsample(below, asked, features=features) if sparse else filter_below(below, asked, features)
+            result = result.subtract(found)
+        return replace(result, notes=(*notes, *describe_bad(int(np.count_nonzero(bad)), bad.size)))
 
     def add_samples(
         self, rows: NDArray[np.intp], columns: NDArray[np.intp], radiance: Radiance, weights: FloatArray

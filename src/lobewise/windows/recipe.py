@@ -6,14 +6,17 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
+from weakref import ref
 
 import numpy as np
 
 from lobewise.denoising import denoise
 from lobewise.denoising.automatic import change_settings, choose_similarity
+from lobewise.denoising.recipe import filter_below
 from lobewise.errors import MAX_GOT_LETTERS, InputError, name_value, require_kind
 from lobewise.filters.noise.pooling import blur_image
 from lobewise.frame import FloatArray, Frame, Result
+from lobewise.guides.negative import split_negative
 from lobewise.guides.usable import check_guides
 from lobewise.settings import DenoiseChanges, DenoiseSettings
 from lobewise.windows.joining import JoinedFrame, join_frames
@@ -120,22 +123,21 @@ class WindowFilter:
         start = time.perf_counter()
         joined = self.join(frames, index)
         notes = self._explain(frames, index, joined)
-        if not joined.used:
-            taken = {**joined.alone.settings, "window": self.reach, "joined": ()}
-            notes = notes + joined.alone.notes
-            return replace(joined.alone, notes=notes, settings=taken, seconds=time.perf_counter() - start)
-        result = denoise(joined.frame, self._settings)
-        unused = tuple(name for name in result.unused if name not in USED_BETWEEN_FRAMES)
-        taken = {**result.settings, "window": self.reach, "joined": joined.used}
-        notes = notes + result.notes
-        result = mix_results(joined.alone, result, find_share(joined.frames))
+        result, used = joined.alone, joined.used
+        if used:
+            whole = denoise(joined.frame, self._settings)
+            unused = tuple(name for name in whole.unused if name not in USED_BETWEEN_FRAMES)
+            result = replace(mix_results(joined.alone, whole, find_share(joined.frames)), unused=unused)
+        below = self._kept[id(frames[index])].below
+        if below is not None:
+            # Light below 0 is dim: other frames would lower its noise by little.
+            result = result.subtract(filter_below(below, self._settings, ()))
         return replace(
             result,
-            notes=notes,
-            settings=taken,
-            unused=unused,
+            notes=notes + result.notes,
+            settings={**result.settings, "window": self.reach, "joined": used},
             seconds=time.perf_counter() - start,
-            find_noisy=joined.alone.find_noisy,
+            find_noisy=ref(frames[index].radiance.color),
         )
 
     def _prepare(self, frames: Sequence[Frame], first: int, last: int) -> dict[int, Shot]:
@@ -219,6 +221,7 @@ class _Prepared:
 
     def __init__(self, frame: Frame) -> None:
         self.frame = frame
-        self.checked, unusable = check_guides(frame)
+        checked, unusable = check_guides(frame)
+        self.checked, self.below = split_negative(checked)
         self.notes = tuple(map(str, unusable))
         self.shot: Shot | None = None

@@ -1,0 +1,144 @@
+"""Light below 0, which is split off a frame, filtered apart and subtracted from the result.
+
+Colours outside of the gamut have a negative channel. Pixel filters with negative lobes (Lanczos, Mitchell, Blackman)
+ring below 0 beside lamps. Both is light: without it edges get brighter and colours paler. Estimates of noise, networks
+and Open Image Denoise know no light below 0. So a frame is the difference of two frames that are nowhere negative. The
+second is smooth and dim, and is filtered by the guides alone (docs/decisions.md).
+
+A pixel far below everything around it is no light but damage, as of an overflow. It stays negative, and filters leave
+it out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import reduce
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.frame import FloatArray, Frame
+from lobewise.radiance import Radiance, RadianceLayer
+from lobewise.sparse_frame import AnyFrame, SparseFrame
+
+REACH = 2
+"""Distance of the farthest pixel that decides whether a pixel is damaged, rows or columns."""
+MAX_RATIO_BELOW = 4.0
+"""Largest negative light of a pixel, over the second largest light around it and over its own light, that is no damage.
+The largest light around is ignored, because damaged pixels may come in pairs."""
+_PARTS = ("diffuse", "specular", "direct", "indirect")
+
+Split = tuple[FloatArray, FloatArray]
+
+
+def split_negative(frame: AnyFrame) -> tuple[Any, Any]:
+    """Return a frame without light below 0, and a frame of this light, >= 0; the second is None where there is none.
+
+    The difference of both is the frame. Damaged pixels stay in the first. Where the frame has halves, so do both: the
+    light of a half may be below 0 where the mean of both halves is not. ``unscattered`` stays as it is.
+    """
+    if not any((image < 0.0).any() for image in _list_light(frame)):
+        return frame, None
+    if isinstance(frame, SparseFrame):
+        above, below = _split_radiance(frame.radiance)
+        return replace(frame, radiance=above), replace(frame, radiance=below, variance=None)
+    halves = [None if half is None else _split_radiance(half) for half in (frame.half_a, frame.half_b)]
+    layers = [_split_layer(layer) for layer in frame.layers]
+    below_halves = [half[1] for half in halves if half is not None]
+    above, below = _split_radiance(frame.radiance, below_halves if len(below_halves) == 2 else (), layers)
+    also = _split_all(frame.also)
+    first = replace(
+        frame,
+        radiance=above,
+        half_a=halves[0] and halves[0][0],
+        half_b=halves[1] and halves[1][0],
+        layers=tuple(layer for layer, _ in layers),
+        also=also[0],
+    )
+    second = replace(
+        frame,
+        radiance=below,
+        half_a=None,
+        half_b=None,
+        variance=None,
+        layers=tuple(layer for _, layer in layers),
+        unscattered={},
+        also=also[1],
+    )
+    return first, second
+
+
+def find_damaged(image: FloatArray) -> NDArray[np.bool_]:
+    """Return which pixels of an image, (height, width, 3), are so far below 0 that they are damage, (height, width)."""
+    finite = np.where(np.isfinite(image), image, np.float32(0.0))
+    below, above = -finite.min(axis=-1), finite.max(axis=-1)
+    doubtful = below > np.float32(MAX_RATIO_BELOW) * np.maximum(above, np.float32(0.0))
+    damaged = np.zeros(image.shape[:2], np.bool_)
+    if not doubtful.any():
+        return damaged
+    light = np.pad(np.maximum(below, above), REACH)
+    rows, columns = np.nonzero(doubtful)
+    steps = range(2 * REACH + 1)
+    around = [light[rows + y, columns + x] for y in steps for x in steps if (y, x) != (REACH, REACH)]
+    damaged[rows, columns] = below[doubtful] > MAX_RATIO_BELOW * np.sort(np.array(around), axis=0)[-2]
+    return damaged
+
+
+def _list_light(frame: AnyFrame) -> list[FloatArray]:
+    """Return all images whose light is filtered."""
+    parts: list[Radiance | None] = [frame.radiance]
+    images: list[FloatArray | None] = []
+    if isinstance(frame, Frame):
+        parts += [frame.half_a, frame.half_b]
+        for layer in frame.layers:
+            images += [layer.radiance, layer.half_a, layer.half_b, *layer.parts.values()]
+        images += frame.also.values()
+    images += [getattr(part, name) for part in parts if part is not None for name in part.names]
+    return [image for image in images if image is not None]
+
+
+def _split_image(image: FloatArray, below: Sequence[FloatArray] = ()) -> Split:
+    """Return an image without light below 0, and this light; ``below`` is the light below 0 of both of its halves."""
+    known = np.isfinite(image) & ~find_damaged(image)[..., None]
+    least = np.mean(below, axis=0, dtype=np.float32) if below else np.float32(0.0)
+    with np.errstate(invalid="ignore"):
+        taken = np.where(known, np.maximum(-image, least), np.float32(0.0))
+    return image + taken, taken
+
+
+def _split_all(images: Mapping[str, FloatArray]) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
+    found = {name: _split_image(image) for name, image in images.items()}
+    return {name: above for name, (above, _) in found.items()}, {name: below for name, (_, below) in found.items()}
+
+
+def _split_radiance(
+    radiance: Radiance, halves: Sequence[Radiance] = (), layers: Sequence[tuple[RadianceLayer, RadianceLayer]] = ()
+) -> tuple[Radiance, Radiance]:
+    """Return radiance without light below 0, and this light: the total has that of its parts, so that sums hold."""
+    found: dict[str, Split] = {}
+    for name in (name for name in _PARTS if getattr(radiance, name) is not None):
+        below = [getattr(half, name) for half in halves if getattr(half, name) is not None]
+        mine = [layer.radiance for _, layer in layers if layer.is_diffuse == (name == "diffuse")]
+        if name in _PARTS[:2] and mine:
+            below = [reduce(np.add, mine)]
+        found[name] = _split_image(getattr(radiance, name), below)
+    if radiance.parts is None:
+        found["color"] = _split_image(radiance.color, [half.color for half in halves])
+    else:
+        found["color"] = _split_image(radiance.color, [found["diffuse"][1] + found["specular"][1]])
+    first, second = ({name: pair[side] for name, pair in found.items()} for side in (0, 1))
+    return Radiance(**first), Radiance(**second)
+
+
+def _split_layer(layer: RadianceLayer) -> tuple[RadianceLayer, RadianceLayer]:
+    halves = [None if half is None else _split_image(half) for half in (layer.half_a, layer.half_b)]
+    below = [half[1] for half in halves if half is not None]
+    first, second = _split_image(layer.radiance, below if len(below) == 2 else ())
+    parts = _split_all(layer.parts)
+    above_a, above_b = (None if half is None else half[0] for half in halves)
+    return (
+        replace(layer, radiance=first, half_a=above_a, half_b=above_b, parts=parts[0]),
+        replace(layer, radiance=second, half_a=None, half_b=None, parts=parts[1]),
+    )
