@@ -32,7 +32,9 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     if not is_ignored:
         _set_handler(_leave)
     from lobewise.cli.main import run
+    from lobewise.display.hushing import hush_libraries
 
+    hush_libraries()
     if not is_ignored:
         _set_handler(_interrupt)
     try:

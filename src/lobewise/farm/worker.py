@@ -12,6 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from lobewise.display.hushing import hush_libraries
 from lobewise.errors import LobewiseError, make_printable
 from lobewise.farm.environment import describe_environment
 from lobewise.farm.ledger import TOKEN, refresh_folders
@@ -26,6 +27,11 @@ KEPT_BYTES = 1 << 26
 """Freed memory that a process keeps. It is what glibc arrives at by itself, unless it is told otherwise."""
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
 """Numbers of glibc's parameters in ``malloc.h``."""
+
+
+def dask_setup(_: Any) -> None:
+    """Prepare a worker of this machine. Dask calls this function of `lobewise.farm.connection.PRELOAD` there alone."""
+    hush_libraries()
 
 
 def describe_worker(folder: Path, token: str, source: Path, size: int, with_oidn: bool) -> tuple[dict[str, str], str]:

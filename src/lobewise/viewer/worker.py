@@ -16,6 +16,7 @@ from multiprocessing import connection, parent_process
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lobewise.display.hushing import hush_libraries
 from lobewise.errors import InputError, LobewiseError
 from lobewise.viewer.messages import (
     Forget,
@@ -42,6 +43,7 @@ def run_worker(pipe: connection.Connection, target: Target) -> None:
     """Open the target, then answer orders until the pipe is closed or the parent has ended. Runs in its own process."""
     # Ctrl-C reaches every process of the terminal; the parent decides when this one ends.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    hush_libraries()
     threading.Thread(target=_follow_parent, daemon=True).start()
     try:
         Worker(pipe, target).serve()

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import io
-import os
-import sys
-import tempfile
 import threading
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.chunks import ForkGate, count_cores
+from lobewise.display.hushing import hide_lines
 from lobewise.errors import FileError
 from lobewise.io.exr.container import COMPRESSIONS, Container, Part, Window, crop_part, show_name
 from lobewise.io.exr.parsing import parse_bytes
@@ -111,7 +109,7 @@ def decode_bytes(data: bytes) -> dict[str, Pixels]:
 
     with _enter_library():
         channels = OpenEXR.File(io.BytesIO(data), separate_channels=True).channels()
-        # The library prints a warning and leaves out pixels that it cannot decode.
+        # The library leaves out pixels that it cannot decode.
         return {key: np.asarray(channel.pixels) for key, channel in channels.items()}
 
 
@@ -189,30 +187,34 @@ class _Threads:
     """The library's threads, one for every core. Without this the library uses a single thread."""
 
     def __init__(self) -> None:
-        self._count = 0
+        self._lock = threading.Lock()
+        self._has_started = False
 
     def start(self) -> None:
-        """Start a thread for every core, if there is more than one."""
-        cores = count_cores()
-        self._set(cores if cores > 1 else 0)
+        """Start a thread for every core, if there is more than one and none was started.
+
+        Their number stays, as other calls may be using them.
+        """
+        with self._lock:
+            if not self._has_started and count_cores() > 1:
+                self._set(count_cores())
+                self._has_started = True
 
     def end(self) -> None:
-        """End all threads; then the library works in the thread that calls it."""
-        self._set(0)
+        """End all threads; then the library works in the thread that calls it. No call may be under way."""
+        if self._has_started:
+            self._set(0)
+            self._has_started = False
 
     def _set(self, count: int) -> None:
-        if count == self._count:
-            return
         import OpenEXR
 
         if hasattr(OpenEXR, "set_global_thread_count"):
             OpenEXR.set_global_thread_count(count)
-        self._count = count
 
 
 _threads = _Threads()
 _gate = ForkGate(_threads.end)
-_quiet = threading.Lock()
 
 
 def _pair(window: Window) -> tuple[Pixels, Pixels]:
@@ -221,36 +223,11 @@ def _pair(window: Window) -> tuple[Pixels, Pixels]:
 
 @contextmanager
 def _enter_library() -> Iterator[None]:
-    """Let one thread at a time call the library, with its threads started and its messages hidden."""
-    with _gate.enter(), _quiet:
-        _threads.start()
-        with _hush_library():
-            yield
+    """Start the library's threads for a call. Any number of threads may call it at once.
 
-
-@contextmanager
-def _hush_library() -> Iterator[None]:
-    """Hide the library's messages about damaged files. Other output is printed afterwards.
-
-    The library's C core writes to file descriptor 2, and cannot be told to be silent.
+    On damaged pixels the library prints, by Python's print and to file descriptor 2, and cannot be told to be silent.
+    The command hides these lines.
     """
-    with tempfile.TemporaryFile() as caught:
-        try:
-            saved = os.dup(2)
-        except OSError:
-            # The process has no standard error.
-            yield
-            return
-        if sys.stderr is not None:
-            sys.stderr.flush()
-        try:
-            os.dup2(caught.fileno(), 2)
-            with redirect_stdout(io.StringIO()):
-                yield
-        finally:
-            os.dup2(saved, 2)
-            os.close(saved)
-            caught.seek(0)
-            rest = [line for line in caught if b"EXR_ERR" not in line and not line.startswith(b"ojph")]
-            if rest and sys.stderr is not None:
-                sys.stderr.write(b"".join(rest).decode("utf-8", "replace"))
+    with _gate.enter(), hide_lines("EXR_ERR", "ojph", "Warning: Exception raised reading pixel data"):
+        _threads.start()
+        yield
