@@ -58,6 +58,10 @@ class UnsupportedBsdfError(LobewiseError):
     """A scene uses a BSDF that cannot be evaluated."""
 
 
+class UnusedGuideWarning(UserWarning):
+    """A guide is given and not used; the message names it and says why. `lobewise.Result.notes` has it as well."""
+
+
 def make_printable(text: str) -> str:
     """Return a text that is safe to print: control characters and undecodable bytes become escapes.
 

@@ -86,8 +86,9 @@ def upsample(
     """
     start = time.perf_counter()
     require_kind("frame", frame, SparseFrame)
-    frame, unusable = check_guides(frame)
-    notes = (*map(str, unusable), *(() if bilinear else describe_exact_light(frame)))
+    checked = check_guides(frame)
+    frame = checked.frame
+    notes = (*checked.notes, *(() if bilinear else describe_exact_light(frame)))
     asked = change_settings(settings or DenoiseSettings(radius=DEFAULT_RADIUS), changes)
     require_full(asked)
     require_plain(asked, "upsampling")

@@ -19,6 +19,7 @@ from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.io import describe_file, read_frame, read_image, write_frame, write_image
 from lobewise.io.materials import read_lobe_table, write_lobe_table
 from lobewise.metrics import evaluate
+from lobewise.settings import DenoiseSettings
 
 
 @pytest.fixture
@@ -176,20 +177,19 @@ class TestDenoise:
 
     @pytest.mark.parametrize(("option", "with_oidn"), [("--with-oidn", True), ("--offline", False), ("", "auto")])
     def test_open_image_denoise_is_asked_for(self, option, with_oidn, frame_file, tmp_path, monkeypatch, capsys):
-        import lobewise.denoising
+        from lobewise.denoising import recipe
 
-        asked = {}
-        real = lobewise.denoising.denoise
+        asked = []
+        real = recipe.denoise_checked
 
-        def record(frame, **settings):
-            asked.update(settings)
-            return real(frame, quality="fast", radius=1)
+        def record(checked, named):
+            asked.append(named)
+            return real(checked, DenoiseSettings(quality="fast", radius=1))
 
-        monkeypatch.setattr(lobewise.denoising, "denoise", record)
+        monkeypatch.setattr(recipe, "denoise_checked", record)
         line = ["denoise", str(frame_file), "-o", str(tmp_path / "out.exr")]
         assert run([*line, option] if option else line) == 0
-        assert asked["with_oidn"] == with_oidn
-        assert asked["quality"] == "auto"
+        assert [(one.with_oidn, one.quality) for one in asked] == [(with_oidn, "auto")]
         # Brackets are markup where help is printed.
         capsys.readouterr()
         monkeypatch.setenv("COLUMNS", "300")
@@ -324,8 +324,8 @@ class TestMistakes:
 
     def test_missing_channel(self, rng, tmp_path, capsys):
         write_image(tmp_path / "a.exr", rng.random((4, 4, 3)))
-        err = fail(capsys, "denoise", tmp_path / "a.exr", "-o", tmp_path / "out.exr")
-        assert "normal" in err
+        err = fail(capsys, "denoise", tmp_path / "a.exr", "-o", tmp_path / "out.exr", "--similarity", "sg")
+        assert "camera" in err
         assert "a.exr" in err
 
     def test_missing_camera(self, frame_file, tmp_path, capsys):

@@ -319,10 +319,8 @@ def test_wrong_settings_are_named(changes: dict[str, Any], message: str) -> None
 @pytest.mark.parametrize(
     ("similarity", "guides", "message"),
     [
-        ("normal", {"normal": None}, "channel normal"),
         ("sg", {"alpha_u": None, "alpha_v": None}, "alpha"),
         ("ggx", {"alpha_u": None, "alpha_v": None}, "alpha"),
-        ("ggx", {"normal": None}, "normal"),
         ("sg", {"position": None, "depth": None}, "position"),
     ],
 )

@@ -229,7 +229,7 @@ def test_neither_are_those_of_dr_jit(mi: Any) -> None:
 @pytest.mark.parametrize("name", ["mitsuba_multi_channels.exr", "beachball_singlepart.0001.exr"])
 def test_lamps_without_normals_raise_no_alarm(name: str, exr_folder: Any) -> None:
     notes = lobewise.denoise(lobewise.read_frame(exr_folder / name), quality="fast", radius=2).notes
-    assert [note for note in notes if not note.startswith("Left noisy")] == []
+    assert not any("normal is" in note for note in notes)
 
 
 @pytest.mark.parametrize("quality", QUALITIES)

@@ -10,6 +10,7 @@ from renderers import WRITERS, Written, make_scene, write
 
 from lobewise.cli.main import run
 from lobewise.interchange import import_file
+from lobewise.interchange.checks import lacks
 from lobewise.interchange.preset import load_presets
 
 WEAK = "Of a color image alone lobewise's own filters make a weak result"
@@ -32,7 +33,16 @@ def test_it_is_told_once_with_what_to_switch_on(tmp_path: Path, capsys: pytest.C
     assert "gives it by" not in told
     for role in ("normal", "position", "layers", "roughness"):
         assert told.count(load_presets()["cycles"].advice[role]) == 1
-    assert "(pip install 'lobewise[best]')" in told
+    assert "Denoise, which is used unless --offline or a quality is given:" in " ".join(told.split())
+    assert "Where a pixel filter" not in told
+
+
+def test_what_is_not_installed_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    missing = "Open Image Denoise is not installed; pip install 'lobewise[best]'"
+    monkeypatch.setattr(lacks, "has_oidn", lambda: False)
+    monkeypatch.setattr(lacks, "explain_no_oidn", lambda: missing)
+    (told,) = (note for note in import_file(write_cycles(tmp_path, "Combined")).notes if WEAK in note)
+    assert f"Denoise, but {missing}: switch on in Blender Cycles:" in told
 
 
 @pytest.mark.parametrize("more", ["Normal", "DiffCol", "Position"])

@@ -474,9 +474,10 @@ def test_spoiled_guides_are_read_all_the_same(seed: int) -> None:
                 plane[:, :60] = value
     found = import_planes(whole, preset="arnold", camera=get_camera() if seed % 2 else None)
     guides = found.frame.gbuffer
-    assert np.isfinite(guides.normal).all()
+    # Passes of zeros are left out.
+    assert guides.normal is None or np.isfinite(guides.normal).all()
     for image in (guides.alpha_u, guides.diffuse_albedo, guides.specular_albedo):
-        assert ((image >= 0.0) & (image <= 1.0)).all()
+        assert image is None or ((image >= 0.0) & (image <= 1.0)).all()
 
 
 def test_guides_that_are_the_same_everywhere_tell_nothing(tmp_path: Path) -> None:

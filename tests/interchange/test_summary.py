@@ -18,6 +18,7 @@ from lobewise.cli.main import run
 from lobewise.cli.terminal.summary import describe_quality
 from lobewise.denoising import denoise
 from lobewise.errors import InputError
+from lobewise.frame import Frame, Radiance
 from lobewise.interchange import describe_file, import_file, read_frame, write_result
 from lobewise.interchange.preset import load_presets
 from lobewise.io import write_frame
@@ -257,6 +258,30 @@ def test_a_known_camera_is_not_called_missing(tmp_path: Path) -> None:
     assert lack.remedy == "the AOV P"
 
 
+@pytest.mark.parametrize("width", [72, 60])
+def test_a_panorama_is_not_told_what_it_has(width: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    height, rng = 36, np.random.default_rng(0)
+    down, around = (np.arange(height) + 0.5) / height * np.pi, (np.arange(width) + 0.5) / width * 2.0 * np.pi
+    rays = np.stack(
+        [
+            np.sin(down)[:, None] * np.cos(around),
+            np.sin(down)[:, None] * np.sin(around),
+            np.cos(down)[:, None] + 0 * around,
+        ],
+        axis=-1,
+    )
+    position = (rays * rng.uniform(1.0, 5.0, (height, width, 1))).astype("f4")
+    planes = {f"ViewLayer.Combined.{name}": rng.random((height, width), np.float32) for name in "RGB"}
+    for k, name in enumerate("XYZ"):
+        planes[f"ViewLayer.Position.{name}"] = position[..., k].copy()
+        planes[f"ViewLayer.Normal.{name}"] = -rays[..., k].astype("f4")
+    OpenEXR.File({"cycles.ViewLayer.samples": "4"}, planes).write(str(tmp_path / "a.exr"))
+    told = " ".join(ask(capsys, "inspect", tmp_path / "a.exr").split())
+    assert "No pinhole camera shows the positions where they are seen" in told
+    assert "Data > Position" not in told
+    assert ("--camera" in told) == (width != 2 * height)
+
+
 def test_json_holds_what_the_summary_says(capsys: pytest.CaptureFixture[str], exr_folder: Path) -> None:
     found = json.loads(ask(capsys, "inspect", "--json", exr_folder / "arnold_multichannel.exr"))
     assert found["version"] == "Arnold 5.1.0.0"
@@ -265,22 +290,24 @@ def test_json_holds_what_the_summary_says(capsys: pytest.CaptureFixture[str], ex
     assert found["parts"][0]["channels"]
 
 
-@pytest.mark.parametrize(
-    ("channels", "told"),
-    [
-        (("R", "G", "B", "depth.Z"), "There are no normals."),
-        (("R", "G", "B", "normal.X"), "The file is refused: see below."),
-    ],
-)
-def test_a_file_that_denoise_refuses(
-    channels: tuple[str, ...], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_that_denoise_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "a.exr"
+    channels = ("R", "G", "B", "normal.X")
     OpenEXR.File({"lobewise/schema": 1}, {name: np.ones((4, 4), "f4") for name in channels}).write(str(path))
     out = ask(capsys, "inspect", path)
-    assert f"Expected quality: none. {told}" in out
+    assert "Expected quality: none. The file is refused: see below." in out
     assert "lobewise denoise" not in out
     assert run(["denoise", str(path), "-o", str(tmp_path / "b.exr")]) == 2
+
+
+def test_a_file_of_ours_needs_no_normals(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "a.exr"
+    write_frame(path, Frame(Radiance(np.ones((8, 8, 3)))))
+    told = " ".join(ask(capsys, "inspect", path).split())
+    assert "Expected quality: weak." in told
+    assert "Noted" in told
+    assert "Nothing tells surfaces apart but the image itself" in told
+    assert run(["denoise", str(path), "-o", str(tmp_path / "b.exr"), "--quality", "fast"]) == 0
 
 
 def test_a_file_without_an_image(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,6 +13,7 @@ from exr_bytes import EXOTIC, inject_attributes
 
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.io import describe_file, read_frame, write_frame
+from lobewise.io.exr.describe import COSTS
 from lobewise.io.exr.schema import CAMERA, DENOISED, LOBES, SCHEMA, SLOTS, SPP
 
 
@@ -43,8 +44,8 @@ def test_what_is_missing_is_said(rng, tmp_path):
     write_frame(path, Frame(image))
     found = describe_file(path)
     assert [item.label for item in found.images if item.found] == ["R/G/B"]
-    assert found.similarities == ()
-    assert "nothing tells similar pixels apart" in found.notes[0]
+    assert found.similarities == ("normal",)
+    assert [lack.role for lack in found.lacks] == list(COSTS)
     normals = GBuffer(normal=rng.random((4, 5, 3)), depth=np.ones((4, 5)))
     write_frame(path, Frame(image, normals, spp=1))
     found = describe_file(path)

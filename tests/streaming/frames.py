@@ -39,7 +39,8 @@ def make_scene(shape: tuple[int, int], *, halves: bool = True, apart: bool = Tru
     whole = Radiance(*(0.5 * getattr(both[0], name) + 0.5 * getattr(both[1], name) for name in _PARTS))
     kind = np.where(rng.random(shape) < 0.05, int(LobeKind.NONE), int(LobeKind.GGX))
     normal, depth = vectors(0.01), np.array(plain.gbuffer.depth)
-    normal[0, :2], depth[0, :2] = 0.0, 0.0
+    if height * width > 2:
+        normal[0, :2], depth[0, :2] = 0.0, 0.0
     guides = replace(
         plain.gbuffer,
         depth=depth,

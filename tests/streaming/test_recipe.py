@@ -288,7 +288,6 @@ def test_what_a_frame_cannot_do_is_told_alike(tmp_path: Path) -> None:
     bad = change_radiance(scene, slice(None), slice(None), np.nan)
     for frame, settings in (
         (bad, {}),
-        (leave_out(scene, "normal"), {}),
         (leave_out(scene, "alpha_u"), {"similarity": "ggx"}),
         (leave_out(scene, "tangent"), {"similarity": "ggx", "quality": "balanced"}),
         (scene.with_changes(camera=None), {"similarity": "sg"}),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lobewise import WindowFilter, denoise
-from lobewise.errors import InputError, MissingChannelError
+from lobewise.errors import InputError
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.metrics import rel_mse
 from lobewise.radiance import RadianceLayer
@@ -258,10 +258,12 @@ class TestFilter:
         with pytest.raises(InputError, match="setting"):
             WindowFilter(2, colour=3)
 
-    def test_frames_without_normals_are_refused(self):
-        frames = [Frame(Radiance(np.ones((*SIZE, 3)))) for _ in range(3)]
-        with pytest.raises(MissingChannelError):
-            WindowFilter(1).join(frames, 1)
+    def test_frames_of_color_alone_are_denoised_by_themselves(self):
+        frames = [Frame(Radiance(np.random.default_rng(k).random((*SIZE, 3)))) for k in range(3)]
+        result = WindowFilter(1, quality="fast").denoise(frames, 1)
+        assert any("neither motion vectors nor a camera" in note for note in result.notes)
+        assert result.notes[-1].endswith("or positions and the camera.")
+        np.testing.assert_array_equal(result.image, denoise(frames[1], quality="fast").image)
 
 
 class TestReflections:

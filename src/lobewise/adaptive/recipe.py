@@ -19,10 +19,12 @@ from lobewise.adaptive.merging import (
     merge_by_variance,
     merge_by_weight,
 )
-from lobewise.denoising import denoise, find_bad_pixels
+from lobewise.denoising import find_bad_pixels
 from lobewise.denoising.layers import find_exact_light
+from lobewise.denoising.recipe import denoise_quietly
 from lobewise.errors import InputError
 from lobewise.frame import FloatArray, Frame, Radiance, Result
+from lobewise.settings import DenoiseSettings
 from lobewise.sparse_frame import AnyFrame
 
 Shade = Callable[[NDArray[np.intp], NDArray[np.intp]], Radiance]
@@ -212,6 +214,6 @@ def _filter_among(
         return new, worth
     spp = max(1, round(samples * (frame.spp or 1)))
     whole = Frame(radiance, frame.gbuffer, frame.camera, spp=spp, lobe_tables=frame.lobe_tables)
-    clean = denoise(whole, quality="fast")
+    clean = denoise_quietly(whole, DenoiseSettings(quality="fast"))
     parts = [None if part is None else part[where][:, None] for part in (clean.diffuse, clean.specular)]
     return Radiance(clean.image[where][:, None], *parts), worth * np.maximum(clean.weight_sum[where], np.float32(1.0))

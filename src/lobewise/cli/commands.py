@@ -26,6 +26,7 @@ from lobewise.settings import DenoiseSettings
 
 if TYPE_CHECKING:
     from lobewise.frame import Frame
+    from lobewise.guides.usable import CheckedGuides
     from lobewise.interchange import Imported
     from lobewise.io import FileDescription
 
@@ -125,7 +126,7 @@ def inspect(
     reading: PassReading,
 ) -> None:
     """Print which renderer wrote an EXR file, what denoising will use, and how to switch on what is missing."""
-    from dataclasses import asdict
+    from dataclasses import asdict, replace
 
     from lobewise.cli.output import print_description, to_json
     from lobewise.cli.terminal.summary import print_summary
@@ -144,7 +145,10 @@ def inspect(
     found, imported = inspect_file(source, **reading.parse(), half=reading.half, also=reading.also or ())
     if page is not None:
         write_contents(page, source, found, reading)
-    method = foretell_file(source, reading, imported) if found.outputs and not found.refusals else ""
+    method = ""
+    if found.outputs and not found.refusals:
+        method, notes = foretell_file(source, reading, imported)
+        found = replace(found, notes=(*found.notes, *notes))
     if as_json:
         typer.echo(to_json({**asdict(found), "method": method}), nl=False)
         return
@@ -167,39 +171,47 @@ def write_contents(page: Path, source: Path, found: FileDescription, reading: Pa
     print_note(f"Wrote {page}.")
 
 
-def foretell_file(source: Path, reading: PassReading, imported: Imported | None) -> str:
-    """Return how `denoise` without options for its filters will make the image of a file.
+def foretell_file(source: Path, reading: PassReading, imported: Imported | None) -> tuple[str, tuple[str, ...]]:
+    """Return how `denoise` without options for its filters will make the image of a file, and notes on its guides.
 
     ``imported`` is the file if it was read already.
     """
+    from lobewise.cli.options.reading import check_import
     from lobewise.denoising.planning.foretelling import foretell_method
 
-    frame, height = (imported.frame, None) if imported else read_planned(source, reading, {})
-    return foretell_method(frame, DenoiseSettings(), whole=height is None)
+    settings, height = DenoiseSettings(), None
+    if imported is not None:
+        checked = check_import(imported, settings)
+    else:
+        checked, height = read_planned(source, reading, {})
+    return foretell_method(checked.frame, settings, whole=height is None), checked.notes
 
 
-def read_planned(source: Path, reading: PassReading, settings: dict[str, Any]) -> tuple[Frame, int | None]:
-    """Return the frame of a file, or of a file that is denoised in bands its first row and its height."""
+def read_planned(
+    source: Path, reading: PassReading, settings: dict[str, Any]
+) -> tuple[CheckedGuides[Frame], int | None]:
+    """Return the checked frame of a file, or of a file that is denoised in bands its first row and its height."""
     from lobewise.cli.options.bands import choose_bands
-    from lobewise.cli.options.reading import refuse_results
+    from lobewise.cli.options.reading import check_import, refuse_results
+    from lobewise.guides.usable import CheckedGuides
     from lobewise.interchange import import_file
     from lobewise.io.exr.bands import BandReader
 
     needs_whole = "--with-oidn" if DenoiseSettings(**settings).asks_for_oidn else reading.option
     if choose_bands(source, "auto", settings, needs_whole):
         reader = BandReader(source)
-        return reader.read_frame(0, 1), reader.shape[0]
+        return CheckedGuides(reader.read_frame(0, 1)), reader.shape[0]
     found = import_file(source, **reading.parse(), half=reading.half, also=reading.also or (), light_passes=True)
     refuse_results(source, found.findings)
-    return found.frame, None
+    return check_import(found, DenoiseSettings(**settings)), None
 
 
 def print_plan(source: Path, reading: PassReading, settings: dict[str, Any]) -> None:
     """Print the plan by which `denoise` would filter a file."""
     from lobewise.denoising.planning.foretelling import foretell
 
-    frame, height = read_planned(source, reading, settings)
-    for line in foretell(frame, DenoiseSettings(**settings), height=height):
+    checked, height = read_planned(source, reading, settings)
+    for line in foretell(checked.frame, DenoiseSettings(**settings), height=height):
         typer.echo(line)
 
 

@@ -220,7 +220,8 @@ class _Denoiser:
         return FilterAlone(self._filter_one) if changes is None else _FilterOverTime(TemporalFilter(**changes))
 
     def _filter_one(self, found: Imported | FileInBands | FileInWindow) -> Result | DenoisedFile:
-        from lobewise.denoising import denoise as denoise_frame
+        from lobewise.cli.options.reading import check_import
+        from lobewise.denoising.recipe import denoise_checked
         from lobewise.io.sequence import is_pattern
 
         if isinstance(found, FileInBands):
@@ -228,7 +229,8 @@ class _Denoiser:
             return found.denoise(None if is_pattern(self.job.source) else self.job.steps.tell)
         if isinstance(found, FileInWindow):
             return self._window_filter.denoise(found.frames, found.index)
-        return denoise_frame(found.frame, **self.request.settings)
+        named = DenoiseSettings(**self.request.settings)
+        return denoise_checked(check_import(found, named), named)
 
     def write(self, target: Path, result: Result | DenoisedFile, found: Imported | FileInBands | FileInWindow) -> None:
         """Write a result, unless it was written in bands, and its picture."""
@@ -355,8 +357,18 @@ class _Upsampler:
 
     def read(self, path: Path) -> SparseFrame:
         """Return the sparse frame of a file."""
+        from lobewise.interchange.reading import is_own
         from lobewise.io import read_sparse_frame
+        from lobewise.io.exr.parsing import read_container
 
+        if not is_own(read_container(path)):
+            raise InputError(
+                f"input {str(path)!r}",
+                expected="a sparse frame in lobewise's own channel names",
+                got="a file of another renderer, whose guides would be left out",
+                action="in Python, pass lobewise.sparse_frame.make_sparse(lobewise.read_frame(path), scale) to "
+                "lobewise.upsample",
+            )
         return read_sparse_frame(path, scale=self.request.scale, place=self.request.place)
 
     def make_filter(self) -> SequenceFilter[SparseFrame, Result]:

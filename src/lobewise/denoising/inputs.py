@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
+from lobewise.denoising.automatic import choose_similarity
 from lobewise.frame import Frame
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_quality, get_similarity
@@ -34,6 +37,31 @@ def list_images(settings: DenoiseSettings) -> Images:
     else:
         found.add(("variance", "color"))
     return frozenset(found)
+
+
+POSITION_WITHOUT_CAMERA = "position is given without a camera, so places are not compared."
+DEPTH_WITHOUT_CAMERA = "depth is given without a camera, so it tells surfaces from the background, but no places."
+
+
+def describe_lacks(frame: Frame, named: DenoiseSettings) -> Iterator[str]:
+    """Yield a sentence for each image that waits for another one, which the frame lacks.
+
+    ``named`` are the settings of the user: what they leave out is not missed, and what they ask for is an error.
+    """
+    guides, radiance = frame.gbuffer, frame.radiance
+    places = guides.is_placed
+    is_auto = named.similarity == "auto"
+    if places and frame.camera is None and (is_auto or not get_similarity(named.similarity).has_lobes):
+        yield DEPTH_WITHOUT_CAMERA if guides.position is None else POSITION_WITHOUT_CAMERA
+    if is_auto and guides.alpha_u is not None and not get_similarity(choose_similarity(frame, named)).has_lobes:
+        lacks = [*(["a camera"] if frame.camera is None else []), *([] if places else ["position or depth"])]
+        yield f"alpha_u is given without {' and '.join(lacks)}, so normals are compared instead of reflection lobes."
+    for one, other in (("half_a", "half_b"), ("half_b", "half_a")):
+        if getattr(frame, one) is not None and getattr(frame, other) is None:
+            yield f"{one} is given without {other}, so it is not used."
+    for one, other in (("diffuse", "specular"), ("specular", "diffuse")):
+        if getattr(radiance, one) is not None and getattr(radiance, other) is None:
+            yield f"radiance.{one} is given without radiance.{other}, so the light is filtered as a whole."
 
 
 def list_unused(frame: Frame, settings: ResolvedSettings) -> tuple[str, ...]:

@@ -20,6 +20,7 @@ from lobewise.denoising.layers import make_layers
 from lobewise.errors import InputError
 from lobewise.filters.cross_filter import FilterOutput, run_filter
 from lobewise.frame import FloatArray, Frame
+from lobewise.guides.usable import check_guides
 from lobewise.settings import DenoiseSettings
 from lobewise.settings.choices import get_quality
 
@@ -47,6 +48,7 @@ class LinearFilter:
             action = "other qualities and forms are no symmetric linear filter"
             expected = "quality 'fast' and form 'full', whose weights are fixed and symmetric"
             raise InputError("settings", expected=expected, got=got, action=action)
+        frame = check_guides(frame).frame
         self._settings = resolve_settings(frame, settings)
         layers = make_layers(frame, self._settings)
         if len(layers) != 1:

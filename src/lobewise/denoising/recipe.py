@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from functools import reduce
@@ -15,17 +16,17 @@ from lobewise.denoising.automatic import ask, change_settings, resolve_all
 from lobewise.denoising.bad_pixels import describe_bad, require_some_good
 from lobewise.denoising.combining import name_method
 from lobewise.denoising.evidence import count_blurred, describe_blurred
-from lobewise.denoising.inputs import list_unused
+from lobewise.denoising.inputs import DEPTH_WITHOUT_CAMERA, describe_lacks, list_unused
 from lobewise.denoising.layers import find_support
 from lobewise.denoising.light_loss import MIN_SHARE_BOUNDED, describe_loss, sum_light
 from lobewise.denoising.planning.frame_plans import REFINE
 from lobewise.denoising.stages import Filtered, FrameRun, join_parts, name_layers, start_run
-from lobewise.errors import require_kind
+from lobewise.errors import UnusedGuideWarning, require_kind
 from lobewise.features import Feature
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.frame import FloatArray, Frame, Result
 from lobewise.guides.negative import split_negative
-from lobewise.guides.usable import check_guides
+from lobewise.guides.usable import CheckedGuides, check_guides
 from lobewise.peers import require_oidn
 from lobewise.settings import DenoiseChanges, DenoiseSettings
 from lobewise.settings.choices import get_quality
@@ -59,7 +60,8 @@ def denoise(
     Parameters
     ----------
     frame : Frame
-        Noisy radiance with its G-buffer; normals at least, for lobes also roughness, camera and position or depth.
+        Noisy radiance, and the guides that there are. Lobes are compared where it has normals, roughness, camera and
+        position or depth. Without normals, those of the surfaces through its positions stand for them, else none.
     settings : DenoiseSettings, optional
         Parameters; by default those that won the comparison, and Open Image Denoise where it is installed.
     features : sequence of Feature
@@ -75,12 +77,17 @@ def denoise(
         Finite radiance and the filter's statistics. Light below 0 (colours outside of the gamut, the ringing of pixel
         filters) stays below 0, filtered.
 
+    Warns
+    -----
+    UnusedGuideWarning
+        For each guide that is given and not used: it is 0 everywhere, or the frame lacks what it needs beside it.
+
     Raises
     ------
     InputError
         If a parameter is out of range or unknown, or no pixel of the frame is usable.
     MissingChannelError
-        If the frame lacks what the similarity compares.
+        If the frame lacks what a similarity compares that was asked for.
     DeviceError
         If the device cannot run here.
 
@@ -91,14 +98,31 @@ def denoise(
     >>> clean = lobewise.denoise(frame, radius=12).image  # doctest: +SKIP
     """
     require_kind("frame", frame, Frame)
-    return run_recipe(frame, change_settings(settings or DenoiseSettings(), changes), features)
+    named = change_settings(settings or DenoiseSettings(), changes)
+    checked = check_frame(frame, named)
+    for told in checked.idle:
+        warnings.warn(told, UnusedGuideWarning, stacklevel=2)
+    return denoise_checked(checked, named, features)
 
 
-def run_recipe(frame: Frame, named: DenoiseSettings, features: Sequence[Feature]) -> Result:
-    """Denoise a frame; ``named`` are the settings before anything is chosen."""
+def denoise_quietly(frame: Frame, named: DenoiseSettings) -> Result:
+    """Denoise a frame as `denoise` does, without warnings: the notes of the result say the same."""
+    return denoise_checked(check_frame(frame, named), named)
+
+
+def check_frame(frame: Frame, named: DenoiseSettings) -> CheckedGuides[Frame]:
+    """Return a frame that filters can take, and notes on its guides; ``named`` are the settings of the user."""
+    checked = check_guides(frame)
+    lacking = tuple(describe_lacks(checked.frame, named))
+    idle = (*checked.idle, *(told for told in lacking if told != DEPTH_WITHOUT_CAMERA))
+    return replace(checked, notes=(*checked.notes, *lacking), idle=idle)
+
+
+def denoise_checked(checked: CheckedGuides[Frame], named: DenoiseSettings, features: Sequence[Feature] = ()) -> Result:
+    """Denoise a frame whose guides were checked; ``named`` are the settings before anything is chosen."""
+    frame = checked.frame
+    notes = (*frame.notes, *checked.notes)
     start, noisy = time.perf_counter(), ref(frame.radiance.color)
-    frame, unusable = check_guides(frame)
-    notes = (*frame.notes, *map(str, unusable))
     chosen = resolve_all(frame, ask(named, {}, with_features=bool(features)))
     if chosen.with_oidn:
         require_oidn()
@@ -135,7 +159,7 @@ def run_recipe(frame: Frame, named: DenoiseSettings, features: Sequence[Feature]
 
 def filter_below(below: Frame, named: DenoiseSettings, features: Sequence[Feature]) -> Result:
     """Return the light below 0 of a frame, see `split_negative`, filtered by the guides alone."""
-    return run_recipe(below, replace(named, quality="fast", with_oidn=False), features)
+    return denoise_checked(CheckedGuides(below), replace(named, quality="fast", with_oidn=False), features)
 
 
 def scale_unscattered(state: FrameRun) -> dict[str, FloatArray]:

@@ -7,12 +7,13 @@ alike, while neighbouring pixels of noisy light differ. So lamps are found in th
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.frame import FloatArray
+from lobewise.frame import FloatArray, Frame
 
 MAX_DIFFERENCE = 0.03
 """Largest difference between alike neighbours, in every colour, relative to the brighter one."""
@@ -42,7 +43,43 @@ MIN_DARKER_SHARE = 0.15
 LEVEL_RATIO = 1.5
 """Ratio of successive levels of brightness. All pixels of one level are compared in one step."""
 
+MIN_DIVISOR_ALBEDO = 0.01
+"""Smallest albedo by which light is divided."""
+
 Mask = NDArray[np.bool_]
+
+
+def keep_lamps(frame: Frame) -> tuple[Frame, int]:
+    """Return a frame with a zero normal at lamps, and the number of lamp pixels.
+
+    Filters keep pixels without a surface, so lamps stay sharp. A frame without normals, or whose light is split, does
+    not change.
+    """
+    guides = frame.gbuffer
+    if frame.radiance.parts is not None or guides.normal is None:
+        return frame, 0
+    known = [albedo for albedo in (guides.diffuse_albedo, guides.specular_albedo) if albedo is not None]
+    albedo = lift_albedo(np.sum(known, axis=0, dtype=np.float32)) if known else None
+    lamps = find_lamps(frame.radiance.color, albedo)
+    if not lamps.any():
+        return frame, 0
+    normal = np.where(lamps[..., None], np.float32(0.0), guides.normal)
+    return frame.with_changes(gbuffer=replace(guides, normal=normal)), int(np.count_nonzero(lamps))
+
+
+def describe_lamps(count: int) -> tuple[str, ...]:
+    """Return the sentence on the pixels that `keep_lamps` found, if there are any."""
+    told = f"{count} pixels show lamps, or something as bright and without noise, and pass as they are."
+    return (told,) if count else ()
+
+
+def lift_albedo(albedo: FloatArray) -> FloatArray:
+    """Return an albedo, shape (height, width, 3), by which light can be divided without loss.
+
+    Raise each channel to `MIN_DIVISOR_ALBEDO`. Pixels where no channel exceeds this value become 1.
+    """
+    black = albedo.max(axis=-1, keepdims=True) <= MIN_DIVISOR_ALBEDO
+    return np.where(black, np.float32(1.0), np.maximum(albedo, np.float32(MIN_DIVISOR_ALBEDO)))
 
 
 @np.errstate(invalid="ignore", over="ignore")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise
 from lobewise.frame import FloatArray, Frame
+from lobewise.guides.stand_ins import stand_in_normals
 from lobewise.guides.surfaces import find_surface_pixels, is_surface, is_surface_depth
+from lobewise.guides.survey import GuideSurvey
 from lobewise.sparse_frame import AnyFrame
 
 MAX_ALBEDO = 1.1
@@ -54,14 +56,42 @@ class Unusable:
         return f"{self.name} is {self.what} at {self.count} pixel{'s' if self.count > 1 else ''}: {self.fate}."
 
 
-def check_guides(frame: FrameT) -> tuple[FrameT, list[Unusable]]:
-    """Return the frame as `bound_guides` does, and the impossible values that `find_unusable` found.
+@dataclass(frozen=True)
+class CheckedGuides(Generic[FrameT]):
+    """A frame whose guides were checked as a whole.
 
-    Most frames have none, which one pass over the guides tells.
+    Parameters
+    ----------
+    frame : Frame or SparseFrame
+        With normals, and without empty guides and impossible values that would do harm.
+    notes : tuple of str
+        One sentence for each thing that was found, for the user.
+    idle : tuple of str
+        Those of the notes that name a guide that is given and not used.
     """
-    if not has_unusable(frame):
-        return frame, []
-    return bound_guides(frame), find_unusable(frame)
+
+    frame: FrameT
+    notes: tuple[str, ...] = ()
+    idle: tuple[str, ...] = ()
+
+
+def check_guides(frame: FrameT) -> CheckedGuides[FrameT]:
+    """Return a frame that filters can take, and notes for the user.
+
+    Empty guides are left out, and normals in [0, 1] decoded (`GuideSurvey`). Impossible values are bounded
+    (`bound_guides`); most frames have none, which one pass over the guides tells. Missing normals are filled in
+    (`stand_in_normals`).
+    """
+    survey = GuideSurvey()
+    survey.look_at(frame)
+    frame = survey.apply(frame)
+    unusable: tuple[str, ...] = ()
+    if has_unusable(frame):
+        unusable = tuple(map(str, find_unusable(frame)))
+        frame = bound_guides(frame)
+    frame, told = stand_in_normals(frame)
+    idle = tuple(survey.list_idle())
+    return CheckedGuides(frame, (*idle, *survey.list_notes(), *unusable, *told), idle)
 
 
 def has_unusable(frame: AnyFrame) -> bool:

@@ -8,13 +8,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from lobewise.chunks import Chunk, run_chunks
-from lobewise.frame import FloatArray, Frame, Radiance, RadianceLayer
-from lobewise.guides.lamps import find_lamps
+from lobewise.frame import FloatArray, Radiance, RadianceLayer
+from lobewise.guides.lamps import lift_albedo
 from lobewise.interchange.mapping import Found, FoundLayer
 from lobewise.radiance import sum_layers
 
-MIN_DIVISOR_ALBEDO = 0.01
-"""Smallest albedo by which light is divided."""
 MAX_EXCESS_SHARE = 0.02
 """Largest share of the image's light by which the layers may exceed the image. Above it, they are not its parts."""
 MIN_REST_SHARE = 0.002
@@ -199,15 +197,6 @@ def is_smooth(image: FloatArray) -> bool:
     return bool(np.median(apart) < MAX_SMOOTH_DIFFERENCE)
 
 
-def lift_albedo(albedo: FloatArray) -> FloatArray:
-    """Return an albedo, shape (height, width, 3), by which light can be divided without loss.
-
-    Raise each channel to `MIN_DIVISOR_ALBEDO`. Pixels where no channel exceeds this value become 1.
-    """
-    black = albedo.max(axis=-1, keepdims=True) <= MIN_DIVISOR_ALBEDO
-    return np.where(black, np.float32(1.0), np.maximum(albedo, np.float32(MIN_DIVISOR_ALBEDO)))
-
-
 def lend_albedo(layers: Sequence[RadianceLayer], albedo: FloatArray) -> tuple[RadianceLayer, ...]:
     """Return the layers. If no layer has an albedo, give the albedo of all light to the diffuse layers."""
     if any(layer.albedo is not None for layer in layers):
@@ -223,23 +212,6 @@ def make_radiance(color: FloatArray, images: Mapping[str, FloatArray], light: Li
     nothing = np.zeros_like(color)
     diffuse, specular = (sum_layers(light.layers, "radiance", diffuse=kind) for kind in (True, False))
     return Radiance(color, nothing if diffuse is None else diffuse, nothing if specular is None else specular)
-
-
-def keep_lamps(frame: Frame) -> tuple[Frame, int]:
-    """Return a frame with a zero normal at lamps, and the number of lamp pixels.
-
-    Filters keep pixels without a surface, so lamps stay sharp. A frame with separate layers does not change.
-    """
-    guides = frame.gbuffer
-    if frame.radiance.parts is not None or guides.normal is None:
-        return frame, 0
-    known = [albedo for albedo in (guides.diffuse_albedo, guides.specular_albedo) if albedo is not None]
-    albedo = lift_albedo(np.sum(known, axis=0, dtype=np.float32)) if known else None
-    lamps = find_lamps(frame.radiance.color, albedo)
-    if not lamps.any():
-        return frame, 0
-    normal = np.where(lamps[..., None], np.float32(0.0), guides.normal)
-    return frame.with_changes(gbuffer=replace(guides, normal=normal)), int(np.count_nonzero(lamps))
 
 
 def sum_albedos(layers: Sequence[RadianceLayer], *, diffuse: bool) -> FloatArray | None:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lobewise.denoising import denoise
 from lobewise.denoising.automatic import ask, change_settings
 from lobewise.denoising.linear import LinearFilter
+from lobewise.denoising.recipe import denoise_quietly
 from lobewise.errors import InputError, require_choice, require_integer
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.mitsuba.frames import Given, list_channels, make_frame, to_camera_space
@@ -218,7 +218,7 @@ class Denoiser:
             before = take_image("previous_denoised", previous, self._size, image.shape[2:])
             clean = self._history.add(frame, before[..., :count], image[..., :count])
         else:
-            result = denoise(frame, self._settings)
+            result = denoise_quietly(frame, self._settings)
             clean = result.image
             notes.append(f"Used: {result.method}.")
             if result.bad_pixel_count:
@@ -273,7 +273,7 @@ class Denoiser:
         """Return alpha, (height, width, 1), filtered like light on white surfaces."""
         # Open Image Denoise was trained on light, not on coverage.
         own = replace(ask(self._settings, {}), with_oidn=False)
-        clean = denoise(_make_alpha_frame(frame, alpha), own)
+        clean = denoise_quietly(_make_alpha_frame(frame, alpha), own)
         return np.clip(clean.image[..., :1], 0.0, 1.0)
 
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lobewise.denoising import denoise as denoise_frame
 from lobewise.denoising.automatic import ask
+from lobewise.denoising.recipe import denoise_quietly
 from lobewise.errors import InputError, require_integer
 from lobewise.settings import DenoiseSettings
 
@@ -84,7 +84,7 @@ def denoise(
     with use_sensor(eye):
         light: dict[str, Any] = {"integrator": integrator, "max_depth": max_depth}
         frame = render_frame(scene, spp=spp, seed=seed, progress=progress, **light)
-    return mi.TensorXf(np.ascontiguousarray(denoise_frame(frame, chosen).image))
+    return mi.TensorXf(np.ascontiguousarray(denoise_quietly(frame, chosen).image))
 
 
 def _choose_sensor(scene: Any, sensor: Any) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -29,7 +29,7 @@ from lobewise.denoising.bad_pixels import (
 )
 from lobewise.denoising.combining import describe_method
 from lobewise.denoising.evidence import count_blurred, describe_blurred
-from lobewise.denoising.inputs import list_images, list_unused
+from lobewise.denoising.inputs import describe_lacks, list_images, list_unused
 from lobewise.denoising.light_loss import (
     MIN_SHARE_BOUNDED,
     Gain,
@@ -42,13 +42,14 @@ from lobewise.denoising.light_loss import (
 from lobewise.denoising.noisy import make_bounded_layers, measure_layer
 from lobewise.denoising.refining.whole_image import WholeImage, join_measured, measure_rows
 from lobewise.denoising.stages import Filtered, filter_frame
-from lobewise.errors import InputError, name_value
+from lobewise.errors import InputError, MissingChannelError, name_value
 from lobewise.filters.fireflies import REACH as FIREFLY_REACH
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.filters.noise_guides import find_level
 from lobewise.frame import FloatArray
 from lobewise.guides.negative import REACH as NEGATIVE_REACH
 from lobewise.guides.negative import split_negative
+from lobewise.guides.survey import GuideSurvey
 from lobewise.guides.usable import Unusable, bound_guides, find_unusable, join_unusable
 from lobewise.interchange.checks import check_own_mark
 from lobewise.interchange.importing.leftovers import describe_own_left_noisy
@@ -161,7 +162,8 @@ def denoise_file(
     with open_spool(output) as spool, open_spool(output) as waiting:
         writer = BandWriter(reader, ("color", "diffuse", "specular") if apart else ("color",), spool)
         # "auto" depends on which channels exist, not on their values, apart from the noise, which is measured.
-        probe = reader.read_frame(0, 1)
+        survey = _survey(BandReader(source, lobe_tables=lobe_tables, wanted=list_images(asked)))
+        probe = survey.apply(reader.read_frame(0, 1))
         chosen = resolve_all(probe, asked, spp=1.0)
         most = choose_rows(reader, chosen, memory) if rows is None else rows
         bands = cut_bands(height, most)
@@ -169,7 +171,7 @@ def denoise_file(
         @cache
         def measure() -> _Measured:
             again = BandReader(source, lobe_tables=lobe_tables, wanted=list_measured(asked))
-            return _measure(again, chosen, cut_bands(height, min(most, MEASURED_ROWS)), tell)
+            return _measure(again, survey, chosen, cut_bands(height, min(most, MEASURED_ROWS)), tell)
 
         guided = get_quality(asked.quality).reads_halves
         if not guided and needs_spp(asked):
@@ -179,7 +181,7 @@ def denoise_file(
         below = resolve_all(replace(probe, variance=None), replace(asked, quality="fast", with_oidn=False))
         whole = measure().whole if guided else None
         share_bounded = find_energy_lost(measure().tallies) if guided else 0.0
-        seen = _Seen(share_bounded >= MIN_SHARE_BOUNDED, get_quality(chosen.quality).refines)
+        seen = _Seen(survey, share_bounded >= MIN_SHARE_BOUNDED, get_quality(chosen.quality).refines)
         kept = KeptBands(waiting)
         bad_count = _filter(reader, kept, _Settings(chosen, below), whole, bands, tell, seen)
         finish_bands(reader, kept, writer, Finisher(lambda: measure().mean_color, chosen.device), seen.find_gains())
@@ -191,8 +193,8 @@ def denoise_file(
         energy_lost=seen.find_share_missing(),
         settings=asdict(chosen),
         seconds=time.perf_counter() - start,
-        notes=seen.list_notes(reader, share_bounded),
-        unused=list_unused(BandReader(source, lobe_tables=lobe_tables).read_frame(0, 1), chosen),
+        notes=seen.list_notes(reader, share_bounded, describe_lacks(probe, named)),
+        unused=list_unused(survey.apply(BandReader(source, lobe_tables=lobe_tables).read_frame(0, 1)), chosen),
         method=describe_method(chosen, ("normal",), why_ours=explain_ours(named, whole=False)),
     )
 
@@ -227,6 +229,30 @@ class _Settings(NamedTuple):
     below: ResolvedSettings
 
 
+def _survey(reader: BandReader) -> GuideSurvey:
+    """Return what the guides of a file are worth. Most files are known after the first band.
+
+    Raises
+    ------
+    MissingChannelError
+        If the file has no normals: those that stand in for them are found in the whole image.
+    """
+    survey, height = GuideSurvey(), reader.shape[0]
+    for band in cut_bands(height, MEASURED_ROWS):
+        survey.look_at(reader.read_frame(*band))
+        if survey.is_settled:
+            break
+        reader.forget(band[1])
+    if ("gbuffer", "normal") not in reader.images or "normal" in survey.empty:
+        raise MissingChannelError(
+            "channel normal",
+            expected="one for bands",
+            got="none" if "normal" not in survey.empty else "one that is 0 everywhere",
+            action="denoise the frame as a whole (--bands off)",
+        )
+    return survey
+
+
 @dataclass(frozen=True)
 class _Measured:
     """Measurements of the whole frame; the quality "fast" makes them only where a setting needs them."""
@@ -241,6 +267,8 @@ class _Measured:
 class _Seen:
     """Sums and findings of the bands, collected for the notes at the end."""
 
+    survey: GuideSurvey
+    """What the guides of the whole frame are worth."""
     measures_light: bool
     """Whether bounding took so much from fireflies that the light before and after is compared."""
     refined: bool
@@ -251,13 +279,16 @@ class _Seen:
     """Results of `sum_missing` for the layers of each band."""
     unusable: list[Unusable] = field(default_factory=list)
 
-    def list_notes(self, reader: BandReader, share_bounded: float) -> tuple[str, ...]:
+    def list_notes(self, reader: BandReader, share_bounded: float, lacks: Iterable[str]) -> tuple[str, ...]:
         """Return the notes on the whole frame, one sentence each."""
         light = np.concatenate(self.light) if self.light else np.zeros((0, 3))
         return (
             *describe_own_left_noisy(reader.container),
             *(one.told for one in check_own_mark(reader.container)),
+            *self.survey.list_idle(),
+            *self.survey.list_notes(),
             *map(str, join_unusable(self.unusable)),
+            *lacks,
             *describe_loss(light, share_bounded),
             *describe_blurred(np.concatenate(self.blurred) if self.blurred else np.zeros((0, 2))),
         )
@@ -275,7 +306,9 @@ class _Seen:
         return find_share_missing(self.join_missing(), self.find_gains())
 
 
-def _measure(reader: BandReader, settings: ResolvedSettings, bands: Bands, tell: Progress) -> _Measured:
+def _measure(
+    reader: BandReader, survey: GuideSurvey, settings: ResolvedSettings, bands: Bands, tell: Progress
+) -> _Measured:
     """Read a frame once and sum it row by row, to the same bits as of the whole frame."""
     height, width = reader.shape
     guided = get_quality(settings.quality).reads_halves
@@ -287,7 +320,7 @@ def _measure(reader: BandReader, settings: ResolvedSettings, bands: Bands, tell:
     bad_count = 0
     for number, band in enumerate(bands):
         top, bottom = widen(band, NEGATIVE_REACH + (FIREFLY_REACH if guided else 0), height)
-        frame, _ = split_negative(bound_guides(reader.read_frame(top, bottom)))
+        frame, _ = split_negative(bound_guides(survey.apply(reader.read_frame(top, bottom))))
         core = slice(band[0] - top, band[1] - top)
         bad_count += int(np.count_nonzero(find_bad_pixels(frame)[core]))
         colors.append(sum_colors(frame)[core])
@@ -351,7 +384,7 @@ def _filter_band(
     Beside the fields there are ``holes``, the pixels without a value, and for each layer ``taker0`` and so on, the
     share of its light that takes part in sharing. "below color" and so on is the filtered light below 0 of a field.
     """
-    frame = reader.read_frame(*rows)
+    frame = seen.survey.apply(reader.read_frame(*rows))
     seen.unusable += find_unusable(frame, core)
     frame, below = split_negative(bound_guides(frame))
     if forgets(settings.above):

@@ -176,8 +176,8 @@ class TemporalFilter:
         return replace(result, seconds=time.perf_counter() - start)
 
     def _add(self, frame: AnyFrame, features: Sequence[Feature], cut: bool) -> Result:
-        frame, unusable = check_guides(frame)
-        notes = tuple(map(str, unusable))
+        checked = check_guides(frame)
+        frame, notes = checked.frame, checked.notes
         if isinstance(frame, SparseFrame):
             notes += describe_exact_light(frame)
         else:

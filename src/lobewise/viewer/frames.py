@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.denoising import denoise, resolve_settings
+from lobewise.denoising import resolve_settings
 from lobewise.denoising.bad_pixels import find_good
+from lobewise.denoising.recipe import denoise_quietly
 from lobewise.errors import InputError, LobewiseError, MissingChannelError
 from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.interactive.views import (
@@ -74,15 +75,15 @@ class FrameTarget:
         frame = self._frame
         sparse = isinstance(frame, SparseFrame)
         guides = frame.gbuffer
-        lobes = guides.normal is not None and guides.alpha_u is not None and frame.is_placed
-        similarities = FRAME_SIMILARITIES if lobes else ("normal", "none") if guides.normal is not None else ("none",)
+        lobes = guides.alpha_u is not None and frame.is_placed
+        similarities = FRAME_SIMILARITIES if lobes else ("normal", "none")
         apart = frame.radiance.parts is not None
         has = {
             "image": True,
             "noisy": True,
             "diffuse": apart,
             "specular": apart,
-            "sharpness": lobes,
+            "sharpness": lobes and guides.normal is not None,
             "weight_sum": True,
             "effective_samples": True,
             "hit_distance": guides.hit_distance is not None and guides.depth is not None,
@@ -139,7 +140,7 @@ class FrameTarget:
         else:
             found = self._read(light_passes=True)
             if look.similarity != "none" and any(layer.parts for layer in found.frame.layers):
-                result = denoise(found.frame, DenoiseSettings(**asdict(look)))
+                result = denoise_quietly(found.frame, DenoiseSettings(**asdict(look)))
             write_result(path, result, source=found)
         return path
 
@@ -180,7 +181,7 @@ class FrameTarget:
         settings = DenoiseSettings(**asdict(look))
         if isinstance(frame, SparseFrame):
             return upsample(frame, settings)
-        return denoise(frame, settings)
+        return denoise_quietly(frame, settings)
 
     def _get_view(self, name: str, result: Result | None) -> FloatArray:
         if name == "noisy" or result is None:

@@ -10,14 +10,13 @@ from weakref import ref
 
 import numpy as np
 
-from lobewise.denoising import denoise
 from lobewise.denoising.automatic import change_settings, choose_similarity
-from lobewise.denoising.recipe import filter_below
+from lobewise.denoising.recipe import check_frame, denoise_checked, filter_below
 from lobewise.errors import MAX_GOT_LETTERS, InputError, name_value, require_kind
 from lobewise.filters.noise.pooling import blur_image
 from lobewise.frame import FloatArray, Frame, Result
 from lobewise.guides.negative import split_negative
-from lobewise.guides.usable import check_guides
+from lobewise.guides.usable import CheckedGuides
 from lobewise.settings import DenoiseChanges, DenoiseSettings
 from lobewise.windows.joining import JoinedFrame, join_frames
 from lobewise.windows.shots import Shot, extrapolate_camera
@@ -29,8 +28,10 @@ MAX_REACH = 8
 """Most frames to each side of a window."""
 NO_MOTION = (
     "No other frame is used: the frames have neither motion vectors nor a camera with surface points, so nobody knows "
-    "where a pixel was. Render the pass for motion, or pass --camera."
+    "where a pixel was. Render the pass for motion"
 )
+NO_MOTION_ADVICE = {True: ", or give the camera (--camera).", False: ", or positions and the camera."}
+"""The end of `NO_MOTION`, by whether the frame has positions or depths."""
 USED_BETWEEN_FRAMES = ("motion", "hit_distance", "position", "depth", "normal")
 """Guides that frames are compared by, whatever the denoiser reads."""
 FEW_FRAMES, MANY_FRAMES = 1.25, 2.5
@@ -125,7 +126,7 @@ class WindowFilter:
         notes = self._explain(frames, index, joined)
         result, used = joined.alone, joined.used
         if used:
-            whole = denoise(joined.frame, self._settings)
+            whole = denoise_checked(CheckedGuides(joined.frame), self._settings)
             unused = tuple(name for name in whole.unused if name not in USED_BETWEEN_FRAMES)
             result = replace(mix_results(joined.alone, whole, find_share(joined.frames)), unused=unused)
         below = self._kept[id(frames[index])].below
@@ -145,7 +146,7 @@ class WindowFilter:
         kept, self._kept = self._kept, {}
         for number in range(first, last + 1):
             known = kept.get(id(frames[number]))
-            self._kept[id(frames[number])] = known or _Prepared(frames[number])
+            self._kept[id(frames[number])] = known or _Prepared(frames[number], self._settings)
         shots: dict[int, Shot] = {}
         for number in range(first, last + 1):
             prepared = self._kept[id(frames[number])]
@@ -170,7 +171,8 @@ class WindowFilter:
         if frame.gbuffer.motion is None and joined.used:
             notes += (STILL,)
         if not joined.used and not joined.repeated and len(near) > 1:
-            notes += (NOTHING_FOUND if frame.gbuffer.motion is not None or frame.is_placed else NO_MOTION,)
+            knows_motion = frame.gbuffer.motion is not None or frame.is_placed
+            notes += (NOTHING_FOUND if knows_motion else NO_MOTION + NO_MOTION_ADVICE[frame.gbuffer.is_placed],)
         return notes
 
 
@@ -219,9 +221,9 @@ def mix_results(alone: Result, joined: Result, share: FloatArray) -> Result:
 class _Prepared:
     """A frame that is kept for the next windows; holding it keeps its `id` its own."""
 
-    def __init__(self, frame: Frame) -> None:
+    def __init__(self, frame: Frame, settings: DenoiseSettings) -> None:
         self.frame = frame
-        checked, unusable = check_guides(frame)
-        self.checked, self.below = split_negative(checked)
-        self.notes = tuple(map(str, unusable))
+        checked = check_frame(frame, settings)
+        self.checked, self.below = split_negative(checked.frame)
+        self.notes = checked.notes
         self.shot: Shot | None = None

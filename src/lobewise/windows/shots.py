@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.camera import Camera
-from lobewise.denoising import denoise
 from lobewise.denoising.automatic import resolve_settings
+from lobewise.denoising.recipe import denoise_checked
 from lobewise.filters.windows.edges import find_edges
 from lobewise.frame import FloatArray, Frame, Result
 from lobewise.guides.places import estimate_curvature, find_surface_places
 from lobewise.guides.screen_hits import find_screen_hits
+from lobewise.guides.usable import CheckedGuides
 from lobewise.settings import DenoiseSettings, Similarity, TemporalSettings
 from lobewise.temporal.validation import Guides, ValidationFeatures, make_validation_features
 from lobewise.windows.layers import LayerImages, list_layers
@@ -100,7 +101,7 @@ class Shot:
     @cached_property
     def alone(self) -> Result:
         """The frame denoised by itself."""
-        return denoise(self.frame, self._settings)
+        return denoise_checked(CheckedGuides(self.frame), self._settings)
 
     @cached_property
     def curvature(self) -> FloatArray:

@@ -94,7 +94,9 @@ def _is_large(source: Path, settings: dict[str, Any], memory: float | None) -> b
 
     asked = ask(None, settings, whole=False)
     try:
-        return needs_bands(BandReader(source, wanted=list_images(asked)), asked, find_limits(memory).whole)
+        reader = BandReader(source, wanted=list_images(asked))
+        # Normals that stand in for missing ones are found in the whole image.
+        return ("gbuffer", "normal") in reader.images and needs_bands(reader, asked, find_limits(memory).whole)
     except LobewiseError:
         # A whole frame may be readable nevertheless; if it is not, reading it raises the error again.
         return False

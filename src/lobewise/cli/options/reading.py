@@ -14,9 +14,12 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
     from lobewise.cli.terminal.outcome import Remarks
+    from lobewise.frame import Frame
+    from lobewise.guides.usable import CheckedGuides
     from lobewise.interchange import Imported
     from lobewise.interchange.checks import Finding
     from lobewise.lobe_table import LobeTable
+    from lobewise.settings import DenoiseSettings
 
 
 @dataclass(frozen=True)
@@ -219,6 +222,15 @@ def refuse_results(path: Path, findings: Iterable[Finding]) -> None:
             got="a result of lobewise, as its attribute 'lobewise/denoised' says",
             action="give the noisy render, or name the image that is noisy, such as --map color=PASS",
         )
+
+
+def check_import(found: Imported, named: DenoiseSettings) -> CheckedGuides[Frame]:
+    """Return the frame of a file with its guides checked, and notes; ``named`` are the settings of the user."""
+    from lobewise.denoising.recipe import check_frame
+    from lobewise.guides.usable import check_guides
+
+    # The notes on a file of another renderer say already what it lacks, and how to have it.
+    return check_frame(found.frame, named) if found.map is None else check_guides(found.frame)
 
 
 def anchor_name(text: str) -> str:

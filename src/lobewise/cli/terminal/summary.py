@@ -95,14 +95,13 @@ def describe_quality(found: FileDescription) -> str:
 
 
 def _can_be_denoised(found: FileDescription) -> bool:
-    # Files of other renderers have roles, and need no normals.
-    return bool(found.roles or (found.similarities and found.outputs)) and not found.refusals
+    return bool(found.outputs) and not found.refusals
 
 
 def _say_obstacle(found: FileDescription) -> str:
     if found.refusals:
         return "The file is refused: see below."
-    return "There are no normals." if found.outputs else "There is no image that could be denoised."
+    return "There is no image that could be denoised."
 
 
 def _describe_origin(found: FileDescription) -> str:

@@ -13,7 +13,6 @@ from lobewise.denoising.combining import name_method
 from lobewise.denoising.planning.frame_plans import FramePlan, FrameTraits, describe_frame, plan_frame
 from lobewise.denoising.planning.layer_plans import LayerTraits
 from lobewise.frame import Frame
-from lobewise.guides.usable import bound_guides
 from lobewise.peers import require_oidn
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_quality
@@ -28,10 +27,9 @@ MEASURED_FRAME = FrameTraits({"diffuse": LayerTraits(is_diffuse=True), "specular
 def foretell_method(frame: Frame, settings: DenoiseSettings, *, whole: bool = True) -> str:
     """Return how `lobewise.denoise` would make the image of a frame, in a sentence without a full stop.
 
-    ``whole`` says that it would not be filtered in bands; in bands, ``frame`` may be some of its rows. The errors are
-    those of `foretell`.
+    The frame was checked by `lobewise.guides.usable.check_guides`. ``whole`` says that it would not be filtered in
+    bands; in bands, ``frame`` may be some of its rows. The errors are those of `foretell`.
     """
-    frame = bound_guides(frame)
     return name_method(frame, settings, resolve_all(frame, ask(settings, {}, whole=whole)), whole=whole)
 
 
@@ -41,7 +39,7 @@ def foretell(frame: Frame, settings: DenoiseSettings, *, height: int | None = No
     Parameters
     ----------
     frame : Frame
-        No pixel of it is filtered.
+        A frame that `lobewise.guides.usable.check_guides` has seen. No pixel of it is filtered.
     settings : DenoiseSettings
         As of `lobewise.denoise`.
     height : int, optional
@@ -54,7 +52,7 @@ def foretell(frame: Frame, settings: DenoiseSettings, *, height: int | None = No
     MissingDependencyError
         If the settings ask for Open Image Denoise and it is not installed.
     """
-    frame, whole = bound_guides(frame), height is None
+    whole = height is None
     chosen = resolve_all(frame, ask(settings, {}, whole=whole))
     if chosen.with_oidn:
         require_oidn()

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from lobewise.camera import Camera
-from lobewise.denoising.recipe import denoise
+from lobewise.denoising.recipe import denoise_quietly
 from lobewise.exporting.pipeline.program.graph import Graph
 from lobewise.exporting.pipeline.scene import CUT, HEIGHT, SPP, WIDTH, make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
@@ -155,7 +155,7 @@ def run_recipe(settings: PipelineSettings, frames: Sequence[AnyFrame]) -> list[F
         over_time = TemporalFilter(wanted)
         return [over_time.add(frame).image for frame in frames]
     return [
-        upsample(frame, wanted).image if isinstance(frame, SparseFrame) else denoise(frame, wanted).image
+        upsample(frame, wanted).image if isinstance(frame, SparseFrame) else denoise_quietly(frame, wanted).image
         for frame in frames
     ]
 

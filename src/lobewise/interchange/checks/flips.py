@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.frame import FloatArray
+from lobewise.guides.stand_ins import compute_normals
 from lobewise.interchange.checks.finding import Finding, list_names
-from lobewise.interchange.checks.geometry import compute_normals
 from lobewise.interchange.values import MIN_EMPTY_DISTANCE
 
 MAX_SIDE = 256

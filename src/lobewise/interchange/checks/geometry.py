@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray
+from lobewise.guides.stand_ins import compute_normals
 
 MAX_PIXELS = 12000
 """Largest number of pixels that are measured."""
@@ -62,22 +63,6 @@ def choose_centers(shape: tuple[int, int], reach: int, max_count: int = MAX_PIXE
     grid_columns = grid_columns + (np.arange(len(rows)) % 2)[:, None] * (step // 2)
     inside = grid_columns < width - reach
     return grid_rows[inside], grid_columns[inside]
-
-
-def compute_normals(
-    across: FloatArray, along: FloatArray, to_camera: FloatArray | None = None
-) -> tuple[FloatArray, FloatArray]:
-    """Return the unit normals (..., 3) of planes that two steps span, and the lengths (..., 1) of the cross products.
-
-    Parallel steps span no plane: their length is 0 and their normal NaN. With ``to_camera`` (..., 3), vectors of any
-    length from the surface to the camera, normals are on the camera's side.
-    """
-    normal = np.cross(across, along)
-    length = np.linalg.norm(normal, axis=-1, keepdims=True)
-    if to_camera is not None:
-        normal = np.where((normal * to_camera).sum(axis=-1, keepdims=True) < 0.0, -normal, normal)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(normal / length), np.asarray(length)
 
 
 def find_patches(position: FloatArray, camera: Camera) -> Patches:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.frame import FloatArray
+from lobewise.guides.survey import decode_normals, is_uniform
 from lobewise.interchange.checks.finding import Finding
 from lobewise.interchange.checks.geometry import MIN_PIXELS, choose_centers
+from lobewise.interchange.mapping import ChannelMap, Found
 from lobewise.interchange.values import MIN_EMPTY_DISTANCE
 
 MAX_ROUNDING_ERROR = 1e-3
@@ -23,7 +26,45 @@ MAX_NORMAL_LENGTH = 1.05
 MAX_SHARE_OF_EXCEPTIONS = 0.01
 """Largest share of the pixels that may contradict an encoding of normals."""
 
+SURFACES = ("normal", "denoiser_normal", "position", "depth", "roughness")
+"""Roles that are left out where they are 0 everywhere."""
+PLACES = ("position", "depth")
+"""Roles that are left out where they have one value everywhere."""
+LOBE_ALBEDOS = ("diffuse_albedo", "specular_albedo")
+ALBEDOS = ("albedo", *LOBE_ALBEDOS)
+
 Mask = NDArray[np.bool_]
+
+
+def leave_out_empty(channels: ChannelMap, read: Callable[[Found], FloatArray]) -> ChannelMap:
+    """Return the channels without guides that hold nothing, and the reason for each in ``refused``.
+
+    A renderer writes a pass of zeros where nobody filled it. An albedo may be black where it has no light to scatter.
+
+    Parameters
+    ----------
+    channels : ChannelMap
+        The images of the file.
+    read : callable
+        Returns an image of the file.
+    """
+    refused, roles = dict(channels.refused), dict(channels.roles)
+    for role in (*SURFACES, *ALBEDOS):
+        found = roles.get(role)
+        if found is None:
+            continue
+        image = read(found)
+        if not image.any():
+            refused[role] = f"{found.label} is not used as {role}: it is 0 everywhere."
+        elif role in PLACES and is_uniform(image) and image[..., 0].size > 1:
+            refused[role] = f"{found.label} is not used as {role}: it has the same value everywhere."
+    albedos = [layer.albedo for layer in channels.layers if layer.albedo]
+    if any(role in roles and role not in refused for role in LOBE_ALBEDOS) or any(read(one).any() for one in albedos):
+        # Of the albedos of lobes some may be black, as in a scene of metals.
+        refused = {role: told for role, told in refused.items() if role not in LOBE_ALBEDOS or role not in roles}
+    if len(refused) == len(channels.refused):
+        return channels
+    return replace(channels, refused=refused, roles={role: one for role, one in roles.items() if role not in refused})
 
 
 def check_values(
@@ -122,11 +163,11 @@ def check_encoding(normal: FloatArray, label: str, *, encoded: bool) -> tuple[Fl
     gray = (np.abs(2.0 * sample - 1.0) < 0.02).all(axis=-1)
     sample = sample[np.isfinite(sample).all(axis=-1) & (sample != 0.0).any(axis=-1) & ~gray]
     if len(sample) < MIN_PIXELS:
-        return (_decode(normal) if encoded else None), []
+        return (decode_normals(normal) if encoded else None), []
     plain, decoded = np.linalg.norm(sample, axis=-1), np.linalg.norm(2.0 * sample - 1.0, axis=-1)
     if not encoded and (sample >= -MAX_ROUNDING_ERROR).all() and _is_unit(decoded) and not _is_unit(plain):
         told = f"{label} is stored in [0, 1], so it was decoded to [-1, 1]."
-        return _decode(normal), [Finding("normals encoded", told, mended=True)]
+        return decode_normals(normal), [Finding("normals encoded", told, mended=True)]
     if (
         encoded
         and (sample < -0.05).any(axis=-1).mean() > MAX_SHARE_OF_EXCEPTIONS
@@ -139,13 +180,7 @@ def check_encoding(normal: FloatArray, label: str, *, encoded: bool) -> tuple[Fl
     if (lengths > MAX_NORMAL_LENGTH).mean() > MAX_SHARE_OF_EXCEPTIONS and not encoded:
         told = f"{label} has lengths up to {np.quantile(lengths, 0.99):.3g}, so it was normalised."
         return None, [Finding("normals not of unit length", told, mended=True)]
-    return (_decode(normal) if encoded else None), []
-
-
-def _decode(normal: FloatArray) -> FloatArray:
-    """Return normals in [-1, 1] from normals stored in [0, 1]. Black means that there is no surface."""
-    nothing = ~(normal != 0.0).any(axis=-1, keepdims=True)
-    return np.asarray(np.where(nothing, np.float32(0.0), np.float32(2.0) * normal - np.float32(1.0)))
+    return (decode_normals(normal) if encoded else None), []
 
 
 def _is_unit(lengths: NDArray[np.float64]) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from lobewise.frame import Frame
 from lobewise.interchange.mapping import ChannelMap
 from lobewise.io.exr.describe import COSTS, USES, Lack
+from lobewise.peers import explain_no_oidn, has_oidn
 
 ADVISED_ROLES = ("normal", "position", "layers", "albedo", "roughness")
 """Roles whose passes the advice names, the most useful one first."""
@@ -36,12 +37,18 @@ def list_lacks(channels: ChannelMap, frame: Frame, *, is_light_denoised: bool) -
             told = f"none; {channels.roles[role].label} is there, but no layer of light takes it"
         if role == "layers" and is_light_denoised:
             told = "none; the passes of light are denoised by lobewise already"
+        if role == "camera" and frame.camera is None and "position" in channels.roles:
+            told = "none; no camera fits the positions"
+        is_refused = bool(channels.refused.keys() & {role, asked})
+        if is_refused:
+            # The pass is switched on: why it is not used is told by itself.
+            told = "none; it is there, but cannot be used"
         remedy, reason = ("", told.removeprefix("none; ")) if told.startswith("none") else (told, "")
         # For an unknown renderer there is no menu to name.
         lead = "give" if channels.preset.name == "generic" else f"{channels.preset.title} gives it by:"
-        more = f"; {lead} {remedy}" if remedy else f" ({reason})" if reason else ""
+        more = f"; {lead} {remedy}" if remedy else f" ({reason})" if reason and not is_refused else ""
         name = "positions" if role == "camera" and frame.camera is not None else role
-        kind = f"{name} that can be used" if channels.refused.keys() & {role, asked} else name
+        kind = f"{name} that can be used" if is_refused else name
         told = "" if is_alone else f"No {kind}: {COSTS[role]}{more}."
         lacks.append(Lack(role, COSTS[role], remedy, reason, told))
     return lacks
@@ -62,9 +69,10 @@ def describe_alone(channels: ChannelMap, frame: Frame) -> list[str]:
         text for role in ADVISED_ROLES if (text := preset.advice.get(role, "none")) and not text.startswith("none")
     ]
     lead = "render with" if preset.name == "generic" else f"switch on in {preset.title}:"
+    peer = "which is used unless --offline or a quality is given" if has_oidn() else f"but {explain_no_oidn()}"
+    # Mitsuba's pixel filter spreads samples. Files of an unknown renderer may be of Mitsuba.
+    spread = " Where a pixel filter spreads samples over several pixels Open Image Denoise leaves their noise."
     return [
         "Of a color image alone lobewise's own filters make a weak result, with 4 to 16 times the error of Open Image "
-        "Denoise, which is used where it is installed (pip install 'lobewise[best]') and neither --offline nor a "
-        f"quality is given: {lead} {'; '.join(advice)}. Where a pixel filter spreads samples over several pixels "
-        "(Mitsuba's) Open Image Denoise leaves their noise."
+        f"Denoise, {peer}: {lead} {'; '.join(advice)}.{spread if preset.name in ('mitsuba', 'generic') else ''}"
     ]

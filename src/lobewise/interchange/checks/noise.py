@@ -50,7 +50,7 @@ MEDIAN_OVER_DEVIATION = 0.6745 * 6.0**0.5
 Numbers = NDArray[np.float32]
 
 
-def check_noise(frame: Frame, *, has_normals: bool) -> tuple[bool, list[Finding]]:
+def check_noise(frame: Frame, *, has_normals: bool, has_others: bool = False) -> tuple[bool, list[Finding]]:
     """Return whether neighbouring pixels share their noise, and a finding if they do or if a denoiser ran already.
 
     The check measures pixels inside surfaces, whose normals and albedos equal those of their neighbours. There the
@@ -66,6 +66,8 @@ def check_noise(frame: Frame, *, has_normals: bool) -> tuple[bool, list[Finding]
     has_normals : bool
         Whether the file has normals. Without normals or albedos, edges and textures look like shared noise, so the
         check finds nothing.
+    has_others : bool
+        Whether the file has other images that may be the noisy one.
     """
     if not has_normals or (frame.gbuffer.diffuse_albedo is None and frame.gbuffer.specular_albedo is None):
         return False, []
@@ -101,9 +103,10 @@ def check_noise(frame: Frame, *, has_normals: bool) -> tuple[bool, list[Finding]
     filtered = alike if count else low > MIN_CORRELATION_OF_DENOISED
     if filtered and most < limit and len(noise) >= MIN_TILES_OF_DENOISED and (count or 1) < MIN_SPP_OF_CLEAN:
         left = f"{count} samples per pixel leave" if count else "samples leave"
+        beside = ", or the noisy one of the images in the file (--map color=...)" if has_others else ""
         told = (
             f"The image has noise of at most {100.0 * most:.2g} % inside surfaces, less than {left} and shared by "
-            "neighbours: it seems to be denoised already; give the noisy one (--map color=...)."
+            f"neighbours: it seems to be denoised already; give the noisy render{beside}."
         )
         return False, [Finding("denoised already", told, mended=False)]
     return False, []

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from lobewise.frame import Frame, GBuffer, Radiance
+from lobewise.guides.lamps import describe_lamps, keep_lamps
 from lobewise.interchange.cameras.header import read_sample_count
 from lobewise.interchange.checks.lacks import describe_alone, list_lacks
 from lobewise.interchange.checks.noise import check_noise
@@ -14,7 +15,6 @@ from lobewise.interchange.checks.roughness import check_range, check_roughness, 
 from lobewise.interchange.importing.draft import Draft, Outcome
 from lobewise.interchange.lighting import (
     PartOutput,
-    keep_lamps,
     lend_albedo,
     make_radiance,
     take_albedos,
@@ -147,7 +147,8 @@ def tell_assumed_roughness(draft: Draft) -> Outcome:
 def check_image_noise(draft: Draft) -> Outcome:
     """Check whether the image is denoised already, and whether neighbouring pixels share their noise."""
     assert draft.frame is not None
-    is_shared, findings = check_noise(draft.frame, has_normals=draft.has("normal"))
+    has_others = any("noisy" in one.path.lower() for one in draft.channels.beside)
+    is_shared, findings = check_noise(draft.frame, has_normals=draft.has("normal"), has_others=has_others)
     return Outcome(replace(draft, frame=draft.frame.with_changes(noise_is_shared=is_shared)), findings)
 
 
@@ -164,8 +165,7 @@ def take_out_lamps(draft: Draft) -> Outcome:
     """Keep filters from changing lamps."""
     assert draft.frame is not None
     frame, count = keep_lamps(draft.frame)
-    told = f"{count} pixels show lamps, or something as bright and without noise, and pass as they are."
-    return Outcome(replace(draft, frame=frame), notes=[told] if count else [])
+    return Outcome(replace(draft, frame=frame), notes=describe_lamps(count))
 
 
 def list_outputs(draft: Draft) -> Outcome:

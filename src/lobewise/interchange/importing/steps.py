@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from lobewise.camera import Camera
 from lobewise.interchange.checks.denoised import leave_out_denoised_light
+from lobewise.interchange.checks.guides import leave_out_empty
 from lobewise.interchange.imported import ImageReader, Imported
 from lobewise.interchange.importing.draft import Draft, Section, Step, list_notes, run_steps
 from lobewise.interchange.importing.finishing import (
@@ -35,7 +36,6 @@ from lobewise.interchange.importing.surface_checks import check_depth, check_nor
 from lobewise.interchange.importing.surfaces import (
     choose_camera,
     derive_depth,
-    derive_normals,
     take_depth,
     take_normals,
     take_positions,
@@ -66,7 +66,6 @@ STEPS = (
     Step(check_position_precision, needs=("position",)),
     Step(check_depth, needs=("depth", "camera")),
     Step(check_normal_space, needs=("normal", "camera")),
-    Step(derive_normals, section=Section.SURFACES),
     # Material
     Step(choose_albedos),
     Step(take_roughness, needs=("roughness",), section=Section.CHANNELS),
@@ -100,8 +99,9 @@ def import_foreign(
     camera : Camera or None
         The user's camera.
     """
+    read.expect(channels)
+    channels = leave_out_empty(channels, read)
     used = leave_out_denoised_light(container, channels)
-    read.expect(used)
     start = Draft(container=container, mapped=channels, channels=used, read=read, given_camera=camera)
     draft = run_steps(start, STEPS)
     assert draft.frame is not None

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from lobewise.guides.stand_ins import compute_surface_normals
 from lobewise.interchange.checks.depths import check_depth_by_normal, check_depth_by_position
-from lobewise.interchange.checks.finding import Finding
+from lobewise.interchange.checks.finding import Finding, list_names
 from lobewise.interchange.checks.geometry import find_patches
 from lobewise.interchange.checks.normals import check_normals, take_assumed
 from lobewise.interchange.checks.precision import measure_grain
 from lobewise.interchange.importing.draft import Draft, Outcome
-from lobewise.interchange.importing.surfaces import compute_surface_normals
 
 
 def check_position_precision(draft: Draft) -> Outcome:
@@ -26,7 +26,8 @@ def check_position_precision(draft: Draft) -> Outcome:
     if is_finer and draft.camera is not None and draft.distance is not None and not draft.is_orthographic:
         told += f"depth ({draft.roles['depth'].label}) and camera stand for it."
         return Outcome(replace(draft, world_position=None), [Finding("positions coarse", told, mended=True)])
-    told += "store it in 32 bits, or nearer to the origin, or give a depth and a camera."
+    lacks = [*(["a depth"] if depth is None else []), *(["a camera"] if draft.camera is None else [])]
+    told += f"store it in 32 bits, or nearer to the origin{f', or give {list_names(lacks)}' if lacks else ''}."
     return Outcome(draft, [Finding("positions coarse", told, mended=False)])
 
 

@@ -11,10 +11,13 @@ from lobewise.camera import Camera
 from lobewise.frame import FloatArray
 from lobewise.interchange.cameras.fitting import MAX_FIT_ERROR, CameraFit, find_camera, measure_fit
 from lobewise.interchange.cameras.header import Located, read_camera_attributes
-from lobewise.interchange.checks.geometry import compute_normals
 from lobewise.interchange.importing.draft import Draft, Outcome
 from lobewise.interchange.values import MIN_EMPTY_DISTANCE, convert_depth, convert_plain, convert_space
 from lobewise.io.exr.header import read_pixel_aspect
+
+NO_PINHOLE = "No pinhole camera shows the positions where they are seen, so places are not compared"
+PANORAMA_ASPECT = 2
+"""Width over height of a panorama of the whole sphere."""
 
 Mask = NDArray[np.bool_]
 
@@ -64,8 +67,11 @@ def _choose_camera(draft: Draft, header: Located | None, pixel_aspect: float) ->
         return _use_fit(draft, fit, position, header)
     if header is not None:
         return _use_header(draft, header, None, "; it does not see the positions where they are, so they are not used.")
-    told = "No camera shows the positions where they are seen (it may be bent, as for panoramas); give --camera."
-    return Outcome(draft, notes=[told])
+    height, width = draft.shape
+    why = (
+        ": the image is a panorama." if width == PANORAMA_ASPECT * height else "; give --camera, unless rays are bent."
+    )
+    return Outcome(draft, notes=[NO_PINHOLE + why])
 
 
 def _use_given_camera(draft: Draft, camera: Camera) -> Outcome:
@@ -141,44 +147,3 @@ def take_normals(draft: Draft) -> Outcome:
         unit = np.where(length > 1e-6, normal / length, np.float32(0.0))
     unit, mean = (np.nan_to_num(each, nan=0.0, posinf=0.0, neginf=0.0).astype(np.float32) for each in (unit, normal))
     return Outcome(replace(draft, world_normal=unit, mean_normal=mean), notes=notes)
-
-
-def derive_normals(draft: Draft) -> Outcome:
-    """Compute normals where the file has none: of the surface through the positions, else all towards the camera."""
-    if draft.world_normal is not None:
-        return Outcome(draft)
-    position, camera = draft.world_position, draft.camera
-    if position is None and draft.distance is not None and camera is not None:
-        height, width = draft.shape
-        rays = camera.make_ray_directions(width, height)
-        # In float64, unlike `Camera.make_positions`: rounded positions would give rougher normals.
-        position = (camera.position + draft.distance[..., None] * rays).astype(np.float32)
-    if position is None or camera is None:
-        normal = np.zeros((*draft.shape, 3), np.float32)
-        normal[..., 2] = 1.0
-        told = "Nothing tells surfaces apart but the image itself: no normal, position or depth can be used."
-    else:
-        normal = compute_surface_normals(position, camera)
-        told = "The file has no normals; those of the surfaces through the positions stand for them."
-    return Outcome(replace(draft, world_normal=normal), notes=[told])
-
-
-def compute_surface_normals(position: FloatArray, camera: Camera) -> FloatArray:
-    """Return the unit normals, (height, width, 3), of the surface through positions, on the camera's side.
-
-    Where neighbours give no plane, the normal is the direction to the camera.
-    """
-    across, down = (_choose_step(position, axis) for axis in (1, 0))
-    view = position - camera.position.astype(np.float32)
-    normal, length = compute_normals(across, down, -view)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        to_camera = -view / np.linalg.norm(view, axis=-1, keepdims=True)
-    return np.asarray(np.where(length > 0.0, normal, to_camera), dtype=np.float32)
-
-
-def _choose_step(position: FloatArray, axis: int) -> FloatArray:
-    """Return the shorter of the steps to both neighbours along an axis: the longer may lead to another object."""
-    ahead = np.diff(position, axis=axis, append=np.take(position, [-1], axis=axis) * np.float32(np.nan))
-    behind = np.diff(position, axis=axis, prepend=np.take(position, [0], axis=axis) * np.float32(np.nan))
-    lengths = [np.nan_to_num(np.linalg.norm(step, axis=-1, keepdims=True), nan=np.inf) for step in (ahead, behind)]
-    return np.asarray(np.nan_to_num(np.where(lengths[0] <= lengths[1], ahead, behind)))

@@ -259,18 +259,17 @@ def _describe_table(table: LobeTable) -> str:
 
 
 def list_similarities(gbuffer: set[str], camera: Camera | None) -> tuple[str, ...]:
-    """Return the similarities that can be computed from images of the G-buffer and a camera, the simplest first."""
-    if "normal" not in gbuffer:
-        return ()
+    """Return the similarities that can be computed from images of the G-buffer and a camera, the simplest first.
+
+    Missing normals are computed from places, or are all alike.
+    """
     has_lobes = "alpha_u" in gbuffer and camera is not None and gbuffer & {"depth", "position"}
     return SIMILARITIES if has_lobes else ("normal",)
 
 
 def _note_lobes(gbuffer: set[str], camera: Camera | None, similarities: tuple[str, ...]) -> str:
-    """Return why reflection lobes cannot be compared; empty where they can."""
-    if not similarities:
-        return "Without normal.X/Y/Z nothing tells similar pixels apart."
-    if similarities == ("normal",):
+    """Return why normals are compared and not reflection lobes; empty where lobes are, or there are no normals."""
+    if "normal" in gbuffer and similarities == ("normal",):
         lacks = [
             what
             for what, there in (
