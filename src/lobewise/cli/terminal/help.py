@@ -43,7 +43,7 @@ EXAMPLES = {
     "demo": "lobewise demo -o page",
     "render": "lobewise render kitchen -o kitchen.exr --spp 8\n"
     "lobewise render scene.xml -o 'out.####.exr' --frames 24 --camera-path still",
-    "view": "lobewise view kitchen\nlobewise view clean.exr",
+    "view": "lobewise view kitchen\nlobewise view shot.exr",
     "denoise": "lobewise denoise frame.exr -o clean.exr\n"
     "lobewise denoise frame.exr -o clean.exr --quality fast --png\n"
     "lobewise denoise 'shot.####.exr' -o 'clean.####.exr'\n"

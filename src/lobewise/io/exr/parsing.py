@@ -39,6 +39,20 @@ from lobewise.io.exr.container import (
 )
 from lobewise.io.files import PathLike, require_readable
 
+OTHER_FORMATS = {
+    b"\x89PNG": "PNG",
+    b"\xff\xd8\xff": "JPEG",
+    b"GIF8": "GIF",
+    b"BM": "BMP",
+    b"II*\0": "TIFF",
+    b"MM\0*": "TIFF",
+    b"#?": "Radiance HDR",
+    b"8BPS": "Photoshop",
+    b"DDS ": "DDS",
+}
+"""Formats of pictures by the first bytes of their files."""
+FOR_SCREENS = ("PNG", "JPEG", "GIF", "BMP")
+"""Formats that hold colors for screens and no passes."""
 MAX_PIXELS = 2**28
 """Most pixels of a data window, 16384 x 16384. A larger window counts as damage."""
 MAX_TILE_PIXELS = 2**22
@@ -53,12 +67,33 @@ class _Damaged(Exception):
     """The reason why a file counts as damaged. The public functions add its name."""
 
 
+def _require_exr(file: Path) -> None:
+    """Raise FileError if a file is a picture of another format."""
+    try:
+        with file.open("rb") as stream:
+            first = stream.read(max(map(len, OTHER_FORMATS)))
+    except OSError:
+        # Reading the file raises the error.
+        return
+    for start, name in OTHER_FORMATS.items():
+        if first.startswith(start):
+            raise FileError(
+                f"input {str(file)!r}",
+                expected="an OpenEXR file",
+                got=f"a {name} picture",
+                action="save the render as OpenEXR, with the passes that `lobewise inspect` then names"
+                if name in FOR_SCREENS
+                else "save it as OpenEXR",
+            )
+
+
 def read_container(path: PathLike) -> Container:
     """Read the structure of an OpenEXR file and check that every chunk lies inside it.
 
     Raises FileError if the file cannot be opened, is not OpenEXR, or is damaged, truncated or unfinished.
     """
     file = require_readable(path)
+    _require_exr(file)
     try:
         with file.open("rb") as stream:
             return _parse(file, stream)
@@ -113,7 +148,7 @@ def _parse(path: Path, stream: BinaryIO) -> Container:
     if reader.size < 8:
         raise _Damaged(f"a file of {reader.size} bytes, too short to be one")
     if reader.take(4, "the magic number") != MAGIC:
-        raise _Damaged("a file of another format")
+        raise _Damaged("a file that does not begin like one")
     version = struct.unpack("<I", reader.take(4, "the version"))[0]
     if version & 0xFF != 2 or version & ~(0xFF | TILED | LONG_NAMES | DEEP | MULTIPART):
         raise _Damaged(f"an unknown file version {version:#x}")
