@@ -214,6 +214,13 @@ def test_colour_alone_is_denoised_as_the_file_is(rng: np.random.Generator, tmp_p
         assert "28 pixels show lamps" in result.notes[1]
 
 
+def test_roughness_without_places_stops_no_quality(scene: Frame) -> None:
+    guides = GBuffer(normal=scene.gbuffer.normal, alpha_u=scene.gbuffer.alpha_u)
+    with pytest.warns(UnusedGuideWarning, match="alpha_u is given without position or depth, so normals are compared"):
+        result = lobewise.denoise(Frame(scene.radiance, guides, scene.camera), quality="high", radius=2)
+    assert result.settings["similarity"] == "normal"
+
+
 @pytest.mark.parametrize("placed_by", ["position", "depth"])
 def test_places_give_the_normals_that_are_missing(placed_by: str, scene: Frame) -> None:
     other = {"position": "depth", "depth": "position"}[placed_by]

@@ -83,9 +83,9 @@ def collect_inputs(frame: Frame, noisy: Sequence[FloatArray], parts: Sequence[Fl
 def find_lobes(frame: Frame, tau: float) -> tuple[FloatArray | None, FloatArray | None]:
     """Return axis and base-2 logarithm of the sharpness of the specular lobes, 0 where there is none.
 
-    None both where the frame has no camera or no roughness.
+    None both where the frame has no roughness, or no camera with places of surfaces.
     """
-    if frame.camera is None or frame.gbuffer.alpha_u is None:
+    if frame.camera is None or not frame.is_placed or frame.gbuffer.alpha_u is None:
         return None, None
     field = make_sg_field(frame.gbuffer, frame.camera, tau=tau, diffuse_fallback=False)
     known = field.valid & np.isfinite(field.sharpness)
