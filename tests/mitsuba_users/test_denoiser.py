@@ -113,7 +113,7 @@ def test_further_layers_are_found_and_used(mi: Any, scene: Any, monkeypatch: pyt
     from lobewise.render import get_camera
 
     seen: list[Frame] = []
-    monkeypatch.setattr(module, "denoise", lambda frame, settings: seen.append(frame) or run(frame, settings))
+    monkeypatch.setattr(module, "denoise_quietly", lambda frame, settings: seen.append(frame) or run(frame, settings))
     run = lobewise_denoise
     aovs = "albedo:albedo,sh_normal:sh_normal,position:position,depth:depth,uv:uv,shape:shape_index"
     bitmap = render_layers(mi, scene, aovs)

@@ -41,13 +41,17 @@ class TestWholeFrames:
         assert found.hit_distance
         assert set(found.views) > {"image", "noisy", "specular", "sharpness", "weight_sum", "hit_distance", "normal"}
 
-    def test_without_guides_there_is_nothing_to_choose(self, tmp_path, rng):
+    def test_color_alone_is_filtered_too(self, tmp_path, rng):
         path = tmp_path / "plain.exr"
         write_frame(path, Frame(Radiance(rng.random((4, 5, 3)))))
-        found = FrameTarget(str(path)).describe()
-        assert found.similarities == ("none",)
-        assert found.look.similarity == "none"
+        target = FrameTarget(str(path))
+        found = target.describe()
+        assert found.similarities == ("normal", "none")
+        assert found.look.similarity == "normal"
         assert found.views == ("image", "noisy", "weight_sum", "effective_samples")
+        look = replace(found.look, quality="fast")
+        expected = denoise(read_frame(path), similarity="normal", quality="fast")
+        np.testing.assert_array_equal(target.render(ask(look, look))[0].image, expected.image)
 
     def test_it_is_filtered_as_asked(self, floor_file):
         target = FrameTarget(str(floor_file))
