@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import socket
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -21,6 +20,7 @@ from lobewise.errors import FileError, LobewiseError
 from lobewise.io.documents import parse_json, read_document
 from lobewise.io.files import make_folder, refusing, write_text
 from lobewise.io.locks import try_lock
+from lobewise.io.replacing import name_temporary
 from lobewise.io.sequence import FramePattern
 from lobewise.sequence import name_beside
 
@@ -97,7 +97,7 @@ class Ledger:
         files = [_measure(path) for path in outputs]
         path = self._name(number)
         # Do not wait for the disk: after a power cut a record that is not whole only costs its frame.
-        made = path.with_suffix(f".{socket.gethostname()}-{os.getpid()}.part")
+        made = name_temporary(path)
         with refusing(f"record {str(path)!r}", "a folder that can be written to", "check its permissions and room"):
             made.write_text(json.dumps({"proof": proof, "files": files}))
             os.replace(made, path)

@@ -18,7 +18,7 @@ from lobewise.farm.environment import describe_environment
 from lobewise.farm.ledger import Ledger, name_ledger, refresh_folders
 from lobewise.farm.tasks import Numbered, Order, Task, Told, Work, cut_frames, cut_shots
 from lobewise.io.files import require_other_files, require_writable
-from lobewise.io.replacing import remove_temporary
+from lobewise.io.replacing import remove_leftovers
 from lobewise.io.sequence import FramePattern
 from lobewise.sequence import name_checkpoint
 
@@ -235,7 +235,7 @@ class _Run:
         numbers = [number for task in running for number in task.numbers]
         for number in (*numbers, *(number for failure in self.failures for number in failure.numbers)):
             for path in self._job.work.list_outputs(number):
-                remove_temporary(Path(os.path.realpath(path)))
+                remove_leftovers(Path(os.path.realpath(path)))
         if len(self.done) == len(self._frames) or not self.ledger.list_recorded():
             self.ledger.remove()
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from lobewise.errors import FileError, InputError
-from lobewise.io.replacing import Replacement
+from lobewise.io.replacing import Replacement, begin_temporary
 
 PathLike = str | os.PathLike[str]
 
@@ -180,11 +180,10 @@ def open_atomic(path: PathLike, *, what: str = "output") -> Iterator[BinaryIO]:
     """Open a temporary file beside ``path``; on success it replaces ``path`` in one step, on failure it is removed.
 
     A reader sees the old file or the whole new one, never a part. An existing target keeps its permissions, its owner
-    and its extended attributes; a `lobewise.io.replacing.TargetWarning` tells which of these could not be kept. A
-    temporary file that a killed process left for this target is overwritten.
+    and its extended attributes; a `lobewise.io.replacing.TargetWarning` tells which of these could not be kept. What
+    killed processes left for this target is removed. Of several writers the last one to finish wins.
 
-    Raises FileError if the path cannot be written, another process is writing it, or the disk refuses, for example
-    because it is full.
+    Raises FileError if the path cannot be written, or the disk refuses, for example because it is full.
     """
     target = require_writable(path, what=what)
     with (
@@ -204,7 +203,7 @@ def open_spool(path: PathLike, *, what: str = "output") -> Iterator[BinaryIO]:
     target = require_writable(path, what=what)
     with (
         refusing(f"{what} {str(path)!r}", "a path that can be written", "choose another path or make room"),
-        tempfile.TemporaryFile(prefix=f".{target.name[:80]}.", suffix=".part", dir=target.parent) as stream,
+        tempfile.TemporaryFile(prefix=begin_temporary(target), suffix=".part", dir=target.parent) as stream,
     ):
         yield stream
 

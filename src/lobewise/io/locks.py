@@ -16,8 +16,6 @@ except ImportError:
 
 _LOCKED_BYTE = 1 << 40
 """Place of the byte that is locked on Windows, far beyond the end: there nobody may write or read a locked byte."""
-HAS_POSIX_FILES = fcntl is not None
-"""Whether a file can be renamed and removed while it is open, which Windows refuses."""
 
 
 def try_lock(descriptor: int) -> bool:

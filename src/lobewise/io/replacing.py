@@ -1,9 +1,12 @@
-"""Replace files in one step, safe against killed processes and concurrent writers."""
+"""Replace files in one step, safe against killed processes and other writers of the same file."""
 
 from __future__ import annotations
 
 import hashlib
 import os
+import re
+import secrets
+import socket
 import stat
 import time
 import warnings
@@ -12,16 +15,17 @@ from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO
 
-from lobewise.io.locks import HAS_POSIX_FILES, try_lock
-
 MAX_NAME_BYTES = 255
 """Longest file name of usual file systems."""
+MAX_TAIL_BYTES = 40
+"""Longest end of a temporary file's name, behind that of its target."""
 MIN_SECONDS_OF_LEFTOVERS = 86400.0
-"""Age from which a temporary file of lobewise's first version counts as left by a killed process."""
-_OPEN = (
-    os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
-)
-_MAX_ATTEMPTS = 100
+"""Age from which a temporary file counts as left by a killed process, wherever that ran."""
+MIN_SECONDS_ON_WINDOWS = 60.0
+"""The same on Windows, which refuses to remove a file that is being written."""
+_is_posix = os.name == "posix"
+_TAIL = re.compile(r"([0-9a-f]{8})-([0-9]{1,10})-[0-9a-z_]{8}\.part")
+_NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
 
 
 class TargetWarning(UserWarning):
@@ -29,42 +33,86 @@ class TargetWarning(UserWarning):
 
 
 def name_temporary(target: Path) -> Path:
-    """Return the temporary file of a target. Every write of the target uses this one."""
-    name = f".{target.name}.part"
-    if len(os.fsencode(name)) > MAX_NAME_BYTES:
-        name = f".{hashlib.sha256(os.fsencode(target.name)).hexdigest()[:32]}.part"
-    return target.parent / name
+    """Return a name beside a target that no other writer uses, ``.NAME.MACHINE-PROCESS-RANDOM.part``."""
+    return target.parent / f"{begin_temporary(target)}{secrets.token_hex(4)}.part"
 
 
-def remove_temporary(target: Path) -> None:
-    """Remove the temporary file that a killed process left for a target; keep it while another process writes it."""
-    path = name_temporary(target)
-    with suppress(OSError):
-        with path.open("rb+") as stream:
-            if not try_lock(stream.fileno()):
-                return
-            if HAS_POSIX_FILES:
-                path.unlink()
-        if not HAS_POSIX_FILES:
-            path.unlink()
+def begin_temporary(target: Path) -> str:
+    """Return how the names of this process's temporary files for a target begin; eight letters and ``.part`` follow."""
+    return f"{_begin_any(target)}{_name_machine()}-{os.getpid()}-"
+
+
+def _begin_any(target: Path) -> str:
+    """Return how the names of every process's temporary files for a target begin."""
+    begin = f".{target.name}."
+    if len(os.fsencode(begin)) + MAX_TAIL_BYTES > MAX_NAME_BYTES:
+        begin = f".{hashlib.sha256(os.fsencode(target.name)).hexdigest()[:32]}."
+    return begin
+
+
+def _name_machine() -> str:
+    """Return eight letters for all processes that this one sees: those of one boot, and of one container.
+
+    Machines may share a name, and containers count their processes anew.
+    """
+    try:
+        seen = Path("/proc/sys/kernel/random/boot_id").read_text() + os.readlink("/proc/self/ns/pid")
+    except OSError:
+        seen = socket.gethostname()
+    return hashlib.sha256(seen.encode()).hexdigest()[:8]
+
+
+def remove_leftovers(target: Path) -> None:
+    """Remove the temporary files that killed processes left for a target; keep those that are being written."""
+    begin, machine = _begin_any(target), _name_machine()
+    with suppress(OSError), os.scandir(target.parent) as entries:
+        for entry in entries:
+            tail = _TAIL.fullmatch(entry.name, len(begin)) if entry.name.startswith(begin) else None
+            if tail is not None:
+                with suppress(OSError):
+                    if _is_left(entry.stat(follow_symlinks=False), tail[1] == machine, int(tail[2])):
+                        os.unlink(entry.path)
+
+
+def _is_left(found: os.stat_result, is_here: bool, process: int) -> bool:
+    """Return whether nobody writes a temporary file of this user any more, as far as can be known."""
+    if not stat.S_ISREG(found.st_mode) or (hasattr(os, "geteuid") and found.st_uid != os.geteuid()):
+        return False
+    age = time.time() - found.st_mtime
+    if not _is_posix:
+        return age > MIN_SECONDS_ON_WINDOWS
+    return age > MIN_SECONDS_OF_LEFTOVERS or (is_here and not _is_running(process))
+
+
+def _is_running(process: int) -> bool:
+    """Return whether there is a process with this number."""
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except OSError:
+        # It belongs to another user.
+        return True
+    return True
 
 
 class Replacement:
     """The new content of ``target``, a real path; write it into ``stream``.
 
-    The temporary file is locked while it is open; the system releases the lock when the process dies. Without `finish`
-    the target stays as it was and the temporary file is removed.
+    It is a file of its own until `finish` gives it the target's name. So writers of the same target do not meet: the
+    last one to finish wins. Without `finish` the target stays as it was and the new file is removed.
 
     Raises
     ------
     OSError
-        If another process or thread is writing the same target, or the system refuses.
+        If the system refuses.
     """
 
     def __init__(self, target: Path) -> None:
         self._target = target
+        remove_leftovers(target)
         self._temporary = name_temporary(target)
-        self.stream: BinaryIO = os.fdopen(_open_locked(self._temporary), "wb")
+        self.stream: BinaryIO = os.fdopen(os.open(self._temporary, _NEW, 0o600), "wb")
         self._is_done = False
 
     def __enter__(self) -> Replacement:
@@ -73,102 +121,58 @@ class Replacement:
     def __exit__(
         self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if not HAS_POSIX_FILES:
-            with suppress(OSError):
-                self.stream.close()
-        if not self._is_done:
-            # Remove the file while it is locked, where the system can: afterwards another process may own it.
-            with suppress(OSError):
-                self._temporary.unlink()
+        # Windows neither removes nor replaces a file that is open.
         with suppress(OSError):
             self.stream.close()
+        if not self._is_done:
+            with suppress(OSError):
+                os.unlink(self._temporary)
 
     def finish(self) -> None:
         """Replace the target by the new content."""
         self.stream.flush()
         os.fsync(self.stream.fileno())
-        told = _keep_properties(self._target, self.stream.fileno())
-        if not HAS_POSIX_FILES:
-            self.stream.close()
+        told = self._keep_properties()
+        self.stream.close()
         os.replace(self._temporary, self._target)
         self._is_done = True
         _sync_folder(self._target.parent)
-        _remove_leftovers(self._target)
         if told:
             warnings.warn(told, TargetWarning, stacklevel=4)
 
-
-def _open_locked(path: Path) -> int:
-    """Return a descriptor of a locked, empty file of this user at a path. An existing file is emptied."""
-    for _ in range(_MAX_ATTEMPTS):
-        if path.is_symlink():
-            raise OSError(f"{str(path)!r} beside it, which is a link")
-        descriptor = os.open(path, _OPEN, 0o600)
+    def _keep_properties(self) -> str:
+        """Give the new file permissions, owner and attributes of the old one; return a sentence about what is lost."""
+        target, descriptor = self._target, self.stream.fileno()
         try:
-            if not try_lock(descriptor):
-                raise OSError(f"another process that is writing it (it holds {str(path)!r})")
-            if _is_at(descriptor, path) and _is_own(descriptor, path):
-                os.ftruncate(descriptor, 0)
-                return descriptor
-        except BaseException:
-            os.close(descriptor)
-            raise
-        os.close(descriptor)
-    raise OSError(f"{str(path)!r}, which changes all the time")
+            old = target.stat()
+        except OSError:
+            self._set_mode(0o666 & ~read_mask())
+            return ""
+        told = []
+        if hasattr(os, "fchown"):
+            new = os.fstat(descriptor)
+            for name, before, now in (("group", old.st_gid, new.st_gid), ("owner", old.st_uid, new.st_uid)):
+                try:
+                    if before != now:
+                        os.fchown(descriptor, before if name == "owner" else -1, before if name == "group" else -1)
+                except OSError:
+                    told.append(f"its {name} is now {now} instead of {before}")
+        if hasattr(os, "listxattr"):
+            with suppress(OSError):
+                for key in os.listxattr(target):
+                    if not key.startswith("security."):
+                        os.setxattr(descriptor, key, os.getxattr(target, key))
+        # Set the mode after the owner: a change of owner clears bits of the mode.
+        self._set_mode(stat.S_IMODE(old.st_mode))
+        if old.st_nlink > 1:
+            told.append(f"{old.st_nlink - 1} hard link(s) to it keep the old content")
+        return f"{str(target)!r} was replaced: {', '.join(told)}." if told else ""
 
-
-def _is_at(descriptor: int, path: Path) -> bool:
-    """Return whether an open file still has its name: another writer may have moved it to its target meanwhile."""
-    try:
-        return os.path.samestat(os.fstat(descriptor), path.lstat())
-    except FileNotFoundError:
-        return False
-
-
-def _is_own(descriptor: int, path: Path) -> bool:
-    """Return whether an open file belongs to this user and has one name; unlink it if not."""
-    found = os.fstat(descriptor)
-    if not stat.S_ISREG(found.st_mode):
-        raise OSError(f"{str(path)!r} beside it, which is no regular file")
-    if found.st_nlink == 1 and (not hasattr(os, "geteuid") or found.st_uid == os.geteuid()):
-        return True
-    path.unlink()
-    return False
-
-
-def _keep_properties(target: Path, descriptor: int) -> str:
-    """Give a new file the permissions, owner and attributes of the old file; return a sentence about what is lost."""
-    try:
-        old = target.stat()
-    except OSError:
-        _set_mode(target, descriptor, 0o666 & ~read_mask())
-        return ""
-    told = []
-    if hasattr(os, "fchown"):
-        new = os.fstat(descriptor)
-        for name, before, now in (("group", old.st_gid, new.st_gid), ("owner", old.st_uid, new.st_uid)):
-            try:
-                if before != now:
-                    os.fchown(descriptor, before if name == "owner" else -1, before if name == "group" else -1)
-            except OSError:
-                told.append(f"its {name} is now {now} instead of {before}")
-    if hasattr(os, "listxattr"):
-        with suppress(OSError):
-            for key in os.listxattr(target):
-                if not key.startswith("security."):
-                    os.setxattr(descriptor, key, os.getxattr(target, key))
-    # Set the mode after the owner: a change of owner clears bits of the mode.
-    _set_mode(target, descriptor, stat.S_IMODE(old.st_mode))
-    if old.st_nlink > 1:
-        told.append(f"{old.st_nlink - 1} hard link(s) to it keep the old content")
-    return f"{str(target)!r} was replaced: {', '.join(told)}." if told else ""
-
-
-def _set_mode(target: Path, descriptor: int, mode: int) -> None:
-    if hasattr(os, "fchmod"):
-        os.fchmod(descriptor, mode)
-    else:
-        os.chmod(name_temporary(target), mode)
+    def _set_mode(self, mode: int) -> None:
+        if hasattr(os, "fchmod"):
+            os.fchmod(self.stream.fileno(), mode)
+        else:
+            self._temporary.chmod(mode)
 
 
 def read_mask() -> int:
@@ -176,24 +180,6 @@ def read_mask() -> int:
     mask = os.umask(0)
     os.umask(mask)
     return mask
-
-
-_swept: set[Path] = set()
-
-
-def _remove_leftovers(target: Path) -> None:
-    """Remove temporary files ``.NAME.exr.????????.part`` of killed processes of the first version, once per folder."""
-    folder = target.parent
-    if folder in _swept:
-        return
-    _swept.add(folder)
-    latest = time.time() - MIN_SECONDS_OF_LEFTOVERS
-    with suppress(OSError):
-        for path in folder.glob(".*.????????.part"):
-            found = path.lstat()
-            own = not hasattr(os, "geteuid") or found.st_uid == os.geteuid()
-            if own and stat.S_ISREG(found.st_mode) and found.st_mtime < latest:
-                path.unlink()
 
 
 def _sync_folder(folder: Path) -> None:
