@@ -11,7 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lobewise.exporting.folder import MARK, open_folder
 from lobewise.io import read_image, write_image
+from lobewise.io.files import write_text
 
 LINES = 10_000
 BESIDE = """
@@ -89,6 +91,25 @@ def test_lines_and_modes_of_other_threads_stay_their_own(tmp_path: Path) -> None
     assert sorted(told[:-1]) == expected
     assert sorted(done.stderr.splitlines()) == expected
     assert told[-1] == f"modes {0o640}"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sets a mask of modes")
+def test_the_mask_is_applied_and_never_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(mask: int) -> int:
+        raise AssertionError(f"the mask of all threads is set to {mask}")
+
+    before = os.umask(0o027)
+    try:
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "umask", refuse)
+            write_text(tmp_path / "file", "content")
+            for _ in range(2):
+                with open_folder(tmp_path / "folder", force=True) as name:
+                    name(MARK).write_text("content")
+    finally:
+        os.umask(before)
+    modes = {path.name: path.stat().st_mode & 0o777 for path in tmp_path.rglob("*")}
+    assert modes == {"file": 0o640, "folder": 0o750, MARK: 0o640}
 
 
 THREADS, ROUNDS = 8, 6

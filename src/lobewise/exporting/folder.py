@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from importlib.resources import files
@@ -13,7 +12,7 @@ from string import Template
 
 from lobewise.errors import FileError
 from lobewise.io.files import PathLike, refusing
-from lobewise.io.replacing import read_mask
+from lobewise.io.replacing import name_temporary
 
 MARK = "lobewise-export.json"
 """The file that marks a folder as an earlier export."""
@@ -69,15 +68,12 @@ def open_folder(path: PathLike, *, force: bool = False) -> Iterator[Callable[[st
     made: list[Path] = []
     try:
         with refusing(f"output {str(path)!r}", "a folder that can be written", "choose another or make room"):
-            temporary = Path(tempfile.mkdtemp(prefix=f".{target.name[:80]}.", suffix=".part", dir=target.parent))
+            temporary = name_temporary(target)
+            temporary.mkdir()
             made.append(temporary)
             yield lambda name: temporary / name
-            # Only its owner may read a temporary folder: give it the usual permissions.
-            temporary.chmod(0o777 & ~read_mask())
             if target.is_dir() and any(target.iterdir()):
-                aside = Path(tempfile.mkdtemp(prefix=f".{target.name[:80]}.", suffix=".old", dir=target.parent))
-                # Windows renames no folder to the name of another one, not even of an empty one.
-                aside.rmdir()
+                aside = temporary.with_suffix(".old")
                 os.replace(target, aside)
                 try:
                     os.replace(temporary, target)

@@ -111,8 +111,11 @@ class Replacement:
     def __init__(self, target: Path) -> None:
         self._target = target
         remove_leftovers(target)
+        self._before = _look_at(target)
         self._temporary = name_temporary(target)
-        self.stream: BinaryIO = os.fdopen(os.open(self._temporary, _NEW, 0o600), "wb")
+        # The system applies the mask of the process to a new file. A file that replaces another gets its mode at last.
+        mode = 0o666 if self._before is None else 0o600
+        self.stream: BinaryIO = os.fdopen(os.open(self._temporary, _NEW, mode), "wb")
         self._is_done = False
 
     def __enter__(self) -> Replacement:
@@ -143,10 +146,8 @@ class Replacement:
     def _keep_properties(self) -> str:
         """Give the new file permissions, owner and attributes of the old one; return a sentence about what is lost."""
         target, descriptor = self._target, self.stream.fileno()
-        try:
-            old = target.stat()
-        except OSError:
-            self._set_mode(0o666 & ~read_mask())
+        old = _look_at(target) or self._before
+        if old is None:
             return ""
         told = []
         if hasattr(os, "fchown"):
@@ -163,23 +164,21 @@ class Replacement:
                     if not key.startswith("security."):
                         os.setxattr(descriptor, key, os.getxattr(target, key))
         # Set the mode after the owner: a change of owner clears bits of the mode.
-        self._set_mode(stat.S_IMODE(old.st_mode))
+        if hasattr(os, "fchmod"):
+            os.fchmod(descriptor, stat.S_IMODE(old.st_mode))
+        else:
+            self._temporary.chmod(stat.S_IMODE(old.st_mode))
         if old.st_nlink > 1:
             told.append(f"{old.st_nlink - 1} hard link(s) to it keep the old content")
         return f"{str(target)!r} was replaced: {', '.join(told)}." if told else ""
 
-    def _set_mode(self, mode: int) -> None:
-        if hasattr(os, "fchmod"):
-            os.fchmod(self.stream.fileno(), mode)
-        else:
-            self._temporary.chmod(mode)
 
-
-def read_mask() -> int:
-    """Return the umask of the process. It can only be read by setting it."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+def _look_at(path: Path) -> os.stat_result | None:
+    """Return what the system says of a file, None where it does not exist."""
+    try:
+        return path.stat()
+    except OSError:
+        return None
 
 
 def _sync_folder(folder: Path) -> None:
