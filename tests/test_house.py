@@ -101,7 +101,7 @@ OWNERS: dict[str, str | tuple[str, ...]] = {
     "OpenEXR": "io",
     "pyoidn": "peers",
     "typer": "cli",
-    "rich": ("cli", "display"),
+    "rich": ("cli", "display", "viewer"),
     "flip_evaluator": "metrics",
     "scipy": "fitting",
     "matplotlib": "reporting",

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 
 import pytest
+
+from lobewise.cli.terminal.interrupts import hold_interrupts
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 
@@ -65,3 +68,21 @@ def test_who_ignores_interrupts_goes_on_ignoring_them() -> None:
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert done.returncode == 2
     assert "no such file" in done.stderr
+
+
+def test_ctrl_c_can_wait() -> None:
+    done = []
+
+    def start() -> None:
+        with hold_interrupts():
+            signal.raise_signal(signal.SIGINT)
+            done.append("started")
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            start()
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert done == ["started"]

@@ -7,6 +7,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -20,7 +21,7 @@ from lobewise.viewer import Viewer, link
 from lobewise.viewer.link import MAX_RESTARTS, Link
 from lobewise.viewer.looks import FrameLook
 from lobewise.viewer.messages import Opened, Picture, Problem, Request, SavedFile, Target, Window
-from lobewise.viewer.server import find_port, hold_interrupts
+from lobewise.viewer.server import find_port
 from tests.viewer.slow_worker import SECONDS, run_slow_worker
 
 PATIENCE = 120.0
@@ -231,6 +232,32 @@ class TestViewer:
             with Viewer(name, is_frame=True, port=0) as viewer, pytest.raises(kind):
                 viewer.wait()
 
+    def test_it_leaves_the_process_to_others(self, monkeypatch, capfd):
+        """Another thread prints while the page starts and ends: every line is there, and nothing else."""
+        pytest.importorskip("viser", reason="pip install 'lobewise[viewer]'")
+        monkeypatch.setattr(link, "run_worker", run_slow_worker)
+        lines, over = [], threading.Event()
+
+        def print_lines() -> None:
+            while not over.is_set():
+                lines.append(f"line {len(lines)}")
+                print(lines[-1])
+                time.sleep(0.001)
+
+        printing = threading.Thread(target=print_lines)
+        printing.start()
+        before = signal.getsignal(signal.SIGINT)
+        monkeypatch.setattr(signal, "signal", None)
+        try:
+            with Viewer("thing", is_frame=True, port=0):
+                assert signal.getsignal(signal.SIGINT) is before
+        finally:
+            over.set()
+            printing.join()
+        out, err = capfd.readouterr()
+        assert out.splitlines() == lines
+        assert err == ""
+
     def test_the_page_of_the_manual_runs(self, monkeypatch, floor_file):
         pytest.importorskip("viser", reason="pip install 'lobewise[viewer]'")
         text = (Path(__file__).parents[2] / "docs" / "viewer.md").read_text()
@@ -249,19 +276,6 @@ class TestViewer:
             taken.listen()
             port = taken.getsockname()[1]
             assert port < find_port("127.0.0.1", port) <= port + 100
-
-    def test_ctrl_c_waits_for_the_end_of_the_start(self):
-        done = []
-
-        def start() -> None:
-            with hold_interrupts():
-                signal.raise_signal(signal.SIGINT)
-                done.append("started")
-
-        with pytest.raises(KeyboardInterrupt):
-            start()
-        assert done == ["started"]
-        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
     def test_an_address_of_another_machine(self):
         with pytest.raises(InputError, match="--host and --port: expected an address of this machine"):

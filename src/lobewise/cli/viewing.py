@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,6 +13,7 @@ from lobewise.cli.options.common import parse_size
 from lobewise.cli.options.reading import Reading
 from lobewise.cli.options.spreading import with_groups, with_settings
 from lobewise.cli.terminal.help import FILTERING, page_option
+from lobewise.cli.terminal.interrupts import hold_interrupts
 from lobewise.errors import InputError, require_choice
 from lobewise.scenes import BY_THEMSELVES, list_scenes
 from lobewise.viewer.looks import FRAME_SIMILARITIES, KNOBS, SCENE_SIMILARITIES
@@ -138,7 +139,10 @@ def _serve(viewer: Viewer, target: str, page: Page, is_frame: bool) -> None:
     """Serve the page until Ctrl-C, and print its address."""
     from lobewise.cli.output import print_line
 
-    with viewer:
+    with ExitStack() as started:
+        # Let Ctrl-C wait until everything has started, so that everything is stopped.
+        with hold_interrupts():
+            started.enter_context(viewer)
         if is_frame:
             # A scene takes longer to open, and its page shows the progress.
             viewer.wait_until_open()

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib.util
-import io
 import logging
-import signal
 import socket
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 from lobewise.errors import InputError, MissingDependencyError
@@ -108,12 +105,10 @@ class Viewer:
             raise MissingDependencyError("viser is not installed; pip install 'lobewise[viewer]'.")
         port = find_port(self._host, self._asked_port)
         try:
-            # Let Ctrl-C wait until everything has started, so that everything is stopped.
-            with hold_interrupts():
-                # Start the worker first, because it takes longer than the page.
-                self._audience.link.start()
-                self._serve(port)
-                self._ticker.start()
+            # Start the worker first, because it takes longer than the page.
+            self._audience.link.start()
+            self._serve(port)
+            self._ticker.start()
         except BaseException:
             self.stop()
             raise
@@ -172,21 +167,20 @@ class Viewer:
         self._audience.link.stop()
         server, self._server = self._server, None
         if server is not None:
-            with contextlib.redirect_stdout(io.StringIO()):
-                server.stop()
+            server.stop()
 
     def _serve(self, port: int) -> None:
+        import rich
         import viser
 
         from lobewise.viewer.door.serving import guard_serving, require_guard
 
-        # viser prints a greeting, and standard output must have the program's own line alone.
-        with (
-            contextlib.redirect_stdout(io.StringIO()),
-            guard_serving(self._access, self._audience.controls, self._tell),
-        ):
+        # viser prints a greeting in this thread and a farewell in its own, both by rich, which captures by threads.
+        console = rich.get_console()
+        with console.capture(), guard_serving(self._access, self._audience.controls, self._tell):
             server = viser.ViserServer(host=self._host, port=port, label="lobewise", verbose=False)
         self._server = server
+        server.get_event_loop().call_soon_threadsafe(console.begin_capture)
         require_guard(self._host, server.get_port())
         # A picture may be on its way to a browser that is just leaving.
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
@@ -218,22 +212,6 @@ def find_port(host: str, port: int) -> int:
         got=f"{host}:{port} ({reason})",
         action="pass another",
     )
-
-
-@contextlib.contextmanager
-def hold_interrupts() -> Iterator[None]:
-    """Delay Ctrl-C until the end of the ``with`` block. In other threads than the main thread it does nothing."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    kept: list[Any] = []
-    before = signal.signal(signal.SIGINT, lambda *found: kept.append(found))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-    if kept and callable(before):
-        before(*kept[-1])
 
 
 def _refuse_sharing(verbose: bool = True) -> None:
