@@ -31,6 +31,19 @@ def test_terminal_shows_title_step_and_share(monkeypatch: pytest.MonkeyPatch, na
     assert "100%" in shown
 
 
+def test_what_the_program_prints_meanwhile_stays_where_it_goes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A bar on a terminal, and standard output in a file."""
+    terminal, output = Terminal(), io.StringIO()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setattr(sys, "stdout", output)
+    monkeypatch.setenv("TERM", "xterm")
+    bar = lobewise.ProgressBar("frame 1")
+    bar(1, 4)
+    print("a line of the program")
+    bar(4, 4)
+    assert output.getvalue() == "a line of the program\n"
+
+
 def test_nothing_is_printed_where_no_terminal_is(capsys: pytest.CaptureFixture[str]) -> None:
     bar = lobewise.ProgressBar("frame 1")
     bar(0, 0)

@@ -80,8 +80,9 @@ class ProgressBar:
         from rich.progress import Progress
 
         if self._terminal is None:
-            # A redirected standard error says that it is no terminal.
-            self._terminal = Progress(console=Console(stderr=True), transient=True, redirect_stderr=False)
+            # A redirected standard error says that it is no terminal, and both streams belong to the program.
+            console = Console(stderr=True)
+            self._terminal = Progress(console=console, transient=True, redirect_stdout=False, redirect_stderr=False)
             self._terminal.add_task(text, total=1.0)
             self._terminal.start()
         self._terminal.update(self._terminal.task_ids[0], description=text, completed=share, refresh=True)
