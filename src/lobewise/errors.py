@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable
 from numbers import Integral, Real
 from typing import Any
@@ -141,6 +142,11 @@ def find_nearest(name: str, options: Iterable[str]) -> str | None:
     by_letters = {option.casefold(): option for option in options}
     near = difflib.get_close_matches(name.casefold(), list(by_letters), n=1, cutoff=MIN_LIKENESS)
     return by_letters[near[0]] if near else None
+
+
+def hide_numbers(note: str) -> str:
+    """Return a note without its figures, which differ from frame to frame: only the first frame's are printed."""
+    return re.sub(r"\d+(\.\d+)?", "#", note)
 
 
 def require_choice(what: str, got: str, valid: Iterable[str]) -> str:

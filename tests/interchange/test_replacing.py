@@ -14,6 +14,7 @@ import lobewise
 from lobewise.cli.main import run
 from lobewise.errors import InputError
 from lobewise.interchange import import_file, write_result
+from lobewise.interchange.reading import list_selections
 from lobewise.io.exr.header import DENOISED
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.pixels import decode_part
@@ -37,7 +38,8 @@ def require_untouched(source: Path, output: Path) -> int:
     """Compare all that no result went to; return how many channels that is."""
     touched = {
         (one.found.source.part.index, channel)
-        for one in import_file(source, light_passes=True).outputs.values()
+        for each in list_selections(source)
+        for one in import_file(source, light_passes=True, view=each.view or None).outputs.values()
         for channel in one.found.channels
     }
     before, after = read_all(source), read_all(output)

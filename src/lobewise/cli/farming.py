@@ -12,9 +12,9 @@ from typing import Any
 from lobewise.cli.options.farming import Farm
 from lobewise.cli.output import describe_result, describe_settings, print_line, print_note
 from lobewise.cli.running import FileFilter, Job, Request, run_filter
-from lobewise.cli.terminal.outcome import Remarks, hide_numbers, tell_gaps, tell_picture
+from lobewise.cli.terminal.outcome import Remarks, tell_gaps, tell_picture
 from lobewise.cli.terminal.steps import Steps
-from lobewise.errors import LobewiseError
+from lobewise.errors import LobewiseError, hide_numbers
 from lobewise.farm.running import FarmJob, FarmReport, filter_on_farm
 from lobewise.farm.tasks import Told
 from lobewise.io.files import require_exr_name

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,11 +14,12 @@ from lobewise.cli.options.bands import Bands, FileInBands, choose_bands
 from lobewise.cli.options.common import OverTime, Source, Telling, parse_place
 from lobewise.cli.options.farming import Farm
 from lobewise.cli.options.reading import PassReading, find_counterpart, find_number, name_frame
+from lobewise.cli.options.selections import DoneOne, DoneSeveral, FileOfSeveral, FilterOfEach
 from lobewise.cli.options.shading import Reshading
 from lobewise.cli.options.spreading import with_groups, with_settings
 from lobewise.cli.options.windows import FileInWindow, Window, WindowReader, list_window, require_window
 from lobewise.cli.options.writing import Output, Overwrite, Picture, Writing, protect_inputs
-from lobewise.cli.running import FilterAlone, Job
+from lobewise.cli.running import FilterAlone, FilterOverTime, Job
 from lobewise.cli.terminal.help import FILTER_DETAILS
 from lobewise.errors import InputError
 from lobewise.settings import DenoiseSettings
@@ -28,12 +29,14 @@ if TYPE_CHECKING:
 
     from lobewise.frame import Result
     from lobewise.interchange import Imported
+    from lobewise.interchange.selections import Selection
     from lobewise.lobe_table import LobeTable
     from lobewise.sequence import SequenceFilter
     from lobewise.sparse_frame import AnyFrame, SparseFrame
     from lobewise.streaming import DenoisedFile
-    from lobewise.temporal import TemporalFilter
-    from lobewise.windows import WindowFilter
+
+    FileOfOne = Imported | FileInBands | FileInWindow
+    """A file, or one of its views."""
 
 OVER_TIME_NOTE = (
     "--temporal filters with the quality 'fast', without Open Image Denoise, and the light in total, not by its "
@@ -186,8 +189,10 @@ class _Denoiser:
     request: _Denoising
     tables: Sequence[LobeTable] | None
     shade: Callable[[Result, AnyFrame], Result]
+    window_readers: dict[Selection, WindowReader] = field(default_factory=dict)
+    """The readers of each view, with a window."""
 
-    def read(self, path: Path) -> Imported | FileInBands | FileInWindow:
+    def read(self, path: Path) -> FileOfOne | FileOfSeveral:
         """Return the frame of a file, for a file that is denoised in bands its name, with a window all its frames."""
         job, asked = self.job, self.request
         if asked.over_time.temporal:
@@ -195,74 +200,88 @@ class _Denoiser:
         if choose_bands(path, asked.bands, asked.settings, asked.whole_option, job.memory):
             target = find_counterpart(path, job.source, job.output)
             return FileInBands(path, target, asked.bands, self.tables, asked.settings, job.memory)
-        return self._window_reader.read(path) if asked.window else self._read_frame(path)
+        found = asked.reading.list_selections(path)
+        return FileOfSeveral(path, found) if len(found) > 1 else self._read_one(path, found[0], found)
 
-    def _read_frame(self, path: Path) -> Imported:
+    def _read_one(self, path: Path, selection: Selection, denoised: tuple[Selection, ...]) -> Imported | FileInWindow:
         job, asked = self.job, self.request
-        passes = not asked.over_time.temporal
-        return asked.reading.read(path, job.source, job.remarks, tables=self.tables, light_passes=passes)
 
-    @cached_property
-    def _window_reader(self) -> WindowReader:
-        return WindowReader(self.job.source, self.request.window, self._read_frame)
+        def read(each: Path) -> Imported:
+            return asked.reading.read(
+                each,
+                job.source,
+                job.remarks,
+                selection=selection,
+                denoised=denoised,
+                tables=self.tables,
+                light_passes=not asked.over_time.temporal,
+            )
 
-    @cached_property
-    def _window_filter(self) -> WindowFilter:
-        from lobewise.windows import WindowFilter
+        if not asked.window:
+            return read(path)
+        reader = self.window_readers.setdefault(selection, WindowReader(job.source, asked.window, read))
+        return reader.read(path)
 
-        return WindowFilter(self.request.window, **self.request.settings)
+    def make_filter(self) -> SequenceFilter[FileOfOne | FileOfSeveral, Result | DenoisedFile | DoneSeveral]:
+        """Return a filter of files that filters each view, by itself or over time."""
+        return FilterOfEach(self._make_filter_of_one, self._filter_selection)
 
-    def make_filter(self) -> SequenceFilter[Imported | FileInBands | FileInWindow, Result | DenoisedFile]:
-        """Return a filter of frames, each by itself or over time."""
-        from lobewise.temporal import TemporalFilter
-
-        changes = self.request.over_time.extend(self.request.settings)
-        return FilterAlone(self._filter_one) if changes is None else _FilterOverTime(TemporalFilter(**changes))
-
-    def _filter_one(self, found: Imported | FileInBands | FileInWindow) -> Result | DenoisedFile:
+    def _make_filter_of_one(self) -> SequenceFilter[Any, Result | DenoisedFile]:
         from lobewise.cli.options.reading import check_import
         from lobewise.denoising.recipe import denoise_checked
         from lobewise.io.sequence import is_pattern
+        from lobewise.temporal import TemporalFilter
+        from lobewise.windows import WindowFilter
 
-        if isinstance(found, FileInBands):
-            # A sequence shows how many files are done instead.
-            return found.denoise(None if is_pattern(self.job.source) else self.job.steps.tell)
-        if isinstance(found, FileInWindow):
-            return self._window_filter.denoise(found.frames, found.index)
-        named = DenoiseSettings(**self.request.settings)
-        return denoise_checked(check_import(found, named), named)
+        settings, window = self.request.settings, self.request.window
+        changes = self.request.over_time.extend(settings)
+        if changes is not None:
+            return FilterOverTime(TemporalFilter(**changes))
+        in_window = WindowFilter(window, **settings) if window else None
 
-    def write(self, target: Path, result: Result | DenoisedFile, found: Imported | FileInBands | FileInWindow) -> None:
-        """Write a result, unless it was written in bands, and its picture."""
+        def filter_one(found: FileOfOne) -> Result | DenoisedFile:
+            if isinstance(found, FileInBands):
+                # A sequence shows how many files are done instead.
+                return found.denoise(None if is_pattern(self.job.source) else self.job.steps.tell)
+            if in_window is not None and isinstance(found, FileInWindow):
+                return in_window.denoise(found.frames, found.index)
+            assert not isinstance(found, FileInWindow)
+            named = DenoiseSettings(**settings)
+            return denoise_checked(check_import(found, named), named)
+
+        return FilterAlone(filter_one)
+
+    def _filter_selection(
+        self, file: FileOfSeveral, selection: Selection, of_one: SequenceFilter[Any, Any], cut: bool
+    ) -> DoneOne:
+        found = self._read_one(file.path, selection, file.selections)
+        return self._plan(of_one.add(found, cut=cut), found)
+
+    def _plan(self, result: Result, found: Imported | FileInWindow) -> DoneOne:
+        own = found.found if isinstance(found, FileInWindow) else found
+        better = self.shade(result, own.frame)
+        return DoneOne(own.container, better, self.request.writing.plan(better, own))
+
+    def write(
+        self, target: Path, result: Result | DenoisedFile | DoneSeveral, found: FileOfOne | FileOfSeveral
+    ) -> None:
+        """Write the results of a file, unless they were written in bands, and the picture of the first."""
         from lobewise.frame import Result
 
-        if isinstance(found, FileInWindow):
-            found = found.found
-
         pictures = self.job.pictures
-        if isinstance(found, FileInBands) or not isinstance(result, Result):
+        if isinstance(result, DoneSeveral):
+            done = result.done
+        elif isinstance(result, Result) and not isinstance(found, (FileInBands, FileOfSeveral)):
+            done = (self._plan(result, found),)
+        else:
             if pictures is not None:
                 pictures.write_from_file(target)
             return
-        better = self.shade(result, found.frame)
-        frame = find_number(found.container.path, self.job.source)
-        self.request.writing.write(target, better, found, self.job.remarks, frame)
+        container, planned = done[0].container, [each.planned for each in done]
+        frame = find_number(container.path, self.job.source)
+        self.request.writing.write(target, planned, container, self.job.remarks, frame)
         if pictures is not None:
-            pictures.write(target, better.image)
-
-
-class _FilterOverTime:
-    """A filter of imported frames that lets every frame use the frames before it."""
-
-    def __init__(self, over_time: TemporalFilter) -> None:
-        self._over_time = over_time
-        self.get_state, self.set_state = over_time.get_state, over_time.set_state
-
-    def add(self, frame: Imported | FileInBands | FileInWindow, *, cut: bool = False) -> Result:
-        """Return the result of the next frame."""
-        # The option --temporal needs whole frames, and takes no window.
-        assert not isinstance(frame, (FileInBands, FileInWindow))
-        return self._over_time.add(frame.frame, cut=cut)
+            pictures.write(target, done[0].result.image)
 
 
 @with_settings(DenoiseSettings, "similarity", "radius", "beta", "device", group=FILTER_DETAILS, radius=5)

@@ -20,6 +20,7 @@ from lobewise.io.exr.describe import PartDescription
 from lobewise.lobe_table import LobeTable
 
 if TYPE_CHECKING:
+    from lobewise.cli.options.selections import DoneSeveral
     from lobewise.streaming import DenoisedFile
 
 
@@ -53,15 +54,24 @@ def print_note(text: str) -> None:
         Console(stderr=True).print(make_text(text, style="dim"), soft_wrap=True)
 
 
-def describe_result(result: Result | DenoisedFile) -> str:
+def describe_result(result: Result | DenoisedFile | DoneSeveral) -> str:
     """Return in one line the size, how it was filtered, the seconds it took and the bad pixels."""
-    settings = result.settings
-    if isinstance(result, Result):
-        (height, width), bands = result.image.shape[:2], ""
+    from lobewise.cli.options.selections import DoneSeveral
+    from lobewise.interchange.selections import count_selections
+
+    several, bands = "", ""
+    one: Result | DenoisedFile
+    if isinstance(result, DoneSeveral):
+        one, several = result.first, f"{count_selections(result.selections)}, "
     else:
-        height, width = result.shape
-        bands = f" in {result.bands} band{'s' if result.bands != 1 else ''}"
-    told = [f"{width}x{height} pixels{bands}"]
+        one = result
+    settings = one.settings
+    if isinstance(one, Result):
+        height, width = one.image.shape[:2]
+    else:
+        height, width = one.shape
+        bands = f" in {one.bands} band{'s' if one.bands != 1 else ''}"
+    told = [f"{several}{width}x{height} pixels{bands}"]
     if settings.get("bilinear"):
         told.append("interpolated between pixels")
     elif "quality" in settings:
@@ -72,7 +82,7 @@ def describe_result(result: Result | DenoisedFile) -> str:
     return f"{line}; {count} bad pixel{'s' if count != 1 else ''} refilled" if count else line
 
 
-def describe_settings(result: Result | DenoisedFile) -> str:
+def describe_settings(result: Result | DenoisedFile | DoneSeveral) -> str:
     """Return in one line the settings of the filter by their names."""
     names = ("similarity", "form", "quality", "radius", "beta", "device")
     return ", ".join(f"{name} {_format(result.settings[name])}" for name in names if name in result.settings)

@@ -102,13 +102,15 @@ def list_views(container: Container) -> tuple[str, ...]:
     channels alone tell the views.
     """
     declared = [name for part in container.parts for name in part.views]
-    beauty = find_beauty(container.parts)
-    of_parts = [beauty.view if beauty else "", *(part.view for part in container.parts if part.view)]
+    of_parts = [part.view for part in container.parts if part.view]
+    if of_parts and not declared:
+        beauty = find_beauty(container.parts)
+        declared = [beauty.view if beauty else of_parts[0]]
     names = [channel.name for part in container.parts for channel in part.channels]
     told = [match[1] for name in names if (match := BLENDERS_VIEW.fullmatch(name))]
     ends = {name.split(".")[-2] for name in names if name.endswith(".R")}
     eyes = EYES if ends.issuperset(EYES) else ()
-    found = declared or (of_parts if any(of_parts) else []) or told or eyes or [""]
+    found = [*declared, *of_parts] or told or eyes or [""]
     return tuple(dict.fromkeys(found))
 
 
@@ -124,11 +126,12 @@ def list_unread_passes(container: Container) -> list[Pass]:
 
 def _group(container: Container, *, unread: bool) -> list[Pass]:
     views = list_views(container)
+    names = frozenset(views)
     found: dict[tuple[int, str, str], Pass] = {}
     for part in container.parts:
         for channel in part.channels:
             if bool(part.find_obstacle(channel)) == unread:
-                view, name = _take_view(channel.name, views)
+                view, name = _take_view(channel.name, names)
                 view = view or part.view or views[0]
                 path, component = _split(name, _name_part(part, view) if container.multipart else "")
                 one = found.setdefault((part.index, path, view), Pass(part, path, {}, view))
@@ -136,7 +139,7 @@ def _group(container: Container, *, unread: bool) -> list[Pass]:
     return [*found.values(), *_join_letters(found)]
 
 
-def _take_view(name: str, views: Sequence[str]) -> tuple[str, str]:
+def _take_view(name: str, views: frozenset[str]) -> tuple[str, str]:
     """Return the view in a channel's name, empty if there is none, and the name without it."""
     *words, component = name.split(".")
     if words and words[-1] and words[-1] in views:

@@ -13,7 +13,7 @@ from lobewise.interchange.imported import Imported
 from lobewise.interchange.importing.leftovers import describe_own_left_noisy
 from lobewise.interchange.mapping import ChannelMap, Found
 from lobewise.interchange.preset import CONVERSIONS, ROLES, Preset
-from lobewise.interchange.reading import import_file, is_own
+from lobewise.interchange.reading import import_file, is_own, list_selections
 from lobewise.interchange.replacing import require_target
 from lobewise.interchange.siblings import FIRST_SIBLING_INDEX
 from lobewise.io.exr.container import Container, show_name
@@ -68,12 +68,20 @@ def inspect_file(
         marks = _list_refusals(check_own_mark(container)) if find_beauty(container.parts) else ()
         left = describe_own_left_noisy(container)
         return replace(own, notes=(*left, *own.notes, *marks), refusals=(*own.refusals, *marks)), None
-    found = import_file(path, preset=preset, mapping=mapping, camera=camera, half=half, also=also, light_passes=True)
+    selections = list_selections(path, preset=preset, mapping=mapping)
+    given = {"preset": preset, "mapping": mapping, "camera": camera, "half": half, "also": also, "light_passes": True}
+    found, *others = (
+        import_file(path, view=each.view or None, denoised=selections, **given)  # type: ignore[arg-type]
+        for each in selections
+    )
     # A user who maps the color says that this image is noisy, so the checks must not refuse it.
-    marks = () if "color" in (mapping or {}) else _list_refusals(found.findings)
-    described = describe_import(found)
+    marks = (
+        () if "color" in (mapping or {}) else _list_refusals(one for each in (found, *others) for one in each.findings)
+    )
+    described = describe_import(found, others)
     try:
-        require_target(found)
+        for each in (found, *others):
+            require_target(each)
     except InputError as problem:
         told = f"Denoising will refuse this: {problem}"
         return replace(described, notes=(*described.notes, told), refusals=(*marks, told)), found
@@ -85,13 +93,19 @@ def _list_refusals(findings: Iterable[Finding]) -> tuple[str, ...]:
     return tuple(one.told for one in findings if one.what == MARKED and not one.mended)
 
 
-def describe_import(found: Imported) -> FileDescription:
-    """Return the description of an imported file."""
+def describe_import(found: Imported, others: Sequence[Imported] = ()) -> FileDescription:
+    """Return the description of an imported file; ``others`` are further views of it that are denoised."""
     container, frame, channels = found.container, found.frame, found.map
     if channels is None:
         return describe_own(container.path)
     image_part = channels.roles["color"].source.part.index
-    used = {(one.source.part.index, name): what for what, one in _list_found(channels, found) for name in one.channels}
+    used = {
+        (one.source.part.index, name): what
+        for each in (*others, found)
+        if each.map is not None
+        for what, one in _list_found(each.map, each)
+        for name in one.channels
+    }
     guides = set(frame.gbuffer.names)
     return FileDescription(
         path=str(container.path),
@@ -103,7 +117,7 @@ def describe_import(found: Imported) -> FileDescription:
         spp=frame.spp,
         materials=(),
         similarities=list_similarities(guides, frame.camera if frame.gbuffer.is_placed else None),
-        notes=(*frame.notes, *found.notes),
+        notes=(*_tell_selections(found, others), *frame.notes, *found.notes, *_list_further_notes(found, others)),
         preset=channels.preset.title,
         reason=channels.reason,
         roles=tuple(
@@ -116,11 +130,40 @@ def describe_import(found: Imported) -> FileDescription:
         exact=tuple(dict.fromkeys(name.partition("/")[0] for name in frame.unscattered)),
         lacks=found.lacks,
         outputs=tuple(
-            dict.fromkeys(one.found.label for name, one in found.outputs.items() if name not in frame.unscattered)
+            dict.fromkeys(
+                one.found.label
+                for each in (found, *others)
+                for name, one in each.outputs.items()
+                if name not in each.frame.unscattered
+            )
         ),
         unusable=tuple(channels.refused.values()),
         alone=" ".join(describe_alone(channels, frame)),
     )
+
+
+def _tell_selections(found: Imported, others: Sequence[Imported]) -> list[str]:
+    """Return a sentence that names the views of a file that has several."""
+    assert found.map is not None
+    denoised = [each.map.selection.view for each in (found, *others) if each.map is not None]
+    if len(denoised) < 2:
+        return []
+    names = ", ".join(repr(show_name(name)) for name in denoised)
+    return [f"This file has {len(denoised)} views: {names}; each is denoised with its own guides."]
+
+
+def _list_further_notes(found: Imported, others: Sequence[Imported]) -> list[str]:
+    """Return the notes on further views of a kind that the first does not have, each with the name of its view."""
+    assert found.map is not None
+    first = found.map.selection
+    known = {first.find_kind(note) for note in (*found.frame.notes, *found.notes)}
+    told: list[str] = []
+    for each in others:
+        assert each.map is not None
+        own = each.map.selection
+        new = [note for note in (*each.frame.notes, *each.notes) if own.find_kind(note) not in known]
+        told += [own.begin_note(note, first) for note in new]
+    return told
 
 
 def _find_version(preset: Preset, container: Container) -> str:

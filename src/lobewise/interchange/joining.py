@@ -9,7 +9,7 @@ import numpy as np
 
 from lobewise.errors import InputError, require_choice
 from lobewise.frame import FloatArray, Radiance
-from lobewise.interchange.channels import COLOR, Pass
+from lobewise.interchange.channels import COLOR, Pass, list_passes
 from lobewise.interchange.imported import ImageReader, Imported
 from lobewise.interchange.lighting import PartOutput, name_pass
 from lobewise.interchange.mapping import Found
@@ -37,7 +37,9 @@ def add_also(found: Imported, patterns: Sequence[str], read: ImageReader) -> Imp
     for pattern in patterns:
         chosen = [(one, one.pick(COLOR)) for one in found.map.beside if one.matches(pattern)]
         taken = [(one, channels) for one, channels in chosen if channels and not used.intersection(channels)]
-        if not taken:
+        if not taken and any(one.matches(pattern) for one in list_passes(found.container)):
+            notes.append(f"No pass of {found.map.selection.label or 'the picture'} matches --also {pattern}.")
+        elif not taken:
             raise InputError(
                 f"--also {pattern}",
                 expected="passes of three channels that are not used yet",

@@ -18,7 +18,6 @@ from lobewise.interchange.channels import (
     list_unread_passes,
     list_views,
 )
-from lobewise.interchange.pictures import Picture, choose_view, keep_layer, list_images, list_pictures
 from lobewise.interchange.preset import (
     ROLES,
     SINGLE_VALUE_ROLES,
@@ -29,6 +28,7 @@ from lobewise.interchange.preset import (
     load_presets,
     require_conversion,
 )
+from lobewise.interchange.selections import Selection, choose_view, keep_layer, list_images, list_selections
 from lobewise.io.exr.container import Container, Part, show_name
 from lobewise.io.exr.layout import refuse_missing_image
 from lobewise.io.files import PathLike
@@ -101,10 +101,10 @@ class ChannelMap:
         The passes of each Cryptomatte in the order of their ranks.
     prefix : str
         Prefix of the chosen passes, such as the view layer.
-    picture : Picture
+    selection : Selection
         The view and view layer of the images.
-    pictures : tuple of Picture
-        All pictures of the file, in all views and view layers.
+    selections : tuple of Selection
+        All views and view layers of the file that have an image.
     beside : tuple of Pass
         The passes of this view and view layer that have the pixels of the image.
     shown : Found or None
@@ -119,8 +119,8 @@ class ChannelMap:
     layers: tuple[FoundLayer, ...]
     cryptomatte: tuple[tuple[Found, ...], ...]
     prefix: str = ""
-    picture: Picture = field(default_factory=Picture)
-    pictures: tuple[Picture, ...] = ()
+    selection: Selection = field(default_factory=Selection)
+    selections: tuple[Selection, ...] = ()
     beside: tuple[Pass, ...] = ()
     shown: Found | None = None
     refused: Mapping[str, str] = field(default_factory=dict)
@@ -214,8 +214,8 @@ def map_channels(
         tuple(layers.values()),
         tuple(filter(None, mattes)),
         prefix=prefix,
-        picture=Picture(view, prefix.removesuffix(".")),
-        pictures=list_pictures(container, chosen, everything),
+        selection=Selection(view, prefix.removesuffix(".")),
+        selections=list_selections(container, chosen, everything),
         beside=tuple(beside),
         shown=None if "color" in own else _find_shown(chosen, color, beside, prefix),
         refused={

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
 from lobewise.camera import Camera
-from lobewise.errors import InputError
+from lobewise.errors import InputError, MissingChannelError
 from lobewise.frame import FloatArray, Frame
+from lobewise.interchange.channels import list_passes
 from lobewise.interchange.checks import check_own_mark
 from lobewise.interchange.imported import ImageReader, Imported
 from lobewise.interchange.importing.leftovers import describe_left_noisy, describe_own_left_noisy
@@ -16,7 +18,7 @@ from lobewise.interchange.importing.steps import import_foreign
 from lobewise.interchange.joining import add_also, join_halves
 from lobewise.interchange.lighting import name_pass
 from lobewise.interchange.mapping import map_channels
-from lobewise.interchange.pictures import Picture
+from lobewise.interchange.selections import Selection, find_mapped_view
 from lobewise.interchange.siblings import find_family
 from lobewise.io.exr.container import Channel, Container, Part, Window
 from lobewise.io.exr.frames import read_whole
@@ -50,6 +52,7 @@ def read_frame(
     half: PathLike | None = None,
     lobe_tables: Sequence[LobeTable] | None = None,
     light_passes: bool = True,
+    view: str | None = None,
 ) -> Frame:
     """Return the frame of an EXR file, whichever renderer wrote it.
 
@@ -81,6 +84,8 @@ def read_frame(
         its layers. Then `lobewise.denoise` filters them and `lobewise.write_result` writes them back. Without them, the
         frame takes less memory and filtering is faster. The image is the same to the bit, but the passes in the written
         file stay noisy.
+    view : str, optional
+        Name of the view, such as ``right`` in a stereo file; by default the first view of the file.
 
     Raises
     ------
@@ -89,7 +94,7 @@ def read_frame(
     MissingChannelError
         If there is no image, or an image has only some of its channels.
     InputError
-        If a preset, role, conversion or channel is unknown, the camera in the header is invalid, a pixel names a
+        If a preset, role, conversion, channel or view is unknown, the camera in the header is invalid, a pixel names a
         missing lobe table, the frame was shaded sparsely, or the halves do not fit each other.
     """
     return import_file(
@@ -100,7 +105,42 @@ def read_frame(
         half=half,
         lobe_tables=lobe_tables,
         light_passes=light_passes,
+        view=view,
     ).frame
+
+
+def list_selections(
+    path: PathLike, *, preset: PathLike | None = None, mapping: Mapping[str, str] | None = None
+) -> tuple[Selection, ...]:
+    """Return what ``lobewise denoise`` filters of a file: every view, in the first view layer.
+
+    If the user mapped channels of one view by their names, only this view is filtered. A view without an image, or
+    without a channel that the user mapped, is left out. `describe_left_noisy` names it.
+
+    Parameters
+    ----------
+    path, preset, mapping
+        As in `read_frame`.
+
+    Raises
+    ------
+    FileError, MissingChannelError, InputError
+        As `read_frame`.
+    """
+    container = read_container(path)
+    if preset is None and not mapping and is_own(container):
+        return (Selection(),)
+    family = find_family(container).container
+    with name_file(path):
+        first = map_channels(family, preset=preset, mapping=mapping)
+    views = dict.fromkeys(each.view for each in first.selections)
+    if find_mapped_view(list_passes(family), mapping or {}):
+        views = {}
+    found = {first.selection: None}
+    for view in views:
+        with suppress(InputError, MissingChannelError):
+            found[map_channels(family, preset=preset, mapping=mapping, view=view).selection] = None
+    return tuple(found)
 
 
 def import_file(
@@ -113,21 +153,22 @@ def import_file(
     lobe_tables: Sequence[LobeTable] | None = None,
     also: Sequence[str] = (),
     light_passes: bool = False,
-    denoised: Collection[Picture] = (),
+    view: str | None = None,
+    denoised: Collection[Selection] = (),
 ) -> Imported:
     """Return the frame of an EXR file, with notes, findings and the channels that receive results.
 
     Parameters
     ----------
-    path, preset, mapping, camera, half, lobe_tables
+    path, preset, mapping, camera, half, lobe_tables, view
         As in `read_frame`.
     also : sequence of str
         Patterns, with the wildcards * and ?, of further passes to filter. A pass is filtered like the layer whose pass
         name begins its own (``DiffDir_key``), else like the image.
     light_passes : bool
         Whether each pass of a layer (direct, indirect) is filtered too, so that it can be written back.
-    denoised : collection of Picture
-        Further pictures of the file that are denoised, so that no note says that they stay noisy.
+    denoised : collection of Selection
+        Further views and view layers that are denoised, so that no note says that they stay noisy.
 
     Raises
     ------
@@ -139,6 +180,13 @@ def import_file(
     read = ImageReader(family.decode)
     if preset is None and not mapping and is_own(container):
         require_shaded(container)
+        if view is not None:
+            raise InputError(
+                "view",
+                expected="a file of another renderer",
+                got="a file with lobewise's own channel names, of which the first view is read",
+                action="leave it out",
+            )
         frame = read_whole(path, container, lobe_tables)
         frame = frame if camera is None else frame.with_changes(camera=camera)
         found = Imported(
@@ -155,20 +203,20 @@ def import_file(
                 action="leave them out",
             )
         with name_file(path):
-            channels = map_channels(family.container, preset=preset, mapping=mapping)
+            channels = map_channels(family.container, preset=preset, mapping=mapping, view=view)
             found, read = import_foreign(container, read, channels, camera)
     if also:
         with name_file(path):
             found = add_also(found, also, read)
     if found.map is not None:
-        notes = describe_left_noisy(found, read, {found.map.picture, *denoised})
+        notes = describe_left_noisy(found, read, {found.map.selection, *denoised})
         found = replace(found, frame=found.frame.with_changes(notes=notes))
     if not light_passes:
         found = _leave_passes(found)
     if half is None:
         return found
     given = {"preset": preset, "mapping": mapping, "camera": camera, "lobe_tables": lobe_tables}
-    other = import_file(half, also=also, light_passes=light_passes, **given)  # type: ignore[arg-type]
+    other = import_file(half, also=also, light_passes=light_passes, view=view, **given)  # type: ignore[arg-type]
     with name_file(half):
         return join_halves(found, other)
 

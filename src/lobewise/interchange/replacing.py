@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from lobewise.errors import InputError, require_kind
 from lobewise.frame import FloatArray, Result
-from lobewise.interchange.channels import list_passes
+from lobewise.interchange.channels import list_passes, list_views
 from lobewise.interchange.imported import Imported
 from lobewise.interchange.mapping import Found
 from lobewise.interchange.reading import import_file
 from lobewise.interchange.siblings import FIRST_SIBLING_INDEX
-from lobewise.io.exr.container import show_name
+from lobewise.io.exr.container import Container, Part, show_name
 from lobewise.io.exr.layout import plan_writing, require_beauty
 from lobewise.io.exr.replacing import write_copy
 from lobewise.io.files import PathLike
@@ -39,6 +40,7 @@ def write_result(
     only: bool = False,
     confidence: bool = False,
     rerender: FloatArray | None = None,
+    view: str | None = None,
 ) -> tuple[str, ...]:
     """Write a copy of the EXR file ``source`` in which the radiance is replaced by the denoised one.
 
@@ -68,6 +70,9 @@ def write_result(
         pixel was refilled) and, where it is given, ``lobewise.rerender``.
     rerender : array, shape (height, width), optional
         1 where a pixel should be rendered again; see `lobewise.find_unsupported`.
+    view : str, optional
+        With a path as ``source``, the view that was denoised. To write all views, write the first one, then each
+        further one with ``path`` as its ``source``.
 
     Returns
     -------
@@ -85,7 +90,58 @@ def write_result(
         lies in another file beside ``source``.
     """
     require_kind("result", result, Result)
-    found = source if isinstance(source, Imported) else import_file(source)
+    found = source if isinstance(source, Imported) else import_file(source, view=view)
+    planned = plan_result(result, found, suffix=suffix, only=only, confidence=confidence, rerender=rerender)
+    return write_planned(path, found.container, [planned], only=only)
+
+
+@dataclass(frozen=True)
+class PlannedResult:
+    """What one result changes in the copy of its file.
+
+    Parameters
+    ----------
+    beauty : Part
+        The part that holds the image. Its header gets the settings.
+    changed, added : mapping of int to mapping of str to array, shape (height, width)
+        New values of channels, and new channels, by the index of their part and their name.
+    settings : mapping of str to object
+        The settings of the result.
+    notes : tuple of str
+        Sentences for the user.
+    """
+
+    beauty: Part
+    changed: Planes
+    added: Planes
+    settings: Mapping[str, Any]
+    notes: tuple[str, ...]
+
+
+def write_planned(
+    path: PathLike, container: Container, planned: Sequence[PlannedResult], *, only: bool = False
+) -> tuple[str, ...]:
+    """Write a copy of a file with the results of one or more of its views; see `write_result`."""
+    changed, added = ({}, {})  # type: tuple[Planes, Planes]
+    for each in planned:
+        for whole, mine in ((changed, each.changed), (added, each.added)):
+            for index, planes in mine.items():
+                whole.setdefault(index, {}).update(planes)
+    notes = dict.fromkeys(note for each in planned for note in each.notes)
+    first = planned[0]
+    return (*notes, *write_copy(path, container, changed, first.settings, first.beauty, added=added, only=only))
+
+
+def plan_result(
+    result: Result,
+    found: Imported,
+    *,
+    suffix: str = "",
+    only: bool = False,
+    confidence: bool = False,
+    rerender: FloatArray | None = None,
+) -> PlannedResult:
+    """Return what a result changes in the copy of its file; see `write_result`."""
     require_target(found)
     container = found.container
     if found.map is None:
@@ -101,7 +157,8 @@ def write_result(
     added: Planes = kept
     if suffix:
         added = {
-            index: {_add_suffix(name, suffix): plane for name, plane in each.items()} for index, each in planes.items()
+            index: {_add_suffix(name, suffix, container): plane for name, plane in each.items()}
+            for index, each in planes.items()
         }
     if confidence:
         own = {
@@ -112,8 +169,14 @@ def write_result(
         if rerender is not None:
             own["rerender"] = np.asarray(rerender, np.float32)
         more = added.setdefault(beauty.index, {})
-        more |= {f"{CONFIDENCE_PREFIX}{name}": image for name, image in own.items()}
-    return (*notes, *write_copy(path, container, changed, result.settings, beauty, added=added, only=only))
+        more |= {f"{_name_prefix(found, beauty)}{name}": image for name, image in own.items()}
+    return PlannedResult(beauty, changed, added, result.settings, tuple(notes))
+
+
+def _name_prefix(found: Imported, beauty: Part) -> str:
+    """Return the beginning of the names of added channels, with the view if channels of the part name it."""
+    view = "" if found.map is None or beauty.view else found.map.selection.view
+    return f"{CONFIDENCE_PREFIX}{view}." if view else CONFIDENCE_PREFIX
 
 
 def require_target(found: Imported) -> None:
@@ -179,7 +242,7 @@ def _keep_shown(found: Imported) -> tuple[Planes, list[str]]:
     shown = None if found.map is None else found.map.shown
     if shown is None or found.shown is None:
         return {}, []
-    names = [_add_suffix(name, KEPT_SUFFIX) for name in shown.channels]
+    names = [_add_suffix(name, KEPT_SUFFIX, found.container) for name in shown.channels]
     label = Found(shown.source, tuple(names)).label
     if found.container.multipart and shown.source.part.name:
         label += f" of the part {show_name(shown.source.part.name)!r}"
@@ -196,8 +259,10 @@ def _note_noisy(found: Imported, result: Result) -> list[str]:
     return [f"Left noisy, as the result has no part for them: {', '.join(left)}."] if left else []
 
 
-def _add_suffix(name: str, suffix: str) -> str:
+def _add_suffix(name: str, suffix: str, container: Container) -> str:
     """Return a channel name with a suffix after the pass: ``ViewLayer.Combined_clean.R``, or ``clean.R`` for plain R.
+
+    A view stays before the component: ``ViewLayer.Combined_clean.left.R``.
 
     Raises
     ------
@@ -206,6 +271,7 @@ def _add_suffix(name: str, suffix: str) -> str:
     """
     if "." in suffix.strip("."):
         raise InputError("--suffix", expected="a word without a dot", got=repr(suffix), action="write _denoised")
-    head, _, component = name.rpartition(".")
-    word = suffix.strip(".")
-    return f"{head}{word}.{component}" if head else f"{word.lstrip('_- ') or word}.{component}"
+    *words, component = name.split(".")
+    view = [words.pop()] if words and words[-1] and words[-1] in list_views(container) else []
+    head, word = ".".join(words), suffix.strip(".")
+    return ".".join([f"{head}{word}" if head else word.lstrip("_- ") or word, *view, component])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from lobewise.guides.usable import CheckedGuides
     from lobewise.interchange import Imported
     from lobewise.interchange.checks import Finding
+    from lobewise.interchange.selections import Selection
     from lobewise.lobe_table import LobeTable
     from lobewise.settings import DenoiseSettings
 
@@ -121,16 +122,24 @@ class PassReading(Reading):
         """Return the options that the user gave, as words of a command line."""
         return super().list_words() + _list_words({"--also": self.also})
 
+    def list_selections(self, path: Path) -> tuple[Selection, ...]:
+        """Return what is filtered of a file: every view."""
+        from lobewise.interchange.reading import list_selections
+
+        return list_selections(path, preset=self.preset, mapping=parse_maps(self.maps or []))
+
     def read(
         self,
         path: Path,
         source: Path,
         remarks: Remarks,
         *,
+        selection: Selection,
+        denoised: Collection[Selection] = (),
         tables: Sequence[LobeTable] | None = None,
         light_passes: bool = False,
     ) -> Imported:
-        """Return the frame of a file.
+        """Return the frame of a view of a file.
 
         Parameters
         ----------
@@ -140,6 +149,10 @@ class PassReading(Reading):
             The file again, or the pattern of its sequence.
         remarks : Remarks
             Prints how the file was understood.
+        selection : Selection
+            The view.
+        denoised : collection of Selection
+            All that is filtered of the file. After the first one, only notes of a new kind are printed.
         tables : sequence of LobeTable, optional
             Fitted materials that replace the materials in the file.
         light_passes : bool
@@ -156,14 +169,17 @@ class PassReading(Reading):
             lobe_tables=tables,
             also=self.also or (),
             light_passes=light_passes,
+            view=selection.view or None,
+            denoised=denoised,
         )
         if "color" not in given["mapping"]:
             refuse_results(path, found.findings)
         require_target(found)
         # A finding holds figures of one frame: of a sequence only the first frame's are printed.
         known = {one.told: f"{one.what}, {one.mended}" for one in found.findings}
+        first = next(iter(denoised), selection)
         for note in found.remarks:
-            remarks.tell(note, known.get(note, note), find_number(path, source))
+            remarks.tell_of(selection, first, note, known.get(note, note), find_number(path, source))
         return found
 
     def _find_half(self, path: Path, source: Path) -> Path:

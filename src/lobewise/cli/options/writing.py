@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from lobewise.cli.terminal.outcome import Remarks
     from lobewise.frame import Result
     from lobewise.interchange import Imported
+    from lobewise.interchange.replacing import PlannedResult
+    from lobewise.io.exr.container import Container
     from lobewise.reporting.picture import Pictures
 
 MAX_EXPOSURE_STOPS = 64.0
@@ -46,24 +48,35 @@ class Writing:
         """Name of the first option that the user gave, empty for none."""
         return next((f"--{name}" for name in ("suffix", "only", "confidence") if getattr(self, name)), "")
 
-    def write(self, target: Path, result: Result, found: Imported, remarks: Remarks, frame: int | None = None) -> None:
-        """Write a result into a copy of its file; ``remarks`` prints which channels changed their meaning.
-
-        ``frame`` is the number of the file in a sequence.
-        """
+    def plan(self, result: Result, found: Imported) -> PlannedResult:
+        """Return what a result changes in the copy of its file."""
         from lobewise.adaptive import find_unsupported
-        from lobewise.interchange import write_result
+        from lobewise.interchange.replacing import plan_result
 
-        notes = write_result(
-            target,
+        return plan_result(
             result,
-            source=found,
+            found,
             suffix=self.suffix,
             only=self.only,
             confidence=self.confidence,
             rerender=find_unsupported(result).astype("f4") if self.confidence else None,
         )
-        for note in notes:
+
+    def write(
+        self,
+        target: Path,
+        planned: Sequence[PlannedResult],
+        container: Container,
+        remarks: Remarks,
+        frame: int | None = None,
+    ) -> None:
+        """Write results into a copy of their file; ``remarks`` prints which channels changed their meaning.
+
+        ``frame`` is the number of the file in a sequence.
+        """
+        from lobewise.interchange.replacing import write_planned
+
+        for note in write_planned(target, container, planned, only=self.only):
             remarks.tell(note, frame=frame)
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lobewise.errors import hide_numbers
+
 if TYPE_CHECKING:
+    from lobewise.cli.options.selections import DoneSeveral
     from lobewise.frame import Result
+    from lobewise.interchange.selections import Selection
     from lobewise.io.sequence import FramePattern
     from lobewise.reporting.picture import Pictures
     from lobewise.streaming import DenoisedFile
@@ -26,6 +29,7 @@ class Remarks:
         self._is_silent = silent
         self.told: dict[str, str] = {}
         """Remarks by key."""
+        self._kinds: set[str] = set()
 
     def tell(self, note: str, key: str = "", frame: int | None = None) -> None:
         """Print a note, unless a note with its key was printed before; by default the note is its own key.
@@ -41,17 +45,35 @@ class Remarks:
         if not self._is_silent:
             print_note(told)
 
-    def tell_result(self, result: Result | DenoisedFile, frame: int | None = None) -> None:
+    def tell_of(self, selection: Selection, first: Selection, note: str, key: str, frame: int | None = None) -> None:
+        """Print a note on one of the views of a file.
+
+        For other views than the ``first``, print only notes of a new kind, with the name of the view.
+        """
+        kind = selection.find_kind(note)
+        if selection == first:
+            self.tell(note, key, frame)
+        elif kind not in self._kinds:
+            self.tell(selection.begin_note(note, first), key, frame)
+        self._kinds.add(kind)
+
+    def tell_result(self, result: Result | DenoisedFile | DoneSeveral, frame: int | None = None) -> None:
         """Print the method, what is wrong with the guides, and which images of the frame were not used."""
-        unused = f"Not used with these settings: {', '.join(result.unused)}."
-        used = [f"Used: {result.method}."] if result.method else []
-        for note in (*used, *result.notes, *([unused] if result.unused else [])):
+        from lobewise.cli.options.selections import DoneSeveral
+
+        if isinstance(result, DoneSeveral):
+            for selection, done in zip(result.selections, result.done, strict=True):
+                for note in _list_notes(done.result):
+                    self.tell_of(selection, result.selections[0], note, hide_numbers(note), frame)
+            return
+        for note in _list_notes(result):
             self.tell(note, hide_numbers(note), frame)
 
 
-def hide_numbers(note: str) -> str:
-    """Return a remark without its figures, which differ from frame to frame: only the first frame's are printed."""
-    return re.sub(r"\d+(\.\d+)?", "#", note)
+def _list_notes(result: Result | DenoisedFile) -> list[str]:
+    unused = f"Not used with these settings: {', '.join(result.unused)}."
+    used = [f"Used: {result.method}."] if result.method else []
+    return [*used, *result.notes, *([unused] if result.unused else [])]
 
 
 def tell_gaps(source: FramePattern) -> None:
@@ -71,7 +93,7 @@ def tell_picture(output: Path, pictures: Pictures | None) -> None:
         print_line(f"Wrote {pictures.name(output)}.")
 
 
-def tell_settings(result: Result | DenoisedFile | None, verbose: bool) -> None:
+def tell_settings(result: Result | DenoisedFile | DoneSeveral | None, verbose: bool) -> None:
     """Print the settings of the filter by their names, if ``verbose`` asks for them."""
     from lobewise.cli.output import describe_settings, print_note
 

@@ -12,8 +12,8 @@ from lobewise.interchange.channels import COLOR, Pass, list_views
 from lobewise.interchange.imported import ImageReader, Imported
 from lobewise.interchange.lighting import is_smooth, name_pass
 from lobewise.interchange.mapping import ChannelMap, Found
-from lobewise.interchange.pictures import Picture
 from lobewise.interchange.preset import load_presets
+from lobewise.interchange.selections import Selection
 from lobewise.interchange.siblings import FIRST_SIBLING_INDEX
 from lobewise.io.exr.container import Container, show_name
 from lobewise.io.exr.header import read_replaced
@@ -30,22 +30,22 @@ OWN_PARTS = ("direct", "indirect")
 """Light of files in lobewise's own channel names that no filter writes."""
 
 
-def describe_left_noisy(found: Imported, read: ImageReader, denoised: Collection[Picture]) -> tuple[str, ...]:
+def describe_left_noisy(found: Imported, read: ImageReader, denoised: Collection[Selection]) -> tuple[str, ...]:
     """Return a sentence that names the noisy images that stay in the file; nothing if none stay.
 
     Parameters
     ----------
     found : Imported
-        The picture that is denoised, of a file of another renderer.
+        What is denoised of a file of another renderer.
     read : ImageReader
         Reads images of the file.
-    denoised : collection of Picture
-        The pictures of the file that are denoised.
+    denoised : collection of Selection
+        The views and view layers of the file that are denoised.
     """
     channels = found.map
     assert channels is not None
     unused = list(_list_unused(found, channels))
-    views, layers = ({getattr(each, what): None for each in channels.pictures} for what in ("view", "layer"))
+    views, layers = ({getattr(each, what): None for each in channels.selections} for what in ("view", "layer"))
     words = [
         *_name("view", [each for each in views if each not in {one.view for one in denoised}]),
         *_name("view layer", [each for each in layers if each not in {one.layer for one in denoised}]),

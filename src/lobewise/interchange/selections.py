@@ -1,19 +1,19 @@
-"""Find the pictures of a file, one for each view (the eyes of a stereo pair) and view layer, and the passes of one."""
+"""Select a view (an eye of a stereo pair) and a view layer of a file: the passes of which a frame is made."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import astuple, dataclass
 
-from lobewise.errors import require_choice
+from lobewise.errors import hide_numbers, require_choice
 from lobewise.interchange.channels import COLOR, Pass, list_views
 from lobewise.interchange.preset import Preset, Rule
-from lobewise.io.exr.container import Container
+from lobewise.io.exr.container import Container, show_name
 
 
 @dataclass(frozen=True)
-class Picture:
-    """Name of a picture of a file.
+class Selection:
+    """A view and a view layer, whose passes make a frame.
 
     Parameters
     ----------
@@ -28,9 +28,31 @@ class Picture:
 
     @property
     def label(self) -> str:
-        """The picture as a user reads it: ``view 'left'``, or ``view layer 'Trees', view 'left'``."""
+        """The names as a user reads them: ``view 'left'``, or ``view layer 'Trees', view 'left'``."""
         named = (("view layer", self.layer), ("view", self.view))
-        return ", ".join(f"{what} {name!r}" for what, name in named if name)
+        return ", ".join(f"{what} {show_name(name)!r}" for what, name in named if name)
+
+    def begin_note(self, note: str, first: Selection) -> str:
+        """Return a note with the names before it that differ from those of ``first``."""
+        label = Selection(
+            *("" if own == its else own for own, its in zip(astuple(self), astuple(first), strict=True))
+        ).label
+        return f"{label[:1].upper()}{label[1:]}: {note}"
+
+    def find_kind(self, note: str) -> str:
+        """Return a note without figures and without the names, which differ where the same is true of several views."""
+        for name in filter(None, (self.layer, self.view)):
+            note = note.replace(f"{name}.", "").replace(f".{name}", "")
+        return hide_numbers(note)
+
+
+def count_selections(selections: Collection[Selection]) -> str:
+    """Return how many there are, in words: ``2 views``, ``3 view layers`` or ``3 view layers in 2 views``."""
+    counts = {what: len({getattr(each, what) for each in selections}) for what in ("layer", "view")}
+    told = [
+        f"{counts[what]} {name}" for what, name in (("layer", "view layers"), ("view", "views")) if counts[what] > 1
+    ]
+    return " in ".join(told)
 
 
 def choose_view(
@@ -78,12 +100,13 @@ def list_images(preset: Preset, passes: Sequence[Pass]) -> dict[str, tuple[Pass,
     return found
 
 
-def list_pictures(container: Container, preset: Preset, passes: Iterable[Pass]) -> tuple[Picture, ...]:
-    """Return the pictures of a file, in each view the one to take by default first."""
-    known = list(passes)
-    views = {view: [one for one in known if one.view == view] for view in list_views(container)}
+def list_selections(container: Container, preset: Preset, passes: Iterable[Pass]) -> tuple[Selection, ...]:
+    """Return the views and view layers of a file that have an image, in each view the default one first."""
+    views: dict[str, list[Pass]] = {view: [] for view in list_views(container)}
+    for one in passes:
+        views[one.view].append(one)
     return tuple(
-        Picture(view, prefix.removesuffix(".")) for view, own in views.items() for prefix in list_images(preset, own)
+        Selection(view, prefix.removesuffix(".")) for view, own in views.items() for prefix in list_images(preset, own)
     )
 
 

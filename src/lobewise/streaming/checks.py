@@ -1,0 +1,60 @@
+"""Checks before a file is denoised in bands."""
+
+from __future__ import annotations
+
+from lobewise.errors import InputError, MissingChannelError, name_value
+from lobewise.guides.survey import GuideSurvey
+from lobewise.interchange.reading import is_own
+from lobewise.io.exr.bands import BandReader
+from lobewise.io.exr.parsing import read_container
+from lobewise.io.files import PathLike
+from lobewise.settings import DenoiseSettings
+from lobewise.streaming.plan import MEASURED_ROWS, cut_bands
+
+
+def require_bands(source: PathLike, asked: DenoiseSettings, rows: int | None, memory: float) -> None:
+    """Raise InputError if a file cannot be denoised in bands with these arguments of `denoise_file`."""
+    if asked.asks_for_oidn:
+        raise InputError(
+            "with_oidn",
+            expected="False for bands, because Open Image Denoise sees whole images",
+            got="True",
+            action="leave it out, or denoise the frame as a whole",
+        )
+    if rows is not None and (isinstance(rows, bool) or not isinstance(rows, int) or rows < 1):
+        raise InputError("rows", expected="an integer of at least 1", got=name_value(rows), action="leave it out")
+    if not 0.0 < memory < float("inf"):
+        raise InputError(
+            "memory", expected="a finite number of GiB above 0", got=name_value(memory), action="leave it out"
+        )
+    if not is_own(read_container(source)):
+        raise InputError(
+            f"input {str(source)!r}",
+            expected="a file in lobewise's own channel names, which can be read in bands",
+            got="one of another renderer",
+            action="use read_frame, denoise and write_result",
+        )
+
+
+def survey_guides(reader: BandReader) -> GuideSurvey:
+    """Return what the guides of a file are worth. Most files are known after the first band.
+
+    Raises
+    ------
+    MissingChannelError
+        If the file has no normals: those that stand in for them are found in the whole image.
+    """
+    survey, height = GuideSurvey(), reader.shape[0]
+    for band in cut_bands(height, MEASURED_ROWS):
+        survey.look_at(reader.read_frame(*band))
+        if survey.is_settled:
+            break
+        reader.forget(band[1])
+    if ("gbuffer", "normal") not in reader.images or "normal" in survey.empty:
+        raise MissingChannelError(
+            "channel normal",
+            expected="one for bands",
+            got="none" if "normal" not in survey.empty else "one that is 0 everywhere",
+            action="denoise the frame as a whole (--bands off)",
+        )
+    return survey
