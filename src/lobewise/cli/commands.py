@@ -142,7 +142,9 @@ def inspect(
     if settings:
         names = ", ".join(f"--{name.replace('_', '-')}" for name in settings)
         raise InputError(names, expected="--plan beside it", got="none", action="add --plan")
-    found, imported = inspect_file(source, **reading.parse(), half=reading.half, also=reading.also or ())
+    found, imported = inspect_file(
+        source, **reading.parse(), half=reading.half, also=reading.also or (), all_layers=reading.all_layers
+    )
     if page is not None:
         write_contents(page, source, found, reading)
     method = ""

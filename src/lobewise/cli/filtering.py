@@ -100,7 +100,7 @@ def denoise(
         "window": window,
         "material": [str(path) for path in material or []],
         "adaptive": reshading.list_values(),
-        "reading": [reading.preset, reading.maps, str(reading.camera), str(reading.half), reading.also],
+        "reading": reading.list_words(),
         "writing": [writing.suffix, writing.only, writing.confidence],
         "picture": [picture.png, picture.exposure],
     }

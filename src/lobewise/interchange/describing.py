@@ -38,17 +38,21 @@ def describe_file(
     camera: Camera | None = None,
     half: PathLike | None = None,
     also: Sequence[str] = (),
+    all_layers: bool = False,
 ) -> FileDescription:
     """Return a description of an EXR file: its contents, its preset and the reason for it, and the use of each pass.
 
-    The parameters are those of `import_file`. Pixels are read only if the file does not use lobewise's channel names.
+    The parameters are those of `import_file`; ``all_layers`` describes all view layers. Pixels are read only if the
+    file does not use lobewise's channel names.
 
     Raises
     ------
     FileError, MissingChannelError, InputError
         As `import_file`, for a file of another renderer. Errors in a lobewise file become notes instead.
     """
-    return inspect_file(path, preset=preset, mapping=mapping, camera=camera, half=half, also=also)[0]
+    return inspect_file(
+        path, preset=preset, mapping=mapping, camera=camera, half=half, also=also, all_layers=all_layers
+    )[0]
 
 
 def inspect_file(
@@ -59,6 +63,7 @@ def inspect_file(
     camera: Camera | None = None,
     half: PathLike | None = None,
     also: Sequence[str] = (),
+    all_layers: bool = False,
 ) -> tuple[FileDescription, Imported | None]:
     """Return the description of a file as `describe_file`, and the file itself if its pixels were read."""
     container = read_container(path)
@@ -68,10 +73,10 @@ def inspect_file(
         marks = _list_refusals(check_own_mark(container)) if find_beauty(container.parts) else ()
         left = describe_own_left_noisy(container)
         return replace(own, notes=(*left, *own.notes, *marks), refusals=(*own.refusals, *marks)), None
-    selections = list_selections(path, preset=preset, mapping=mapping)
+    selections = list_selections(path, preset=preset, mapping=mapping, all_layers=all_layers)
     given = {"preset": preset, "mapping": mapping, "camera": camera, "half": half, "also": also, "light_passes": True}
     found, *others = (
-        import_file(path, view=each.view or None, denoised=selections, **given)  # type: ignore[arg-type]
+        import_file(path, view=each.view or None, layer=each.layer or None, denoised=selections, **given)  # type: ignore[arg-type]
         for each in selections
     )
     # A user who maps the color says that this image is noisy, so the checks must not refuse it.
@@ -143,13 +148,18 @@ def describe_import(found: Imported, others: Sequence[Imported] = ()) -> FileDes
 
 
 def _tell_selections(found: Imported, others: Sequence[Imported]) -> list[str]:
-    """Return a sentence that names the views of a file that has several."""
+    """Return sentences that name the views and the view layers of a file that has several, and say what is denoised."""
     assert found.map is not None
-    denoised = [each.map.selection.view for each in (found, *others) if each.map is not None]
-    if len(denoised) < 2:
-        return []
-    names = ", ".join(repr(show_name(name)) for name in denoised)
-    return [f"This file has {len(denoised)} views: {names}; each is denoised with its own guides."]
+    denoised = [each.map.selection for each in (found, *others) if each.map is not None]
+    told = []
+    for what, name in (("view", "views"), ("layer", "view layers")):
+        all_names = list(dict.fromkeys(getattr(each, what) for each in found.map.selections))
+        is_whole = set(all_names) <= {getattr(each, what) for each in denoised}
+        ending = "each is denoised with its own guides" if is_whole else "--all-layers denoises all"
+        if len(all_names) > 1 and (is_whole or what == "layer"):
+            names = ", ".join(repr(show_name(each)) for each in all_names)
+            told.append(f"This file has {len(all_names)} {name}: {names}; {ending}.")
+    return told
 
 
 def _list_further_notes(found: Imported, others: Sequence[Imported]) -> list[str]:

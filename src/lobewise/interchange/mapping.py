@@ -218,10 +218,8 @@ def map_channels(
         selections=list_selections(container, chosen, everything),
         beside=tuple(beside),
         shown=None if "color" in own else _find_shown(chosen, color, beside, prefix),
-        refused={
-            **_list_refused_roles(chosen, roles, color, [*passes, *unread]),
-            **_list_refused_layers(chosen, layers, beside),
-        },
+        refused=_list_refused_roles(chosen, roles, color, [*passes, *unread])
+        | _list_refused_layers(chosen, layers, beside),
     )
 
 
@@ -283,13 +281,12 @@ def _find_color(
 ) -> tuple[Found, str]:
     """Return the color image and its prefix: that of the user, of the view layer asked for, or the first one."""
     if own is not None:
-        return own, own.source.get_prefix(own.source.path.rpartition(".")[2])
+        images = {own.source.get_prefix(own.source.path.rpartition(".")[2]): (own.source, Rule(""))}
     if layer is not None:
-        layers = {prefix.removesuffix("."): prefix for prefix in images}
-        images = {layers[require_choice("layer", layer, layers)]: images[layers[layer]]}
+        require_choice("layer", layer, [prefix.removesuffix(".") for prefix in images])
     for prefix, (one, rule) in images.items():
-        if (channels := one.pick(COLOR)) is not None:
-            return Found(one, channels, rule.convert), prefix
+        if layer in (None, prefix.removesuffix(".")):
+            return own or Found(one, one.pick(COLOR) or (), rule.convert), prefix
     has_image = any(one.pick(COLOR) for one in passes)
     raise refuse_missing_image(
         container,

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
+from typing import Any
 
 from lobewise.camera import Camera
 from lobewise.errors import InputError, MissingChannelError
@@ -28,6 +30,9 @@ from lobewise.io.exr.schema import SCHEMA
 from lobewise.io.files import PathLike
 from lobewise.lobe_table import LobeTable
 from lobewise.radiance import RadianceLayer
+
+MAX_SELECTIONS = 256
+"""Most pairs of a view and a view layer in a file."""
 
 
 def is_own(container: Container) -> bool:
@@ -53,6 +58,7 @@ def read_frame(
     lobe_tables: Sequence[LobeTable] | None = None,
     light_passes: bool = True,
     view: str | None = None,
+    layer: str | None = None,
 ) -> Frame:
     """Return the frame of an EXR file, whichever renderer wrote it.
 
@@ -86,6 +92,8 @@ def read_frame(
         file stay noisy.
     view : str, optional
         Name of the view, such as ``right`` in a stereo file; by default the first view of the file.
+    layer : str, optional
+        Name of the view layer, such as ``ViewLayer``; by default the first one of the file.
 
     Raises
     ------
@@ -94,8 +102,8 @@ def read_frame(
     MissingChannelError
         If there is no image, or an image has only some of its channels.
     InputError
-        If a preset, role, conversion, channel or view is unknown, the camera in the header is invalid, a pixel names a
-        missing lobe table, the frame was shaded sparsely, or the halves do not fit each other.
+        If a preset, role, conversion, channel, view or view layer is unknown, the camera in the header is invalid, a
+        pixel names a missing lobe table, the frame was shaded sparsely, or the halves do not fit each other.
     """
     return import_file(
         path,
@@ -106,13 +114,18 @@ def read_frame(
         lobe_tables=lobe_tables,
         light_passes=light_passes,
         view=view,
+        layer=layer,
     ).frame
 
 
 def list_selections(
-    path: PathLike, *, preset: PathLike | None = None, mapping: Mapping[str, str] | None = None
+    path: PathLike,
+    *,
+    preset: PathLike | None = None,
+    mapping: Mapping[str, str] | None = None,
+    all_layers: bool = False,
 ) -> tuple[Selection, ...]:
-    """Return what ``lobewise denoise`` filters of a file: every view, in the first view layer.
+    """Return what ``lobewise denoise`` filters of a file: every view, in the first view layer or in all of them.
 
     If the user mapped channels of one view by their names, only this view is filtered. A view without an image, or
     without a channel that the user mapped, is left out. `describe_left_noisy` names it.
@@ -121,12 +134,18 @@ def list_selections(
     ----------
     path, preset, mapping
         As in `read_frame`.
+    all_layers : bool
+        Whether to filter every view layer.
 
     Raises
     ------
     FileError, MissingChannelError, InputError
-        As `read_frame`.
+        As `read_frame`; also if the user mapped the image, which is in one layer, and wants all layers.
     """
+    if all_layers and "color" in (mapping or {}):
+        raise InputError(
+            "--all-layers", expected="no --map color beside it", got="both", action="leave --all-layers out"
+        )
     container = read_container(path)
     if preset is None and not mapping and is_own(container):
         return (Selection(),)
@@ -136,10 +155,19 @@ def list_selections(
     views = dict.fromkeys(each.view for each in first.selections)
     if find_mapped_view(list_passes(family), mapping or {}):
         views = {}
+    if len(first.selections) > MAX_SELECTIONS:
+        raise InputError(
+            f"input {str(path)!r}",
+            expected=f"at most {MAX_SELECTIONS} views and view layers",
+            got=str(len(first.selections)),
+            action="split the file",
+        )
+    layers = dict.fromkeys(each.layer for each in first.selections) if all_layers else (first.selection.layer,)
     found = {first.selection: None}
-    for view in views:
+    for view, layer in product(views or (first.selection.view,), layers):
         with suppress(InputError, MissingChannelError):
-            found[map_channels(family, preset=preset, mapping=mapping, view=view).selection] = None
+            own = map_channels(family, preset=preset, mapping=mapping, view=view, layer=layer or None)
+            found[own.selection] = None
     return tuple(found)
 
 
@@ -154,13 +182,14 @@ def import_file(
     also: Sequence[str] = (),
     light_passes: bool = False,
     view: str | None = None,
+    layer: str | None = None,
     denoised: Collection[Selection] = (),
 ) -> Imported:
     """Return the frame of an EXR file, with notes, findings and the channels that receive results.
 
     Parameters
     ----------
-    path, preset, mapping, camera, half, lobe_tables, view
+    path, preset, mapping, camera, half, lobe_tables, view, layer
         As in `read_frame`.
     also : sequence of str
         Patterns, with the wildcards * and ?, of further passes to filter. A pass is filtered like the layer whose pass
@@ -180,9 +209,9 @@ def import_file(
     read = ImageReader(family.decode)
     if preset is None and not mapping and is_own(container):
         require_shaded(container)
-        if view is not None:
+        if view is not None or layer is not None:
             raise InputError(
-                "view",
+                "view" if layer is None else "layer",
                 expected="a file of another renderer",
                 got="a file with lobewise's own channel names, of which the first view is read",
                 action="leave it out",
@@ -203,7 +232,7 @@ def import_file(
                 action="leave them out",
             )
         with name_file(path):
-            channels = map_channels(family.container, preset=preset, mapping=mapping, view=view)
+            channels = map_channels(family.container, preset=preset, mapping=mapping, view=view, layer=layer)
             found, read = import_foreign(container, read, channels, camera)
     if also:
         with name_file(path):
@@ -215,8 +244,9 @@ def import_file(
         found = _leave_passes(found)
     if half is None:
         return found
-    given = {"preset": preset, "mapping": mapping, "camera": camera, "lobe_tables": lobe_tables}
-    other = import_file(half, also=also, light_passes=light_passes, view=view, **given)  # type: ignore[arg-type]
+    given: dict[str, Any] = {"preset": preset, "mapping": mapping, "camera": camera, "lobe_tables": lobe_tables}
+    given |= {"also": also, "light_passes": light_passes, "view": view, "layer": layer}
+    other = import_file(half, **given)
     with name_file(half):
         return join_halves(found, other)
 

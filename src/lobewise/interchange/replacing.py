@@ -41,6 +41,7 @@ def write_result(
     confidence: bool = False,
     rerender: FloatArray | None = None,
     view: str | None = None,
+    layer: str | None = None,
 ) -> tuple[str, ...]:
     """Write a copy of the EXR file ``source`` in which the radiance is replaced by the denoised one.
 
@@ -70,9 +71,9 @@ def write_result(
         pixel was refilled) and, where it is given, ``lobewise.rerender``.
     rerender : array, shape (height, width), optional
         1 where a pixel should be rendered again; see `lobewise.find_unsupported`.
-    view : str, optional
-        With a path as ``source``, the view that was denoised. To write all views, write the first one, then each
-        further one with ``path`` as its ``source``.
+    view, layer : str, optional
+        With a path as ``source``, the view and the view layer that were denoised. To write several, write the first
+        one, then each further one with ``path`` as its ``source``.
 
     Returns
     -------
@@ -90,7 +91,7 @@ def write_result(
         lies in another file beside ``source``.
     """
     require_kind("result", result, Result)
-    found = source if isinstance(source, Imported) else import_file(source, view=view)
+    found = source if isinstance(source, Imported) else import_file(source, view=view, layer=layer)
     planned = plan_result(result, found, suffix=suffix, only=only, confidence=confidence, rerender=rerender)
     return write_planned(path, found.container, [planned], only=only)
 
@@ -174,9 +175,12 @@ def plan_result(
 
 
 def _name_prefix(found: Imported, beauty: Part) -> str:
-    """Return the beginning of the names of added channels, with the view if channels of the part name it."""
-    view = "" if found.map is None or beauty.view else found.map.selection.view
-    return f"{CONFIDENCE_PREFIX}{view}." if view else CONFIDENCE_PREFIX
+    """Return the beginning of the names of added channels, with the view and layer of which the part has several."""
+    if found.map is None:
+        return CONFIDENCE_PREFIX
+    view = "" if beauty.view else found.map.selection.view
+    layer = found.map.prefix if len({each.layer for each in found.map.selections}) > 1 else ""
+    return f"{layer}{CONFIDENCE_PREFIX}{view}{'.' if view else ''}"
 
 
 def require_target(found: Imported) -> None:

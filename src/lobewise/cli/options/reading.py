@@ -118,15 +118,20 @@ class PassReading(Reading):
         ),
     ] = None
 
+    all_layers: Annotated[bool, file_option("--all-layers", help="Denoise every view layer of the file.")] = False
+
     def list_words(self) -> list[str]:
         """Return the options that the user gave, as words of a command line."""
-        return super().list_words() + _list_words({"--also": self.also})
+        own = _list_words({"--also": self.also}) + (["--all-layers"] if self.all_layers else [])
+        return super().list_words() + own
 
     def list_selections(self, path: Path) -> tuple[Selection, ...]:
-        """Return what is filtered of a file: every view."""
+        """Return what is filtered of a file: every view, in the first view layer or in all of them."""
         from lobewise.interchange.reading import list_selections
 
-        return list_selections(path, preset=self.preset, mapping=parse_maps(self.maps or []))
+        return list_selections(
+            path, preset=self.preset, mapping=parse_maps(self.maps or []), all_layers=self.all_layers
+        )
 
     def read(
         self,
@@ -139,7 +144,7 @@ class PassReading(Reading):
         tables: Sequence[LobeTable] | None = None,
         light_passes: bool = False,
     ) -> Imported:
-        """Return the frame of a view of a file.
+        """Return the frame of a view and view layer of a file.
 
         Parameters
         ----------
@@ -150,7 +155,7 @@ class PassReading(Reading):
         remarks : Remarks
             Prints how the file was understood.
         selection : Selection
-            The view.
+            The view and view layer.
         denoised : collection of Selection
             All that is filtered of the file. After the first one, only notes of a new kind are printed.
         tables : sequence of LobeTable, optional
@@ -170,6 +175,7 @@ class PassReading(Reading):
             also=self.also or (),
             light_passes=light_passes,
             view=selection.view or None,
+            layer=selection.layer or None,
             denoised=denoised,
         )
         if "color" not in given["mapping"]:

@@ -88,8 +88,7 @@ class Picture:
         bool,
         result_option(
             "--png",
-            help="Write a tone mapped picture as well, with the ending .png. A sequence has the exposure of its first "
-            "frame.",
+            help="Write a tone mapped picture (.png) as well. A sequence has the exposure of its first frame.",
         ),
     ] = False
     exposure: Annotated[

@@ -124,7 +124,11 @@ def _is_picture(channels: ChannelMap, one: Pass) -> bool:
 
 
 def _name_pictures(channels: ChannelMap, alike: Sequence[Found], read: ImageReader) -> list[str]:
-    """Return images with names of the picture: the copies of it, or all of them if the user chose another image."""
+    """Return images with names of the picture: the copies of it, or all of them if the user chose another image.
+
+    Images of other view layers are named with their layers.
+    """
+    alike = [one for one in alike if one.source.path.rpartition(".")[0] == channels.prefix.removesuffix(".")]
     if not alike:
         return []
     if not _is_picture(channels, channels.roles["color"].source):
