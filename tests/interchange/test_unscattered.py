@@ -10,11 +10,26 @@ import pytest
 
 import lobewise
 from lobewise.interchange import import_file
+from lobewise.interchange.lighting import is_smooth
 from tests.interchange.renderers import HEIGHT, WIDTH, Written, make_scene, name, write, write_cycles
 
 LAYER = "View Layer.001"
 LIGHT = ("Emit", "Env")
 LAYERS = (("DiffCol", "DiffDir", "DiffInd"), ("GlossCol", "GlossDir", "GlossInd"))
+
+
+def test_noise_beside_a_clean_background_is_seen() -> None:
+    rng = np.random.default_rng(5)
+    image = np.full((64, 64, 3), 0.3, np.float32)
+    image[40:] *= rng.gamma(8.0, 0.125, (24, 64, 1)).astype(np.float32)
+    image[36:] *= 3.0
+    assert np.array_equal(image[:36], np.broadcast_to(image[0, 0], (36, 64, 3)))
+    assert not is_smooth(image)
+    # Lamps on black have edges at most of their pixels, and no noise.
+    lamps = np.zeros((64, 64, 3), np.float32)
+    lamps[3:10, 5:12] = 20.0
+    lamps[30:50, 8:40] = 5.0
+    assert is_smooth(lamps)
 
 
 def add_lamp(written: Written, *, told: bool) -> np.ndarray:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lobewise.chunks import Chunk, run_chunks
 from lobewise.frame import FloatArray, Radiance, RadianceLayer
@@ -21,6 +23,11 @@ MAX_HALF_ROUNDING = 2e-3
 """Largest error of an image by the rounding of its passes to 16-bit floats, as a share of the pixel's light."""
 MAX_SMOOTH_DIFFERENCE = 0.05
 """Largest relative difference of the median lit pixel from the mean of its neighbours in an image without noise."""
+SMOOTH_BLOCK = 8
+"""Side of the blocks in which noise is looked for, pixels."""
+MAX_GRAINY_LIGHT_SHARE = 0.4
+"""Largest share of the light of an image without noise that lies in blocks whose median pixel is not smooth. (Measured:
+environments of Cycles up to 0.35, reflections at 16 samples beside a clean background 0.61.)"""
 WHITE_SHARE = np.float32(0.1)
 """Share of white that is mixed into an albedo of all lobes. Glossy reflection does not follow this albedo: on a dark
 mirror, light divided by the plain albedo would be far brighter than its surroundings. (Mitsuba's Cornell box,
@@ -181,9 +188,11 @@ def _check_sum(
 
 
 def is_smooth(image: FloatArray) -> bool:
-    """Return whether an image is free of noise: the median lit pixel is near the mean of its neighbours.
+    """Return whether an image is free of noise, in most pixels and where its light is.
 
-    The bound is `MAX_SMOOTH_DIFFERENCE`.
+    A pixel is smooth if it differs from the mean of its neighbours by less than `MAX_SMOOTH_DIFFERENCE`. The median lit
+    pixel must be smooth, and so must the median pixel of the blocks that hold most of the light: a clean background may
+    fill half of a noisy image, and the edges of a lamp fill no block.
     """
     gray = image.mean(axis=-1)
     if min(gray.shape) < 3:
@@ -193,8 +202,22 @@ def is_smooth(image: FloatArray) -> bool:
     lit = inner > 0.0
     if not lit.any():
         return True
-    apart = np.abs(inner - around)[lit] / np.maximum(inner, around)[lit]
-    return bool(np.median(apart) < MAX_SMOOTH_DIFFERENCE)
+    apart = np.zeros_like(inner)
+    np.divide(np.abs(inner - around), np.maximum(inner, around), out=apart, where=lit)
+    if not np.median(apart[lit]) < MAX_SMOOTH_DIFFERENCE:
+        return False
+    grainy = 2.0 * _sum_blocks(apart >= MAX_SMOOTH_DIFFERENCE) >= np.maximum(_sum_blocks(lit), SMOOTH_BLOCK**2 / 2)
+    light = _sum_blocks(np.where(lit, inner, np.float32(0.0)))
+    return float(light[grainy].sum()) <= MAX_GRAINY_LIGHT_SHARE * float(light.sum())
+
+
+def _sum_blocks(plane: NDArray[Any]) -> FloatArray:
+    """Return the sums of a plane over blocks of `SMOOTH_BLOCK` pixels a side."""
+    height, width = (SMOOTH_BLOCK * (-(-size // SMOOTH_BLOCK)) for size in plane.shape)
+    whole = np.zeros((height, width), np.float32)
+    whole[: plane.shape[0], : plane.shape[1]] = plane
+    blocks = whole.reshape(height // SMOOTH_BLOCK, SMOOTH_BLOCK, width // SMOOTH_BLOCK, SMOOTH_BLOCK)
+    return np.asarray(blocks.sum(axis=(1, 3)))
 
 
 def lend_albedo(layers: Sequence[RadianceLayer], albedo: FloatArray) -> tuple[RadianceLayer, ...]:
