@@ -21,6 +21,12 @@ NOISE, LEFT = 0.1, 0.35
 
 
 @pytest.fixture
+def full_frame(make_frame: Callable[..., Frame]) -> Frame:
+    """Return a frame of a size that the library takes as it is."""
+    return make_frame(height=17, width=20)
+
+
+@pytest.fixture
 def given(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """Return what the last call gave to the library's network beside the colour."""
     import sys
@@ -180,3 +186,20 @@ def test_mistakes_are_told(full_frame: Frame) -> None:
     with pytest.raises(InputError, match="guides"):
         denoise_oidn(full_frame, guides="prefilterd")
     assert OIDN_GUIDES[0] == "prefiltered"
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 2), (5, 3), (1, 64), (15, 40)])
+def test_small_images_keep_their_light(shape: tuple[int, int]) -> None:
+    color = np.full((*shape, 3), [0.7, 0.5, 0.3], np.float32)
+    image, _ = denoise_oidn(Frame(Radiance(color), GBuffer(normal=np.ones((*shape, 3)), diffuse_albedo=color)))
+    np.testing.assert_allclose(image, color, rtol=0.08)
+    np.testing.assert_allclose(image.mean(axis=(0, 1)), color[0, 0], rtol=0.03)
+
+
+def test_gray_images_stay_gray(rng: np.random.Generator) -> None:
+    color = np.repeat(rng.gamma(2.0, 0.5, (40, 50, 1)), 3, axis=-1)
+    albedo = np.repeat(rng.uniform(0.3, 0.6, (40, 50, 1)), 3, axis=-1)
+    image, _ = denoise_oidn(Frame(Radiance(color), GBuffer(diffuse_albedo=albedo)))
+    np.testing.assert_array_equal(image[..., 0], image[..., 2])
+    tinted, _ = denoise_oidn(Frame(Radiance(color * [1.0, 1.0, 0.9]), GBuffer(diffuse_albedo=albedo)))
+    assert (tinted[..., 0] != tinted[..., 2]).any()

@@ -14,6 +14,8 @@ from lobewise.errors import DeviceError, MissingDependencyError, make_printable,
 from lobewise.frame import FloatArray, Frame
 
 OIDN_GUIDES = ("prefiltered", "mean", "centre")
+MIN_SIDE_PIXELS, WIDENED_SIDE_PIXELS = 16, 32
+"""Side below which the library loses light, and the side to which shorter ones are widened by mirrored pixels."""
 
 
 def has_oidn() -> bool:
@@ -65,7 +67,8 @@ def denoise_oidn(frame: Frame, *, quality: str = "high", guides: str = "prefilte
         Images over the pixel's area (``mean_...``) are preferred to the plain images, which have the noise of samples.
         With "centre" only the plain images are used. Normals that are equal everywhere carry no information and are
         left out: some readers fill in missing normals so. The library takes normals only together with an albedo, so
-        a frame without albedo gets a white one.
+        a frame without albedo gets a white one. Where color and albedo are gray, so is the result. Sides of less than
+        `MIN_SIDE_PIXELS` are continued by mirrored pixels, because the library darkens small images.
     quality : {"fast", "balanced", "high"}
         Quality of the filter of the radiance; "high" is the library's default. Guides are always prefiltered at "high".
     guides : {"prefiltered", "mean", "centre"}
@@ -93,15 +96,44 @@ def denoise_oidn(frame: Frame, *, quality: str = "high", guides: str = "prefilte
     albedos, normal = _find_guides(frame, guides)
     albedo = np.clip(_make_finite(np.sum(albedos, axis=0, dtype=np.float32)), 0.0, 1.0) if albedos else None
     normal = None if normal is None else _make_finite(normal)
-    color = np.array(frame.radiance.color)
+    color, inside = np.array(frame.radiance.color), tuple(map(_find_inside, frame.shape))
+    is_gray = _is_gray(color) and (albedo is None or _is_gray(albedo))
+    color, albedo = _widen(color), None if albedo is None else _widen(albedo)
+    normal = None if normal is None else _widen(normal)
     start = time.perf_counter()
     if guides == "prefiltered":
         albedo = None if albedo is None else _prefilter("albedo", albedo)
         normal = None if normal is None else _prefilter("normal", normal)
     if albedo is None and normal is not None:
-        albedo = np.ones((*frame.shape, 3), dtype=np.float32)
+        albedo = np.ones_like(color)
     image = denoise(color, albedo, normal, hdr=True, clean_aux=albedo is not None, quality=quality)
-    return np.asarray(image, dtype=np.float32), time.perf_counter() - start
+    seconds = time.perf_counter() - start
+    image = np.asarray(image, dtype=np.float32)[inside]
+    return _drop_chroma(image) if is_gray else np.ascontiguousarray(image), seconds
+
+
+def _find_inside(side: int) -> slice:
+    """Return the place of an image within the image that `_widen` makes, along one side."""
+    before = (WIDENED_SIDE_PIXELS - side) // 2 if side < MIN_SIDE_PIXELS else 0
+    return slice(before, before + side)
+
+
+def _widen(image: FloatArray) -> FloatArray:
+    """Return an image (height, width, 3) whose short sides are continued by mirrored pixels."""
+    edges = []
+    for side in image.shape[:2]:
+        more = WIDENED_SIDE_PIXELS - side if side < MIN_SIDE_PIXELS else 0
+        edges.append((more // 2, more - more // 2))
+    return np.pad(image, [*edges, (0, 0)], mode="symmetric") if any(map(any, edges)) else image
+
+
+def _is_gray(image: FloatArray) -> bool:
+    return bool((image == image[..., :1]).all())
+
+
+def _drop_chroma(image: FloatArray) -> FloatArray:
+    """Return an image whose three channels are their mean."""
+    return np.repeat(image.mean(axis=-1, keepdims=True, dtype=np.float32), 3, axis=-1)
 
 
 def _find_guides(frame: Frame, guides: str) -> tuple[list[FloatArray], FloatArray | None]:

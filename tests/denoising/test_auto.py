@@ -89,7 +89,7 @@ def test_without_halves_the_network_is_trusted_less(
     ours, peer, noisy = (np.full((*frame.shape, 3), value, np.float32) for value in (1.0, 3.0, 3.0))
     shares = np.broadcast_to(np.float32([0.4, 0.2, 0.4]), (*frame.shape, 3))
     monkeypatch.setattr(combining, "find_mixture", lambda *images, **told: shares)
-    mixed = combining.choose_between(frame, ours, peer, noisy)
+    mixed = combining.choose_between(frame, noisy, ours, peer, noisy)
     np.testing.assert_allclose(mixed, 3.0 - 2.0 * share, rtol=1e-6)
 
 

@@ -23,6 +23,8 @@ from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.interchange import write_result
 from lobewise.io import read_frame, write_frame
 from lobewise.io.exr.parsing import read_container
+from lobewise.peers import has_oidn
+from lobewise.radiance import RadianceLayer
 from lobewise.settings import QUALITIES, DenoiseSettings
 from lobewise.sparse_frame import make_sparse
 from lobewise.temporal import TemporalFilter
@@ -132,7 +134,7 @@ class TestContract:
         frame = make_frame(apart=apart)
         names = ("color", "diffuse") if apart else ("color",)
         images = {name: np.array(getattr(frame.radiance, name)) for name in names}
-        bad = (((3, 3), np.nan), ((10, 30), np.inf), ((11, 31), -2.0))
+        bad = (((3, 3), np.nan), ((10, 30), np.inf), ((11, 31), -200.0))
         for image in images.values():
             for at, value in bad:
                 image[at] = value
@@ -271,7 +273,8 @@ class TestPeer:
         monkeypatch.setattr(combining, "TRUST_WITHOUT_HALVES", 1.0)
 
     def combine(self, frame: Frame, ours: FloatArray) -> FloatArray:
-        return choose_between(frame, ours, denoise_with_peer(frame, ours), frame.radiance.color)
+        noisy = frame.radiance.color
+        return choose_between(frame, noisy, ours, denoise_with_peer(frame, noisy, ours), noisy)
 
     def make_ours(self) -> FloatArray:
         return np.random.default_rng(8).uniform(0.5, 1.5, (*SHAPE, 3)).astype(np.float32)
@@ -304,7 +307,9 @@ class TestPeer:
     def test_the_peer_is_given_the_frame(self, networks, peer):
         frame = make_frame()
         self.combine(frame, self.make_ours())
-        assert peer["frame"] is frame
+        given = peer["frame"]
+        np.testing.assert_array_equal(given.radiance.color, frame.radiance.color)
+        assert given.gbuffer is frame.gbuffer
         # With its own default, the best guides of the frame.
         assert set(peer) == {"image", "frame"}
 
@@ -413,7 +418,10 @@ class TestPeer:
     @pytest.mark.usefixtures("trusted")
     def test_the_real_one(self, networks):
         networks["peer"] = force(networks["peer"], PEERS)
-        frame = make_frame()
+        frame, noise = make_frame(), np.random.default_rng(2).gamma(60.0, 1.0 / 60.0, (2, *SHAPE, 1))
+        diffuse, specular = 0.3 * noise * np.ones(3)
+        # Without a firefly the peer is given the frame as it is.
+        frame = frame.with_changes(radiance=Radiance(diffuse + specular, diffuse, specular))
         result = denoise(frame, similarity="normal", with_oidn=True)
         np.testing.assert_allclose(result.image, peers.denoise_oidn(frame)[0], rtol=1e-4, atol=1e-5)
 
@@ -496,3 +504,33 @@ def test_an_error_of_the_mixture_at_a_lamp_stays_small_in_the_light_that_the_lam
     image, (part,), gain = share_out(before * np.float32(1.05), before, [scattered])
     assert part.max() < 0.05
     np.testing.assert_allclose(part + lamp * gain, image, rtol=1e-6)
+
+
+@pytest.mark.skipif(not has_oidn(), reason="needs Open Image Denoise: pip install 'lobewise[best]'")
+@pytest.mark.parametrize("apart", [True, False], ids=["apart", "combined"])
+@pytest.mark.parametrize("quality", ["balanced", "high", "auto"])
+def test_a_huge_pixel_changes_no_more_than_one_at_the_bound(quality: str, apart: bool) -> None:
+    frame = make_frame((64, 80))
+    images = []
+    for value in (50.0, 1e3, 1e8, 1e38):
+        diffuse, specular = frame.radiance.parts or ()
+        specular = np.array(specular)
+        specular[30, 40] = value
+        parts = (diffuse, specular) if apart else ()
+        images.append(denoise(frame.with_changes(radiance=Radiance(diffuse + specular, *parts)), quality=quality).image)
+    for image in images[1:]:
+        # What bounding took is told apart from noise: up to a fortieth of a layer's light is shared out.
+        np.testing.assert_allclose(image, images[0], rtol=0.06)
+
+
+@pytest.mark.skipif(not has_oidn(), reason="needs Open Image Denoise: pip install 'lobewise[best]'")
+def test_a_layered_frame_with_bad_pixels_is_mixed() -> None:
+    frame = make_frame(SHAPE)
+    diffuse, specular = (np.array(part) for part in frame.radiance.parts or ())
+    diffuse[3, 4] = np.nan
+    layers = (
+        RadianceLayer("one", "diffuse", diffuse, frame.gbuffer.diffuse_albedo),
+        RadianceLayer("two", "glossy", specular, frame.gbuffer.specular_albedo),
+    )
+    frame = frame.with_changes(radiance=Radiance(diffuse + specular, diffuse, specular), layers=layers)
+    assert np.isfinite(denoise(frame, with_oidn=True).image).all()

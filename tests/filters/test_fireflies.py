@@ -183,9 +183,9 @@ def test_too_few_neighbours_say_nothing() -> None:
     a, b, mask = make_flat()
     a[10, 12] = 100.0
     near = np.zeros_like(mask)
-    near[10, 12], near[10, 13 : 13 + MIN_WINDOW_PIXELS - 1] = True, True
+    near[10, 12], near[9, 8 : 8 + MIN_WINDOW_PIXELS - 1] = True, True
     np.testing.assert_array_equal(bound_fireflies((a, b), None, near).a, a)
-    near[10, 13 + MIN_WINDOW_PIXELS - 1] = True
+    near[9, 8 + MIN_WINDOW_PIXELS - 1] = True
     assert bound_fireflies((a, b), None, near).a[10, 12, 0] < 100.0
 
 

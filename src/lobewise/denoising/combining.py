@@ -22,7 +22,7 @@ from lobewise.filters.mixing import Network
 from lobewise.filters.noise.agreement import find_agreement
 from lobewise.filters.noise.detail import find_detail
 from lobewise.filters.noise.shares import find_shares
-from lobewise.frame import FloatArray, Frame
+from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.lobes.vectors import LUMINANCE
 from lobewise.peers import denoise_oidn, name_oidn_guides
 from lobewise.settings import DenoiseSettings, ResolvedSettings
@@ -39,7 +39,9 @@ renderer. Most files without halves are of other renderers, and on these it trus
 (docs/research/quality_trials.md)."""
 
 
-def choose_between(frame: Frame, ours: FloatArray, peer: FloatArray, noisy: FloatArray) -> FloatArray:
+def choose_between(
+    frame: Frame, samples: FloatArray, ours: FloatArray, peer: FloatArray, noisy: FloatArray
+) -> FloatArray:
     """Return the mixture of our image, the peer's image and the noisy image, (height, width, 3).
 
     Where the frame has neither albedo nor normal, the result is the peer's image: the network was trained on no such
@@ -49,6 +51,8 @@ def choose_between(frame: Frame, ours: FloatArray, peer: FloatArray, noisy: Floa
     ----------
     frame : Frame
         The noisy frame.
+    samples : (height, width, 3)
+        The noisy image with its fireflies bounded, which the peer was given.
     ours, peer : (height, width, 3)
         Our image, and the image of `denoise_with_peer`; finite, >= 0.
     noisy : (height, width, 3)
@@ -58,7 +62,7 @@ def choose_between(frame: Frame, ours: FloatArray, peer: FloatArray, noisy: Floa
         return peer
     halves = find_image_halves(frame)
     shares = find_mixture(
-        frame.radiance.color,
+        samples,
         ours,
         peer,
         load_networks()["peer"],
@@ -232,7 +236,7 @@ def _divide(light: Any, by: Any, where: Any) -> FloatArray:
     return np.asarray(np.divide(light, by, out=np.zeros_like(by), where=where))
 
 
-def denoise_with_peer(frame: Frame, image: FloatArray) -> FloatArray:
+def denoise_with_peer(frame: Frame, noisy: FloatArray, image: FloatArray) -> FloatArray:
     """Return the image of Open Image Denoise; ours replaces bad pixels of the input and the result; finite, >= 0.
 
     Raises
@@ -240,11 +244,9 @@ def denoise_with_peer(frame: Frame, image: FloatArray) -> FloatArray:
     MissingDependencyError
         If Open Image Denoise is not installed.
     """
-    color = frame.radiance.color
-    good = find_good(color)
-    if not good.all():
-        frame = frame.with_changes(radiance=type(frame.radiance)(np.where(good[..., None], color, image)))
-    peer, _ = denoise_oidn(frame)
+    good = find_good(noisy)
+    given = Radiance(np.where(good[..., None], noisy, image))
+    peer, _ = denoise_oidn(frame.with_changes(radiance=given, layers=()))
     fine = find_good(peer)
     return peer if fine.all() else np.where(fine[..., None], peer, image)
 

@@ -25,13 +25,17 @@ MAX_RADIANCE = 1e36
 Rows = NDArray[np.float64]
 
 
-def find_share_lost(frame: Frame, image: FloatArray, level: float, *, refined: bool = False) -> FloatArray:
+def find_share_lost(
+    frame: Frame, samples: FloatArray, image: FloatArray, level: float, *, refined: bool = False
+) -> FloatArray:
     """Return the share of the noisy image to take back where the filter removed detail, (height, width), in [0, 1].
 
     Parameters
     ----------
     frame : Frame
         The noisy frame.
+    samples : array, shape (height, width, 3)
+        The noisy image with its fireflies bounded.
     image : array, shape (height, width, 3)
         The filtered image: the sum of the layers and of the light that is in no layer.
     level : float
@@ -39,7 +43,7 @@ def find_share_lost(frame: Frame, image: FloatArray, level: float, *, refined: b
     refined : bool
         Whether the refining network made the image.
     """
-    image, color, halves = blacken_bad(image), frame.radiance.color, find_image_halves(frame)
+    image, color, halves = blacken_bad(image), samples, find_image_halves(frame)
     shared = frame.noise_is_shared
     network = load_networks()["refined" if refined else "noisy"]
     share = find_share_taken_back(image, color, network, halves=halves, level=level, shared=shared)

@@ -259,12 +259,18 @@ def take_back(state: FrameRun) -> FrameRun:
     noisy, parts = found.noisy, found.parts
     if found.rest is not None and found.noisy_rest is not None:
         noisy, parts = [*noisy, found.noisy_rest], [*parts, found.rest]
-    share = find_share_lost(state.frame, found.image, level, refined=refined)
+    share = find_share_lost(state.frame, bound_samples(state), found.image, level, refined=refined)
     mixed = [mix_noisy(*each, share) for each in zip(parts, noisy, strict=True)]
     rest = mixed.pop() if len(mixed) > len(found.parts) else None
     image = compose(state.frame, mixed, rest)
     after = replace(found, parts=mixed, rest=rest, image=image, taken_from=found, share_taken=share)
     return replace(state, found=after)
+
+
+def bound_samples(state: FrameRun) -> FloatArray:
+    """Return the noisy image with the fireflies of its layers bounded, (height, width, 3)."""
+    with np.errstate(over="ignore"):  # an infinite sum is a bad pixel
+        return compose(state.frame, state.filtered.noisy, find_rest(state.frame))
 
 
 def keep_light(state: FrameRun) -> FrameRun:
@@ -293,10 +299,11 @@ def fill(state: FrameRun) -> FrameRun:
 def mix_peer(state: FrameRun) -> FrameRun:
     """Mix in the image of Open Image Denoise, and scale the parts so that they still sum to the image."""
     frame, found, image = state.frame, state.filtered, state.total
-    peer = denoise_with_peer(frame, image)
+    samples = bound_samples(state)
+    peer = denoise_with_peer(frame, samples, image)
     with np.errstate(over="ignore"):  # an infinite sum is a bad pixel, whose share is 0
         noisy = compose(frame, found.noisy, found.noisy_rest)
-    mixed = choose_between(frame, image, peer, noisy)
+    mixed = choose_between(frame, samples, image, peer, noisy)
     image, parts, gain = share_out(mixed, image, found.parts)
     return replace(state, found=replace(found, parts=parts), image=image, gains=(*state.gains, gain))
 

@@ -34,7 +34,7 @@ MAX_RATIO_TO_WINDOW = 2.0
 because fireflies may come in pairs."""
 MAX_RATIO_TO_HALF = 4.0
 """Largest luminance of a pixel in one half of the samples over that in the other half. The larger bound counts."""
-MIN_WINDOW_PIXELS = 3
+MIN_WINDOW_PIXELS = 8
 """Good pixels that a window needs besides its centre. With fewer, only the other half bounds the pixel."""
 
 UNCOUNTED = -1.0

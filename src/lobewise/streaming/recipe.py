@@ -42,7 +42,6 @@ from lobewise.denoising.light_loss import (
 from lobewise.denoising.noisy import make_bounded_layers, measure_layer
 from lobewise.denoising.refining.whole_image import WholeImage, join_measured, measure_rows
 from lobewise.denoising.stages import Filtered, filter_frame
-from lobewise.errors import InputError, MissingChannelError, name_value
 from lobewise.filters.fireflies import REACH as FIREFLY_REACH
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.filters.noise_guides import find_level
@@ -53,13 +52,12 @@ from lobewise.guides.survey import GuideSurvey
 from lobewise.guides.usable import Unusable, bound_guides, find_unusable, join_unusable
 from lobewise.interchange.checks import check_own_mark
 from lobewise.interchange.importing.leftovers import describe_own_left_noisy
-from lobewise.interchange.reading import is_own
 from lobewise.io.exr.bands import BandReader, BandWriter
-from lobewise.io.exr.parsing import read_container
 from lobewise.io.files import PathLike, open_spool, require_writable
 from lobewise.lobe_table import LobeTable
 from lobewise.settings import DenoiseChanges, DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_quality
+from lobewise.streaming.checks import require_bands, survey_guides
 from lobewise.streaming.finishing import Finisher, finish_bands
 from lobewise.streaming.kept import KeptBands
 from lobewise.streaming.plan import (
@@ -153,7 +151,7 @@ def denoise_file(
     start = time.perf_counter()
     named = change_settings(settings or DenoiseSettings(), changes)
     asked = ask(named, {}, whole=False)
-    _check(source, asked, rows, memory)
+    require_bands(source, asked, rows, memory)
     require_writable(output)
     tell = progress or (lambda what, done, total: None)
     reader = BandReader(source, lobe_tables=lobe_tables, wanted=list_images(asked))
@@ -162,7 +160,7 @@ def denoise_file(
     with open_spool(output) as spool, open_spool(output) as waiting:
         writer = BandWriter(reader, ("color", "diffuse", "specular") if apart else ("color",), spool)
         # "auto" depends on which channels exist, not on their values, apart from the noise, which is measured.
-        survey = _survey(BandReader(source, lobe_tables=lobe_tables, wanted=list_images(asked)))
+        survey = survey_guides(BandReader(source, lobe_tables=lobe_tables, wanted=list_images(asked)))
         probe = survey.apply(reader.read_frame(0, 1))
         chosen = resolve_all(probe, asked, spp=1.0)
         most = choose_rows(reader, chosen, memory) if rows is None else rows
@@ -199,58 +197,11 @@ def denoise_file(
     )
 
 
-def _check(source: PathLike, asked: DenoiseSettings, rows: int | None, memory: float) -> None:
-    if asked.asks_for_oidn:
-        raise InputError(
-            "with_oidn",
-            expected="False for bands, because Open Image Denoise sees whole images",
-            got="True",
-            action="leave it out, or denoise the frame as a whole",
-        )
-    if rows is not None and (isinstance(rows, bool) or not isinstance(rows, int) or rows < 1):
-        raise InputError("rows", expected="an integer of at least 1", got=name_value(rows), action="leave it out")
-    if not 0.0 < memory < float("inf"):
-        raise InputError(
-            "memory", expected="a finite number of GiB above 0", got=name_value(memory), action="leave it out"
-        )
-    if not is_own(read_container(source)):
-        raise InputError(
-            f"input {str(source)!r}",
-            expected="a file in lobewise's own channel names, which can be read in bands",
-            got="one of another renderer",
-            action="use read_frame, denoise and write_result",
-        )
-
-
 class _Settings(NamedTuple):
     """Settings of a frame, and of its light below 0."""
 
     above: ResolvedSettings
     below: ResolvedSettings
-
-
-def _survey(reader: BandReader) -> GuideSurvey:
-    """Return what the guides of a file are worth. Most files are known after the first band.
-
-    Raises
-    ------
-    MissingChannelError
-        If the file has no normals: those that stand in for them are found in the whole image.
-    """
-    survey, height = GuideSurvey(), reader.shape[0]
-    for band in cut_bands(height, MEASURED_ROWS):
-        survey.look_at(reader.read_frame(*band))
-        if survey.is_settled:
-            break
-        reader.forget(band[1])
-    if ("gbuffer", "normal") not in reader.images or "normal" in survey.empty:
-        raise MissingChannelError(
-            "channel normal",
-            expected="one for bands",
-            got="none" if "normal" not in survey.empty else "one that is 0 everywhere",
-            action="denoise the frame as a whole (--bands off)",
-        )
-    return survey
 
 
 @dataclass(frozen=True)

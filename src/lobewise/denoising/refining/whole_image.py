@@ -15,6 +15,8 @@ from lobewise.lobes.band_limit import default_tau
 
 MIN_BRIGHTNESS = 1e-36
 """Smallest brightness of an image, radiance; a black image has none."""
+MAX_RATIO_TO_NEXT = 2.0
+"""Largest root of the light of a row's brightest pixel, over that of the next."""
 Rows = NDArray[np.float64]
 
 
@@ -54,7 +56,11 @@ def measure_rows(frame: Frame) -> Rows:
     # The sum of three channels near the largest number would overflow.
     light = np.where(good[..., None], frame.radiance.color, np.float32(0.0)).astype(np.float64).mean(axis=-1)
     found = np.zeros((frame.height, 4))
-    found[:, 0], found[:, 1] = np.sqrt(light).sum(axis=1, dtype=np.float64), frame.width
+    roots = np.sqrt(light)
+    if frame.width > 1:
+        # One firefly must not decide how bright the image is.
+        roots = np.minimum(roots, MAX_RATIO_TO_NEXT * np.partition(roots, -2, axis=1)[:, -2:-1])
+    found[:, 0], found[:, 1] = roots.sum(axis=1, dtype=np.float64), frame.width
     depth = frame.gbuffer.depth
     if depth is not None:
         seen = (depth > 0.0) & np.isfinite(depth)
