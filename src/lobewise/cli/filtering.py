@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lobewise.cli.options.bands import Bands, FileInBands, choose_bands
-from lobewise.cli.options.common import OverTime, Source, Telling, parse_place
+from lobewise.cli.options.common import OVER_TIME_NOTE, OverTime, Source, Telling, parse_place
 from lobewise.cli.options.farming import Farm
-from lobewise.cli.options.reading import PassReading, find_counterpart, find_number, name_frame
+from lobewise.cli.options.reading import PassReading, find_counterpart, find_number, name_frame, read_tables
 from lobewise.cli.options.selections import DoneOne, DoneSeveral, FileOfSeveral, FilterOfEach
 from lobewise.cli.options.shading import Reshading
 from lobewise.cli.options.spreading import with_groups, with_settings
@@ -37,12 +37,6 @@ if TYPE_CHECKING:
 
     FileOfOne = Imported | FileInBands | FileInWindow
     """A file, or one of its views."""
-
-OVER_TIME_NOTE = (
-    "--temporal filters with the quality 'fast', without Open Image Denoise, and the light in total, not by its "
-    "passes. It is made for frames that are filtered as they come. For files on disk, --window 2 also uses the frames "
-    "after each frame, in any quality."
-)
 
 
 @with_settings(
@@ -92,7 +86,7 @@ def denoise(
     )
     # Mistakes in these options are told before anything else is done.
     reshading.plan()
-    _read_tables(request.material)
+    read_tables(request.material)
     job = Job.plan(source, output, picture, telling)
     require_window(window, source, over_time)
     options = {
@@ -107,12 +101,6 @@ def denoise(
     from lobewise.cli.farming import run_request
 
     run_request(job, request, [options, over_time.extend(settings)], farm)
-
-
-def _read_tables(material: Sequence[Path]) -> list[LobeTable] | None:
-    from lobewise.io.materials import read_lobe_table
-
-    return [read_lobe_table(path) for path in material] or None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,7 +132,7 @@ class _Denoising:
     def make_verb(self, job: Job) -> _Denoiser:
         """Return what reads, filters and writes the files of a job."""
         shade = self.reshading.plan(job.tell_pixels)
-        return _Denoiser(job=job, request=self, tables=_read_tables(self.material), shade=shade)
+        return _Denoiser(job=job, request=self, tables=read_tables(self.material), shade=shade)
 
     def anchor(self) -> _Denoising:
         """Return the request with absolute paths, for processes that run in another folder."""
@@ -205,6 +193,7 @@ class _Denoiser:
 
     def _read_one(self, path: Path, selection: Selection, denoised: tuple[Selection, ...]) -> Imported | FileInWindow:
         job, asked = self.job, self.request
+        passes, tables = not asked.over_time.temporal, self.tables
 
         def read(each: Path) -> Imported:
             return asked.reading.read(
@@ -213,8 +202,8 @@ class _Denoiser:
                 job.remarks,
                 selection=selection,
                 denoised=denoised,
-                tables=self.tables,
-                light_passes=not asked.over_time.temporal,
+                tables=tables,
+                light_passes=passes,
             )
 
         if not asked.window:
@@ -237,16 +226,15 @@ class _Denoiser:
         changes = self.request.over_time.extend(settings)
         if changes is not None:
             return FilterOverTime(TemporalFilter(**changes))
-        in_window = WindowFilter(window, **settings) if window else None
+        if window:
+            in_window = WindowFilter(window, **settings)
+            return FilterAlone(lambda found: in_window.denoise(found.frames, found.index))
+        named = DenoiseSettings(**settings)
 
-        def filter_one(found: FileOfOne) -> Result | DenoisedFile:
+        def filter_one(found: Imported | FileInBands) -> Result | DenoisedFile:
             if isinstance(found, FileInBands):
                 # A sequence shows how many files are done instead.
                 return found.denoise(None if is_pattern(self.job.source) else self.job.steps.tell)
-            if in_window is not None and isinstance(found, FileInWindow):
-                return in_window.denoise(found.frames, found.index)
-            assert not isinstance(found, FileInWindow)
-            named = DenoiseSettings(**settings)
             return denoise_checked(check_import(found, named), named)
 
         return FilterAlone(filter_one)

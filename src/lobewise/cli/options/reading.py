@@ -207,6 +207,13 @@ def _list_words(given: Mapping[str, Iterable[object] | None]) -> list[str]:
     return [word for name, values in given.items() for one in values or [] if one for word in (name, str(one))]
 
 
+def read_tables(material: Sequence[Path]) -> list[LobeTable] | None:
+    """Return the lobe tables of some files; None for no file."""
+    from lobewise.io.materials import read_lobe_table
+
+    return [read_lobe_table(path) for path in material] or None
+
+
 def find_counterpart(path: Path, source: Path, other: Path) -> Path:
     """Return the file of ``other`` that has the number of ``path`` in the sequence ``source``.
 
