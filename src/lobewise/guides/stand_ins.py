@@ -1,6 +1,11 @@
-"""Normals for a frame that has none: of the surfaces through its positions, else all alike.
+"""Guides that stand in for missing ones: normals for a frame without any, and surfaces for pixels without one.
 
-Lamps are found in the image where it is not split, because no guide tells them from surfaces.
+A frame without normals gets those of the surfaces through its positions, else all are alike. Lamps are found in the
+image where it is not split, because no guide tells them from surfaces.
+
+A pixel without a surface has scattered light where its samples ended in fog. Renderers write no depth there. Such a
+pixel is not a background without noise: nothing is known of it. The nearest surface stands for its own, and where there
+is none a wall far behind the scene.
 """
 
 from __future__ import annotations
@@ -9,15 +14,31 @@ from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray, Frame, GBuffer
 from lobewise.guides.lamps import describe_lamps, keep_lamps
+from lobewise.guides.surfaces import find_surface_pixels, put_backdrop
 from lobewise.sparse_frame import AnyFrame
 
 FROM_PLACES = "There are no normals; those of the surfaces through the positions stand for them."
 IMAGE_ALONE = "Nothing tells surfaces apart but the image itself: there are no normals, and no places of surfaces."
 ALIKE = "There are no normals, and no places of surfaces that would give them."
+
+SURFACE_GUIDES = ("depth", "position", "normal", "tangent", "alpha_u", "alpha_v", "lobe_kind")
+"""Guides that a pixel without a surface takes from the nearest one; albedos are those of its own samples."""
+MAX_DISTANCE_PIXELS = 3
+"""Largest distance of a surface that stands for that of another pixel, rows or columns."""
+BACKDROP_DISTANCE = 1e6
+"""Distance of the wall behind the scene, world units. Places are compared in footprints, so that any will do."""
+MIN_LIT_NEIGHBOURS, MIN_UNKNOWN_NEIGHBOURS = 6, 4
+"""Of the eight neighbours of a black pixel without a surface, those with light and those without a surface: with more
+the pixel belongs to the fog, and its samples are black by chance. Sky between leaves has other neighbours."""
+MIN_SHARE_NAMED = 0.01
+"""Share of the pixels above which the user is told."""
+REACH = MAX_DISTANCE_PIXELS
+"""Distance of the farthest pixel that decides on the guides of a pixel, rows or columns."""
 
 FrameT = TypeVar("FrameT", bound=AnyFrame)
 
@@ -42,6 +63,64 @@ def stand_in_normals(frame: FrameT) -> tuple[FrameT, tuple[str, ...]]:
         return filled, (told,)
     kept, count = keep_lamps(filled)
     return replace(filled, gbuffer=kept.gbuffer), (told, *describe_lamps(count))
+
+
+def stand_in_surfaces(frame: FrameT) -> tuple[FrameT, tuple[str, ...]]:
+    """Return a frame with guides where its light is scattered but no surface is known, and sentences for the user.
+
+    Only frames that hold light by the lobe that scattered it tell such pixels from lamps and skies; others are returned
+    as they are.
+    """
+    if not isinstance(frame, Frame) or frame.radiance.parts is None:
+        return frame, ()
+    known = find_surface_pixels(frame.gbuffer, frame.shape)
+    unknown = np.zeros(frame.shape, bool) if known.all() else _find_unknown(frame, known)
+    if not unknown.any():
+        return frame, ()
+    guides = {name: getattr(frame.gbuffer, name) for name in SURFACE_GUIDES}
+    guides = {name: image.copy() for name, image in guides.items() if image is not None}
+    left = unknown.copy()
+    steps = range(-MAX_DISTANCE_PIXELS, MAX_DISTANCE_PIXELS + 1)
+    for y, x in sorted(((y, x) for y in steps for x in steps), key=lambda step: step[0] ** 2 + step[1] ** 2):
+        here, there = (_cut_shifted(frame.shape, sign * y, sign * x) for sign in (1, -1))
+        taken = left[here] & known[there]
+        for name, image in guides.items():
+            image[here][taken] = getattr(frame.gbuffer, name)[there][taken]
+        left[here] &= ~taken
+    if left.any():
+        far = np.float32(BACKDROP_DISTANCE)
+        wall = put_backdrop(~left, guides["normal"], guides.get("position"), frame.camera, BACKDROP_DISTANCE)
+        guides["normal"] = wall.facing
+        if wall.position is not None:
+            guides["position"] = wall.position
+        if "depth" in guides:
+            guides["depth"] = np.where(left, far, guides["depth"])
+    share = float(np.mean(unknown))
+    told = f"{100.0 * share:.2g} % of the pixels have scattered light but no surface, as in fog: near ones stand in."
+    filled = replace(frame, gbuffer=replace(frame.gbuffer, **guides))
+    return filled, (told,) if share >= MIN_SHARE_NAMED else ()
+
+
+def _find_unknown(frame: Frame, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which pixels have scattered light but no surface, and black ones among them."""
+    parts = [layer.radiance for layer in frame.layers] or list(frame.radiance.parts or ())
+    lit = np.logical_or.reduce([(part > 0.0).any(axis=-1) for part in parts])
+    unknown = ~known & lit
+    dark = ~known & ~(frame.radiance.color != 0.0).any(axis=-1)
+    enough = (_count_neighbours(lit) >= MIN_LIT_NEIGHBOURS) & (_count_neighbours(unknown) >= MIN_UNKNOWN_NEIGHBOURS)
+    return np.asarray(unknown | (dark & enough))
+
+
+def _count_neighbours(mask: NDArray[np.bool_]) -> NDArray[np.intp]:
+    wide = np.pad(mask.astype(np.intp), 1)
+    rows = wide[:-2] + wide[1:-1] + wide[2:]
+    return np.asarray(rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:] - mask)
+
+
+def _cut_shifted(shape: tuple[int, int], down: int, right: int) -> tuple[slice, slice]:
+    """Return the pixels of an image that have a neighbour so far up and left."""
+    rows, columns = (slice(max(step, 0), size + min(step, 0)) for step, size in zip((down, right), shape, strict=True))
+    return rows, columns
 
 
 def _find_positions(guides: GBuffer, camera: Camera, shape: tuple[int, int]) -> FloatArray:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise
 from lobewise.frame import FloatArray, Frame
-from lobewise.guides.stand_ins import stand_in_normals
+from lobewise.guides.stand_ins import stand_in_normals, stand_in_surfaces
 from lobewise.guides.surfaces import find_surface_pixels, is_surface, is_surface_depth
 from lobewise.guides.survey import GuideSurvey
 from lobewise.sparse_frame import AnyFrame
@@ -80,7 +80,7 @@ def check_guides(frame: FrameT) -> CheckedGuides[FrameT]:
 
     Empty guides are left out, and normals in [0, 1] decoded (`GuideSurvey`). Impossible values are bounded
     (`bound_guides`); most frames have none, which one pass over the guides tells. Missing normals are filled in
-    (`stand_in_normals`).
+    (`stand_in_normals`), and surfaces of pixels that have scattered light but no surface (`stand_in_surfaces`).
     """
     survey = GuideSurvey()
     survey.look_at(frame)
@@ -90,8 +90,9 @@ def check_guides(frame: FrameT) -> CheckedGuides[FrameT]:
         unusable = tuple(map(str, find_unusable(frame)))
         frame = bound_guides(frame)
     frame, told = stand_in_normals(frame)
+    frame, more = stand_in_surfaces(frame)
     idle = tuple(survey.list_idle())
-    return CheckedGuides(frame, (*idle, *survey.list_notes(), *unusable, *told), idle)
+    return CheckedGuides(frame, (*idle, *survey.list_notes(), *unusable, *told, *more), idle)
 
 
 def has_unusable(frame: AnyFrame) -> bool:

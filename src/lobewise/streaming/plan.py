@@ -10,6 +10,7 @@ from lobewise.denoising.planning.frame_plans import find_reach
 from lobewise.filters.noise.evidence import REACH as EVIDENCE_REACH
 from lobewise.filters.refinement.shape import MULTIPLE
 from lobewise.guides.negative import REACH as NEGATIVE_REACH
+from lobewise.guides.stand_ins import REACH as STAND_IN_REACH
 from lobewise.io.exr.bands import BandReader
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_quality
@@ -28,6 +29,8 @@ MIN_ROWS = 32
 """Rows of the smallest band: kernels work in strips of this height."""
 MEASURED_ROWS = 256
 """Rows of a band in the pass that measures the whole frame."""
+CHECKED_REACH = max(NEGATIVE_REACH, STAND_IN_REACH)
+"""Rows that the checks of a frame read around a pixel, before anything is filtered."""
 Bands = list[tuple[int, int]]
 """First row of each band, and the row behind its last."""
 
@@ -99,7 +102,7 @@ def find_band_reach(settings: ResolvedSettings) -> int:
     Filters without halves do not read the evidence, but the note on blurred detail does.
     """
     noted = 0 if get_quality(settings.quality).reads_halves else EVIDENCE_REACH
-    return find_reach(settings) + NEGATIVE_REACH + noted
+    return find_reach(settings) + CHECKED_REACH + noted
 
 
 def cut_bands(height: int, rows: int) -> Bands:

@@ -46,8 +46,8 @@ from lobewise.filters.fireflies import REACH as FIREFLY_REACH
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.filters.noise_guides import find_level
 from lobewise.frame import FloatArray
-from lobewise.guides.negative import REACH as NEGATIVE_REACH
 from lobewise.guides.negative import split_negative
+from lobewise.guides.stand_ins import stand_in_surfaces
 from lobewise.guides.survey import GuideSurvey
 from lobewise.guides.usable import Unusable, bound_guides, find_unusable, join_unusable
 from lobewise.interchange.checks import check_own_mark
@@ -61,6 +61,7 @@ from lobewise.streaming.checks import require_bands, survey_guides
 from lobewise.streaming.finishing import Finisher, finish_bands
 from lobewise.streaming.kept import KeptBands
 from lobewise.streaming.plan import (
+    CHECKED_REACH,
     DEFAULT_MEMORY,
     MEASURED_ROWS,
     Bands,
@@ -270,8 +271,9 @@ def _measure(
     variances: list[Rows] = []
     bad_count = 0
     for number, band in enumerate(bands):
-        top, bottom = widen(band, NEGATIVE_REACH + (FIREFLY_REACH if guided else 0), height)
-        frame, _ = split_negative(bound_guides(survey.apply(reader.read_frame(top, bottom))))
+        top, bottom = widen(band, CHECKED_REACH + (FIREFLY_REACH if guided else 0), height)
+        bounded = bound_guides(survey.apply(reader.read_frame(top, bottom)))
+        frame, _ = split_negative(stand_in_surfaces(bounded)[0])
         core = slice(band[0] - top, band[1] - top)
         bad_count += int(np.count_nonzero(find_bad_pixels(frame)[core]))
         colors.append(sum_colors(frame)[core])
@@ -283,7 +285,7 @@ def _measure(
         elif frame.variance is not None:
             variances.append(list_relative_variances(reader.read_frame(*band)))
         if number + 1 < len(bands):
-            reader.forget(widen(bands[number + 1], NEGATIVE_REACH + FIREFLY_REACH, height)[0])
+            reader.forget(widen(bands[number + 1], CHECKED_REACH + FIREFLY_REACH, height)[0])
         tell("Measuring", band[1], height)
     require_some_good(bad_count, height * width, "pixel")
     levels = tuple(find_level(np.concatenate(light)) for light in zip(*lights, strict=True))
@@ -337,7 +339,8 @@ def _filter_band(
     """
     frame = seen.survey.apply(reader.read_frame(*rows))
     seen.unusable += find_unusable(frame, core)
-    frame, below = split_negative(bound_guides(frame))
+    frame, _ = stand_in_surfaces(bound_guides(frame))
+    frame, below = split_negative(frame)
     if forgets(settings.above):
         reader.forget(reader.shape[0])
     found = filter_frame(frame, settings.above, (), whole)
