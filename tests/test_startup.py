@@ -79,9 +79,9 @@ for module in pkgutil.walk_packages(lobewise.__path__, "lobewise."):
     if module.name != "lobewise.__main__":
         importlib.import_module(module.name)
 from lobewise.backend.jit import get_kernel
-from lobewise.filters.specks import _make_specks
+from lobewise.filters.refinement.run import make_refinement
 try:
-    get_kernel("cpu", ("specks",), _make_specks)
+    get_kernel("cpu", ("refinement",), make_refinement)
 except lobewise.LobewiseError as problem:
     print(problem)
 """

@@ -92,6 +92,8 @@ class GBuffer(Images):
     object_share : array_like, shape (height, width), optional
         Largest share of the pixel's area that shows one object or the background, in (0, 1]. It is below 1 at
         silhouettes, and in wide areas where depth of field or motion blurs them.
+    blur_radius : array_like, shape (height, width), optional
+        Radius of the area that the lens blurs the pixel over, its circle of confusion: pixels, >= 0, 0 in focus.
     motion : array_like, shape (height, width, 2), optional
         Place of the surface point in the previous frame minus its place in this frame, pixels, x right and y down.
     reflected_motion : array_like, shape (height, width, 3), optional
@@ -126,6 +128,7 @@ class GBuffer(Images):
     mean_emission: MaybeImage = ABSENT
     coverage: MaybeImage = ABSENT
     object_share: MaybeImage = ABSENT
+    blur_radius: MaybeImage = ABSENT
     motion: MaybeImage = ABSENT
     reflected_motion: MaybeImage = ABSENT
     material: MaybeImage = ABSENT
@@ -229,8 +232,7 @@ class Frame(Guided):
         not filtered.
     unscattered : mapping of str to array_like, shape (height, width, 3)
         Light of the total that no surface scattered, by name: emission, background. It is not filtered, but where
-        ``gbuffer.object_share`` tells that objects are blurred, single bright pixels are shared out among their
-        neighbours.
+        ``gbuffer.blur_radius`` tells that the lens blurs it, it is shared out among neighbours.
     also : mapping of str to array_like, shape (height, width, 3)
         Noisy images that belong to the total, such as the light of every lamp. Images that sum to the total before
         denoising do so after it.

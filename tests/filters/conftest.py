@@ -16,7 +16,6 @@ RUNS = (
     "run_upsampling",
     "SampleGrid",
     "bound_fireflies",
-    "share_out_specks",
     "split_highlights",
     "find_features",
     "make_noise_guide",

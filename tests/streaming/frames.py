@@ -57,7 +57,7 @@ def make_scene(shape: tuple[int, int], *, halves: bool = True, apart: bool = Tru
         mean_specular_albedo=color(0.4, 0.6),
         mean_emission=color(0.0, 0.02),
         coverage=_make_coverage(shape, rng),
-        object_share=rng.uniform(0.5, 1.3, shape).clip(0.0, 1.0).astype(np.float32),
+        blur_radius=rng.uniform(-5.0, 20.0, shape).clip(0.0).astype(np.float32),
     )
     frame = plain.with_changes(
         radiance=whole,

@@ -19,7 +19,7 @@ _SURFACE = (
 )  # fmt: skip
 _GUIDED = (
     "hit_normal", "hit_albedo", "mean_diffuse_albedo", "mean_specular_albedo", "mean_emission", "coverage",
-    "object_share",
+    "blur_radius",
 )  # fmt: skip
 _LOBES = ("alpha_u", "alpha_v", "lobe_kind", "tangent", "material")
 

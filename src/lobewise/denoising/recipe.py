@@ -163,11 +163,11 @@ def filter_below(below: Frame, named: DenoiseSettings, features: Sequence[Featur
 
 
 def scale_unscattered(state: FrameRun) -> dict[str, FloatArray]:
-    """Return emission and background where a stage scaled them."""
-    if not state.gains:
+    """Return emission and background where a stage shared them out or scaled them."""
+    if not state.gains and not state.unscattered:
         return {}
-    unscattered = state.frame.unscattered.items()
-    scaled = {name: reduce(np.multiply, state.gains, light) for name, light in unscattered}
+    unscattered = {**state.frame.unscattered, **state.unscattered}
+    scaled = {name: reduce(np.multiply, state.gains, light) for name, light in unscattered.items()}
     return {name: np.where(np.isfinite(light), light, np.float32(0.0)) for name, light in scaled.items()}
 
 

@@ -37,7 +37,7 @@ from lobewise.denoising.running import run_guided, run_plain
 from lobewise.features import Feature
 from lobewise.filters.compositing import average_emission
 from lobewise.filters.cross_filter import FilterOutput
-from lobewise.filters.specks import share_out_specks
+from lobewise.filters.specks import count_turns, share_out_specks
 from lobewise.frame import FloatArray, Frame
 from lobewise.settings import ResolvedSettings
 from lobewise.settings.choices import get_quality
@@ -55,12 +55,12 @@ class Filtered:
         Sum of all parts and of the light that is in none of them; see `compose`.
     tallies : sequence of arrays
         Light that was taken from the fireflies of every layer, row by row; empty with the quality "fast".
-    gain : (height, width), optional
-        Factor by which the light outside of the layers was multiplied; None for 1.
     rest : (height, width, 3), optional
         Light that is in no part, emission and background; None where light is not told apart.
     noisy_rest : (height, width, 3), optional
         The same before the network refined it.
+    turns : (height, width), int, optional
+        How often each pixel shared this light with its neighbours; None where no lens blurs it.
     noisy : sequence of (height, width, 3)
         Samples of every layer without fireflies, radiance; empty with the quality "fast", which bounds none.
     levels : sequence of float
@@ -80,9 +80,9 @@ class Filtered:
     supports: Sequence[Support]
     image: FloatArray
     tallies: Sequence[NDArray[np.float64]] = ()
-    gain: FloatArray | None = None
     rest: FloatArray | None = None
     noisy_rest: FloatArray | None = None
+    turns: NDArray[np.int64] | None = None
     noisy: Sequence[FloatArray] = ()
     levels: Sequence[float] = ()
     is_refined: bool = False
@@ -102,11 +102,10 @@ class Filtered:
 
     def find_gains(self) -> tuple[FloatArray, ...]:
         """Return the factors, (height, width, 1 or 3), by which the light outside of the layers was multiplied."""
-        gains = () if self.gain is None else (self.gain[..., None],)
         if self.rest is None or self.noisy_rest is None or self.rest is self.noisy_rest:
-            return gains
+            return ()
         lit = self.noisy_rest > 0.0
-        return *gains, np.divide(self.rest, self.noisy_rest, out=np.ones_like(self.rest), where=lit)
+        return (np.divide(self.rest, self.noisy_rest, out=np.ones_like(self.rest), where=lit),)
 
     def find_holes(self, bad: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return where the image has no value, (height, width): not finite, or bad and reached by no layer."""
@@ -135,6 +134,8 @@ class FrameRun:
         Share of the light that is missing.
     gains : tuple of arrays
         Factors of the light that no surface scatters.
+    unscattered : dict of str to (height, width, 3)
+        Emission and background where the lens blurs them, shared out; empty where nothing is blurred.
     also : dict of str to (height, width, 3)
         The filtered light passes.
     """
@@ -149,6 +150,7 @@ class FrameRun:
     image: FloatArray | None = None
     energy_lost: float = 0.0
     gains: tuple[FloatArray, ...] = ()
+    unscattered: Mapping[str, FloatArray] = field(default_factory=dict)
     also: Mapping[str, FloatArray] = field(default_factory=dict)
 
     @property
@@ -191,8 +193,14 @@ def filter_frame(
 
 def filter_layers(state: FrameRun) -> FrameRun:
     """Filter every layer by its plan."""
-    guided = get_quality(state.settings.quality).reads_halves
-    return replace(state, found=filter_halves(state) if guided else filter_plain(state))
+    if not get_quality(state.settings.quality).reads_halves:
+        return replace(state, found=filter_plain(state))
+    found = filter_halves(state)
+    if found.turns is None:
+        return replace(state, found=found)
+    unscattered = state.frame.unscattered.items()
+    shared = {name: share_out_specks(blacken_bad(light), found.turns) for name, light in unscattered}
+    return replace(state, found=found, unscattered=shared)
 
 
 @device_scope()
@@ -212,20 +220,19 @@ def filter_halves(state: FrameRun) -> Filtered:
     noisy = make_noisy_layers(frame, settings, state.features, None if state.whole is None else state.whole.levels)
     clean = [run_guided(frame, each, settings, state.plan.layers[each.name]) for each in noisy]
     parts = [each.image for each in clean]
-    rest, share = find_averaged_rest(frame), frame.gbuffer.object_share
-    gain = None
-    if rest is not None and share is not None:
-        gain = share_out_specks(rest, share, device=settings.device)
-        rest = rest * gain[..., None]
+    rest, blur, turns = find_averaged_rest(frame), frame.gbuffer.blur_radius, None
+    if rest is not None and blur is not None:
+        turns = count_turns(rest, blur, frame.spp)
+        rest = share_out_specks(rest, turns)
     return Filtered(
         layers=[each.layer for each in noisy],
         parts=parts,
         supports=clean,
         image=compose(frame, parts, rest),
         tallies=[each.bounded.tally for each in noisy],
-        gain=gain,
         rest=rest,
         noisy_rest=rest,
+        turns=turns,
         noisy=[join_halves(each) for each in noisy],
         levels=[each.level for each in noisy],
     )

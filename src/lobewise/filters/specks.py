@@ -1,131 +1,125 @@
-"""Share out the light of specks, single bright pixels at blurred lights, among their neighbours.
+"""Share out the light of specks, single bright pixels that lamps out of focus leave, among their neighbours.
 
-Light that no surface scatters (emission, background) has no noise where a pixel shows one object. Where depth of field
-or motion mixes several objects in a pixel, few samples choose among them: the disc of a lamp out of focus gets a rim of
-dots. No guide distinguishes such a pixel from its neighbours, so filters do not help. Only excess light is moved: light
-above the fourth brightest of the eight neighbours goes to the 5x5 pixels around, in proportion to their own light. No
-light is lost, and none reaches dark pixels.
+Light that no surface scatters (emission, background) has hardly any noise in focus: a pixel shows what it covers. An
+open lens blurs a lamp over a disc. Few of a pixel's samples meet the lamp then, and the disc becomes salt. No guide
+distinguishes a pixel that met the lamp from its neighbours, so filters do not help. But the lens itself has blurred
+what the pixel shows: over a part of its radius, neighbours show nearly the same.
+
+So neighbours out of focus share their light evenly, some times one after the other. What is in focus takes no part. Nor
+does a dark pixel beside a disc: it has bright pixels on one side alone, while one within the disc has them all around.
+The sum of the light stays, and no pixel becomes brighter than the brightest one near it.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+from numpy.typing import NDArray
 
-from lobewise.backend.buffers import Image, device_scope, download, take_image
-from lobewise.backend.compiler import hl
-from lobewise.backend.jit import Scheduled, get_kernel, run_kernel
-from lobewise.backend.pointwise import LARGEST_FLOAT, is_finite
-from lobewise.backend.signature import Signature
-from lobewise.filters.cross_pass import find_luminance
-from lobewise.filters.planes import X, Y
-from lobewise.filters.schedules.specks import SpeckFuncs, schedule_specks
+from lobewise.chunks import Chunk, run_chunks
+from lobewise.filters.compositing import UNKNOWN_SPP
 from lobewise.frame import FloatArray
+from lobewise.lobes.vectors import LUMINANCE
 
-MAX_MIXED_SHARE = 0.97
-"""Largest share of its area that one object covers in a pixel that counts as mixed."""
-WINDOW_RADIUS, MIN_MIXED = 3, 0.6
-"""Radius of a window, pixels, and the share of mixed pixels above which its centre is blurred. Edges in focus have
-less, because they are at most two pixels wide. Pixels within the same radius of a blurred pixel may be specks."""
-RANK = 4
-"""Rank, from the brightest, of the neighbour that bounds a pixel's luminance."""
-SPREAD_RADIUS = 2
-"""Radius of the square that excess light is shared out over, pixels."""
-REACH = max(2 * SPREAD_RADIUS + 1, 2 * SPREAD_RADIUS + 2 * WINDOW_RADIUS)
+MIN_BLUR_RADIUS = 1.5
+"""Radius, pixels, from which a pixel counts as out of focus."""
+TURNS = 6.0
+"""How often pixels share where the lens blurs over one pixel for each sample. The noise that is left falls with the
+area that light is spread over, and the softening of a disc's rim grows with the width of this area over the radius:
+their sum is least at a width that goes with the cube root of radius over samples."""
+MAX_TURNS = 10
+BRIGHT_SHARE = 1.0 / 3.0
+"""Luminance over the largest within `BRIGHT_RADIUS` pixels from which a pixel counts as bright."""
+BRIGHT_RADIUS, VIEW_RADIUS = 2, 5
+"""The latter is the distance within which a dark pixel looks for bright ones all around, rows or columns."""
+DIRECTIONS = 8
+REACH = MAX_TURNS + VIEW_RADIUS
 """Distance of the farthest pixel that affects a pixel, rows or columns."""
 
 
-def share_out_specks(light: FloatArray, object_share: FloatArray, *, device: str = "cpu") -> FloatArray:
-    """Return the gain of every pixel's light, (height, width), >= 0, that removes specks.
+def share_out_specks(light: FloatArray, turns: NDArray[np.int64]) -> FloatArray:
+    """Return light of which each pixel out of focus shared its own with its neighbours out of focus.
+
+    It is linear in the light: images that sum to another one do so afterwards.
 
     Parameters
     ----------
     light : array, shape (height, width, 3)
-        Linear radiance, >= 0. NaN, infinite and negative pixels count as 0.
-    object_share : array, shape (height, width)
-        As in `lobewise.GBuffer`.
-    device : str
-        A name from `lobewise.backend.devices.list_devices`.
-
-    Raises
-    ------
-    InputError
-        If the images differ in size.
-
-    Notes
-    -----
-    The gain moves light and keeps the sum of luminances, up to rounding. Without mixed pixels it is 1 everywhere.
+        Linear radiance, finite.
+    turns : array, shape (height, width)
+        Result of `count_turns`.
     """
-    images: dict[str, Image] = {
-        "light": take_image("light", light, (*object_share.shape, 3)),
-        "share": take_image("object share", object_share, object_share.shape),
-    }
-    if not (object_share < MAX_MIXED_SHARE).any():
-        return np.ones(object_share.shape, np.float32)
-    with device_scope():
-        kernel = get_kernel(device, ("specks",), _make_specks)
-        return download(run_kernel(kernel, device, images)["gain"])
+    shared = light
+    for turn in range(int(turns.max(initial=0))):
+        shares = (turns > turn).astype(np.float32)[..., None]
+        given = _sum_around(shares * shared) - _sum_around(shares) * shared
+        shared = shared + shares * given * np.float32(1.0 / 9.0)
+    return shared
 
 
-def _make_specks(target: hl.Target) -> Scheduled:
-    """Return the kernel of `share_out_specks`."""
-    signature, size = Signature("specks"), ("height", "width")
-    light, share = signature.image("light", *size, 3), signature.image("share", *size)
-    light.dim(0).set_bounds(0, 3)
-    signature.output("gain", *size)
-    width, height = share.width(), share.height()
-    inside = (X >= 0) & (width > X) & (Y >= 0) & (height > Y)
-    at = hl.clamp(X, 0, width - 1), hl.clamp(Y, 0, height - 1)
-    zero, one = hl.f32(0.0), hl.f32(1.0)
-    bright, mixed, rows, blurred, near, low, quotient, out = (
-        hl.Func(name) for name in ("bright", "mixed", "mixed_rows", "blurred", "near", "low", "quotient", "gain")
-    )
-    luminance = find_luminance([light[k, at[0], at[1]] for k in range(3)])
-    good = inside & is_finite(luminance) & (luminance > zero) & (luminance < hl.f32(LARGEST_FLOAT))
-    bright[X, Y] = hl.select(good, luminance, zero)
-    known = share[at]
-    is_mixed = inside & (known < hl.f32(MAX_MIXED_SHARE))
-    mixed[X, Y] = hl.Tuple([hl.select(is_mixed, one, zero), hl.select(inside, one, zero)])
-    window = range(-WINDOW_RADIUS, WINDOW_RADIUS + 1)
-    rows[X, Y] = hl.Tuple([sum((mixed[X + k, Y][n] for k in window), zero) for n in range(2)])
-    count, area = (sum((rows[X, Y + k][n] for k in window), zero) for n in range(2))
-    blurred[X, Y] = hl.select(count > hl.f32(MIN_MIXED) * area, one, zero)
-    near[X, Y] = _find_largest([blurred[X + k, Y] for k in window])
-    around = [bright[X + i, Y + j] for j in (-1, 0, 1) for i in (-1, 0, 1) if (i, j) != (0, 0)]
-    bound = _find_rank(around, RANK)
-    here, takes = bright[X, Y], _find_largest([near[X, Y + k] for k in window]) > zero
-    kept = hl.select(takes, hl.min(here, bound), here)
-    low[X, Y] = hl.Tuple([kept, here - kept, hl.select(takes, kept, zero)])
-    steps = range(-SPREAD_RADIUS, SPREAD_RADIUS + 1)
-    spread = [(i, j) for j in steps for i in steps]
-    taken = sum((low[X + i, Y + j][2] for i, j in spread), zero)
-    # Where no pixel around takes light, the excess stays.
-    quotient[X, Y] = hl.Tuple(
-        [
-            hl.select(taken > zero, low[X, Y][1] / hl.max(taken, hl.f32(1e-30)), zero),
-            hl.select(taken > zero, zero, low[X, Y][1]),
-        ]
-    )
-    given = low[X, Y][2] * sum((quotient[X + i, Y + j][0] for i, j in spread), zero)
-    total = low[X, Y][0] + quotient[X, Y][1] + given
-    out[X, Y] = hl.select(here > zero, total / hl.max(here, hl.f32(1e-30)), one)
-    funcs = SpeckFuncs(
-        bright=bright, mixed=mixed, rows=rows, blurred=blurred, near=near, low=low, quotient=quotient, out=out
-    )
-    schedule_specks(funcs, target)
-    return Scheduled([out], signature)
+def count_turns(light: FloatArray, blur_radius: FloatArray, spp: int | None) -> NDArray[np.int64]:
+    """Return how often each pixel shares its light, (height, width); 0 for not at all.
+
+    Parameters
+    ----------
+    light : array, shape (height, width, 3)
+        All that no surface scatters: linear radiance, finite, >= 0.
+    blur_radius : array, shape (height, width)
+        As `lobewise.GBuffer.blur_radius`; infinite and NaN count as 0.
+    spp : int or None
+        Samples per pixel; None counts as `UNKNOWN_SPP`.
+    """
+    known = np.isfinite(blur_radius) & (blur_radius >= MIN_BLUR_RADIUS)
+    radius = np.where(known, blur_radius, np.float32(0.0)).astype(np.float64)
+    turns = np.minimum(TURNS * np.cbrt(radius / (spp or UNKNOWN_SPP)) ** 2, MAX_TURNS).astype(np.int64)
+    if turns.any():
+        bright = np.where(turns > 0, light @ np.array(LUMINANCE, np.float32), np.float32(0.0))
+        turns[~_find_sharing(bright)] = 0
+    return turns
 
 
-def _find_largest(values: list[hl.Expr]) -> hl.Expr:
-    largest = values[0]
-    for value in values[1:]:
-        largest = hl.max(largest, value)
-    return largest
+def _find_sharing(bright: FloatArray) -> NDArray[np.bool_]:
+    """Return which pixels share, (height, width), by their luminance: those that are bright, or amid bright ones."""
+    height, width = bright.shape
+    padded, least = np.pad(bright, VIEW_RADIUS), BRIGHT_SHARE * _find_largest(bright)
+    found, views = np.empty((height, width), np.bool_), _list_views()
+
+    def find(chunk: Chunk) -> None:
+        rows, columns = chunk
+        floor, seen = least[chunk], np.zeros(least[chunk].shape, np.uint8)
+        for (y, x), sides in views.items():
+            there = padded[rows.start + y : rows.stop + y, columns.start + x : columns.stop + x]
+            seen |= (there >= floor).view(np.uint8) * sides
+        found[chunk] = (floor > 0.0) & ((bright[chunk] >= floor) | (seen == np.uint8((1 << DIRECTIONS) - 1)))
+
+    run_chunks(find, height, width)
+    return found
 
 
-def _find_rank(values: list[hl.Expr], rank: int) -> hl.Expr:
-    """Return the value of a rank, 1 for the largest, by insertion into a sorted list of ``rank`` values."""
-    best = [hl.f32(-LARGEST_FLOAT)] * rank
-    for value in values:
-        for place in range(rank):
-            best[place], value = hl.max(best[place], value), hl.min(best[place], value)
-    return best[-1]
+def _list_views() -> dict[tuple[int, int], np.uint8]:
+    """Return by step from the corner of the view the directions, a bit for each, that a pixel there lies ahead of."""
+    turns = [2.0 * math.pi * number / DIRECTIONS for number in range(DIRECTIONS)]
+    views = {}
+    for y in range(-VIEW_RADIUS, VIEW_RADIUS + 1):
+        for x in range(-VIEW_RADIUS, VIEW_RADIUS + 1):
+            ahead = [x * math.cos(turn) + y * math.sin(turn) > 1e-6 for turn in turns]
+            views[y + VIEW_RADIUS, x + VIEW_RADIUS] = np.uint8(
+                sum(1 << k for k, is_ahead in enumerate(ahead) if is_ahead)
+            )
+    return views
+
+
+def _find_largest(image: FloatArray) -> FloatArray:
+    """Return the largest value within `BRIGHT_RADIUS` rows and columns."""
+    for axis in (0, 1):
+        padded = np.pad(image, [(BRIGHT_RADIUS, BRIGHT_RADIUS) if each == axis else (0, 0) for each in (0, 1)])
+        image = np.lib.stride_tricks.sliding_window_view(padded, 2 * BRIGHT_RADIUS + 1, axis=axis).max(axis=-1)
+    return image
+
+
+def _sum_around(image: FloatArray) -> FloatArray:
+    """Return the sums over 3x3 pixels, 0 beyond the borders."""
+    padded = np.pad(image, ((1, 1), (1, 1), (0, 0)))
+    rows = padded[:-2] + padded[1:-1] + padded[2:]
+    return np.asarray(rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:])

@@ -19,7 +19,15 @@ MAX_PIXELS = 20000
 MAX_FIT_ERROR = 1.5
 """Largest median distance, pixels, between a pixel and the projection of its position, of a camera that fits.
 The position of a sample lies anywhere within the pixel filter."""
+MAX_BLURRED_FIT_ERROR = 0.05
+"""The same of an image that a lens blurs, over the height of the image. Beyond it the camera is bent."""
 MAX_GAUSS_NEWTON_STEPS = 12
+FEW_POINTS, DRAWS = 7, 100
+"""Points in a draw, and draws. Where three in five points are seen where they lie, three draws have no other."""
+SEEN_SHARE = 0.3
+"""Share of the points that a good start sees where they lie."""
+MAX_JUDGED = 2000
+"""Largest number of points that a start is judged by."""
 MAX_AXIS_ERROR = 0.02
 """Largest relative difference of the axes of an orthographic image in length, and from a right angle."""
 
@@ -55,7 +63,13 @@ def measure_fit(camera: Camera, position: FloatArray, mask: NDArray[np.bool_]) -
     return float(np.median(np.where(np.isfinite(apart), apart, np.inf)))
 
 
-def fit_camera(position: FloatArray, mask: NDArray[np.bool_], pixel_aspect: float = 1.0) -> CameraFit | None:
+def fit_camera(
+    position: FloatArray,
+    mask: NDArray[np.bool_],
+    pixel_aspect: float = 1.0,
+    *,
+    blurred: bool = False,
+) -> CameraFit | None:
     """Return the pinhole camera that sees given points at given pixels, None if no camera does.
 
     A projective camera comes first, from equations that are linear in its matrix (the direct linear transform, Hartley
@@ -71,7 +85,10 @@ def fit_camera(position: FloatArray, mask: NDArray[np.bool_], pixel_aspect: floa
         Pixels that have a position.
     pixel_aspect : float
         Width of a pixel over its height.
+    blurred : bool
+        Whether a lens may blur the image, so that the positions of most pixels may lie off these pixels.
     """
+    max_error = MAX_BLURRED_FIT_ERROR * mask.shape[0] if blurred else MAX_FIT_ERROR
     points = _gather(position, mask, pixel_aspect)
     if points is None:
         return None
@@ -80,7 +97,8 @@ def fit_camera(position: FloatArray, mask: NDArray[np.bool_], pixel_aspect: floa
     for mirrored in (False, True):
         turn = np.array([-1.0, 1.0, 1.0]) if mirrored else np.ones(3)
         scaled = turn * (world - center) / spread
-        start = _solve_projective(scaled, x, y)
+        tolerance = 2.0 * MAX_FIT_ERROR / mask.shape[0]
+        start = _find_start(scaled, x, y, tolerance) if blurred else _solve_projective(scaled, x, y)
         if start is None:
             return None
         # Right, up and forward of a camera in a right-handed world are a left-handed triple.
@@ -93,7 +111,7 @@ def fit_camera(position: FloatArray, mask: NDArray[np.bool_], pixel_aspect: floa
         camera = Camera(turn * center + spread * eye, rotation[2], rotation[1], float(2.0 * np.arctan(1.0 / focal)))
         camera = camera.with_pixel_aspect(mask.shape[1], mask.shape[0], pixel_aspect)
         error = measure_fit(camera, (turn * position).astype(np.float32), mask)
-        return CameraFit(camera, error, mirrored) if error < MAX_FIT_ERROR else None
+        return CameraFit(camera, error, mirrored) if error < max_error else None
     return None
 
 
@@ -187,6 +205,33 @@ def _choose_pixels(mask: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[n
     return rows[::step], columns[::step]
 
 
+def _find_start(points: Matrix, x: Matrix, y: Matrix, tolerance: float) -> tuple[Matrix, Matrix, float] | None:
+    """Return what `_solve_projective` does of all points, or where it fails of the best of many draws of few points.
+
+    Points out of focus lie off their pixels, and a least-squares fit to all sees none where it lies.
+    """
+    step = max(1, len(points) // MAX_JUDGED)
+    judged = points[::step], x[::step], y[::step]
+    best = _solve_projective(points, x, y)
+    if best is None or (least := _judge(*judged, *best)) <= tolerance:
+        return best
+    random = np.random.default_rng(0)
+    for _ in range(DRAWS):
+        few = random.choice(len(points), FEW_POINTS, replace=False)
+        start = _solve_projective(points[few], x[few], y[few])
+        if start is not None and (error := _judge(*judged, *start)) < least:
+            best, least = start, error
+    return best
+
+
+def _judge(points: Matrix, x: Matrix, y: Matrix, rotation: Matrix, eye: Matrix, focal: float) -> float:
+    """Return the error below which a start sees `SEEN_SHARE` of the points."""
+    right, up, ahead = ((points - eye) @ rotation.T).T
+    depth = np.where(ahead > 0.0, ahead, np.nan)
+    error = np.hypot(x - focal * right / depth, y - focal * up / depth)
+    return float(np.sort(np.where(np.isfinite(error), error, np.inf))[int(SEEN_SHARE * len(error))])
+
+
 def _solve_projective(points: Matrix, x: Matrix, y: Matrix) -> tuple[Matrix, Matrix, float] | None:
     """Return rotation (rows right, up, forward), eye and focal length of the projective camera that fits best."""
     one = np.ones((len(points), 1))
@@ -202,7 +247,8 @@ def _solve_projective(points: Matrix, x: Matrix, y: Matrix) -> tuple[Matrix, Mat
         depth = whole @ matrix[2]
         matrix = matrix if np.median(depth) > 0.0 else -matrix
         depth = whole @ matrix[2]
-        error = np.hypot(x - whole @ matrix[0] / depth, y - whole @ matrix[1] / depth)
+        with np.errstate(divide="ignore", invalid="ignore"):  # what lies beside the camera is seen nowhere
+            error = np.hypot(x - whole @ matrix[0] / depth, y - whole @ matrix[1] / depth)
         kept = error <= 3.0 * np.median(error) + 1e-12
         whole, zero, x, y = whole[kept], zero[kept], x[kept], y[kept]
     scale = np.linalg.norm(matrix[2, :3])

@@ -59,6 +59,8 @@ class Draft:
         for an orthographic one.
     world_position : array, shape (height, width, 3), or None
         World positions, 0 where there is no surface.
+    blur_radius : array, shape (height, width), or None
+        As `lobewise.GBuffer.blur_radius`; None where the lens blurs nothing.
     distance : array, shape (height, width), or None
         Distances along the rays, 0 where there is no surface.
     is_depth_replaced : bool
@@ -98,6 +100,7 @@ class Draft:
     is_mirrored: bool = False
     is_orthographic: bool = False
     world_position: FloatArray | None = None
+    blur_radius: FloatArray | None = None
     distance: FloatArray | None = None
     is_depth_replaced: bool = False
     world_normal: FloatArray | None = None

@@ -36,6 +36,7 @@ from lobewise.interchange.importing.surface_checks import check_depth, check_nor
 from lobewise.interchange.importing.surfaces import (
     choose_camera,
     derive_depth,
+    find_blur,
     take_depth,
     take_normals,
     take_positions,
@@ -58,6 +59,7 @@ STEPS = (
     Step(lend_lone_albedo, needs=("albedo",)),
     # Surfaces, converted to world space
     Step(take_positions, needs=("position",)),
+    Step(find_blur, needs=("world_position",)),
     Step(choose_camera, section=Section.SURFACES),
     Step(take_depth, needs=("depth",), section=Section.SURFACES),
     Step(derive_depth, needs=("world_position", "camera")),

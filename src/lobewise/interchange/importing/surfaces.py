@@ -9,11 +9,14 @@ from numpy.typing import NDArray
 
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray
-from lobewise.interchange.cameras.fitting import MAX_FIT_ERROR, CameraFit, find_camera, measure_fit
+from lobewise.guides.blur import find_blur_radius
+from lobewise.interchange.cameras.fitting import MAX_FIT_ERROR, CameraFit, find_camera, fit_camera, measure_fit
 from lobewise.interchange.cameras.header import Located, read_camera_attributes
+from lobewise.interchange.checks.precision import measure_grain
 from lobewise.interchange.importing.draft import Draft, Outcome
 from lobewise.interchange.values import MIN_EMPTY_DISTANCE, convert_depth, convert_plain, convert_space
 from lobewise.io.exr.header import read_pixel_aspect
+from lobewise.motion import project_points
 
 NO_PINHOLE = "No pinhole camera shows the positions where they are seen, so places are not compared"
 PANORAMA_ASPECT = 2
@@ -34,6 +37,22 @@ def _find_surface(position: FloatArray, depth: FloatArray | None) -> Mask:
     if depth is not None:
         return np.asarray(there & np.isfinite(depth) & (depth > 0.0) & (depth < MIN_EMPTY_DISTANCE))
     return np.asarray(there & (position != 0.0).any(axis=-1))
+
+
+def find_blur(draft: Draft) -> Outcome:
+    """Find how far the lens blurs every pixel, by the spread of the positions around where a pinhole sees them."""
+    position = draft.world_position
+    assert position is not None
+    mask: Mask = (position != 0.0).any(axis=-1)
+    pixel_aspect = read_pixel_aspect(draft.image_part) or 1.0
+    is_coarse = measure_grain(position).is_coarse
+    fit = None if is_coarse else fit_camera(position, mask, pixel_aspect, blurred=True)
+    if fit is None:
+        return Outcome(draft)
+    height, width = draft.shape
+    seen = project_points(fit.camera, _mirror(position) if fit.mirrored else position, width, height)
+    seen -= np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1).astype(np.float32)
+    return Outcome(replace(draft, blur_radius=find_blur_radius(np.where(mask[..., None], seen, np.float32(np.nan)))))
 
 
 def choose_camera(draft: Draft) -> Outcome:

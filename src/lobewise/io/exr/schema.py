@@ -90,6 +90,8 @@ _GBUFFER = (
     ("coverage", "coverage", "012345678", "shares of the pixel's area that its 3x3 neighbours stand for, sum 1",
      "not needed to denoise"),
     ("object_share", "object_share", "S", "largest share of the pixel's area that one object has, 0..1",
+     "not needed to denoise"),
+    ("blur_radius", "blur_radius", "R", "radius over which the lens blurs the pixel, pixels, 0 in focus",
      "specks of lights out of focus stay"),
     ("motion", "motion", "XY", "pixels from here to the previous frame, x right, y down", "not needed for one frame"),
     ("reflected_motion", "reflected_motion", "XYZ",
