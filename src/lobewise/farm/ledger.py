@@ -54,9 +54,16 @@ class Ledger:
         """
         write_text(self.folder / TOKEN, token, what="records of frames")
 
+    def has_token(self, token: str) -> bool:
+        """Return whether the folder holds this token, and not that of a later run."""
+        try:
+            return (self.folder / TOKEN).read_text() == token
+        except OSError:
+            return False
+
     @contextmanager
     def lock(self) -> Iterator[None]:
-        """Make the folder, and keep other clients from it during the ``with`` block.
+        """Make the folder, and keep other clients from it during the ``with`` block, where the disk has locks.
 
         Raises FileError if another client has it, or it cannot be written to.
         """

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
 
-from lobewise.errors import InputError
+from lobewise.errors import FileError, InputError
 from lobewise.farm.connection import Connection
 from lobewise.farm.dispatching import WAITING, Dispatcher, Failure, Listener, Terms
 from lobewise.farm.environment import describe_environment
@@ -189,7 +189,17 @@ class _Run:
         return frozenset(self.done)
 
     def find_missing(self, task: Task) -> tuple[int, ...]:
-        """Return the frames of a task that are not done on disk, and note those that are."""
+        """Return the frames of a task that are not done on disk, and note those that are.
+
+        Raises FileError if a later run has taken over, which the lock does not prevent on disks without locks.
+        """
+        if not self.ledger.has_token(self.token):
+            raise FileError(
+                f"records {str(self.ledger.folder)!r}",
+                expected="no other run that writes this sequence",
+                got="one that began later",
+                action="let it end, and give the command again",
+            )
         refresh_folders(self.ledger.folder, self._job.output.folder)
         proofs = self.ledger.prove(task.frames, self._job.work.list_sources)
         outputs = self._job.work.list_outputs
@@ -236,7 +246,8 @@ class _Run:
         for number in (*numbers, *(number for failure in self.failures for number in failure.numbers)):
             for path in self._job.work.list_outputs(number):
                 remove_leftovers(Path(os.path.realpath(path)))
-        if len(self.done) == len(self._frames) or not self.ledger.list_recorded():
+        is_over = len(self.done) == len(self._frames) or not self.ledger.list_recorded()
+        if is_over and self.ledger.has_token(self.token):
             self.ledger.remove()
 
     def _make_order(self, task: Task) -> Order:
