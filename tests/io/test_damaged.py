@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import struct
 
@@ -12,6 +13,8 @@ from exr_bytes import inject_attributes, read_attributes
 
 from lobewise.errors import FileError, LobewiseError
 from lobewise.io import describe_file, read_frame, read_image, write_frame
+from lobewise.io.exr.parsing import read_container
+from lobewise.io.exr.pixels import decode_part
 
 
 def assert_one_sentence(problem: BaseException) -> None:
@@ -118,6 +121,18 @@ def test_damaged_pixels_are_told(whole):
     path.write_bytes(data[:-200] + bytes(200))
     with pytest.raises(FileError, match=r"expected pixels that can be decoded, got damaged pixels; .*\.$"):
         read_frame(path)
+
+
+def test_a_file_that_cannot_be_opened_is_not_called_damaged(whole, monkeypatch):
+    _, path = whole
+    container = read_container(path)
+
+    def refuse(*_):
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    monkeypatch.setattr(type(path), "open", refuse)
+    with pytest.raises(FileError, match="expected a readable file, got too many open files"):
+        decode_part(container, container.parts[0])
 
 
 def test_deep_images_are_told(whole, tmp_path):

@@ -17,6 +17,7 @@ from lobewise.errors import FileError
 from lobewise.io.exr.container import COMPRESSIONS, Container, Part, Window, crop_part, show_name
 from lobewise.io.exr.parsing import parse_bytes
 from lobewise.io.exr.splice import pack_part
+from lobewise.io.files import refusing
 
 Pixels = NDArray[Any]
 
@@ -83,7 +84,12 @@ def _refuse_pixels(container: Container, got: str) -> FileError:
 def _decode_rows(container: Container, part: Part) -> dict[str, Pixels]:
     """Return every channel of a part, decoded at once."""
     try:
-        with container.path.open("rb") as stream:
+        with (
+            refusing(
+                f"input {str(container.path)!r}", "a readable file", "check the disk, and the limits of open files"
+            ),
+            container.path.open("rb") as stream,
+        ):
             data = pack_part(container, part, stream)
         pixels = decode_bytes(data)
     except (RuntimeError, ValueError, TypeError, KeyError, OSError, MemoryError) as problem:
