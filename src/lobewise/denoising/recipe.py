@@ -13,14 +13,14 @@ from weakref import ref
 import numpy as np
 
 from lobewise.denoising.automatic import ask, change_settings, resolve_all
-from lobewise.denoising.bad_pixels import describe_bad, require_some_good
+from lobewise.denoising.bad_pixels import blacken_bad, describe_bad, require_some_good
 from lobewise.denoising.combining import name_method
 from lobewise.denoising.evidence import count_blurred, describe_blurred
 from lobewise.denoising.inputs import DEPTH_WITHOUT_CAMERA, describe_lacks, list_unused
-from lobewise.denoising.layers import find_support
+from lobewise.denoising.layers import Layer, find_support
 from lobewise.denoising.light_loss import MIN_SHARE_BOUNDED, describe_loss, sum_light
 from lobewise.denoising.planning.frame_plans import REFINE
-from lobewise.denoising.stages import Filtered, FrameRun, join_parts, name_layers, start_run
+from lobewise.denoising.stages import Filtered, FrameRun, name_layers, start_run
 from lobewise.errors import UnusedGuideWarning, require_kind
 from lobewise.features import Feature
 from lobewise.filters.fireflies import find_energy_lost
@@ -183,3 +183,15 @@ def describe_filtering(state: FrameRun, before: Filtered) -> tuple[str, ...]:
     if not get_quality(state.settings.quality).reads_halves:
         notes += describe_blurred(count_blurred(state.frame, before.image))
     return notes
+
+
+def join_parts(layers: Sequence[Layer], parts: Sequence[FloatArray]) -> tuple[FloatArray | None, FloatArray | None]:
+    """Return diffuse and specular light from that of all layers, finite; None both where it is not known apart."""
+    if layers[0].name == "color":
+        return None, None
+    sums: dict[bool, FloatArray] = {}
+    for layer, part in zip(layers, parts, strict=True):
+        good = blacken_bad(part)
+        sums[layer.is_diffuse] = sums[layer.is_diffuse] + good if layer.is_diffuse in sums else good
+    nothing = np.zeros_like(parts[0])
+    return sums.get(True, nothing), sums.get(False, nothing)

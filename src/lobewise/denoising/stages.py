@@ -356,16 +356,7 @@ RUNNERS: Mapping[Stage, Callable[[FrameRun], FrameRun]] = {
 """What runs each stage."""
 
 
-def join_parts(layers: Sequence[Layer], parts: Sequence[FloatArray]) -> tuple[FloatArray | None, FloatArray | None]:
-    """Return diffuse and specular light from that of all layers, finite; None both where it is not known apart."""
-    if layers[0].name == "color":
-        return None, None
-    sums: dict[bool, FloatArray] = {}
-    for layer, part in zip(layers, parts, strict=True):
-        good = blacken_bad(part)
-        sums[layer.is_diffuse] = sums[layer.is_diffuse] + good if layer.is_diffuse in sums else good
-    nothing = np.zeros_like(parts[0])
-    return sums.get(True, nothing), sums.get(False, nothing)
+
 
 
 def keep_unfiltered(layer: Layer, output: FilterOutput) -> FloatArray:
