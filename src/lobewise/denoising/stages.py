@@ -356,9 +356,6 @@ RUNNERS: Mapping[Stage, Callable[[FrameRun], FrameRun]] = {
 """What runs each stage."""
 
 
-
-
-
 def keep_unfiltered(layer: Layer, output: FilterOutput) -> FloatArray:
     """Return the filtered radiance, and the input where no tap had weight; NaN where that is bad too."""
     lost = output.weight_sum <= 0.0
