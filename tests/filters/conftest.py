@@ -25,11 +25,15 @@ RUNS = (
 """What takes a device; a test that names none gets the one it is run on."""
 
 
+CARD = os.environ.get("LOBEWISE_TEST_DEVICE", "vulkan")
+"""The device beside the processor: "cuda" tests a real card."""
+
+
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Run the tests of a module that calls kernels on every device."""
     calls = any(hasattr(metafunc.module, name) for name in RUNS)
     if calls and metafunc.definition.get_closest_marker("processor") is None:
-        slow = pytest.param("vulkan", marks=[pytest.mark.slow, pytest.mark.vulkan])
+        slow = pytest.param(CARD, marks=[pytest.mark.slow, pytest.mark.vulkan])
         metafunc.parametrize("device", ["cpu", slow], indirect=True)
 
 
