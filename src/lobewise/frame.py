@@ -93,7 +93,8 @@ class GBuffer(Images):
         Largest share of the pixel's area that shows one object or the background, in (0, 1]. It is below 1 at
         silhouettes, and in wide areas where depth of field or motion blurs them.
     blur_radius : array_like, shape (height, width), optional
-        Radius of the area that the lens blurs the pixel over, its circle of confusion: pixels, >= 0, 0 in focus.
+        Radius of the area that the lens blurs the pixel over, its circle of confusion: pixels, >= 0, 0 in focus;
+        NaN where it is not known.
     motion : array_like, shape (height, width, 2), optional
         Place of the surface point in the previous frame minus its place in this frame, pixels, x right and y down.
     reflected_motion : array_like, shape (height, width, 3), optional

@@ -41,7 +41,7 @@ def test_pixels_without_a_position_are_left_out() -> None:
     offset[:, :20] = np.nan
     found = find_blur_radius(offset)
     assert found is not None
-    assert (found[:, :14] == 0.0).all()
+    assert np.isnan(found[:, :14]).all()
     assert np.median(found[:, 22:]) == pytest.approx(8.0, rel=0.2)
 
 
@@ -50,7 +50,8 @@ def test_a_lamp_before_the_sky_is_blurred_though_few_samples_meet_it() -> None:
     offset[np.random.default_rng(5).random(SIZE) < 0.95] = np.nan
     found = find_blur_radius(offset)
     assert found is not None
-    assert np.median(found) == pytest.approx(8.0, rel=0.25)
+    assert np.nanmedian(found) == pytest.approx(8.0, rel=0.25)
+    assert np.isfinite(found).mean() > 0.9
 
 
 def test_a_camera_that_is_off_is_no_blur() -> None:

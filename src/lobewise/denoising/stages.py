@@ -37,7 +37,7 @@ from lobewise.denoising.running import run_guided, run_plain
 from lobewise.features import Feature
 from lobewise.filters.compositing import average_emission
 from lobewise.filters.cross_filter import FilterOutput
-from lobewise.filters.specks import count_turns, share_out_specks
+from lobewise.filters.specks import Sharing, find_sharing
 from lobewise.frame import FloatArray, Frame
 from lobewise.settings import ResolvedSettings
 from lobewise.settings.choices import get_quality
@@ -59,8 +59,8 @@ class Filtered:
         Light that is in no part, emission and background; None where light is not told apart.
     noisy_rest : (height, width, 3), optional
         The same before the network refined it.
-    turns : (height, width), int, optional
-        How often each pixel shared this light with its neighbours; None where no lens blurs it.
+    sharing : Sharing, optional
+        How pixels shared this light with their neighbours; None where no lens blurs it.
     noisy : sequence of (height, width, 3)
         Samples of every layer without fireflies, radiance; empty with the quality "fast", which bounds none.
     levels : sequence of float
@@ -82,7 +82,7 @@ class Filtered:
     tallies: Sequence[NDArray[np.float64]] = ()
     rest: FloatArray | None = None
     noisy_rest: FloatArray | None = None
-    turns: NDArray[np.int64] | None = None
+    sharing: Sharing | None = None
     noisy: Sequence[FloatArray] = ()
     levels: Sequence[float] = ()
     is_refined: bool = False
@@ -196,10 +196,10 @@ def filter_layers(state: FrameRun) -> FrameRun:
     if not get_quality(state.settings.quality).reads_halves:
         return replace(state, found=filter_plain(state))
     found = filter_halves(state)
-    if found.turns is None:
+    if found.sharing is None:
         return replace(state, found=found)
     unscattered = state.frame.unscattered.items()
-    shared = {name: share_out_specks(blacken_bad(light), found.turns) for name, light in unscattered}
+    shared = {name: found.sharing.apply(blacken_bad(light)) for name, light in unscattered}
     return replace(state, found=found, unscattered=shared)
 
 
@@ -220,10 +220,10 @@ def filter_halves(state: FrameRun) -> Filtered:
     noisy = make_noisy_layers(frame, settings, state.features, None if state.whole is None else state.whole.levels)
     clean = [run_guided(frame, each, settings, state.plan.layers[each.name]) for each in noisy]
     parts = [each.image for each in clean]
-    rest, blur, turns = find_averaged_rest(frame), frame.gbuffer.blur_radius, None
+    rest, blur, sharing = find_averaged_rest(frame), frame.gbuffer.blur_radius, None
     if rest is not None and blur is not None:
-        turns = count_turns(rest, blur, frame.spp)
-        rest = share_out_specks(rest, turns)
+        sharing = find_sharing(rest, blur, frame.spp)
+        rest = sharing.apply(rest)
     return Filtered(
         layers=[each.layer for each in noisy],
         parts=parts,
@@ -232,7 +232,7 @@ def filter_halves(state: FrameRun) -> Filtered:
         tallies=[each.bounded.tally for each in noisy],
         rest=rest,
         noisy_rest=rest,
-        turns=turns,
+        sharing=sharing,
         noisy=[join_halves(each) for each in noisy],
         levels=[each.level for each in noisy],
     )

@@ -5,14 +5,19 @@ open lens blurs a lamp over a disc. Few of a pixel's samples meet the lamp then,
 distinguishes a pixel that met the lamp from its neighbours, so filters do not help. But the lens itself has blurred
 what the pixel shows: over a part of its radius, neighbours show nearly the same.
 
-So neighbours out of focus share their light evenly, some times one after the other. What is in focus takes no part. Nor
-does a dark pixel beside a disc: it has bright pixels on one side alone, while one within the disc has them all around.
-The sum of the light stays, and no pixel becomes brighter than the brightest one near it.
+Two steps follow from that. First neighbours out of focus exchange their light evenly, some times one after the other.
+What is in focus takes no part. Nor does a dark pixel beside a disc: it has bright pixels on one side alone, while one
+within the disc has them all around. Then a pixel at the rim of a disc that outshines its neighbours hands the excess to
+those that are bright already, in proportion to their own light: there one sample too many met the lamp.
+
+Both steps move light and lose none. Both are linear once it is known which pixels share, so images that sum to another
+one do so afterwards.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,22 +39,59 @@ BRIGHT_SHARE = 1.0 / 3.0
 BRIGHT_RADIUS, VIEW_RADIUS = 2, 5
 """The latter is the distance within which a dark pixel looks for bright ones all around, rows or columns."""
 DIRECTIONS = 8
-REACH = MAX_TURNS + VIEW_RADIUS
+RANK = 4
+"""Rank, from the brightest, of the neighbour that bounds a pixel's luminance."""
+SPREAD_RADIUS, MAX_GAIN = 2, 0.25
+"""Radius of the square that the excess is handed out over, pixels, and the largest share of its own luminance that a
+pixel gets of one other: what is more stays where it was."""
+RIM = 4
+"""Distance from a pixel out of focus, rows or columns, within which a pixel may belong to the rim of a disc, unless it
+is known to be in focus."""
+REACH = MAX_TURNS + VIEW_RADIUS + 2 * SPREAD_RADIUS + 1
 """Distance of the farthest pixel that affects a pixel, rows or columns."""
 
 
-def share_out_specks(light: FloatArray, turns: NDArray[np.int64]) -> FloatArray:
-    """Return light of which each pixel out of focus shared its own with its neighbours out of focus.
+@dataclass(frozen=True)
+class Sharing:
+    """Which pixels share their light, and how.
 
-    It is linear in the light: images that sum to another one do so afterwards.
+    Parameters
+    ----------
+    turns : (height, width), int
+        How often a pixel exchanges light with its neighbours.
+    gain : (height, width)
+        Factor of its light after that.
+    """
+
+    turns: NDArray[np.int64]
+    gain: FloatArray
+
+    def apply(self, light: FloatArray) -> FloatArray:
+        """Return an image (height, width, 3), linear radiance, finite, after both steps."""
+        return exchange(light, self.turns) * self.gain[..., None]
+
+
+def find_sharing(light: FloatArray, blur_radius: FloatArray, spp: int | None) -> Sharing:
+    """Return how the light that no surface scatters is shared.
 
     Parameters
     ----------
     light : array, shape (height, width, 3)
-        Linear radiance, finite.
-    turns : array, shape (height, width)
-        Result of `count_turns`.
+        All of it: linear radiance, finite, >= 0.
+    blur_radius : array, shape (height, width)
+        As `lobewise.GBuffer.blur_radius`.
+    spp : int or None
+        Samples per pixel; None counts as `UNKNOWN_SPP`.
     """
+    turns = count_turns(light, blur_radius, spp)
+    blurred = np.isfinite(blur_radius) & (blur_radius >= MIN_BLUR_RADIUS)
+    near = _find_largest(blurred.astype(np.float32), RIM) > 0.0
+    near &= ~(blur_radius < MIN_BLUR_RADIUS)
+    return Sharing(turns, _find_gain(exchange(light, turns) @ np.array(LUMINANCE, np.float32), near))
+
+
+def exchange(light: FloatArray, turns: NDArray[np.int64]) -> FloatArray:
+    """Return an image (height, width, 3) in which neighbours exchanged a ninth of their difference, turn by turn."""
     shared = light
     for turn in range(int(turns.max(initial=0))):
         shares = (turns > turn).astype(np.float32)[..., None]
@@ -61,14 +103,7 @@ def share_out_specks(light: FloatArray, turns: NDArray[np.int64]) -> FloatArray:
 def count_turns(light: FloatArray, blur_radius: FloatArray, spp: int | None) -> NDArray[np.int64]:
     """Return how often each pixel shares its light, (height, width); 0 for not at all.
 
-    Parameters
-    ----------
-    light : array, shape (height, width, 3)
-        All that no surface scatters: linear radiance, finite, >= 0.
-    blur_radius : array, shape (height, width)
-        As `lobewise.GBuffer.blur_radius`; infinite and NaN count as 0.
-    spp : int or None
-        Samples per pixel; None counts as `UNKNOWN_SPP`.
+    Parameters are those of `find_sharing`.
     """
     known = np.isfinite(blur_radius) & (blur_radius >= MIN_BLUR_RADIUS)
     radius = np.where(known, blur_radius, np.float32(0.0)).astype(np.float64)
@@ -82,7 +117,7 @@ def count_turns(light: FloatArray, blur_radius: FloatArray, spp: int | None) -> 
 def _find_sharing(bright: FloatArray) -> NDArray[np.bool_]:
     """Return which pixels share, (height, width), by their luminance: those that are bright, or amid bright ones."""
     height, width = bright.shape
-    padded, least = np.pad(bright, VIEW_RADIUS), BRIGHT_SHARE * _find_largest(bright)
+    padded, least = np.pad(bright, VIEW_RADIUS), BRIGHT_SHARE * _find_largest(bright, BRIGHT_RADIUS)
     found, views = np.empty((height, width), np.bool_), _list_views()
 
     def find(chunk: Chunk) -> None:
@@ -110,16 +145,43 @@ def _list_views() -> dict[tuple[int, int], np.uint8]:
     return views
 
 
-def _find_largest(image: FloatArray) -> FloatArray:
-    """Return the largest value within `BRIGHT_RADIUS` rows and columns."""
+def _find_gain(bright: FloatArray, near: NDArray[np.bool_]) -> FloatArray:
+    """Return the factors by which pixels hand out what is above their bound, (height, width), by their luminance."""
+    gain = np.ones_like(bright)
+    if not near.any():
+        return gain
+    bound = _find_bound(bright)
+    kept = np.where(near, np.minimum(bright, bound), bright)
+    takes = np.where(near, kept, np.float32(0.0))
+    taken = _sum_around(takes, SPREAD_RADIUS)
+    share = np.minimum(np.divide(bright - kept, taken, out=np.zeros_like(bright), where=taken > 0.0), MAX_GAIN)
+    total = bright - share * taken + takes * _sum_around(share, SPREAD_RADIUS)
+    return np.divide(total, bright, out=gain, where=bright > 0.0)
+
+
+def _find_bound(bright: FloatArray) -> FloatArray:
+    """Return the luminance of the neighbour of rank `RANK`, of the eight around each pixel; borders are repeated."""
+    height, width = bright.shape
+    padded = np.pad(bright, 1, mode="edge")
+    best = [np.zeros_like(bright) for _ in range(RANK)]
+    for y, x in ((y, x) for y in range(3) for x in range(3) if (y, x) != (1, 1)):
+        value = padded[y : y + height, x : x + width]
+        for place in range(RANK):
+            best[place], value = np.maximum(best[place], value), np.minimum(best[place], value)
+    return best[-1]
+
+
+def _find_largest(image: FloatArray, radius: int) -> FloatArray:
+    """Return the largest value within ``radius`` rows and columns."""
     for axis in (0, 1):
-        padded = np.pad(image, [(BRIGHT_RADIUS, BRIGHT_RADIUS) if each == axis else (0, 0) for each in (0, 1)])
-        image = np.lib.stride_tricks.sliding_window_view(padded, 2 * BRIGHT_RADIUS + 1, axis=axis).max(axis=-1)
+        padded = np.pad(image, [(radius, radius) if each == axis else (0, 0) for each in (0, 1)])
+        image = np.lib.stride_tricks.sliding_window_view(padded, 2 * radius + 1, axis=axis).max(axis=-1)
     return image
 
 
-def _sum_around(image: FloatArray) -> FloatArray:
-    """Return the sums over 3x3 pixels, 0 beyond the borders."""
-    padded = np.pad(image, ((1, 1), (1, 1), (0, 0)))
-    rows = padded[:-2] + padded[1:-1] + padded[2:]
-    return np.asarray(rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:])
+def _sum_around(image: FloatArray, radius: int = 1) -> FloatArray:
+    """Return the sums over squares of ``2 * radius + 1`` pixels, 0 beyond the borders."""
+    height, width = image.shape[:2]
+    padded = np.pad(image, [(radius, radius)] * 2 + [(0, 0)] * (image.ndim - 2))
+    rows = sum((padded[y : y + height] for y in range(1, 2 * radius + 1)), padded[:height])
+    return np.asarray(sum((rows[:, x : x + width] for x in range(1, 2 * radius + 1)), rows[:, :width]))

@@ -18,6 +18,8 @@ NEAR, FAR = 1, 5
 lamps stand before the sky."""
 MIN_KNOWN = {NEAR: 3, FAR: 2}
 """Fewest pixels of a window that must have a position."""
+MIN_FAR_RADIUS = 1.0
+"""Pixels; less in the second window tells nothing."""
 RADIUS_OVER_MEDIAN = {NEAR: 1.63, FAR: 2.0**0.5}
 """Radius of an evenly filled disc over a median of distances: of nine of its points from their own median, measured; of
 any number from its centre."""
@@ -36,7 +38,7 @@ def find_blur_radius(offset: FloatArray) -> FloatArray | None:
     Returns
     -------
     array, shape (height, width), or None
-        Pixels, as `lobewise.GBuffer.blur_radius`.
+        Pixels; NaN where no position tells it; as `lobewise.GBuffer.blur_radius`.
     """
     apart = (np.abs(np.diff(offset, axis=axis)) > 1.0 for axis in (0, 1))
     if not any(each.any() for each in apart):
@@ -49,8 +51,10 @@ def find_blur_radius(offset: FloatArray) -> FloatArray | None:
         rows, columns = (each.ravel() for each in np.mgrid[chunk])
         found = _measure(around, rows, columns, NEAR)
         few = np.isnan(found)
-        found[few] = _measure(around, rows[few], columns[few], FAR)
-        radius[chunk] = np.nan_to_num(found).reshape(radius[chunk].shape)
+        far = _measure(around, rows[few], columns[few], FAR)
+        # Sharp things nearby do not make sharp what has no position.
+        found[few] = np.where(far >= MIN_FAR_RADIUS, far, np.float32(np.nan))
+        radius[chunk] = found.reshape(radius[chunk].shape)
 
     run_chunks(find, height, width)
     return radius
