@@ -416,3 +416,21 @@ class TestCheckedCalls:
         kernel = Kernel(get_runtime("cpu"), 1, "mean", parameters)
         with pytest.raises(TypeError, match="lacks colour"):
             kernel(radius=1)
+
+
+LOAD_CUDA = """
+import halide as hl
+from lobewise.backend import runtime
+from lobewise.backend.objects import compile_object
+target = hl.get_host_target()
+for name in ("NoAsserts", "NoBoundsQuery", "CUDA", "CUDACapability80"):
+    target = target.with_feature(getattr(hl.TargetFeature, name))
+content = compile_object(lambda path: hl.compile_standalone_runtime(path, target))
+assert runtime._find_function(runtime._load_object(content, "cuda"), "halide_cuda_device_interface")
+"""
+
+
+@pytest.mark.processor
+def test_the_runtime_of_cuda_loads_without_a_card() -> None:
+    """In a process of its own: a memory manager that cannot hold the file ends it."""
+    subprocess.run([sys.executable, "-c", LOAD_CUDA], check=True, capture_output=True)
