@@ -426,7 +426,7 @@ target = hl.get_host_target()
 for name in ("NoAsserts", "NoBoundsQuery", "CUDA", "CUDACapability80"):
     target = target.with_feature(getattr(hl.TargetFeature, name))
 content = compile_object(lambda path: hl.compile_standalone_runtime(path, target))
-assert runtime._find_function(runtime._load_object(content, "cuda"), "halide_cuda_device_interface")
+assert runtime._find_function(runtime._load_object(content, side_by_side=False), "halide_cuda_device_interface")
 """
 
 

@@ -69,7 +69,7 @@ class Runtime:
             # Kernels may also mention names of the runtimes of other devices.
             with suppress(LookupError):
                 load_llvm().add_symbol(told.decode(), self.find(told.decode()))
-        engine = _load_object(content, self.device)
+        engine = _load_object(content)
         self._loaded.append(engine)
         return _find_function(engine, name)
 
@@ -107,18 +107,20 @@ def _compile_runtime(device: str) -> Any:
         hl.compile_standalone_runtime(path, target)
 
     content, _ = fetch_object(known, lambda: (compile_object(write), {}), symbol="halide_error")
-    return _load_object(content, device)
+    # llvmlite's memory manager ends the process on the runtime of CUDA.
+    return _load_object(content, side_by_side=device != "cuda")
 
 
-def _load_object(content: bytes, device: str) -> Any:
-    """Return an engine with an object file loaded. The file must be whole: otherwise LLVM ends the process."""
+def _load_object(content: bytes, *, side_by_side: bool = True) -> Any:
+    """Return an engine with an object file loaded. The file must be whole: otherwise LLVM ends the process.
+
+    With ``side_by_side`` the sections of the file are near enough to reach each other, in however large a process.
+    """
     llvm = load_llvm()
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     machine = llvm.Target.from_default_triple().create_target_machine()
-    # llvmlite's memory manager puts the sections of a file side by side, so that they reach each other. It ends the
-    # process on files of CUDA, for which LLVM's own must do.
-    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine, use_lmm=device != "cuda")
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine, use_lmm=side_by_side)
     engine.add_object_file(llvm.ObjectFileRef.from_data(content))
     engine.finalize_object()
     return engine
