@@ -512,7 +512,7 @@ def test_an_error_of_the_mixture_at_a_lamp_stays_small_in_the_light_that_the_lam
 def test_a_huge_pixel_changes_no_more_than_one_at_the_bound(quality: str, apart: bool) -> None:
     frame = make_frame((64, 80))
     images = []
-    for value in (50.0, 1e3, 1e8, 1e38):
+    for value in (3e3, 1e4, 1e8, 1e38):
         diffuse, specular = frame.radiance.parts or ()
         specular = np.array(specular)
         specular[30, 40] = value
