@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lobewise.guides.blur import find_blur_radius
+from lobewise.interchange.importing.blur import find_blur_radius
 
 SIZE = (48, 64)
 

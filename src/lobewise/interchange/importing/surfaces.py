@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray
-from lobewise.guides.blur import find_blur_radius
 from lobewise.interchange.cameras.fitting import MAX_FIT_ERROR, CameraFit, find_camera, fit_camera, measure_fit
 from lobewise.interchange.cameras.header import Located, read_camera_attributes
 from lobewise.interchange.checks.precision import measure_grain
+from lobewise.interchange.importing.blur import find_blur_radius
 from lobewise.interchange.importing.draft import Draft, Outcome
 from lobewise.interchange.values import MIN_EMPTY_DISTANCE, convert_depth, convert_plain, convert_space
 from lobewise.io.exr.header import read_pixel_aspect
