@@ -157,13 +157,14 @@ def denoise_all(frame: Frame) -> dict[str, Array]:
     from lobewise.denoising.automatic import resolve_all
     from lobewise.denoising.planning.frame_plans import TAKE_BACK_NOISY
     from lobewise.denoising.stages import start_run
+    from lobewise.guides.usable import check_guides
     from lobewise.peers import denoise_oidn
     from lobewise.settings import DenoiseSettings
 
     images = {"noisy": frame.radiance.color, "peer": denoise_oidn(frame)[0]}
     for quality in ("balanced", "high"):
         settings = resolve_all(frame, DenoiseSettings(quality=quality, with_oidn=False))
-        run = start_run(frame, settings)
+        run = start_run(check_guides(frame).frame, settings)
         stages = run.plan.stages
         images[quality] = run.run(stages[: stages.index(TAKE_BACK_NOISY)]).total
     if frame.half_a is not None and frame.half_b is not None:

@@ -111,9 +111,11 @@ def filter_frame(frame: Frame) -> dict[str, FloatArray]:
     from lobewise.denoising.automatic import resolve_all
     from lobewise.denoising.planning.frame_plans import FILTER_LAYERS
     from lobewise.denoising.stages import start_run
+    from lobewise.guides.usable import check_guides
     from lobewise.settings import DenoiseSettings
 
     settings = resolve_all(frame, DenoiseSettings(quality="balanced", with_oidn=False))
+    frame = check_guides(frame).frame
     found = start_run(frame, settings).run((FILTER_LAYERS,)).filtered
     inputs = collect_inputs(frame, found.noisy, found.parts)
     images = {each.name: getattr(inputs, each.name) for each in fields(RefinementInputs)}

@@ -152,9 +152,12 @@ def test_emission_and_background_pass_through(quality: str) -> None:
     normal = np.zeros((*SHAPE, 3), np.float32) + np.float32([0.0, 0.6, 0.8])
     normal[:5] = 0.0
     frame = make_frame(depth=depth, normal=normal)
-    color = frame.radiance.color.copy()
+    color, (diffuse, specular) = frame.radiance.color.copy(), map(np.array, frame.radiance.parts or ())
+    # No surface scatters light here.
+    diffuse[:5], specular[:5] = 0.0, 0.0
+    frame = frame.with_changes(radiance=Radiance(color, diffuse, specular))
     color[20, 20] += 7.0
-    radiance = Radiance(color=color, diffuse=frame.radiance.diffuse, specular=frame.radiance.specular)
+    radiance = Radiance(color=color, diffuse=diffuse, specular=specular)
     lit = denoise(frame.with_changes(radiance=radiance), quality=quality)
     plain = denoise(frame, quality=quality)
     light = [each.image - each.diffuse - each.specular for each in (lit, plain)]

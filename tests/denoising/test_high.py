@@ -150,7 +150,10 @@ class TestContract:
         normal = np.zeros((*SHAPE, 3), np.float32) + np.float32([0.0, 0.6, 0.8])
         depth[:5], normal[:5] = 0.0, 0.0
         frame = make_frame(depth=depth, normal=normal)
-        color = np.array(frame.radiance.color)
+        color, (diffuse, specular) = np.array(frame.radiance.color), map(np.array, frame.radiance.parts or ())
+        # No surface scatters light here.
+        diffuse[:5], specular[:5] = 0.0, 0.0
+        frame = frame.with_changes(radiance=Radiance(np.array(color), diffuse, specular))
         color[20, 20] += 7.0
         lit = denoise(frame.with_changes(radiance=replace(frame.radiance, color=color)), **CHEAP)
         plain = denoise(frame, **CHEAP)

@@ -19,6 +19,8 @@ LAYER = "View Layer.001"
 LIGHT = ("Emit", "Env")
 LAYERS = (("DiffCol", "DiffDir", "DiffInd"), ("GlossCol", "GlossDir", "GlossInd"))
 
+pytestmark = pytest.mark.filterwarnings("ignore::lobewise.errors.UnusedGuideWarning")
+
 
 def test_noise_beside_a_clean_background_is_seen() -> None:
     rng = np.random.default_rng(5)

@@ -24,7 +24,7 @@ from lobewise.settings import DenoiseSettings
 from lobewise.settings.choices import QUALITIES
 from lobewise.streaming import denoise_file, list_images, needs_bands, plan
 from lobewise.streaming import recipe as streaming
-from lobewise.streaming.plan import choose_rows, estimate_bytes
+from lobewise.streaming.plan import CHECKED_REACH, choose_rows, estimate_bytes
 from tests.streaming.frames import add_bad_pixels, change_radiance, make_scene
 
 pytestmark = pytest.mark.slow  # every quality and form, whole and in bands
@@ -312,7 +312,7 @@ def test_rows_fit_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert estimate_bytes(reader, high) == reader.count_bytes()[1] + QUALITIES["high"].work_bytes_per_pixel
     for rows in (300, 1000):
         memory = (rows + 0.5) * SHAPE[1] * pixel / 2**30
-        assert choose_rows(reader, asked, memory) == rows - 2 * (8 + EVIDENCE_REACH)
+        assert choose_rows(reader, asked, memory) == rows - 2 * (8 + CHECKED_REACH + EVIDENCE_REACH)
     assert choose_rows(reader, asked, 1e-9) == 32
     assert not needs_bands(reader, asked)
     for rows, large in ((SHAPE[0] + 1, False), (SHAPE[0] - 1, True)):

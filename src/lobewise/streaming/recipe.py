@@ -22,6 +22,7 @@ from lobewise.denoising.automatic import (
 )
 from lobewise.denoising.bad_pixels import (
     blacken_bad,
+    describe_bad,
     find_bad_pixels,
     find_mean_color,
     require_some_good,
@@ -192,7 +193,11 @@ def denoise_file(
         energy_lost=seen.find_share_missing(),
         settings=asdict(chosen),
         seconds=time.perf_counter() - start,
-        notes=seen.list_notes(reader, share_bounded, describe_lacks(probe, named)),
+        notes=seen.list_notes(
+            reader,
+            share_bounded,
+            (*describe_lacks(probe, named), *describe_bad(bad_count, reader.shape[0] * reader.shape[1])),
+        ),
         unused=list_unused(survey.apply(BandReader(source, lobe_tables=lobe_tables).read_frame(0, 1)), chosen),
         method=describe_method(chosen, ("normal",), why_ours=explain_ours(named, whole=False)),
     )
