@@ -92,8 +92,9 @@ def make_frame(number: int, *, bad: bool = True, noisy: bool = True, hits: bool 
     color = diffuse + specular + emission
     if bad:
         diffuse[38:40, 20:23], specular[30, 5] = np.nan, np.inf
+        # A pixel of unknown emission, and normals so short that they mean no surface, which scatters no light.
+        diffuse[36, 45:47], specular[36, 45:47] = 0.0, 0.0
         color = diffuse + specular + emission
-        # A pixel of unknown emission, and normals so short that they mean no surface.
         emission[35, 40], normal[36, 45:47] = np.nan, 0.05 * normal[36, 45:47]
     motion = None
     if number:
