@@ -91,7 +91,7 @@ def make_frame(number: int, *, bad: bool = True, noisy: bool = True, hits: bool 
     emission = np.where(there[..., None], 0.0, np.array([0.4, 0.6, 1.0]))
     color = diffuse + specular + emission
     if bad:
-        diffuse[38:40, 20:23], specular[30, 5] = np.nan, np.inf
+        diffuse[38:40, 20:23], specular[30, 5] = np.nan, np.nan
         # A pixel of unknown emission, and normals so short that they mean no surface, which scatters no light.
         diffuse[36, 45:47], specular[36, 45:47] = 0.0, 0.0
         color = diffuse + specular + emission
