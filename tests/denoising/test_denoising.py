@@ -155,7 +155,7 @@ def test_emission_and_background_pass_through(quality: str) -> None:
     color, (diffuse, specular) = frame.radiance.color.copy(), map(np.array, frame.radiance.parts or ())
     # No surface scatters light here.
     diffuse[:5], specular[:5] = 0.0, 0.0
-    frame = frame.with_changes(radiance=Radiance(color, diffuse, specular))
+    frame = frame.with_changes(radiance=Radiance(color.copy(), diffuse, specular))
     color[20, 20] += 7.0
     radiance = Radiance(color=color, diffuse=diffuse, specular=specular)
     lit = denoise(frame.with_changes(radiance=radiance), quality=quality)
