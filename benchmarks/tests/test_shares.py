@@ -23,6 +23,7 @@ from lobewise.denoising.combining import find_mixture
 from lobewise.denoising.evidence import find_share_taken_back
 from lobewise.denoising.networks import NAMES, unpack_network
 from lobewise.denoising.stages import start_run
+from lobewise.guides.usable import check_guides
 from lobewise.settings import DenoiseSettings
 from tests.streaming.frames import make_scene
 
@@ -163,7 +164,7 @@ def test_drawn_frames_become_candidates(tmp_path: Path) -> None:
 
 def test_candidates_are_results_before_the_noisy_image_is_taken_back() -> None:
     pytest.importorskip("pyoidn", reason="Open Image Denoise is not installed")
-    frame = make_scene((32, 32))
+    frame = check_guides(make_scene((32, 32))).frame
     images = denoise_all(frame)
     names = {"balanced": ("filter",), "high": ("filter", "refine")}
     for quality, wanted in names.items():

@@ -70,13 +70,13 @@ def _blur(guides: PipelineGuides, image: Image, step: int) -> Image:
     return image
 
 
-def take_back(guides: PipelineGuides, found: FoundFrame, color: Image) -> list[Image]:
+def take_back(guides: PipelineGuides, found: FoundFrame) -> list[Image]:
     """Return the parts of a frame, and the rest where there is one, mixed with their noisy light."""
     kernels, levels = guides.kernels, [layer.level for layer in found.layers if layer.level is not None]
     level: Number = levels[0]
     for other in levels[1:]:
         level = choose_larger(level, other)
-    total = compose(guides, found.parts, found.rest)
+    total, color = (compose(guides, light, found.rest) for light in (found.parts, found.noisy))
     images: dict[str, Image | None] = {"image": total}
     (filtered,) = kernels.map_pixels(glue.define_good, images, {}, names=["good"], text="the filtered image, finite")
     halves = dict(zip(("half_a", "half_b"), guides.give_halves("color"), strict=True))
