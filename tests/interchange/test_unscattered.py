@@ -109,6 +109,26 @@ def test_else_it_passes_as_it_is(quality: str, told: bool, tmp_path: Path) -> No
     np.testing.assert_array_equal(get(after, "Emit"), emission)
 
 
+@pytest.mark.parametrize(("fog", "noise"), [(True, True), (True, False), (False, True)])
+def test_a_background_is_noisy_where_fog_hides_some_of_its_samples(fog: bool, noise: bool, tmp_path: Path) -> None:
+    scene, rng = make_scene(), np.random.default_rng(7)
+    written = write_cycles(scene)
+    share = rng.binomial(16, 0.4, (HEIGHT, WIDTH, 1)) / np.float32(16.0) if noise else np.float32(0.4)
+    background = (share * np.float32([0.3, 0.5, 0.9]) * np.ones((HEIGHT, WIDTH, 1))).astype(np.float32)
+    light = np.full((HEIGHT, WIDTH, 3), 0.2 if fog else 0.0, np.float32)
+    written.channels |= name(f"{LAYER}.VolumeDir", light) | name(f"{LAYER}.VolumeInd", np.zeros_like(light))
+    written.channels |= name(f"{LAYER}.Env", background)
+    written.channels |= name(f"{LAYER}.Combined", scene.color - scene.emission + background + light)
+    write(tmp_path / "a.exr", written)
+    frame = import_file(tmp_path / "a.exr").frame
+    layers = {layer.name: layer.lobe for layer in frame.layers}
+    assert (layers.get("environment") == "volume") == (fog and noise)
+    assert ("environment" in frame.unscattered) != (fog and noise)
+    if fog and noise:
+        after = denoise(tmp_path / "a.exr", tmp_path / "b.exr", quality="fast")
+        assert get(after, "Env")[..., 0].std() < 0.5 * background[..., 0].std()
+
+
 def test_a_background_that_the_image_does_not_show_is_no_part_of_it(tmp_path: Path) -> None:
     """Film > Transparent: the pass holds the background, the image does not."""
     scene = make_scene()
