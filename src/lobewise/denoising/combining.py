@@ -30,8 +30,6 @@ from lobewise.settings.choices import get_similarity
 
 MAX_BLACK_RADIANCE = 1e-30
 """Radiance up to which light counts as black, so that no part has a share of it."""
-MAX_RATIO_TO_BOUNDED = 64.0
-"""Largest luminance of a sample that Open Image Denoise is given, over that of the sample after bounding."""
 MAX_RATIO_TO_IMAGE = 2.0
 """Largest change of the scattered light over that of the whole image, and the other way round."""
 TRUST_WITHOUT_HALVES = 0.75
@@ -54,7 +52,7 @@ def choose_between(
     frame : Frame
         The noisy frame.
     samples : (height, width, 3)
-        The noisy image with its fireflies bounded, which the peer was given.
+        The noisy image, which the peer was given.
     ours, peer : (height, width, 3)
         Our image, and the image of `denoise_with_peer`; finite, >= 0.
     noisy : (height, width, 3)
@@ -238,22 +236,17 @@ def _divide(light: Any, by: Any, where: Any) -> FloatArray:
     return np.asarray(np.divide(light, by, out=np.zeros_like(by), where=where))
 
 
-def denoise_with_peer(frame: Frame, bounded: FloatArray, image: FloatArray) -> FloatArray:
-    """Return the image of Open Image Denoise; ours replaces bad pixels of the input and the result; finite, >= 0.
+def denoise_with_peer(frame: Frame, samples: FloatArray, image: FloatArray) -> FloatArray:
+    """Return what Open Image Denoise makes of samples, (height, width, 3), with the guides of a frame; finite, >= 0.
 
-    It is given the samples of the frame, at most `MAX_RATIO_TO_BOUNDED` times as bright as ``bounded``, the samples
-    without fireflies. Open Image Denoise knows fireflies, and with our bound rooms lose a quarter of their light.
+    Our ``image`` replaces bad pixels of the samples and of the result.
 
     Raises
     ------
     MissingDependencyError
         If Open Image Denoise is not installed.
     """
-    color, good, weights = frame.radiance.color, find_good(bounded), np.array(LUMINANCE, np.float32)
-    with np.errstate(all="ignore"):  # black and bad pixels
-        scale = np.float32(MAX_RATIO_TO_BOUNDED) * (bounded @ weights) / (color @ weights)
-        samples = np.where((scale < 1.0)[..., None], color * scale[..., None], color)
-    given = Radiance(np.where((good & find_good(samples))[..., None], samples, image))
+    given = Radiance(np.where(find_good(samples)[..., None], samples, image))
     peer, _ = denoise_oidn(frame.with_changes(radiance=given, layers=()))
     fine = find_good(peer)
     return peer if fine.all() else np.where(fine[..., None], peer, image)

@@ -35,7 +35,7 @@ def find_share_lost(
     frame : Frame
         The noisy frame.
     samples : array, shape (height, width, 3)
-        The noisy image with its fireflies bounded.
+        The noisy image; see `lobewise.filters.fireflies.cut_samples`.
     image : array, shape (height, width, 3)
         The filtered image: the sum of the layers and of the light that is in no layer.
     level : float

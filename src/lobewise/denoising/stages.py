@@ -37,6 +37,7 @@ from lobewise.denoising.running import run_guided, run_plain
 from lobewise.features import Feature
 from lobewise.filters.compositing import average_emission
 from lobewise.filters.cross_filter import FilterOutput
+from lobewise.filters.fireflies import cut_samples
 from lobewise.filters.specks import Sharing, find_sharing
 from lobewise.frame import FloatArray, Frame
 from lobewise.settings import ResolvedSettings
@@ -275,9 +276,10 @@ def take_back(state: FrameRun) -> FrameRun:
 
 
 def bound_samples(state: FrameRun) -> FloatArray:
-    """Return the noisy image with the fireflies of its layers bounded, (height, width, 3)."""
+    """Return the samples of a frame without those that are too bright for any network; see `cut_samples`."""
     with np.errstate(over="ignore"):  # an infinite sum is a bad pixel
-        return compose(state.frame, state.filtered.noisy, find_rest(state.frame))
+        bounded = compose(state.frame, state.filtered.noisy, find_rest(state.frame))
+    return cut_samples(state.frame.radiance.color, bounded)
 
 
 def keep_light(state: FrameRun) -> FrameRun:

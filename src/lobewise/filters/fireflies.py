@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 
 from lobewise.backend.buffers import Image, download, returns_host_images, take_image, take_mask
 from lobewise.backend.compiler import hl
+from lobewise.backend.expressions import is_good
 from lobewise.backend.jit import Scheduled, get_kernel, run_kernel
-from lobewise.backend.pointwise import LARGEST_FLOAT
+from lobewise.backend.pointwise import LARGEST_FLOAT, Grid, Vector, run_pointwise, select_or_nan
 from lobewise.backend.signature import Signature
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, demodulate, find_luminance
 from lobewise.filters.planes import C, X, Y
@@ -37,6 +38,8 @@ MAX_RATIO_TO_HALF = 4.0
 MIN_WINDOW_PIXELS = 8
 """Good pixels that a window needs besides its centre. With fewer, only the other half bounds the pixel."""
 
+MAX_RATIO_TO_BOUNDED = 64.0
+"""Largest luminance of a sample that `cut_samples` leaves, over the luminance of the sample after bounding."""
 UNCOUNTED = -1.0
 """Luminance that marks a bad or masked pixel."""
 
@@ -105,6 +108,34 @@ def bound_fireflies(
     a, b, *sums = run_kernel(kernel, device, images).values()
     tally = np.stack([download(rows).sum(axis=1, dtype=np.float64) for rows in sums], axis=1)
     return BoundedHalves(a, b, tally)
+
+
+def cut_samples(color: FloatArray, bounded: FloatArray) -> FloatArray:
+    """Return the noisy image, nowhere more than `MAX_RATIO_TO_BOUNDED` times as bright as without fireflies.
+
+    What is trained on noisy images (Open Image Denoise, the networks that mix images) knows fireflies, and would take
+    an image that is bounded as filters need it for a darker room. But one huge pixel would spoil all that it sees.
+
+    Parameters
+    ----------
+    color, bounded : array, shape (height, width, 3)
+        Linear radiance: the samples, and the sum of the bounded layers and of the light that is in no layer.
+
+    Returns
+    -------
+    array, shape (height, width, 3)
+        NaN where ``bounded`` is not finite or below 0.
+    """
+    (cut,) = run_pointwise(define_cut, {"color": color, "bounded": bounded}, {})
+    return np.asarray(cut)
+
+
+def define_cut(grid: Grid) -> list[Vector]:
+    color, bounded = grid.read("color"), grid.read("bounded")
+    # Divide before multiplying: products of huge pixels overflow.
+    most = find_luminance(bounded) / hl.max(find_luminance(color), hl.f32(1e-30)) * hl.f32(MAX_RATIO_TO_BOUNDED)
+    cut = [hl.select(most < hl.f32(1.0), value * most, value) for value in color]
+    return [[select_or_nan(is_good(bounded), value) for value in cut]]
 
 
 def take_halves(halves: tuple[Image, Image], albedo: FloatArray | None, mask: NDArray[np.bool_]) -> dict[str, Image]:

@@ -19,6 +19,7 @@ from lobewise.exporting.pipeline.program.numbers import Number, choose_larger, c
 from lobewise.exporting.pipeline.recipes import glue
 from lobewise.exporting.pipeline.recipes.guided import HalfLayer
 from lobewise.exporting.pipeline.recipes.guides import SIZE, PipelineGuides
+from lobewise.filters.fireflies import define_cut
 from lobewise.filters.noise.detail import COUNT, LEVELS, define_difference, define_features, define_products
 from lobewise.filters.noise.evidence import (
     BLUR_COUNT,
@@ -70,14 +71,16 @@ def _blur(guides: PipelineGuides, image: Image, step: int) -> Image:
     return image
 
 
-def take_back(guides: PipelineGuides, found: FoundFrame) -> list[Image]:
+def take_back(guides: PipelineGuides, found: FoundFrame, color: Image) -> list[Image]:
     """Return the parts of a frame, and the rest where there is one, mixed with their noisy light."""
     kernels, levels = guides.kernels, [layer.level for layer in found.layers if layer.level is not None]
     level: Number = levels[0]
     for other in levels[1:]:
         level = choose_larger(level, other)
-    total, color = (compose(guides, light, found.rest) for light in (found.parts, found.noisy))
-    images: dict[str, Image | None] = {"image": total}
+    total, bounded = (compose(guides, light, found.rest) for light in (found.parts, found.noisy))
+    images: dict[str, Image | None] = {"color": color, "bounded": bounded}
+    (color,) = kernels.map_pixels(define_cut, images, {}, names=["cut"], text="samples that are not too bright")
+    images = {"image": total}
     (filtered,) = kernels.map_pixels(glue.define_good, images, {}, names=["good"], text="the filtered image, finite")
     halves = dict(zip(("half_a", "half_b"), guides.give_halves("color"), strict=True))
     told = {"filtered": filtered, "noisy": color, **halves}

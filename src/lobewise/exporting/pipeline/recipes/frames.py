@@ -241,7 +241,7 @@ def take_back(frame: PlannedFrame) -> None:
     """Take the noisy image back where it has less error than the filtered one."""
     found = FoundFrame(frame.halves, frame.noisy, frame.parts, frame.rest)
     with frame.guides.graph.part(TAKE_BACK_NOISY.name):
-        mixed = evidence.take_back(frame.guides, found)
+        mixed = evidence.take_back(frame.guides, found, frame.guides.color)
         frame.rest = mixed.pop() if frame.rest is not None else None
         frame.parts = mixed
         frame.total = evidence.compose(frame.guides, frame.parts, frame.rest)
