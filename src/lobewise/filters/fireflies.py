@@ -38,7 +38,7 @@ MAX_RATIO_TO_HALF = 4.0
 MIN_WINDOW_PIXELS = 8
 """Good pixels that a window needs besides its centre. With fewer, only the other half bounds the pixel."""
 
-MAX_RATIO_TO_BOUNDED = 64.0
+MAX_RATIO_TO_BOUNDED = 256.0
 """Largest luminance of a sample that `cut_samples` leaves, over the luminance of the sample after bounding."""
 UNCOUNTED = -1.0
 """Luminance that marks a bad or masked pixel."""
