@@ -14,12 +14,6 @@ import pytest
 from lobewise.camera import Camera
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.lobe_table import LobeTable
-from tests.releases import skip_releases
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip the tests that are for releases, unless they are asked for."""
-    skip_releases(items)
 
 
 @pytest.fixture

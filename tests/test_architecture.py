@@ -65,7 +65,7 @@ def test_every_room_is_named() -> None:
     assert sorted(told) == sorted(ROOMS)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_ways_are_those_that_frames_go() -> None:
     told = PAGE.read_text().split("<!-- ways:start -->\n")[1].split("\n<!-- ways:end -->")[0]
     assert told == describe_ways()

@@ -121,7 +121,7 @@ def test_page_for_mitsubas_users_runs(mi: Any) -> None:
 
 
 @pytest.mark.mitsuba
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_interactive_page_runs(mi: Any) -> None:
     names: dict[str, Any] = {}
     for block in re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "interactive.md").read_text(), flags=re.S):

@@ -22,7 +22,7 @@ def load(path: Path) -> dict[str, Any]:
     return runpy.run_path(str(path), run_name="example")
 
 
-@pytest.mark.slow  # kernels of every form are compiled
+@pytest.mark.nightly  # kernels of every form are compiled
 @pytest.mark.parametrize("path", FEATURES, ids=lambda path: path.stem)
 def test_own_feature_lowers_the_error_in_every_form(path: Path) -> None:
     errors = load(path)["main"]()
@@ -35,7 +35,7 @@ def test_every_example_is_tested() -> None:
     assert set(FOLDER.glob("*.py")) == {*FEATURES, FOLDER / "sequence.py"}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_history_lowers_the_error_of_an_own_engine() -> None:
     errors = load(FOLDER / "sequence.py")["main"]()
     assert errors["with its history"] < 0.7 * errors["alone"]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import ast
+from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
-
-import pytest
 
 from lobewise.settings import choices
 
@@ -118,15 +118,28 @@ def list_modules() -> list[Path]:
     return sorted(path for path in SOURCE.rglob("*.py") if path != SOURCE / "__init__.py")
 
 
+@cache
+def read_tree(path: Path) -> ast.Module:
+    """Return the syntax tree of a file."""
+    return ast.parse(path.read_text())
+
+
+@cache
+def list_nodes(path: Path) -> tuple[ast.AST, ...]:
+    """Return all nodes of a file's syntax tree."""
+    return tuple(ast.walk(read_tree(path)))
+
+
 def get_room(path: Path) -> str:
     """Return the room of a source file."""
     return path.relative_to(SOURCE).parts[0].removesuffix(".py")
 
 
+@cache
 def list_imports(path: Path) -> list[str]:
     """Return the absolute names of everything that a file imports, at its top or inside functions."""
     names: list[str] = []
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in list_nodes(path):
         if isinstance(node, ast.Import):
             names.extend(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -147,33 +160,31 @@ def check_inner_order(path: Path, name: list[str]) -> None:
         assert order.index(name[2]) <= order.index(inner[0]), f"{path.name} imports {'.'.join(name)} from below"
 
 
-@pytest.mark.parametrize("path", list_modules(), ids=lambda path: str(path.relative_to(SOURCE)))
-def test_imports_point_one_way(path: Path) -> None:
-    room = get_room(path)
-    assert room in ROOMS, f"{room} is not in the list of rooms"
-    for name in list_imports(path):
-        parts = name.split(".")
-        room_exists = len(parts) > 1 and ((SOURCE / f"{parts[1]}.py").exists() or (SOURCE / parts[1]).is_dir())
-        if parts[0] == "lobewise" and room_exists:
-            assert ROOMS.index(parts[1]) <= ROOMS.index(room), f"{path.name} imports {name} from a room below"
-            check_inner_order(path, parts)
-        owner = OWNERS.get(name, OWNERS.get(parts[0]))
-        owners = (owner,) if isinstance(owner, str) else owner
-        assert owners is None or room in owners, f"{path.name} imports {name}, which belongs to {owner}"
+def test_imports_point_one_way() -> None:
+    rooms = {path.stem for path in SOURCE.iterdir()}
+    for path in list_modules():
+        room = get_room(path)
+        assert room in ROOMS, f"{room} is not in the list of rooms"
+        for name in list_imports(path):
+            parts = name.split(".")
+            if parts[0] == "lobewise" and len(parts) > 1 and parts[1] in rooms:
+                assert ROOMS.index(parts[1]) <= ROOMS.index(room), f"{path} imports {name} from a room below"
+                check_inner_order(path, parts)
+            owner = OWNERS.get(name, OWNERS.get(parts[0]))
+            owners = (owner,) if isinstance(owner, str) else owner
+            assert owners is None or room in owners, f"{path} imports {name}, which belongs to {owner}"
 
 
-@pytest.mark.parametrize("path", sorted((SOURCE / "lobes").glob("[a-z]*.py")), ids=lambda path: path.stem)
-def test_no_file_of_the_lobes_is_for_tests_alone(path: Path) -> None:
+def test_no_file_of_the_lobes_is_for_tests_alone() -> None:
     """Every public name of the lobes is read by another file of the package, or by its own."""
-    tree = ast.parse(path.read_text())
-    names = {node.name for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
-    users = [
-        other for other in SOURCE.rglob("*.py") if other != path and f"lobes.{path.stem} import" in other.read_text()
-    ]
-    assert users, f"nothing in the package imports {path.stem}"
-    read = [node for other in [path, *users] for node in ast.walk(ast.parse(other.read_text()))]
-    used = {node.id for node in read if isinstance(node, ast.Name)}
-    assert {name for name in names if not name.startswith("_")} <= used
+    modules = [*list_modules(), SOURCE / "__init__.py"]
+    for path in (SOURCE / "lobes").glob("[a-z]*.py"):
+        names = {node.name for node in read_tree(path).body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+        users = [other for other in modules if other != path and f"lobes.{path.stem} import" in other.read_text()]
+        assert users, f"nothing in the package imports {path.stem}"
+        read = [node for other in [path, *users] for node in list_nodes(other)]
+        used = {node.id for node in read if isinstance(node, ast.Name)}
+        assert {name for name in names if not name.startswith("_")} <= used, path
 
 
 def find_circle(edges: dict[str, set[str]]) -> list[str]:
@@ -222,26 +233,26 @@ def count_code_lines(node: ast.FunctionDef | ast.AsyncFunctionDef, lines: list[s
     return sum(not lines[number - 1].strip().startswith("#") and bool(lines[number - 1].strip()) for number in numbers)
 
 
-@pytest.mark.parametrize("folder", sorted({path.parent for path in SOURCE.rglob("*.py")}), ids=str)
-def test_no_folder_is_two_rooms(folder: Path) -> None:
-    assert len(list(folder.glob("*.py"))) <= MAX_FILES_IN_FOLDER
+def test_no_folder_is_two_rooms() -> None:
+    for folder in {path.parent for path in SOURCE.rglob("*.py")}:
+        assert len(list(folder.glob("*.py"))) <= MAX_FILES_IN_FOLDER, folder
 
 
-@pytest.mark.parametrize("path", list_modules(), ids=lambda path: str(path.relative_to(SOURCE)))
-def test_files_are_short_and_say_what_they_are(path: Path) -> None:
-    text = path.read_text()
-    tree = ast.parse(text)
-    assert text.count("\n") <= MAX_LINES_OF_FILE
-    assert ast.get_docstring(tree)
-    for node in ast.walk(tree):
-        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
-            assert count_code_lines(node, text.splitlines()) <= MAX_CODE_LINES_OF_FUNCTION, node.name
+def test_files_are_short_and_say_what_they_are() -> None:
+    for path in list_modules():
+        text = path.read_text()
+        assert text.count("\n") <= MAX_LINES_OF_FILE, path
+        assert ast.get_docstring(read_tree(path)), path
+        for node in list_nodes(path):
+            if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+                lines = count_code_lines(node, text.splitlines())
+                assert lines <= MAX_CODE_LINES_OF_FUNCTION, f"{path}: {node.name}"
 
 
-def list_compared_names(tree: ast.AST, names: set[str]) -> list[str]:
-    """Return the comparisons of a tree whose one side speaks of a similarity or quality and whose other is a name."""
+def list_compared_names(nodes: Iterable[ast.AST], names: set[str]) -> list[str]:
+    """Return the comparisons among nodes whose one side speaks of a similarity or quality and whose other is a name."""
     found = []
-    for node in ast.walk(tree):
+    for node in nodes:
         if not isinstance(node, ast.Compare):
             continue
         sides = [node.left, *node.comparators]
@@ -255,9 +266,9 @@ def list_compared_names(tree: ast.AST, names: set[str]) -> list[str]:
 def test_no_name_of_a_similarity_or_quality_is_compared() -> None:
     """Code asks the record of a similarity or quality (`lobewise.settings.choices`), and does not compare its name."""
     names = {*choices.SIMILARITIES, *choices.QUALITIES}
-    assert list_compared_names(ast.parse('a.similarity == "sg" and quality in ("high", "x")'), names) == [
+    assert list_compared_names(ast.walk(ast.parse('a.similarity == "sg" and quality in ("high", "x")')), names) == [
         "a.similarity == 'sg'",
         "quality in ('high', 'x')",
     ]
-    compared = {str(path): list_compared_names(ast.parse(path.read_text()), names) for path in list_modules()}
+    compared = {str(path): list_compared_names(list_nodes(path), names) for path in list_modules()}
     assert {path: found for path, found in compared.items() if found} == {}

@@ -144,7 +144,7 @@ def complaints(tmp_path_factory) -> dict[str, list[tuple[int, str]]]:
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 class TestTypeChecker:
     def test_misspelt_settings_are_found(self, complaints):
         lines = {number for number, _ in complaints["mistakes.py"]}

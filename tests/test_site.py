@@ -38,7 +38,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "html"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_front_page_has_its_pictures_and_doors(site: Path) -> None:
     page = (site / "index.html").read_text()
     for name in re.findall(r'(?:src|href)="([^"#:]+?)(?:\?[^"]*)?(?:#[^"]*)?"', page):
@@ -46,13 +46,13 @@ def test_front_page_has_its_pictures_and_doors(site: Path) -> None:
     assert page.count("sd-card-title") == 3
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_pages_need_no_other_server(site: Path) -> None:
     for page in site.rglob("*.html"):
         assert not re.findall(r'(?:src|<link[^>]*href)="https?://[^"]+"', page.read_text()), page.name
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_site_says_where_links_out_of_docs_lead(site: Path) -> None:
     assert "https://github.com/lobewise/lobewise/blob/main/README.md" in (site / "command_line.html").read_text()
 
@@ -68,7 +68,7 @@ def test_reference_names_everything_public(module: str) -> None:
     assert public - told == set()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("path", list_notebooks(), ids=lambda path: path.stem)
 def test_notebook_runs(path: Path, request: pytest.FixtureRequest) -> None:
     if path.stem in MITSUBA_NOTEBOOKS:

@@ -19,7 +19,7 @@ from lobewise.backend.buffers import Buffer
 from lobewise.backend.jit import Kernel
 from tests.streaming.frames import make_scene
 
-pytestmark = [pytest.mark.slow, pytest.mark.processor]  # kernels of every recipe
+pytestmark = [pytest.mark.nightly, pytest.mark.processor]  # kernels of every recipe
 
 SHAPE = (24, 40)
 Call = tuple[Kernel, dict[str, Any]]

@@ -101,7 +101,7 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
         return {name: stored[name].tobytes() for name in stored.files}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.processor
 @pytest.mark.parametrize("name", CALLS)
 def test_threads_and_another_run_change_nothing(name: str, alone: dict[str, bytes]) -> None:

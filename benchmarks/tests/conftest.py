@@ -1,4 +1,4 @@
-"""Fixtures and hooks of the package's tests that those of the benchmarks use as well, and PyTorch."""
+"""Fixtures of the package's tests that those of the benchmarks use as well, and PyTorch."""
 
 from __future__ import annotations
 
@@ -9,17 +9,8 @@ from typing import Any
 import pytest
 
 from tests.conftest import full_frame, make_frame, mi, rng
-from tests.releases import skip_releases
 
 __all__ = ["full_frame", "make_frame", "mi", "rng", "torch"]
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Leave training to releases: PyTorch is large, and only training needs it."""
-    for item in items:
-        if "torch" in getattr(item, "fixturenames", ()):
-            item.add_marker(pytest.mark.release)
-    skip_releases(items)
 
 
 @pytest.fixture(scope="session")

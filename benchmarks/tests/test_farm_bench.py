@@ -20,8 +20,7 @@ def test_ratios_compare_a_run_with_the_work_of_its_workers() -> None:
     assert farm.compare({"work": parts["work"]}) == {}
 
 
-@pytest.mark.slow
-@pytest.mark.release
+@pytest.mark.nightly
 def test_a_small_run_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("cryptography", reason="needs Dask: pip install 'lobewise[farm]'")
     pytest.importorskip("distributed", reason="needs Dask: pip install 'lobewise[farm]'")

@@ -7,8 +7,7 @@ import pytest
 from benchmarks.robustness.kills import WAYS, run_kills
 
 
-@pytest.mark.slow
-@pytest.mark.release
+@pytest.mark.nightly
 def test_some_kills() -> None:
     names = set()
     for name, counts in run_kills(len(WAYS), seed=3):

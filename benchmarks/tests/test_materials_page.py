@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "materials.md").read_text()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_code_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_merl("gold-paint.binary", make_merl(lambda view, light: ggx_brdf(view, light, 0.15)))

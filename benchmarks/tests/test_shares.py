@@ -68,7 +68,7 @@ def test_files_hold_what_was_written(tmp_path: Path, rng: np.random.Generator) -
     np.testing.assert_allclose(after.reference_b, before.reference_b, rtol=1e-3)
 
 
-@pytest.mark.release
+@pytest.mark.nightly
 @pytest.mark.usefixtures("torch")
 def test_they_take_what_is_nearer(tmp_path: Path, rng: np.random.Generator) -> None:
     for seed in range(1, 7):

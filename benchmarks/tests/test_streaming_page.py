@@ -43,7 +43,7 @@ def test_the_page_knows_how_far_filters_reach() -> None:
     assert f"more than {MAX_WHOLE_GIB:g} GiB" in text
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shutil.copy(BUNDLED, tmp_path / "frame.exr")
     monkeypatch.chdir(tmp_path)

@@ -13,7 +13,7 @@ from benchmarks.common import RESULTS
 from benchmarks.pages.materials import make_texture_table
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.mitsuba
 def test_it_measures_and_leaves_nothing_changed(mi: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from benchmarks.quality import textured_lobes

@@ -117,7 +117,7 @@ def test_scenes_have_two_or_three_sample_counts_and_a_reference_far_above_them(p
         assert program.choose_reference_spp(samples) == (512 if max(samples) > 16 else 128)
 
 
-@pytest.mark.release
+@pytest.mark.nightly
 def test_files_hold_what_the_trainer_reads(program: Any, rendered: Path) -> None:
     for path in sorted(rendered.glob("*.npz")):
         seed, _, guides = program.parse_file_name(path)
@@ -133,7 +133,7 @@ def test_files_hold_what_the_trainer_reads(program: Any, rendered: Path) -> None
             np.testing.assert_allclose(np.linalg.norm(found["lobe"][..., :3], axis=-1)[there], 1.0, atol=2e-3)
 
 
-@pytest.mark.release
+@pytest.mark.nightly
 def test_lamps_are_as_bright_with_all_guides_as_with_few(program: Any, rendered: Path) -> None:
     """Emission averaged over the pixel's area is exposed like all other light."""
     for path in rendered.glob("*-all.npz"):
@@ -141,7 +141,7 @@ def test_lamps_are_as_bright_with_all_guides_as_with_few(program: Any, rendered:
         assert rest.sum() == pytest.approx(sampled.sum(), rel=0.1, abs=1e-3)
 
 
-@pytest.mark.release
+@pytest.mark.nightly
 def test_references_are_nearer_to_each_other_than_to_what_they_clean(program: Any, kinds: Any, rendered: Path) -> None:
     from lobewise.render import render_reference
     from lobewise.render.loading import build_scene
@@ -159,7 +159,7 @@ def test_references_are_nearer_to_each_other_than_to_what_they_clean(program: An
     assert min(measure_error(each["reference"]) for each in found) < 0.1 * measure_error(found[0]["noisy"])
 
 
-@pytest.mark.release
+@pytest.mark.nightly
 def test_what_is_there_is_not_rendered_again(
     program: Any, kinds: Any, rendered: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -170,7 +170,7 @@ def test_what_is_there_is_not_rendered_again(
     assert {path: path.stat().st_mtime_ns for path in rendered.glob("*.npz")} == before
 
 
-@pytest.mark.release
+@pytest.mark.nightly
 def test_a_frame_that_is_missing_is_made_again_with_the_same_bits(program: Any, kinds: Any, rendered: Path) -> None:
     seed = find_quick_seed(program, kinds, validation=True)
     spp = program.draw_samples(seed)[-1]

@@ -18,7 +18,7 @@ SMALLEST, LARGEST = 0.004, 0.71
 DIGITS = 0.01
 """Relative: the factor of the lights is rounded to three digits, at worst by half a percent."""
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 
 
 @pytest.fixture

@@ -190,7 +190,7 @@ class TestDeviceScope:
                 np.testing.assert_allclose(found, expected, rtol=DEVICE_RELATIVE)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.vulkan
 @pytest.mark.parametrize("quality", ["fast", "balanced", "high"])
 def test_denoise_gives_the_same_on_another_device(vulkan, make_frame, quality):

@@ -122,7 +122,7 @@ def test_more_rounds_follow_until_the_time_is_up(monkeypatch: pytest.MonkeyPatch
     assert now == 11.0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_everything_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(filters, "list_threads", lambda: [1, 2])
     seen: list[tuple[int, int]] = []
@@ -175,7 +175,7 @@ def test_what_is_timed_is_what_its_name_says() -> None:
     assert [count_taps(form, 8) for form in ("full", "separable", "atrous")] == [289, 34, 125]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_lobes_with_own_axes_weigh_as_those_with_one() -> None:
     frame = make_frame(40, 24)
     mask = np.ones(frame.shape, dtype=bool)

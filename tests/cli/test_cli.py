@@ -142,7 +142,7 @@ class TestProgram:
 
 
 class TestDenoise:
-    @pytest.mark.parametrize("quality", ["fast", pytest.param("balanced", marks=pytest.mark.slow)])
+    @pytest.mark.parametrize("quality", ["fast", pytest.param("balanced", marks=pytest.mark.nightly)])
     def test_it_does_what_the_function_does(self, quality, frame_file, tmp_path, capsys):
         from lobewise import denoise
 
@@ -162,9 +162,9 @@ class TestDenoise:
     @pytest.mark.parametrize(
         ("similarity", "form"),
         [
-            pytest.param("normal", "full", marks=pytest.mark.slow),
-            pytest.param("sg", "separable", marks=pytest.mark.slow),
-            pytest.param("ggx", "atrous", marks=pytest.mark.slow),
+            pytest.param("normal", "full", marks=pytest.mark.nightly),
+            pytest.param("sg", "separable", marks=pytest.mark.nightly),
+            pytest.param("ggx", "atrous", marks=pytest.mark.nightly),
         ],
     )
     def test_choices_arrive(self, similarity, form, frame_file, tmp_path):
@@ -228,7 +228,7 @@ class TestDenoise:
         told = describe_result(replace(result, energy_lost=0.01234, bad_pixels=ones > 0.0))
         assert told.endswith("0.50 s; 6 bad pixels refilled")
 
-    @pytest.mark.slow
+    @pytest.mark.nightly
     def test_materials_replace_those_of_the_file(self, frame_file, full_frame, tmp_path):
         from lobewise import denoise
 
@@ -298,7 +298,7 @@ class TestUpsample:
 
 
 @pytest.mark.mitsuba
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_sparse_render_upsampled_and_shaded_again(tmp_path, capsys):
     sparse, out = tmp_path / "sparse.exr", tmp_path / "out.exr"
     size = ["--width", "24", "--height", "20"]
@@ -519,7 +519,7 @@ def test_devices(capsys):
 class TestRender:
     """Files of rendered frames; other tests check the rendering itself."""
 
-    @pytest.mark.slow
+    @pytest.mark.nightly
     def test_frame_reference_and_guides(self, tmp_path, capsys):
         for name, extra in (
             ("frame", ["--png"]),
@@ -577,7 +577,7 @@ SCENE = """<scene version="3.0.0">
 
 
 @pytest.mark.mitsuba
-@pytest.mark.slow
+@pytest.mark.nightly
 class TestFitMitsuba:
     """Fits of materials of scenes; other tests check the fitting itself."""
 

@@ -43,7 +43,7 @@ def test_the_worker_of_a_page_is_silent_too(damaged: Path) -> None:
     assert_one_sentence(*run_program(damaged.parent, "view", "in.1.exr", "--port", "0"))
 
 
-@pytest.mark.release
+@pytest.mark.nightly
 def test_workers_of_a_farm_are_silent_too(damaged: Path) -> None:
     pytest.importorskip("distributed", reason="pip install 'lobewise[farm]'")
     (damaged.parent / "in.2.exr").write_bytes(damaged.read_bytes())

@@ -10,11 +10,10 @@ import sys
 import pytest
 
 from lobewise.cli.terminal.interrupts import hold_interrupts
+from tests.interrupts import LISTEN
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 
-# Tests that a shell runs in the background ignore interrupts.
-LISTEN = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
 PROGRAM = """
 import os, signal, sys
 from lobewise.cli import main

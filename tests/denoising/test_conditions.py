@@ -23,7 +23,7 @@ VALUES = (np.nan, np.inf, -np.inf, 10.0)
 SIZES = ((1, 1), (1, 2), (2, 1), (3, 5), (17, 1), (1, 70), (33, 31))
 
 
-@pytest.fixture(params=["cpu", pytest.param("vulkan", marks=[pytest.mark.slow, pytest.mark.vulkan])])
+@pytest.fixture(params=["cpu", pytest.param("vulkan", marks=[pytest.mark.nightly, pytest.mark.vulkan])])
 def device(request: pytest.FixtureRequest) -> str:
     """Return the name of a device that is here."""
     found = {each.name: each for each in list_devices()}[request.param]
@@ -59,6 +59,16 @@ def require_clean(result: lobewise.Result) -> None:
             assert image.min() >= 0.0
 
 
+@pytest.mark.sampled(
+    "cpu-color-fast",
+    "cpu-color-balanced",
+    "cpu-color-high",
+    "cpu-albedo-fast",
+    "cpu-albedo-balanced",
+    "cpu-albedo-high",
+    "cpu-normal-fast",
+    "cpu-normal-balanced",
+)
 @pytest.mark.parametrize("quality", QUALITIES)
 @pytest.mark.parametrize("what", ["color", "albedo", "normal"])
 def test_odd_values_at_some_pixels(what: str, quality: str, device: str) -> None:
@@ -74,6 +84,16 @@ def test_odd_values_at_some_pixels(what: str, quality: str, device: str) -> None
         assert (result.bad_pixels & where).sum() == bad.sum()
 
 
+@pytest.mark.sampled(
+    "cpu-color-fast",
+    "cpu-color-balanced",
+    "cpu-color-high",
+    "cpu-albedo-fast",
+    "cpu-albedo-balanced",
+    "cpu-albedo-high",
+    "cpu-normal-fast",
+    "cpu-normal-balanced",
+)
 @pytest.mark.parametrize("quality", QUALITIES)
 @pytest.mark.parametrize("what", ["color", "albedo", "normal"])
 def test_odd_values_everywhere(what: str, quality: str, device: str) -> None:
@@ -87,6 +107,7 @@ def test_odd_values_everywhere(what: str, quality: str, device: str) -> None:
             require_clean(lobewise.denoise(spoiled, quality=quality, device=device))
 
 
+@pytest.mark.sampled("cpu-fast", "cpu-balanced", "cpu-high")
 @pytest.mark.parametrize("quality", QUALITIES)
 def test_sizes(quality: str, device: str) -> None:
     for size in SIZES:
@@ -101,6 +122,7 @@ def test_no_pixels(shape: tuple[int, ...]) -> None:
         Radiance(np.zeros(shape))
 
 
+@pytest.mark.sampled("cpu-fast", "cpu-balanced", "cpu-high")
 @pytest.mark.parametrize("quality", QUALITIES)
 def test_black_and_constant(quality: str, device: str) -> None:
     frame = make_scene((19, 21))

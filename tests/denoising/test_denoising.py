@@ -18,7 +18,7 @@ from lobewise.settings import DenoiseSettings
 
 CAMERA = Camera(position=(0.0, 0.0, 0.0), forward=(0.0, 0.0, -1.0), up=(0.0, 1.0, 0.0), fov_y=0.6)
 SHAPE = (40, 50)
-BOTH = pytest.mark.parametrize("quality", ["fast", pytest.param("balanced", marks=pytest.mark.slow)])
+BOTH = pytest.mark.parametrize("quality", ["fast", pytest.param("balanced", marks=pytest.mark.nightly)])
 """Of what `denoise` promises however the noise enters; tests of how guides alone weigh say "fast"."""
 
 
@@ -60,6 +60,7 @@ def get_clean(shape: tuple[int, int] = SHAPE) -> np.ndarray[Any, Any]:
     return np.broadcast_to(np.where(np.arange(shape[1]) < shape[1] // 2, 1.3, 0.55)[None, :, None], (*shape, 3))
 
 
+@pytest.mark.sampled("ggx-full-True")
 @pytest.mark.parametrize(
     ("similarity", "form", "apart"),
     [
@@ -68,10 +69,10 @@ def get_clean(shape: tuple[int, int] = SHAPE) -> np.ndarray[Any, Any]:
         ("asg", "full", True),
         ("ggx", "full", True),
         # Forms and similarities are apart: that each works with each is in the tests of the filter.
-        pytest.param("ggx", "full", False, marks=pytest.mark.slow),
-        pytest.param("sg_mixture", "full", False, marks=pytest.mark.slow),
-        pytest.param("ggx", "separable", True, marks=pytest.mark.slow),
-        pytest.param("sg", "atrous", True, marks=pytest.mark.slow),
+        pytest.param("ggx", "full", False, marks=pytest.mark.nightly),
+        pytest.param("sg_mixture", "full", False, marks=pytest.mark.nightly),
+        pytest.param("ggx", "separable", True, marks=pytest.mark.nightly),
+        pytest.param("sg", "atrous", True, marks=pytest.mark.nightly),
     ],
 )
 def test_lobes_keep_the_edge_that_normals_blur(similarity: str, form: str, apart: bool) -> None:
@@ -108,6 +109,7 @@ def test_combined_radiance_is_compared_by_diffuse_and_specular_lobe() -> None:
         denoise(frame, similarity="sg_mixture", lobes=4)
 
 
+@pytest.mark.sampled("sg")
 @pytest.mark.parametrize("similarity", ["sg", "asg", "ggx"])
 def test_near_hits_narrow_the_kernel(similarity: str) -> None:
     distance = np.broadcast_to(np.where(np.arange(SHAPE[0]) < 20, 0.05, np.inf)[:, None], SHAPE)
@@ -125,7 +127,7 @@ def test_hit_distance_needs_the_channel(quality: str) -> None:
         denoise(make_frame(), hit_distance=True, quality=quality)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_default_is_what_auto_says() -> None:
     frame = make_frame()
     result = lobewise.denoise(frame)
@@ -229,14 +231,22 @@ def test_coloured_metal_without_one_channel_stays_finite(quality: str) -> None:
     assert np.isfinite(denoise(frame, quality=quality).image).all()
 
 
+@pytest.mark.sampled(
+    "full-fast-(1, 1)",
+    "full-fast-(1, 7)",
+    "full-fast-(17, 3)",
+    "separable-fast-(1, 1)",
+    "separable-fast-(1, 7)",
+    "separable-fast-(17, 3)",
+)
 @pytest.mark.parametrize("shape", [(1, 1), (1, 7), (17, 3)], ids=str)
 @pytest.mark.parametrize(
     ("form", "quality"),
     [
         ("full", "fast"),
         ("separable", "fast"),
-        pytest.param("atrous", "fast", marks=pytest.mark.slow),
-        pytest.param("full", "balanced", marks=pytest.mark.slow),
+        pytest.param("atrous", "fast", marks=pytest.mark.nightly),
+        pytest.param("full", "balanced", marks=pytest.mark.nightly),
     ],
 )
 def test_odd_sizes(shape: tuple[int, int], form: str, quality: str) -> None:
@@ -345,6 +355,7 @@ def test_a_frame_without_a_good_pixel_is_refused(quality: str) -> None:
         denoise(make_frame((4, 4)).with_changes(radiance=Radiance(color=nothing)), quality=quality)
 
 
+@pytest.mark.sampled("fast")
 @BOTH
 def test_support_is_that_of_what_a_pixel_reflects(quality: str) -> None:
     paint, metal = np.full((*SHAPE, 3), 0.5), np.full((*SHAPE, 3), 0.5)

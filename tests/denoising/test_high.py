@@ -41,7 +41,7 @@ differences of 1, over the least variance that guides assume; less where the log
 ROUNDING = 1e-6
 """Relative: a weighted mean in float32."""
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 
 
 def make_network(inputs: int, outputs: int, seed: int) -> Network:
@@ -103,7 +103,7 @@ class TestRefinement:
             denoise(frame, quality="fast").image, truth
         )
 
-    @pytest.mark.slow
+    @pytest.mark.nightly
     @pytest.mark.parametrize("apart", [True, False], ids=["apart", "combined"])
     def test_the_whole_plan(self, apart):
         frame, truth = make_shadowed(apart=apart)

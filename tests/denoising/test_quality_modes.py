@@ -66,7 +66,7 @@ def make_flat(value: float = 1.0) -> Frame:
     return make_frame(alpha_u=alpha, alpha_v=alpha).with_changes(radiance=radiance, half_a=radiance, half_b=radiance)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 class TestNoise:
     @pytest.mark.parametrize("halves", [True, False], ids=["file", "neighbours"])
     def test_an_edge_of_light_that_no_guide_knows_stays(self, halves):
@@ -267,7 +267,7 @@ class TestFireflies:
         assert alone.image.max() < 1.1
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 class TestCoverage:
     EDGE = SHAPE[1] // 2 - 1
     """The last column of the left side, of which half shows the right side."""
@@ -297,7 +297,7 @@ class TestCoverage:
         a, b, both = (Radiance(color * each, dark, color * each) for each in (*noise, noise.mean(axis=0)))
         return frame.with_changes(radiance=both, half_a=a, half_b=b), truth
 
-    @pytest.mark.slow
+    @pytest.mark.nightly
     @pytest.mark.parametrize(
         ("albedos", "lights"), [((0.5, 0.5), (2.0, 0.4)), ((0.8, 0.2), (1.5, 1.5))], ids=["light", "albedo"]
     )
@@ -417,7 +417,7 @@ class TestSettings:
         assert support["beta"] < 0.9 * before
         assert support["tau"] > 1.05 * before
 
-    @pytest.mark.slow
+    @pytest.mark.nightly
     def test_own_features_count(self):
         frame, _ = make_shadowed(apart=False)
         free = denoise(frame, quality="balanced")

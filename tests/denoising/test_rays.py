@@ -113,6 +113,7 @@ def drop_directions(frames: list[SparseFrame]) -> list[SparseFrame]:
     return [replace(frame, rays=frame.rays and Rays(frame.rays.weight)) for frame in frames]
 
 
+@pytest.mark.sampled("1-False", "8-False")
 @pytest.mark.parametrize("directed", [False, True])
 @pytest.mark.parametrize("count", [1, 8])
 def test_constant_light_comes_out_exactly(count: int, directed: bool) -> None:

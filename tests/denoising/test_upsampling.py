@@ -17,7 +17,7 @@ from lobewise.temporal import TemporalFilter
 from lobewise.upsampling import MAX_TINT, tint_radiance, upsample
 from tests.denoising.test_denoising import SHAPE, make_frame
 
-SLOW = pytest.mark.slow  # kernels are compiled
+SLOW = pytest.mark.nightly  # kernels are compiled
 
 
 def make_clean_frame() -> Any:
@@ -29,6 +29,7 @@ def make_clean_frame() -> Any:
     return frame.with_changes(radiance=Radiance(color=truth, diffuse=dark, specular=truth)), truth
 
 
+@pytest.mark.sampled("2-place0-ggx", "4-place1-ggx")
 @pytest.mark.parametrize(
     "similarity", [*(pytest.param(name, marks=SLOW) for name in ("sg", "sg_mixture", "asg")), "ggx"]
 )
@@ -43,7 +44,7 @@ def test_edge_of_gloss_stays_where_the_guides_have_it(similarity: str, scale: in
     assert lobes < 0.05 * screen
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("over_time", [False, True])
 def test_pixels_that_two_surfaces_share_show_both(over_time: bool) -> None:
     # Two surfaces of other albedos side by side. The pixels of column 31, which are not shaded, show half of each.

@@ -63,7 +63,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(
     scope="module",
-    params=[name if name == "wgsl" else pytest.param(name, marks=pytest.mark.slow) for name in SHADER_LANGUAGES],
+    params=[name if name == "wgsl" else pytest.param(name, marks=pytest.mark.nightly) for name in SHADER_LANGUAGES],
 )
 def language(request: pytest.FixtureRequest) -> str:
     """Return a shader language; without the reference compiler only WGSL."""

@@ -75,6 +75,7 @@ def filter_in_python(layer: Layer, settings: Any) -> Any:
     )
 
 
+@pytest.mark.sampled("wgsl-separable")
 @pytest.mark.parametrize("form", FORMS)
 def test_filter_passes(graphics: Any, language: str, folder: Path, form: str) -> None:
     frame = make_frame(0)
@@ -93,6 +94,7 @@ def test_filter_passes(graphics: Any, language: str, folder: Path, form: str) ->
         compare(light[there][:, :3] / light[there][:, 3:] * layer.albedo[there], expected.image[there])
 
 
+@pytest.mark.sampled("wgsl-full-ggx", "wgsl-separable-ggx", "wgsl-separable-sg")
 @pytest.mark.parametrize(("form", "similarity"), [*((form, "ggx") for form in FORMS), ("separable", "sg")])
 def test_filter_chain(graphics: Any, language: str, folder: Path, form: Any, similarity: Any) -> None:
     frame = make_frame(0)

@@ -141,6 +141,7 @@ def bench(request: pytest.FixtureRequest, graphics: Any, language: str, folder: 
     return Bench(player, constants, given, steps)
 
 
+@pytest.mark.sampled("hits-wgsl", "plain-wgsl")
 def test_footprints(bench: Bench) -> None:
     """Pixels are wider where a surface moved by itself, and nowhere else."""
     frame = make_last(False)
@@ -220,6 +221,7 @@ def test_filter_and_accumulate(bench: Bench, name: str) -> None:
     compare((sums[..., :3] / np.maximum(sums[..., 3:4], 1e-30) * step.layer.albedo)[lit], step.output.image[lit])
 
 
+@pytest.mark.sampled("wgsl-separable-True-ggx")
 @pytest.mark.parametrize(
     ("form", "hits", "similarity"), [("separable", True, "ggx"), ("atrous", False, "ggx"), ("separable", True, "sg")]
 )

@@ -41,6 +41,7 @@ def make_constants(recipe: lobewise.TemporalFilter, frame: SparseFrame, previous
     )
 
 
+@pytest.mark.sampled("wgsl-diffuse", "wgsl-specular")
 @pytest.mark.parametrize("name", LAYERS)
 def test_passes(graphics: Any, language: str, folder: Path, name: str) -> None:
     """Trust and upsampling of one frame, from the same history."""
@@ -77,6 +78,7 @@ def test_passes(graphics: Any, language: str, folder: Path, name: str) -> None:
     compare((sums[..., :3] / np.maximum(sums[..., 3:4], 1e-30) * layer.albedo)[lit], expected.image[lit])
 
 
+@pytest.mark.sampled("wgsl-ggx")
 @pytest.mark.parametrize("similarity", ["ggx", "sg"])
 def test_sequence(graphics: Any, language: str, folder: Path, similarity: Any) -> None:
     recipe = lobewise.TemporalFilter(similarity=similarity)

@@ -113,7 +113,7 @@ def test_cpp_agrees_with_python(fast: Path, cpp: str) -> None:
     assert (images.std(axis=(1, 2, 3)) > 0.05).all()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("plan", ["fast", "balanced"])
 def test_emission_may_come_by_itself(plan: str, compiler: str, cpp: str, tmp_path: Path) -> None:
     folder = export(tmp_path / "out", radius=2, plan=plan, emission=True)
@@ -243,7 +243,7 @@ def test_a_change_of_the_plan_changes_the_export() -> None:
     assert len(texts) == 3
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("target", "magic"),
     [

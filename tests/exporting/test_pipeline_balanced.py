@@ -31,7 +31,7 @@ def cpp() -> str:
     return find_program("g++", "g++")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("changes", [{}, {"layers": "color", "similarity": "normal"}], ids=["apart", "color"])
 def test_cpp_agrees_with_python(changes: dict[str, Any], compiler: str, cpp: str, tmp_path: Path) -> None:
     folder = export(tmp_path / "out", **SETTINGS, **changes)

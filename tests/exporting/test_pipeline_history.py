@@ -75,7 +75,7 @@ def test_a_reset_forgets_everything(history: Path, cpp: str) -> None:
         np.testing.assert_allclose(image, alone, rtol=1e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.skipif(platform.machine() != "x86_64" or sys.platform != "linux", reason="runs code for x86-64 Linux")
 @pytest.mark.parametrize("target", ["x86-64-linux", "x86-64-linux-avx2-fma"])
 def test_narrower_vectors_follow_python(target: str, compiler: str, cpp: str, tmp_path: Path) -> None:
@@ -85,7 +85,7 @@ def test_narrower_vectors_follow_python(target: str, compiler: str, cpp: str, tm
     assert max(run_example(tmp_path / "out", cpp)) <= bound
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "settings",
     [

@@ -119,7 +119,7 @@ def compute(chain: str, frames: list[Frame]) -> FloatArray:
     return [recipe.add(frame).image for frame in (take_samples(frames) if chain == "upsample" else frames)][-1]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("chain", PAGE_CHAINS)
 def test_browser_agrees_with_python(window: Window, frames: list[Frame], chain: str) -> None:
     shown = frames[:FRAMES]
@@ -132,7 +132,7 @@ def test_browser_agrees_with_python(window: Window, frames: list[Frame], chain: 
     assert (window.message, window.errors) == ("", [])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_canvas_shows_both_sides_of_the_line(window: Window, frames: list[Frame]) -> None:
     window.page.evaluate("page.chosen = 1")
     window.page.evaluate("page.seek(1)")
@@ -152,7 +152,7 @@ def test_canvas_shows_both_sides_of_the_line(window: Window, frames: list[Frame]
     assert np.abs(encode(noisy) - encode(clean)).mean() > 0.05
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_page_plays(window: Window) -> None:
     window.page.evaluate("page.chosen = 1")
     window.page.evaluate("page.seek(0)")
@@ -175,7 +175,7 @@ COMPILE = """async (text) => {
 }"""
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_browser_compiles_every_pass(window: Window) -> None:
     """The tests of chains use another compiler of WGSL than Chromium has."""
     chains = [make_chain(name, similarity="sg") for name in CHAINS]
@@ -187,7 +187,7 @@ def test_browser_compiles_every_pass(window: Window) -> None:
     window.errors.clear()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_says_what_is_missing(engine: Any, folder: Path) -> None:
     hidden = "Object.defineProperty(navigator, 'gpu', { value: undefined })"
     window = Window(engine, folder, hidden)

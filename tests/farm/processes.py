@@ -13,12 +13,12 @@ from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 
+from tests.interrupts import LISTEN
+
 PROGRAM = [sys.executable, "-c", "from lobewise.cli import main; main()"]
 DASK = [sys.executable, "-m", "dask"]
 MAX_SECONDS = 240.0
 """Longest time that a test waits for anything, seconds."""
-# A shell that runs tests in the background ignores interrupts, and its children inherit this.
-LISTEN = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
 
 
 def make_command(sources: Path, folder: Path, *options: str) -> list[str]:

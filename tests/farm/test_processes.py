@@ -12,7 +12,7 @@ from lobewise.farm.ledger import TOKEN
 from tests.farm.conftest import NUMBERS, read_outputs
 from tests.farm.processes import MAX_SECONDS, Farm, count_outputs, run_program, start_program, wait_until
 
-pytestmark = [pytest.mark.slow, pytest.mark.processor, pytest.mark.usefixtures("dask")]
+pytestmark = [pytest.mark.nightly, pytest.mark.processor, pytest.mark.usefixtures("dask")]
 
 
 @pytest.fixture
@@ -100,7 +100,7 @@ def test_frames_with_a_window_have_the_bits_of_one_process(sources: Path, folder
     assert read_outputs(folder) == read_outputs(alone)
 
 
-@pytest.mark.release
+@pytest.mark.nightly
 def test_pictures_follow_the_first_frame(sources: Path, folder: Path, tmp_path: Path) -> None:
     alone = tmp_path / "alone"
     alone.mkdir()

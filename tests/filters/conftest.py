@@ -30,11 +30,13 @@ CARD = os.environ.get("LOBEWISE_TEST_DEVICE", "vulkan")
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Run the tests of a module that calls kernels on every device."""
+    """Run the tests of a module that calls kernels on every device, on the card in every build only where sampled."""
     calls = any(hasattr(metafunc.module, name) for name in RUNS)
     if calls and metafunc.definition.get_closest_marker("processor") is None:
-        slow = pytest.param(CARD, marks=[pytest.mark.slow, pytest.mark.vulkan])
-        metafunc.parametrize("device", ["cpu", slow], indirect=True)
+        sampled = metafunc.definition.get_closest_marker("sampled")
+        is_sampled = sampled is not None and any(case.startswith(CARD) for case in sampled.args)
+        marks = [pytest.mark.vulkan] if is_sampled else [pytest.mark.vulkan, pytest.mark.nightly]
+        metafunc.parametrize("device", ["cpu", pytest.param(CARD, marks=marks)], indirect=True)
 
 
 @pytest.fixture(autouse=True)

@@ -25,7 +25,7 @@ LOBES = ("position", "ggx")
 PLACE = ("screen", "position")
 # The kernels' log2 is good to 1e-4 and is multiplied by beta = 4; ggx expands 1/|m|^2 to third order.
 RELATIVE = {LOBES: 1e-3, PLACE: 1e-4}
-EVERY_FORM = ["full", "separable", pytest.param("atrous", marks=pytest.mark.slow)]
+EVERY_FORM = ["full", "separable", pytest.param("atrous", marks=pytest.mark.nightly)]
 # One radius for all tests: another would compile all kernels again.
 RADIUS = 3
 
@@ -54,6 +54,16 @@ def ask_oracle(form: str, shape: tuple[int, int], at: tuple[int, int] | None = N
     return filter_reference(radiance, make_mask(shape), make_features(LOBES, shape), form=form, radius=RADIUS)
 
 
+@pytest.mark.sampled(
+    "cpu-(1, 1)-full",
+    "cpu-(1, 7)-full",
+    "cpu-(1, 7)-separable",
+    "cpu-(17, 3)-separable",
+    "cpu-(64, 64)-full",
+    "cpu-(64, 64)-separable",
+    "cpu-(67, 41)-separable",
+    "cpu-(3, 277)-full",
+)
 @pytest.mark.parametrize("form", EVERY_FORM)
 @pytest.mark.parametrize("shape", SIZES, ids=str)
 def test_image_and_weight_sum_agree_with_oracle(form: str, shape: tuple[int, int]) -> None:
@@ -145,6 +155,7 @@ def test_masked_pixels_neither_give_nor_take(form: str) -> None:
     np.testing.assert_allclose(out.image, image, rtol=2.0 * get_tolerance(LOBES, form))
 
 
+@pytest.mark.sampled("cpu-full")
 @pytest.mark.parametrize("form", EVERY_FORM)
 def test_demodulation(form: str) -> None:
     shape = (19, 18)
@@ -213,6 +224,7 @@ def run_strictly(
     return run_filter(radiance, usable, features, form=form, radius=RADIUS, moment=True, strictness=strictness)
 
 
+@pytest.mark.sampled("cpu-(1, 7)-full", "cpu-(1, 7)-separable", "cpu-(37, 29)-full", "cpu-(37, 29)-separable")
 @pytest.mark.parametrize("form", EVERY_FORM)
 @pytest.mark.parametrize("shape", [(1, 7), (37, 29)], ids=str)
 def test_strictness_and_moment_agree_with_oracle(form: str, shape: tuple[int, int]) -> None:

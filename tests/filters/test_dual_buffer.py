@@ -321,6 +321,16 @@ def assert_close(
             np.testing.assert_allclose(image, getattr(other, name), rtol=rtol, err_msg=name)
 
 
+@pytest.mark.sampled(
+    "cpu-(1, 1)-three variants",
+    "cpu-(1, 1)-own feature",
+    "cpu-(1, 9)-standard",
+    "cpu-(40, 2)-own sample",
+    "cpu-(40, 2)-joined",
+    "cpu-(33, 17)-unguided",
+    "cpu-(33, 17)-no features",
+    "cpu-(70, 65)-three variants",
+)
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
 def test_agrees_with_the_definition(name: str, shape: tuple[int, int]) -> None:
@@ -341,6 +351,7 @@ def test_bad_pixels_are_there_to_be_seen(name: str) -> None:
     assert not given.mask.all()
 
 
+@pytest.mark.nightly
 def test_what_is_seen_is_a_group_of_its_own() -> None:
     shape = (20, 33)
     images = [make_radiance(shape, seed) for seed in (31, 32, 33, 34)]

@@ -70,6 +70,16 @@ def bound_slowly(
     return out, taken / seen if seen > 0.0 else 0.0
 
 
+@pytest.mark.sampled(
+    "cpu-(1, 1)-albedo",
+    "cpu-(1, 7)-plain",
+    "cpu-(1, 7)-albedo",
+    "cpu-(2, 3)-albedo",
+    "cpu-(9, 2)-plain",
+    "cpu-(9, 2)-albedo",
+    "cpu-(17, 33)-albedo",
+    "cpu-(70, 41)-plain",
+)
 @pytest.mark.parametrize("tinted", [False, True], ids=["plain", "albedo"])
 @pytest.mark.parametrize("size", SIZES, ids=str)
 def test_against_the_definition(size: tuple[int, int], tinted: bool) -> None:

@@ -79,6 +79,7 @@ def read_weights(feature: RayFeature) -> Array:
     return found / find_screen_weights()
 
 
+@pytest.mark.nightly
 def test_weight_is_the_ratio_of_the_lobes_along_the_ray() -> None:
     feature = make_feature(0, known=0.8)
     weights = read_weights(feature)
@@ -107,6 +108,7 @@ def test_own_ray_has_ratio_1() -> None:
         assert weights[number][SCALE * row + PLACE[0], SCALE * column + PLACE[1]] == pytest.approx(1.0, abs=1e-5)
 
 
+@pytest.mark.nightly
 def test_constant_environment_comes_out_whatever_the_rays_and_their_weights() -> None:
     weights = np.random.default_rng(2).choice([0.0, 0.3, 1.0, 7.0], (ROWS, COLUMNS))
     out = upsample(2.5 * weights, weights, make_feature(2))
@@ -137,6 +139,7 @@ def make_grid() -> SampleGrid:
     return SampleGrid(np.ones(SHAPE, bool), [ScreenFeature(SIGMA), make_feature(5)], scale=SCALE, place=PLACE)
 
 
+@pytest.mark.nightly
 def test_samples_of_chance_weights_confirm_a_history_of_the_light_along_rays() -> None:
     weights = np.random.default_rng(5).choice([0.0, 5.0], (ROWS, COLUMNS), p=[0.8, 0.2]).astype(np.float32)
     samples = np.repeat(weights[..., None], 3, axis=-1)

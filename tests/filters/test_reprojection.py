@@ -65,6 +65,7 @@ def reproject_plainly(past: FloatArray, places: FloatArray) -> FloatArray:
     return run_reprojection(past, places, masks, ([], []))
 
 
+@pytest.mark.sampled("cpu-sg")
 @pytest.mark.parametrize(
     "kinds",
     [
@@ -73,8 +74,8 @@ def reproject_plainly(past: FloatArray, places: FloatArray) -> FloatArray:
         ("sg",),
         ("ggx_hits",),
         ("mixture",),
-        pytest.param(("ggx",), marks=pytest.mark.slow),
-        pytest.param(("asg",), marks=pytest.mark.slow),
+        pytest.param(("ggx",), marks=pytest.mark.nightly),
+        pytest.param(("asg",), marks=pytest.mark.nightly),
     ],
     ids="+".join,
 )
@@ -96,6 +97,7 @@ def test_places_alone_agree_with_oracle() -> None:
         np.testing.assert_allclose(run_reprojection(past, places, masks, ([], [])), expected, rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.sampled("cpu-0-plane+normal+hit_distance")
 @pytest.mark.parametrize("kinds", [("plane", "normal", "hit_distance"), ("plane", "ggx")], ids="+".join)
 @pytest.mark.parametrize("virtual_from", [0, 1])
 def test_of_two_places_the_better_counts_more(kinds: tuple[str, ...], virtual_from: int) -> None:

@@ -51,6 +51,16 @@ def fit_place(place: tuple[int, int], shape: tuple[int, int]) -> tuple[int, int]
     return min(place[0], shape[0] - 1), min(place[1], shape[1] - 1)
 
 
+@pytest.mark.sampled(
+    "cpu-2-place0-(1, 1)",
+    "cpu-2-place0-(3, 17)",
+    "cpu-3-place1-(1, 1)",
+    "cpu-3-place1-(3, 17)",
+    "cpu-4-place2-(1, 1)",
+    "cpu-4-place2-(3, 17)",
+    "cpu-8-place3-(1, 1)",
+    "cpu-8-place3-(3, 17)",
+)
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
 @pytest.mark.parametrize(("scale", "place"), CASES)
 def test_agrees_with_the_definition(scale: int, place: tuple[int, int], shape: tuple[int, int]) -> None:
@@ -66,6 +76,7 @@ def test_agrees_with_the_definition(scale: int, place: tuple[int, int], shape: t
     np.testing.assert_allclose(out.image, image, rtol=2.0 * TOLERANCE, atol=1e-6)
 
 
+@pytest.mark.sampled("cpu")
 def test_upsampling_by_one_is_filtering() -> None:
     shape = (33, 29)
     features = [make_feature(kind, shape) for kind in ("screen", "position", "ggx")]
@@ -77,6 +88,7 @@ def test_upsampling_by_one_is_filtering() -> None:
         np.testing.assert_allclose(getattr(same, name), getattr(plain, name), rtol=2e-5)
 
 
+@pytest.mark.sampled("cpu-4")
 @pytest.mark.parametrize("scale", [2, 4])
 def test_constant_in_constant_out(scale: int) -> None:
     shape = (30, 41)

@@ -102,6 +102,7 @@ def test_sums_of_gaussians_for_ggx(lobes, error):
 
 
 class TestQuality:
+    @pytest.mark.sampled("0.1")
     @pytest.mark.parametrize("alpha", [0.1, 0.3, 0.5])
     def test_three_lobes_for_tabulated_ggx(self, alpha):
         def brdf(view, light):

@@ -260,6 +260,7 @@ def test_a_guide_that_is_not_finite_makes_its_pixel_invalid(guides, camera, chan
         np.testing.assert_array_equal(getattr(field, name)[~bad], getattr(good, name)[~bad])
 
 
+@pytest.mark.sampled("sg")
 @pytest.mark.parametrize("representation", ["sg", "ggx", "asg"])
 def test_garbage_never_leaves_a_bad_number(rng, camera, representation):
     strange = np.array([0.0, -0.0, 1.0, -1.0, np.nan, np.inf, -np.inf, 1e30, -1e30, 1e-30, 1e-42, 3.4e38], np.float32)

@@ -10,18 +10,10 @@ import pytest
 
 from lobewise.interactive import InteractiveSettings, Session
 from lobewise.render.camera import make_matrix
-from tests.releases import choose_for_release
 from tests.render.any_scene import SCENES, SIZE, load, make_ball, make_room, make_sensor
 
-pytestmark = [pytest.mark.mitsuba, pytest.mark.slow]
+pytestmark = [pytest.mark.mitsuba, pytest.mark.nightly]
 
-USUAL_SCENES = {
-    "metal of textured roughness", "rough glass", "principled under a bump map",
-    "mask of two sides of a map of a blend", "polarised plastic under a normal map", "thin principled",
-    "picture of a sky", "textured lamp", "instances",
-    "cropped film", "fog in rough glass", "camera in fog", "direct light alone", "lamps hidden behind nothing",
-}  # fmt: skip
-"""Scenes of every kind; the others are their relatives and run before a release."""
 PLAIN = InteractiveSettings(similarity="none", scale=1, adaptive=0.0, temporal=False, spp=4)
 """Nothing is filtered, so that the resting picture is the mean of each pixel's own samples."""
 FRAMES = 64
@@ -67,7 +59,7 @@ def check_picture(image: np.ndarray, reference: np.ndarray) -> None:
     assert abs(image.mean() / mean - 1.0) < MEAN_NOISE
 
 
-@pytest.mark.parametrize("name", choose_for_release(SCENES, USUAL_SCENES))
+@pytest.mark.parametrize("name", SCENES)
 def test_a_resting_picture_is_what_mitsuba_renders(mi: Any, name: str) -> None:
     scene = load(name)
     session, settings, frames = Session(scene, settings=PLAIN), PLAIN, FRAMES

@@ -14,7 +14,7 @@ from lobewise.interactive.changes import SceneChanges
 from lobewise.render import load_scene
 from tests.render.moving.places import slide, turn
 
-pytestmark = [pytest.mark.mitsuba, pytest.mark.slow]
+pytestmark = [pytest.mark.mitsuba, pytest.mark.nightly]
 
 SIZE = 48
 QUICK = InteractiveSettings(similarity="sg", radius=1)

@@ -19,7 +19,7 @@ from lobewise.metrics import rel_mse
 from lobewise.render import load_scene, make_orbit
 from lobewise.temporal import TemporalFilter
 
-pytestmark = [pytest.mark.mitsuba, pytest.mark.slow]
+pytestmark = [pytest.mark.mitsuba, pytest.mark.nightly]
 
 SIZE = 48
 QUICK = InteractiveSettings(similarity="sg", radius=1)

@@ -93,12 +93,14 @@ def test_nothing_that_is_said_contradicts_the_rest(tmp_path: Path, capsys: pytes
     assert [path.name for path in paths if not check_words(path, capsys, tmp_path)] == []
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("left_out", LEFT_OUT)
 def test_nor_of_written_files(left_out: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     unread = [path.name for path in write_samples(tmp_path, left_out) if not check_words(path, capsys, tmp_path)]
     assert unread == []
 
 
+@pytest.mark.nightly
 @pytest.mark.real_exr
 def test_nor_of_files_from_elsewhere(exr_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert sum(check_words(path, capsys, tmp_path) for path in sorted(exr_folder.glob("*.exr"))) > 6

@@ -243,6 +243,16 @@ def right_errors(tmp_path_factory: pytest.TempPathFactory) -> Callable[[tuple[st
     return find
 
 
+@pytest.mark.sampled(
+    "normals in camera space, z away",
+    "normals encoded",
+    "some normals negated",
+    "depth along the axis",
+    "depth from 0 to 1",
+    "depth inverted",
+    "depth of something else",
+    "albedo above 1 and below 0",
+)
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_mistake_is_found_and_mended(
     mistake: str, right_errors: Callable[[tuple[str, ...]], float], tmp_path: Path
@@ -327,6 +337,7 @@ def test_noise_that_pixels_share_is_found(tmp_path: Path) -> None:
     assert found.frame.noise_is_shared
 
 
+@pytest.mark.nightly
 def test_shared_noise_costs_little_where_it_is_known(tmp_path: Path) -> None:
     right = import_channels(write_showroom(), tmp_path)
     found = import_with_shared_noise(write_showroom(), tmp_path)
@@ -339,6 +350,7 @@ def test_shared_noise_costs_little_where_it_is_known(tmp_path: Path) -> None:
     assert mended <= 1.05 * error < trusting
 
 
+@pytest.mark.sampled("fast")
 @pytest.mark.parametrize("quality", ["fast", "balanced"])
 def test_an_image_that_is_denoised_already_is_told(quality: str, tmp_path: Path) -> None:
     channels = write_showroom("diffuse", "specular")
@@ -524,6 +536,7 @@ def test_real_normals_in_a_space_of_each_ray_are_those_of_flat_walls(exr_folder:
     assert measure("camera") < 0.1
 
 
+@pytest.mark.sampled("box-found0")
 @pytest.mark.parametrize(("pixel_filter", "found"), [("box", []), ("gaussian", ["noise shared by pixels"])])
 def test_mitsuba_spreads_samples_by_its_filters(mi: Any, pixel_filter: str, found: list[str], tmp_path: Path) -> None:
     scene = mi.cornell_box()

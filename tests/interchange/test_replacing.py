@@ -56,6 +56,9 @@ def require_untouched(source: Path, output: Path) -> int:
     return count
 
 
+@pytest.mark.sampled(
+    "arnold_multichannel.exr", "bright_rings_nan_inf.exr", "display_window_t03.exr", "special_chars.exr"
+)
 @pytest.mark.real_exr
 @pytest.mark.parametrize("name", REAL)
 def test_real_files_without_any_option(name: str, exr_folder: Path, tmp_path: Path) -> None:
@@ -96,6 +99,7 @@ def test_layers_still_add_up(part_each: bool, tmp_path: Path) -> None:
     np.testing.assert_allclose(parts + get("Env"), get("Combined"), rtol=1e-4, atol=1e-4 * get("Combined").mean())
 
 
+@pytest.mark.sampled("cycles-settings0", "cycles-settings1", "blender_5.2_multipart.exr-settings3")
 @pytest.mark.parametrize(
     ("name", "settings"),
     [("cycles", {"radius": 5, "quality": "fast"}), ("cycles", {}), *((name, {}) for name in RENDERED)],

@@ -79,7 +79,7 @@ def denoise(source: Path, target: Path, **settings: Any) -> dict[str, np.ndarray
     return read_pixels(target)
 
 
-@pytest.mark.parametrize("quality", ["balanced", pytest.param("high", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("quality", ["balanced", pytest.param("high", marks=pytest.mark.nightly)])
 def test_a_lamp_out_of_focus_is_shared_out_and_layers_still_add_up(quality: str, tmp_path: Path) -> None:
     written = write_cycles(make_scene())
     emission = add_lamp(written, told=True)

@@ -189,7 +189,7 @@ def judge(pairs, *grid):
     return np.array([measure_similarity(*pair, *grid or (60, 64)) for pair in pairs]), i, j
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("anisotropy", "wide", "bound", "bound_16"),
     [
@@ -209,7 +209,7 @@ def test_ggx_similarity_against_quadrature(anisotropy, wide, bound, bound_16):
         assert rmse(value**16, truth**16) < bound_16
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("anisotropy", "bound"), [("none", 0.025), ("one", 0.028)])
 def test_beckmann_similarity_against_quadrature(anisotropy, bound):
     truth, i, j = judge(draw_pairs(300, anisotropy=anisotropy, kind="beckmann", seed=7))

@@ -315,6 +315,7 @@ print(clean.shape[2])
 """
 
 
+@pytest.mark.sampled("scalar_rgb-rgba-4")
 @pytest.mark.mitsuba
 @pytest.mark.parametrize(
     ("variant", "format_", "channels"),

@@ -49,9 +49,8 @@ def own_file(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.mitsuba
-@pytest.mark.release
 class TestVerbs:
     """Run before a release: `releasing/wheels.py` does."""
 

@@ -116,6 +116,7 @@ def test_instances_are_rendered_with_the_materials_of_their_group(mi: Any) -> No
     assert (frame.gbuffer.lobe_kind == 3).sum() > 5
 
 
+@pytest.mark.sampled("cropped")
 @pytest.mark.parametrize(
     "changes",
     [{}, {"film": {"width": 40, "crop_width": 24, "crop_height": 16, "crop_offset_x": 9, "crop_offset_y": 3}}],

@@ -96,6 +96,9 @@ def test_curved_surface_stands_for_itself(mi: Any) -> None:
     assert np.array_equal(coverage[..., 4], np.ones((SIZE, SIZE)))
 
 
+@pytest.mark.sampled(
+    "texture-0.1", "texture-0.5", "silhouette-0.3", "silhouette-0.8", "step-0.8", "fold-0.5", "alpha-0.3", "kind-0.3"
+)
 @pytest.mark.parametrize("place", [0.1, 0.3, 0.5, 0.8])
 @pytest.mark.parametrize("kind", ["texture", "silhouette", "step", "fold", "alpha", "kind"])
 def test_upright_edge(mi: Any, kind: str, place: float) -> None:
@@ -236,6 +239,7 @@ def test_coverage_can_be_left_out(mi: Any) -> None:
             assert np.array_equal(image, getattr(whole, name)), name
 
 
+@pytest.mark.sampled("1")
 @pytest.mark.parametrize("size", [1, 2])
 def test_smallest_images(mi: Any, size: int) -> None:
     check_shares(render(mi, size, wall=make_wall(mi, paint(RED), right=0.7)).coverage)

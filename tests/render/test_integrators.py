@@ -86,6 +86,7 @@ def test_a_ball_of_fog_is_as_bright_as_mitsuba_renders_it(mi: Any) -> None:
     assert frame.camera is not None
 
 
+@pytest.mark.sampled("integrator5-False", "integrator6-False")
 @pytest.mark.parametrize(
     ("integrator", "fog"),
     [
@@ -110,6 +111,7 @@ def test_the_scenes_own_integrator_renders_what_paths_do_not(mi: Any, integrator
     check_light(mi, scene, render_reference(scene, spp=64))
 
 
+@pytest.mark.sampled("None-8", "integrator1-65536", "integrator2-3", "integrator5-2", "integrator7-2")
 @pytest.mark.parametrize(
     ("integrator", "depth"),
     [
@@ -333,6 +335,7 @@ def test_what_a_preview_does_not_show_is_named(mi, integrator, more, told):
     assert tell_unseen(make_scene(mi, integrator, **more)) == told
 
 
+@pytest.mark.sampled("volpathmis", "moment")
 @pytest.mark.parametrize(
     "integrator",
     [

@@ -80,6 +80,7 @@ def test_shaded_places_follow_their_order(scene: Any, orbit: list[Camera]) -> No
     assert [frame.place for frame in frames] == [*list_places(2), list_places(2)[0]]
 
 
+@pytest.mark.sampled("3")
 @pytest.mark.parametrize("scale", [1, 3])
 def test_pieces_of_a_path_are_the_frames_of_the_whole(scene: Any, orbit: list[Camera], scale: int) -> None:
     from lobewise.render import render_sequence
@@ -171,7 +172,7 @@ class TestMovingObjects:
 
     @pytest.mark.parametrize("name", ["showroom", "parlour"])
     @pytest.mark.parametrize("degrees", [0.0, -1.5])
-    @pytest.mark.slow
+    @pytest.mark.nightly
     def test_motion_leads_to_where_the_point_was(self, mi: Any, name: str, degrees: float) -> None:
         from lobewise.render import (
             MovingScene,
@@ -255,6 +256,7 @@ class TestMovingObjects:
         assert moved[ball].min() > 0.1
         assert moved[~ball & ~cube].max() < 1e-3
 
+    @pytest.mark.sampled("showroom")
     @pytest.mark.parametrize("name", ["showroom", "parlour"])
     def test_objects_move_slowly_and_touch_nothing(self, mi: Any, name: str) -> None:
         from lobewise.render import MovingScene, get_camera

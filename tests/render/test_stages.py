@@ -62,7 +62,7 @@ def test_guides_are_those_of_a_whole_frame_but_for_averages(stages: Stages, show
     assert abs(np.median(ratio) - 1.0) < 0.05
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_replayed_guides_follow_camera_and_size(showroom: Any) -> None:
     stages = Stages(showroom)
     for camera in make_orbit(stages.start_camera, (0.0, 0.75, -0.6), 3, 20.0):
@@ -75,7 +75,7 @@ def test_replayed_guides_follow_camera_and_size(showroom: Any) -> None:
     stages.place_camera(stages.start_camera, SIZE, SIZE)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_direct_light_is_the_path_tracers(stages: Stages, showroom: Any) -> None:
     stages.place_camera(stages.start_camera, SIZE, SIZE)
     parts = [shade_direct(stages, seed) for seed in range(256)]
@@ -127,7 +127,7 @@ def test_a_mirror_shows_the_sky_as_direct_light(make_furnace: Callable[..., Any]
     assert np.allclose(light.diffuse, 0.0)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_path_light_is_the_renderers_indirect_light(stages: Stages, showroom: Any) -> None:
     stages.place_camera(stages.start_camera, SIZE, SIZE)
     method = get_path_light(stages)
@@ -156,7 +156,7 @@ def test_what_a_pixel_gets_does_not_depend_on_the_others(stages: Stages) -> None
         assert not np.array_equal(whole, different)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_scenes_that_cannot_be_recorded_are_rendered_all_the_same(mi: Any) -> None:
     """A BSDF of a plugin written in Python, whose fitted lobes lie outside the scene."""
     square = {"type": "rectangle", "bsdf": {"type": register_lobes()}}
@@ -200,6 +200,7 @@ def test_garbage_waits_until_a_recording_is_done(stages: Stages) -> None:
     assert gc.isenabled()
 
 
+@pytest.mark.sampled("roughconductor")
 @pytest.mark.parametrize("kind", ["roughconductor", "conductor", "roughplastic", "dielectric"])
 def test_paths_tell_the_rays_of_their_samples(mi: Any, kind: str) -> None:
     """A surface inside a white sphere whose light was scattered before: all rays bring the same radiance."""

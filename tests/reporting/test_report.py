@@ -304,7 +304,7 @@ document.title = JSON.stringify(seen);
 """
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.skipif(BROWSER is None, reason="no chromium on the path: apt-get install chromium")
 def test_the_page_works_in_a_browser(report, tmp_path):
     page = tmp_path / "report.html"

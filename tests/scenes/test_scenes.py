@@ -19,7 +19,7 @@ Frames = Callable[[str], Frame]
 SKY = {"stilllife": 0.2, "street": 0.2}
 """Scenes with something to be seen behind all surfaces, and the most of the picture that it may take."""
 
-SLOW = dict.fromkeys(("kitchen", "street"), pytest.mark.slow)
+SLOW = dict.fromkeys(("kitchen", "street"), pytest.mark.nightly)
 """Scenes of so many materials that their kernels take seconds to compile."""
 
 XML = """<scene version="3.0.0">
@@ -132,6 +132,7 @@ def test_scene_file_is_rendered_at_the_size_asked_for(
     assert set(np.unique(frame.gbuffer.lobe_kind)) == {LobeKind.NONE, LobeKind.BECKMANN}
 
 
+@pytest.mark.sampled("showroom", "brushed", "sparks")
 @pytest.mark.mitsuba
 @pytest.mark.parametrize("name", [pytest.param(name, marks=SLOW.get(name, ())) for name in list_scenes()])
 def test_scene_is_lit_and_glossy(built_in_frames: Frames, name: str) -> None:
@@ -147,7 +148,7 @@ def test_scene_is_lit_and_glossy(built_in_frames: Frames, name: str) -> None:
 
 
 @pytest.mark.mitsuba
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", list_scenes())
 def test_built_in_scenes_agree_with_mitsuba(mi: Any, name: str, built_in_frames: Frames) -> None:
     frame = built_in_frames(name)
@@ -300,7 +301,7 @@ def test_curve_goes_through_its_points(mi: Any) -> None:
     assert np.allclose(line, np.linspace((0.0, 0.0), (2.0, 4.0), 9))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.mitsuba
 def test_kitchen_has_steel_brushed_both_ways_tiles_askew_and_lacquer(built_in_frames: Frames) -> None:
     gbuffer = built_in_frames("kitchen").gbuffer
@@ -316,7 +317,7 @@ def test_kitchen_has_steel_brushed_both_ways_tiles_askew_and_lacquer(built_in_fr
     assert lacquer.mean() > 0.2
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.mitsuba
 def test_street_has_puddles_in_bumpy_asphalt(built_in_frames: Frames) -> None:
     gbuffer = built_in_frames("street").gbuffer

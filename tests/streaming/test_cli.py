@@ -17,6 +17,7 @@ from lobewise.cli.main import run
 from lobewise.cli.output import describe_result, describe_settings
 from lobewise.io import write_frame
 from lobewise.streaming import DenoisedFile, plan
+from tests.interrupts import LISTEN
 from tests.streaming.frames import change_radiance, make_scene
 
 CHEAP = ["--quality", "fast", "--similarity", "normal"]
@@ -165,7 +166,7 @@ def test_ctrl_c_leaves_no_part_of_a_file(before: bytes | None, folder: Path) -> 
         (folder / "out.exr").write_bytes(before)
     arguments = ["denoise", str(folder / "in.exr"), "-o", str(folder / "out.exr"), "--bands", "10", *CHEAP]
     process = subprocess.Popen(
-        [sys.executable, "-c", PROGRAM, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-c", LISTEN + PROGRAM, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     assert process.stdout is not None
     # In the midst of the third of nine bands; two are on the disk.

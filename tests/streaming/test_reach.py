@@ -30,7 +30,7 @@ from lobewise.filters.specks import find_sharing
 from lobewise.frame import FloatArray
 from tests.streaming.frames import change_radiance, make_scene
 
-pytestmark = pytest.mark.slow  # every quality and form, whole and in bands
+pytestmark = pytest.mark.nightly  # every quality and form, whole and in bands
 
 WIDE: dict[str, Any] = {"similarity": "normal", "normal_exponent": 1.0, "position_sigma": 1e4}
 """Weights that fall off so slowly that the kernel's edge counts."""
@@ -154,8 +154,8 @@ def test_fast_reaches_exactly_so_far(form: str, radius: int, expected: int) -> N
     ("quality", "radius"),
     [
         ("balanced", 8),
-        pytest.param("balanced", 3, marks=pytest.mark.slow),
-        pytest.param("high", 4, marks=pytest.mark.slow),
+        pytest.param("balanced", 3, marks=pytest.mark.nightly),
+        pytest.param("high", 4, marks=pytest.mark.nightly),
     ],
 )
 def test_nothing_further_away_tells_on_a_pixel(quality: str, radius: int, halves: bool) -> None:

@@ -27,7 +27,7 @@ from lobewise.streaming import recipe as streaming
 from lobewise.streaming.plan import CHECKED_REACH, choose_rows, estimate_bytes
 from tests.streaming.frames import add_bad_pixels, change_radiance, make_scene
 
-pytestmark = pytest.mark.slow  # every quality and form, whole and in bands
+pytestmark = pytest.mark.nightly  # every quality and form, whole and in bands
 
 SHAPE = (83, 19)
 HEIGHTS = (1, 10, 33, 83)

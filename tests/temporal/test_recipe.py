@@ -104,7 +104,7 @@ class TestStill:
         assert error.max() < 1e-3
 
     @pytest.mark.parametrize("scale", [1, 4])
-    @pytest.mark.slow
+    @pytest.mark.nightly
     def test_noise_falls_as_frames_are_added(self, scale):
         errors = [rel_mse(result.image, find_truth()) for result in run(make_still(16, scale))]
         assert errors[15] < 0.4 * errors[0]
@@ -267,14 +267,14 @@ class TestMotion:
         assert result.settings["history_share"] > 0.9
         assert rel_mse(result.image, truth) < 0.5 * rel_mse(alone.image, truth)
 
-    @pytest.mark.slow
+    @pytest.mark.nightly
     def test_nothing_tells_where_things_were(self):
         frames = [replace(frame, camera=None, gbuffer=replace(frame.gbuffer, motion=None)) for frame in make_still(3)]
         results = run(frames, similarity="normal")
         assert [result.settings["history_share"] for result in results] == [0.0, 0.0, 0.0]
         assert_same(results[2], TemporalFilter(similarity="normal").add(frames[2]))
 
-    @pytest.mark.slow
+    @pytest.mark.nightly
     def test_motion_vectors_do_without_a_camera(self):
         still = np.zeros((*make_frame(STILL).shape, 2), np.float32)
         frames = [replace(frame, camera=None, gbuffer=replace(frame.gbuffer, motion=still)) for frame in make_still(6)]
@@ -471,7 +471,7 @@ class TestState:
 
 
 class TestSettings:
-    @pytest.mark.slow  # every kernel is compiled
+    @pytest.mark.nightly  # every kernel is compiled
     @pytest.mark.parametrize("similarity", ["normal", "sg", "sg_mixture", "asg", "ggx"])
     def test_every_similarity_works(self, similarity):
         frames = make_still(6, 4)
@@ -479,7 +479,7 @@ class TestSettings:
         assert results[-1].settings["history_share"] == 1.0
         assert rel_mse(results[-1].image, find_truth()) < rel_mse(results[0].image, find_truth())
 
-    @pytest.mark.slow
+    @pytest.mark.nightly
     @pytest.mark.parametrize("form", ["full", "separable", "atrous"])
     def test_every_form_works(self, form):
         results = run(make_still(6), form=form)
@@ -490,7 +490,7 @@ class TestSettings:
         assert results[-1].diffuse is None
         assert rel_mse(results[-1].image, find_truth()) < 0.6 * rel_mse(results[0].image, find_truth())
 
-    @pytest.mark.slow
+    @pytest.mark.nightly
     def test_features_of_ones_own(self):
         active = TemporalFilter()
         narrow = [active.add(frame, features=[ScreenFeature(0.3)]) for frame in make_still(2)]

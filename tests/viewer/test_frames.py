@@ -62,7 +62,7 @@ class TestWholeFrames:
         weight = shot.get_view("weight_sum")
         np.testing.assert_allclose(weight, expected.weight_sum / (1.0 + expected.weight_sum), rtol=1e-6)
 
-    @pytest.mark.slow
+    @pytest.mark.nightly
     def test_a_quality_is_filtered_as_asked(self, floor_file):
         looks = [FrameLook(similarity="normal", quality=quality, radius=2) for quality in ("fast", "balanced")]
         shots = FrameTarget(str(floor_file)).render(ask(*looks))

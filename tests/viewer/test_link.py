@@ -22,6 +22,7 @@ from lobewise.viewer.link import MAX_RESTARTS, Link
 from lobewise.viewer.looks import FrameLook
 from lobewise.viewer.messages import Opened, Picture, Problem, Request, SavedFile, Target, Window
 from lobewise.viewer.server import find_port
+from tests.interrupts import LISTEN
 from tests.viewer.slow_worker import SECONDS, run_slow_worker
 
 PATIENCE = 120.0
@@ -174,9 +175,9 @@ class TestEnd:
     )
     def test_no_process_is_left(self, number, code, floor_file):
         pytest.importorskip("viser", reason="pip install 'lobewise[viewer]'")
-        program = Path(sys.executable).with_name("lobewise")
+        program = LISTEN + "from lobewise.cli import main; main()"
         running = subprocess.Popen(
-            [program, "view", str(floor_file), "--port", "0", "--similarity", "none"],
+            [sys.executable, "-c", program, "view", str(floor_file), "--port", "0", "--similarity", "none"],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,

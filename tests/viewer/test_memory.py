@@ -15,7 +15,7 @@ from lobewise.viewer.link import Link
 from lobewise.viewer.looks import FrameLook
 from lobewise.viewer.messages import Description, Opened, Picture, Problem, Request, Target, Window
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 
 PATIENCE = 120.0
 PICTURES = 64

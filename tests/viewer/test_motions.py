@@ -97,7 +97,7 @@ def test_what_is_shown_again_does_not_move(room: tuple[str, str]) -> None:
 
 
 @pytest.mark.mitsuba
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_objects_of_a_built_in_scene_are_where_the_scene_has_them(mi: Any) -> None:
     from lobewise.render import load_scene
     from lobewise.viewer.scenes import SceneTarget

@@ -15,7 +15,7 @@ from lobewise.denoising import denoise
 from lobewise.io import read_frame, read_image
 from tests.viewer.conftest import run_viewer
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 
 FOREIGN = Path(__file__).parents[1] / "data" / "foreign"
 CHEAP = {"similarity": "none", "adaptive": 0.0, "temporal": False, "filter_direct": False}

@@ -8,7 +8,7 @@ import pytest
 from tests.viewer.conftest import compare, run_viewer
 from tests.viewer.test_scene import BLOCK, CHEAP, NOISE, SIZE, arrive, drag, locate
 
-pytestmark = [pytest.mark.slow, pytest.mark.mitsuba]
+pytestmark = [pytest.mark.nightly, pytest.mark.mitsuba]
 
 SCENE = """<scene version="3.0.0"><sensor type="orthographic">
 <transform name="to_world"><scale x="1.5" y="1.5"/><lookat origin="0.3,1.6,4" target="0,0.6,0" up="0,1,0"/></transform>

@@ -11,7 +11,7 @@ from lobewise.io import read_frame
 from lobewise.scenes import BY_THEMSELVES
 from tests.viewer.conftest import compare, run_viewer
 
-pytestmark = [pytest.mark.slow, pytest.mark.mitsuba]
+pytestmark = [pytest.mark.nightly, pytest.mark.mitsuba]
 
 CHEAP = {"similarity": "none", "adaptive": 0.0, "temporal": False, "filter_direct": False, "scale": 8}
 """Settings whose kernels are few."""

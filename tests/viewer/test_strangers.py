@@ -12,7 +12,7 @@ from lobewise.viewer import Viewer, link
 from tests.viewer.conftest import PATIENCE, REBOUND
 from tests.viewer.slow_worker import UNSEEN, run_slow_worker
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 
 OPEN_SOCKET = """
 address => new Promise(answer => {

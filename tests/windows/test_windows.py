@@ -158,6 +158,7 @@ class TestJoining:
         ratio = joined.frame.variance.diffuse.mean() / frames[2].variance.diffuse.mean()
         assert ratio == pytest.approx(0.2, abs=0.05)
 
+    @pytest.mark.nightly
     def test_motion_vectors_alone_are_enough(self):
         frames = make_moving()
         bare = [

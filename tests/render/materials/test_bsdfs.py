@@ -213,6 +213,16 @@ FURNACE = [
 ]
 
 
+@pytest.mark.sampled(
+    "diffuse-0.9",
+    "conductor-0.5",
+    "nonlinear plastic-0.5",
+    "tinted-0.5",
+    "smooth beckmann plastic-0.5",
+    "principled-0.9",
+    "half metallic and tinted-0.9",
+    "blend of principled-0.5",
+)
 @pytest.mark.parametrize("cos_view", [0.9, 0.5])
 @pytest.mark.parametrize(("name", "bsdf", "tolerance"), FURNACE, ids=[case[0] for case in FURNACE])
 def test_albedos_are_the_furnace_radiance_of_each_lobe(
@@ -364,6 +374,7 @@ def test_lobe_widens_by_alpha_along_the_tangent(mi: Any, case: int, behind: bool
             assert np.isclose(evaluate(normal + tilt * axis) / peak, expected, rtol=PEAK_SHAPE), (name, tilt)
 
 
+@pytest.mark.sampled("bumpmap")
 @pytest.mark.parametrize("plugin", ["normalmap", "bumpmap"])
 def test_mapped_normal_agrees_with_mitsubas_own_channel(mi: Any, plugin: str) -> None:
     maps = {"normalmap": flat_normals(0.3, -0.2), "bumpmap": ramp_texture(0.0, 0.5)}

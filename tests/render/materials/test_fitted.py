@@ -77,7 +77,7 @@ def frame(mi: Any, lobes: str, make_box_scene: Callable[..., Any]) -> Frame:
     return render_frame(scene, spp=8, seed=2)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 class TestAgainstFormulas:
     @pytest.mark.parametrize("cos_view", [1.0, 0.85, 0.5])
     def test_metal(self, guide: Guide, fit_all: None, cos_view: float) -> None:
@@ -103,7 +103,7 @@ class TestAgainstFormulas:
             assert np.allclose(told, seen, atol=FITTED_ALBEDO), name
         assert (middle(frame.radiance.diffuse).max() > 0.1) == ("alpha" not in str(bsdf) or "plastic" in bsdf["type"])
 
-    @pytest.mark.parametrize("turn", [0.6, pytest.param(2.0, marks=pytest.mark.slow)])
+    @pytest.mark.parametrize("turn", [0.6, pytest.param(2.0, marks=pytest.mark.nightly)])
     def test_long_axis(self, guide: Guide, lobes: str, turn: float) -> None:
         gbuffer = guide({"type": lobes, "sharp": 40.0, "wide": 20.0, "stretch": 2.0, "turn": turn}, cos_view=0.9)
         # The square lies in the plane z = 0, its tangent along x.
@@ -138,7 +138,7 @@ class TestAgainstFormulas:
             seen = np.array(plate.eval(mi.BSDFContext(), si, out)).T @ np.array(LUMINANCE)
             assert told @ seen / np.linalg.norm(told) / np.linalg.norm(seen) > FITTED_LOBES
 
-    @pytest.mark.parametrize("turn", [1.2, *(pytest.param(turn, marks=pytest.mark.slow) for turn in (0.3, 3.0))])
+    @pytest.mark.parametrize("turn", [1.2, *(pytest.param(turn, marks=pytest.mark.nightly) for turn in (0.3, 3.0))])
     def test_brushed_alphas_at_every_azimuth(self, mi: Any, fit_all: None, turn: float) -> None:
         import drjit as dr
 
@@ -240,7 +240,7 @@ class TestAgainstFormulas:
         assert velvet.tolist() == [0.2, 0.5]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 class TestPythonBsdf:
     def test_guides_are_finite_and_name_their_tables(self, frame: Frame) -> None:
         material = frame.gbuffer.material
@@ -335,7 +335,8 @@ class TestOtherPlugins:
         # D(half) cos(half) over half vectors, which is 1.
         assert np.allclose(found.rows[-1, 0, 2:5], [0.8, 0.4, 0.2], rtol=0.05)
 
-    @pytest.mark.parametrize("plugin", [pytest.param("hair", marks=pytest.mark.slow), "pplastic"])
+    @pytest.mark.sampled("pplastic")
+    @pytest.mark.parametrize("plugin", [pytest.param("hair", marks=pytest.mark.nightly), "pplastic"])
     def test_albedos_are_the_furnace_radiance(self, furnace: Furnace, plugin: str) -> None:
         frame = furnace({"type": "mask", "opacity": 1.0, "inner": {"type": plugin}}, spp=512)
         assert np.all(frame.gbuffer.lobe_kind == LobeKind.GGX)

@@ -76,7 +76,7 @@ def list_tables(material: Any) -> Any:
 
 class TestSquares:
     @pytest.mark.parametrize(
-        "wrap", [pytest.param(wrap, id=name, marks=() if name in ("bare", "three deep") else pytest.mark.slow)
+        "wrap", [pytest.param(wrap, id=name, marks=() if name in ("bare", "three deep") else pytest.mark.nightly)
                  for name, wrap in WRAPPERS]
     )  # fmt: skip
     def test_plastic_has_the_lobes_of_two_plastics(self, wrap: Callable[..., dict[str, Any]], mi: Any) -> None:
@@ -93,7 +93,7 @@ class TestSquares:
             assert len(set(found["material"].tolist())) == 2
         assert np.ptp(found["alpha_u"]) > 0.1
 
-    @pytest.mark.slow
+    @pytest.mark.nightly
     def test_tables_are_those_of_two_plastics(self, mi: Any) -> None:
         material = read({"type": "pplastic", "alpha": CHECKER, "id": "tiles"})
         tables = list_tables(material)
@@ -103,7 +103,7 @@ class TestSquares:
             (plain,) = list_tables(read({"type": "pplastic", "alpha": alpha}))
             assert np.allclose(tables[number - 1].sharpness, plain.sharpness, rtol=FITTED_ALPHA)
 
-    @pytest.mark.slow
+    @pytest.mark.nightly
     def test_albedos_are_the_furnace_radiance(self, furnace: Callable[..., Any], rough: str) -> None:
         color = {"type": "checkerboard", "color0": rgb(0.2, 0.5, 0.8), "color1": rgb(0.9, 0.3, 0.1)}
         for u in (0.25, 0.75):
@@ -114,6 +114,7 @@ class TestSquares:
             assert np.allclose(told, seen, atol=FITTED_TEXTURE)
             assert np.argmax(told) == (2 if u < 0.5 else 0)
 
+    @pytest.mark.nightly
     def test_a_rough_lobe_from_python(self, rough: str) -> None:
         # Mitsuba's checkerboard swaps its squares between colours and numbers.
         color = {"type": "checkerboard", "color0": 0.9, "color1": 0.3}
@@ -125,7 +126,7 @@ class TestSquares:
                 assert np.isclose(found[name][index], plain[name][0], rtol=FITTED_ALPHA), name
             assert np.allclose(found["specular_albedo"][index], plain["specular_albedo"][0], atol=FITTED_ALBEDO)
 
-    @pytest.mark.slow
+    @pytest.mark.nightly
     def test_brushed_lobes_turn_with_the_texture(self, rough: str) -> None:
         stretch = {"type": "checkerboard", "color0": 2.0, "color1": 0.5}
         material = read({"type": rough, "rough": 0.2, "stretch": stretch})
@@ -134,6 +135,7 @@ class TestSquares:
             assert np.allclose(found["alpha_u"] / found["alpha_v"], 4.0, rtol=2.0 * FITTED_ALPHA)
             assert np.allclose(np.abs(found["tangent"]), [[0, 1, 0], [1, 0, 0]], atol=0.02)
 
+    @pytest.mark.nightly
     def test_a_black_centre_is_no_node(self, rough: str) -> None:
         color = bitmap(np.array([[0.0, 0.0, 0.0, 0.9]] * 4)[..., None])
         material = read({"type": rough, "rough": ramp_texture(SHARP, WIDE), "color": color})
@@ -143,7 +145,7 @@ class TestSquares:
         assert found["alpha_u"][1] > 0.3
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_denoised_frame_keeps_the_squares(
     mi: Any, make_box_scene: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -172,9 +174,8 @@ def test_a_denoised_frame_keeps_the_squares(
 
 
 class TestRamps:
-    @pytest.mark.parametrize(
-        "distribution", ["ggx", pytest.param("beckmann", marks=[pytest.mark.slow, pytest.mark.release])]
-    )
+    @pytest.mark.nightly
+    @pytest.mark.parametrize("distribution", ["ggx", pytest.param("beckmann", marks=[pytest.mark.nightly])])
     def test_lobes_between_the_nodes(self, mi: Any, distribution: str) -> None:
         plastic = {"type": "pplastic", "distribution": distribution}
         material = read({**plastic, "alpha": ramp_texture(SHARP, WIDE)})
@@ -192,8 +193,7 @@ class TestRamps:
             one, two = (evaluate_lobes(evaluate_table(table, normal, view), light, "sg") for table in tables)
             assert one @ two / np.linalg.norm(one) / np.linalg.norm(two) > FITTED_STEPS, alpha
 
-    @pytest.mark.slow
-    @pytest.mark.release
+    @pytest.mark.nightly
     def test_brushed_lobes_have_few_nodes(self, rough: str) -> None:
         brushed = {"type": rough, "stretch": 1.5}
         material = read({**brushed, "rough": ramp_texture(SHARP, WIDE)})
@@ -212,6 +212,7 @@ class TestRamps:
 
 
 class TestPositions:
+    @pytest.mark.sampled("1.0")
     @pytest.mark.parametrize("scale", [1.0, 40.0])
     def test_lobes_follow_a_texture_in_space(self, mi: Any, scale: float) -> None:
         from lobewise.render.materials.bsdfs import read_material
@@ -265,6 +266,7 @@ class TestOnePlace:
         for name in ("axis", "sharpness", "amplitude", "alpha", "albedo"):
             assert np.array_equal(getattr(one.table, name), getattr(two.table, name)), name
 
+    @pytest.mark.nightly
     def test_a_texture_of_color_has_one_node(self, mi: Any, rough: str) -> None:
         assert read({"type": rough, "rough": 0.2, "color": ramp_texture(0.05, 0.9)}).fitted.fit.varying is None
         assert read({"type": "pplastic", "diffuse_reflectance": ramp_texture(0.05, 0.9)}).fitted.fit.varying is None
@@ -272,6 +274,7 @@ class TestOnePlace:
     def test_small_changes_have_one_node(self, rough: str) -> None:
         assert read({"type": rough, "rough": ramp_texture(0.195, 0.205)}).fitted.fit.varying is None
 
+    @pytest.mark.nightly
     def test_numbers_of_tables_follow_each_other(self, mi: Any, rough: str) -> None:
         from lobewise.render.materials.bsdfs import list_lobe_tables, read_material
 

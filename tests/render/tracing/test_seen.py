@@ -96,6 +96,7 @@ def test_what_sees_nothing_is_black(mi: Any) -> None:
     assert not gbuffer.hit_normal.any()
 
 
+@pytest.mark.sampled("False")
 @pytest.mark.parametrize("away", [False, True])
 def test_light_source_is_white_on_the_side_that_shines(mi: Any, away: bool) -> None:
     wall = make_plane(mi, z=WALL_Z, away=away, bsdf={"type": "twosided", "inner": paint(RED)})
@@ -105,6 +106,7 @@ def test_light_source_is_white_on_the_side_that_shines(mi: Any, away: bool) -> N
     assert np.allclose(gbuffer.hit_normal[on_floor], (0, 0, 1), atol=EXACT)
 
 
+@pytest.mark.sampled("False")
 @pytest.mark.parametrize("aov_only", [False, True])
 def test_mirrors_are_followed_as_deep_as_paths_go(mi: Any, aov_only: bool) -> None:
     """Floor and front wall are mirrors; behind the camera stands a painted wall."""

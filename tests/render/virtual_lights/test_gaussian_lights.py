@@ -59,7 +59,7 @@ def test_one_light_is_the_closed_form(mi: Any) -> None:
         assert np.array(found.hit_distance).max() == 0.0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_clusters_of_one_light_are_point_lights(cornell: Any) -> None:
     points = view(cornell)
     # Most of the light must not come from lights that are nearer than their share of the walls.
@@ -70,7 +70,7 @@ def test_clusters_of_one_light_are_point_lights(cornell: Any) -> None:
     assert found.mean() == pytest.approx(plain.mean(), rel=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("alpha", [None, 0.12])
 def test_drawn_clusters_are_the_sum_over_all(mi: Any, alpha: float | None) -> None:
     scene = make_cornell_box(mi) if alpha is None else make_copper_box(mi, alpha)
@@ -87,7 +87,7 @@ def test_drawn_clusters_are_the_sum_over_all(mi: Any, alpha: float | None) -> No
     assert np.percentile(off, 95) < 3.0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_light_comes_near_paths(cornell: Any) -> None:
     points = view(cornell)
     paths = total(find_paths(cornell, points, samples=1024))
@@ -100,7 +100,7 @@ def test_light_comes_near_paths(cornell: Any) -> None:
     assert image.mean() == pytest.approx(paths.mean(), rel=2 * PATHS_NOISE)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("alpha", [0.03, 0.12, 0.35])
 def test_glossy_surfaces_have_less_error_than_by_point_lights(mi: Any, alpha: float) -> None:
     scene = make_copper_box(mi, alpha)
@@ -139,6 +139,7 @@ def test_nothing_is_compiled_twice(mi: Any) -> None:
     assert_nothing_is_compiled_twice(make_clusters(scene, count=256), scene)
 
 
+@pytest.mark.sampled("bsdf0")
 @pytest.mark.parametrize("bsdf", [{"type": "conductor", "material": "Al"}, {"type": "roughconductor", "alpha": 0.01}])
 def test_mirrors_show_what_is_lit(mi: Any, bsdf: dict[str, Any]) -> None:
     scene = make_corner(mi, cone=30.0, bsdf=bsdf)

@@ -286,7 +286,7 @@ def test_a_sphere_in_place_of_the_light_is_the_integral_over_its_cone(mi: Any) -
     assert found[wall].sum() == pytest.approx(expected[wall].sum(), rel=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_small_spheres_are_points(cornell: Any) -> None:
     points = view(cornell)
     plain = total(make_lights(cornell, count=64, clamp=0.0).shade(points, samples=1, seed=0, all_lights=True))
@@ -297,7 +297,7 @@ def test_small_spheres_are_points(cornell: Any) -> None:
     assert small.mean() == pytest.approx(plain.mean(), rel=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_error_falls_as_lights_grow_in_number_and_the_clamp_opens(cornell: Any, cornell_paths: np.ndarray) -> None:
     points = view(cornell)
     errors = []
@@ -309,7 +309,7 @@ def test_error_falls_as_lights_grow_in_number_and_the_clamp_opens(cornell: Any, 
     assert errors[0] > 2.0 * errors[1] > 4.0 * errors[2]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_clamping_takes_light_and_compensation_brings_it_back(cornell: Any, cornell_paths: np.ndarray) -> None:
     points = view(cornell)
     before = np.full_like(cornell_paths, np.inf)
@@ -326,7 +326,7 @@ def test_clamping_takes_light_and_compensation_brings_it_back(cornell: Any, corn
     assert rel_mse(mended, cornell_paths) < 0.1 * rel_mse(image, cornell_paths)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_samples_are_parts_of_the_whole(cornell: Any) -> None:
     from lobewise.render.virtual_lights.point_walk import LIGHTS_PER_SAMPLE
 
@@ -343,7 +343,7 @@ def test_samples_are_parts_of_the_whole(cornell: Any) -> None:
     np.testing.assert_allclose(np.mean(few, axis=0).mean(axis=1), whole.mean(axis=1), rtol=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_same_seed_same_bits_whatever_the_order(cornell: Any) -> None:
     from lobewise.render.bridge import dr, mi
     from lobewise.render.materials.bsdfs import read_scene_materials
@@ -402,7 +402,7 @@ def test_mirrors_show_what_is_lit(mi: Any) -> None:
     assert np.array(found.hit_distance)[~mirror].max() == 0.0
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("emitter", ["area", "point", "directional", "sky"])
 def test_any_surface_and_emitter_agrees_with_paths(mi: Any, make_box_scene: Box, emitter: str) -> None:
     transform = mi.ScalarTransform4f
@@ -447,7 +447,7 @@ def test_any_surface_and_emitter_agrees_with_paths(mi: Any, make_box_scene: Box,
         assert np.median(mine) == pytest.approx(np.median(theirs), rel=tolerance), name
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_sky_lights_a_room(mi: Any, make_box_scene: Box) -> None:
     scene = make_box_scene({"light": {"type": "constant", "radiance": {"type": "rgb", "value": 0.5}}}, size=16)
     points = view(scene)

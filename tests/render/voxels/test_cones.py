@@ -120,7 +120,7 @@ def make_cornell(mi: Any, size: int = 48) -> Any:
     return mi.load_dict(description)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_cornell_box_agrees_with_paths(mi: Any, shade: Cones) -> None:
 
     scene = make_cornell(mi)
@@ -191,6 +191,7 @@ def test_a_pixel_does_not_depend_on_the_others(mi: Any, shade: Cones) -> None:
     np.testing.assert_array_equal(few, images["diffuse"].reshape(-1, 3)[pixels])
 
 
+@pytest.mark.sampled("25.0")
 @pytest.mark.parametrize("turned", [0.0, 25.0])
 def test_walls_of_two_voxels_do_not_leak(mi: Any, shade: Cones, turned: float) -> None:
     transform = mi.ScalarTransform4f
@@ -267,6 +268,7 @@ def test_cones_stop_where_rays_hit(mi: Any) -> None:
         assert np.abs(1.0 / inverse[inverse > 0] - 1.0).max() < PLACE * 2.0 / 64
 
 
+@pytest.mark.nightly
 def test_hit_distance_of_a_mirror_is_that_of_rays(mi: Any, shade: Cones, make_box_scene: Cones) -> None:
     mirror = {
         "type": "rectangle",
@@ -392,7 +394,7 @@ def test_specular_cones_are_the_lobes_of_the_library(mi: Any, rng: np.random.Gen
     np.testing.assert_allclose(np.array(tangent), np.clip(wide, MIN_TAN, DIFFUSE_TAN), rtol=2e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_smooth_cones_see_a_lobe_without_noise(mi: Any, shade: Cones, make_box_scene: Cones) -> None:
     """What is left to chance is where in a step a cone looks, not where it goes."""
     metal = {"type": "roughconductor", "alpha": 0.2, "material": "Al"}
@@ -405,7 +407,7 @@ def test_smooth_cones_see_a_lobe_without_noise(mi: Any, shade: Cones, make_box_s
     assert np.square(ratio - 1.0).mean() < 0.02
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_glass_shows_what_is_behind_it(mi: Any, shade: Cones, make_box_scene: Cones) -> None:
     ball = {"type": "sphere", "center": [0, 0.8, 0], "radius": 0.7, "bsdf": {"type": "dielectric"}}
     scene = make_box_scene({"ball": ball}, size=32)
@@ -417,7 +419,7 @@ def test_glass_shows_what_is_behind_it(mi: Any, shade: Cones, make_box_scene: Co
     assert abs(found / expected - 1.0) < CORNELL_SURFACE
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_light_of_the_sky_is_in_the_voxels_alone(mi: Any, shade: Cones) -> None:
     # A hemispherical bowl under a white sky; its own light reaches it, the sky's does not count.
     bowl = {"type": "twosided", "inner": gray(0.6)}

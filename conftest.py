@@ -1,0 +1,29 @@
+"""Which tests run in every build: those that are not `nightly`. ``pytest -m ""`` runs all."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+import pytest
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave to the night what ``sampled`` does not name, and what needs PyTorch, which is large."""
+    found: dict[str, set[str]] = defaultdict(set)
+    named: dict[str, set[str]] = {}
+    for item in items:
+        marker, name = item.get_closest_marker("sampled"), item.nodeid.partition("[")[0]
+        if marker is not None:
+            case = item.callspec.id  # type: ignore[attr-defined]
+            found[name].add(case)
+            named[name] = set(marker.args)
+            if case not in marker.args:
+                item.add_marker(pytest.mark.nightly)
+        elif "torch" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.nightly)
+    if any("::" in each for each in config.args):
+        return
+    for name, cases in named.items():
+        if cases - found[name]:
+            raise pytest.UsageError(f"{name}: sampled names cases that do not exist: {sorted(cases - found[name])}")
