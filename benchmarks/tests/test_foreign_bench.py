@@ -9,6 +9,7 @@ import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,8 +17,9 @@ import pytest
 from lobewise.interchange import import_file
 from lobewise.metrics import rel_mse
 
-pytest.importorskip("mitsuba", reason="it shares the tuning of the bench of quality, which renders its frames")
-files, judging, foreign = (import_module(f"benchmarks.foreign.{part}") for part in ("files", "judging", "__main__"))
+files: Any = None
+judging: Any = None
+foreign: Any = None
 
 ROOT = Path(__file__).parents[2]
 SMALL = ROOT / "tests" / "data" / "foreign"
@@ -26,12 +28,23 @@ FILES = {
     "blender-5.2": SMALL / "blender_5.2_multipart.exr",
     "luxcore": SMALL / "luxcore" / "RGB.exr",
 }
-RENDERERS = {renderer.name: renderer for renderer in files.RENDERERS}
 NOISE = JUDGED = 0.04
 # What noise of the denominator leaves: an error of 0.04 + 0.04^2, which squared is 8 % more.
 RELATIVE = 0.1
 # 40,000 products of two normal deviations of 0.04 have a mean of 0 with a deviation of 8e-6.
 NOTHING = 4e-5
+
+
+@pytest.fixture(scope="module", autouse=True)
+def bench() -> None:
+    """Import the bench, which needs Mitsuba, when a test runs and not when it is collected."""
+    pytest.importorskip("mitsuba", reason="it shares the tuning of the bench of quality, which renders its frames")
+    parts = {"files": "files", "judging": "judging", "foreign": "__main__"}
+    globals().update({name: import_module(f"benchmarks.foreign.{part}") for name, part in parts.items()})
+
+
+def get_renderer(name: str) -> Any:
+    return next(renderer for renderer in files.RENDERERS if renderer.name == name)
 
 
 def find_python(module: str) -> str:
@@ -79,18 +92,18 @@ def test_frames_are_found_where_their_reference_is(tmp_path: Path) -> None:
         (tmp_path / f"{name}.exr").touch()
         (tmp_path / "apart" / name).mkdir(parents=True)
         (tmp_path / "apart" / name / "RGB.exr").touch()
-    found = files.find_frames(RENDERERS["blender"], tmp_path)
+    found = files.find_frames(get_renderer("blender"), tmp_path)
     assert found == {
         "a": {8: {seed: tmp_path / f"a_8_{seed}.exr" for seed in (1, 2)}, 128: {1: tmp_path / "a_128_1.exr"}}
     }
-    apart = files.find_frames(RENDERERS["luxcore"], tmp_path / "apart")
+    apart = files.find_frames(get_renderer("luxcore"), tmp_path / "apart")
     assert apart["a"][8][2] == tmp_path / "apart" / "a_8_2" / "RGB.exr"
     assert set(apart) == {"a"}
 
 
 @pytest.mark.parametrize("name", FILES)
 def test_guides_and_lone_passes_come_from_every_layout(name: str, tmp_path: Path) -> None:
-    renderer, path = RENDERERS[name], FILES[name]
+    renderer, path = get_renderer(name), FILES[name]
     albedo, normal = (renderer.read_guide(path, index) for index in (0, 1))
     assert albedo.shape == normal.shape
     assert 0.05 < albedo.mean() < 1.0

@@ -16,13 +16,24 @@ from lobewise.display.tones import choose_exposure, map_tones
 from lobewise.frame import FloatArray, Frame, GBuffer, LobeKind, Radiance
 from lobewise.metrics import EPSILON, rel_mse
 
-pytest.importorskip("mitsuba", reason="the bench renders its frames: pip install 'lobewise[mitsuba]'")
-stats = pytest.importorskip("scipy.stats", reason="the bench blurs with SciPy: pip install 'lobewise[fit]'")
+quality: Any = None
+quality_frames: Any = None
+quality_methods: Any = None
+quality_pictures: Any = None
+quality_summary: Any = None
+quality_page: Any = None
+stats: Any = None
 
-quality, quality_frames, quality_methods, quality_pictures, quality_summary = (
-    import_module(f"benchmarks.quality.{part}") for part in ("measure", "frames", "methods", "pictures", "summary")
-)
-quality_page = import_module("benchmarks.pages.quality")
+
+@pytest.fixture(scope="module", autouse=True)
+def bench() -> None:
+    """Import the bench, which needs Mitsuba and SciPy, when a test runs and not when it is collected."""
+    pytest.importorskip("mitsuba", reason="the bench renders its frames: pip install 'lobewise[mitsuba]'")
+    pytest.importorskip("scipy", reason="the bench blurs with SciPy: pip install 'lobewise[fit]'")
+    parts = {"quality": "measure", **{f"quality_{name}": name for name in ("frames", "methods", "pictures", "summary")}}
+    globals().update({name: import_module(f"benchmarks.quality.{part}") for name, part in parts.items()})
+    globals().update(stats=import_module("scipy.stats"), quality_page=import_module("benchmarks.pages.quality"))
+
 
 HEIGHT, WIDTH = 40, 48
 # Four chunks estimate a variance with a deviation of 0.8 of it per value; 3 x 1000 values bring that to 1.5 %.
