@@ -92,6 +92,7 @@ def test_blender_page_has_every_menu_entry_that_notes_name() -> None:
             assert any(row.startswith(f"| {panel} ") and word in row for row in tables.splitlines()), text
 
 
+@pytest.mark.nightly
 def test_upsampling_page_runs() -> None:
     names: dict[str, Any] = {}
     for block in re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "upsampling.md").read_text(), flags=re.S):
@@ -101,6 +102,7 @@ def test_upsampling_page_runs() -> None:
     np.testing.assert_allclose(names["shine"], 0.2, rtol=1e-5)
 
 
+@pytest.mark.nightly
 def test_temporal_page_runs() -> None:
     names: dict[str, Any] = {}
     for block in re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "temporal.md").read_text(), flags=re.S):
@@ -109,6 +111,7 @@ def test_temporal_page_runs() -> None:
     np.testing.assert_allclose(names["result"].image.mean(), 0.5, rtol=0.05)
 
 
+@pytest.mark.nightly
 @pytest.mark.mitsuba
 def test_page_for_mitsubas_users_runs(mi: Any) -> None:
     names: dict[str, Any] = {}

@@ -78,7 +78,7 @@ def main(path: str, method: str) -> None:
     print(sum(image == want for image in given), "of", len(given), "of at least", TIMES + 1)
 
 
-@pytest.mark.sampled("fork", "forkserver")
+@pytest.mark.nightly
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
 @pytest.mark.parametrize("method", ["fork", "spawn", "forkserver", "threads"])
 def test_children_read_and_filter_as_their_parent_did(method, tmp_path):

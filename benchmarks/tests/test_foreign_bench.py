@@ -202,6 +202,7 @@ def test_mitsuba_s_files_hold_what_a_person_writes(tmp_path: Path) -> None:
     assert 0.9 < np.median(lengths) < 1.01
 
 
+@pytest.mark.nightly
 def test_the_command_and_its_steps_are_timed_in_turn(tmp_path: Path) -> None:
     speed = import_module("benchmarks.foreign.speed")
     figures = speed.measure_file(FILES["blender"], "fast", 1)

@@ -69,6 +69,7 @@ def read(path: Path) -> dict[str, Any]:
         return {name: arrays[name].astype(np.float32) for name in arrays.files}
 
 
+@pytest.mark.nightly
 def test_every_kind_builds_and_keeps_its_things_from_the_camera(kinds: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     from lobewise.render.loading import build_scene
 

@@ -74,12 +74,14 @@ def make_elf() -> bytes:
 
 
 class TestFolder:
+    @pytest.mark.nightly
     def test_second_process_compiles_nothing(self, tmp_path):
         # The runtime and the kernel.
         assert run_program(tmp_path / "new") == "2 True\n"
         assert len(list((tmp_path / "new").glob("*.kernel"))) == 2
         assert run_program(tmp_path / "new") == "0 True\n"
 
+    @pytest.mark.nightly
     def test_features_of_others_are_compiled_in_every_process(self, tmp_path):
         assert run_program(tmp_path, "Own(1.0)") == "2 True\n"
         assert run_program(tmp_path, "Own(1.0)") == "1 True\n"
@@ -239,6 +241,7 @@ class TestSources:
         edit(monkeypatch, module, old, new)
         assert describe_definitions(KERNELS[kernel]) != before
 
+    @pytest.mark.nightly
     def test_everything_that_runs_while_a_kernel_is_made_counts(self, monkeypatch):
         missing: list[str] = []
 

@@ -73,6 +73,7 @@ def run(setup: str, output: Path) -> str:
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
 
 
+@pytest.mark.nightly
 def test_the_library_has_the_bits_of_the_compiler(folder: Path, tmp_path: Path) -> None:
     library = prebuilt.open_library(folder)
     assert library is not None
@@ -95,6 +96,7 @@ def test_every_level_has_the_parameters_of_its_own_lanes(folder: Path, tmp_path:
         assert counts["seen"] == counts["taken"] == ["height", level["lanes"]]
 
 
+@pytest.mark.nightly
 def test_a_compiled_kernel_runs_beside_the_library(folder: Path, tmp_path: Path) -> None:
     """A kernel that the library lacks is compiled for its target, and calls its runtime."""
     code = f"""

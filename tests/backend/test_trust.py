@@ -154,6 +154,7 @@ class TestObjects:
         for damaged in (b"", b"twice\0" * 50, code[:64], code[: len(code) // 2], code[:-1], code[::-1]):
             assert not is_object(damaged, "twice")
 
+    @pytest.mark.nightly
     def test_an_empty_one_with_a_valid_checksum_is_compiled_anew(self, tmp_path: Path) -> None:
         # The digest of a file without code is right, as a compiler on a full disk would have left it.
         program = PROGRAM.format(feature="ScreenFeature(1.0)")

@@ -36,6 +36,7 @@ def read_png_size(data):
 
 
 class TestFit:
+    @pytest.mark.nightly
     def test_a_file_becomes_lobes_residuals_and_a_plot(self, material, tmp_path, capsys):
         out = tmp_path / "copper.lobes"
         assert run(["fit", str(material), "-o", str(out), "--lobes", "2"]) == 0
@@ -121,6 +122,7 @@ class TestMistakes:
         assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.sampled("cosines0")
 @pytest.mark.parametrize("cosines", [[1.0], np.linspace(0.1, 1.0, 5)])
 def test_plots_of_few_views(cosines):
     def hole(view, light):

@@ -32,12 +32,14 @@ def assert_one_sentence(code: int, out: str, err: str) -> None:
     assert err.count("\n") == 1
 
 
+@pytest.mark.sampled("off")
 @pytest.mark.parametrize("bands", ["off", "16"])
 def test_damaged_pixels_take_one_sentence(bands: str, damaged: Path) -> None:
     found = run_program(damaged.parent, "denoise", "in.1.exr", "-o", "out.exr", "--bands", bands)
     assert_one_sentence(*found)
 
 
+@pytest.mark.nightly
 def test_the_worker_of_a_page_is_silent_too(damaged: Path) -> None:
     pytest.importorskip("viser", reason="pip install 'lobewise[viewer]'")
     assert_one_sentence(*run_program(damaged.parent, "view", "in.1.exr", "--port", "0"))

@@ -182,6 +182,7 @@ def test_guides_are_named(kept: tuple[str, ...], words: str, make_frame: Callabl
     assert f"Open Image Denoise {words}" in denoise(frame, **CHEAP).method
 
 
+@pytest.mark.nightly
 def test_features_of_your_own_leave_it_out(make_frame: Callable[..., Frame], present: list[Frame]) -> None:
     frame = make_frame(height=12, width=16)
     result = denoise(frame, **CHEAP, features=[ScreenFeature(2.0)])

@@ -71,6 +71,7 @@ def test_only_what_was_clearly_lost_is_told(spots: int, total: float, told: bool
     assert len(found) == told
 
 
+@pytest.mark.sampled("False-balanced", "True-balanced")
 @pytest.mark.parametrize("quality", ["balanced", "high"])
 @pytest.mark.parametrize("apart", [False, True])
 def test_the_light_of_every_layer_is_kept(quality: str, apart: bool, rng: np.random.Generator) -> None:

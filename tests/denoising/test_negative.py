@@ -34,6 +34,7 @@ def make_saturated(**changes: Any) -> Frame:
     return make_frame(SHAPE).with_changes(radiance=Radiance(diffuse + specular, diffuse, specular), **changes)
 
 
+@pytest.mark.sampled("fast", "high")
 @pytest.mark.real_exr
 @pytest.mark.parametrize("quality", QUALITIES)
 def test_colours_outside_of_the_gamut_are_filtered(quality: str, field_folder: Path, tmp_path: Path) -> None:

@@ -165,6 +165,7 @@ def change(frame: Frame, name: str) -> Frame:
     return frame.with_changes(gbuffer=replace(frame.gbuffer, **{name: new}))
 
 
+@pytest.mark.sampled("fast-normal-True", "fast-ggx-True", "balanced-normal-True")
 @pytest.mark.parametrize("apart", [True, False])
 @pytest.mark.parametrize(
     ("quality", "similarity"),

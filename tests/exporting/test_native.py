@@ -363,7 +363,7 @@ def _name_machine(code: bytes) -> str:
     return {0x8664: "x86-64", 0xAA64: "arm-64"}[int.from_bytes(code[:2], "little")] + "-coff"
 
 
-@pytest.mark.sampled("x86-64-linux", "x86-64-linux-avx2-fma-cuda", "arm-64-osx")
+@pytest.mark.sampled("x86-64-linux")
 @pytest.mark.parametrize("target", TARGETS)
 def test_every_target_compiles(target: str, tmp_path: Path) -> None:
     folder = tmp_path / "export"

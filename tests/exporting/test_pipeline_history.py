@@ -49,6 +49,7 @@ def test_example_has_a_history_and_a_cut() -> None:
     assert shares[CUT] == 0.0
 
 
+@pytest.mark.nightly
 def test_cpp_follows_python(history: Path, cpp: str) -> None:
     assert max(run_example(history, cpp)) <= 1e-5
     made = read_images(history, "output.raw")

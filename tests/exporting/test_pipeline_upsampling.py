@@ -27,7 +27,7 @@ def cpp() -> str:
     return find_program("g++", "g++")
 
 
-@pytest.mark.sampled("over time")
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "settings",
     [{"upsample": 2}, {"upsample": 3, "history": True, "hit_distance": True}],

@@ -67,6 +67,7 @@ def make_extremes(kind: str) -> Feature:
     return replace(feature, **{name: value for name, value in changes.items() if name in vars(feature)})
 
 
+@pytest.mark.sampled("screen", "depth", "band_limit", "seen", "asg", "asg_hits")
 @pytest.mark.parametrize("kind", KINDS)
 def test_similarity_is_the_oracle_s(kind: str, rng: np.random.Generator) -> None:
     feature, pairs = make_feature(kind, SHAPE), draw_pairs(rng, SHAPE, COUNT)

@@ -163,6 +163,7 @@ class TestRecovery:
         np.testing.assert_allclose(again.amplitude, truth.amplitude, rtol=2e-3)
         np.testing.assert_allclose(again.axis, truth.axis, atol=1e-4)
 
+    @pytest.mark.sampled("sg")
     @pytest.mark.parametrize("kind", ["sg", "asg"])
     def test_anisotropic_material(self, kind):
         azimuths = np.asarray([0.0, 0.25, 0.5, 1.0]) * math.pi

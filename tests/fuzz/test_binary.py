@@ -7,6 +7,7 @@ import pytest
 from tests.fuzz.fuzzing import check_kind
 
 
+@pytest.mark.sampled("merl")
 @pytest.mark.parametrize("kind", ["merl", "camera_glb", "camera_usda", "camera_usdc", "checkpoint", "viewer"])
 def test_binary_files(kind: str) -> None:
     check_kind(kind)

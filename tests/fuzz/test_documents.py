@@ -7,6 +7,7 @@ import pytest
 from tests.fuzz.fuzzing import check_kind
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "kind",
     [

@@ -17,6 +17,7 @@ def watcher() -> Iterator[Watcher]:
         yield one
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("how", "outcome", "words"),
     [
@@ -69,6 +70,22 @@ def test_the_same_seed_makes_the_same_files(monkeypatch: pytest.MonkeyPatch) -> 
     assert len(set(runs[0].files)) > 15
 
 
+@pytest.mark.sampled(
+    "data0",
+    "data1",
+    "data3",
+    "data5",
+    "data6",
+    "data8",
+    "data10",
+    "data12",
+    "data13",
+    "data15",
+    "data17",
+    "data18",
+    "data20",
+    "data22",
+)
 @pytest.mark.parametrize("data", read_seeds("exr"))
 def test_exr_files_are_put_together_as_they_were(data: bytes) -> None:
     assert exr_files.unpack(data).pack() == data

@@ -87,6 +87,7 @@ def check_words(path: Path, capsys: pytest.CaptureFixture[str], folder: Path) ->
     return True
 
 
+@pytest.mark.nightly
 def test_nothing_that_is_said_contradicts_the_rest(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     paths = sorted(DATA.rglob("*.exr"))
     assert paths

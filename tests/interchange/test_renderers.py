@@ -58,6 +58,7 @@ def test_what_it_holds_is_found(renderer: str, layout: str, scene: Scene, tmp_pa
     assert (frame.spp is not None) == ("spp" in written.found)
 
 
+@pytest.mark.sampled("cycles", "arnold", "vray", "renderman", "karma", "corona", "pbrt", "luxcore", "mitsuba")
 @pytest.mark.filterwarnings("ignore::lobewise.errors.UnusedGuideWarning")
 @pytest.mark.parametrize("renderer", WRITERS)
 def test_it_is_denoised_and_what_is_missing_is_told(renderer: str, scene: Scene, tmp_path: Path) -> None:

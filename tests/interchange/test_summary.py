@@ -61,6 +61,7 @@ def test_the_summary_of_a_blender_file_fits_a_screen(
     assert "┃" not in told
 
 
+@pytest.mark.sampled("cycles")
 @pytest.mark.parametrize("renderer", ["cycles", "mitsuba", "lobewise", "alone"])
 def test_the_method_is_that_of_the_result(renderer: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "a.exr"

@@ -78,6 +78,7 @@ def list_written(path: Path, view: str) -> dict[str, tuple[str, ...]]:
     return {name: (str(one.found.source.part.index), *one.found.channels) for name, one in outputs.items()}
 
 
+@pytest.mark.sampled("multi_view")
 @pytest.mark.parametrize("kind", KINDS)
 def test_each_view_is_denoised_with_its_own_guides(kind: str, tmp_path: Path) -> None:
     source, output = tmp_path / "a.exr", tmp_path / "b.exr"
@@ -106,6 +107,7 @@ def test_each_view_is_denoised_with_its_own_guides(kind: str, tmp_path: Path) ->
             assert (part, channel) in touched or plane.tobytes() == after[part][channel].tobytes(), channel
 
 
+@pytest.mark.sampled("multi_view")
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_command_says_what_it_does(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source = tmp_path / "a.exr"
@@ -126,6 +128,7 @@ def test_the_command_says_what_it_does(kind: str, tmp_path: Path, capsys: pytest
     assert "not used" not in capsys.readouterr().out
 
 
+@pytest.mark.sampled("multi_view")
 @pytest.mark.parametrize("kind", KINDS)
 def test_python_writes_the_same_channels(kind: str, tmp_path: Path) -> None:
     source, output, own = (tmp_path / f"{name}.exr" for name in "abc")
@@ -220,6 +223,7 @@ def test_unknown_views_are_refused(tmp_path: Path) -> None:
         lobewise.read_frame(tmp_path / "own.exr", view="left")
 
 
+@pytest.mark.sampled("more0")
 @pytest.mark.parametrize("more", [["--temporal"], ["--window", "1"]])
 def test_sequences_of_views(more: list[str], tmp_path: Path) -> None:
     for number in range(3):

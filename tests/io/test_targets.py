@@ -174,7 +174,7 @@ class TestTemporary:
 NAMES = (b"fr\xff.exr", b"a\nb.exr", b"[red]x[bold].exr", b"\x1b[31mx.exr", "größe….exr".encode())
 
 
-@pytest.mark.sampled("ascii-\\x1b[31mx.exr")
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
 def test_any_name_is_read_written_and_shown(name: bytes, encoding: str, tmp_path: Path) -> None:

@@ -48,6 +48,7 @@ def get_layers(bitmap: Any) -> dict[str, np.ndarray]:
     return {name: np.array(layer) for name, layer in bitmap.split()}
 
 
+@pytest.mark.nightly
 @pytest.mark.mitsuba
 def test_the_first_example_of_mitsubas_page_runs(mi: Any, scene: Any, reference: np.ndarray) -> None:
     noisy = mi.render(scene, spp=1)

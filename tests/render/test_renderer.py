@@ -94,6 +94,7 @@ def test_one_sample_has_neither_halves_nor_variance(scene: Any) -> None:
     assert frame.variance is None
 
 
+@pytest.mark.nightly
 def test_variance_is_that_of_the_mean_over_many_renders(scene: Any) -> None:
     from lobewise.render import render_frame
 

@@ -21,6 +21,7 @@ def whole(scene):
     return render_frame(scene, spp=2, seed=3)
 
 
+@pytest.mark.sampled("4-place0")
 @pytest.mark.parametrize(("scale", "place"), [(4, (1, 2)), (3, (0, 0))])
 def test_radiance_is_that_of_the_whole_frame(scene, whole, scale, place):
     sparse = render_sparse_frame(scene, spp=2, scale=scale, place=place, guide_spp=2, seed=3)

@@ -213,6 +213,7 @@ def test_sparks_has_fireflies(built_in_frames: Frames) -> None:
     assert (frame.gbuffer.lobe_kind == LobeKind.DELTA).mean() > 0.05
 
 
+@pytest.mark.nightly
 @pytest.mark.mitsuba
 def test_stilllife_has_paint_glass_and_a_studio_all_around(built_in_frames: Frames) -> None:
     frame = built_in_frames("stilllife")

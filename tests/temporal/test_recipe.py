@@ -52,6 +52,7 @@ def assert_same(a, b) -> None:
 
 
 class TestStill:
+    @pytest.mark.sampled("2")
     @pytest.mark.parametrize("scale", [2, 3, 4])
     def test_without_noise_it_becomes_what_full_resolution_would_be(self, scale):
         rng = np.random.default_rng(7)

@@ -123,6 +123,7 @@ class TestWholeFrames:
 
 
 class TestFramesOfOtherRenderers:
+    @pytest.mark.sampled("blender_4.5_seed1.exr")
     @pytest.mark.parametrize("name", RENDERED)
     def test_they_are_read_filtered_and_saved_as_by_denoise(self, name, tmp_path):
         source, written = FOREIGN / name, tmp_path / "command.exr"

@@ -169,6 +169,7 @@ class TestDeath:
 
 
 class TestEnd:
+    @pytest.mark.sampled("2-0")
     @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc to find child processes")
     @pytest.mark.parametrize(
         ("number", "code"), [(signal.SIGINT, 0), (signal.SIGTERM, -signal.SIGTERM), (signal.SIGKILL, -signal.SIGKILL)]

@@ -188,6 +188,7 @@ class TestFilter:
         assert set(result.layers) == {"first", "second"}
         assert set(result.also) == {"one", "two", "first/lamp"}
 
+    @pytest.mark.nightly
     def test_frames_are_prepared_once_and_let_go(self):
         frames = make_still(8)
         window = WindowFilter(1)

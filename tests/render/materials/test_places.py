@@ -75,6 +75,7 @@ def list_tables(material: Any) -> Any:
 
 
 class TestSquares:
+    @pytest.mark.sampled("bare")
     @pytest.mark.parametrize(
         "wrap", [pytest.param(wrap, id=name, marks=() if name in ("bare", "three deep") else pytest.mark.nightly)
                  for name, wrap in WRAPPERS]
@@ -205,6 +206,7 @@ class TestRamps:
             for name in ("alpha_u", "alpha_v"):
                 assert np.isclose(found[name][0], plain[name][0], rtol=FITTED_ALPHA), name
 
+    @pytest.mark.nightly
     def test_alphas_do_not_jump(self, rough: str) -> None:
         material = read({"type": rough, "rough": ramp_texture(SHARP, WIDE)})
         alpha = describe(material, np.linspace(0.02, 0.98, 200))["alpha_u"]

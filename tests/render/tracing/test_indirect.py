@@ -39,6 +39,7 @@ def indirect(scene: Any) -> Frame:
     return render_frame(scene, spp=4, seed=SEED, light="indirect")
 
 
+@pytest.mark.nightly
 def test_indirect_is_all_without_emission_and_direct_light(everything: Frame, indirect: Frame) -> None:
     radiance = everything.radiance
     emitted = radiance.color - radiance.diffuse - radiance.specular
@@ -79,6 +80,7 @@ def test_guides_are_those_of_all_light(everything: Frame, indirect: Frame) -> No
         assert np.array_equal(getattr(everything.gbuffer, name), getattr(indirect.gbuffer, name)), name
 
 
+@pytest.mark.nightly
 def test_references_pixels_and_sparse_frames_agree_with_the_frame(scene: Any, indirect: Frame) -> None:
     reference = render_reference(scene, spp=4, seed=SEED, light="indirect")
     assert np.allclose(reference.radiance.color, indirect.radiance.color, **ROUNDING)

@@ -141,6 +141,7 @@ def test_path_that_ends_by_chance_sees_the_mirror_where_it_ends(mi: Any) -> None
     assert np.allclose(np.abs(gbuffer.hit_normal[on_floor][:, [0, 2]]), 0.0, atol=EXACT)
 
 
+@pytest.mark.sampled("glass")
 @pytest.mark.parametrize(
     "pane",
     [
