@@ -79,9 +79,9 @@ for module in pkgutil.walk_packages(lobewise.__path__, "lobewise."):
     if module.name != "lobewise.__main__":
         importlib.import_module(module.name)
 from lobewise.backend.jit import get_kernel
-from lobewise.filters.refinement.run import make_refinement
+from lobewise.filters.refinement.pyramid import make_filter
 try:
-    get_kernel("cpu", ("refinement",), make_refinement)
+    get_kernel("cpu", ("filter",), make_filter)
 except lobewise.LobewiseError as problem:
     print(problem)
 """

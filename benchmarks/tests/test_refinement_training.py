@@ -16,7 +16,7 @@ from benchmarks.training.frames import make_half
 from benchmarks.training.refinement_frames import name_file, parse_file_name, write_arrays
 from lobewise.denoising.refining.network import load_weights
 from lobewise.errors import InputError
-from lobewise.filters.refinement.run import flatten_weights, refine_image
+from lobewise.filters.refinement.run import pack_weights, refine_image
 from lobewise.filters.refinement.shape import LAYERS
 from tests.filters.test_refinement import make_images
 from tests.streaming.frames import make_scene
@@ -73,7 +73,7 @@ def test_the_network_of_the_trainer_is_that_of_the_package(program: Any, torch: 
     batch = program.refinement_batches.join([crop], [(0.7, 0.5, True)])
     with torch.no_grad():
         found = np.moveaxis(network(batch)[0].numpy(), 0, -1)
-    own = refine_image(images, flatten_weights(arrays), brightness=0.7, mean_log_depth=0.5, shared=True)
+    own = refine_image(images, pack_weights(arrays), brightness=0.7, mean_log_depth=0.5, shared=True)
     np.testing.assert_allclose(own, found, rtol=3e-4)
 
 
@@ -88,7 +88,7 @@ def test_training_lowers_the_loss_and_goes_on(program: Any, torch: Any, frames: 
     assert set(points[0]["errors"]) == {"all", "color"}
     assert points[1]["errors"]["all"]["mean"] < points[0]["errors"]["all"]["mean"]
     with np.load(frames.parent / "weights.npz") as exported:
-        flat = flatten_weights({name: exported[name].astype(np.float32) for name in exported.files})
+        flat = pack_weights({name: exported[name].astype(np.float32) for name in exported.files})
         assert set(exported.files) == {f"{name}.{part}" for name in LAYERS for part in ("weight", "bias")}
     assert flat.shape == load_weights().shape
     (frames.parent / "checkpoint.pt").unlink()

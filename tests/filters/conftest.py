@@ -21,6 +21,7 @@ RUNS = (
     "make_noise_guide",
     "measure_light",
     "mix_candidates",
+    "refine_image",
 )
 """What takes a device; a test that names none gets the one it is run on."""
 

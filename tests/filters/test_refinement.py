@@ -9,9 +9,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from lobewise.backend.devices import make_target
+from lobewise.backend.jit import compile_kernel
 from lobewise.errors import InputError
 from lobewise.filters.refinement import planes, shape
-from lobewise.filters.refinement.run import flatten_weights, refine_image
+from lobewise.filters.refinement.convolutions import make_convolution
+from lobewise.filters.refinement.pyramid import make_averages, make_filter, make_sums
+from lobewise.filters.refinement.run import pack_weights, refine_image
 from lobewise.frame import FloatArray
 
 Exact = NDArray[np.float64]
@@ -19,6 +23,8 @@ Images = dict[str, FloatArray]
 SIZE = (35, 38)
 """No multiple of the blocks of any level."""
 NUMBERS: dict[str, Any] = {"brightness": 0.7, "mean_log_depth": 0.5, "shared": True}
+MAX_CODE_BYTES = 100_000
+"""Of all object files together."""
 TOLERANCE = 2e-4
 """Relative: polynomials stand for logarithms and exponentials."""
 
@@ -51,7 +57,7 @@ WEIGHTS = make_weights()
 
 def refine(images: Images, **options: Any) -> FloatArray:
     """Return the refined image by the kernels."""
-    return np.asarray(refine_image(images, flatten_weights(WEIGHTS), **{**NUMBERS, **options}))
+    return np.asarray(refine_image(images, pack_weights(WEIGHTS), **{**NUMBERS, **options}))
 
 
 class Definition:
@@ -198,6 +204,14 @@ def test_graphics_cards_agree_with_the_processor(device: str) -> None:
     np.testing.assert_allclose(refine(images, device=device), refine(images), rtol=1e-4)
 
 
+@pytest.mark.processor
+def test_one_small_kernel_serves_all_layers() -> None:
+    """Code for each layer and level takes many times as long to compile."""
+    makers = (make_convolution, make_sums, make_averages, make_filter)
+    code = [compile_kernel(make, make_target("cpu"), make.__name__)[0] for make in makers]
+    assert sum(map(len, code)) < MAX_CODE_BYTES
+
+
 def test_the_mean_is_convex() -> None:
     images = make_images() | {"albedo": np.ones((*SIZE, 3), np.float32)}
     images["noisy"], images["filtered"] = (np.clip(images[name], 0.5, 2.0) for name in ("noisy", "filtered"))
@@ -233,9 +247,9 @@ def test_the_largest_numbers_do_not_overflow() -> None:
 def test_weights_of_another_shape_are_refused() -> None:
     spoiled = {**WEIGHTS, "squeeze.bias": np.zeros(3, np.float32)}
     with pytest.raises(InputError, match=r"squeeze\.bias"):
-        flatten_weights(spoiled)
+        pack_weights(spoiled)
     with pytest.raises(InputError, match=r"stem\.weight"):
-        flatten_weights({name: each for name, each in WEIGHTS.items() if name != "stem.weight"})
+        pack_weights({name: each for name, each in WEIGHTS.items() if name != "stem.weight"})
 
 
 def test_an_image_of_another_size_is_refused() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from lobewise.denoising.refining.inputs import collect_inputs, find_lobes
 from lobewise.denoising.refining.whole_image import WholeImage
-from lobewise.filters.refinement.run import flatten_weights, refine_image
+from lobewise.filters.refinement.run import pack_weights, refine_image
 from lobewise.frame import FloatArray, Frame
 
 WEIGHTS = "refinement.npz"
@@ -21,10 +21,10 @@ MAX_BLACK_RADIANCE = 1e-36
 
 @cache
 def load_weights() -> FloatArray:
-    """Return the weights of the network as the kernel reads them."""
+    """Return the weights of the network as the kernels read them."""
     with files("lobewise.denoising").joinpath(WEIGHTS).open("rb") as file:
         arrays = np.load(file, allow_pickle=False)
-        return flatten_weights({name: arrays[name].astype(np.float32) for name in arrays.files})
+        return pack_weights({name: arrays[name].astype(np.float32) for name in arrays.files})
 
 
 def find_factor(

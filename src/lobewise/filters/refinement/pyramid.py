@@ -11,21 +11,34 @@ Renderings"; Vogels et al. 2018, "Denoising with Kernel Prediction and Asymmetri
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 from lobewise.backend import expressions
 from lobewise.backend.compiler import hl
+from lobewise.backend.jit import Scheduled
+from lobewise.backend.pointwise import LARGEST_FLOAT
+from lobewise.backend.signature import Signature
 from lobewise.filters.cross_pass import COLORS
-from lobewise.filters.planes import C, X, Y
-from lobewise.filters.refinement.convolutions import Convolution, Input, Network, Size, define_convolution, surround
+from lobewise.filters.planes import C, X, Y, clamp_likely
+from lobewise.filters.refinement.convolutions import Size, surround
 from lobewise.filters.refinement.shape import (
+    BLOCK,
     COARSE_SIDE,
     FILTERED_SIDE,
     GROUPS,
-    LEVELS,
+    HEAD,
+    LAYERS,
     NOISY_SIDE,
     UNITS,
-    place_logits,
+    VECTORS,
+    WEIGHT_ROWS,
+)
+from lobewise.filters.schedules.refinement import (
+    Copy,
+    Filter,
+    Head,
+    schedule_averages,
+    schedule_filter,
+    schedule_sums,
 )
 
 MAX_LOGIT = 20.0
@@ -40,93 +53,79 @@ SUMS = COLORS + 1
 """Weighted light and weight of the noisy image; the filtered image has as many."""
 
 
-class Filter(NamedTuple):
-    """The filter of one level.
-
-    Parameters
-    ----------
-    head : Convolution
-        Gives the logits.
-    near : tuple of Input
-        What taps read, 0 outside the level: sums of light, vectors, and the level above.
-    exponents : halide.Func
-        Factors of the squared distances of each group of vectors, a function of (x, c, y).
-    total : halide.Func
-        Tuple of the sums, a function of (x, y).
-    domains : list of halide.RDom
-        Of the taps of each kind.
-    out : halide.Func
-        The filtered light of the level, a function of (x, c, y).
-    """
-
-    head: Convolution
-    near: tuple[Input, ...]
-    exponents: hl.Func
-    total: hl.Func
-    domains: list[hl.RDom]
-    out: hl.Func
-
-
-class Pyramid(NamedTuple):
-    """The functions of the pyramid.
-
-    Parameters
-    ----------
-    light : Input
-        Noisy and filtered light, 0 outside the image.
-    sources : Convolution
-        The head of the finest level, which gives the source weights.
-    sums, vectors : list of halide.Func
-        Of each level. The vectors of the finest level are a copy of the input, which the level above averages.
-    filters : list of Filter
-        Of each level.
-    """
-
-    light: Input
-    sources: Convolution
-    sums: list[hl.Func]
-    vectors: list[hl.Func]
-    filters: list[Filter]
-
-
-def define_pyramid(network: Network, light: hl.ImageParam, vectors: hl.ImageParam) -> Pyramid:
-    """Return the pyramid.
-
-    Parameters
-    ----------
-    network : Network
-    light : halide.ImageParam
-        Noisy and filtered light over the tint, a function of (x, c, y).
-    vectors : halide.ImageParam
-        What similarities compare, a function of (x, c, y).
-    """
-    weights, sizes = network.weights, network.sizes
-    head = define_convolution(
-        weights, "heads.0", 0, [Input(network.features[0], UNITS[0], is_copy=False)], active=False
-    )
-    given = Input(surround(light, sizes[0], "light"), 2 * COLORS)
-    sums, compared = [_define_sums(given.func, head.out)], [surround(vectors, sizes[0], "below")]
-    for level in range(1, LEVELS):
-        sums.append(_average(sums[-1], sizes[level - 1], sizes[level], f"sums{level}"))
-        compared.append(_average(compared[-1], sizes[level - 1], sizes[level], f"vectors{level}"))
-    filters: list[Filter] = []
-    for level in reversed(range(LEVELS)):
-        above = filters[0].out if filters else None
-        near = surround(compared[level] if level else vectors, sizes[level], f"vectors{level}")
-        filters.insert(0, _define_filter(network, level, sums[level], near, above))
-    return Pyramid(given, head, sums, compared, filters)
-
-
-def _define_sums(light: hl.Func, logits: hl.Func) -> hl.Func:
-    """Return weighted light and weight of the noisy image, then of the filtered one."""
-    sums, place = hl.Func("sums0"), place_logits(0).sources
+def make_sums(target: hl.Target) -> Scheduled:
+    """Return the kernel of the finest level's sums: weighted light and weight of the noisy image, then the filtered."""
+    signature = Signature("sums of the refining network")
+    features = signature.image("features", "height", UNITS[0], "columns")
+    light = signature.image("light", "height", 2 * COLORS, "width")
+    weights = signature.image("weights", WEIGHT_ROWS, BLOCK)
+    signature.output("sums", "height", 2 * SUMS, "columns")
+    head = _define_head(features, weights, hl.i32(LAYERS["heads.0"].start))
+    given, sums = hl.Func("light_near"), hl.Func("sums")
+    given[X, C, Y] = light[clamp_likely(X, light.dim(0).extent()), C, Y]
     values: list[hl.Expr] = []
     for number in range(2):
-        logit = logits[X, place + number, Y] + hl.f32(SOURCE_BIAS)
+        logit = head.sums[X, HEAD.sources + number, Y] + hl.f32(SOURCE_BIAS)
         weight = hl.f32(MIN_SOURCE) + _find_logistic(logit)
-        values += [weight * light[X, COLORS * number + k, Y] for k in range(COLORS)] + [weight]
+        values += [weight * given[X, COLORS * number + k, Y] for k in range(COLORS)] + [weight]
     sums[X, C, Y] = hl.mux(C, values)
-    return sums
+    schedule_sums(head, Copy(given, 2 * COLORS), Copy(sums, 2 * SUMS), target)
+    return Scheduled([sums], signature)
+
+
+def make_averages(target: hl.Target) -> Scheduled:
+    """Return the kernel of the next level's sums or vectors: means of four pixels; pixels outside count 0."""
+    signature = Signature("averages of the refining network")
+    source = signature.image("source", "source_height", "channels", "source_columns")
+    source_width = signature.count("source_width", 1)
+    signature.output("averages", "height", "channels", "columns")
+    averages, total, height = hl.Func("averages"), hl.f32(0.0), source.dim(2).extent()
+    for down in range(2):
+        for across in range(2):
+            x, y = 2 * X + across, 2 * Y + down
+            value = source[hl.min(hl.likely(x), source_width - 1), C, hl.min(y, height - 1)]
+            total = total + hl.select((x < source_width) & (y < height), value, hl.f32(0.0))
+    averages[X, C, Y] = hl.f32(0.25) * total
+    schedule_averages(averages, target)
+    return Scheduled([averages], signature)
+
+
+def make_filter(target: hl.Target) -> Scheduled:
+    """Return the kernel that filters a level. ``has_above`` is 1 if there is a level above, else 0."""
+    signature = Signature("filter of the refining network")
+    features = signature.image("features", "height", "units", "columns")
+    sums = signature.image("sums", "height", 2 * SUMS, "sums_columns")
+    vectors = signature.image("vectors", "height", VECTORS, "vectors_columns")
+    above = signature.image("above", "above_height", "above_width", COLORS)
+    tint = signature.image("tint", "tint_height", "tint_width", COLORS)
+    weights = signature.image("weights", WEIGHT_ROWS, BLOCK)
+    start, width = signature.count("start", 0, WEIGHT_ROWS - 1), signature.count("width", 1)
+    has_above = signature.count("has_above", 0, 1)
+    signature.output("filtered", "height", "width", COLORS)
+    size = Size(features.dim(2).extent(), width)
+    head = _define_head(features, weights, start)
+    light, compared = surround(sums, size, "sums_near"), surround(vectors, size, "vectors_near")
+    larger, tinted = _enlarge_above(above, has_above), hl.Func("tint_near")
+    tinted[X, C, Y] = tint[C, clamp_likely(X, tint.dim(1).extent()), hl.min(Y, tint.dim(2).extent() - 1)]
+    exponents = _define_exponents(head.sums)
+    total, taps = _define_total(head.sums, exponents, light, compared, larger)
+    out = hl.Func("filtered")
+    mean = hl.mux(C, [total[X, Y][k] / total[X, Y][COLORS] for k in range(COLORS)])
+    out[C, X, Y] = hl.min(mean * tinted[X, C, Y], hl.f32(LARGEST_FLOAT))
+    near = (Copy(light, 2 * SUMS), Copy(compared, VECTORS), Copy(larger, SUMS), Copy(tinted, COLORS))
+    groups = Copy(exponents, len(GROUPS))
+    schedule_filter(Filter(head, near, groups, total, taps, Copy(out, COLORS)), target)
+    return Scheduled([out], signature)
+
+
+def _define_head(features: hl.ImageParam, weights: hl.ImageParam, start: hl.Expr) -> Head:
+    """Return the logits; ``start`` is the first row of their weights."""
+    channels, sums = features.dim(1).extent(), hl.Func("logits")
+    row = start + C // BLOCK * (1 + channels)
+    taps = hl.RDom([(0, channels)], "units")
+    sums[X, C, Y] = weights[C % BLOCK, row]
+    sums[X, C, Y] = sums[X, C, Y] + weights[C % BLOCK, row + 1 + taps.x] * features[X, taps.x, Y]
+    return Head(sums, taps)
 
 
 def _find_logistic(value: hl.Expr) -> hl.Expr:
@@ -136,52 +135,25 @@ def _find_logistic(value: hl.Expr) -> hl.Expr:
     return hl.select(value >= hl.f32(0.0), high, small * high)
 
 
-def _average(source: hl.Func, before: Size, size: Size, name: str) -> hl.Func:
-    """Return the mean of four pixels of the level below; pixels outside count 0."""
-    found = hl.Func(name)
-    total = hl.f32(0.0)
-    for down in range(2):
-        for across in range(2):
-            x, y = 2 * X + across, 2 * Y + down
-            value = source[hl.min(x, before.width - 1), C, hl.min(y, before.height - 1)]
-            total = total + hl.select((x < before.width) & (y < before.height), value, hl.f32(0.0))
-    found[X, C, Y] = hl.f32(0.25) * total
-    return found
-
-
-def _define_filter(network: Network, level: int, sums: hl.Func, compared: hl.Func, above: hl.Func | None) -> Filter:
-    size, places = network.sizes[level], place_logits(level)
-    head = define_convolution(
-        network.weights,
-        f"heads.{level}",
-        level,
-        [Input(network.features[level], UNITS[level], is_copy=False)],
-        active=False,
-    )
-    light = surround(sums, size, f"light{level}")
-    near = [Input(light, 2 * SUMS), Input(compared, sum(GROUPS))]
-    total = hl.Func(f"total{level}")
+def _define_total(
+    logits: hl.Func, exponents: hl.Func, light: hl.Func, compared: hl.Func, larger: hl.Func
+) -> tuple[hl.Func, list[hl.RDom]]:
+    """Return the sums of weighted light and weight over all taps, and the domain of each kind of tap."""
+    total, domains = hl.Func("total"), []
     total[X, Y] = hl.Tuple([hl.f32(0.0)] * SUMS)
-    exponents, domains = _define_exponents(head.out, level), []
-    for number, (side, first) in enumerate(((NOISY_SIDE, places.noisy), (FILTERED_SIDE, places.filtered))):
-        taps = hl.RDom([(0, side), (0, side)], f"taps{level}_{number}")
+    for number, (side, first) in enumerate(((NOISY_SIDE, HEAD.noisy), (FILTERED_SIDE, HEAD.filtered))):
+        taps = hl.RDom([(0, side), (0, side)], f"taps{number}")
         x, y = X + taps.x - side // 2, Y + taps.y - side // 2
         distance = _find_distance(exponents, compared, (x, y))
-        weight = _find_weight(head.out[X, first + taps.y * side + taps.x, Y], distance)
+        weight = _find_weight(logits[X, first + taps.y * side + taps.x, Y], distance)
         _add(total, [weight * light[x, SUMS * number + k, y] for k in range(SUMS)])
         domains.append(taps)
-    if above is not None:
-        larger = _enlarge_above(above, network.sizes[level + 1], f"above{level}")
-        near.append(Input(larger, SUMS))
-        taps = hl.RDom([(0, COARSE_SIDE), (0, COARSE_SIDE)], f"taps{level}_above")
-        # The pixels around a pixel's parent are two columns or rows apart in the enlarged level.
-        x, y = X + 2 * (taps.x - 1), Y + 2 * (taps.y - 1)
-        weight = _find_weight(head.out[X, places.coarse + taps.y * COARSE_SIDE + taps.x, Y], hl.f32(0.0))
-        _add(total, [weight * larger[x, k, y] for k in range(SUMS)])
-        domains.append(taps)
-    out = hl.Func(f"filtered{level}")
-    out[X, C, Y] = hl.mux(C, [total[X, Y][k] / total[X, Y][COLORS] for k in range(COLORS)])
-    return Filter(head, tuple(near), exponents, total, domains, out)
+    taps = hl.RDom([(0, COARSE_SIDE), (0, COARSE_SIDE)], "taps_above")
+    # The pixels around a pixel's parent are two columns or rows apart in the enlarged level.
+    x, y = X + 2 * (taps.x - 1), Y + 2 * (taps.y - 1)
+    weight = _find_weight(logits[X, HEAD.coarse + taps.y * COARSE_SIDE + taps.x, Y], hl.f32(0.0))
+    _add(total, [weight * larger[x, k, y] for k in range(SUMS)])
+    return total, [*domains, taps]
 
 
 def _add(total: hl.Func, terms: list[hl.Expr]) -> None:
@@ -194,9 +166,9 @@ def _find_weight(logit: hl.Expr, distance: hl.Expr) -> hl.Expr:
     return expressions.exp2(hl.f32(expressions.LOG2_E) * (bounded - distance - hl.f32(MAX_LOGIT)))
 
 
-def _define_exponents(logits: hl.Func, level: int) -> hl.Func:
-    found, first = hl.Func(f"exponents{level}"), place_logits(level).exponents
-    bounded = hl.min(hl.f32(2.0) * logits[X, first + C, Y] - hl.f32(1.0), hl.f32(MAX_LOG_EXPONENT))
+def _define_exponents(logits: hl.Func) -> hl.Func:
+    found = hl.Func("exponents")
+    bounded = hl.min(hl.f32(2.0) * logits[X, HEAD.exponents + C, Y] - hl.f32(1.0), hl.f32(MAX_LOG_EXPONENT))
     shifted = expressions.exp2(hl.f32(expressions.LOG2_E) * (bounded - hl.f32(MAX_LOG_EXPONENT)))
     found[X, C, Y] = hl.f32(math.exp(MAX_LOG_EXPONENT)) * shifted
     return found
@@ -212,13 +184,12 @@ def _find_distance(exponents: hl.Func, vectors: hl.Func, at: tuple[hl.Expr, hl.E
     return total
 
 
-def _enlarge_above(above: hl.Func, size: Size, name: str) -> hl.Func:
+def _enlarge_above(above: hl.ImageParam, has_above: hl.Expr) -> hl.Func:
     """Return the light of the level above at every pixel, and 1 as its weight; 0 outside that level."""
-    found = hl.Func(name)
+    found, width, height = hl.Func("above_near"), above.dim(1).extent(), above.dim(2).extent()
     # Halide's division rounds down, so that columns left of the image have a parent left of the level above.
     x, y = X // 2, Y // 2
-    inside = (x >= 0) & (x < size.width) & (y >= 0) & (y < size.height)
-    column, row = hl.clamp(x, 0, size.width - 1), hl.clamp(y, 0, size.height - 1)
-    values = [above[column, k, row] for k in range(COLORS)]
+    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height) & (has_above > 0)
+    values = [above[k, clamp_likely(x, width), hl.clamp(y, 0, height - 1)] for k in range(COLORS)]
     found[X, C, Y] = hl.select(inside, hl.mux(C, [*values, hl.f32(1.0)]), hl.f32(0.0))
     return found

@@ -11,14 +11,14 @@ from lobewise.backend.buffers import Image, device_scope, returns_host_images, t
 from lobewise.backend.jit import get_kernel, run_kernel
 from lobewise.errors import InputError
 from lobewise.filters.cross_pass import COLORS
-from lobewise.filters.refinement.kernel import make_refinement
+from lobewise.filters.refinement.network import Network
 from lobewise.filters.refinement.planes import OPTIONAL, PlanesKey, make_planes
-from lobewise.filters.refinement.shape import LAYERS, WEIGHTS
+from lobewise.filters.refinement.shape import BLOCK, HEAD, LAYERS, WEIGHT_ROWS, LayerShape, place_logits
 from lobewise.frame import FloatArray
 
 
-def flatten_weights(arrays: Mapping[str, FloatArray]) -> FloatArray:
-    """Return the flat array that the kernel reads.
+def pack_weights(arrays: Mapping[str, FloatArray]) -> FloatArray:
+    """Return the array that the kernels read, shape (`WEIGHT_ROWS`, `BLOCK`).
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def flatten_weights(arrays: Mapping[str, FloatArray]) -> FloatArray:
     InputError
         If a layer is missing or has another shape.
     """
-    flat = np.zeros(WEIGHTS, dtype=np.float32)
+    packed = np.zeros((WEIGHT_ROWS, BLOCK), dtype=np.float32)
     for name, layer in LAYERS.items():
         square = (2, 2) if name == "stem" else (layer.side, layer.side)
         inputs = layer.inputs // (4 if name == "stem" else 1)
@@ -41,12 +41,23 @@ def flatten_weights(arrays: Mapping[str, FloatArray]) -> FloatArray:
                 action = "export it again with benchmarks.training.refinement"
                 raise InputError(f"{name}.{part}", expected=f"shape {shape}", got=str(got), action=action)
         # A block of 2x2 pixels is read as channels, so the stem has taps of one pixel.
-        weight = arrays[f"{name}.weight"].reshape(layer.outputs, layer.inputs, layer.side, layer.side)
-        block = np.zeros((layer.side, layer.side, layer.inputs, layer.padded), np.float32)
-        block[..., : layer.outputs] = weight.transpose(2, 3, 1, 0)
-        flat[layer.start : layer.bias] = block.ravel()
-        flat[layer.bias : layer.bias + layer.outputs] = arrays[f"{name}.bias"]
-    return flat
+        rows = np.zeros((layer.padded, 1 + layer.inputs * layer.side**2), np.float32)
+        places = _place_outputs(layer)
+        rows[places, 0] = arrays[f"{name}.bias"]
+        rows[places, 1:] = arrays[f"{name}.weight"].reshape(layer.outputs, -1)
+        blocks = rows.reshape(-1, BLOCK, rows.shape[1]).swapaxes(1, 2)
+        packed[layer.start : layer.stop] = blocks.reshape(-1, BLOCK)
+    return packed
+
+
+def _place_outputs(layer: LayerShape) -> list[int]:
+    """Return the places of a layer's outputs among those that kernels compute: all heads have one layout."""
+    places = list(range(layer.outputs))
+    kind, _, level = layer.name.partition(".")
+    if kind == "heads":
+        own = place_logits(int(level))
+        places[own.exponents :] = range(HEAD.exponents, HEAD.exponents + layer.outputs - own.exponents)
+    return places
 
 
 @returns_host_images
@@ -67,7 +78,7 @@ def refine_image(
     images : mapping of str to array or None
         "noisy" and "filtered", shape (height, width, 3), finite, >= 0; and those of `OPTIONAL` that are known, finite.
     weights : array
-        Result of `flatten_weights`.
+        Result of `pack_weights`.
     brightness : float
         Squared mean of the root of the light of the whole image, > 0.
     mean_log_depth : float
@@ -91,5 +102,4 @@ def refine_image(
     key = PlanesKey(known)
     numbers = {"brightness": brightness, "mean_log_depth": mean_log_depth, "noise_is_shared": float(shared)}
     planes = run_kernel(get_kernel(device, key, partial(make_planes, key)), device, lent, **numbers)
-    kernel = get_kernel(device, ("refinement",), make_refinement)
-    return run_kernel(kernel, device, {**planes, "weights": weights})["refined"]
+    return Network(device, weights, planes).run()

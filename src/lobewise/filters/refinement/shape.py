@@ -1,4 +1,4 @@
-"""The shape of the refining network: its layers, and where the weights of each layer lie in one flat array."""
+"""The shape of the refining network: its layers, and where the weights of each layer lie in one array."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ NOISY_SIDE, FILTERED_SIDE, COARSE_SIDE = 5, 3, 3
 GROUPS = (4, 4)
 """Components of the vectors that taps compare: place and normal, lobe. Each group has one learned exponent."""
 VECTORS = sum(GROUPS)
-HEAD_BLOCK = 8
-"""The outputs of a head are rounded up to a multiple of this; the outputs that are added mean nothing."""
+BLOCK = 8
+"""Outputs of a layer whose weights lie together. Layers have a multiple of it; outputs that are added mean nothing."""
 MULTIPLE = 2 ** (LEVELS - 1)
 """Bands begin at a multiple of so many rows, so that all levels have the same pixels as in the whole image."""
 
@@ -37,12 +37,18 @@ class LogitPlaces(NamedTuple):
 
 
 def place_logits(level: int) -> LogitPlaces:
-    """Return where the outputs of the head of a level are. Only the finest level has source weights."""
+    """Return where the outputs of a level's head are in the file. Only the finest level has source weights."""
     filtered = NOISY_SIDE**2
     coarse = filtered + FILTERED_SIDE**2
     exponents = coarse + (COARSE_SIDE**2 if level < LEVELS - 1 else 0)
     sources = exponents + len(GROUPS)
     return LogitPlaces(0, filtered, coarse, exponents, sources, sources + (2 if level == 0 else 0))
+
+
+HEAD = place_logits(0)
+"""Indices of the outputs in the heads that kernels read: all levels have those of the finest one."""
+HEAD_OUTPUTS = -(-HEAD.total // BLOCK) * BLOCK
+"""Outputs of the heads that kernels read."""
 
 
 @dataclass(frozen=True)
@@ -58,9 +64,10 @@ class LayerShape:
     side : int
         Side of the square of taps.
     padded : int
-        Outputs in the flat array.
+        Outputs in the array that kernels read.
     start : int
-        Index of the first weight in the flat array: (row, column, input, output), then a bias for each output.
+        First row of the array that kernels read: for each `BLOCK` of outputs a row of biases, then a row for each
+        (input, row, column).
     """
 
     name: str
@@ -71,23 +78,18 @@ class LayerShape:
     start: int
 
     @property
-    def bias(self) -> int:
-        """Index of the first bias."""
-        return self.start + self.side**2 * self.inputs * self.padded
-
-    @property
     def stop(self) -> int:
-        """Index after the last bias."""
-        return self.bias + self.padded
+        """Row after the last one."""
+        return self.start + self.padded // BLOCK * (1 + self.inputs * self.side**2)
 
 
 def list_layers() -> dict[str, LayerShape]:
-    """Return all layers by name, in the order of the flat array."""
+    """Return all layers by name, in the order of the array that kernels read."""
     found: dict[str, LayerShape] = {}
     start = 0
     for name, inputs, outputs, side in _list_sizes():
-        block = HEAD_BLOCK if name.startswith("heads") else 1
-        found[name] = LayerShape(name, inputs, outputs, side, -(-outputs // block) * block, start)
+        padded = HEAD_OUTPUTS if name.startswith("heads") else outputs
+        found[name] = LayerShape(name, inputs, outputs, side, padded, start)
         start = found[name].stop
     return found
 
@@ -109,8 +111,8 @@ def _list_sizes() -> Iterator[tuple[str, int, int, int]]:
 
 
 LAYERS = list_layers()
-WEIGHTS = max(layer.stop for layer in LAYERS.values())
-"""Length of the flat array."""
+WEIGHT_ROWS = max(layer.stop for layer in LAYERS.values())
+"""Rows of the array that kernels read, each of `BLOCK` numbers."""
 
 
 def find_reach() -> int:

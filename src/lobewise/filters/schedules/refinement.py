@@ -2,152 +2,206 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from lobewise.backend.compiler import hl
-from lobewise.filters.cross_pass import COLORS
+from lobewise.backend.devices import count_host_lanes
 from lobewise.filters.planes import PIXEL
-from lobewise.filters.refinement.convolutions import Convolution, Input, Network
-from lobewise.filters.refinement.pyramid import SUMS, Filter, Pyramid
-from lobewise.filters.refinement.shape import GROUPS, VECTORS
-from lobewise.filters.schedules.blocks import ALIGNMENT, keep_planes, spread_channels, spread_pixels
+from lobewise.filters.schedules.blocks import ALIGNMENT, spread_channels, spread_pixels
 
 STRIP_ROWS = 8
 """Rows that a thread takes at a time."""
-VECTORS_ACROSS, CHANNELS_TOGETHER = 3, 8
-"""Vectors of columns and output channels whose sums a thread keeps in registers."""
-SMALL_LEVEL = 3
-"""From this level on images are so small that a thread takes one vector and one row."""
+VECTORS_ACROSS, LOGITS_TOGETHER = 3, 8
+"""Vectors of columns whose sums a thread keeps in registers, and logits of one vector."""
 
 
-def schedule_refinement(network: Network, pyramid: Pyramid, out: hl.Func, target: hl.Target) -> None:
-    """Schedule the kernel for a target; ``out`` is the result, a function of (c, x, y)."""
+class Copy(NamedTuple):
+    """A function that taps read, and its channels."""
+
+    func: hl.Func
+    channels: int | hl.Expr
+
+
+class Convolution(NamedTuple):
+    """The functions of a convolution.
+
+    Parameters
+    ----------
+    inputs : tuple of Copy
+        Copies of the inputs that are 0 outside the image.
+    taps : tuple of halide.RDom
+        Columns, rows and channels of the taps of each input.
+    sums, out : halide.Func
+        The sum of a pixel, with an update for each input, and the result.
+    """
+
+    inputs: tuple[Copy, ...]
+    taps: tuple[hl.RDom, ...]
+    sums: hl.Func
+    out: hl.Func
+
+
+class Head(NamedTuple):
+    """The convolution that gives the logits of a pixel: its sums, and the domain of its taps."""
+
+    sums: hl.Func
+    taps: hl.RDom
+
+
+class Filter(NamedTuple):
+    """The functions of the filter of a level.
+
+    Parameters
+    ----------
+    head : Head
+    near : tuple of Copy
+        What taps read, 0 outside the level: sums of light, vectors, and the level above; last the tint.
+    exponents : Copy
+        Factors of the squared distances of each group of vectors, a function of (x, c, y).
+    total : halide.Func
+        Tuple of the sums, a function of (x, y).
+    taps : list of halide.RDom
+        Of each kind.
+    out : Copy
+        The filtered light times the tint, a function of (c, x, y).
+    """
+
+    head: Head
+    near: tuple[Copy, ...]
+    exponents: Copy
+    total: hl.Func
+    taps: list[hl.RDom]
+    out: Copy
+
+
+def pad_columns(width: int, device: str) -> int:
+    """Return the columns of an image of the network, so that kernels compute whole blocks of a row."""
+    multiple = VECTORS_ACROSS * count_host_lanes() if device == "cpu" else ALIGNMENT
+    return -(-width // multiple) * multiple
+
+
+def schedule_convolution(
+    made: Convolution, strip: hl.Expr, readings: list[hl.Expr], block: int, target: hl.Target
+) -> None:
+    """Schedule a convolution.
+
+    ``strip`` is the number of rows that a thread takes at a time, ``readings`` are conditions that choose what the
+    first input is, and a multiple of ``block`` output channels is computed.
+    """
     if target.has_gpu_feature():
-        _schedule_blocks(network, pyramid, out)
-    else:
-        _schedule_rows(network, pyramid, out, target.natural_vector_size(hl.Float(32)))
-
-
-def _schedule_rows(network: Network, pyramid: Pyramid, out: hl.Func, lanes: int) -> None:
-    """Run strips of rows in parallel. Keep the inputs of a strip in cache and a block of sums in registers."""
+        _convolve_blocks(made, readings, block)
+        return
     x, y, c = PIXEL
-    for each in network.convolutions:
-        _keep_strips(each, lanes)
-    ys, yi, xo, xi = (hl.Var(name) for name in ("ys", "yi", "xo", "xi"))
-    for level, sums in enumerate(pyramid.sums):
-        sums.compute_root().bound(c, 0, 2 * SUMS).reorder_storage(x, c, y)
-        sums.split(y, ys, yi, STRIP_ROWS).split(x, xo, xi, lanes).reorder(c, xi, xo, yi, ys)
-        sums.vectorize(xi).unroll(c).parallel(ys).never_partition_all()
-        if level == 0:
-            _keep_head(pyramid.sources, sums, xo, lanes)
-            _keep_input(pyramid.light, sums, ys, lanes)
-        else:
-            vectors = pyramid.vectors[level].compute_root().bound(c, 0, VECTORS).reorder_storage(x, c, y)
-            vectors.split(y, ys, yi, STRIP_ROWS).split(x, xo, xi, lanes).reorder(c, xi, xo, yi, ys)
-            vectors.vectorize(xi).unroll(c).parallel(ys).never_partition_all()
-            if level == 1:
-                _keep_input(Input(pyramid.vectors[0], VECTORS), vectors, ys, lanes)
-    for level, one in enumerate(pyramid.filters):
-        _filter_strips(one, out if level == 0 else one.out, lanes)
-
-
-def _keep_strips(each: Convolution, lanes: int) -> None:
-    x, y, c = PIXEL
-    small = each.level >= SMALL_LEVEL
-    across = 1 if small else VECTORS_ACROSS
+    lanes = target.natural_vector_size(hl.Float(32))
     ys, yi, xo, xi, co, ci = (hl.Var(name) for name in ("ys", "yi", "xo", "xi", "co", "ci"))
-    out = each.out.compute_root().reorder_storage(x, c, y).bound(c, 0, each.channels)
-    out.split(y, ys, yi, 2 if small else STRIP_ROWS).split(x, xo, xi, lanes * across)
-    out.split(c, co, ci, CHANNELS_TOGETHER).reorder(xi, ci, co, xo, yi, ys)
-    out.vectorize(xi, lanes).unroll(ci).parallel(ys).never_partition_all()
-    if across > 1:
-        out.unroll(xi)
-    _keep_sums(each, out, co, lanes, across)
-    for source in each.inputs:
-        _keep_input(source, out, ys, lanes)
+    whole, out, sums = hl.TailStrategy.RoundUp, made.out, made.sums
+    out.split(y, ys, yi, strip, hl.TailStrategy.GuardWithIf).split(x, xo, xi, lanes * VECTORS_ACROSS, whole)
+    out.split(c, co, ci, _count_channels(target), whole).reorder(xi, ci, co, xo, yi, ys)
+    out.vectorize(xi, lanes).unroll(xi).unroll(ci).parallel(ys).never_partition_all()
+    sums.compute_at(out, co).reorder_storage(x, c, y).reorder(x, c, y).never_partition_all()
+    for stage in (sums, *(sums.update(number) for number in range(len(made.taps)))):
+        stage.vectorize(x, lanes).unroll(x).unroll(c)
+    for number, (source, taps) in enumerate(zip(made.inputs, made.taps, strict=True)):
+        sums.update(number).reorder(x, c, taps.x, taps.y, taps.z, y)
+        _keep_copy(source, out, ys, lanes)
+    for reading in readings:
+        made.inputs[0].func.specialize(reading)
 
 
-def _keep_sums(each: Convolution, out: hl.Func, loop: hl.Var, lanes: int, across: int = 1) -> None:
-    """Keep a block of sums in registers."""
+def _count_channels(target: hl.Target) -> int:
+    """Return the output channels whose sums a thread keeps in registers; there are 16 or 32 of these."""
+    return 8 if target.arch == hl.TargetArch.ARM or target.natural_vector_size(hl.Float(32)) > 8 else 4
+
+
+def _keep_copy(source: Copy, out: hl.Func, loop: hl.Var, lanes: int) -> None:
     x, y, c = PIXEL
-    sums = each.sums.compute_at(out, loop).reorder_storage(x, c, y).reorder(x, c, y)
-    for stage in (sums, *(sums.update(number) for number in range(len(each.domains)))):
-        stage.vectorize(x, lanes).unroll(c)
-        if across > 1:
-            stage.unroll(x)
-    for number, taps in enumerate(each.domains):
-        update = sums.update(number).reorder(x, c, taps.x, taps.y, taps.z, y)
-        if each.is_square:
-            update.unroll(taps.x)
+    func = source.func.compute_at(out, loop).reorder_storage(x, c, y).reorder(x, c, y)
+    func.bound(c, 0, source.channels).vectorize(x, lanes).never_partition([y, c])
 
 
-def _keep_input(source: Input, out: hl.Func, loop: hl.Var, lanes: int) -> None:
+def schedule_sums(head: Head, light: Copy, out: Copy, target: hl.Target) -> None:
+    """Schedule the sums of the finest level; ``light`` is a copy of the light."""
     x, y, c = PIXEL
-    if source.is_copy:
-        func = source.func.compute_at(out, loop).reorder_storage(x, c, y).reorder(x, c, y)
-        func.bound(c, 0, source.channels).vectorize(x, lanes).never_partition_all()
+    if target.has_gpu_feature():
+        _keep_logits(head, out.func, spread_channels(out.func, out.channels, PIXEL))
+        return
+    lanes = target.natural_vector_size(hl.Float(32))
+    ys, loop = _spread_vectors(out, lanes, hl.TailStrategy.RoundUp)
+    logits = head.sums.compute_at(out.func, loop).reorder_storage(x, c, y).reorder(x, c, y)
+    logits.vectorize(x, lanes).unroll(c)
+    logits.update().reorder(x, c, head.taps.x, y).vectorize(x, lanes).unroll(c)
+    _keep_copy(light, out.func, ys, lanes)
 
 
-def _keep_head(head: Convolution, out: hl.Func, loop: hl.Var, lanes: int) -> None:
-    """Compute the logits of a vector of pixels."""
+def schedule_averages(out: hl.Func, target: hl.Target) -> None:
+    """Schedule the averages of a level."""
     x, y, c = PIXEL
-    logits = head.out.compute_at(out, loop).reorder_storage(x, c, y)
-    co, ci = hl.Var("co"), hl.Var("ci")
-    logits.split(c, co, ci, CHANNELS_TOGETHER).reorder(x, ci, co, y)
-    logits.vectorize(x, lanes).unroll(ci)
-    _keep_sums(head, logits, co, lanes)
+    if target.has_gpu_feature():
+        spread_pixels(out.reorder(x, y, c), x, y)
+        out.gpu_blocks(c)
+        return
+    lanes = target.natural_vector_size(hl.Float(32))
+    out.reorder(x, c, y).vectorize(x, lanes, hl.TailStrategy.RoundUp).parallel(y).never_partition([y, c])
 
 
-def _filter_strips(each: Filter, out: hl.Func, lanes: int) -> None:
+def _spread_vectors(out: Copy, lanes: int, tail: hl.TailStrategy) -> tuple[hl.Var, hl.Var]:
+    """Run strips of rows in parallel, and all channels of a vector together. Return both loops."""
     x, y, c = PIXEL
     ys, yi, xo, xi = (hl.Var(name) for name in ("ys", "yi", "xo", "xi"))
-    tail = hl.TailStrategy.GuardWithIf
-    if out is each.out:
-        out.compute_root().reorder_storage(x, c, y)
-        tail = hl.TailStrategy.Auto
-    out.bound(c, 0, COLORS).split(y, ys, yi, STRIP_ROWS, tail).split(x, xo, xi, lanes, tail)
-    out.reorder(c, xi, xo, yi, ys)
-    out.vectorize(xi).unroll(c).parallel(ys).never_partition_all()
-    _keep_head(each.head, out, xo, lanes)
-    each.exponents.compute_at(out, xo).bound(c, 0, len(GROUPS)).reorder_storage(x, c, y).reorder(c, x, y)
-    each.exponents.vectorize(x, lanes).unroll(c)
-    each.total.compute_at(out, xo).vectorize(x, lanes)
-    for number, taps in enumerate(each.domains):
-        each.total.update(number).reorder(x, taps.x, taps.y, y).vectorize(x, lanes)
-    for source in each.near:
-        _keep_input(source, out, ys, lanes)
+    func = out.func.bound(c, 0, out.channels).split(y, ys, yi, STRIP_ROWS, hl.TailStrategy.GuardWithIf)
+    func.split(x, xo, xi, lanes, tail).reorder(c, xi, xo, yi, ys)
+    func.vectorize(xi).unroll(c).parallel(ys).never_partition_all()
+    return ys, xo
 
 
-def _schedule_blocks(network: Network, pyramid: Pyramid, out: hl.Func) -> None:
-    """Keep every result that neighbours read in memory, and the sums of a pixel in one thread's registers."""
+def schedule_filter(made: Filter, target: hl.Target) -> None:
+    """Schedule the filter of a level."""
+    if target.has_gpu_feature():
+        _filter_blocks(made)
+        return
     x, y, c = PIXEL
-    for each in network.convolutions:
-        co, ci = hl.Var("co"), hl.Var("ci")
-        func = each.out.compute_root().reorder_storage(x, c, y).bound(c, 0, each.channels).align_bounds(x, ALIGNMENT)
-        func.split(c, co, ci, CHANNELS_TOGETHER).reorder(ci, x, y, co).unroll(ci)
-        each.sums.compute_at(func, spread_pixels(func, x, y)).unroll(c)
-        func.gpu_blocks(co)
-        for number, taps in enumerate(each.domains):
-            each.sums.update(number).reorder(c, taps.x, taps.y, taps.z, x, y).unroll(c)
-    for level, sums in enumerate(pyramid.sums):
-        if level == 0:
-            func = sums.compute_root().reorder_storage(x, c, y).align_bounds(x, ALIGNMENT)
-            _keep_logits(pyramid.sources, func, spread_channels(func, 2 * SUMS, PIXEL))
-        else:
-            keep_planes(sums, 2 * SUMS, PIXEL)
-            keep_planes(pyramid.vectors[level], VECTORS, PIXEL)
-    for level, one in enumerate(pyramid.filters):
-        func = out if level == 0 else one.out
-        if level > 0:
-            func.compute_root().reorder_storage(x, c, y).align_bounds(x, ALIGNMENT)
-        thread = spread_channels(func, COLORS, PIXEL)
-        _keep_logits(one.head, func, thread)
-        one.exponents.compute_at(func, thread).bound(c, 0, len(GROUPS)).unroll(c)
-        one.total.compute_at(func, thread)
+    lanes = target.natural_vector_size(hl.Float(32))
+    out = made.out.func
+    ys, loop = _spread_vectors(made.out, lanes, hl.TailStrategy.GuardWithIf)
+    co, ci = hl.Var("co"), hl.Var("ci")
+    logits = made.head.sums.compute_at(out, loop).reorder_storage(x, c, y)
+    for stage in (logits, logits.update()):
+        stage.split(c, co, ci, LOGITS_TOGETHER).vectorize(x, lanes).unroll(ci)
+    logits.reorder(x, ci, co, y)
+    logits.update().reorder(x, ci, made.head.taps.x, co, y)
+    made.exponents.func.compute_at(out, loop).bound(c, 0, made.exponents.channels).reorder_storage(x, c, y)
+    made.exponents.func.reorder(c, x, y).vectorize(x, lanes).unroll(c)
+    made.total.compute_at(out, loop).vectorize(x, lanes)
+    for number, taps in enumerate(made.taps):
+        made.total.update(number).reorder(x, taps.x, taps.y, y).vectorize(x, lanes)
+    for source in made.near:
+        _keep_copy(source, out, ys, lanes)
 
 
-def _keep_logits(head: Convolution, out: hl.Func, thread: hl.Var) -> None:
+def _convolve_blocks(made: Convolution, readings: list[hl.Expr], block: int) -> None:
+    """Keep the sums of a block of channels of a pixel in one thread's registers."""
+    x, y, c = PIXEL
+    co, ci = hl.Var("co"), hl.Var("ci")
+    out = made.out.split(c, co, ci, block, hl.TailStrategy.RoundUp).reorder(ci, x, y, co).unroll(ci)
+    made.sums.compute_at(out, spread_pixels(out, x, y)).unroll(c)
+    out.gpu_blocks(co)
+    for number, taps in enumerate(made.taps):
+        made.sums.update(number).reorder(c, taps.x, taps.y, taps.z, x, y).unroll(c)
+    for reading in readings:
+        out.specialize(reading)
+
+
+def _filter_blocks(made: Filter) -> None:
+    """Keep the sums of a pixel in one thread's registers."""
+    _, _, c = PIXEL
+    out = made.out.func
+    thread = spread_channels(out, made.out.channels, PIXEL)
+    _keep_logits(made.head, out, thread)
+    made.exponents.func.compute_at(out, thread).bound(c, 0, made.exponents.channels).unroll(c)
+    made.total.compute_at(out, thread)
+
+
+def _keep_logits(head: Head, out: hl.Func, thread: hl.Var) -> None:
     """Compute the logits of a pixel in its thread."""
     x, y, c = PIXEL
-    head.out.compute_at(out, thread).bound(c, 0, head.channels)
-    head.sums.compute_at(out, thread)
-    for number, taps in enumerate(head.domains):
-        head.sums.update(number).reorder(c, taps.x, taps.y, taps.z, x, y)
+    head.sums.compute_at(out, thread).update().reorder(c, head.taps.x, x, y)

@@ -1,0 +1,160 @@
+"""Runs the refining network: calls its kernels layer by layer and level by level.
+
+The network is a U-Net: it halves the image four times, and enlarges the features again. A pyramid of filters then uses
+weights that it predicts. Features, sums and vectors are images of (row, channel, column).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from lobewise.backend.buffers import Image, lend, make_output
+from lobewise.backend.compiler import hl
+from lobewise.backend.jit import Scheduled, get_kernel
+from lobewise.filters.cross_pass import COLORS
+from lobewise.filters.refinement.convolutions import Reading, make_convolution
+from lobewise.filters.refinement.pyramid import SUMS, make_averages, make_filter, make_sums
+from lobewise.filters.refinement.shape import LAYERS, LEVELS
+from lobewise.filters.schedules.refinement import STRIP_ROWS, pad_columns
+from lobewise.frame import FloatArray
+
+SMALL_LEVEL, SMALL_STRIP_ROWS = 3, 2
+"""From this level on images are so small that a thread takes so few rows of a convolution."""
+NEUTRAL = np.ones((1, 1, COLORS), np.float32)
+"""The tint of all levels but the finest, whose every pixel it stands for."""
+
+
+class Size(NamedTuple):
+    """Rows and columns of a level."""
+
+    height: int
+    width: int
+
+
+class Network:
+    """The network on one image.
+
+    Parameters
+    ----------
+    device : str
+        A name from `list_devices`.
+    weights : array
+        Result of `lobewise.filters.refinement.run.pack_weights`.
+    given : mapping of str to Image
+        Results of the kernel of planes: "planes", "light", "vectors", "tint".
+    """
+
+    def __init__(self, device: str, weights: FloatArray, given: Mapping[str, Image]) -> None:
+        self._device, self._weights, self._given = device, weights, given
+        self._sizes = [Size(*given["tint"].shape[:2])]
+        for _ in range(LEVELS - 1):
+            self._sizes.append(Size(*((length + 1) // 2 for length in self._sizes[-1])))
+        self._free: dict[tuple[int, ...], list[Image]] = {}
+
+    def run(self) -> Image:
+        """Return the refined image, (height, width, 3)."""
+        features = self._find_features()
+        # Memory that the filters do not need again.
+        self._free.clear()
+        sums, vectors = [self._weigh_light(features[0])], [self._given["vectors"]]
+        for level in range(1, LEVELS):
+            sums.append(self._average(sums[-1], level))
+            vectors.append(self._average(vectors[-1], level))
+        found = self._filter(LEVELS - 1, features[-1], sums[-1], vectors[-1], None)
+        for level in reversed(range(LEVELS - 1)):
+            found = self._filter(level, features[level], sums[level], vectors[level], found)
+        return found
+
+    def _find_features(self) -> list[Image]:
+        """Return the features of each level."""
+        planes, kept = self._given["planes"], {}
+        last = self._convolve("stem", 1, planes, reading=Reading.BLOCKS)
+        for level in range(1, LEVELS):
+            reading = Reading.HALVED if level > 1 else Reading.SAME
+            joined = self._convolve(f"down.{level - 1}.0", level, last, reading=reading)
+            if level == 1:
+                self._give_back(last)
+            last = kept[level] = self._convolve(f"down.{level - 1}.1", level, joined)
+            self._give_back(joined)
+        found = [last]
+        for level in reversed(range(1, LEVELS - 1)):
+            joined = self._convolve(f"up.{level - 1}.0", level, found[0], kept[level], reading=Reading.ENLARGED)
+            self._give_back(kept[level])
+            found.insert(0, self._convolve(f"up.{level - 1}.1", level, joined))
+            self._give_back(joined)
+        squeezed = self._convolve("squeeze", 1, found[0])
+        # The finest level's images are the largest, and of another size.
+        self._free.clear()
+        joined = self._convolve("fine.0", 0, squeezed, planes, reading=Reading.ENLARGED)
+        return [self._convolve("fine.1", 0, joined), *found]
+
+    def _convolve(
+        self, name: str, level: int, first: Image, second: Image | None = None, reading: Reading = Reading.SAME
+    ) -> Image:
+        """Return the result of a layer on a level; without ``second`` it reads one image."""
+        layer, size = LAYERS[name], self._sizes[level]
+        below = level - 1 if reading in (Reading.HALVED, Reading.BLOCKS) else level
+        numbers = {
+            "start": layer.start,
+            "side": layer.side,
+            "reading": reading.value,
+            "first_width": self._sizes[below].width,
+            "width": size.width,
+            "height": size.height,
+            "channels_of_second": 0 if second is None else second.shape[1],
+            "strip_rows": SMALL_STRIP_ROWS if level >= SMALL_LEVEL else STRIP_ROWS,
+        }
+        images = {"first": first, "second": first if second is None else second}
+        return self._call(make_convolution, self._shape(level, layer.outputs), images, **numbers)
+
+    def _weigh_light(self, features: Image) -> Image:
+        """Return the sums of the finest level."""
+        images = {"features": features, "light": self._given["light"]}
+        return self._call(make_sums, self._shape(0, 2 * SUMS), images)
+
+    def _average(self, source: Image, level: int) -> Image:
+        """Return the sums or vectors of a level from those of the level below."""
+        shape, below = self._shape(level, source.shape[1]), self._sizes[level - 1]
+        return self._call(make_averages, shape, {"source": source}, source_width=below.width)
+
+    def _filter(self, level: int, features: Image, sums: Image, vectors: Image, above: Image | None) -> Image:
+        """Return the filtered light of a level, (height, width, 3); the finest is the refined image."""
+        images = {
+            "features": features,
+            "sums": sums,
+            "vectors": vectors,
+            "above": NEUTRAL if above is None else above,
+            "tint": NEUTRAL if level else self._given["tint"],
+        }
+        numbers = {"start": LAYERS[f"heads.{level}"].start, "width": self._sizes[level].width}
+        return self._call(
+            make_filter, (*self._sizes[level], COLORS), images, **numbers, has_above=int(above is not None)
+        )
+
+    def _shape(self, level: int, channels: int) -> tuple[int, ...]:
+        """Return the shape of an image of a level."""
+        height, width = self._sizes[level]
+        return height, channels, pad_columns(width, self._device)
+
+    def _call(
+        self,
+        make: Callable[[hl.Target], Scheduled],
+        shape: tuple[int, ...],
+        images: Mapping[str, Image],
+        **numbers: int,
+    ) -> Image:
+        """Return what a kernel writes."""
+        kernel = get_kernel(self._device, ("refinement", make.__name__), make)
+        free = self._free.get(shape)
+        out = free.pop() if free else make_output(shape, self._device)[1]
+        given = {**images, "weights": self._weights, kernel.outputs[0].name: out}
+        lent = {each.name: lend(given[each.name], self._device) for each in kernel.parameters if each.name in given}
+        kernel(**lent, **numbers)
+        return out
+
+    def _give_back(self, image: Image) -> None:
+        """Let other layers write into an image that nobody reads any more."""
+        self._free.setdefault(image.shape, []).append(image)
