@@ -6,7 +6,7 @@ import importlib.util
 import json
 import sys
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
@@ -31,12 +31,21 @@ def hook(monkeypatch: pytest.MonkeyPatch) -> Any:
     assert described.loader is not None
     module = importlib.util.module_from_spec(described)
     described.loader.exec_module(module)
-    return module.KernelsHook()
+    made = module.KernelsHook()
+    made.target_name = "wheel"
+    made.metadata = SimpleNamespace(core=SimpleNamespace(optional_dependencies={"jit": ["halide>=21", "llvmlite"]}))
+    return made
+
+
+COMPILER = [
+    f"{package}; python_version < '3.14' and (sys_platform != 'linux' or platform_machine == 'x86_64')"
+    for package in ("halide>=21", "llvmlite")
+]
 
 
 def make_data() -> dict[str, Any]:
     """Return the data of a build before hooks."""
-    return {"pure_python": True, "force_include": {}}
+    return {"pure_python": True, "force_include": {}, "dependencies": []}
 
 
 @pytest.mark.parametrize("system", SYSTEMS.values(), ids=lambda system: system.name)
@@ -51,17 +60,26 @@ def test_a_wheel_with_kernels_is_for_one_system(
         "pure_python": False,
         "tag": f"py3-none-{system.tag}",
         "force_include": {str(tmp_path): "lobewise/backend/prebuilt"},
+        "dependencies": [],
     }
-    data = make_data()
-    hook.initialize("editable", data)
-    assert data == make_data()
 
 
-def test_a_wheel_without_kernels_is_for_all_systems(hook: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("LOBEWISE_KERNELS", raising=False)
+@pytest.mark.parametrize(
+    ("target", "version", "folder"),
+    [("wheel", "standard", ""), ("wheel", "editable", "kernels"), ("sdist", "standard", "kernels")],
+)
+def test_what_has_no_kernels_requires_their_compiler(
+    target: str, version: str, folder: str, hook: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("LOBEWISE_KERNELS", folder)
+    hook.target_name = target
     data = make_data()
-    hook.initialize("standard", data)
-    assert data == make_data()
+    hook.initialize(version, data)
+    assert data == {**make_data(), "dependencies": COMPILER}
+
+
+def test_the_hook_is_run_for_every_kind_of_build() -> None:
+    assert "[tool.hatch.build.hooks.custom]" in (ROOT / "pyproject.toml").read_text()
 
 
 def make_row(megabytes: float, first: float) -> dict[str, Any]:

@@ -7,12 +7,17 @@ still be imported, and the kernels that the package brings along still run; to d
 from __future__ import annotations
 
 import importlib
+import platform
+import sys
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from lobewise.errors import MissingDependencyError
 
-__all__ = ["declare_vars", "has_compiler", "hl", "load_llvm", "refuse_compiling"]
+__all__ = ["choose_remedy", "declare_vars", "has_compiler", "hl", "load_llvm", "refuse_compiling"]
+
+PYTHON_WITHOUT_HALIDE = (3, 14)
+"""First Python for which Halide 21 has no wheels."""
 
 
 def refuse_compiling(got: str) -> MissingDependencyError:
@@ -21,8 +26,17 @@ def refuse_compiling(got: str) -> MissingDependencyError:
         "kernels",
         expected="Halide and llvmlite, to compile a kernel that is not in the package",
         got=got,
-        action="pip install 'lobewise[jit]'",
+        action=choose_remedy(sys.version_info[:2], sys.platform, platform.machine()),
     )
+
+
+def choose_remedy(python: tuple[int, ...], system: str, machine: str) -> str:
+    """Return what to do where Halide is absent: install it where it has a wheel, else go where it has one."""
+    if system == "linux" and machine != "x86_64":
+        return f"use another machine: Halide has no wheel for Linux on {machine}"
+    if python >= PYTHON_WITHOUT_HALIDE:
+        return "use Python 3.10 to 3.13, for which Halide has wheels"
+    return "pip install 'lobewise[jit]'"
 
 
 class _Absent:

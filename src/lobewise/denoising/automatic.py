@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend.devices import choose_device
+from lobewise.backend.prebuilt import has_kernels
 from lobewise.denoising.planning.layer_plans import AUTO_SIGMA
 from lobewise.errors import InputError, require_choice
 from lobewise.frame import Frame
@@ -108,6 +109,14 @@ def choose_quality(settings: DenoiseSettings) -> Quality:
 def leaves_oidn_open(settings: DenoiseSettings) -> bool:
     """Return whether `denoise` may choose Open Image Denoise: no setting asks for it or rules it out."""
     return settings.with_oidn == "auto" and settings.quality == "auto" and settings.form == "full"
+
+
+def needs_peer_alone(settings: DenoiseSettings, *, with_features: bool = False) -> bool:
+    """Return whether `denoise` leaves everything to Open Image Denoise: it may choose it, and our filters cannot run.
+
+    ``settings`` are those of the user, with every "auto"; for ``with_features`` see `ask`.
+    """
+    return leaves_oidn_open(settings) and not with_features and not has_kernels() and has_oidn()
 
 
 def require_plain(settings: DenoiseSettings, what: str) -> None:

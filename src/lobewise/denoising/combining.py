@@ -173,8 +173,17 @@ def describe_method(settings: DenoiseSettings, guides: Sequence[str], *, why_our
     if not settings.asks_for_oidn:
         return f"{ours}, quality {settings.quality}" + (f" ({why_ours})" if why_ours else "")
     if guides:
-        return f"Open Image Denoise with {' and '.join(guides)}, mixed pixel by pixel with {ours}"
-    return "Open Image Denoise without guides, alone, because the frame has neither albedo nor normals"
+        return f"{_describe_peer(guides)}, mixed pixel by pixel with {ours}"
+    return f"{_describe_peer(())}, alone, because the frame has neither albedo nor normals"
+
+
+def describe_peer_alone(frame: Frame) -> str:
+    """Return `describe_method` where no filter of lobewise can run."""
+    return f"{_describe_peer(name_oidn_guides(frame))}, alone, because no filter of lobewise can run here"
+
+
+def _describe_peer(guides: Sequence[str]) -> str:
+    return "Open Image Denoise " + (f"with {' and '.join(guides)}" if guides else "without guides")
 
 
 class Shares(NamedTuple):

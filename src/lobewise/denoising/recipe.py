@@ -12,9 +12,9 @@ from weakref import ref
 
 import numpy as np
 
-from lobewise.denoising.automatic import ask, change_settings, resolve_all
-from lobewise.denoising.bad_pixels import blacken_bad, describe_bad, require_some_good
-from lobewise.denoising.combining import name_method
+from lobewise.denoising.automatic import ask, change_settings, needs_peer_alone, resolve_all
+from lobewise.denoising.bad_pixels import blacken_bad, describe_bad, find_good, require_some_good
+from lobewise.denoising.combining import denoise_with_peer, describe_peer_alone, name_method
 from lobewise.denoising.evidence import count_blurred, describe_blurred
 from lobewise.denoising.inputs import DEPTH_WITHOUT_CAMERA, describe_lacks, list_unused
 from lobewise.denoising.layers import Layer, find_support
@@ -34,6 +34,10 @@ from lobewise.settings.choices import get_quality
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
+NO_KERNELS = (
+    "No filter of lobewise can run here, so Open Image Denoise denoises the image alone; `lobewise doctor` says what "
+    "to do."
+)
 FEATURES_SOFTENED = (
     "The network of the quality 'high' does not read features of your own, and softens edges that only they tell: the "
     "quality 'balanced' keeps these edges."
@@ -120,6 +124,8 @@ def check_frame(frame: Frame, named: DenoiseSettings) -> CheckedGuides[Frame]:
 
 def denoise_checked(checked: CheckedGuides[Frame], named: DenoiseSettings, features: Sequence[Feature] = ()) -> Result:
     """Denoise a frame whose guides were checked; ``named`` are the settings before anything is chosen."""
+    if needs_peer_alone(named, with_features=bool(features)):
+        return leave_to_peer(checked)
     frame = checked.frame
     notes = (*frame.notes, *checked.notes)
     start, noisy = time.perf_counter(), ref(frame.radiance.color)
@@ -155,6 +161,29 @@ def denoise_checked(checked: CheckedGuides[Frame], named: DenoiseSettings, featu
     if below is not None:
         result = result.subtract(filter_below(below, named, features))
     return replace(result, seconds=time.perf_counter() - start)
+
+
+def leave_to_peer(checked: CheckedGuides[Frame]) -> Result:
+    """Denoise a frame by Open Image Denoise alone, without any kernel; light below 0 stays as it is."""
+    start, noisy = time.perf_counter(), ref(checked.frame.radiance.color)
+    frame, below = split_negative(checked.frame)
+    samples = frame.radiance.color
+    bad = ~find_good(samples)
+    count = int(np.count_nonzero(bad))
+    require_some_good(count, bad.size, "pixel")
+    image = denoise_with_peer(frame, samples, blacken_bad(samples))
+    unfiltered = np.zeros(frame.shape, np.float32)
+    return Result(
+        image=image if below is None else image - below.radiance.color,
+        weight_sum=unfiltered,
+        effective_samples=unfiltered.copy(),
+        bad_pixels=bad,
+        settings={"with_oidn": True},
+        seconds=time.perf_counter() - start,
+        method=describe_peer_alone(frame),
+        notes=(*frame.notes, *checked.notes, *describe_bad(count, bad.size), NO_KERNELS),
+        find_noisy=noisy,
+    )
 
 
 def filter_below(below: Frame, named: DenoiseSettings, features: Sequence[Feature]) -> Result:

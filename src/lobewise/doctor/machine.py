@@ -12,7 +12,7 @@ from pathlib import Path
 
 import lobewise
 from lobewise.backend.devices import list_devices
-from lobewise.backend.prebuilt import find_library
+from lobewise.backend.prebuilt import find_library, has_kernels
 from lobewise.bench.machine import describe_machine
 from lobewise.doctor.report import Problem, Section, name_path
 from lobewise.errors import LobewiseError, MissingDependencyError
@@ -105,7 +105,9 @@ def examine_kernels() -> Section:
         action = "do what the message says, or report it"
         if isinstance(problem, MissingDependencyError):
             reason, _, action = reason.rpartition("; ")
-        return Section("Kernels", facts, (Problem(f"no filter runs on the processor ({reason})", action, fatal=True),))
+        what, is_fatal = f"no filter of lobewise runs on the processor ({reason})", has_kernels() or not _has_peer()
+        what += "" if is_fatal else ", so Open Image Denoise denoises alone"
+        return Section("Kernels", facts, (Problem(what, action, is_fatal),))
     size = f"{TEST_PIXELS}x{TEST_PIXELS}"
     facts["test"] = f"filtered an image of {size} pixels in {time.perf_counter() - start:.2f} s"
     return Section("Kernels", facts)
@@ -124,6 +126,14 @@ def examine_mitsuba() -> Section:
     facts = {"mitsuba": found, "LLVM": f"{query_llvm_version(path)}, {path}"}
     named = os.environ.get(LIBRARY_VARIABLE)
     return Section("Mitsuba", {**facts, LIBRARY_VARIABLE: named} if named else facts)
+
+
+def _has_peer() -> bool:
+    try:
+        from lobewise.peers import has_oidn
+    except ImportError:
+        return False  # without NumPy, which is a problem of its own
+    return has_oidn()
 
 
 def _filter_image() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import platform
 import re
 import sys
 from collections.abc import Iterator
@@ -13,6 +14,8 @@ from lobewise.doctor.report import Problem, Section
 
 MODULES = {"numpy": "numpy", "openexr": "OpenEXR", "pillow": "PIL", "halide": "halide", "llvmlite": "llvmlite.binding"}
 """Modules to load of packages that hold machine code, which may be that of another system."""
+COMPILER = ("halide", "llvmlite")
+"""Packages that compile kernels: without them Open Image Denoise may still denoise."""
 _SKIPPED_EXTRAS = ("dev", "demo", "docs")
 """Extras that are other extras together, or are for people who change lobewise."""
 _REQUIREMENT = re.compile(r"(?P<name>[\w.-]+)\s*(?P<extras>\[[^\]]*\])?\s*(?P<versions>[^;]*)(?:;(?P<marker>.*))?")
@@ -53,12 +56,33 @@ def parse_requirements(lines: list[str], python: tuple[int, ...]) -> Iterator[Pa
             continue
         marker = found["marker"] or ""
         extra = re.search(r"extra\s*==\s*['\"]([^'\"]+)['\"]", marker)
-        limit = re.search(r"python_version\s*(<=|>=|<|>|==)\s*['\"]([\d.]+)['\"]", marker)
-        if limit and not _compare(python, limit[1], _parse_version(limit[2])):
+        if not is_wanted_here(marker, python, sys.platform, platform.machine()):
             continue
         if extra is not None and extra[1] in _SKIPPED_EXTRAS:
             continue
         yield Package(found["name"], found["versions"].strip(), extra[1] if extra else "", _find_version(found["name"]))
+
+
+def is_wanted_here(marker: str, python: tuple[int, ...], system: str, machine: str) -> bool:
+    """Return whether a marker of PEP 508 asks for its package here, as far as lobewise's own markers go.
+
+    Such a marker is a list of terms joined by "and"; a term in parentheses may be alternatives joined by "or".
+
+    Examples
+    --------
+    >>> is_wanted_here("(sys_platform != 'linux' or platform_machine == 'x86_64')", (3, 12), "linux", "aarch64")
+    False
+    """
+    here = {"sys_platform": system, "platform_machine": machine}
+
+    def holds(term: str) -> bool:
+        name, sign, value = re.findall(r"(\w+)\s*([<>=!]+)\s*['\"]([^'\"]*)", term)[0]
+        if name == "python_version":
+            return _compare(python, sign, _parse_version(value))
+        return name not in here or (here[name] == value) == (sign == "==")
+
+    terms = re.findall(r"\([^)]*\)|\w+\s*[<>=!]+\s*['\"][^'\"]*['\"]", marker)
+    return all(any(map(holds, term.split(" or "))) for term in terms)
 
 
 def is_version_among(found: str, versions: str) -> bool:
@@ -84,7 +108,8 @@ def examine_packages() -> Section:
     for package in packages:
         want = f"{package.name}{package.versions}"
         if not package.found:
-            problems.append(Problem(f"{package.name} is not installed", f"pip install '{want}'", fatal=True))
+            is_fatal = package.name.lower() not in COMPILER
+            problems.append(Problem(f"{package.name} is not installed", f"pip install '{want}'", is_fatal))
         elif not package.fits:
             what = f"{package.name} is of version {package.found}, and lobewise needs {package.versions}"
             problems.append(Problem(what, f"pip install '{want}'", fatal=True))
@@ -122,14 +147,18 @@ def _list_oidn_problems() -> list[Problem]:
 
 
 def _list_broken(packages: list[Package], *, fatal: bool) -> list[Problem]:
-    """Return a problem for each package that is installed and cannot be loaded."""
+    """Return a problem for each package that is installed and cannot be loaded.
+
+    Those that compile kernels are never fatal here: `lobewise.doctor.machine.examine_kernels` judges what is left.
+    """
     found = []
     for package in packages:
         module = MODULES.get(package.name.lower())
         reason = _try_to_load(module) if package.found and module else ""
         if reason:
             action = f"pip install --force-reinstall --no-deps '{package.name}{package.versions}'"
-            found.append(Problem(f"{package.name} cannot be loaded ({reason})", action, fatal))
+            is_fatal = fatal and package.name.lower() not in COMPILER
+            found.append(Problem(f"{package.name} cannot be loaded ({reason})", action, is_fatal))
     return found
 
 

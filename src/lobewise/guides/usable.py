@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise
+from lobewise.backend.prebuilt import has_kernels
 from lobewise.frame import FloatArray, Frame
 from lobewise.guides.stand_ins import stand_in_normals, stand_in_surfaces
 from lobewise.guides.surfaces import find_surface_pixels, is_surface, is_surface_depth
@@ -85,6 +86,11 @@ def check_guides(frame: FrameT) -> CheckedGuides[FrameT]:
     survey = GuideSurvey()
     survey.look_at(frame)
     frame = survey.apply(frame)
+    if not has_kernels():
+        # What follows is for filters, which cannot run either.
+        return CheckedGuides(
+            bound_guides(frame), (*survey.list_idle(), *survey.list_notes()), tuple(survey.list_idle())
+        )
     unusable: tuple[str, ...] = ()
     if has_unusable(frame):
         unusable = tuple(map(str, find_unusable(frame)))

@@ -80,6 +80,14 @@ def find_library() -> Library | None:
     return open_library(FOLDER)
 
 
+def has_kernels() -> bool:
+    """Return whether kernels can run here: the package brought them along, or a compiler is installed."""
+    try:
+        return has_compiler() or find_library() is not None
+    except MissingDependencyError:
+        return False
+
+
 def open_library(folder: Path) -> Library | None:
     """Return the best library of a folder; see `find_library`."""
     try:

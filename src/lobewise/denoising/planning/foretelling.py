@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.denoising.automatic import ask, resolve_all
-from lobewise.denoising.combining import name_method
+from lobewise.denoising.automatic import ask, needs_peer_alone, resolve_all
+from lobewise.denoising.combining import describe_peer_alone, name_method
 from lobewise.denoising.planning.frame_plans import FramePlan, FrameTraits, describe_frame, plan_frame
 from lobewise.denoising.planning.layer_plans import LayerTraits
 from lobewise.frame import Frame
@@ -30,6 +30,8 @@ def foretell_method(frame: Frame, settings: DenoiseSettings, *, whole: bool = Tr
     The frame was checked by `lobewise.guides.usable.check_guides`. ``whole`` says that it would not be filtered in
     bands; in bands, ``frame`` may be some of its rows. The errors are those of `foretell`.
     """
+    if whole and needs_peer_alone(settings):
+        return describe_peer_alone(frame)
     return name_method(frame, settings, resolve_all(frame, ask(settings, {}, whole=whole)), whole=whole)
 
 
