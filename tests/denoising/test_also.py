@@ -99,6 +99,16 @@ def test_a_part_that_is_black_around_a_pixel_stays_black(
     assert not result.also[dark][:, SHAPE[1] // 2 + 24 :].any()
 
 
+def test_a_part_that_is_not_finite_at_a_pixel_is_finite_afterwards() -> None:
+    """At these pixels the samples of the other parts are taken back."""
+    noisy, _ = make_groups()
+    frame = make_frame(SHAPE, apart=False).with_changes(radiance=Radiance(reduce(np.add, noisy.values())), also=noisy)
+    spoiled = noisy["fill"].copy()
+    spoiled[11, 13], spoiled[20, 20] = np.nan, np.inf
+    result = denoise(frame.with_changes(also={**noisy, "fill": spoiled}), quality="balanced")
+    assert all(np.isfinite(image).all() for image in result.also.values())
+
+
 @pytest.mark.real_exr
 @pytest.mark.parametrize("quality", QUALITIES)
 def test_no_pass_of_a_file_gets_light_that_none_of_its_neighbours_has(quality: str, field_folder: Path) -> None:

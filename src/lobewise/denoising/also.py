@@ -81,7 +81,8 @@ def filter_also(
     if frame.also:
         before, after = rest
         share = _find_share(before, frame.radiance.color)
-        scattered = {name: image - share * image for name, image in frame.also.items()}
+        with np.errstate(invalid="ignore"):  # bad pixels stay bad
+            scattered = {name: image - share * image for name, image in frame.also.items()}
         total = frame.with_changes(layers=(), radiance=Radiance(frame.radiance.color - before))
         filtered = _filter_parts(*make_filters(total, settings, features)["color"], scattered, whole)
         exact = share * _divide(after, before)
