@@ -29,8 +29,6 @@ from lobewise.settings.choices import FORMS, MAX_SCALE_PIXELS, QUALITIES, SIMILA
 from releasing.frames import NARROW, SIZE, combine, draw_images, drop, make_frame, vary_main_images, vary_rare_images
 from releasing.recording import Wanted, record_kernels
 
-MAX_RADIUS_PIXELS = 12
-"""Largest radius whose kernels are compiled ahead of time, for the usual similarities."""
 BENCH_SIZE = 64, 48
 """Columns and rows of the images of benchmarks here."""
 RANDOM_FRAMES = 1000
@@ -82,20 +80,6 @@ def list_similarities() -> Iterator[Case]:
                 yield denoise(frame, quality=quality, similarity="normal", band_limit=1.0)
             for lobes in range(1, MAX_LOBES + 1):
                 yield denoise(frame, quality="fast", similarity="sg_mixture", lobes=lobes)
-
-
-def list_radii() -> Iterator[Case]:
-    """Yield every radius up to `MAX_RADIUS_PIXELS` with the similarities that "auto" chooses."""
-    rich = drop(make_frame(), "tangent", "alpha_v")
-    bare = drop(rich.with_changes(half_a=None, half_b=None), "hit_albedo", "hit_normal", "hit_distance", "position")
-    for radius in range(MAX_RADIUS_PIXELS + 1):
-        for whole in (rich, bare):
-            for frame in (whole, combine(whole)):
-                for similarity in ("ggx", "normal"):
-                    yield denoise(frame, quality="high", similarity=similarity, radius=radius)
-                    yield denoise(frame, quality="balanced", similarity=similarity, radius=radius)
-                    for form in ("full", "separable"):
-                        yield denoise(frame, quality="fast", form=form, similarity=similarity, radius=radius)
 
 
 def list_upsampling() -> Iterator[Case]:
@@ -207,8 +191,6 @@ def list_interactive_frames() -> Iterator[Case]:
     for name in ("temporal", "filter_direct", "limit_lobes"):
         for value in (True, False):
             yield follow(replace(usual, **{name: value}))
-    for radius in range(1, MAX_RADIUS_PIXELS + 1):
-        yield follow(replace(usual, radius=radius))
     for scale in (1, 2, 3, 8):
         yield follow(replace(usual, scale=scale))
 
@@ -217,7 +199,6 @@ PARTS: dict[str, Callable[[], Iterator[Case]]] = {
     "qualities": list_qualities,
     "random images": list_drawn_images,
     "similarities": list_similarities,
-    "radii": list_radii,
     "upsampling": list_upsampling,
     "histories": list_histories,
     "windows": list_windows,

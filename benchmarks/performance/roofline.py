@@ -108,7 +108,7 @@ def count_tap(name: str, lanes: int) -> dict[str, Any]:
     """Return what the loops over the taps of a row ask for, by tap and vector, from the kernel's machine code."""
     features = make_features(make_frame(64, 64), ("normal", name))[name]
     structure = tuple(describe_structure(feature) for feature in features)
-    key = PassKey(Taps.SQUARE, RADIUS, structure, Reads.RADIANCE, Writes.PIXELS)
+    key = PassKey(Taps.SQUARE, structure, Reads.RADIANCE, Writes.PIXELS)
     target = make_target("cpu").with_feature(hl.TargetFeature.NoRuntime)
     funcs = make_pass(key, features, lanes=count_lanes(target))
     schedule_pass(funcs, target)

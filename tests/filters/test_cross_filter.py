@@ -15,6 +15,7 @@ from lobewise.filters import cross_filter as engine
 from lobewise.filters.cross_filter import FilterOutput, _list_tiles, run_filter
 from lobewise.frame import FloatArray
 from lobewise.lobes.vectors import LUMINANCE
+from lobewise.settings import LARGEST_RADIUS
 from tests.features.frames import SIZES, make_feature, make_mask, make_radiance
 from tests.filters.reference import ReferenceOutput, filter_reference
 
@@ -26,7 +27,6 @@ PLACE = ("screen", "position")
 # The kernels' log2 is good to 1e-4 and is multiplied by beta = 4; ggx expands 1/|m|^2 to third order.
 RELATIVE = {LOBES: 1e-3, PLACE: 1e-4}
 EVERY_FORM = ["full", "separable", pytest.param("atrous", marks=pytest.mark.nightly)]
-# One radius for all tests: another would compile all kernels again.
 RADIUS = 3
 
 
@@ -273,14 +273,30 @@ def test_without_modulation_the_light_is_left() -> None:
     np.testing.assert_allclose(light.moment, reference.moment, rtol=get_tolerance(PLACE, "full"))
 
 
-def test_another_size_or_parameter_does_not_compile_again() -> None:
+@pytest.mark.parametrize("form", ["full", "separable"])
+def test_another_size_radius_or_parameter_does_not_compile_again(form: str) -> None:
     features = make_features(LOBES, (8, 9))
-    run_filter(make_radiance((8, 9)), make_mask((8, 9)), features, form="full", radius=RADIUS)
+    run_filter(make_radiance((8, 9)), make_mask((8, 9)), features, form=form, radius=RADIUS)
     before = count_compiled_kernels()
     shape = (31, 50)
     other: list[Feature] = [make_feature("position", shape), make_feature("ggx", shape, beta=9.0)]
-    run_filter(make_radiance(shape), make_mask(shape), other, form="full", radius=RADIUS)
+    for radius in (0, RADIUS + 1, LARGEST_RADIUS):
+        run_filter(make_radiance(shape), make_mask(shape), other, form=form, radius=radius)
     assert count_compiled_kernels() == before
+
+
+@pytest.mark.parametrize("form", ["full", "separable"])
+def test_the_largest_radius_agrees_with_the_definition(form: str) -> None:
+    shape = 9, 70
+    radiance, features = make_radiance(shape), [ScreenFeature(30.0)]
+    out = run_filter(radiance, make_mask(shape), features, form=form, radius=LARGEST_RADIUS)
+    expected = filter_reference(radiance, make_mask(shape), features, form=form, radius=LARGEST_RADIUS)
+    np.testing.assert_allclose(out.image, expected.image, rtol=get_tolerance(PLACE, form))
+
+
+def test_a_larger_radius_than_any_setting_is_refused() -> None:
+    with pytest.raises(TypeError, match="radius"):
+        run_filter(make_radiance((8, 9)), make_mask((8, 9)), [], form="full", radius=LARGEST_RADIUS + 1)
 
 
 def test_same_bits_twice_and_for_a_crop_of_strips() -> None:

@@ -19,6 +19,7 @@ from lobewise.features.base import Pixel, Stage
 from lobewise.filters.dual_buffer import DualBufferOutput, PassRequest, filter_dual_buffer
 from lobewise.filters.dual_buffer_pass import Exponents
 from lobewise.frame import FloatArray
+from lobewise.settings import LARGEST_RADIUS
 from tests.features.frames import make_directions, make_feature, make_mask, make_radiance
 from tests.features.oracles import Pixels, get_similarity
 
@@ -519,6 +520,10 @@ def test_a_variant_does_not_see_the_others(name: str) -> None:
         assert_close(replace(given, variants=given.variants[1:]).run(), found[1:])
 
 
+def test_the_largest_radius_agrees_with_the_definition() -> None:
+    assert_agrees(replace(make_given(STANDARD, (9, 70)), radius=LARGEST_RADIUS), STANDARD.tolerance)
+
+
 def test_exponents_of_zero_count_every_pixel_alike() -> None:
     given = make_given(STANDARD, (9, 40), clean=True)
     assert given.albedo is not None
@@ -564,9 +569,11 @@ def test_inputs_are_left_as_they_were() -> None:
     np.testing.assert_array_equal(given.halves, same.halves)
 
 
-def test_another_size_step_or_number_does_not_compile_again() -> None:
+def test_another_size_radius_step_or_number_does_not_compile_again() -> None:
     make_given(STANDARD, (8, 9)).run()
     before = count_compiled_kernels()
+    for radius in (0, 1, LARGEST_RADIUS):
+        replace(make_given(STANDARD, (31, 50)), radius=radius).run()
     replace(make_given(STANDARD, (31, 50)), variants=[Exponents(0.3, 4.0, 2.0)] * 2, step=3, noise=0.7).run()
     assert count_compiled_kernels() == before
 

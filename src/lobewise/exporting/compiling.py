@@ -146,14 +146,15 @@ def _define_filter(plan: FilterPlan, target: hl.Target) -> tuple[hl.Func, list[A
     source: Any = params["radiance"]
     passes = list_passes(plan.form, plan.radius)
     reads = Reads.DEMODULATED if plan.albedo else Reads.RADIANCE
-    whole = PassKey(*passes[0][:2], structure, reads, Writes.PIXELS, modulate=plan.albedo)
+    whole = PassKey(passes[0][0], structure, reads, Writes.PIXELS, modulate=plan.albedo)
     keys = chain_passes(whole, [taps for taps, _, _ in passes], mirror=not target.has_gpu_feature())
-    for key, (_, _, step) in zip(keys, passes, strict=True):
+    for key, (_, radius, step) in zip(keys, passes, strict=True):
         given = PassInputs(
             source=source,
             albedo=params.get("albedo"),
             mask=inputs.like,
             arrays=[params[name] for term in terms for name in term.arrays],
+            radius=hl.i32(radius),
             step=hl.i32(step),
             scalars=scalars,
         )

@@ -135,7 +135,7 @@ def run_filter(
     if strictness is not None:
         beside["strictness"] = take_image("strictness", strictness, size)
     whole = PassKey(
-        *passes[0][:2],
+        passes[0][0],
         tuple(describe_structure(feature) for feature in features),
         reads=Reads.RADIANCE if albedo is None else Reads.DEMODULATED,
         # On graphics cards a kernel with several output images would compute everything once per image.
@@ -146,7 +146,7 @@ def run_filter(
     )
     keys = chain_passes(whole, [taps for taps, _, _ in passes], mirror=device == "cpu")
     kernels = [get_kernel(device, key, partial(make_scheduled_pass, key, features)) for key in keys]
-    run = _Run(kernels, beside, give_scalars(features), device)
+    run = _Run(kernels, beside, {**give_scalars(features), "radius": passes[0][1]}, device)
     shapes = kernels[-1].list_shapes(height=size[0], width=size[1])
     outputs = {name: make_output(shape, device) for name, shape in shapes.items()}
     if form == "separable" and device == "cpu":
@@ -166,7 +166,7 @@ class _Run:
 
     kernels: Sequence[Kernel]
     beside: Mapping[str, Image]
-    scalars: Mapping[str, float]
+    numbers: Mapping[str, float]
     device: str
 
     def _call(
@@ -185,7 +185,7 @@ class _Run:
             for name, image in self.beside.items()
             if name in read
         }
-        kernel(source=source, step=step, **lent, **self.scalars, **outputs)
+        kernel(source=source, step=step, **lent, **self.numbers, **outputs)
 
     def filter_whole(self, image: Image, outputs: Mapping[str, Buffer], steps: Sequence[int]) -> None:
         """Filter all pixels, pass by pass."""

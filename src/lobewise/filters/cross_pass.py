@@ -20,9 +20,10 @@ from lobewise.backend.compiler import declare_vars, hl
 from lobewise.backend.signature import Signature
 from lobewise.features.arrays import declare_features, declare_scalars
 from lobewise.features.base import Feature, Stage
-from lobewise.filters.forms import ATROUS_PROFILE, Taps, can_mirror, find_reach
+from lobewise.filters.forms import ATROUS_PROFILE, ATROUS_RADIUS, Taps
 from lobewise.filters.planes import C, GuidePlanes, Rows, X, Y, clamp_likely, make_guide_planes, make_image
 from lobewise.lobes.vectors import LUMINANCE, dot
+from lobewise.settings import LARGEST_RADIUS
 
 COLORS = 3
 SUM_CHANNELS = 5
@@ -61,7 +62,6 @@ class PassKey:
     """Everything that changes the code of a pass. Values that may differ from call to call are arguments instead."""
 
     taps: Taps
-    radius: int
     features: tuple[Hashable, ...]
     reads: Reads
     writes: Writes
@@ -72,7 +72,7 @@ class PassKey:
     strict: bool = False
     """Raise the weights of each centre's taps to the centre's power."""
     mirrored: bool = False
-    """Compute each weight of two pixels of a row once, for both: only if `can_mirror` allows, not with ``strict``."""
+    """Compute each weight of two pixels of a row once, for both: only horizontal taps, not with ``strict``."""
 
     @property
     def channels(self) -> int:
@@ -88,7 +88,7 @@ class PassKey:
 def chain_passes(whole: PassKey, taps: Sequence[Taps], *, mirror: bool) -> list[PassKey]:
     """Return the keys of passes over ``taps`` that pass on sums and together compute ``whole``.
 
-    ``mirror`` if the device gains from `PassKey.mirrored`.
+    ``mirror`` if the device gains from `PassKey.mirrored`; only rows do (docs/performance.md).
     """
     last = len(taps) - 1
     return [
@@ -98,7 +98,7 @@ def chain_passes(whole: PassKey, taps: Sequence[Taps], *, mirror: bool) -> list[
             reads=whole.reads if number == 0 else Reads.SUMS,
             writes=whole.writes if number == last else Writes.SUMS,
             modulate=whole.modulate and number == last,
-            mirrored=mirror and not whole.strict and can_mirror(each, whole.radius),
+            mirrored=mirror and not whole.strict and each is Taps.HORIZONTAL,
         )
         for number, each in enumerate(taps)
     ]
@@ -115,6 +115,8 @@ class PassInputs:
     """1 where a pixel has meaning, else 0."""
     arrays: list[hl.ImageParam]
     """The arrays of every feature."""
+    radius: hl.Expr
+    """Taps from the centre to the edge of the kernel; ``ATROUS_RADIUS`` stands for it in the form "atrous"."""
     step: hl.Expr
     scalars: list[list[hl.Expr]]
     """The parameters of every feature."""
@@ -198,6 +200,7 @@ def declare_pass(signature: Signature, key: PassKey, features: Sequence[Feature]
         albedo=signature.image("albedo", *size, COLORS) if key.reads_albedo else None,
         mask=signature.image("mask", *size, type=hl.UInt(8)),
         arrays=declare_features(signature, "tap", features, *size),
+        radius=signature.count("radius", most=LARGEST_RADIUS),
         step=signature.count("step", 1),
         scalars=declare_scalars(signature, features),
         strictness=signature.image("strictness", *size) if key.strict else None,
@@ -222,21 +225,22 @@ def make_pass(
     """
     signature = Signature("cross pass")
     inputs = inputs or declare_pass(signature, key, features)
-    across, down = find_reach(key.taps, key.radius)
+    reach = hl.i32(ATROUS_RADIUS) if key.taps is Taps.ATROUS else inputs.radius
     spread: hl.Expr = inputs.step if key.taps is Taps.ATROUS else hl.i32(1)
-    rows = Rows(inputs.mask.width(), spread * across, lanes) if lanes else None
+    is_column = key.taps is Taps.VERTICAL
+    rows = Rows(inputs.mask.width(), hl.i32(0) if is_column else spread * reach, lanes) if lanes else None
     image = _read_image(key, inputs, rows)
     planes = make_guide_planes("tap", inputs.mask, features, inputs.scalars, arrays=inputs.arrays, rows=rows)
     stages = _compare(key, features, inputs, planes, spread)
     weights = hl.Func("weights") if key.mirrored else None
     if weights is None:
-        row, inner = _sum_row(key, image, stages[-1], spread)
+        row, inner = _sum_row(key, image, stages[-1], reach, spread)
     else:
         # Weights of a pixel with its right-hand neighbours. Each weight serves both pixels of the pair.
         weights[X, Y, U] = expressions.exp2(stages[-1][X, Y, U, 0])
-        row, inner = _sum_pairs(key, image, weights)
+        row, inner = _sum_pairs(key, image, weights, reach)
     # A vertical pass has its whole column of taps in ``row``.
-    outer = hl.RDom([(-down, 2 * down + 1)] if across else [(0, 1)], "outer")
+    outer = hl.RDom([(-reach, 2 * reach + 1)] if key.taps in (Taps.SQUARE, Taps.ATROUS) else [(0, 1)], "outer")
     sums = hl.Func("sums")
     sums[X, Y] = hl.Tuple([hl.f32(0.0)] * key.channels)
     _add(sums, (X, Y), [row[X, Y, outer.x][k] for k in range(key.channels)])
@@ -319,15 +323,15 @@ def _add(sums: hl.Func, at: tuple[hl.Expr, ...], values: Sequence[hl.Expr]) -> N
     sums[at] = hl.Tuple([sums[at][k] + value for k, value in enumerate(values)])
 
 
-def _sum_row(key: PassKey, image: hl.Func, log_weight: hl.Func, spread: hl.Expr) -> tuple[hl.Func, hl.RDom]:
+def _sum_row(
+    key: PassKey, image: hl.Func, log_weight: hl.Func, reach: hl.Expr, spread: hl.Expr
+) -> tuple[hl.Func, hl.RDom]:
     """Return the sums over a row of taps, or over the column of taps of a vertical pass, and the taps.
 
     The function is separate so that its sums stay in registers.
     """
-    across, down = find_reach(key.taps, key.radius)
-    reach = across or down
     inner = hl.RDom([(-reach, 2 * reach + 1)], "inner")
-    u, v = (inner.x, V) if across else (V, inner.x)
+    u, v = (V, inner.x) if key.taps is Taps.VERTICAL else (inner.x, V)
     row = hl.Func("row")
     row[X, Y, V] = hl.Tuple([hl.f32(0.0)] * key.channels)
     weight = expressions.exp2(log_weight[X, Y, u, v])
@@ -335,9 +339,9 @@ def _sum_row(key: PassKey, image: hl.Func, log_weight: hl.Func, spread: hl.Expr)
     return row, inner
 
 
-def _sum_pairs(key: PassKey, image: hl.Func, weights: hl.Func) -> tuple[hl.Func, hl.RDom]:
+def _sum_pairs(key: PassKey, image: hl.Func, weights: hl.Func, reach: hl.Expr) -> tuple[hl.Func, hl.RDom]:
     """Return the sums over a row of taps, added in pairs left and right of the pixel, and the pairs' distances."""
-    inner = hl.RDom([(1, key.radius)], "inner")
+    inner = hl.RDom([(1, reach)], "inner")
     row = hl.Func("row")
     row[X, Y, V] = hl.Tuple(_take(key, image, weights[X, Y, 0], X, Y))
     after = _take(key, image, weights[X, Y, inner.x], X + inner.x, Y)

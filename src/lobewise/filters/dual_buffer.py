@@ -104,7 +104,6 @@ class PassRequest:
     def make_key(self) -> DualBufferKey:
         """Return what the code of the pass depends on."""
         return DualBufferKey(
-            radius=self.radius,
             groups=tuple(tuple(describe_structure(feature) for feature in features) for features in self.groups),
             demodulate=self.albedo is not None,
             guided=self.guide is not None,
@@ -127,7 +126,12 @@ class PassRequest:
 
     def collect_numbers(self) -> dict[str, float]:
         """Return the numbers of the pass by the names that its kernel declares."""
-        numbers = {**give_exponents(self.variants), "step": self.step, "noise": float(self.noise)}
+        numbers = {
+            **give_exponents(self.variants),
+            "radius": self.radius,
+            "step": self.step,
+            "noise": float(self.noise),
+        }
         for name, features in self.groups._asdict().items():
             numbers |= give_scalars(features, name)
         return numbers

@@ -36,6 +36,7 @@ from lobewise.filters.cross_pass import (
     make_stage,
 )
 from lobewise.filters.planes import C, Rows, X, Y, make_guide_planes, make_image
+from lobewise.settings import LARGEST_RADIUS
 
 HALVES = 2
 GUIDE_CHANNELS = COLORS + 1
@@ -67,7 +68,6 @@ class Groups(NamedTuple):
 class DualBufferKey:
     """Everything that changes the code of a dual-buffer pass."""
 
-    radius: int
     groups: tuple[tuple[Hashable, ...], ...]
     """Structures of the features of `Groups`."""
     demodulate: bool
@@ -96,6 +96,7 @@ class _Inputs:
     mask: hl.ImageParam
     arrays: Groups
     scalars: Groups
+    radius: hl.Expr
     step: hl.Expr
     guide: hl.ImageParam | None
     noise: hl.Expr
@@ -153,6 +154,7 @@ def _declare(signature: Signature, key: DualBufferKey, groups: Groups) -> _Input
         mask=signature.image("mask", *size, type=hl.UInt(8)),
         arrays=Groups(*(declare_features(signature, name, features, *size) for name, features in named)),
         scalars=Groups(*(declare_scalars(signature, features, name) for name, features in named)),
+        radius=signature.count("radius", most=LARGEST_RADIUS),
         step=signature.count("step", 1),
         guide=signature.image("guide", *size, GUIDE_CHANNELS) if key.guided else None,
         noise=signature.number("noise"),
@@ -169,7 +171,7 @@ def make_dual_buffer_pass(key: DualBufferKey, groups: Groups, *, lanes: int = 0)
     signature = Signature("dual buffer")
     inputs = _declare(signature, key, groups)
     mask = inputs.mask
-    rows = Rows(mask.width(), inputs.step * key.radius, lanes) if lanes else None
+    rows = Rows(mask.width(), inputs.step * inputs.radius, lanes) if lanes else None
     images = _read_images(key, inputs, rows)
     sides = zip(Groups._fields, groups, inputs.scalars, inputs.arrays, strict=True)
     planes = Groups(
@@ -185,7 +187,7 @@ def make_dual_buffer_pass(key: DualBufferKey, groups: Groups, *, lanes: int = 0)
     log_weight = _weigh(inputs, logs, distance)
 
     # Sum each row of taps in a separate function, so that its sums stay in registers.
-    span = [(-key.radius, 2 * key.radius + 1)]
+    span = [(-inputs.radius, 2 * inputs.radius + 1)]
     across, down = hl.RDom(span, "across"), hl.RDom(span, "down")
     row, sums = hl.Func("row"), hl.Func("sums")
     zeros = [hl.f32(0.0)] * (key.variants * key.summed * SUMS)

@@ -25,22 +25,6 @@ class Taps(Enum):
     """5x5 pixels, ``step`` pixels apart, with B-spline weights."""
 
 
-def find_reach(taps: Taps, radius: int) -> tuple[int, int]:
-    """Return the number of steps to the farthest tap, to the right and down."""
-    across, down = {
-        Taps.SQUARE: (radius, radius),
-        Taps.HORIZONTAL: (radius, 0),
-        Taps.VERTICAL: (0, radius),
-        Taps.ATROUS: (ATROUS_RADIUS, ATROUS_RADIUS),
-    }[taps]
-    return across, down
-
-
-def can_mirror(taps: Taps, radius: int) -> bool:
-    """Return whether a processor's pass computes the weight of a pair once: only rows gain (docs/performance.md)."""
-    return taps is Taps.HORIZONTAL and radius > 0
-
-
 def list_passes(form: str, radius: int) -> list[tuple[Taps, int, int]]:
     """Return taps, radius and step of each pass of a form of `lobewise.settings.FORMS`."""
     if form == "full":

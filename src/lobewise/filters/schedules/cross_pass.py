@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from lobewise.backend.compiler import hl
-from lobewise.filters.cross_pass import COLORS, PassFuncs, Writes
+from lobewise.filters.cross_pass import COLORS, PassFuncs, U, V, Writes
 from lobewise.filters.forms import Taps
 from lobewise.filters.planes import PIXEL
 from lobewise.filters.schedules.blocks import keep_planes, spread_channels
 from lobewise.filters.schedules.rows import STRIP_ROWS, fill_planes, fill_rows
+from lobewise.settings import LARGEST_RADIUS
 
 
 def schedule_pass(funcs: PassFuncs, target: hl.Target) -> None:
@@ -67,8 +68,12 @@ def _schedule_rows(funcs: PassFuncs, target: hl.Target) -> None:
     if funcs.weights is not None:
         u = funcs.weights.args()[2]
         weights = funcs.weights.compute_at(sums, y).split(x, xv, xw, lanes).reorder(xw, u, xv, y).vectorize(xw)
+        weights.bound_storage(u, LARGEST_RADIUS + 1).bound_storage(y, 1).hoist_storage(out, ys)
     for stage in funcs.stages:
         (stage.compute_at(sums, within) if funcs.weights is None else stage.compute_at(weights, xv)).vectorize(x, lanes)
+        taps, single = (V, U) if funcs.key.taps is Taps.VERTICAL else (U, V)
+        stage.bound_storage(taps, 2 * LARGEST_RADIUS + 1).bound_storage(single, 1)
+        stage.bound_storage(x, lanes).bound_storage(y, 1)
 
     assert funcs.rows is not None
     fill_rows(funcs.image.compute_at(out, ys), funcs.key.channels, funcs.rows)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from lobewise.backend.compiler import hl
-from lobewise.filters.cross_pass import COLORS
+from lobewise.filters.cross_pass import COLORS, U, V
 from lobewise.filters.dual_buffer_pass import GUIDE_CHANNELS, DualBufferFuncs
 from lobewise.filters.planes import PIXEL
 from lobewise.filters.schedules.blocks import keep_planes, spread_channels
 from lobewise.filters.schedules.rows import STRIP_ROWS, fill_planes, fill_rows
+from lobewise.settings import LARGEST_RADIUS
 
 
 def schedule_dual_buffer(funcs: DualBufferFuncs, target: hl.Target) -> None:
@@ -40,7 +41,8 @@ def _schedule_rows(funcs: DualBufferFuncs, target: hl.Target) -> None:
     row.compute_at(sums, xv).vectorize(x, lanes)
     row.update().reorder(x, funcs.across.x).vectorize(x, lanes)
     for stage in funcs.stages:
-        stage.compute_at(sums, xv).vectorize(x, lanes)
+        stage.compute_at(sums, xv).vectorize(x, lanes).bound_storage(U, 2 * LARGEST_RADIUS + 1)
+        stage.bound_storage(x, lanes).bound_storage(y, 1).bound_storage(V, 1)
     assert funcs.rows is not None
     fill_rows(funcs.images.compute_at(out, ys), funcs.key.plane_count, funcs.rows)
     if funcs.guide is not None:

@@ -149,7 +149,6 @@ def call_dual_buffer(
     layer, kernels = run.noisy, run.kernels
     variants = step.variants if step is not None else (Exponents(0.0, 0.0),)
     key = DualBufferKey(
-        radius=step.radius if step is not None else 0,
         groups=tuple(tuple(describe_structure(feature) for feature in features) for features in groups),
         demodulate=albedo is not None,
         guided=guide is not None,
@@ -164,6 +163,7 @@ def call_dual_buffer(
         "guide": guide,
     }
     given |= {**give_exponents(list(variants)), "step": step.step if step is not None else 1}
+    given |= {"radius": step.radius if step is not None else 0}
     given |= {"noise": step.noise if step is not None else 1.0}
     for name, features in groups._asdict().items():
         given |= give_feature_images(name, features) | give_feature_numbers(features, name)

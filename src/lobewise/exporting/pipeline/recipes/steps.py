@@ -86,7 +86,7 @@ def call_filter(kernels: Kernels, wanted: FilterCall) -> PlannedOutput:
     """Add the passes of the cross filter."""
     passes = list_passes(wanted.form, wanted.radius)
     whole = PassKey(
-        *passes[0][:2],
+        passes[0][0],
         tuple(describe_structure(feature) for feature in wanted.features),
         reads=Reads.RADIANCE if wanted.albedo is None else Reads.DEMODULATED,
         writes=Writes.IMAGES,
@@ -104,7 +104,8 @@ def call_filter(kernels: Kernels, wanted: FilterCall) -> PlannedOutput:
         text = f"{taps.value} taps, {size} across" + (f", {step} pixels apart" if step > 1 else "")
         names = {each: f"{wanted.name}_{each}" for each in ("weight_sum", "effective_samples", "moment")}
         names |= {"image": wanted.name, "sums": f"{wanted.name}_sums{number}"}
-        outputs = kernels.call(kernel, {"source": source, "step": step, **beside}, names=names, text=text)
+        given = {"source": source, "radius": radius, "step": step, **beside}
+        outputs = kernels.call(kernel, given, names=names, text=text)
         source = outputs.get("sums", source)
     return PlannedOutput(outputs["image"], outputs["weight_sum"], outputs["effective_samples"], outputs.get("moment"))
 
