@@ -19,7 +19,6 @@ from lobewise.filters import compositing, fireflies, highlights, noise_guides, s
 from lobewise.filters.compositing import composite_light
 from lobewise.filters.cross_filter import run_filter
 from lobewise.filters.dual_buffer import PassRequest, filter_dual_buffer
-from lobewise.filters.dual_buffer_pass import Exponents
 from lobewise.filters.fireflies import bound_fireflies
 from lobewise.filters.forms import ATROUS_REACH
 from lobewise.filters.highlights import split_highlights
@@ -101,10 +100,9 @@ def test_guides_blur_their_variance() -> None:
 @pytest.mark.parametrize(("radius", "step"), [(0, 1), (3, 1), (2, 4)])
 def test_passes_reach_their_last_tap(radius: int, step: int) -> None:
     a, b, mask = draw(2), draw(3), np.ones((HEIGHT, WIDTH), bool)
-    place, same = [ScreenFeature(50.0)], [Exponents(1.0, 1.0)]
-    request = PassRequest(halves=(a, b), mask=mask, place=place, variants=same, radius=radius, step=step)
+    request = PassRequest(halves=(a, b), mask=mask, place=[ScreenFeature(50.0)], radius=radius, step=step)
     changed = replace(request, halves=(alter(a), b))
-    before, after = (filter_dual_buffer(each)[0].a for each in (request, changed))
+    before, after = (filter_dual_buffer(each).a for each in (request, changed))
     assert measure(before, after) == radius * step
 
 

@@ -13,7 +13,6 @@ from lobewise.denoising.layers import Layer, make_lobe_layers, make_position_fea
 from lobewise.denoising.planning.layer_plans import AUTO_SIGMA, LayerTraits
 from lobewise.features import Feature, SeenFeature
 from lobewise.filters.dual_buffer import PassRequest, filter_dual_buffer
-from lobewise.filters.dual_buffer_pass import Exponents
 from lobewise.filters.fireflies import BoundedHalves, bound_fireflies
 from lobewise.filters.highlights import split_highlights
 from lobewise.filters.noise.residuals import find_squared_residual
@@ -204,11 +203,8 @@ def find_seen(frame: Frame, mask: NDArray[np.bool_], settings: ResolvedSettings)
     # A pass takes no negative values: shift the normals, and shift them back below.
     images = albedo, np.float32(0.5) + np.float32(0.5) * normal
     place = make_pass_features(frame, settings, SEEN_SIGMA)
-    near = [Exponents(1.0, 1.0)]
-    request = PassRequest(
-        halves=images, mask=mask, place=place, variants=near, radius=SEEN_RADIUS, device=settings.device
-    )
-    (mean,) = filter_dual_buffer(request)
+    request = PassRequest(halves=images, mask=mask, place=place, radius=SEEN_RADIUS, device=settings.device)
+    mean = filter_dual_buffer(request)
     sharpness = {"albedo_sharpness": SEEN_ALBEDO, "normal_sharpness": SEEN_NORMAL}
     near_normal = np.float32(2.0) * download(mean.b) - np.float32(1.0)
     mirrors = find_mirrors(frame)[..., None]

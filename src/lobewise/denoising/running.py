@@ -35,7 +35,6 @@ from lobewise.features import Feature
 from lobewise.filters.compositing import composite_light
 from lobewise.filters.cross_filter import FilterOutput, run_filter
 from lobewise.filters.dual_buffer import DualBufferOutput, PassRequest, filter_dual_buffer
-from lobewise.filters.dual_buffer_pass import Exponents
 from lobewise.filters.history.accumulation import AccumulatedOutput, KnownKernel, SampleGrid, run_upsampling
 from lobewise.filters.noise.residuals import split_by_noise, split_samples
 from lobewise.filters.noise_guides import MIN_VARIANCE, MIN_VARIANCE_WITHOUT_HALVES, find_log_offset, make_noise_guide
@@ -205,12 +204,11 @@ def make_first_guide(noisy: NoisyLayer, device: str) -> Image:
         itself = PassRequest(
             halves=noisy.samples,
             mask=layer.mask,
-            variants=[Exponents(0.0, 0.0)],
             radius=0,
             albedo=layer.albedo,
             device=device,
         )
-        (found,) = filter_dual_buffer(itself)
+        found = filter_dual_buffer(itself)
         return compare_halves(noisy, Halves(found.a, found.b), device)
     image, dark = download(noisy.samples[0]), find_log_offset(noisy.level)
     halves = split_samples(image, layer.albedo, layer.mask, dark, shared=noisy.noise_is_shared)
@@ -224,47 +222,44 @@ def compare_halves(noisy: NoisyLayer, halves: Halves, device: str) -> Image:
 
 
 def run_pass(state: LayerRun, step: PassStep) -> list[Halves | DualBufferOutput]:
-    """Return one image for each variant, with its weight sums where a later step reads them."""
+    """Return both filtered halves, with their weight sums where a later step reads them."""
     noisy, settings, dense = state.noisy, state.settings, step.source == SAMPLES
     source = noisy.samples if dense else (state.images[step.source].a, state.images[step.source].b)
     request = PassRequest(
         halves=source,
         mask=noisy.layer.mask,
-        place=state.get_place(step.sigma),
+        place=[*state.get_place(step.sigma), *(noisy.seen if step.reads_seen else ())],
         lobes=noisy.pilot_features if step.is_pilot else noisy.layer.features,
-        seen=noisy.seen if step.reads_seen else (),
-        variants=step.variants,
+        exponent=step.exponent,
         radius=step.radius,
         step=step.step,
         # An earlier pass has divided by the albedo.
         albedo=noisy.layer.albedo if dense else None,
         guide=state.images[step.guide],
         noise=step.noise,
-        # The samples of an image without halves are no halves: the image and its squared residual.
-        joined=step.joined and (noisy.is_whole or not dense),
         device=settings.device,
     )
-    outputs = filter_dual_buffer(request)
+    found = filter_dual_buffer(request)
     if dense and not noisy.is_whole:
-        outputs = [split_lone(each, noisy.level, joined=step.joined) for each in outputs]
-    named = zip(step.writes, outputs, strict=True)
-    return [each if name in step.supports else Halves(each.a, each.b) for name, each in named]
+        found = split_lone(found, noisy.level)
+    (name,) = step.writes
+    return [found if name in step.supports else Halves(found.a, found.b)]
 
 
-def split_lone(found: DualBufferOutput, level: float, *, joined: bool) -> DualBufferOutput:
+def split_lone(found: DualBufferOutput, level: float) -> DualBufferOutput:
     """Return two halves of the filtered image and squared residual of an image without halves."""
     mean = download(found.a)
     # The mean of two halves filtered by the same weights is worth twice as many samples as this one image.
     worth = np.float32(0.5) * download(found.effective_samples)
-    halves = (mean, mean) if joined else split_by_noise(mean, download(found.b), worth, find_log_offset(level))
-    return DualBufferOutput(halves[0], halves[1], found.weight_sum, worth)
+    halves = split_by_noise(mean, download(found.b), worth, find_log_offset(level))
+    return DualBufferOutput(*halves, found.weight_sum, worth)
 
 
 def run_finish(state: LayerRun, step: FinishStep) -> list[CleanLayer]:
     """Return the radiance of the layer."""
     light, support = (state.images[name] for name in (step.reads[0], step.support))
     assert isinstance(state.frame, Frame)
-    return [finish_layer(state.frame, state.noisy, (light.a,), support)]
+    return [finish_layer(state.frame, state.noisy, (light.a, light.b), support)]
 
 
 def finish_layer(frame: Frame, noisy: NoisyLayer, light: Sequence[Image], support: DualBufferOutput) -> CleanLayer:

@@ -172,7 +172,7 @@ def find_luminance(colour: Sequence[hl.Expr]) -> hl.Expr:
 
 def demodulate(
     source: hl.ImageParam | hl.Func,
-    albedo: hl.ImageParam | None,
+    albedo: hl.ImageParam | hl.Func | None,
     at: tuple[hl.Expr, hl.Expr],
     floor: hl.Expr,
     albedo_at: tuple[hl.Expr, hl.Expr] | None = None,

@@ -19,11 +19,8 @@ from lobewise.filters.cross_pass import COLORS, describe_structure
 from lobewise.filters.dual_buffer_pass import (
     GUIDE_CHANNELS,
     DualBufferKey,
-    Exponents,
     Groups,
-    give_exponents,
     make_dual_buffer_pass,
-    name_images,
 )
 from lobewise.filters.schedules.dual_buffer import schedule_dual_buffer
 from lobewise.filters.schedules.rows import count_lanes
@@ -31,7 +28,7 @@ from lobewise.frame import FloatArray
 
 
 class DualBufferOutput(NamedTuple):
-    """The images that one variant of a dual-buffer pass gives.
+    """The images that a dual-buffer pass gives.
 
     Parameters
     ----------
@@ -59,10 +56,10 @@ class PassRequest:
         Radiance of one half of the samples each. NaN, infinite and negative pixels of a half get weight 0 in that half.
     mask : bool array, shape (height, width)
         False where a pixel neither gives nor takes.
-    place, lobes, seen : sequence of Feature
-        Three groups of features, each with an exponent of its own.
-    variants : sequence of Exponents
-        At least one. Each variant gives an image.
+    place, lobes : sequence of Feature
+        Two groups of features: those that count as they are, and those of lobes.
+    exponent : float
+        Exponent of the similarity of the lobes.
     radius, step : int
         Kernel radius in taps, >= 0, and pixels from tap to tap, >= 1.
     albedo : array, shape (height, width, 3), optional
@@ -71,8 +68,6 @@ class PassRequest:
         Colours and their variance (`lobewise.filters.noise_guides`).
     noise : float
         Number of variances by which a squared difference of the guide is divided, > 0.
-    joined : bool
-        Whether only the mean of both halves is wanted: ``a`` and ``b`` are then one image, the mean of all samples.
     device : str
         A name from `list_devices`.
     """
@@ -81,14 +76,12 @@ class PassRequest:
     mask: NDArray[np.bool_]
     place: Sequence[Feature] = ()
     lobes: Sequence[Feature] = ()
-    seen: Sequence[Feature] = ()
-    variants: Sequence[Exponents]
+    exponent: float = 1.0
     radius: int
     step: int = 1
     albedo: FloatArray | None = None
     guide: Image | None = None
     noise: float = 1.0
-    joined: bool = False
     device: str = "cpu"
 
     @property
@@ -99,16 +92,13 @@ class PassRequest:
     @property
     def groups(self) -> Groups:
         """The features by group."""
-        return Groups(self.place, self.lobes, self.seen)
+        return Groups(self.place, self.lobes)
 
     def make_key(self) -> DualBufferKey:
         """Return what the code of the pass depends on."""
         return DualBufferKey(
             groups=tuple(tuple(describe_structure(feature) for feature in features) for features in self.groups),
-            demodulate=self.albedo is not None,
             guided=self.guide is not None,
-            joined=self.joined,
-            variants=len(self.variants),
         )
 
     def collect_images(self) -> dict[str, Image]:
@@ -116,8 +106,9 @@ class PassRequest:
         images: dict[str, Image] = {"mask": take_mask(self.mask)}
         for name, half in zip(("half_a", "half_b"), self.halves, strict=True):
             images[name] = take_image("half", half, (*self.size, COLORS))
-        if self.albedo is not None:
-            images["albedo"] = take_image("albedo", self.albedo, (*self.size, COLORS))
+        # Without an albedo the kernel takes any image and does not use it.
+        albedo = self.halves[0] if self.albedo is None else self.albedo
+        images["albedo"] = take_image("albedo", albedo, (*self.size, COLORS))
         if self.guide is not None:
             images["guide"] = take_image("guide", self.guide, (*self.size, GUIDE_CHANNELS))
         for features in self.groups._asdict().items():
@@ -127,10 +118,11 @@ class PassRequest:
     def collect_numbers(self) -> dict[str, float]:
         """Return the numbers of the pass by the names that its kernel declares."""
         numbers = {
-            **give_exponents(self.variants),
+            "divided": int(self.albedo is not None),
             "radius": self.radius,
             "step": self.step,
             "noise": float(self.noise),
+            "exponent": float(self.exponent),
         }
         for name, features in self.groups._asdict().items():
             numbers |= give_scalars(features, name)
@@ -138,16 +130,12 @@ class PassRequest:
 
 
 @returns_host_images
-def filter_dual_buffer(request: PassRequest) -> list[DualBufferOutput]:
-    """Filter two halves of the samples by the same weights; return one output for each variant."""
+def filter_dual_buffer(request: PassRequest) -> DualBufferOutput:
+    """Filter two halves of the samples by the same weights."""
     key = request.make_key()
     kernel = get_kernel(request.device, key, partial(make_scheduled_dual_buffer, key, request.groups))
     written = run_kernel(kernel, request.device, request.collect_images(), **request.collect_numbers())
-    found: list[DualBufferOutput] = []
-    for variant in range(len(request.variants)):
-        *means, support = (written[name] for name in name_images(key, variant))
-        found.append(DualBufferOutput(means[0], means[-1], *(take_channel(support, k) for k in range(2))))
-    return found
+    return DualBufferOutput(written["a"], written["b"], *(take_channel(written["support"], k) for k in range(2)))
 
 
 def make_scheduled_dual_buffer(key: DualBufferKey, groups: Groups, target: hl.Target) -> Scheduled:

@@ -1,10 +1,9 @@
 """The cross-bilateral sum over two halves of the samples, both with the same weights.
 
-For both halves X, ``out_X(i) = sum_j w(i, j) I_X(j) / sum_j w(i, j)``, ``w = a_j place^p lobes^l seen^s exp(-r E)``.
-a_j is the luminance of the albedo, so that the mean is the ratio of reflected radiance to albedo. ``place``, ``lobes``
-and ``seen`` are the products of the similarities of three groups of features. E is the distance of the two pixels in a
-guide, an image that was filtered before. The difference of the filtered halves then shows their noise. A variant is one
-set of exponents (p, l, r, s); variants share all work that does not depend on the exponents.
+For both halves X, ``out_X(i) = sum_j w(i, j) I_X(j) / sum_j w(i, j)``, ``w = a_j place lobes^p exp(-E)``. a_j is
+the luminance of the albedo, so that the mean is the ratio of reflected radiance to albedo. ``place`` and ``lobes`` are
+the products of the similarities of two groups of features. E is the distance of the two pixels in a guide, an image
+that was filtered before. The difference of the filtered halves then shows their noise.
 
 The distance in the guide is equation 2 of Rousselle, Knaus and Zwicker 2012, "Adaptive Rendering with Non-Local Means
 Filtering": squared differences minus the part that noise explains, over the noise. Departs: compares pixels instead of
@@ -30,7 +29,6 @@ from lobewise.filters.cross_pass import (
     COLORS,
     U,
     V,
-    count_samples,
     demodulate,
     find_luminance,
     make_stage,
@@ -42,26 +40,18 @@ HALVES = 2
 GUIDE_CHANNELS = COLORS + 1
 """Channels of a guide: three colours and their variance."""
 SUMS = COLORS + 2
-"""Sums of one half in one variant: weighted radiance, weight, squared weight."""
+"""Sums of one half: weighted radiance, weight, squared weight."""
+PLANES = HALVES * (COLORS + 1)
+"""Planes of the images that taps read: the summands and the weight of each half."""
 NOISE_FLOOR = 1e-4
 """Added to the variance that squared differences are divided by."""
 
 
-class Exponents(NamedTuple):
-    """The exponents of a variant: of the similarities of its groups, and of the distance in the guide (``range``)."""
-
-    place: float
-    lobes: float
-    range: float = 0.0
-    seen: float = 1.0
-
-
 class Groups(NamedTuple):
-    """Features, or something for each feature, by group. Each group has an exponent of its own."""
+    """Features, or something for each feature, by group. The similarity of the lobes alone has an exponent."""
 
     place: Any
     lobes: Any
-    seen: Any
 
 
 @dataclass(frozen=True)
@@ -70,21 +60,7 @@ class DualBufferKey:
 
     groups: tuple[tuple[Hashable, ...], ...]
     """Structures of the features of `Groups`."""
-    demodulate: bool
     guided: bool
-    joined: bool
-    """Whether the pass computes only the mean of both halves."""
-    variants: int
-
-    @property
-    def plane_count(self) -> int:
-        """Number of planes of the images that taps read."""
-        return COLORS + 2 if self.joined else HALVES * (COLORS + 1)
-
-    @property
-    def summed(self) -> int:
-        """Number of halves that are summed separately."""
-        return 1 if self.joined else HALVES
 
 
 @dataclass(frozen=True)
@@ -92,7 +68,8 @@ class _Inputs:
     """The inputs of a dual-buffer pass."""
 
     halves: list[hl.ImageParam]
-    albedo: hl.ImageParam | None
+    albedo: hl.Func
+    """The albedo, 1 where the light is not divided."""
     mask: hl.ImageParam
     arrays: Groups
     scalars: Groups
@@ -101,11 +78,12 @@ class _Inputs:
     guide: hl.ImageParam | None
     noise: hl.Expr
     """Factor of the variance in the distance."""
-    exponents: list[Exponents]
+    exponent: hl.Expr
+    """Exponent of the similarity of the lobes."""
 
 
 class HalfSums(NamedTuple):
-    """The sums over the taps of a pixel, of one half or of both together."""
+    """The sums over the taps of a pixel, of one half."""
 
     light: list[hl.Expr]
     weight: hl.Expr
@@ -132,25 +110,16 @@ class DualBufferFuncs:
     out: hl.Func
 
 
-def name_images(key: DualBufferKey, variant: int) -> list[str]:
-    """Return the names of a variant's output images: the mean of each half, or of both halves, and the support."""
-    return [f"{name}{variant}" for name in (("mean", "support") if key.joined else ("a", "b", "support"))]
-
-
-def give_exponents(variants: Sequence[Exponents]) -> dict[str, float]:
-    """Return the exponents of every variant by the names of the kernel's numbers."""
-    return {f"{name}_exponent{k}": power for k, each in enumerate(variants) for name, power in each._asdict().items()}
-
-
 def _declare(signature: Signature, key: DualBufferKey, groups: Groups) -> _Inputs:
     """Declare the inputs and outputs of a pass."""
     size = "height", "width"
     named = groups._asdict().items()
-    exponents = [signature.number(name) for name in give_exponents([Exponents(0.0, 0.0)] * key.variants)]
-    count = len(Exponents._fields)
+    tints, divided = signature.image("albedo", *size, COLORS), signature.count("divided", most=1)
+    albedo = hl.Func("albedo_or_one")
+    albedo[C, X, Y] = hl.select(divided != 0, tints[C, X, Y], hl.f32(1.0))
     inputs = _Inputs(
         halves=[signature.image(name, *size, COLORS) for name in ("half_a", "half_b")],
-        albedo=signature.image("albedo", *size, COLORS) if key.demodulate else None,
+        albedo=albedo,
         mask=signature.image("mask", *size, type=hl.UInt(8)),
         arrays=Groups(*(declare_features(signature, name, features, *size) for name, features in named)),
         scalars=Groups(*(declare_scalars(signature, features, name) for name, features in named)),
@@ -158,11 +127,10 @@ def _declare(signature: Signature, key: DualBufferKey, groups: Groups) -> _Input
         step=signature.count("step", 1),
         guide=signature.image("guide", *size, GUIDE_CHANNELS) if key.guided else None,
         noise=signature.number("noise"),
-        exponents=[Exponents(*exponents[count * k : count * (k + 1)]) for k in range(key.variants)],
+        exponent=signature.number("exponent"),
     )
-    for variant in range(key.variants):
-        for name in name_images(key, variant):
-            signature.output(name, *size, COLORS)
+    for name in ("a", "b", "support"):
+        signature.output(name, *size, COLORS)
     return inputs
 
 
@@ -172,7 +140,7 @@ def make_dual_buffer_pass(key: DualBufferKey, groups: Groups, *, lanes: int = 0)
     inputs = _declare(signature, key, groups)
     mask = inputs.mask
     rows = Rows(mask.width(), inputs.step * inputs.radius, lanes) if lanes else None
-    images = _read_images(key, inputs, rows)
+    images = _read_images(inputs, rows)
     sides = zip(Groups._fields, groups, inputs.scalars, inputs.arrays, strict=True)
     planes = Groups(
         *(make_guide_planes(name, mask, each, own, arrays=arrays, rows=rows) for name, each, own, arrays in sides)
@@ -190,19 +158,15 @@ def make_dual_buffer_pass(key: DualBufferKey, groups: Groups, *, lanes: int = 0)
     span = [(-inputs.radius, 2 * inputs.radius + 1)]
     across, down = hl.RDom(span, "across"), hl.RDom(span, "down")
     row, sums = hl.Func("row"), hl.Func("sums")
-    zeros = [hl.f32(0.0)] * (key.variants * key.summed * SUMS)
+    zeros = [hl.f32(0.0)] * (HALVES * SUMS)
     row[X, Y, V] = hl.Tuple(zeros)
-    taken = _take(key, images, log_weight, inputs.step, across)
+    taken = _take(images, log_weight, inputs.step, across)
     row[X, Y, V] = hl.Tuple([row[X, Y, V][k] + value for k, value in enumerate(taken)])
     sums[X, Y] = hl.Tuple(zeros)
     sums[X, Y] = hl.Tuple([sums[X, Y][k] + row[X, Y, down.x][k] for k in range(len(zeros))])
 
-    share = _find_share(inputs.albedo, (X, Y))
-    results: list[hl.Expr] = []
-    for variant in range(key.variants):
-        halves = [_name_sums(sums, variant * key.summed + half) for half in range(key.summed)]
-        found = _find_mean(halves[0], share) if key.joined else _find_means(halves, share)
-        results += [hl.select(mask[X, Y] != 0, hl.mux(C, image), hl.f32(0.0)) for image in found]
+    found = _find_means([_name_sums(sums, half) for half in range(HALVES)], _find_share(inputs.albedo, (X, Y)))
+    results = [hl.select(mask[X, Y] != 0, hl.mux(C, image), hl.f32(0.0)) for image in found]
     out = hl.Func("out")
     out[C, X, Y] = hl.Tuple(results)
     return DualBufferFuncs(
@@ -221,11 +185,10 @@ def make_dual_buffer_pass(key: DualBufferKey, groups: Groups, *, lanes: int = 0)
     )
 
 
-def _read_images(key: DualBufferKey, inputs: _Inputs, rows: Rows | None) -> hl.Func:
+def _read_images(inputs: _Inputs, rows: Rows | None) -> hl.Func:
     """Return the summands of taps: radiance over albedo times the albedo's luminance, and the luminance as weight.
 
-    All are 0 for a bad pixel. They are planes of each half, or of the sum of both halves; then the weight of one half
-    follows, for the sum of squared weights.
+    All are 0 for a bad pixel. They are planes of each half.
     """
 
     def take(at: tuple[hl.Expr, hl.Expr], usable: hl.Expr) -> hl.Expr:
@@ -233,12 +196,8 @@ def _read_images(key: DualBufferKey, inputs: _Inputs, rows: Rows | None) -> hl.F
         for half in inputs.halves:
             radiance, good = demodulate(half, inputs.albedo, at, hl.f32(ALBEDO_FLOOR))
             share = _find_share(inputs.albedo, at)
-            if inputs.albedo is not None:
-                radiance = _fill_unknown(radiance, [inputs.albedo[k, at[0], at[1]] for k in range(COLORS)])
+            radiance = _fill_unknown(radiance, [inputs.albedo[k, at[0], at[1]] for k in range(COLORS)])
             values += [hl.select(good & usable, value * share, hl.f32(0.0)) for value in (*radiance, hl.f32(1.0))]
-        if key.joined:
-            a, b = values[: COLORS + 1], values[COLORS + 1 :]
-            values = [*(p + q for p, q in zip(a, b, strict=True)), hl.max(a[COLORS], b[COLORS])]
         return hl.mux(C, values)
 
     return make_image("images", inputs.mask, rows, take)
@@ -270,28 +229,22 @@ def _find_distance(guide: hl.Func, inputs: _Inputs) -> hl.Expr:
 
 
 def _weigh(inputs: _Inputs, logs: Groups, distance: hl.Expr | None) -> hl.Func:
-    """Return the base-2 logarithm of a tap's weight in each variant."""
-    log_weights: list[hl.Expr] = []
-    for powers in inputs.exponents:
-        shared = powers.place * logs.place + powers.lobes * logs.lobes + powers.seen * logs.seen
-        log_weights.append(shared if distance is None else shared - powers.range * distance)
+    """Return the base-2 logarithm of a tap's weight."""
+    alike = logs.place + inputs.exponent * logs.lobes
     log_weight = hl.Func("log_weight")
-    log_weight[X, Y, U, V] = hl.Tuple(log_weights) if len(log_weights) > 1 else log_weights[0]
+    log_weight[X, Y, U, V] = alike if distance is None else alike - distance
     return log_weight
 
 
-def _take(key: DualBufferKey, images: hl.Func, log_weight: hl.Func, step: hl.Expr, across: hl.RDom) -> list[hl.Expr]:
-    """Return the summands of a tap, in the order of `HalfSums`, for each half in each variant."""
-    at = log_weight[X, Y, across.x, V]
-    tap = [images[X + across.x * step, k, Y + V * step] for k in range(key.plane_count)]
+def _take(images: hl.Func, log_weight: hl.Func, step: hl.Expr, across: hl.RDom) -> list[hl.Expr]:
+    """Return the summands of a tap, in the order of `HalfSums`, for each half."""
+    weight = expressions.exp2(log_weight[X, Y, across.x, V])
+    tap = [images[X + across.x * step, k, Y + V * step] for k in range(PLANES)]
     taken: list[hl.Expr] = []
-    for variant in range(key.variants):
-        weight = expressions.exp2(at[variant] if key.variants > 1 else at)
-        for first in range(0, key.summed * (COLORS + 1), COLORS + 1):
-            *light, share = tap[first : first + COLORS + 1]
-            counted = weight * share
-            square = counted * (weight * tap[-1]) if key.joined else counted * counted
-            taken += [*(weight * value for value in light), counted, square]
+    for first in range(0, PLANES, COLORS + 1):
+        *light, share = tap[first : first + COLORS + 1]
+        counted = weight * share
+        taken += [*(weight * value for value in light), counted, counted * counted]
     return taken
 
 
@@ -309,16 +262,14 @@ def _fill_unknown(light: Sequence[hl.Expr], tints: Sequence[hl.Expr]) -> list[hl
     return [hl.select(each, value, mean) for each, value in zip(known, light, strict=True)]
 
 
-def _find_share(albedo: hl.ImageParam | None, at: tuple[hl.Expr, hl.Expr]) -> hl.Expr:
-    """Return the luminance of the albedo at a pixel, 1 without albedo; bad channels count as 0."""
-    if albedo is None:
-        return hl.f32(1.0)
+def _find_share(albedo: hl.Func, at: tuple[hl.Expr, hl.Expr]) -> hl.Expr:
+    """Return the luminance of the albedo at a pixel; bad channels count as 0."""
     tints = [albedo[k, at[0], at[1]] for k in range(COLORS)]
     return find_luminance([hl.select(expressions.is_bad(tint), hl.f32(0.0), tint) for tint in tints])
 
 
 def _find_means(halves: Sequence[HalfSums], share: hl.Expr) -> list[list[hl.Expr]]:
-    """Return the images of a variant. A half whose weights are all 0 takes the mean of the other half."""
+    """Return the output images. A half whose weights are all 0 takes the mean of the other half."""
     zero, one = hl.f32(0.0), hl.f32(1.0)
     totals = [half.weight for half in halves]
     means = [[hl.select(half.weight > zero, value / half.weight, zero) for value in half.light] for half in halves]
@@ -341,12 +292,3 @@ def _find_means(halves: Sequence[HalfSums], share: hl.Expr) -> list[list[hl.Expr
     alone = hl.select(some, one / hl.min(spreads[0], spreads[1]), zero)
     worth = hl.select(both, hl.f32(4.0) / (spreads[0] + spreads[1]), alone)
     return [*found, [weight, worth, zero]]
-
-
-def _find_mean(both: HalfSums, share: hl.Expr) -> list[list[hl.Expr]]:
-    """Return the images of a variant whose halves are summed together: mean and support."""
-    zero, total = hl.f32(0.0), both.weight
-    mean = [hl.select(total > zero, value / total, zero) for value in both.light]
-    worth = count_samples(total, both.squared_weight)
-    weight = hl.f32(0.5) * total / hl.max(share, hl.f32(ALBEDO_FLOOR))
-    return [mean, [weight, hl.select(total > zero, worth, zero), zero]]

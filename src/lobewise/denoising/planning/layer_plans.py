@@ -16,7 +16,6 @@ from lobewise.denoising.planning.steps import (
     Step,
     UpsampleStep,
 )
-from lobewise.filters.dual_buffer_pass import Exponents
 from lobewise.settings import ResolvedSettings
 from lobewise.settings.choices import get_quality
 
@@ -125,15 +124,13 @@ def plan_balanced(traits: LayerTraits, settings: ResolvedSettings) -> LayerPlan:
         one = PassStep(
             reads=(source if each.step > 1 and follows else SAMPLES, guide),
             writes=(light,),
-            variants=(Exponents(1.0, lobes, 1.0),),
+            exponent=lobes,
             radius=radius,
             step=step,
             sigma=each.sigma,
             noise=each.noise,
             is_pilot=not follows,
             reads_seen=reads_seen,
-            # No step reads the noise of the last image.
-            joined=number == len(passes) - 1,
             # Sparse passes average averages, so the weights that they gather do not count samples.
             supports=(light,) if each.step == 1 else (),
         )

@@ -11,7 +11,6 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 
 from lobewise.filters.compositing import REACH as COVERAGE_REACH
-from lobewise.filters.dual_buffer_pass import Exponents
 from lobewise.filters.fireflies import REACH as FIREFLY_REACH
 from lobewise.filters.forms import ATROUS_REACH
 from lobewise.filters.highlights import REACH as HIGHLIGHT_REACH
@@ -139,13 +138,14 @@ class GuideStep(Step):
 
 @dataclass(frozen=True, kw_only=True)
 class PassStep(Step):
-    """Run one dual-buffer pass. It writes one image for each variant.
+    """Run one dual-buffer pass.
 
     Parameters
     ----------
     guide : str
         Name of the guide. It is the last of ``reads``; the first is the image that the pass averages.
-    variants : tuple of Exponents
+    exponent : float
+        Exponent of the similarity of the lobes.
     radius : int
         Taps from the centre to the edge of the kernel.
     step : int
@@ -160,20 +160,17 @@ class PassStep(Step):
         Whether the pass compares single lobes instead of covariances: so narrow a kernel needs no more.
     reads_seen : bool
         Whether the pass compares the surfaces that reflections show.
-    joined : bool
-        Whether only the mean of both halves is wanted.
     supports : tuple of str
         Images that it writes whose weight sums a later step reads.
     """
 
-    variants: tuple[Exponents, ...]
+    exponent: float
     radius: int
     step: int = 1
     sigma: float
     noise: float
     is_pilot: bool = False
     reads_seen: bool = False
-    joined: bool = False
     supports: tuple[str, ...] = ()
 
     @property
@@ -200,8 +197,8 @@ class PassStep(Step):
         """Return kernel, exponents and noise."""
         size = 2 * self.radius + 1
         apart = f", taps {self.step} pixels apart" if self.step > 1 else ""
-        lobes = "/".join(f"{each.lobes:g}" for each in self.variants)
-        return f"dual-buffer pass, {size}x{size} taps{apart}, exponent of lobes {lobes}, {self.noise:g} variances"
+        power = f"exponent of lobes {self.exponent:g}"
+        return f"dual-buffer pass, {size}x{size} taps{apart}, {power}, {self.noise:g} variances"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -257,7 +254,7 @@ class LayerPlan:
         last_guide = max(number for number, step in enumerate(self.steps) if isinstance(step, GuideStep))
         passes = [step for step in self.steps if isinstance(step, PassStep)]
         first = max(number for number, step in enumerate(passes) if step.source == SAMPLES)
-        linear = (replace(step, joined=False, supports=step.writes) for step in passes[first:])
+        linear = (replace(step, supports=step.writes) for step in passes[first:])
         return LayerPlan(self.steps[: last_guide + 1]), LayerPlan(tuple(linear))
 
     @property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from lobewise.backend.compiler import hl
 from lobewise.filters.cross_pass import COLORS, U, V
-from lobewise.filters.dual_buffer_pass import GUIDE_CHANNELS, DualBufferFuncs
+from lobewise.filters.dual_buffer_pass import GUIDE_CHANNELS, PLANES, DualBufferFuncs
 from lobewise.filters.planes import PIXEL
 from lobewise.filters.schedules.blocks import keep_planes, spread_channels
 from lobewise.filters.schedules.rows import STRIP_ROWS, fill_planes, fill_rows
@@ -23,7 +23,7 @@ def _schedule_rows(funcs: DualBufferFuncs, target: hl.Target) -> None:
     """Run strips of rows in parallel, columns in vectors, one row of taps at a time.
 
     The sums of a row of taps stay in registers, and the sums of a tile are updated once per row of taps. The logarithms
-    of a row's weights, which all variants share, lie in the first-level cache.
+    of a row's weights lie in the first-level cache.
     """
     x, y, c = PIXEL
     lanes = target.natural_vector_size(hl.Float(32))
@@ -44,7 +44,7 @@ def _schedule_rows(funcs: DualBufferFuncs, target: hl.Target) -> None:
         stage.compute_at(sums, xv).vectorize(x, lanes).bound_storage(U, 2 * LARGEST_RADIUS + 1)
         stage.bound_storage(x, lanes).bound_storage(y, 1).bound_storage(V, 1)
     assert funcs.rows is not None
-    fill_rows(funcs.images.compute_at(out, ys), funcs.key.plane_count, funcs.rows)
+    fill_rows(funcs.images.compute_at(out, ys), PLANES, funcs.rows)
     if funcs.guide is not None:
         fill_rows(funcs.guide.compute_at(out, ys), GUIDE_CHANNELS, funcs.rows)
     for planes in funcs.planes:
@@ -52,7 +52,7 @@ def _schedule_rows(funcs: DualBufferFuncs, target: hl.Target) -> None:
 
 
 def _schedule_blocks(funcs: DualBufferFuncs) -> None:
-    """Give each pixel a thread, which computes both halves and all variants."""
+    """Give each pixel a thread, which computes both halves."""
     for buffer in funcs.out.output_buffers():
         buffer.dim(1).set_stride(COLORS)
     thread = spread_channels(funcs.out, COLORS, PIXEL)
@@ -60,7 +60,7 @@ def _schedule_blocks(funcs: DualBufferFuncs) -> None:
     funcs.row.compute_at(funcs.sums, funcs.down.x)
     for stage in funcs.stages:
         stage.compute_at(funcs.row, funcs.across.x)
-    keep_planes(funcs.images, funcs.key.plane_count, PIXEL)
+    keep_planes(funcs.images, PLANES, PIXEL)
     keep_planes(funcs.guide, GUIDE_CHANNELS, PIXEL)
     for planes in funcs.planes:
         keep_planes(planes.planes, planes.plane_count, PIXEL)

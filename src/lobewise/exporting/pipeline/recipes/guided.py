@@ -22,7 +22,7 @@ from lobewise.features import Feature
 from lobewise.filters.compositing import define_composite
 from lobewise.filters.cross_pass import describe_structure
 from lobewise.filters.dual_buffer import make_scheduled_dual_buffer
-from lobewise.filters.dual_buffer_pass import DualBufferKey, Exponents, Groups, give_exponents, name_images
+from lobewise.filters.dual_buffer_pass import DualBufferKey, Groups
 from lobewise.filters.fireflies import make_fireflies
 from lobewise.filters.highlights import Kinds, make_highlights
 from lobewise.filters.noise_guides import LOG_OFFSET_SHARE, MIN_VARIANCE, make_light_sums, make_scheduled_noise_guide
@@ -59,7 +59,7 @@ class HalfLayer(PlannedLayer):
 
 @dataclass(frozen=True)
 class HalfOutput:
-    """Two filtered halves, or their mean twice, and what supports them: weight sum, effective samples, nothing."""
+    """Two filtered halves, and what supports them: weight sum, effective samples, nothing."""
 
     a: Image
     b: Image
@@ -144,37 +144,31 @@ def call_dual_buffer(
     *,
     albedo: Image | None,
     guide: Image | None,
-) -> list[HalfOutput]:
+) -> HalfOutput:
     """Add a dual-buffer pass; without a step it filters nothing, and divides by the albedo."""
     layer, kernels = run.noisy, run.kernels
-    variants = step.variants if step is not None else (Exponents(0.0, 0.0),)
     key = DualBufferKey(
         groups=tuple(tuple(describe_structure(feature) for feature in features) for features in groups),
-        demodulate=albedo is not None,
         guided=guide is not None,
-        joined=step is not None and step.joined,
-        variants=len(variants),
     )
     given: dict[str, Any] = {
         "half_a": halves[0],
         "half_b": halves[1],
         "mask": layer.mask,
-        "albedo": albedo,
+        "albedo": halves[0] if albedo is None else albedo,
         "guide": guide,
+        "divided": int(albedo is not None),
+        "radius": step.radius if step is not None else 0,
+        "step": step.step if step is not None else 1,
+        "noise": step.noise if step is not None else 1.0,
+        "exponent": step.exponent if step is not None else 1.0,
     }
-    given |= {**give_exponents(list(variants)), "step": step.step if step is not None else 1}
-    given |= {"radius": step.radius if step is not None else 0}
-    given |= {"noise": step.noise if step is not None else 1.0}
     for name, features in groups._asdict().items():
         given |= give_feature_images(name, features) | give_feature_numbers(features, name)
     kernel = kernels.get(key, partial(make_scheduled_dual_buffer, key, groups))
     text = step.describe() if step is not None else "light over albedo"
     written = kernels.call(kernel, given, text=text)
-    found = []
-    for variant in range(len(variants)):
-        *means, support = (written[name] for name in name_images(key, variant))
-        found.append(HalfOutput(means[0], means[-1], support))
-    return found
+    return HalfOutput(written["a"], written["b"], written["support"])
 
 
 def add_guide(run: GuidedRun, step: GuideStep) -> list[Image]:
@@ -182,7 +176,7 @@ def add_guide(run: GuidedRun, step: GuideStep) -> list[Image]:
     layer, kernels = run.noisy, run.kernels
     (source,) = step.reads
     if source == SAMPLES:
-        (halves,) = call_dual_buffer(run, layer.halves, None, Groups((), (), ()), albedo=layer.albedo, guide=None)
+        halves = call_dual_buffer(run, layer.halves, None, Groups((), ()), albedo=layer.albedo, guide=None)
     else:
         halves = run.images[source]
     assert layer.level is not None
@@ -196,9 +190,9 @@ def add_pass(run: GuidedRun, step: PassStep) -> list[HalfOutput]:
     layer, dense = run.noisy, step.source == SAMPLES
     halves = layer.halves if dense else (run.images[step.source].a, run.images[step.source].b)
     lobes = layer.pilot if step.is_pilot else layer.features
-    groups = Groups(tuple(run.get_place(step.sigma)), lobes, ())
+    groups = Groups(tuple(run.get_place(step.sigma)), lobes)
     albedo = layer.albedo if dense else None
-    return call_dual_buffer(run, halves, step, groups, albedo=albedo, guide=run.images[step.guide])
+    return [call_dual_buffer(run, halves, step, groups, albedo=albedo, guide=run.images[step.guide])]
 
 
 def add_finish(run: GuidedRun, step: FinishStep) -> list[HalfOutput]:
@@ -207,7 +201,7 @@ def add_finish(run: GuidedRun, step: FinishStep) -> list[HalfOutput]:
     light, support = run.images[step.reads[0]], run.images[step.support].support
     images = {"mask": layer.mask, "support": support}
     (lit,) = kernels.map_pixels(glue.define_lit, images, {}, names=[f"{layer.name}_lit"], text="pixels with light")
-    images = {"light0": light.a, "lit": lit, "radiance": layer.radiance, "albedo": layer.albedo}
+    images = {"light0": light.a, "light1": light.b, "lit": lit, "radiance": layer.radiance, "albedo": layer.albedo}
     (image,) = kernels.map_pixels(
         define_composite, images, {}, names=[f"{layer.name}_composite"], text="light times albedo"
     )
