@@ -114,4 +114,4 @@ def define_guides(grid: Grid, similarity: str, lobes: int) -> Sequence[Vector]:
     The exported function is compiled from this definition, and the sample is made with it in this process.
     """
     is_mixture = get_similarity(similarity).is_mixture
-    return define_mixture(grid, lobes) if is_mixture else define_lobes(grid, similarity, False)
+    return define_mixture(grid, lobes) if is_mixture else define_lobes(grid, similarity)

@@ -94,7 +94,7 @@ def make_sg_field(gbuffer: GBuffer, camera: Camera, *, tau: float, diffuse_fallb
     InputError
         If ``tau`` is out of range.
     """
-    return SgField(*_run(gbuffer, camera, tau, "sg", diffuse_fallback))
+    return SgField(*_run(gbuffer, camera, tau, "sg", diffuse_fallback=diffuse_fallback))
 
 
 def make_covariance_field(
@@ -122,7 +122,7 @@ def make_covariance_field(
     MissingChannelError, InputError
         As in `make_sg_field`.
     """
-    return CovarianceField(*_run(gbuffer, camera, tau, "asg" if gaussian else "ggx", diffuse_fallback))
+    return CovarianceField(*_run(gbuffer, camera, tau, "asg" if gaussian else "ggx", diffuse_fallback=diffuse_fallback))
 
 
 SPREAD_TURNS = 2.0
@@ -229,7 +229,7 @@ def make_split_field(gbuffer: GBuffer, camera: Camera, taus: Sequence[float]) ->
 
 def define_split_lobes(grid: Grid, count: int) -> list[Vector]:
     """Return validity, axis, t, and both eigenvalues for each of ``count`` band-limits."""
-    which, axis, shape = _find_lobes(grid, "ggx", True)
+    which, axis, shape = _find_lobes(grid, "ggx", hl.Expr(True))
     which, *lobe = grid.share([which, *axis, *shape])
     axis, covariance, determinant = lobe[:3], lobe[3:9], lobe[9]
     large, t = split_covariance(HALIDE, axis, covariance)
@@ -243,11 +243,12 @@ def define_split_lobes(grid: Grid, count: int) -> list[Vector]:
 
 
 def _run(
-    gbuffer: GBuffer, camera: Camera, tau: float, similarity: str, diffuse_fallback: bool
+    gbuffer: GBuffer, camera: Camera, tau: float, similarity: str, *, diffuse_fallback: bool
 ) -> tuple[NDArray[Any], ...]:
     check_lobe_guides(gbuffer, similarity, tau)
     images, numbers = collect_guides(gbuffer, camera, tau, similarity)
-    return run_pointwise(define_lobes, images, numbers, similarity, diffuse_fallback)
+    numbers["diffuse_fallback"] = np.float32(diffuse_fallback)
+    return run_pointwise(define_lobes, images, numbers, similarity)
 
 
 def check_lobe_guides(gbuffer: GBuffer, similarity: str, tau: float) -> None:
@@ -302,14 +303,18 @@ def collect_guides(
     return images, numbers
 
 
-def define_lobes(grid: Grid, similarity: str, diffuse_fallback: bool) -> list[Vector]:
-    """Return validity, axis and shape: the sharpness, or the covariance and its determinant."""
-    which, axis, shape = _find_lobes(grid, similarity, diffuse_fallback)
+def define_lobes(grid: Grid, similarity: str) -> list[Vector]:
+    """Return validity, axis and shape: the sharpness, or the covariance and its determinant.
+
+    Without the number ``diffuse_fallback``, surfaces of kind NONE have no lobe.
+    """
+    fallback = grid.get("diffuse_fallback")[0] != 0 if "diffuse_fallback" in grid.numbers else hl.Expr(False)
+    which, axis, shape = _find_lobes(grid, similarity, fallback)
     truth = [hl.u8(which != NO_LOBE)]
     return [truth, axis, shape[:6], shape[6:]] if len(shape) > 1 else [truth, axis, shape]
 
 
-def _find_lobes(grid: Grid, similarity: str, diffuse_fallback: bool) -> tuple[hl.Expr, list[hl.Expr], list[hl.Expr]]:
+def _find_lobes(grid: Grid, similarity: str, diffuse_fallback: hl.Expr) -> tuple[hl.Expr, list[hl.Expr], list[hl.Expr]]:
     """Return the kind of a pixel's lobe, its axis and its shape."""
     normal, view, cosine, surface = _find_directions(grid)
     kind = grid.read_one("kind") if grid.has("kind") else None
@@ -329,7 +334,7 @@ def _find_lobes(grid: Grid, similarity: str, diffuse_fallback: bool) -> tuple[hl
     lambert = hl.Expr(False)
     if kind is not None:
         specular = specular & (kind > hl.f32(0.5)) & (kind < hl.f32(3.5))
-        lambert = surface & (kind == hl.f32(LobeKind.NONE)) if diffuse_fallback else lambert
+        lambert = surface & (kind == hl.f32(LobeKind.NONE)) & diffuse_fallback
     # Store the choice and the lobe once per row: otherwise each output would compute them again from all guides.
     which = hl.select(specular, hl.u8(SPECULAR_LOBE), lambert, hl.u8(LAMBERT_LOBE), hl.u8(NO_LOBE))
     which, *kept = grid.share([which, *axis, *shape])

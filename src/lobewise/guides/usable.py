@@ -14,12 +14,10 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.backend.compiler import hl
-from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise
 from lobewise.backend.prebuilt import has_kernels
 from lobewise.frame import FloatArray, Frame
 from lobewise.guides.stand_ins import stand_in_normals, stand_in_surfaces
-from lobewise.guides.surfaces import find_surface_pixels, is_surface, is_surface_depth
+from lobewise.guides.surfaces import find_surface_pixels
 from lobewise.guides.survey import GuideSurvey
 from lobewise.sparse_frame import AnyFrame
 
@@ -102,10 +100,7 @@ def check_guides(frame: FrameT) -> CheckedGuides[FrameT]:
 
 
 def has_unusable(frame: AnyFrame) -> bool:
-    """Return whether any guide of a frame has an impossible value.
-
-    Each image has a pass of its own, so that a few kernels serve every set of guides.
-    """
+    """Return whether any guide of a frame has an impossible value."""
     guides = frame.gbuffer
     layers = frame.layers if isinstance(frame, Frame) else ()
     albedos = [*(getattr(guides, name) for name in ALBEDOS), *(layer.albedo for layer in layers)]
@@ -116,29 +111,20 @@ def has_unusable(frame: AnyFrame) -> bool:
         return True
     if guides.depth is None:
         return False
-    surfaces = {"depth": guides.depth, "normal": guides.normal, "position": guides.position}
-    (lost,) = run_pointwise(_define_lost, surfaces, {})
-    return bool(lost.any())
+    return _has_odd(guides.depth, 0.0, np.inf) or bool(_find_lost(frame, guides.depth).any())
 
 
 def _has_odd(image: FloatArray, least: float, most: float) -> bool:
-    (odd,) = run_pointwise(_define_odd, {"image": image}, {}, least, most)
-    return bool(odd.any())
+    """Return whether any value is out of range or NaN."""
+    # With a NaN both reductions return NaN, whose comparisons are False.
+    return not (float(image.min()) >= least and float(image.max()) <= most)
 
 
-def _define_odd(grid: Grid, least: float, most: float) -> list[Vector]:
-    """Return whether a channel of a pixel is out of range or not finite."""
-    odd = hl.Expr(False)
-    for value in grid.read("image"):
-        odd = odd | (value < hl.f32(least)) | (value > hl.f32(most)) | ~is_finite(value)
-    return [[hl.u8(odd)]]
-
-
-def _define_lost(grid: Grid) -> list[Vector]:
-    """Return whether a depth is impossible, or belongs to a surface without a normal or a place."""
-    depth = grid.read_one("depth")
-    odd = (depth < hl.f32(0.0)) | (~is_finite(depth) & ~(depth > hl.f32(0.0)))
-    return [[hl.u8(odd | (is_surface_depth(depth) & ~is_surface(grid)))]]
+def _find_lost(frame: AnyFrame, depth: FloatArray) -> NDArray[np.bool_]:
+    """Return which pixels have a depth of a surface, but no normal or no place."""
+    with np.errstate(invalid="ignore"):
+        there = (depth > 0.0) & (depth < np.inf)
+    return np.asarray(there & ~find_surface_pixels(frame.gbuffer, frame.shape), np.bool_)
 
 
 def find_unusable(frame: AnyFrame, rows: slice = slice(None)) -> list[Unusable]:
@@ -182,8 +168,7 @@ def _bound(albedo: FloatArray | None) -> FloatArray | None:
 
 
 def _is_out(albedo: FloatArray | None) -> bool:
-    # With a NaN both reductions return NaN, whose comparisons are False.
-    return albedo is not None and not (float(albedo.max()) <= MAX_ALBEDO and float(albedo.min()) >= MIN_ALBEDO)
+    return albedo is not None and _has_odd(albedo, MIN_ALBEDO, MAX_ALBEDO)
 
 
 def _list_unusable(frame: AnyFrame, rows: slice) -> Iterator[Unusable]:
@@ -201,12 +186,12 @@ def _list_unusable(frame: AnyFrame, rows: slice) -> Iterator[Unusable]:
             yield Unusable(name, "NaN", _count(np.isnan(part).any(axis=-1)), "they are not compared with others")
     for name in ALPHAS:
         alpha = getattr(guides, name)
-        if alpha is not None and not (float(alpha.max()) <= 1.0 and float(alpha.min()) >= 0.0):
+        if alpha is not None and _has_odd(alpha, 0.0, 1.0):
             part = alpha[rows]
             fate = "it is clamped there"
             yield Unusable(name, "out of [0, 1]", _count((part < 0.0) | (part > 1.0)), fate)
             yield Unusable(name, "NaN", _count(np.isnan(part)), "they are not compared with others")
-    if guides.depth is not None and not float(guides.depth.min()) >= 0.0:
+    if guides.depth is not None and _has_odd(guides.depth, 0.0, np.inf):
         part = guides.depth[rows]
         yield Unusable("depth", "below 0", _count(part < 0.0), "they are not filtered")
         yield Unusable("depth", "NaN", _count(np.isnan(part)), "they are not filtered")
@@ -227,9 +212,7 @@ def _list_odd_normals(frame: AnyFrame, rows: slice) -> Iterator[Unusable]:
         yield Unusable("normal", f"longer than {MAX_NORMAL_LENGTH:g}", _count(long), "it is normalised there")
     if guides.depth is None:
         return
-    with np.errstate(invalid="ignore"):
-        there = (guides.depth > 0.0) & (guides.depth < np.inf)
-    lost = there & ~find_surface_pixels(guides, frame.shape)
+    lost = _find_lost(frame, guides.depth)
     if lost.any():
         alone = (lost & (_count_neighbours(lost) <= MAX_NEIGHBOURS_WITHOUT_NORMAL))[rows]
         length = np.abs(guides.normal[rows]).max(axis=-1)

@@ -40,7 +40,8 @@ def _schedule_rows(funcs: FireflyFuncs, lanes: int) -> None:
     """Run strips of rows in parallel and columns in vectors. Keep a strip's planes in cache.
 
     Measured (EPYC with AVX-512), 1920x1080, processor time of one thread: 26 ms, with albedo 32 ms. A kernel compiles
-    in 1.3 s. The crowd of a window's row is computed once and serves all windows that contain the row.
+    in 0.7 s. Loops of their own for the borders save a twentieth of the time and compile in 1.3 s. The crowd of a
+    window's row is computed once and serves all windows that contain the row.
     """
     (x, y, c), lane, out, tally = PIXEL, funcs.lane, funcs.out, funcs.tally
     ys, yi, tail = hl.Var("ys"), hl.Var("yi"), hl.TailStrategy.GuardWithIf
@@ -51,9 +52,9 @@ def _schedule_rows(funcs: FireflyFuncs, lanes: int) -> None:
     funcs.sums.compute_at(out, yi).vectorize(lane)
     funcs.sums.update().vectorize(lane)
     for func in (funcs.factor, funcs.energy):
-        func.compute_at(out, yi).vectorize(x, lanes)
+        func.compute_at(out, yi).vectorize(x, lanes).never_partition_all()
     for func in (funcs.light, funcs.row):
-        func.compute_at(out, ys).vectorize(x, lanes)
+        func.compute_at(out, ys).vectorize(x, lanes).never_partition_all()
     for func in funcs.crowds:
         func.compute_at(funcs.row, y).vectorize(x, lanes).never_partition_all()
 

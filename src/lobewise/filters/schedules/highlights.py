@@ -41,6 +41,7 @@ def schedule_highlights(funcs: HighlightFuncs, target: hl.Target) -> None:
     ys, yi, tail = hl.Var("ys"), hl.Var("yi"), hl.TailStrategy.GuardWithIf
     out.bound(c, 0, 3).reorder(c, x, y).unroll(c)
     out.split(y, ys, yi, STRIP_ROWS, tail).vectorize(x, lanes, tail).parallel(ys).never_partition_all()
-    funcs.share.compute_at(out, yi).vectorize(x, lanes)
+    funcs.share.compute_at(out, yi).vectorize(x, lanes).never_partition_all()
     for func in (funcs.light, funcs.both, funcs.least, funcs.agreed, funcs.rows, funcs.level, funcs.blocks, funcs.core):
-        func.compute_at(out, ys).vectorize(x, lanes)
+        # Loops of their own for the borders would double the time to compile.
+        func.compute_at(out, ys).vectorize(x, lanes).never_partition_all()

@@ -50,8 +50,8 @@ def schedule_noise_guide(funcs: NoiseGuideFuncs, target: hl.Target) -> None:
     out.never_partition_all()
     funcs.logs.compute_at(out, ys).bound(c, 0, 2 * COLORS).reorder_storage(x, c, y).reorder(c, x, y)
     funcs.logs.vectorize(x, lanes).unroll(c).never_partition_all()
-    rows.compute_at(out, ys).vectorize(x, lanes)
-    funcs.spread.compute_at(rows, y).vectorize(x, lanes)
+    rows.compute_at(out, ys).vectorize(x, lanes).never_partition_all()
+    funcs.spread.compute_at(rows, y).vectorize(x, lanes).never_partition_all()
 
 
 def schedule_light_sums(funcs: LightSumFuncs, lanes: int, target: hl.Target) -> None:
@@ -64,5 +64,5 @@ def schedule_light_sums(funcs: LightSumFuncs, lanes: int, target: hl.Target) -> 
         for stage in (out, out.update()):
             stage.gpu_tile(lane, y, *names, COLUMNS, ROWS, hl.TailStrategy.GuardWithIf)
         return
-    out.vectorize(lane).parallel(y)
-    out.update().reorder(lane, funcs.steps.x, y).vectorize(lane).parallel(y)
+    out.vectorize(lane).parallel(y).never_partition_all()
+    out.update().reorder(lane, funcs.steps.x, y).vectorize(lane).parallel(y).never_partition_all()

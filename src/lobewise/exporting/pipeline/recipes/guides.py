@@ -196,13 +196,13 @@ class PipelineGuides:
     def make_lobes(self, similarity: str, noise: Number, *, spread: bool) -> tuple[Image, list[Image]]:
         """Return where pixels have a lobe, and the lobes' axes and shapes; see `make_sg_field`."""
         eye = self.constants.get_vector("eye", single=True)
-        numbers = {"eye": eye, "noise": noise, **self.constants.get_rays()}
+        fallback = Number(1.0, "1.0", is_single=True)
+        numbers = {"eye": eye, "noise": noise, **self.constants.get_rays(), "diffuse_fallback": fallback}
         valid, *lobe = self.kernels.map_pixels(
             define_lobes,
             self.collect_lobe_images(),
             numbers,
             similarity,
-            True,
             names=[
                 "has_lobe",
                 "axis",
