@@ -136,8 +136,12 @@ class TestJoining:
         assert abs(correlation) < 0.1
 
     def test_layers_parts_and_passes_keep_their_sums(self):
-        joined = join([split(frame) for frame in make_moving()]).frame
-        total = sum(layer.radiance for layer in joined.layers)
+        shone = np.zeros((*SIZE, 3), np.float32)
+        shone[4:8, 10:14] = 3.0
+        frames = make_moving()
+        lit = [replace(frame.radiance, color=frame.radiance.color + shone) for frame in frames]
+        joined = join([split(frame.with_changes(radiance=each)) for frame, each in zip(frames, lit, strict=True)]).frame
+        total = sum(layer.radiance for layer in joined.layers) + shone
         np.testing.assert_allclose(total, joined.radiance.color, rtol=1e-3, atol=1e-4)
         np.testing.assert_allclose(joined.layers[0].radiance, joined.radiance.diffuse, rtol=1e-4, atol=1e-5)
         np.testing.assert_allclose(sum(joined.also.values()), joined.radiance.color, rtol=1e-3, atol=1e-4)
