@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 import lobewise
 from lobewise.denoising import stages
-from lobewise.denoising.evidence import describe_blurred
+from lobewise.denoising.evidence import STRIP_ROWS, count_blurred, describe_blurred
 from lobewise.filters.noise.evidence import find_noisy_share
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.metrics import rel_mse
@@ -150,6 +151,25 @@ def test_fast_says_how_much_it_blurs(rng: np.random.Generator) -> None:
         assert any("% of the image this filter blurs" in note for note in notes) is told
     assert describe_blurred(np.array([[9.0, 1000.0]])) == ()
     assert describe_blurred(np.array([[10.0, 1000.0]]))[0].startswith("In 1 % of the image")
+
+
+def test_blur_is_counted_in_strips_the_same_in_bands(rng: np.random.Generator) -> None:
+    """A quarter of a high image tells the blurred share, and bands of any height count the same strips."""
+    height, blurred_from = 768, 384
+    truth = np.tile(make_texture(), (height // SIZE, 1, 1))
+    a, b = draw_halves(truth, 1e-3, rng)
+    noisy, result = 0.5 * (a + b), truth.copy()
+    result[blurred_from:] = truth.mean()
+    counts = count_blurred(Frame(Radiance(noisy)), result)
+    blurred, counted = counts.sum(axis=0)
+    assert counted < 0.3 * height * SIZE
+    assert blurred / counted == pytest.approx(1.0 - blurred_from / height, abs=0.05)
+    found = []
+    for first, end in pairwise([0, 1, 128, 150, 401, height]):
+        rows = slice(max(first - 8, 0), min(end + STRIP_ROWS, height))
+        part = Frame(Radiance(noisy[rows]))
+        found.append(count_blurred(part, result[rows], (first, end), rows.start, height))
+    assert np.array_equal(np.concatenate(found), counts)
 
 
 def test_error_along_an_edge_counts_there(rng: np.random.Generator) -> None:

@@ -23,6 +23,12 @@ MIN_SHARE_BLURRED = 0.01
 MAX_RADIANCE = 1e36
 """Radiance above which no share of a pixel is taken back, because sums of it overflow."""
 Rows = NDArray[np.float64]
+STRIP_ROWS = 32
+"""Rows of a strip. What the user is told about blur is counted in strips, each an image of its own."""
+MAX_STRIP_STEP = 4
+"""Strips, of which one is counted in a high image. A quarter of the rows tells the share of the image."""
+MIN_STRIPS = 4
+"""Smallest number of strips that is counted, as far as the image has so many."""
 
 
 def find_share_lost(
@@ -104,46 +110,61 @@ def mix_noisy(part: FloatArray, noisy: FloatArray, share: FloatArray) -> FloatAr
     return np.where(np.isfinite(mixed) & (share > 0.0)[..., None], mixed, part)
 
 
-def count_blurred(frame: Frame, image: FloatArray, rows: slice = slice(None)) -> Rows:
-    """Return for each row the number of pixels with clearly more error than the input, and the number of pixels.
+def count_blurred(
+    frame: Frame, image: FloatArray, band: tuple[int, int] | None = None, top: int = 0, height: int | None = None
+) -> Rows:
+    """Return for each strip of an image the pixels with clearly more error than the input, and all of its pixels.
 
-    The count does not read the halves of the samples, because the quality "fast" does not read them either.
+    The count does not read the halves of the samples, because the quality "fast" does not read them either. Low images
+    are counted whole, and of high ones a strip of every `MAX_STRIP_STEP`.
 
     Parameters
     ----------
     frame : Frame
-        The noisy frame. A count depends on `lobewise.filters.noise.evidence.REACH` rows to each side.
+        The noisy frame, or some of its rows.
     image : array, shape (height, width, 3)
-        The result.
-    rows : slice
-        Rows to count.
+        The result, of the same rows.
+    band : two int, optional
+        Rows of the whole frame, first and end: the strips that begin there are counted. The ``frame`` goes on for
+        `STRIP_ROWS` rows beyond, as far as the whole one does. By default all rows.
+    top : int
+        First row of ``frame`` in the whole frame.
+    height : int, optional
+        Rows of the whole frame; by default those of ``frame``.
 
     Returns
     -------
-    array, shape (rows, 2)
+    array, shape (strips, 2)
     """
-    share = find_noisy_share(
-        image,
-        frame.radiance.color,
-        variance=None if frame.variance is None else frame.variance.color,
-        floor=EPSILON,
-        shared=frame.noise_is_shared,
-        by_darker=True,
-    )[rows]
-    # Where both errors are equal, the best share is one half.
-    blurred = np.count_nonzero(share > 0.5, axis=-1)
-    return np.stack([blurred, np.full(len(blurred), share.shape[1])], axis=-1).astype(np.float64)
+    height = frame.height if height is None else height
+    first, end = band or (0, height)
+    step = STRIP_ROWS * min(max(height // (STRIP_ROWS * MIN_STRIPS), 1), MAX_STRIP_STEP)
+    variance = None if frame.variance is None else frame.variance.color
+    counts = []
+    for start in range(-(-first // step) * step, end, step):
+        rows = slice(start - top, min(start + STRIP_ROWS, height) - top)
+        share = find_noisy_share(
+            image[rows],
+            frame.radiance.color[rows],
+            variance=None if variance is None else variance[rows],
+            floor=EPSILON,
+            shared=frame.noise_is_shared,
+            by_darker=True,
+        )
+        # Where both errors are equal, the best share is one half.
+        counts.append((np.count_nonzero(share > 0.5), share.size))
+    return np.array(counts, np.float64).reshape(-1, 2)
 
 
-def describe_blurred(rows: Rows) -> tuple[str, ...]:
+def describe_blurred(strips: Rows) -> tuple[str, ...]:
     """Return the sentence that a result has more error than its input in a part of the image, or none.
 
     Parameters
     ----------
-    rows : array, shape (height, 2)
+    strips : array, shape (strips, 2)
         Result of `count_blurred`.
     """
-    blurred, count = rows.sum(axis=0) if len(rows) else (0.0, 0.0)
+    blurred, count = strips.sum(axis=0) if len(strips) else (0.0, 0.0)
     if not blurred >= MIN_SHARE_BLURRED * max(count, 1.0):
         return ()
     return (

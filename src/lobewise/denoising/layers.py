@@ -388,5 +388,5 @@ def _find_reflecting(layer: Layer) -> Mask:
     """Return where a layer's lobe reflects more than `ALBEDO_FLOOR` of the light; everywhere without albedo."""
     if layer.albedo is None:
         return layer.mask
-    x, y, z = (layer.albedo[..., k] for k in range(3))
-    return np.asarray(layer.mask & ((x > ALBEDO_FLOOR) | (y > ALBEDO_FLOOR) | (z > ALBEDO_FLOOR)))
+    above = layer.albedo > ALBEDO_FLOOR
+    return np.asarray(layer.mask & (above[..., 0] | above[..., 1] | above[..., 2]))

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lobewise.backend.buffers import Image, download
+from lobewise.denoising.bad_pixels import find_good
 from lobewise.denoising.layers import Layer
 from lobewise.denoising.noisy import NoisyLayer, make_pass_features
 from lobewise.denoising.planning.steps import (
@@ -126,6 +127,19 @@ def run_plain(frame: AnyFrame, layer: Layer, settings: ResolvedSettings, plan: L
     state.run(plan)
     output: FilterOutput = state.images["image"]
     return output
+
+
+def keep_unfiltered(layer: Layer, output: FilterOutput) -> FloatArray:
+    """Return the filtered radiance, and the input where no tap had weight; NaN where that is bad too."""
+    lost = output.weight_sum <= 0.0
+    if not lost.any():
+        return output.image
+    image = output.image.copy()
+    # Channel by channel: a mask that NumPy spreads over an axis of three is several times slower.
+    for k in range(3):
+        np.copyto(image[..., k], layer.radiance[..., k], where=lost)
+    image[lost & ~find_good(layer.radiance)] = np.nan
+    return image
 
 
 def run_with_history(

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend.buffers import device_scope
+from lobewise.chunks import cut_rows
 from lobewise.denoising.also import Passed, filter_also
 from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, find_bad_pixels, find_good
 from lobewise.denoising.combining import choose_between, denoise_with_peer, share_out
@@ -33,10 +34,9 @@ from lobewise.denoising.refining.inputs import sum_light as sum_parts
 from lobewise.denoising.refining.lamps import find_edges, find_refined, find_shining, find_small
 from lobewise.denoising.refining.network import find_factor
 from lobewise.denoising.refining.whole_image import WholeImage, measure_whole
-from lobewise.denoising.running import run_guided, run_plain
+from lobewise.denoising.running import keep_unfiltered, run_guided, run_plain
 from lobewise.features import Feature
 from lobewise.filters.compositing import average_emission
-from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.fireflies import cut_samples
 from lobewise.filters.specks import Sharing, find_sharing
 from lobewise.frame import FloatArray, Frame
@@ -110,8 +110,9 @@ class Filtered:
 
     def find_holes(self, bad: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return where the image has no value, (height, width): not finite, or bad and reached by no layer."""
-        untouched = np.logical_and.reduce([support.weight_sum <= 0.0 for support in self.supports])
-        holes: NDArray[np.bool_] = ~find_good(self.image) | (bad & untouched)
+        holes: NDArray[np.bool_] = ~find_good(self.image)
+        if bad.any():
+            holes |= bad & np.logical_and.reduce([support.weight_sum <= 0.0 for support in self.supports])
         return holes
 
 
@@ -358,26 +359,23 @@ RUNNERS: Mapping[Stage, Callable[[FrameRun], FrameRun]] = {
 """What runs each stage."""
 
 
-def keep_unfiltered(layer: Layer, output: FilterOutput) -> FloatArray:
-    """Return the filtered radiance, and the input where no tap had weight; NaN where that is bad too."""
-    lost = output.weight_sum <= 0.0
-    if not lost.any():
-        return output.image
-    kept = np.where(find_good(layer.radiance)[..., None], layer.radiance, np.float32(np.nan))
-    return np.where(lost[..., None], kept, output.image)
-
-
 def find_rest(frame: Frame) -> FloatArray | None:
     """Return what is in none of the parts of a frame (emission, background), finite and >= 0; None without parts."""
     if frame.radiance.parts is None:
         return None
     noisy = [layer.radiance for layer in frame.layers] or frame.radiance.parts
-    with np.errstate(invalid="ignore", over="ignore"):  # bad pixels are infinite or NaN here; the next line drops them
-        # A negative part is no light: subtracting it would add light that is not in the total.
-        rest = frame.radiance.color - np.maximum(noisy[0], np.float32(0.0))
-        for part in noisy[1:]:
-            rest = rest - np.maximum(part, np.float32(0.0))
-    return np.where((rest > 0.0) & (rest <= np.finfo(np.float32).max), rest, np.float32(0.0))
+    rest, nothing = np.empty_like(frame.radiance.color), np.float32(0.0)
+    for chunk in cut_rows(*frame.shape):  # a chunk stays in the core's cache
+        here = rest[chunk]
+        with np.errstate(invalid="ignore", over="ignore"):  # bad pixels are infinite or NaN until the end
+            # A negative part is no light: subtracting it would add light that is not in the total.
+            np.subtract(frame.radiance.color[chunk], np.maximum(noisy[0][chunk], nothing), out=here)
+            for part in noisy[1:]:
+                here -= np.maximum(part[chunk], nothing)
+        np.fmax(here, nothing, out=here)
+        here += nothing  # -0 becomes 0
+        here[here > np.finfo(np.float32).max] = nothing
+    return rest
 
 
 def find_averaged_rest(frame: Frame) -> FloatArray | None:

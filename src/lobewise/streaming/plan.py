@@ -5,9 +5,9 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import NamedTuple
 
+from lobewise.denoising.evidence import STRIP_ROWS
 from lobewise.denoising.inputs import Images, list_images
 from lobewise.denoising.planning.frame_plans import find_reach
-from lobewise.filters.noise.evidence import REACH as EVIDENCE_REACH
 from lobewise.filters.refinement.shape import MULTIPLE
 from lobewise.guides.negative import REACH as NEGATIVE_REACH
 from lobewise.guides.stand_ins import REACH as STAND_IN_REACH
@@ -99,9 +99,9 @@ def choose_rows(reader: BandReader, settings: ResolvedSettings, memory: float) -
 def find_band_reach(settings: ResolvedSettings) -> int:
     """Return how many rows around a band are read: the reach of the filters and of the notes to the user.
 
-    Filters without halves do not read the evidence, but the note on blurred detail does.
+    Filters without halves do not read the evidence, but the note on blurred detail does, in strips.
     """
-    noted = 0 if get_quality(settings.quality).reads_halves else EVIDENCE_REACH
+    noted = 0 if get_quality(settings.quality).reads_halves else STRIP_ROWS
     return find_reach(settings) + CHECKED_REACH + noted
 
 

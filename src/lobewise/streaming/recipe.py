@@ -355,7 +355,8 @@ def _filter_band(
     if seen.measures_light:
         seen.light.append(sum_light(frame, found.image, bad, core))
     if not get_quality(settings.above.quality).reads_halves:
-        seen.blurred.append(count_blurred(frame, found.image, core))
+        band = (rows[0] + core.start, rows[0] + core.stop)
+        seen.blurred.append(count_blurred(frame, found.image, band, rows[0], reader.shape[0]))
     images: dict[str, NDArray[Any]] = {"holes": found.find_holes(bad)[core], **_name_fields(found, core)}
     nothing = {f"below {field}": np.zeros_like(images[field]) for field in images if field != "holes"}
     if below is None:
