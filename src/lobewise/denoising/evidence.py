@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.chunks import cut_rows
 from lobewise.denoising.bad_pixels import blacken_bad, find_good
 from lobewise.denoising.networks import load_networks
 from lobewise.filters.mixing import Network
@@ -104,10 +105,18 @@ def find_share_taken_back(
 
 def mix_noisy(part: FloatArray, noisy: FloatArray, share: FloatArray) -> FloatArray:
     """Return a filtered part with a share, (height, width), of its samples; where these are not finite, the part."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        # A negative part counts as no light, as in the total.
-        mixed = part + share[..., None] * (np.maximum(noisy, np.float32(0.0)) - part)
-    return np.where(np.isfinite(mixed) & (share > 0.0)[..., None], mixed, part)
+    mixed = np.empty_like(part)
+    for chunk in cut_rows(*share.shape):  # a chunk stays in the core's cache
+        here, before = mixed[chunk], part[chunk]
+        # Shares of their own for every channel: NumPy is several times slower where it spreads them.
+        shares = np.repeat(share[chunk], 3, axis=1).reshape(before.shape)
+        with np.errstate(invalid="ignore", over="ignore"):
+            # A negative part counts as no light, as in the total.
+            np.subtract(np.maximum(noisy[chunk], np.float32(0.0)), before, out=here)
+            here *= shares
+            here += before
+        np.copyto(here, before, where=~(np.isfinite(here) & (shares > 0.0)))
+    return mixed
 
 
 def count_blurred(

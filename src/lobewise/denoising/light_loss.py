@@ -16,7 +16,6 @@ sqrt(k) standard errors. Source of the residual: `lobewise.filters.noise.residua
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -24,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.denoising.bad_pixels import find_good
+from lobewise.denoising.bad_pixels import blacken_bad, find_good
 from lobewise.denoising.layers import Layer
 from lobewise.filters.noise.residuals import DIFFERENCES, SHARED_NOISE_VARIANCE, SHARED_STEP
 from lobewise.frame import FloatArray, Frame
@@ -55,6 +54,8 @@ MAX_FALL = 0.5
 """Largest share of its light that a layer loses where its filter added light."""
 ROWS_AT_ONCE = 128
 """Rows whose sums are computed together."""
+MISSING_ROWS_AT_ONCE = 8
+"""The same for the light of a layer, in 64 bits: few enough for a core's cache."""
 
 Rows = NDArray[np.float64]
 
@@ -73,10 +74,10 @@ def find_takers(layer: Layer, part: FloatArray, level: float) -> FloatArray:
     level : float
         Mean light of the layer's samples, over albedo.
     """
-    light = _add_channels(np.where(find_good(part)[..., None], part, np.float32(0.0)))
+    light = _add_channels(blacken_bad(part))
     bound = np.full_like(light, 3.0)
     if layer.albedo is not None:
-        bound = _add_channels(np.where(find_good(layer.albedo)[..., None], layer.albedo, np.float32(0.0)))
+        bound = _add_channels(blacken_bad(layer.albedo))
     bound *= MAX_TAKER * level
     share = np.divide(bound, light, out=np.zeros_like(light), where=layer.mask & (light > 0.0))
     return np.minimum(share, 1.0).astype(np.float32)
@@ -96,16 +97,20 @@ def sum_missing(
     takes part in sharing; all light of the pixels that take part. Light is the sum of the three channels. Pixels in
     ``uncounted``, (height, width), are left out.
     """
-    found = []
-    counted = itertools.repeat(True) if uncounted is None else ~uncounted[rows]
-    for noisy, done, share, known in zip(layer.radiance[rows], part[rows], taker[rows], counted, strict=False):
-        good = find_good(noisy) & find_good(done) & known
+    first, stop, _ = rows.indices(len(part))
+    found = [np.zeros((0, 5))]
+    for top in range(first, stop, MISSING_ROWS_AT_ONCE):
+        block = slice(top, min(top + MISSING_ROWS_AT_ONCE, stop))
+        noisy, done, share = layer.radiance[block], part[block], taker[block]
+        good = find_good(noisy) & find_good(done)
+        if uncounted is not None:
+            good &= ~uncounted[block]
         before, after = (np.where(good, _add_channels(image), 0.0) for image in (noisy, done))
         missing = before - after
         sums = before, missing, missing * missing, after * share, np.where(share > 0.0, after, 0.0)
         # Sum each row alone: bands of any height then give the same bits.
-        found.append([one.sum() for one in sums])
-    return np.array(found, np.float64).reshape(-1, 5)
+        found.append(np.stack([one.sum(axis=1) for one in sums], axis=1))
+    return np.concatenate(found)
 
 
 class Gain(NamedTuple):
@@ -235,9 +240,10 @@ def _find_squared_residual(light: NDArray[np.float64], step: int) -> NDArray[np.
     """Return the squared residual of every pixel. A pixel replaces its neighbours that are bad (NaN) or outside."""
     height, width = light.shape
     around = np.pad(light, step, mode="edge")
+    has_bad = bool(np.isnan(light).any())
     total = np.zeros_like(light)
     for row, down in enumerate(DIFFERENCES):
         for column, across in enumerate(DIFFERENCES):
             there = around[row * step : row * step + height, column * step : column * step + width]
-            total += down * across / 6.0 * np.where(np.isnan(there), light, there)
+            total += down * across / 6.0 * (np.where(np.isnan(there), light, there) if has_bad else there)
     return total * total
