@@ -7,7 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from lobewise.camera import Camera
-from lobewise.frame import GBuffer
+from lobewise.frame import Frame, GBuffer, Radiance
+from lobewise.guides.stand_ins import stand_in_normals
 from lobewise.guides.surfaces import (
     find_footprints,
     find_inverse_hits,
@@ -122,3 +123,15 @@ def test_backdrop_without_a_camera() -> None:
     wall = put_backdrop(surface, np.zeros((*SIZE, 3), np.float32), None, None, 1e4)
     assert wall.position is None
     np.testing.assert_array_equal(wall.facing, np.broadcast_to(np.float32([0.0, 0.0, 1.0]), (*SIZE, 3)))
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0], ids=["above", "below"])
+@pytest.mark.parametrize("known", ["depth", "position"])
+def test_normals_of_the_surface_through_places_are_on_the_side_of_the_camera(known: str, side: float) -> None:
+    """A floor below the camera, or a ceiling above it, that the camera looks at aslant."""
+    camera = Camera(position=(0.5, 2.0 * side, 5.0), forward=(-0.1, -0.6 * side, -1.0), up=(0.0, 1.0, 0.0), fov_y=0.5)
+    depth = (-camera.position[1] / camera.make_ray_directions(*SIZE[::-1])[..., 1]).astype(np.float32)
+    places = {"depth": depth} if known == "depth" else {"position": camera.make_positions(depth)}
+    filled, _ = stand_in_normals(Frame(Radiance(np.ones((*SIZE, 3))), GBuffer(**places), camera))
+    expected = np.broadcast_to([0.0, side, 0.0], (*SIZE, 3))
+    np.testing.assert_allclose(filled.gbuffer.normal, expected, atol=1e-3)
