@@ -388,7 +388,8 @@ def compose(frame: Frame, parts: Sequence[FloatArray], rest: FloatArray | None) 
     """Return the total: the filtered parts, and what was in none of them."""
     if rest is None:
         return parts[0]
-    total = parts[0]
-    for part in parts[1:]:
-        total = total + part
-    return np.asarray(total + rest, dtype=np.float32)
+    first, second, *others = *parts, rest
+    total = first + second
+    for each in others:
+        total += each
+    return np.asarray(total, dtype=np.float32)
