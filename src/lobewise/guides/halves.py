@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from lobewise.backend.expressions import is_good
 from lobewise.backend.pointwise import Grid, Vector, run_pointwise, select_or_nan
 from lobewise.frame import FloatArray, Frame
@@ -64,7 +66,13 @@ def _list_parts(frame: Frame) -> dict[str, tuple[FloatArray, Any, Any]]:
 
 
 def mark_bad(image: FloatArray) -> FloatArray:
-    """Return an image (height, width, 3) with all channels of a pixel NaN if one is NaN, infinite or negative."""
+    """Return an image (height, width, 3) with all channels of a pixel NaN if one is NaN, infinite or negative.
+
+    The result is the image itself if it has no such pixel.
+    """
+    # With a NaN both reductions return NaN, whose comparisons are False.
+    if float(image.min()) >= 0.0 and float(image.max()) < np.inf:
+        return image
     (marked,) = run_pointwise(define_marked, {"image": image}, {})
     return marked
 
@@ -74,7 +82,11 @@ def split_checkerboard(image: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     All other pixels are NaN, and so are pixels that `mark_bad` marks.
     """
-    even, odd = run_pointwise(_define_checkerboard, {"image": image}, {})
+    marked = mark_bad(image)
+    even, odd = (np.array(marked, np.float32) for _ in range(2))
+    for row in range(2):
+        even[row::2, 1 - row :: 2] = np.nan
+        odd[row::2, row::2] = np.nan
     return even, odd
 
 
@@ -82,9 +94,3 @@ def define_marked(grid: Grid) -> list[Vector]:
     colour = grid.read("image")
     good = is_good(colour)
     return [[select_or_nan(good, value) for value in colour]]
-
-
-def _define_checkerboard(grid: Grid) -> list[Vector]:
-    colour = grid.read("image")
-    good, even = is_good(colour), (grid.x + grid.y) % 2 == 0
-    return [[select_or_nan(good & here, value) for value in colour] for here in (even, ~even)]
