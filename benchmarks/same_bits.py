@@ -15,7 +15,6 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import fields, replace
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +22,7 @@ import halide as hl
 import numpy as np
 
 import lobewise
+from benchmarks.common import SHOWROOM
 from lobewise import Camera, Frame, Radiance
 
 TABLE = Path(__file__).parent / "results" / "same_bits.json"
@@ -32,8 +32,8 @@ Arrays = dict[str, np.ndarray]
 
 
 def load_bundled() -> Frame:
-    """Return the frame that comes with the package, whole."""
-    return lobewise.read_frame(str(files("lobewise") / "data" / "showroom-4spp.exr"))
+    """Return the frame that comes with the repository, whole."""
+    return lobewise.read_frame(SHOWROOM)
 
 
 def crop(frame: Frame, rows: slice, columns: slice) -> Frame:

@@ -1,4 +1,4 @@
-"""Makes ``src/lobewise/data/sample.exr``, the small frame of exports, from the frame of `lobewise demo`.
+"""Makes ``src/lobewise/data/sample.exr``, the small frame of exports, from the frame of the repository.
 
 ``python -m releasing.sample``. All but the part that exports use is black, so that the file is small; size and camera
 are those of the whole frame.
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 import lobewise
+from benchmarks.common import SHOWROOM
 from lobewise.exporting.sample import COLUMNS, ROWS
 
 DATA = Path(lobewise.__file__).parent / "data"
@@ -31,7 +32,7 @@ def blacken_outside(images: Any) -> Any:
 
 def main() -> None:
     """Write the file."""
-    frame = lobewise.read_frame(str(DATA / "showroom-4spp.exr"))
+    frame = lobewise.read_frame(SHOWROOM)
     part = frame.with_changes(
         radiance=blacken_outside(frame.radiance),
         gbuffer=blacken_outside(frame.gbuffer),

@@ -28,14 +28,13 @@ from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
-from benchmarks.common import RESULTS, ROOT, describe_machine, write_json
+from benchmarks.common import RESULTS, ROOT, SHOWROOM, describe_machine, write_json
 
 MAX_MEGABYTES = 120.0
 """Largest size of an installation without NumPy."""
 MAX_SECONDS_OF_FIRST_CALL = 2.0
 """Most time that the first call on a machine may take beyond the second one."""
 OWN_OF_ENVIRONMENT = ("pip", "setuptools", "pkg_resources", "_distutils_hack", "distutils-precedence.pth")
-FRAME = ROOT / "src" / "lobewise" / "data" / "showroom-4spp.exr"
 _REPEATS = 3
 
 
@@ -99,7 +98,7 @@ def measure(python: str, wheel: Path) -> dict[str, Any]:
             raise SystemExit(f"{wheel.name} brings {', '.join(present)} along")
         home = Path(scratch, "home")
         home.mkdir()
-        command = [str(programs / "lobewise"), "denoise", str(FRAME), "-o", "clean.exr"]
+        command = [str(programs / "lobewise"), "denoise", str(SHOWROOM), "-o", "clean.exr"]
         first = time_call(command, home)
         later = [time_call(command, home) for _ in range(_REPEATS)]
         ask = "import platform; print(platform.python_version())"

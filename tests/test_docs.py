@@ -16,7 +16,7 @@ import pytest
 import lobewise
 
 ROOT = Path(__file__).parents[1]
-BUNDLED = ROOT / "src" / "lobewise" / "data" / "showroom-4spp.exr"
+BUNDLED = ROOT / "src" / "lobewise" / "data" / "demo.exr"
 
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]

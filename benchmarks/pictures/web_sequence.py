@@ -2,7 +2,7 @@
 
     python -m benchmarks.pictures.web_sequence
 
-It writes ``showroom-sequence.bin.gz`` into the package. Rendering takes half a minute on two cores.
+It writes ``showroom-sequence.bin.gz`` into ``examples/web``. Rendering takes half a minute on two cores.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from pathlib import Path
 
 import lobewise
 from lobewise.exporting.shaders.bundle import pack_frames
+from lobewise.exporting.shaders.web import SEQUENCE
 from lobewise.render import MovingScene, find_orbit_centre, get_camera, load_scene, make_orbit, render_sequence
 
-FILE = Path(lobewise.__file__).parent / "data" / "showroom-sequence.bin.gz"
 WIDTH, HEIGHT, FRAMES, SPP = 224, 128, 10, 1
 DEGREES_PER_FRAME = 0.6
 
@@ -31,7 +31,7 @@ def render(width: int, height: int, frames: int, spp: int) -> list[lobewise.Fram
 def main() -> None:
     """Write the file and tell its size."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--output", type=Path, default=FILE)
+    parser.add_argument("--output", type=Path, default=SEQUENCE)
     parser.add_argument("--width", type=int, default=WIDTH)
     parser.add_argument("--height", type=int, default=HEIGHT)
     parser.add_argument("--frames", type=int, default=FRAMES)

@@ -14,8 +14,8 @@ import itertools
 from typing import Any
 
 import lobewise
-from benchmarks.common import RESULTS, describe_machine, write_json
-from lobewise.cli.demo import load_bundled
+from benchmarks.common import RESULTS, SHOWROOM, SHOWROOM_REFERENCE, describe_machine, write_json
+from lobewise.io import read_image
 from lobewise.metrics import mse
 
 PAPER = {"geometry": 0.1380, "lobes": 0.0157}
@@ -26,7 +26,7 @@ COMMON: dict[str, Any] = {"quality": "fast", "form": "separable", "radius": 8}
 
 def main() -> None:
     """Write benchmarks/results/paper_pair.json."""
-    frame, reference, _ = load_bundled()
+    frame, reference = lobewise.read_frame(SHOWROOM), read_image(SHOWROOM_REFERENCE)
 
     def measure(**settings: Any) -> float:
         return mse(lobewise.denoise(frame, **COMMON, **settings).image, reference)

@@ -220,7 +220,7 @@ def test_constants_are_those_of_the_recipe(quick: Path) -> None:
     from lobewise.io import read_frame
     from lobewise.settings import DenoiseSettings
 
-    frame = read_frame(Path(__file__).parents[2] / "src" / "lobewise" / "data" / "showroom-4spp.exr")
+    frame = read_frame(Path(__file__).parents[2] / "src" / "lobewise" / "data" / "sample.exr")
     assert frame.camera is not None
     settings = resolve_settings(frame, DenoiseSettings(form="separable", radius=QUICK.radius))
     numbers = make_sample(QUICK).numbers
@@ -276,7 +276,7 @@ def test_mixture_kernel_is_the_mixture_field() -> None:
 
     rng = np.random.default_rng(7)
     shape, tau = (40, 48), 0.01
-    camera = read_frame(Path(__file__).parents[2] / "src" / "lobewise" / "data" / "showroom-4spp.exr").camera
+    camera = read_frame(Path(__file__).parents[2] / "src" / "lobewise" / "data" / "sample.exr").camera
     assert camera is not None
     images = {
         "normal": rng.normal(size=(*shape, 3)).astype(np.float32),

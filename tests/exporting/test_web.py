@@ -15,11 +15,13 @@ import pytest
 
 import lobewise
 from lobewise.cli.main import run
+from lobewise.errors import FileError
 from lobewise.exporting.names import CHAINS
+from lobewise.exporting.shaders import web
 from lobewise.exporting.shaders.bundle import LIGHT_BITS, pack_frames, read_frames
 from lobewise.exporting.shaders.chains import make_chain
 from lobewise.exporting.shaders.passes import write_pass
-from lobewise.exporting.shaders.web import BUNDLE, PAGE_CHAINS, PAGE_SETTINGS, export_web, take_samples
+from lobewise.exporting.shaders.web import PAGE_CHAINS, PAGE_SETTINGS, SEQUENCE, export_web, take_samples
 from lobewise.frame import FloatArray, Frame
 from lobewise.settings import FORMS
 from tests.exporting.chain_scene import make_frame
@@ -65,7 +67,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def frames() -> list[Frame]:
-    return read_frames(Path(lobewise.__file__).parent / "data" / BUNDLE)
+    return read_frames(SEQUENCE)
 
 
 class Window:
@@ -233,3 +235,10 @@ def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["export", "--target", "web", "--radius", "3", "-o", str(tmp_path / "other")]) == 2
     assert "whose page has its own settings" in capsys.readouterr().err
     assert run(["export", "--target", "web", "-o", str(tmp_path / "out"), "--force"]) == 0
+
+
+def test_a_package_without_the_sequence_says_where_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(web, "SEQUENCE", tmp_path / "showroom-sequence.bin.gz")
+    with pytest.raises(FileError, match=r"examples/web/showroom-sequence\.bin\.gz .*an installation of a clone"):
+        export_web(tmp_path / "page")
+    assert not (tmp_path / "page").exists()

@@ -14,6 +14,7 @@ import pytest
 from renderers import REAL, WRITERS, Written, make_scene, name, write
 
 import lobewise
+from benchmarks.common import SHOWROOM, SHOWROOM_REFERENCE
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray, Frame
 from lobewise.interchange import describe_file, import_file
@@ -24,14 +25,13 @@ from lobewise.interchange.showing import read_image
 from lobewise.metrics import rel_mse
 
 FOREIGN = Path(__file__).parents[1] / "data" / "foreign"
-DATA = Path(lobewise.__file__).parent / "data"
 Channels = dict[str, np.ndarray]
 
 
 @cache
 def read_showroom() -> tuple[Frame, FloatArray]:
-    """Return the bundled frame and its reference."""
-    return lobewise.read_frame(DATA / "showroom-4spp.exr"), read_image(DATA / "showroom-reference.exr")
+    """Return the repository's frame and its reference."""
+    return lobewise.read_frame(SHOWROOM), read_image(SHOWROOM_REFERENCE)
 
 
 def get_camera() -> Camera:
@@ -41,7 +41,7 @@ def get_camera() -> Camera:
 
 
 def write_showroom(*leave: str) -> Channels:
-    """Return the bundled frame as Arnold's channels, without some of its passes."""
+    """Return the repository's frame as Arnold's channels, without some of its passes."""
     frame = read_showroom()[0]
     guides = frame.gbuffer
     position = get_camera().make_positions(guides.depth)

@@ -1,4 +1,4 @@
-"""What goes into a wheel, how it is weighed, and what the demonstration says in a wheel."""
+"""What goes into a wheel, and how it is weighed."""
 
 from __future__ import annotations
 
@@ -11,9 +11,6 @@ from typing import Any
 
 import pytest
 
-from lobewise.cli import demo
-from lobewise.errors import FileError
-from lobewise.exporting import sample
 from releasing import wheels
 from releasing.systems import SYSTEMS
 
@@ -122,18 +119,9 @@ def test_sizes_of_packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert wheels.weigh_packages(Path("bin")) == {"numpy": 6.0, "lobewise": 4.5}
 
 
-def test_the_demonstration_says_where_its_frames_are(monkeypatch: pytest.MonkeyPatch) -> None:
-    frame, _, _ = demo.load_bundled()
-    assert frame.shape == (512, 512)
-    monkeypatch.setattr(demo, "FRAME", "absent.exr")
-    with pytest.raises(FileError, match=r"clone of the repository, or add --live"):
-        demo.load_bundled()
-
-
-def test_wheels_hold_the_sample_of_exports_and_no_frames_of_the_demonstration() -> None:
-    folder = ROOT / "src" / "lobewise" / "data"
-    left_out = set(folder.glob("showroom-*.exr"))
-    assert {demo.FRAME, demo.REFERENCE} == {path.name for path in left_out}
-    assert sample.FRAME not in {path.name for path in left_out}
-    assert (folder / sample.FRAME).stat().st_size < 200_000
-    assert 'exclude = ["src/lobewise/data/showroom-*.exr"]' in (ROOT / "pyproject.toml").read_text()
+def test_wheels_hold_pictures_only_where_verbs_read_them() -> None:
+    data = ROOT / "src" / "lobewise" / "data"
+    sizes = {path.name: path.stat().st_size for path in data.iterdir() if path.suffix != ".html"}
+    assert sizes.keys() == {"sample.exr", "demo.exr", "demo-reference.exr"}
+    assert sizes["demo.exr"] < 400_000
+    assert sum(sizes.values()) < 700_000

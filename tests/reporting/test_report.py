@@ -10,17 +10,20 @@ import shutil
 import subprocess
 import sys
 import zlib
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 
 from lobewise.cli import demo
+from lobewise.denoising import denoise
 from lobewise.display.tones import choose_exposure, index_errors, make_error_palette, map_tones
 from lobewise.errors import FileError, InputError
-from lobewise.frame import Frame, GBuffer, Radiance
+from lobewise.frame import Frame
 from lobewise.io.png import encode_png
-from lobewise.metrics import evaluate
+from lobewise.metrics import evaluate, rel_mse
+from lobewise.peers import denoise_oidn
 from lobewise.reporting.report import Picture, Report, make_page
 
 
@@ -328,7 +331,7 @@ class TestDemo:
     def small(self, monkeypatch):
         """Cut the frame inside the package down, so that the demonstration is quick."""
         full, reference, samples = demo.load_bundled()
-        rows, columns = slice(200, 240), slice(230, 280)
+        rows, columns = slice(120, 160), slice(40, 90)
 
         def cut(value):
             return None if value is None else value[rows, columns]
@@ -344,37 +347,66 @@ class TestDemo:
         frame, reference, samples = demo.load_bundled()
         assert reference.shape == (*frame.shape, 3)
         assert np.isfinite(reference).all()
-        assert (frame.spp, frame.camera is not None) == (4, True)
+        assert (frame.spp, frame.camera is not None, frame.half_a is not None) == (32, True, True)
         assert samples >= 1024
-        surface = frame.gbuffer.depth > 0.0
-        distance = np.linalg.norm(frame.gbuffer.position - frame.camera.position, axis=-1)
-        np.testing.assert_allclose(distance[surface], frame.gbuffer.depth[surface], rtol=1e-5)
+        assert rel_mse(frame.radiance.color, reference) < 0.1
 
-    def test_the_page_tells_everything(self, small, tmp_path):
-        told = []
-        page = demo.make_demo(tmp_path / "a" / "b", progress=lambda *step: told.append(step))
+    @pytest.mark.slow
+    def test_the_difference_to_the_peer_can_be_seen(self):
+        if not demo.has_oidn():
+            pytest.skip("needs Open Image Denoise")
+        frame, reference, _ = demo.load_bundled()
+        sheet = np.zeros(frame.shape, bool)
+        sheet[90:125, 40:185] = True  # the lines in small print
+        ours, peer = (rel_mse(image, reference, sheet) for image in (denoise(frame).image, denoise_oidn(frame)[0]))
+        assert ours < 0.6 * peer
+
+    def test_the_page_tells_everything(self, small, tmp_path, monkeypatch):
+        said, told, calls = [], [], []
+        monkeypatch.setattr(demo, "denoise", lambda *given, **named: calls.append(named) or denoise(*given, **named))
+        page = demo.make_demo(tmp_path / "a" / "b", tell=said.append, progress=lambda *step: told.append(step))
         assert page == tmp_path / "a" / "b" / "report.html"
         text = page.read_text(encoding="utf-8")
-        titles = ("noisy", "normal-aware", "band-limited", "single SG", "ggx", "ggx lobe and noise", "reference")
         peer = demo.has_oidn()
         ours = "own filters, comparing what surfaces reflect, quality high (Open"
         made = "Here: Open Image Denoise with albedo and normal, mixed" if peer else ours
-        for words in (*titles, made, "Specular pixels", "lobewise demo", "normal_exponent", "band_limit", "threads"):
+        for words in ("noisy", "reference", made, "Specular pixels", "lobewise demo", "threads", "printed sheet"):
+            assert words in text
+        assert calls == [{"device": "auto"}]
+        assert "normal-aware" not in text
+        left = "oidn" if peer else "noisy"
+        assert f'"left": "{left}", "right": "default"' in text
+        assert ("Open Image Denoise is a neural network" in text) == peer
+        steps = ["Filtering: lobewise.", *(["Filtering: Open Image Denoise."] if peer else [])]
+        assert said == [*steps, f"Measuring the errors of {'three' if peer else 'two'} pictures."]
+        assert told == [("Measuring", done, 2 + peer) for done in range(3 + peer)]
+
+    def test_all_methods_of_the_story(self, small, tmp_path):
+        text = demo.make_demo(tmp_path, everything=True).read_text(encoding="utf-8")
+        for words in (
+            "normal-aware",
+            "band-limited",
+            "single SG",
+            "ggx lobe",
+            "normal_exponent",
+            "lobewise demo --all",
+        ):
             assert words in text
         assert text.count("quality fast") == 4
         assert text.count("quality balanced") == 1
-        assert '"left": "noisy", "right": "default"' in text
-        assert ("Open Image Denoise is a neural network" in text) == demo.has_oidn()
-        assert list(dict.fromkeys(what for what, _, _ in told)) == ["Filtering", "Measuring"]
-        for stage in ("Filtering", "Measuring"):
-            steps = [step[1:] for step in told if step[0] == stage]
-            assert steps == [(done, len(steps) - 1) for done in range(len(steps))]
 
     def test_without_the_neural_peer_it_says_so(self, small, tmp_path, monkeypatch):
         monkeypatch.setattr(demo, "has_oidn", lambda: False)
+        monkeypatch.setattr(demo, "explain_no_oidn", lambda: "It is absent; pip install it")
         text = demo.make_demo(tmp_path).read_text(encoding="utf-8")
-        assert "Open Image Denoise is not installed" in text
+        assert "It is absent; pip install it adds it to this page" in text
         assert "p-oidn" not in text
+
+    def test_where_no_filter_can_run_the_peer_is_shown(self, small, tmp_path, monkeypatch):
+        settings = {"with_oidn": True}
+        result = replace(denoise(small, quality="fast"), settings=settings, method="Open Image Denoise, alone")
+        monkeypatch.setattr(demo, "denoise", lambda *_, **__: result)
+        assert "Here: Open Image Denoise, alone." in demo.make_demo(tmp_path).read_text(encoding="utf-8")
 
     def test_folders_that_cannot_be(self, tmp_path):
         (tmp_path / "file").write_text("")
@@ -382,14 +414,10 @@ class TestDemo:
             with pytest.raises(FileError, match=r"^output '.*': expected a folder that can be made, got .*\.$"):
                 demo.make_demo(folder)
 
-    def test_positions_are_restored_only_where_they_are_missing(self, small):
-        assert demo.restore_positions(small) is small
-        bare = Frame(Radiance(np.ones((2, 2, 3))), GBuffer(depth=np.ones((2, 2))))
-        assert demo.restore_positions(bare) is bare
-
     @pytest.mark.mitsuba
     def test_live(self, tmp_path):
         page = demo.make_demo(tmp_path, live=True, scene="brushed", spp=2, reference_spp=4, size=32)
         text = page.read_text(encoding="utf-8")
         assert "lobewise demo --live --scene brushed --spp 2 --reference-spp 4 --size 32" in text
-        assert "Brushed at 2 samples per pixel" in text
+        assert "2 samples per pixel, filtered" in text
+        assert "Brushed, path traced." in text

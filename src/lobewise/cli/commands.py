@@ -60,6 +60,9 @@ def demo(
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="The folder of the page.")] = Path(
         "lobewise-demo"
     ),
+    everything: Annotated[
+        bool, typer.Option("--all", help="Show the usual filters and every kind of lobe filter as well.")
+    ] = False,
     live: Annotated[bool, typer.Option("--live", help="Render the frame first, instead of the one inside.")] = False,
     scene: Annotated[str, typer.Option(metavar="SCENE", help="With --live: the scene to render.")] = "showroom",
     spp: Annotated[int, typer.Option(metavar="N", help="With --live: samples per pixel.")] = 4,
@@ -69,19 +72,21 @@ def demo(
         str, typer.Option(metavar="auto|NAME", help="Device of the filters; see `lobewise devices`.")
     ] = "auto",
 ) -> None:
-    """Write a page that compares the filters on one noisy frame, beside its reference."""
+    """Denoise a small noisy frame, and write a page that compares it with Open Image Denoise and a reference."""
     from lobewise.cli.demo import make_demo
     from lobewise.cli.output import print_line
 
     with Steps() as steps:
         page = make_demo(
             output,
+            everything=everything,
             live=live,
             scene=scene,
             spp=spp,
             reference_spp=reference_spp,
             size=size,
             device=device,
+            tell=print_line,
             progress=steps.tell,
         )
     print_line(f"Wrote {page}: open it in a browser.")

@@ -1,4 +1,4 @@
-"""The demonstration: one noisy frame through every filter, as a page."""
+"""The demonstration: one noisy frame, denoised, as a page."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import platform
 import shlex
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from importlib import metadata
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -16,18 +15,24 @@ from lobewise.bench.machine import find_processor
 from lobewise.chunks import count_cores
 from lobewise.denoising import denoise
 from lobewise.denoising.bad_pixels import blacken_bad
-from lobewise.errors import FileError, InputError
+from lobewise.errors import InputError
 from lobewise.frame import FloatArray, Frame
 from lobewise.io import read_frame
 from lobewise.io.files import PathLike, make_folder, write_text
 from lobewise.metrics import find_specular_pixels
-from lobewise.peers import denoise_oidn, has_oidn
+from lobewise.peers import denoise_oidn, explain_no_oidn, has_oidn
 from lobewise.reporting.report import Picture, Report, make_page
 from lobewise.settings.choices import get_similarity
 
 Progress = Callable[[str, int, int], None]
 
-FRAME, REFERENCE = "showroom-4spp.exr", "showroom-reference.exr"
+FRAME, REFERENCE = "demo.exr", "demo-reference.exr"
+"""The frame inside the package and its reference; `benchmarks/pictures/demo_frame.py` renders them."""
+ABOUT = (
+    "A printed sheet, seen in a mirror. It was chosen to show a difference: albedo and normal of a mirror do not show "
+    "the print, and the noise of the samples tells that it is there."
+)
+OWN_KEY, OIDN_KEY = "default", "oidn"
 REFERENCE_SEED = 1000
 """Seed of a rendered reference: its noise must differ from the noise of the frame."""
 _TUNED_NORMAL: dict[str, Any] = {
@@ -36,8 +41,8 @@ _TUNED_NORMAL: dict[str, Any] = {
     "screen_sigma": 2.0,
     "quality": "fast",
 }
-"""Best settings of the normal-aware filter: a grid search on the frame inside the package, against its reference."""
-METHODS: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
+"""Best settings of the normal-aware filter: a grid search on the scene ``showroom`` at 4 samples per pixel."""
+STORY: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
     (
         "normal",
         "normal-aware",
@@ -68,7 +73,13 @@ METHODS: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
         "Compares the same lobes, and two halves of the samples: pixels that differ by more than noise are kept apart.",
         {"similarity": "ggx", "quality": "balanced"},
     ),
-    ("default", "lobewise", "The result of `lobewise denoise` without options.", {}),
+)
+"""The filters that ``--all`` adds, from the usual one to the default: key, title, note and settings of each."""
+OWN: tuple[str, str, str, dict[str, Any]] = (
+    OWN_KEY,
+    "lobewise",
+    "The result of `lobewise denoise` without options.",
+    {},
 )
 OIDN_REMARK = (
     "Open Image Denoise is a neural network trained on many renders, given the same radiance with the same albedo and "
@@ -80,19 +91,22 @@ OIDN_REMARK = (
 def make_demo(
     folder: PathLike,
     *,
+    everything: bool = False,
     live: bool = False,
     scene: str = "showroom",
     spp: int = 4,
     reference_spp: int = 1024,
     size: int = 512,
     device: str = "auto",
+    tell: Callable[[str], None] | None = None,
     progress: Progress | None = None,
 ) -> Path:
-    """Filter a frame with every method and write ``report.html`` into ``folder``; return the path of the page.
+    """Filter a frame and write ``report.html`` into ``folder``; return the path of the page.
 
-    The parameters are the options of `lobewise demo`; ``progress`` is called with (name of the step, done, total).
+    The parameters are the options of `lobewise demo`; ``everything`` is ``--all``. ``tell`` is called with a sentence
+    before each step that takes time, ``progress`` with (name of the step, done, total).
     """
-    say = progress or (lambda _what, _done, _total: None)
+    say, show = tell or (lambda _sentence: None), progress or (lambda _what, _done, _total: None)
     if not live and (scene, spp, reference_spp, size) != ("showroom", 4, 1024, 512):
         raise InputError(
             "demo",
@@ -102,106 +116,87 @@ def make_demo(
         )
     page = make_folder(folder) / "report.html"
     if live:
-        frame, reference, samples = _render(scene, spp, reference_spp, size, say)
+        say(f"Rendering {scene} with {spp} samples per pixel, and a reference with {reference_spp}.")
+        frame, reference, samples = _render(scene, spp, reference_spp, size, show)
+        about = f"{Path(scene).stem.capitalize()}, path traced."
     else:
         frame, reference, samples = load_bundled()
-    pictures, remarks = _filter(frame, device, say)
-    command = ["lobewise", "demo"]
+        about = ABOUT
+    pictures, remarks = _filter(frame, device, everything, say)
+    command = ["lobewise", "demo", *(["--all"] if everything else [])]
     if live:
         options = {"--scene": scene, "--spp": spp, "--reference-spp": reference_spp, "--size": size}
         command += ["--live", *(str(word) for option in options.items() for word in option)]
     if device != "auto":
         command += ["--device", device]
     mask = find_specular_pixels(frame.gbuffer)
-    name = Path(scene).stem.capitalize()
+    keys = [picture.key for picture in pictures]
+    peer = OIDN_KEY if OIDN_KEY in keys else "noisy"
     report = Report(
-        title=f"{name} at {frame.spp} samples per pixel, filtered {_spell_number(len(pictures) - 1)} ways",
-        subtitle=f"{frame.width}\u00d7{frame.height} pixels, path traced. Each filter sees the same noisy frame; the "
+        title=f"{frame.spp} samples per pixel, filtered {_spell_number(len(pictures) - 1)} ways",
+        subtitle=f"{about} {frame.width}\u00d7{frame.height} pixels. Each filter sees the same noisy frame; the "
         f"reference was rendered with {samples} samples per pixel.",
         pictures=pictures,
         reference=Picture("reference", "reference", reference, f"Path traced with {samples} samples per pixel."),
-        baseline="normal",
-        left="noisy",
-        right="default",
+        baseline="normal" if everything else peer,
+        left=peer,
+        right=OWN_KEY,
         mask=mask if mask.any() else None,
         command=shlex.join(command),
         facts=_list_facts(),
         remarks=remarks,
     )
-    write_text(page, make_page(report, progress=lambda done, total: say("Measuring", done, total)))
+    say(f"Measuring the errors of {_spell_number(len(pictures))} pictures.")
+    write_text(page, make_page(report, progress=lambda done, total: show("Measuring", done, total)))
     return page
 
 
 def load_bundled() -> tuple[Frame, FloatArray, int]:
-    """Return the frame of the repository, its reference, and the reference's samples per pixel.
-
-    Raises
-    ------
-    FileError
-        If the package was installed from a wheel: wheels do not bring the frame along.
-    """
-    folder = files("lobewise").joinpath("data")
-    if not folder.joinpath(FRAME).is_file():
-        raise FileError(
-            "demo",
-            expected=f"{FRAME} in the package",
-            got="a package installed from a wheel, which has no frames",
-            action="run it from a clone of the repository, or add --live, which renders the frame with Mitsuba",
-        )
-    with as_file(folder.joinpath(FRAME)) as path:
-        frame = restore_positions(read_frame(path))
-    with as_file(folder.joinpath(REFERENCE)) as path:
+    """Return the frame inside the package, its reference, and the reference's samples per pixel."""
+    folder = files("lobewise") / "data"
+    with as_file(folder / FRAME) as path:
+        frame = read_frame(path)
+    with as_file(folder / REFERENCE) as path:
         reference = read_frame(path)
     return frame, reference.radiance.color, reference.spp or 0
 
 
-def restore_positions(frame: Frame) -> Frame:
-    """Return the frame with world positions, computed from depth and camera: the small file leaves them out."""
-    depth, camera = frame.gbuffer.depth, frame.camera
-    if frame.gbuffer.position is not None or depth is None or camera is None:
-        return frame
-    position = camera.make_positions(depth)
-    return frame.with_changes(gbuffer=replace(frame.gbuffer, position=position))
-
-
-def _filter(frame: Frame, device: str, say: Progress) -> tuple[list[Picture], list[str]]:
+def _filter(frame: Frame, device: str, everything: bool, say: Callable[[str], None]) -> tuple[list[Picture], list[str]]:
+    """Return the noisy picture and those of the filters, and sentences for the reader."""
     # Metrics and pictures need finite pixels.
     noisy = blacken_bad(frame.radiance.color)
     pictures = [Picture("noisy", "noisy", noisy, f"Path traced with {frame.spp} samples per pixel.")]
-    total = len(METHODS) + 1
-    for done, (key, title, note, settings) in enumerate(METHODS):
-        say("Filtering", done, total)
-        # The first call compiles the kernel. The page shows the time of the second call.
-        denoise(frame, device=device, **settings)
+    for key, title, note, settings in (*STORY, OWN) if everything else (OWN,):
+        say(f"Filtering: {title}.")
         result = denoise(frame, device=device, **settings)
         shown = {name: result.settings[name] for name in _list_used_settings(result.settings)}
         note += "" if settings else f" Here: {result.method}."
         pictures.append(Picture(key, title, result.image, note, shown, result.seconds))
-    say("Filtering", total - 1, total)
     remarks = []
     if has_oidn():
-        denoise_oidn(frame)
+        say("Filtering: Open Image Denoise.")
         image, seconds = denoise_oidn(frame)
         note = f"Neural network (pyoidn {_find_version('pyoidn')}), guided by albedo and normals."
-        pictures.append(Picture("oidn", "Open Image Denoise", image, note, {"quality": "high"}, seconds))
+        pictures.append(Picture(OIDN_KEY, "Open Image Denoise", image, note, {"quality": "high"}, seconds))
         remarks.append(OIDN_REMARK)
     else:
+        remarks.append(f"{explain_no_oidn()} adds it to this page and to the default.")
+    if everything:
         remarks.append(
-            "Open Image Denoise is not installed; pip install 'lobewise[best]' adds it to this page and to the default."
+            "The two normal-aware filters run with the settings that a grid search found best on the built-in scene "
+            "showroom with 4 samples per pixel; the lobe filters run with their defaults."
         )
     remarks.append(
-        "The two normal-aware filters run with the settings that a grid search found best on the showroom frame inside "
-        "the package, measured against its reference; the lobe filters run with their defaults."
+        "Times are those of one call that does everything, lobes and buffers included. On a machine's first call they "
+        "include the compiling of kernels."
     )
-    remarks.append(
-        "Times are those of one call that does everything, lobes and buffers included, after the kernel is compiled."
-    )
-    say("Filtering", total, total)
     return pictures, remarks
 
 
 def _list_used_settings(settings: dict[str, Any]) -> list[str]:
     """Return the names of the settings that a similarity uses."""
+    if "quality" not in settings:
+        return []  # Open Image Denoise alone, where no filter can run
     names = ["quality", "form", "radius", "screen_sigma", "position_sigma"]
     has_lobes = get_similarity(settings["similarity"]).has_lobes
     return [*names, *(("beta", "diffuse_beta", "tau") if has_lobes else ("normal_exponent", "band_limit"))]

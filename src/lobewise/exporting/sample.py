@@ -20,7 +20,7 @@ from lobewise.lobes.band_limit import default_tau
 from lobewise.settings import DenoiseSettings
 
 FRAME = "sample.exr"
-"""The frame of `lobewise demo`, black outside `ROWS` and `COLUMNS`; made by `releasing/sample.py`."""
+"""A rendered frame, black outside `ROWS` and `COLUMNS`; made by `releasing/sample.py`."""
 ROWS, COLUMNS = slice(256, 320), slice(304, 400)
 """Part of the frame: spheres and floor of many roughnesses, and some pixels without a specular lobe."""
 

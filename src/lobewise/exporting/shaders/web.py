@@ -5,11 +5,12 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Sequence
-from importlib.resources import as_file, files
+from pathlib import Path
 from typing import Any
 
 import lobewise
 from lobewise.denoising.automatic import resolve_settings
+from lobewise.errors import FileError
 from lobewise.exporting.folder import MARK, open_folder
 from lobewise.exporting.names import WEB
 from lobewise.exporting.readme import DOCS
@@ -26,8 +27,8 @@ from lobewise.sparse_frame import AnyFrame, SparseFrame, list_places
 from lobewise.temporal.recipe import find_own_weight
 from lobewise.upsampling import DEFAULT_RADIUS
 
-BUNDLE = "showroom-sequence.bin.gz"
-"""The sequence inside the package; `benchmarks/pictures/web_sequence.py` renders it."""
+SEQUENCE = Path(lobewise.__file__).parents[2] / "examples" / "web" / "showroom-sequence.bin.gz"
+"""The sequence in a clone, rendered by `benchmarks/pictures/web_sequence.py`. Wheels do not hold it."""
 PAGE_CHAINS = {
     "history": "with a history",
     "filter": "every frame by itself",
@@ -107,10 +108,16 @@ def export_web(output: PathLike, *, force: bool = False) -> list[str]:
     Raises
     ------
     FileError
-        If the folder is not empty or cannot be written.
+        If the folder is not empty or cannot be written, or the package was not installed from a clone with ``-e``.
     """
-    with as_file(files("lobewise") / "data" / BUNDLE) as path:
-        frames, packed = read_frames(path), path.read_bytes()
+    if not SEQUENCE.is_file():
+        raise FileError(
+            f"target {WEB!r}",
+            expected=f"the sequence examples/web/{SEQUENCE.name} of the repository",
+            got="a package without it",
+            action="run the command from an installation of a clone, as pip install -e makes it",
+        )
+    frames, packed = read_frames(SEQUENCE), SEQUENCE.read_bytes()
     chains = [_bundle_chain(name, title, frames) for name, title in PAGE_CHAINS.items()]
     first = frames[0]
     spp = f"{first.spp} sample" + ("" if first.spp == 1 else "s")
