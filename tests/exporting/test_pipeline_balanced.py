@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lobewise.backend.pointwise import run_pointwise
 from lobewise.denoising.automatic import resolve_all
 from lobewise.denoising.networks import load_networks
 from lobewise.denoising.planning.frame_plans import FILL_HOLES, FILTER_LAYERS, KEEP_LIGHT, TAKE_BACK_NOISY
@@ -16,6 +17,7 @@ from lobewise.denoising.stages import start_run
 from lobewise.exporting.pipeline.driver import write_driver
 from lobewise.exporting.pipeline.planning import make_pipeline
 from lobewise.exporting.pipeline.recipes.constants import Constants
+from lobewise.exporting.pipeline.recipes.glue import define_with_highlights
 from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, WIDTH, make_settings, prepare_frame
 from lobewise.exporting.pipeline.scene import make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
@@ -76,3 +78,10 @@ def test_stages_are_those_of_the_plan() -> None:
     stages = [name for name, _ in make_pipeline(PipelineSettings(plan="balanced")).stages]
     assert "diffuse: dual-buffer pass, 7x7 taps, exponent of lobes 4, 40 variances" in stages
     assert stages[-4:] == ["take back", "keep light", "sum of the light", "fill holes"]
+
+
+def test_highlights_are_added_where_there_is_light(rng: np.random.Generator) -> None:
+    image, kept = rng.random((2, 9, 40, 3)).astype(np.float32)
+    lit = rng.random((9, 40)) < 0.5
+    (found,) = run_pointwise(define_with_highlights, {"image": image, "kept": kept, "lit": lit}, {})
+    np.testing.assert_array_equal(found, np.where(lit[..., None], image + kept, image))
