@@ -78,7 +78,7 @@ def list_written(path: Path, view: str) -> dict[str, tuple[str, ...]]:
     return {name: (str(one.found.source.part.index), *one.found.channels) for name, one in outputs.items()}
 
 
-@pytest.mark.sampled("multi_view")
+@pytest.mark.sampled("multi_view", "parts")
 @pytest.mark.parametrize("kind", KINDS)
 def test_each_view_is_denoised_with_its_own_guides(kind: str, tmp_path: Path) -> None:
     source, output = tmp_path / "a.exr", tmp_path / "b.exr"

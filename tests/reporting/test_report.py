@@ -351,7 +351,7 @@ class TestDemo:
         assert samples >= 1024
         assert rel_mse(frame.radiance.color, reference) < 0.1
 
-    @pytest.mark.slow
+    @pytest.mark.nightly
     def test_the_difference_to_the_peer_can_be_seen(self):
         if not demo.has_oidn():
             pytest.skip("needs Open Image Denoise")
