@@ -14,7 +14,6 @@ import numpy as np
 import lobewise
 from lobewise.errors import UnusedGuideWarning
 from lobewise.frame import FloatArray, Frame, Radiance, Result
-from lobewise.interchange.reading import import_file, list_selections
 from lobewise.sparse_frame import SparseFrame
 
 DATA = Path(__file__).parent / "data"
@@ -51,12 +50,16 @@ def read_views(name: str) -> tuple[View, ...]:
     path, reference = find_file(name), REFERENCES / f"{name}.exr"
     if name == SPARSE:
         return (View(lobewise.read_sparse_frame(path), read_light(reference)),)
+    from lobewise.interchange.reading import list_selections
+
     views = [each.view for each in list_selections(path)]
     return tuple(View(read_light(path, view), read_light(reference, view)) for view in views)
 
 
 def read_light(path: Path, view: str = "") -> Frame:
     """Return the frame of one view, with all passes of light."""
+    from lobewise.interchange.reading import import_file
+
     groups = (LIGHT_GROUPS,) if path.stem == "groups" else ()
     return import_file(path, view=view or None, also=groups, light_passes=True).frame
 

@@ -18,7 +18,7 @@ SCALE = 4
 """Width and height of a pixel in the pictures."""
 GAP = 2
 """Columns between two images, before they are enlarged."""
-JPEG_QUALITY = 80
+JPEG_QUALITY = 90
 
 
 def show(measured: Measured, name: str) -> NDArray[np.uint8]:
@@ -40,7 +40,7 @@ def write_comparison(path: Path, measured: Measured, baseline: Path) -> None:
 def write_baseline(path: Path, measured: Measured) -> None:
     """Write the result as a small JPEG, for people alone."""
     out = io.BytesIO()
-    Image.fromarray(show(measured, "result")).save(out, "JPEG", quality=JPEG_QUALITY, optimize=True)
+    Image.fromarray(show(measured, "result")).save(out, "JPEG", quality=JPEG_QUALITY, subsampling=0, optimize=True)
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(out.getvalue())
 

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lobewise.peers import has_oidn
 from tests.images.frames import CASES, QUALITIES
 from tests.images.measuring import MAX_MEAN_CHANGE, compare_figures, measure_case, read_figures, widen_bound
 from tests.images.pictures import find_baseline, write_comparison
@@ -17,6 +16,8 @@ ADVICE = "if it was meant, commit what `python -m tests.images.write` writes"
 
 def skip_without_oidn(quality: str) -> None:
     """Skip "auto" where Open Image Denoise is not installed."""
+    from lobewise.peers import has_oidn
+
     if quality == "auto" and not has_oidn():
         pytest.skip("needs Open Image Denoise: pip install 'lobewise[best]'")
 
