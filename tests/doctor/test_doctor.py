@@ -156,7 +156,6 @@ class TestPackages:
         assert [(problem.what, problem.fatal) for problem in needed.problems] == [
             ("gone is not installed", True),
             ("old is of version 2.9, and lobewise needs >=3", True),
-            ("halide is not installed", False),
         ]
         assert [problem.fatal for problem in extras.problems] == [False]
         assert extras.facts["rare"] == "absent not installed (pip install 'lobewise[rare]')"
