@@ -23,7 +23,9 @@ USUAL = "separable, radius 8"
 """The way to take taps that the other ways are compared with."""
 
 
-def make_figures(filters: Mapping[str, Any], roofline: Mapping[str, Any], scaling: Mapping[str, Any]) -> dict[str, str]:
+def make_figures(
+    filters: Mapping[str, Any], roofline: Mapping[str, Any], scaling: Mapping[str, Any], budget: Mapping[str, Any]
+) -> dict[str, str]:
     """Return the figures of docs/performance.md by place."""
     machine, peaks = roofline["machine"], roofline["peaks"]
     share = min(each["share_of_roofline"] for each in roofline["kernels"].values())
@@ -46,6 +48,8 @@ def make_figures(filters: Mapping[str, Any], roofline: Mapping[str, Any], scalin
         "roofline": make_roofline_rows(roofline),
         "ratios": make_ratio_rows(filters),
         "peer": make_peer_rows(filters),
+        "budget-run": list_facts({"Machine": f"{budget['machine']['processor']}, one thread"}),
+        "budget": make_budget_rows(budget),
         "sizes": make_scaling_rows(scaling),
         "sizes-goals": make_scaling_goals(scaling),
     }
@@ -161,12 +165,28 @@ def make_peer_rows(filters: Mapping[str, Any]) -> str:
                 continue
             told = [f"{cell[key]:.1f}" for key in ("times_faster_than_oidn", "times_faster_than_oidn_fast")]
             similarity = "sg" if "sg" in name.split(",")[0] else "ggx"
-            if size == "1920x1080" and "denoise" not in name:
+            if size == "1920x1080":
                 values = cell["times_faster_than_oidn"], cell["times_faster_than_oidn_fast"]
                 goals = PEER_GOALS[similarity]
                 told = [f"{t} ({g:g}: {judge(v >= g)})" for t, v, g in zip(told, values, goals, strict=True)]
             rows.append([size, name, f"{cell['milliseconds']:.0f} ms", *told])
     return make_table(["size", "what", "time", "times faster than default (goal)", "than `fast` (goal)"], rows)
+
+
+def make_budget_rows(budget: Mapping[str, Any]) -> str:
+    """Return the table of whole recipes."""
+    rows = [
+        [
+            name,
+            f"{each['seconds']:.2f}",
+            f"{each['over_kernels']:.2f}",
+            f"{each['over_oidn_fast']:.2f}",
+            each["commit"],
+        ]
+        for name, each in budget["recipes"].items()
+    ]
+    header = ["recipe", "processor time, s", "over its kernels", "over Open Image Denoise's `fast`", "commit"]
+    return make_table(header, rows)
 
 
 def make_scaling_rows(scaling: Mapping[str, Any]) -> str:

@@ -18,7 +18,6 @@ from benchmarks.common import RESULTS, describe_machine, write_json
 from lobewise.bench.kernels import count_taps, make_kernel_calls
 from lobewise.bench.plane import make_features, make_frame
 from lobewise.bench.timing import time_best
-from lobewise.denoising import denoise
 from lobewise.frame import Frame
 from lobewise.peers import denoise_oidn, has_oidn
 from lobewise.settings import FORMS
@@ -46,17 +45,11 @@ def time_kernels(frame: Frame, radius: int, form: str, seconds: float) -> dict[s
 
 
 def bench_against_oidn(frame: Frame, seconds: float) -> dict[str, Any]:
-    """Return times of one separable filter run, of the whole recipe and of Open Image Denoise on the same frame."""
+    """Return times of one separable filter run and of Open Image Denoise on the same frame."""
     kernels = make_kernel_calls(frame, make_features(frame, ("sg", "ggx")), 8, "separable")
     candidates: dict[str, Callable[[], Any]] = {
         "sg kernel, separable, radius 8": kernels["sg"],
         "ggx kernel, separable, radius 8": kernels["ggx"],
-        "denoise(sg, separable, radius 8): diffuse and specular": lambda: denoise(
-            frame, similarity="sg", form="separable", radius=8
-        ),
-        "denoise(ggx, separable, radius 8): diffuse and specular": lambda: denoise(
-            frame, similarity="ggx", form="separable", radius=8
-        ),
         "oidn, default quality": lambda: denoise_oidn(frame, guides="centre"),
         "oidn, fast quality": lambda: denoise_oidn(frame, quality="fast", guides="centre"),
     }

@@ -1,0 +1,159 @@
+"""Processor time of whole recipes, over that of their kernels alone and over Open Image Denoise's fast call.
+
+What a recipe takes beyond its kernels is spent between them: on checks, sentences for the user and passes over images.
+
+    python -m benchmarks.performance.budget --against
+
+measures every recipe on one thread, tells each beside the committed file, and writes that file anew. It exits with 1
+where a recipe takes more than `LARGEST_RISE` times as much of Open Image Denoise's time as before. Kernels and their
+recipe are timed in one run, and Open Image Denoise in turn with both, so that a slow machine slows all.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from functools import partial
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+
+import lobewise
+from benchmarks.common import RESULTS, describe_machine, write_json
+from benchmarks.same_bits import load_bundled
+from lobewise.backend.runtime import Runtime
+from lobewise.bench.timing import limit_threads
+from lobewise.denoising import combining
+from lobewise.frame import Frame
+from lobewise.peers import denoise_oidn
+
+RESULT = RESULTS / "budget.json"
+SIZE = (1920, 1080)
+LARGEST_RISE = 1.2
+"""Largest time over that of the older file, both over Open Image Denoise's. Beside other work, times of one version
+differ by 10 %."""
+RECIPES: dict[str, dict[str, Any]] = {
+    "fast, separable, sg": {"quality": "fast", "form": "separable", "similarity": "sg"},
+    "fast": {"quality": "fast"},
+    "balanced": {"quality": "balanced"},
+    "high": {"quality": "high"},
+    "auto": {},
+}
+MIN_SECONDS, MIN_ROUNDS = 8.0, 2
+"""Processor time and runs after which a recipe is measured, without the first run."""
+MAX_PEER_ROUNDS = 3
+"""Runs of Open Image Denoise beside each recipe."""
+
+
+def tile(frame: Frame, width: int, height: int) -> Frame:
+    """Return a frame of another size that repeats a frame; the camera sees the surfaces askew, which takes no time."""
+    down, right = -(-height // frame.height), -(-width // frame.width)
+
+    def repeat(part: Any) -> Any:
+        images = {item.name: getattr(part, item.name) for item in fields(part)}
+        return type(part)(
+            **{
+                name: None if image is None else np.tile(image, (down, right, 1)[: image.ndim])[:height, :width]
+                for name, image in images.items()
+            }
+        )
+
+    return Frame(repeat(frame.radiance), repeat(frame.gbuffer), frame.camera, spp=frame.spp)
+
+
+def make_calls(frame: Frame) -> dict[str, Callable[[], Any]]:
+    """Return every recipe by its name."""
+    calls: dict[str, Callable[[], Any]] = {
+        name: partial(lobewise.denoise, frame, device="cpu", **settings) for name, settings in RECIPES.items()
+    }
+    calls["upsampling"] = partial(lobewise.upsample, lobewise.make_sparse(frame, 4), device="cpu")
+    calls["history"] = partial(lobewise.TemporalFilter(device="cpu").add, frame)
+    return calls
+
+
+def time_processor(call: Callable[[], Any]) -> tuple[float, float]:
+    """Return the processor time of a call, and that of its kernels and of the library it calls, seconds."""
+    spent: list[float] = []
+
+    def timed(run: Callable[..., Any]) -> Callable[..., Any]:
+        def wrapped(*given: Any, **named: Any) -> Any:
+            start = time.process_time()
+            try:
+                return run(*given, **named)
+            finally:
+                spent.append(time.process_time() - start)
+
+        return wrapped
+
+    kernels = patch.object(Runtime, "call", timed(Runtime.call))
+    with kernels, patch.object(combining, "denoise_oidn", timed(denoise_oidn)):
+        start = time.process_time()
+        call()
+        return time.process_time() - start, sum(spent)
+
+
+def measure(call: Callable[[], Any], peer: Callable[[], Any]) -> dict[str, Any]:
+    """Return the least times of a recipe and of the peer's call, which run in turn, and their ratios."""
+    call()
+    runs: list[tuple[float, float]] = []
+    peers: list[float] = []
+    while len(runs) < MIN_ROUNDS or sum(total for total, _ in runs) < MIN_SECONDS:
+        runs.append(time_processor(call))
+        if len(peers) < MAX_PEER_ROUNDS:
+            peers.append(time_processor(peer)[0])
+    total, kernels = min(runs)
+    return {
+        "seconds": round(total, 3),
+        "over_kernels": round(total / kernels, 3),
+        "over_oidn_fast": round(total / min(peers), 4),
+    }
+
+
+def list_rises(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
+    """Return the recipes that take too much more time than before, of Open Image Denoise's."""
+    shared = before["recipes"].keys() & after["recipes"].keys()
+    times = {name: [each["recipes"][name]["over_oidn_fast"] for each in (before, after)] for name in shared}
+    return sorted(name for name, (old, new) in times.items() if new > LARGEST_RISE * old)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Measure, compare and write; return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-o", "--output", type=Path, default=RESULT)
+    parser.add_argument("--against", type=Path, nargs="?", const=RESULT, help=f"an older result ({RESULT.name})")
+    parser.add_argument("--only", default="", help="recipes whose name has this in it; the others keep their figures")
+    asked = parser.parse_args(arguments)
+    limit_threads(1)
+    warnings.simplefilter("ignore")
+    before = json.loads(asked.against.read_text()) if asked.against else {"recipes": {}}
+    found = json.loads(asked.output.read_text())["recipes"] if asked.output.exists() else {}
+    frame, machine = tile(load_bundled(), *SIZE), describe_machine()
+    peer = partial(denoise_oidn, frame, quality="fast", guides="centre")
+    peer()
+    calls = make_calls(frame)
+    what = "least processor time of one call, one thread for kernels"
+    for name, call in calls.items():
+        if asked.only not in name:
+            continue
+        old = before["recipes"].get(name, {})
+        found[name] = {**measure(call, peer), "commit": machine["commit"]}
+        told = ", ".join(f"{key} {value} ({old.get(key, 'new')})" for key, value in found[name].items())
+        print(f"{name}: {told}", flush=True)
+        recipes = {name: found[name] for name in calls if name in found}
+        result = {"what": what, "size": list(SIZE), "machine": machine, "recipes": recipes}
+        write_json(asked.output, result)
+    rises = list_rises(before, {"recipes": found})
+    if rises:
+        print(f"slower than {LARGEST_RISE} times before, over Open Image Denoise: {', '.join(rises)}", file=sys.stderr)
+    return int(bool(rises))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

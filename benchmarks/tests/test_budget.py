@@ -1,0 +1,45 @@
+"""The budget of processor time: what counts as kernels, and what counts as slower."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from benchmarks.performance.budget import RECIPES, RESULT, list_rises, make_calls, tile, time_processor
+from lobewise.backend.runtime import Runtime
+from lobewise.bench.plane import make_frame
+
+
+def test_work_beside_kernels_is_no_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [0.0]
+
+    def spend(seconds: float) -> None:
+        now[0] += seconds
+
+    monkeypatch.setattr("time.process_time", lambda: now[0])
+    monkeypatch.setattr(Runtime, "call", lambda self, seconds: spend(seconds))
+    runtime = Runtime.__new__(Runtime)
+
+    def run() -> None:
+        spend(3.0)
+        runtime.call(2.0)
+        runtime.call(0.5)
+
+    assert time_processor(run) == (5.5, 2.5)
+
+
+def test_slower_recipes_are_named() -> None:
+    before = {"recipes": {"one": {"over_oidn_fast": 1.0}, "two": {"over_oidn_fast": 1.0}, "old": {}}}
+    after = {"recipes": {"one": {"over_oidn_fast": 1.05}, "two": {"over_oidn_fast": 1.3}, "new": {}}}
+    assert list_rises(before, after) == ["two"]
+
+
+def test_committed_budget_has_every_recipe() -> None:
+    frame = tile(make_frame(12, 8), 30, 20)
+    assert frame.shape == (20, 30)
+    assert np.array_equal(frame.radiance.color[8:16, 12:24], frame.radiance.color[:8, :12])
+    names = list(make_calls(frame))
+    assert set(RECIPES) < set(names)
+    assert list(json.loads(RESULT.read_text())["recipes"]) == names
