@@ -55,6 +55,7 @@ def test_clusters_on_metal_boxes_come_near_paths_at_equal_time(clusters: dict[st
                 assert found < 1.5 * paths, (name, stage, part)
 
 
+@pytest.mark.nightly
 @pytest.mark.mitsuba
 def test_code_runs() -> None:
     pytest.importorskip("mitsuba")

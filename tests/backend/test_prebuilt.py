@@ -126,7 +126,7 @@ from lobewise.backend import prebuilt
 import lobewise
 from releasing.frames import make_frame
 try:
-    lobewise.denoise(make_frame(), quality="fast", radius=2)
+    lobewise.denoise(make_frame(), quality="fast", form="atrous")
 except lobewise.LobewiseError as problem:
     print(problem)
 for device in ("vulkan",):

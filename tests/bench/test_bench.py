@@ -20,6 +20,7 @@ pytestmark = [pytest.mark.mitsuba, pytest.mark.usefixtures("mi")]
 QUICK = InteractiveSettings(similarity="none", adaptive=0.0, filter_direct=False)
 
 
+@pytest.mark.nightly
 def test_every_method_and_size_is_measured() -> None:
     seen: list[tuple[int, int]] = []
     found = measure_devices(

@@ -103,7 +103,6 @@ def test_passes_of_other_images_follow_the_guides_of_the_layer() -> None:
     steps = [step for step in passes.steps if isinstance(step, PassStep)]
     assert len(steps) == len(passes.steps) == 2
     assert steps[0].source == SAMPLES
-    assert not any(step.joined for step in steps)
 
 
 def test_a_printed_plan_names_every_stage_and_step() -> None:

@@ -61,6 +61,7 @@ def test_cpp_follows_python(history: Path, cpp: str) -> None:
     assert min(changed[1:CUT]) > 0.05
 
 
+@pytest.mark.nightly
 def test_a_reset_forgets_everything(history: Path, cpp: str) -> None:
     """The example with a reset before each frame gives what each frame gives alone."""
     program = (history / "example.cpp").read_text()

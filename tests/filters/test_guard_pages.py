@@ -115,7 +115,7 @@ def test_no_access_out_of_bounds(name: str, place: str, run_guarded: Any) -> Non
     assert int(told) > 0, "no kernel was called"
 
 
-@pytest.mark.sampled("start--1")
+@pytest.mark.nightly
 @pytest.mark.parametrize(("place", "shift"), [("start", -1), ("end", 1)])
 def test_one_entry_out_of_bounds_ends_the_process(place: str, shift: int, run_guarded: Any) -> None:
     code, told = run_guarded(CASES["noise guide"], place, shift)

@@ -59,6 +59,7 @@ def test_the_first_example_of_mitsubas_page_runs(mi: Any, scene: Any, reference:
     assert rel_mse(np.array(denoised), reference) < 0.3 * rel_mse(np.array(noisy), reference)
 
 
+@pytest.mark.nightly
 @pytest.mark.mitsuba
 def test_the_second_example_of_mitsubas_page_runs(
     mi: Any, scene: Any, reference: np.ndarray, multichannel: Any

@@ -53,6 +53,7 @@ def scene(mi: Any) -> Any:
     )
 
 
+@pytest.mark.nightly
 def test_the_image_is_nearer_to_the_truth_than_denoising_what_mitsuba_renders(mi: Any, scene: Any) -> None:
     truth = np.array(mi.render(scene, spp=2048, seed=7))
     clean = lobewise.mitsuba.denoise(scene, spp=8)

@@ -298,6 +298,7 @@ class TestOnePlace:
 
 
 class TestMathematics:
+    @pytest.mark.nightly
     def test_hits_are_located_as_places_are(self, mi: Any, rough: str) -> None:
         import drjit as dr
 
