@@ -242,9 +242,7 @@ def define_split_lobes(grid: Grid, count: int) -> list[Vector]:
     return outputs
 
 
-def _run(
-    gbuffer: GBuffer, camera: Camera, tau: float, similarity: str, *, diffuse_fallback: bool
-) -> tuple[NDArray[Any], ...]:
+def _run(gbuffer: GBuffer, camera: Camera, tau: float, similarity: str, *, diffuse_fallback: bool) -> tuple[Any, ...]:
     check_lobe_guides(gbuffer, similarity, tau)
     images, numbers = collect_guides(gbuffer, camera, tau, similarity)
     numbers["diffuse_fallback"] = np.float32(diffuse_fallback)
@@ -304,17 +302,14 @@ def collect_guides(
 
 
 def define_lobes(grid: Grid, similarity: str) -> list[Vector]:
-    """Return validity, axis and shape: the sharpness, or the covariance and its determinant.
-
-    Without the number ``diffuse_fallback``, surfaces of kind NONE have no lobe.
-    """
+    """Return validity, axis and shape: the sharpness, or the covariance and its determinant."""
     fallback = grid.get("diffuse_fallback")[0] != 0 if "diffuse_fallback" in grid.numbers else hl.Expr(False)
     which, axis, shape = _find_lobes(grid, similarity, fallback)
     truth = [hl.u8(which != NO_LOBE)]
     return [truth, axis, shape[:6], shape[6:]] if len(shape) > 1 else [truth, axis, shape]
 
 
-def _find_lobes(grid: Grid, similarity: str, diffuse_fallback: hl.Expr) -> tuple[hl.Expr, list[hl.Expr], list[hl.Expr]]:
+def _find_lobes(grid: Grid, similarity: str, fallback: hl.Expr) -> tuple[hl.Expr, list[hl.Expr], list[hl.Expr]]:
     """Return the kind of a pixel's lobe, its axis and its shape."""
     normal, view, cosine, surface = _find_directions(grid)
     kind = grid.read_one("kind") if grid.has("kind") else None
@@ -334,7 +329,7 @@ def _find_lobes(grid: Grid, similarity: str, diffuse_fallback: hl.Expr) -> tuple
     lambert = hl.Expr(False)
     if kind is not None:
         specular = specular & (kind > hl.f32(0.5)) & (kind < hl.f32(3.5))
-        lambert = surface & (kind == hl.f32(LobeKind.NONE)) & diffuse_fallback
+        lambert = surface & (kind == hl.f32(LobeKind.NONE)) & fallback
     # Store the choice and the lobe once per row: otherwise each output would compute them again from all guides.
     which = hl.select(specular, hl.u8(SPECULAR_LOBE), lambert, hl.u8(LAMBERT_LOBE), hl.u8(NO_LOBE))
     which, *kept = grid.share([which, *axis, *shape])
