@@ -64,7 +64,9 @@ PAGES = {
     ),
     "docs/materials.md": Source(materials.make_figures, ("fit_materials", "textured_lobes")),
     "docs/mitsuba.md": Source(mitsuba.make_figures, ("mitsuba",)),
-    "docs/performance.md": Source(performance.make_figures, ("filters", "roofline", "scaling", "budget")),
+    "docs/performance.md": Source(
+        performance.make_figures, ("filters", "roofline", "scaling", "budget", "first_calls")
+    ),
     "docs/quality_results.md": Source(quality.make_figures, ("quality",)),
     "docs/renderers_results.md": Source(foreign.make_figures, ("foreign", "foreign_speed")),
     "docs/research/hit_distance.md": Source(results.make_hit_figures, ("similarities", "hit_distance")),

@@ -24,7 +24,11 @@ USUAL = "separable, radius 8"
 
 
 def make_figures(
-    filters: Mapping[str, Any], roofline: Mapping[str, Any], scaling: Mapping[str, Any], budget: Mapping[str, Any]
+    filters: Mapping[str, Any],
+    roofline: Mapping[str, Any],
+    scaling: Mapping[str, Any],
+    budget: Mapping[str, Any],
+    first_calls: Mapping[str, Any],
 ) -> dict[str, str]:
     """Return the figures of docs/performance.md by place."""
     machine, peaks = roofline["machine"], roofline["peaks"]
@@ -43,6 +47,7 @@ def make_figures(
         "Goal": f"{MIN_SHARE_OF_ROOFLINE:.0%} of the roofline, {judge(share >= MIN_SHARE_OF_ROOFLINE)}",
     }
     return {
+        "first-calls": make_first_call_rows(first_calls),
         "run": list_facts(run),
         "peaks": list_facts(limits),
         "roofline": make_roofline_rows(roofline),
@@ -187,6 +192,13 @@ def make_budget_rows(budget: Mapping[str, Any]) -> str:
     ]
     header = ["recipe", "processor time, s", "over its kernels", "over Open Image Denoise's `fast`", "commit"]
     return make_table(header, rows)
+
+
+def make_first_call_rows(first_calls: Mapping[str, Any]) -> str:
+    """Return the table of what first calls compile."""
+    after = {name: versions["after"] for name, versions in first_calls["calls"].items()}
+    rows = [[name, f"{each['count']}", f"{each['compile_seconds']:.1f} s"] for name, each in after.items()]
+    return make_table(["recipe", "kernels", "time to compile"], rows)
 
 
 def make_scaling_rows(scaling: Mapping[str, Any]) -> str:
