@@ -94,6 +94,7 @@ class TestChoice:
 
 
 class TestDeviceScope:
+    @pytest.mark.nightly
     def test_up_once_and_down_once(self, vulkan, rng):
         shape = 20, 30
         light = rng.random((*shape, 3)).astype(np.float32)

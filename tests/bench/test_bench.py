@@ -42,6 +42,7 @@ def test_every_method_and_size_is_measured() -> None:
     assert seen[-1] == (len(seen), len(seen)) == (12, 12)
 
 
+@pytest.mark.nightly
 def test_the_table_fits_a_terminal_and_the_file_says_the_same(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -34,6 +34,7 @@ def render(fog: Path, *words: str) -> int:
     return run(["render", str(fog), "--spp", "4", "-o", str(fog.with_suffix(".exr")), *words])
 
 
+@pytest.mark.nightly
 def test_parameters_stand_in_the_file(fog: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert render(fog, "-D", "density=0.0001", "-D", "columns=20") == 0
     frame = lobewise.read_frame(fog.with_suffix(".exr"))

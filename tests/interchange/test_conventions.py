@@ -457,7 +457,7 @@ def test_frames_of_any_size_are_checked(shape: tuple[int, int]) -> None:
         assert import_planes(planes, preset="arnold", camera=camera).frame.shape == shape
 
 
-@pytest.mark.sampled("0", "4", "8", "12", "17", "21", "25")
+@pytest.mark.sampled("0", "8", "17")
 @pytest.mark.parametrize("seed", range(30))
 def test_spoiled_guides_are_read_all_the_same(seed: int) -> None:
     """Values that are none, all alike, huge, tiny, or at random: in any of the passes."""

@@ -128,6 +128,7 @@ def test_a_second_render_is_the_other_half() -> None:
     assert any("halves" in note for note in found.notes)
 
 
+@pytest.mark.nightly
 def test_halves_go_through_the_command(tmp_path: Path) -> None:
     out = [tmp_path / "a.exr", tmp_path / "b.exr"]
     assert run(["denoise", str(SEEDS[0]), "--half", str(SEEDS[1]), "-o", str(out[0])]) == 0

@@ -67,6 +67,7 @@ def test_real_files_without_any_option(name: str, exr_folder: Path, tmp_path: Pa
     require_untouched(exr_folder / name, output)
 
 
+@pytest.mark.sampled("blender_4.5_seed1.exr")
 @pytest.mark.parametrize("name", RENDERED)
 def test_rendered_files_without_any_option(name: str, tmp_path: Path) -> None:
     output = tmp_path / "out.exr"

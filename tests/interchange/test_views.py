@@ -223,7 +223,7 @@ def test_unknown_views_are_refused(tmp_path: Path) -> None:
         lobewise.read_frame(tmp_path / "own.exr", view="left")
 
 
-@pytest.mark.sampled("more0")
+@pytest.mark.nightly
 @pytest.mark.parametrize("more", [["--temporal"], ["--window", "1"]])
 def test_sequences_of_views(more: list[str], tmp_path: Path) -> None:
     for number in range(3):

@@ -83,7 +83,7 @@ def test_it_is_what_rendering_and_denoising_give(mi: Any, scene: Any) -> None:
     assert told[-1] == (6 * WIDTH * HEIGHT, 6 * WIDTH * HEIGHT)
 
 
-@pytest.mark.sampled("True")
+@pytest.mark.nightly
 @pytest.mark.parametrize("own", [False, True])
 def test_any_sensor_of_the_scene(mi: Any, scene: Any, own: bool) -> None:
     how = {"integrator": "scene"} if own else {}

@@ -47,6 +47,7 @@ def list_pixels(size: int = SIZE) -> tuple[np.ndarray, np.ndarray]:
     return rows.ravel(), columns.ravel()
 
 
+@pytest.mark.nightly
 def test_guides_are_those_of_a_whole_frame_but_for_averages(stages: Stages, showroom: Any) -> None:
     stages.place_camera(stages.start_camera, SIZE, SIZE)
     hits, _ = stages.trace_first(stages.start_camera, 0)

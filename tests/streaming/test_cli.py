@@ -160,7 +160,7 @@ main(sys.argv[1:])
 """
 
 
-@pytest.mark.sampled("None")
+@pytest.mark.nightly
 @pytest.mark.parametrize("before", [None, b"what was there"])
 def test_ctrl_c_leaves_no_part_of_a_file(before: bytes | None, folder: Path) -> None:
     if before is not None:

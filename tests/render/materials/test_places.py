@@ -75,7 +75,7 @@ def list_tables(material: Any) -> Any:
 
 
 class TestSquares:
-    @pytest.mark.sampled("bare")
+    @pytest.mark.nightly
     @pytest.mark.parametrize(
         "wrap", [pytest.param(wrap, id=name, marks=() if name in ("bare", "three deep") else pytest.mark.nightly)
                  for name, wrap in WRAPPERS]
@@ -214,7 +214,7 @@ class TestRamps:
 
 
 class TestPositions:
-    @pytest.mark.sampled("1.0")
+    @pytest.mark.nightly
     @pytest.mark.parametrize("scale", [1.0, 40.0])
     def test_lobes_follow_a_texture_in_space(self, mi: Any, scale: float) -> None:
         from lobewise.render.materials.bsdfs import read_material
@@ -288,6 +288,7 @@ class TestOnePlace:
         assert describe(materials[1], 0.5)["material"].tolist() == [3.0]
         assert sorted(describe(materials[2], [0.1, 0.9])["material"]) == [1.0, 2.0]
 
+    @pytest.mark.nightly
     def test_a_second_scene_fits_nothing(self, rough: str, monkeypatch: pytest.MonkeyPatch) -> None:
         from lobewise.render.materials import fitted
 
