@@ -107,8 +107,9 @@ class PassRequest:
         for name, half in zip(("half_a", "half_b"), self.halves, strict=True):
             images[name] = take_image("half", half, (*self.size, COLORS))
         # Without an albedo the kernel takes any image and does not use it.
-        albedo = self.halves[0] if self.albedo is None else self.albedo
-        images["albedo"] = take_image("albedo", albedo, (*self.size, COLORS))
+        images["albedo"] = images["half_a"]
+        if self.albedo is not None:
+            images["albedo"] = take_image("albedo", self.albedo, (*self.size, COLORS))
         if self.guide is not None:
             images["guide"] = take_image("guide", self.guide, (*self.size, GUIDE_CHANNELS))
         for features in self.groups._asdict().items():
