@@ -59,7 +59,7 @@ def require_clean(result: lobewise.Result) -> None:
             assert image.min() >= 0.0
 
 
-@pytest.mark.sampled(
+QUICK_CASES = pytest.mark.sampled(
     "cpu-color-fast",
     "cpu-color-balanced",
     "cpu-color-high",
@@ -69,6 +69,9 @@ def require_clean(result: lobewise.Result) -> None:
     "cpu-normal-fast",
     "cpu-normal-balanced",
 )
+
+
+@QUICK_CASES
 @pytest.mark.parametrize("quality", QUALITIES)
 @pytest.mark.parametrize("what", ["color", "albedo", "normal"])
 def test_odd_values_at_some_pixels(what: str, quality: str, device: str) -> None:
@@ -84,16 +87,7 @@ def test_odd_values_at_some_pixels(what: str, quality: str, device: str) -> None
         assert (result.bad_pixels & where).sum() == bad.sum()
 
 
-@pytest.mark.sampled(
-    "cpu-color-fast",
-    "cpu-color-balanced",
-    "cpu-color-high",
-    "cpu-albedo-fast",
-    "cpu-albedo-balanced",
-    "cpu-albedo-high",
-    "cpu-normal-fast",
-    "cpu-normal-balanced",
-)
+@QUICK_CASES
 @pytest.mark.parametrize("quality", QUALITIES)
 @pytest.mark.parametrize("what", ["color", "albedo", "normal"])
 def test_odd_values_everywhere(what: str, quality: str, device: str) -> None:

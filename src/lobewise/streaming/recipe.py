@@ -175,8 +175,7 @@ def denoise_file(
 
         guided = get_quality(asked.quality).reads_halves
         if not guided and needs_spp(asked):
-            noisy = ("variance", "color") in reader.images
-            variances = measure().variances if noisy else np.empty(0)
+            variances = measure().variances if ("variance", "color") in reader.images else np.empty(0)
             chosen = resolve_all(probe, asked, spp=judge_noise(variances, probe.spp))
         below = resolve_all(replace(probe, variance=None), replace(asked, quality="fast", with_oidn=False))
         whole = measure().whole if guided else None
@@ -186,6 +185,7 @@ def denoise_file(
         bad_count = _filter(reader, kept, _Settings(chosen, below), whole, bands, tell, seen)
         finish_bands(reader, kept, writer, Finisher(lambda: measure().mean_color, chosen.device), seen.find_gains())
         writer.finish(output, asdict(chosen))
+    told = (*describe_lacks(probe, named), *describe_bad(bad_count, height * reader.shape[1]))
     return DenoisedFile(
         shape=reader.shape,
         bands=len(bands),
@@ -193,11 +193,7 @@ def denoise_file(
         energy_lost=seen.find_share_missing(),
         settings=asdict(chosen),
         seconds=time.perf_counter() - start,
-        notes=seen.list_notes(
-            reader,
-            share_bounded,
-            (*describe_lacks(probe, named), *describe_bad(bad_count, reader.shape[0] * reader.shape[1])),
-        ),
+        notes=seen.list_notes(reader, share_bounded, told),
         unused=list_unused(survey.apply(BandReader(source, lobe_tables=lobe_tables).read_frame(0, 1)), chosen),
         method=describe_method(chosen, ("normal",), why_ours=explain_ours(named, whole=False)),
     )
