@@ -85,6 +85,7 @@ def test_the_library_has_the_bits_of_the_compiler(folder: Path, tmp_path: Path) 
     np.testing.assert_array_equal(found, expected)
 
 
+@pytest.mark.nightly
 def test_every_level_has_the_parameters_of_its_own_lanes(folder: Path, tmp_path: Path) -> None:
     copy = shutil.copytree(folder, tmp_path / "copy")
     for level in json.loads((folder / prebuilt.INDEX_NAME).read_bytes())["levels"]:
@@ -117,6 +118,7 @@ print(clean.image.mean() > 0.0)
     assert done.stdout.strip() == "True", done.stderr
 
 
+@pytest.mark.nightly
 def test_a_kernel_that_the_library_lacks_is_refused_without_a_compiler(folder: Path, tmp_path: Path) -> None:
     code = f"""
 import sys

@@ -158,6 +158,7 @@ def test_the_best_stands_out_where_there_is_one(films, capsys, monkeypatch):
     assert bold == {f"{value:.4g}" for value in best.values()}
 
 
+@pytest.mark.nightly
 def test_memory_does_not_grow_with_the_length(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     # Large enough that what the garbage collector happens to leave (some ten kilobytes) is far below one image.

@@ -141,7 +141,7 @@ def bench(request: pytest.FixtureRequest, graphics: Any, language: str, folder: 
     return Bench(player, constants, given, steps)
 
 
-@pytest.mark.sampled("hits-wgsl", "plain-wgsl")
+@pytest.mark.sampled("plain-wgsl")
 def test_footprints(bench: Bench) -> None:
     """Pixels are wider where a surface moved by itself, and nowhere else."""
     frame = make_last(False)

@@ -41,7 +41,7 @@ def make_constants(recipe: lobewise.TemporalFilter, frame: SparseFrame, previous
     )
 
 
-@pytest.mark.sampled("wgsl-diffuse", "wgsl-specular")
+@pytest.mark.sampled("wgsl-diffuse")
 @pytest.mark.parametrize("name", LAYERS)
 def test_passes(graphics: Any, language: str, folder: Path, name: str) -> None:
     """Trust and upsampling of one frame, from the same history."""

@@ -80,6 +80,7 @@ def test_similarity_is_the_oracle_s(kind: str, rng: np.random.Generator) -> None
     np.testing.assert_allclose(there_and_back, weights, rtol=2e-5, atol=1e-7)
 
 
+@pytest.mark.sampled("screen", "plane", "sg", "sg_hits", "ggx", "asg_hits", "mixture")
 @pytest.mark.parametrize("kind", KINDS)
 def test_extremes_are_the_oracle_s(kind: str, rng: np.random.Generator) -> None:
     feature, pairs = make_extremes(kind), draw_pairs(rng, SHAPE, COUNT)

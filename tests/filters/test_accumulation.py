@@ -184,7 +184,7 @@ def find_trust_slowly(given: dict[str, Any], scale: int, place: tuple[int, int])
     return np.clip((NO_TRUST_ERRORS - excess) / (NO_TRUST_ERRORS - FULL_TRUST_ERRORS), 0.0, 1.0)
 
 
-@pytest.mark.sampled("cpu-2-place1")
+@pytest.mark.sampled("cpu-2-place1", "vulkan-2-place1")
 @pytest.mark.parametrize(("scale", "place"), CASES[:2])
 def test_trust_agrees_with_the_definition(scale: int, place: tuple[int, int]) -> None:
     given = make_given((40, 50), scale, place)
@@ -197,7 +197,7 @@ def test_trust_agrees_with_the_definition(scale: int, place: tuple[int, int]) ->
     np.testing.assert_allclose(trust, expected, rtol=0.0, atol=0.02)
 
 
-@pytest.mark.sampled("cpu-False")
+@pytest.mark.sampled("cpu-False", "vulkan-False")
 @pytest.mark.parametrize("remembers", [True, False])
 def test_whole_frames_are_accumulated_as_their_filter_gives_them(remembers: bool) -> None:
     given = make_given(SHAPE, 1, (0, 0))

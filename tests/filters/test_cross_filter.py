@@ -63,6 +63,8 @@ def ask_oracle(form: str, shape: tuple[int, int], at: tuple[int, int] | None = N
     "cpu-(64, 64)-separable",
     "cpu-(67, 41)-separable",
     "cpu-(3, 277)-full",
+    "vulkan-(17, 3)-full",
+    "vulkan-(67, 41)-separable",
 )
 @pytest.mark.parametrize("form", EVERY_FORM)
 @pytest.mark.parametrize("shape", SIZES, ids=str)

@@ -276,7 +276,11 @@ def get_bits(found: DualBufferOutput) -> bytes:
 
 
 @pytest.mark.sampled(
-    "cpu-(1, 1)-two places", "cpu-(1, 9)-standard", "cpu-(40, 2)-own sample", "cpu-(33, 17)-no features"
+    "cpu-(1, 1)-two places",
+    "cpu-(1, 9)-standard",
+    "cpu-(40, 2)-own sample",
+    "cpu-(33, 17)-no features",
+    "vulkan-(33, 17)-standard",
 )
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.parametrize("shape", SHAPES, ids=str)

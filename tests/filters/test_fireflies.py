@@ -79,6 +79,7 @@ def bound_slowly(
     "cpu-(9, 2)-albedo",
     "cpu-(17, 33)-albedo",
     "cpu-(70, 41)-plain",
+    "vulkan-(17, 33)-albedo",
 )
 @pytest.mark.parametrize("tinted", [False, True], ids=["plain", "albedo"])
 @pytest.mark.parametrize("size", SIZES, ids=str)

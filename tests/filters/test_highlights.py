@@ -86,6 +86,17 @@ def make_spots(size: tuple[int, int], strange: bool = True) -> tuple[tuple[Image
     return halves, albedo, mask
 
 
+@pytest.mark.sampled(
+    "cpu-(1, 1)-apart",
+    "cpu-(1, 7)-single",
+    "cpu-(2, 3)-paired",
+    "cpu-(9, 2)-shared",
+    "cpu-(17, 33)-apart",
+    "cpu-(17, 33)-single",
+    "cpu-(70, 41)-shared",
+    "cpu-(70, 41)-paired",
+    "vulkan-(17, 33)-paired",
+)
 @pytest.mark.parametrize("kind", ["apart", "shared", "single", "paired"])
 @pytest.mark.parametrize("size", SIZES, ids=str)
 def test_against_the_definition(size: tuple[int, int], kind: str) -> None:

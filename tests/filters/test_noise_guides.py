@@ -55,6 +55,7 @@ def assert_is_guide(guide: FloatArray, expected: NDArray[np.float64]) -> None:
     np.testing.assert_allclose(guide[..., 3], expected[..., 3], rtol=1e-5, atol=1.2 * LOGARITHM * d)
 
 
+@pytest.mark.sampled("cpu-(1, 1)", "cpu-(1, 9)", "cpu-(9, 1)", "cpu-(70, 65)", "vulkan-(33, 17)")
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
 def test_guide_is_as_defined(shape: tuple[int, int]) -> None:
     a, b = make_halves(shape)
@@ -133,6 +134,7 @@ def light_reference(
     return np.asarray(light.sum(axis=0) / np.maximum(good.sum(axis=0), 1))
 
 
+@pytest.mark.sampled("cpu-(1, 1)-plain", "cpu-(2, 3)-albedo", "cpu-(70, 65)-plain", "vulkan-(33, 17)-albedo")
 @pytest.mark.parametrize("tinted", [False, True], ids=["plain", "albedo"])
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
 def test_light_is_measured_as_defined(shape: tuple[int, int], tinted: bool) -> None:

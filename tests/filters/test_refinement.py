@@ -199,6 +199,7 @@ def test_images_that_are_not_known_count_nothing(known: tuple[str, ...]) -> None
     np.testing.assert_allclose(refine(images), make_definition(images), rtol=TOLERANCE)
 
 
+@pytest.mark.sampled("vulkan")
 def test_graphics_cards_agree_with_the_processor(device: str) -> None:
     images = make_images()
     np.testing.assert_allclose(refine(images, device=device), refine(images), rtol=1e-4)

@@ -65,7 +65,7 @@ def reproject_plainly(past: FloatArray, places: FloatArray) -> FloatArray:
     return run_reprojection(past, places, masks, ([], []))
 
 
-@pytest.mark.sampled("cpu-sg")
+@pytest.mark.sampled("cpu-sg", "vulkan-sg")
 @pytest.mark.parametrize(
     "kinds",
     [

@@ -60,6 +60,7 @@ def fit_place(place: tuple[int, int], shape: tuple[int, int]) -> tuple[int, int]
     "cpu-4-place2-(3, 17)",
     "cpu-8-place3-(1, 1)",
     "cpu-8-place3-(3, 17)",
+    "vulkan-3-place1-(3, 17)",
 )
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
 @pytest.mark.parametrize(("scale", "place"), CASES)

@@ -55,7 +55,10 @@ def fuzz(
     strategy = make_strategy(kind)
 
     def is_over() -> bool:
-        return time.monotonic() - began >= seconds or (count is not None and tally.files >= count)
+        if count is not None and tally.files >= count:
+            return True
+        # One file is tried however slow the machine is.
+        return tally.files > 0 and time.monotonic() - began >= seconds
 
     def try_one(data: bytes) -> None:
         if is_over():

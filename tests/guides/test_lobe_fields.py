@@ -320,6 +320,7 @@ def test_normals_that_face_away_are_bent_until_they_do_not(camera):
     assert (field.determinant[0, beyond] > 0.0).all()
 
 
+@pytest.mark.sampled("True")
 @pytest.mark.parametrize("anisotropic", [False, True])
 def test_split_lobes_are_the_lobes_of_every_band_limit(guides, camera, anisotropic):
     if not anisotropic:

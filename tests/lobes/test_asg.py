@@ -237,7 +237,7 @@ ACCURACY = [
 ]
 
 
-@pytest.mark.sampled("near-1-2", "near-5-10", "wide-1-2", "wide-5-10", "anywhere-1-2", "anywhere-5-10")
+@pytest.mark.nightly
 @pytest.mark.parametrize("row", ACCURACY, ids=lambda row: f"{row[0]:g}-{row[1]:g}")
 @pytest.mark.parametrize("kind", ["near", "wide", "anywhere"])
 def test_similarity_against_quadrature(row, kind):

@@ -47,6 +47,7 @@ def test_blinn_density_is_normalised(exponent):
     assert total == pytest.approx(1.0, abs=HORIZON)
 
 
+@pytest.mark.sampled("alpha0-0.02", "alpha1-0.3", "alpha3-0.1", "alpha5-1.0")
 @pytest.mark.parametrize("cosine", COSINES)
 @pytest.mark.parametrize("alpha", ALPHAS)
 def test_masking_is_what_makes_visible_area_come_out(alpha, cosine):

@@ -71,6 +71,7 @@ def random_surface(rng, alphas=(0.01, 0.999), cosines=(0.02, 0.999)):
     return frame, view, np.exp(rng.uniform(*np.log(alphas), 2))
 
 
+@pytest.mark.sampled("False-True", "True-False")
 @pytest.mark.parametrize("beckmann", [False, True])
 @pytest.mark.parametrize("grazing", [False, True])
 def test_construction_is_the_one_by_steps(rng, beckmann, grazing):
@@ -216,6 +217,7 @@ def test_beckmann_similarity_against_quadrature(anisotropy, bound):
     assert rmse(tangent.tangent_gaussian_similarity(i, j), truth) < bound
 
 
+@pytest.mark.nightly
 def test_one_spherical_gaussian_is_several_times_worse():
     from .oracles import sg
 

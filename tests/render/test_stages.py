@@ -91,6 +91,7 @@ def test_direct_light_is_the_path_tracers(stages: Stages, showroom: Any) -> None
         assert np.median(np.abs(mean - expected) / (expected + 0.01)) < 0.1, name
 
 
+@pytest.mark.nightly
 def test_sixteen_neighbours_know_more_of_a_lamp_than_chance_would(stages: Stages) -> None:
     """Interleaved samples of a soft shadow: their 4x4 means vary less than those of independent ones."""
     stages.place_camera(stages.start_camera, 256, 256)

@@ -52,7 +52,7 @@ def assert_same(a, b) -> None:
 
 
 class TestStill:
-    @pytest.mark.sampled("2")
+    @pytest.mark.nightly
     @pytest.mark.parametrize("scale", [2, 3, 4])
     def test_without_noise_it_becomes_what_full_resolution_would_be(self, scale):
         rng = np.random.default_rng(7)
@@ -253,6 +253,7 @@ class TestStill:
 
 
 class TestMotion:
+    @pytest.mark.sampled("camera-4", "vectors-1")
     @pytest.mark.parametrize("scale", [1, 4])
     @pytest.mark.parametrize("motion", [True, False], ids=["vectors", "camera"])
     def test_a_moving_camera_keeps_its_history(self, scale, motion):
@@ -318,6 +319,7 @@ class TestGhosts:
     STEP = 0.06
     """World units a frame: about two pixels."""
 
+    @pytest.mark.sampled("4")
     @pytest.mark.parametrize("scale", [1, 4])
     def test_what_a_card_uncovers_has_no_trail(self, scale):
         ratios = []

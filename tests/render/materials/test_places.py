@@ -260,6 +260,7 @@ class TestPositions:
 
 
 class TestOnePlace:
+    @pytest.mark.nightly
     def test_equal_squares_give_the_lobes_of_no_texture(self, mi: Any) -> None:
         same = {"type": "checkerboard", "color0": 0.2, "color1": 0.2}
         one, two = (read({"type": "pplastic", "alpha": alpha}).fitted.fit for alpha in (same, 0.2))

@@ -77,6 +77,7 @@ def test_agrees_with_mitsubas_path_integrator(mi: Any, make_box_scene: SceneMake
     compare_with_mitsuba(mi, make_box_scene(make_mixed_items(mi)), 256, max_depth)
 
 
+@pytest.mark.nightly
 def test_agrees_with_mitsuba_on_smooth_surfaces_and_sky(mi: Any, make_box_scene: SceneMaker) -> None:
     items = {
         "mirror": ball(mi, -1.2, {"type": "conductor"}),
@@ -135,6 +136,7 @@ def test_emission_seen_directly_is_in_no_part(mi: Any) -> None:
         assert image.max() == 0
 
 
+@pytest.mark.nightly
 def test_direct_light_is_what_a_shorter_path_brings(mi: Any, make_box_scene: SceneMaker, mixed: Frame) -> None:
     """The first scattering draws the same random numbers whatever follows, so the parts agree to the bit."""
     from lobewise.render import render_frame
@@ -174,6 +176,7 @@ def test_split_follows_the_first_bounce_alone(mi: Any, furnace: Callable[..., Fr
     assert np.allclose(radiance.indirect, radiance.color)
 
 
+@pytest.mark.nightly
 def test_lobes_split_next_event_light_by_their_value(mi: Any) -> None:
     """Under a point light nothing but next-event estimation finds light: each part is that lobe's value, no noise."""
     from lobewise.render import render_frame

@@ -70,6 +70,7 @@ def change_lamp(mi: Any, scene: Any, factors: tuple[float, ...]) -> None:
     values.update()
 
 
+@pytest.mark.sampled("1")
 @pytest.mark.parametrize("bounces", [0, 1, 3])
 def test_light_that_fades_is_followed_at_once(mi: Any, bounces: int) -> None:
     scene = load(mi)
@@ -83,7 +84,7 @@ def test_light_that_fades_is_followed_at_once(mi: Any, bounces: int) -> None:
     assert after.sum() / (before * (0.5, 0.25, 2.0)).sum() == pytest.approx(1.0, abs=0.005)
 
 
-@pytest.mark.sampled("0", "1")
+@pytest.mark.sampled("0")
 @pytest.mark.parametrize("bounces", [0, 1, 3])
 def test_a_lamp_that_moved_lights_as_if_it_had_been_there(
     mi: Any, bounces: int, monkeypatch: pytest.MonkeyPatch
