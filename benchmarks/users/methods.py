@@ -57,14 +57,19 @@ def _run_quality(name: str) -> Callable[[Shot, Tuning], FloatArray]:
 
 def run_oidn(shot: Shot, _: Tuning) -> FloatArray:
     """Return what Open Image Denoise makes at its best: guides through its own filter for them, then called clean."""
-    return call_oidn(shot.peer.radiance.color) if shot.guides == "color" else denoise_oidn(shot.peer)[0]
+    return run_oidn_alone(shot, _) if shot.guides == "color" else denoise_oidn(shot.peer)[0]
+
+
+def run_oidn_alone(shot: Shot, _: Tuning) -> FloatArray:
+    """Return what it makes of the color alone."""
+    return call_oidn(shot.peer.radiance.color)
 
 
 def run_oidn_plainly(shot: Shot, _: Tuning) -> FloatArray:
     """Return what most people get of it: albedo and normal as they come, said to be noisy."""
     guides = shot.peer.gbuffer
     if shot.guides == "color":
-        return call_oidn(shot.peer.radiance.color)
+        return run_oidn_alone(shot, _)
     normal = guides.mean_normal if guides.mean_normal is not None else guides.normal
     return call_oidn(shot.peer.radiance.color, sum_albedos(shot.peer), normal)
 
@@ -83,6 +88,7 @@ METHODS: dict[str, Callable[[Shot, Tuning], FloatArray]] = {
     "noisy": lambda shot, _: shot.frame.radiance.color,
     "normal-aware": _run_tuned,
     **{name: _run_quality(name) for name in ("fast", "balanced", "high", "auto")},
+    "oidn, color alone": run_oidn_alone,
     "oidn, as called": run_oidn_plainly,
     "oidn": run_oidn,
 }

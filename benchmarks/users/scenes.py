@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+
+import numpy as np
 
 import lobewise
 from benchmarks.foreign.files import REFERENCE, REFERENCES, RENDERERS, Renderer, find_frames
@@ -15,9 +17,12 @@ from lobewise.io.exr import read_image
 
 MITSUBA = Renderer("mitsuba", ("albedo", "normals"), ("", "albedo", "normals"))
 FOREIGN = (*RENDERERS, MITSUBA)
+FACTORY = replace(RENDERERS[0], name="factory")
+"""Random shots of Blender, `benchmarks/foreign/factory`: a folder for each shot."""
+FACTORY_REFERENCES = (1, 2, 3)
 FOREIGN_SEED = 1
 OWN, INTERIORS = "own", "interiors"
-GROUPS = (INTERIORS, *(renderer.name for renderer in FOREIGN), OWN)
+GROUPS = (INTERIORS, FACTORY.name, *(renderer.name for renderer in FOREIGN), OWN)
 
 
 @dataclass(frozen=True)
@@ -32,7 +37,7 @@ class Scene:
     frames : mapping of int to Path
         The noisy frame by samples per pixel.
     references : tuple of Path
-        Two independent ones.
+        Independent ones, two or more.
     renderer : Renderer, optional
         Whose files they are, where they are not lobewise's own.
     """
@@ -40,7 +45,7 @@ class Scene:
     group: str
     name: str
     frames: Mapping[int, Path]
-    references: tuple[Path, Path]
+    references: tuple[Path, ...]
     renderer: Renderer | None = None
 
     @property
@@ -55,12 +60,12 @@ class Scene:
 
     @cached_property
     def reference_images(self) -> tuple[FloatArray, FloatArray]:
-        """The radiance of both references."""
+        """The radiance of the first reference, and the mean of all others."""
         if self.renderer is None:
-            first, second = (read_image(path) for path in self.references)
+            first, *others = (read_image(path) for path in self.references)
         else:
-            first, second = (lobewise.read_frame(path, light_passes=False).radiance.color for path in self.references)
-        return first, second
+            first, *others = (lobewise.read_frame(path, light_passes=False).radiance.color for path in self.references)
+        return first, np.mean(others, axis=0, dtype=np.float32)
 
     def read(self, spp: int) -> Frame:
         """Return the noisy frame with all that is in its file."""
@@ -77,6 +82,7 @@ class Scene:
 def find_scenes(folder: Path, foreign: Path | None = None) -> list[Scene]:
     """Return the scenes whose references are there: those of `benchmarks.users.render` and of `benchmarks/foreign`."""
     found = [scene for group in (INTERIORS, OWN) for scene in _find_ours(folder / group)]
+    found += _find_factory(foreign / FACTORY.name) if foreign else []
     for renderer in FOREIGN if foreign else ():
         assert foreign is not None
         place = foreign / renderer.name
@@ -85,6 +91,16 @@ def find_scenes(folder: Path, foreign: Path | None = None) -> list[Scene]:
             first, second = (renderer.find(place, f"{name}_{REFERENCE}_{half}") for half in REFERENCES)
             found.append(Scene(renderer.name, name, paths, (first, second), renderer))
     return sorted(found, key=lambda scene: GROUPS.index(scene.group))
+
+
+def _find_factory(folder: Path) -> list[Scene]:
+    found = []
+    for shot in sorted(folder.glob("*/shot.json")):
+        references = tuple(shot.with_name(f"{REFERENCE}_{part}.exr") for part in FACTORY_REFERENCES)
+        frames = {int(path.stem): path for path in shot.parent.glob("*.exr") if path.stem.isdecimal()}
+        if all(path.exists() for path in references):
+            found.append(Scene(FACTORY.name, shot.parent.name, dict(sorted(frames.items())), references, FACTORY))
+    return found
 
 
 def _find_ours(folder: Path) -> list[Scene]:
