@@ -10,7 +10,7 @@ import math
 
 import bpy
 import numpy as np
-from blender_parts import add, add_area, add_camera, make_material, put_texture, set_world
+from blender_parts import add, add_air, add_area, add_camera, make_material, put_texture, set_world
 from blender_shots import add_glow, animate, make_sky, set_focus
 
 TINTS = ((1.0, 0.55, 0.2), (1.0, 0.1, 0.08), (0.15, 0.9, 0.25), (0.2, 0.4, 1.0), (1.0, 0.85, 0.6))
@@ -188,14 +188,7 @@ def make_fog():
     for number in range(5):
         bar = add("cube", clay, size=1.0, location=(-1.6 + 0.8 * number, 2.4, 1.6))
         bar.scale = (0.35, 0.1, 3.2)
-    air = bpy.data.materials.new("air")
-    air.use_nodes = True
-    tree = air.node_tree
-    tree.nodes.clear()
-    scatter, output = tree.nodes.new("ShaderNodeVolumeScatter"), tree.nodes.new("ShaderNodeOutputMaterial")
-    scatter.inputs["Density"].default_value = 0.09
-    tree.links.new(scatter.outputs["Volume"], output.inputs["Volume"])
-    add("cube", air, size=12.0, location=(0.0, 0.0, 5.5))
+    add_air(0.09, 12.0, (0.0, 0.0, 5.5))
     add_glow("lamp", (1.0, 0.8, 0.5), 60.0, radius=0.15, location=(0.6, 3.4, 2.2), segments=32, ring_count=16)
     add_area((-3.0, -2.0, 4.0), (0.6, -0.6, 0.0), 0.8, 150.0, (0.7, 0.85, 1.0))
     set_world((0.25, 0.35, 0.6), 0.3)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import bpy
+import numpy as np
 
 
 def clear() -> None:
@@ -27,13 +28,15 @@ def make_material(name, color=(0.8, 0.8, 0.8), **inputs):
     return material
 
 
-def put_texture(material, kind, to, *, scale, low=0.0, high=1.0, colors=None, bump=0.0):
-    """Drive an input of a material by a procedural texture; roughness drives the AOV too."""
+def put_texture(material, kind, to, *, scale, low=0.0, high=1.0, colors=None, bump=0.0, **inputs):
+    """Drive an input of a material by a procedural texture; roughness drives the AOV too; inputs of the texture."""
     tree = material.node_tree
     nodes, links = tree.nodes, tree.links
     place = nodes.new("ShaderNodeTexCoord")
     texture = nodes.new(f"ShaderNodeTex{kind}")
     texture.inputs["Scale"].default_value = scale
+    for key, setting in inputs.items():
+        texture.inputs[key.replace("_", " ")].default_value = setting
     links.new(place.outputs["Object"], texture.inputs["Vector"])
     shader = nodes["Principled BSDF"]
     value = texture.outputs["Fac"] if "Fac" in texture.outputs else texture.outputs["Distance"]
@@ -70,6 +73,28 @@ def add(kind, material, **options):
     return thing
 
 
+def add_air(density, size, location, anisotropy=0.0):
+    """Fill a cube with thin fog."""
+    air = bpy.data.materials.new("air")
+    air.use_nodes = True
+    tree = air.node_tree
+    tree.nodes.clear()
+    scatter, output = tree.nodes.new("ShaderNodeVolumeScatter"), tree.nodes.new("ShaderNodeOutputMaterial")
+    scatter.inputs["Density"].default_value = density
+    scatter.inputs["Anisotropy"].default_value = anisotropy
+    tree.links.new(scatter.outputs["Volume"], output.inputs["Volume"])
+    add("cube", air, size=size, location=location)
+
+
+def make_image(name, pixels):
+    """Return a linear image of (rows from below, columns, 3)."""
+    rows, columns, _ = pixels.shape
+    image = bpy.data.images.new(name, columns, rows, float_buffer=True)
+    image.pixels.foreach_set(np.concatenate([pixels, np.ones((rows, columns, 1))], -1).astype(np.float32).ravel())
+    image.pack()
+    return image
+
+
 def add_area(location, rotation, size, power, color=(1.0, 1.0, 1.0)):
     """Add a rectangular lamp."""
     bpy.ops.object.light_add(type="AREA", location=location, rotation=rotation)
@@ -86,12 +111,17 @@ def set_world(color, strength):
     bpy.context.scene.world = world
 
 
-def add_camera(location, target, angle):
-    """Add a camera that looks at a point; its angle is the horizontal one, degrees."""
+def aim(location, target):
+    """Return the rotation of a camera or lamp that looks at a point."""
     from mathutils import Vector
 
+    return (Vector(target) - Vector(location)).to_track_quat("-Z", "Y").to_euler()
+
+
+def add_camera(location, target, angle):
+    """Add a camera that looks at a point; its angle is the horizontal one, degrees."""
     bpy.ops.object.camera_add(location=location)
     camera = bpy.context.object
-    camera.rotation_euler = (Vector(target) - Vector(location)).to_track_quat("-Z", "Y").to_euler()
+    camera.rotation_euler = aim(location, target)
     camera.data.angle = math.radians(angle)
     bpy.context.scene.camera = camera

@@ -6,7 +6,7 @@ import math
 
 import bpy
 import numpy as np
-from blender_parts import add, add_area, add_camera, make_material, put_texture, set_world
+from blender_parts import add, add_area, add_camera, make_image, make_material, put_texture, set_world
 
 COAT_ROUGHNESS = 0.03
 """Perceptual roughness of the clear coats; the lacquer below has 0.38, so that no single lobe explains their light."""
@@ -15,7 +15,7 @@ FRAMES = 6
 """Frames of the shot that moves."""
 
 
-def make_sky(sun, strength):
+def make_sky(sun, strength, *, seed=3, height_deg=38.0, around_deg=40.0, clear=0.4):
     """Put a sky all around, as a photographer's panorama: clouds, a skyline, a sun whose radiance is ``sun``."""
     rows, columns = SKY_SIZE
     height, around = np.meshgrid(
@@ -23,29 +23,25 @@ def make_sky(sun, strength):
     )
     above = np.clip(np.sin(height), 0.0, 1.0)[..., None]
     color = (1.0 - above**0.5) * np.array([1.0, 0.95, 0.85]) + above**0.5 * np.array([0.15, 0.3, 0.75])
-    random = np.random.default_rng(3)
+    random = np.random.default_rng(seed)
     clouds = np.zeros(SKY_SIZE)
     for octave in range(1, 6):
         # Whole turns around the vertical: no seam.
         turns, waves = random.integers(1, 3 * octave + 1), random.uniform(2.0, 5.0) * octave
         phase = random.uniform(0.0, 2.0 * math.pi, 2)
         clouds += np.sin(turns * around + phase[0] + 0.8 * np.sin(waves * height + phase[1])) / octave**0.5
-    cover = 1.0 / (1.0 + np.exp(-4.0 * (clouds - 0.4)))[..., None]
+    cover = 1.0 / (1.0 + np.exp(-4.0 * (clouds - clear)))[..., None]
     color = color * (1.0 - 0.7 * cover) + 0.7 * 1.3 * cover
     roofs = 0.04 + 0.1 * random.random(64)[(32.0 * (1.0 + around / math.pi)).astype(int) % 64]
     color[height < roofs] = (0.06, 0.07, 0.09)
     color[height < 0.0] = (0.25, 0.22, 0.18)
-    middle = (math.radians(38.0), math.radians(40.0))
+    middle = (math.radians(height_deg), math.radians(around_deg))
     apart = np.hypot(height - middle[0], (around - middle[1]) * np.cos(height))
     color += sun * np.clip(2.0 - apart / math.radians(1.2), 0.0, 1.0)[..., None] * np.array([1.0, 0.9, 0.7])
-    image = bpy.data.images.new("sky", columns, rows, float_buffer=True)
-    pixels = np.concatenate([color, np.ones((*SKY_SIZE, 1))], axis=-1).astype(np.float32)
-    image.pixels.foreach_set(pixels.ravel())
-    image.pack()
     set_world((1.0, 1.0, 1.0), strength)
     tree = bpy.context.scene.world.node_tree
     texture = tree.nodes.new("ShaderNodeTexEnvironment")
-    texture.image = image
+    texture.image = make_image("sky", color)
     tree.links.new(texture.outputs["Color"], tree.nodes["Background"].inputs["Color"])
 
 

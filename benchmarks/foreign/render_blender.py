@@ -1,13 +1,14 @@
 """Frames of Blender Cycles from scenes made in code. Runs where `bpy` is, without lobewise.
 
     python render_blender.py FOLDER [--scenes a,b] [--spp 8,32,128] [--seeds 1,2] [--reference 4096] [--size 256x192]
-                                    [--passes every|artist] [--multipart] [--denoise] [--codec ZIP] [--frames 6]
+                                    [--passes every|artist|page] [--multipart] [--denoise] [--codec ZIP] [--frames 6]
                                     [--threads 1]
 
 Filters and settings are Blender's defaults, but for adaptive sampling and denoising, which are off: a frame shall have
 the samples that its name says. ``--denoise`` switches Blender's own denoiser on, as it is by default: the pass Combined
 is then its result, and Noisy Image is what was rendered. ``--passes artist`` has the passes of Blender's menus alone
-and no shader AOV of the roughness, which only a material's author can make.
+and no shader AOV of the roughness, which only a material's author can make; ``--passes page`` has those that
+`docs/blender.md` asks for, without roughness and volumes.
 
 Files are named ``SCENE_SPP_SEED.exr``; the reference comes in two halves of different seeds,
 ``SCENE_reference_1.exr`` and ``SCENE_reference_2.exr``, so that its own noise is known, and never denoised.
@@ -43,6 +44,7 @@ PASSES = {
         *LIGHT, "z", "mist", "position", "normal", "vector", "ambient_occlusion", "cryptomatte_object",
         "cryptomatte_material",
     ),
+    "page": (*LIGHT, "z", "position", "normal", "cryptomatte_object"),
 }  # fmt: skip
 EVERY = "every"
 KINDS = {**SCENES, **SHOTS, **CROWDS, **FILMS}
@@ -60,9 +62,20 @@ def set_up(width: int, height: int, passes: str) -> None:
         setattr(layer, f"use_pass_{name}", True)
     layer.cycles.denoising_store_passes = True
     if passes == EVERY:
-        layer.cycles.use_pass_volume_direct = layer.cycles.use_pass_volume_indirect = True
-        aov = layer.aovs.add()
-        aov.name, aov.type = "Roughness", "VALUE"
+        add_volume_passes()
+        add_roughness_pass()
+
+
+def add_volume_passes() -> None:
+    """Ask for the passes of the light of smoke and fog."""
+    cycles = bpy.context.view_layer.cycles
+    cycles.use_pass_volume_direct = cycles.use_pass_volume_indirect = True
+
+
+def add_roughness_pass() -> None:
+    """Ask for the roughness that the materials write."""
+    aov = bpy.context.view_layer.aovs.add()
+    aov.name, aov.type = "Roughness", "VALUE"
 
 
 def set_output(codec: str, *, multipart: bool) -> None:

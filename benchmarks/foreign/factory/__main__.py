@@ -1,0 +1,48 @@
+"""Random shots of Blender Cycles, each from its kind and seed alone. Runs where `bpy` is, without lobewise.
+
+    python benchmarks/foreign/factory FOLDER [--kinds a,b] [--split validation|training] [--seeds 0-3] [--threads 1]
+
+A shot is the folder ``FOLDER/KIND_SEED``: ``SPP.exr`` for each number of samples, ``reference_1.exr`` to
+``reference_3.exr`` of seeds of their own, and ``shot.json``, which is written last. What is there is not rendered
+again. Materials, geometry, textures, lamps and camera are drawn from the seed; the exposure follows from a small
+render, so that no shot is black or blown out. The passes are those of `docs/blender.md`; half of the shots have no
+roughness. The kinds of the split ``validation`` are for measuring alone: nothing is tuned or trained on them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+sys.path.insert(1, str(Path(__file__).parents[1]))
+
+from kinds import KINDS, TRAINING, VALIDATION, list_shots, plan_shot
+from shots import render_shot
+
+
+def read_seeds(text: str) -> range:
+    """Return the seeds that "3" or "0-3" names."""
+    first, _, last = text.partition("-")
+    return range(int(first), int(last or first) + 1)
+
+
+def main() -> None:
+    """Render what the command line asks for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    splits = {"validation": VALIDATION, "training": TRAINING}
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--kinds", default="", help=f"of {', '.join(KINDS)}")
+    parser.add_argument("--split", choices=splits, help="all kinds of one purpose, instead of --kinds")
+    parser.add_argument("--seeds", type=read_seeds, default=range(4), help="one, or the first and the last, as 0-3")
+    parser.add_argument("--threads", type=int, default=0, help="0 for all")
+    asked = parser.parse_args(sys.argv[1:])
+    kinds = splits[asked.split] if asked.split else asked.kinds.split(",") if asked.kinds else list(KINDS)
+    if unknown := set(kinds) - set(KINDS):
+        parser.error(f"unknown kinds: {', '.join(sorted(unknown))}; there are {', '.join(KINDS)}")
+    for kind, seed in list_shots(list(kinds), asked.seeds):
+        render_shot(asked.folder, *plan_shot(kind, seed), asked.threads)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,83 @@
+"""The kinds of shots, which are for validation alone, and what a seed draws before its scene. Needs no Blender."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+VALIDATION = ("fog", "hair", "street", "jewels", "bokeh", "foliage")
+"""Nothing may ever be tuned or trained on frames of these kinds."""
+TRAINING: tuple[str, ...] = ()
+ORDER = (*VALIDATION, *TRAINING)
+"""A kind's place is part of its seeds: a new kind comes last."""
+VALIDATION_SPP = (4, 16, 64)
+REFERENCE_PARTS = 3
+SIZES = ((160, 160), (176, 160), (192, 144), (208, 160), (224, 168), (256, 192))
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Where a kind is made and what it needs.
+
+    Parameters
+    ----------
+    module : str
+        Of this folder; its function is ``make_KIND``.
+    reference_spp : int
+        Of all parts together.
+    brightness : tuple of float
+        Bounds of the mean of L / (1 + L), L the luminance, to which the shot is exposed.
+    sizes : int
+        How many of `SIZES`, from the smallest, a shot may have.
+    volume : bool
+        Whether the shot has the passes of volumes.
+    """
+
+    module: str
+    reference_spp: int
+    brightness: tuple[float, float] = (0.22, 0.38)
+    sizes: int = len(SIZES)
+    volume: bool = False
+
+
+KINDS = {
+    "fog": Kind("nature", 300, (0.15, 0.3), sizes=3, volume=True),
+    "hair": Kind("nature", 300, sizes=3),
+    "street": Kind("lamps", 450, (0.1, 0.2), sizes=3),
+    "jewels": Kind("precious", 600, (0.15, 0.3), sizes=3),
+    "bokeh": Kind("lamps", 450, (0.12, 0.25), sizes=3),
+    "foliage": Kind("nature", 300, sizes=4),
+}
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a shot is rendered with; ``brightness`` as in `Kind`, the reference's samples of each part."""
+
+    kind: str
+    seed: int
+    size: tuple[int, int]
+    spp: tuple[int, ...]
+    reference_spp: tuple[int, ...]
+    roughness: bool
+    brightness: float
+
+
+def list_shots(kinds: list[str], seeds: range) -> list[tuple[str, int]]:
+    """Return kinds and seeds in the order of rendering: one shot of each kind first, validation before training."""
+    return [(kind, seed) for seed in seeds for kind in ORDER if kind in kinds]
+
+
+def plan_shot(kind: str, seed: int) -> tuple[Plan, np.random.Generator]:
+    """Return what a shot is rendered with, and the generator that goes on to draw its scene."""
+    random = np.random.default_rng([ORDER.index(kind), seed])
+    drawn = KINDS[kind]
+    size = SIZES[int(random.integers(drawn.sizes))]
+    # Each octave up to 256 is as likely as another.
+    spp = tuple(sorted({round(2.0**exponent) for exponent in random.uniform(0.0, 8.0, 2)}))
+    roughness, brightness = bool(random.random() < 0.5), float(random.uniform(*drawn.brightness))
+    reference = (drawn.reference_spp // REFERENCE_PARTS,) * REFERENCE_PARTS
+    return Plan(
+        kind, seed, size, VALIDATION_SPP if kind in VALIDATION else spp, reference, roughness, brightness
+    ), random

@@ -1,0 +1,82 @@
+"""Renders a shot of a kind and a seed: its scene, its exposure, its files."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import tempfile
+import time
+from importlib import import_module
+from pathlib import Path
+
+import bpy
+import numpy as np
+from blender_parts import clear
+from kinds import KINDS, Plan
+from render_blender import add_roughness_pass, add_volume_passes, render, set_output, set_up
+
+PROBE_SPP = 12
+PROBE_PERCENT = 25
+"""Size of the render that tells the exposure."""
+
+
+def make_scene(plan: Plan, random: np.random.Generator) -> None:
+    """Make the scene of a shot, of what its generator draws after its plan."""
+    clear()
+    getattr(import_module(KINDS[plan.kind].module), f"make_{plan.kind}")(random)
+    set_up(*plan.size, "page")
+    if KINDS[plan.kind].volume:
+        add_volume_passes()
+    if plan.roughness:
+        add_roughness_pass()
+    set_output("ZIP", multipart=False)
+    bpy.context.scene.render.use_persistent_data = True
+
+
+def probe_luminance() -> np.ndarray:
+    """Return the luminance of every pixel of a small render without exposure."""
+    scene = bpy.context.scene
+    before, scene.render.resolution_percentage = scene.render.resolution_percentage, PROBE_PERCENT
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "probe.exr"
+        scene.render.image_settings.file_format = "OPEN_EXR"
+        render(path, PROBE_SPP, 0, depth="32")
+        image = bpy.data.images.load(str(path))
+        pixels = np.array(image.pixels[:]).reshape(-1, 4)
+        bpy.data.images.remove(image)
+    scene.render.resolution_percentage = before
+    set_output("ZIP", multipart=False)
+    return pixels[:, :3] @ (0.2126, 0.7152, 0.0722)
+
+
+def choose_exposure(luminance: np.ndarray, brightness: float) -> float:
+    """Return the factor of light with which L / (1 + L) has this mean: bright dots count no more than white does."""
+    low, high = -8.0, 8.0
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        scaled = 10.0**middle * luminance
+        low, high = (middle, high) if np.mean(scaled / (1.0 + scaled)) < brightness else (low, middle)
+    return 10.0**low
+
+
+def render_shot(folder: Path, plan: Plan, random: np.random.Generator, threads: int = 0) -> None:
+    """Render all files of a shot that are not there."""
+    target = folder / f"{plan.kind}_{plan.seed}"
+    if (target / "shot.json").exists():
+        return
+    start = time.process_time()
+    target.mkdir(parents=True, exist_ok=True)
+    make_scene(plan, random)
+    scene = bpy.context.scene
+    if threads:
+        scene.render.threads_mode, scene.render.threads = "FIXED", threads
+    scene.cycles.film_exposure = exposure = choose_exposure(probe_luminance(), plan.brightness)
+    for spp in plan.spp:
+        render(target / f"{spp}.exr", spp, 1000 * plan.seed + spp)
+    for part, spp in enumerate(plan.reference_spp, 1):
+        render(target / f"reference_{part}.exr", spp, 7776 + part, depth="32")
+    row = {**dataclasses.asdict(plan), "exposure": exposure, "blender": bpy.app.version_string}
+    temporary = target / ".shot.json"
+    temporary.write_text(json.dumps(row, indent=1) + "\n")
+    temporary.rename(target / "shot.json")
+    print(f"wrote {target}, {time.process_time() - start:.0f} s of CPU", flush=True)

@@ -1,0 +1,98 @@
+"""The factory of random shots of Blender: its kinds and plans, and shots that follow from their seeds alone."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import subprocess
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.foreign.files import read_pass
+from benchmarks.tests.test_foreign_bench import ROOT, find_python
+
+FACTORY = ROOT / "benchmarks" / "foreign" / "factory"
+kinds: Any = import_module("benchmarks.foreign.factory.kinds")
+
+TINY_SHOT = """
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+sys.path[:0] = sys.argv[1:3]
+from kinds import plan_shot
+from shots import render_shot
+
+for folder, seed in (("first", 0), ("again", 0), ("first", 1)):
+    plan, random = plan_shot(sys.argv[4], seed)
+    tiny = replace(plan, size=(32, 24), spp=(4,), reference_spp=(2, 2, 2), roughness=seed == 0)
+    render_shot(Path(sys.argv[3]) / folder, tiny, random, 1)
+"""
+
+
+def test_every_kind_has_one_purpose_and_one_maker() -> None:
+    validation, training = set(kinds.VALIDATION), set(kinds.TRAINING)
+    assert not validation & training
+    assert validation | training == set(kinds.KINDS) == set(kinds.ORDER)
+    assert validation >= {"fog", "hair", "street", "jewels"}
+    made = [
+        (path.stem, node.name.removeprefix("make_"))
+        for path in FACTORY.glob("*.py")
+        for node in ast.parse(path.read_text()).body
+        if isinstance(node, ast.FunctionDef) and node.name.removeprefix("make_") in kinds.KINDS
+    ]
+    assert sorted(made) == sorted((kind.module, name) for name, kind in kinds.KINDS.items())
+
+
+@pytest.mark.parametrize("kind", kinds.KINDS)
+def test_plans_follow_from_seeds_and_stay_within_bounds(kind: str) -> None:
+    plans = [kinds.plan_shot(kind, seed)[0] for seed in range(40)]
+    assert plans == [kinds.plan_shot(kind, seed)[0] for seed in range(40)]
+    assert 5 < sum(plan.roughness for plan in plans) < 35
+    assert len({plan.size for plan in plans}) > 1
+    for plan in plans:
+        assert (160, 144) <= plan.size <= (256, 192)
+        assert len(plan.reference_spp) == 3
+        assert sum(plan.reference_spp) >= 300
+        assert all(1 <= spp <= 256 for spp in plan.spp)
+        assert kind in kinds.TRAINING or plan.spp == (4, 16, 64)
+
+
+def test_one_shot_of_each_kind_comes_first() -> None:
+    shots = kinds.list_shots(list(reversed(kinds.ORDER)), range(2))
+    assert [kind for kind, seed in shots if seed == 0] == list(kinds.ORDER)
+    assert [seed for _, seed in shots] == sorted(seed for _, seed in shots)
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [name if name in ("jewels", "bokeh") else pytest.param(name, marks=pytest.mark.nightly) for name in kinds.KINDS],
+)
+def test_a_shot_follows_from_its_seed(kind: str, tmp_path: Path) -> None:
+    clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    command = [find_python("bpy"), "-c", TINY_SHOT, str(FACTORY), str(FACTORY.parent), str(tmp_path), kind]
+    subprocess.run(command, check=True, env=clean, capture_output=True, timeout=300)
+    first, again, other = (tmp_path / folder for folder in (f"first/{kind}_0", f"again/{kind}_0", f"first/{kind}_1"))
+    names = {"4.exr", "reference_1.exr", "reference_2.exr", "reference_3.exr", "shot.json"}
+    assert {path.name for path in first.iterdir()} == names
+    rows = [json.loads((folder / "shot.json").read_text()) for folder in (first, again, other)]
+    exposures = [row.pop("exposure") for row in rows]
+    assert rows[0] == rows[1]
+    assert exposures[0] == pytest.approx(exposures[1], rel=1e-2)
+    images, places = (
+        [read_pass(folder / "4.exr", *name) for folder in (first, again, other)]
+        for name in (("Combined", "RGB"), ("Position", "XYZ"))
+    )
+    np.testing.assert_allclose(np.median(images[0], axis=(0, 1)), np.median(images[1], axis=(0, 1)), rtol=1e-2)
+    np.testing.assert_allclose(np.median(places[0], axis=(0, 1)), np.median(places[1], axis=(0, 1)), rtol=1e-3)
+    assert np.abs(places[0] - places[2]).mean() > 0.05
+    assert 0.02 < images[0].mean() < 5.0
+    assert read_pass(first / "4.exr", "CryptoObject00", "rgba").any()
+    assert read_pass(first / "4.exr", "Roughness", "X").any()
+    with pytest.raises(KeyError):
+        read_pass(other / "4.exr", "Roughness", "X")
