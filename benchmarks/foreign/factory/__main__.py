@@ -2,11 +2,12 @@
 
     python benchmarks/foreign/factory FOLDER [--kinds a,b] [--split validation|training] [--seeds 0-3] [--threads 1]
 
-A shot is the folder ``FOLDER/KIND_SEED``: ``SPP.exr`` for each number of samples, ``reference_1.exr`` to
-``reference_3.exr`` of seeds of their own, and ``shot.json``, which is written last. What is there is not rendered
-again. Materials, geometry, textures, lamps and camera are drawn from the seed; the exposure follows from a small
-render, so that no shot is black or blown out. The passes are those of `docs/blender.md`; half of the shots have no
-roughness. The kinds of the split ``validation`` are for measuring alone: nothing is tuned or trained on them.
+A shot is the folder ``FOLDER/KIND_SEED``: ``shot.json``, ``SPP.exr`` for each number of samples, and three references
+of seeds of their own. It is complete when the last, ``reference_3.exr``, is there. What is there is not rendered again.
+Materials, geometry, textures, lamps and camera are drawn from the seed; the exposure follows from a small render, so
+that no shot is black or blown out. Where there are many lamps the noise differs from run to run, since Cycles chooses
+among them in another order; geometry and guides do not. The passes are those of `docs/blender.md`; half of the shots
+have no roughness. The kinds of the split ``validation`` are for measuring alone: nothing is tuned or trained on them.
 """
 
 from __future__ import annotations

@@ -8,7 +8,9 @@ import numpy as np
 
 VALIDATION = ("fog", "hair", "street", "jewels", "bokeh", "foliage")
 """Nothing may ever be tuned or trained on frames of these kinds."""
-TRAINING: tuple[str, ...] = ()
+TRAINING = (
+    "product", "room", "glass", "brushed", "toys", "wax", "archviz", "gallery", "screens", "film",
+)  # fmt: skip
 ORDER = (*VALIDATION, *TRAINING)
 """A kind's place is part of its seeds: a new kind comes last."""
 VALIDATION_SPP = (4, 16, 64)
@@ -44,10 +46,20 @@ class Kind:
 KINDS = {
     "fog": Kind("nature", 300, (0.15, 0.3), sizes=3, volume=True),
     "hair": Kind("nature", 300, sizes=3),
-    "street": Kind("lamps", 450, (0.1, 0.2), sizes=3),
-    "jewels": Kind("precious", 600, (0.15, 0.3), sizes=3),
-    "bokeh": Kind("lamps", 450, (0.12, 0.25), sizes=3),
+    "street": Kind("lamps", 360, (0.1, 0.2), sizes=3),
+    "jewels": Kind("precious", 450, (0.15, 0.3), sizes=3),
+    "bokeh": Kind("lamps", 360, (0.12, 0.25), sizes=3),
     "foliage": Kind("nature", 300, sizes=4),
+    "product": Kind("tables", 300),
+    "room": Kind("rooms", 450, (0.3, 0.45), sizes=3),
+    "glass": Kind("tables", 450, sizes=3),
+    "brushed": Kind("tables", 300),
+    "toys": Kind("tables", 300),
+    "wax": Kind("tables", 300, sizes=4),
+    "archviz": Kind("rooms", 300, (0.25, 0.38)),
+    "gallery": Kind("rooms", 360, (0.25, 0.4), sizes=4),
+    "screens": Kind("rooms", 300, (0.12, 0.28)),
+    "film": Kind("tables", 300, (0.15, 0.3)),
 }
 
 

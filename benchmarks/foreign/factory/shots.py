@@ -8,6 +8,7 @@ import tempfile
 import time
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -34,7 +35,7 @@ def make_scene(plan: Plan, random: np.random.Generator) -> None:
 
 
 def probe_luminance() -> np.ndarray:
-    """Return the luminance of every pixel of a small render without exposure."""
+    """Return the luminance of the pixels of a small render without exposure; not of those that show the film alone."""
     scene = bpy.context.scene
     before, scene.render.resolution_percentage = scene.render.resolution_percentage, PROBE_PERCENT
     with tempfile.TemporaryDirectory() as folder:
@@ -46,7 +47,7 @@ def probe_luminance() -> np.ndarray:
         bpy.data.images.remove(image)
     scene.render.resolution_percentage = before
     set_output("ZIP", multipart=False)
-    return pixels[:, :3] @ (0.2126, 0.7152, 0.0722)
+    return pixels[pixels[:, 3] > 0.5, :3] @ (0.2126, 0.7152, 0.0722)
 
 
 def choose_exposure(luminance: np.ndarray, brightness: float) -> float:
@@ -59,10 +60,22 @@ def choose_exposure(luminance: np.ndarray, brightness: float) -> float:
     return 10.0**low
 
 
+def describe_shot(path: Path, plan: Plan) -> dict[str, Any]:
+    """Return what the file of a shot says, which it says before the first render: a stopped shot keeps its exposure."""
+    if not path.exists():
+        exposure = choose_exposure(probe_luminance(), plan.brightness)
+        row = {**dataclasses.asdict(plan), "exposure": exposure, "blender": bpy.app.version_string}
+        temporary = path.with_name(f".{path.name}")
+        temporary.write_text(json.dumps(row, indent=1) + "\n")
+        temporary.rename(path)
+    return json.loads(path.read_text())
+
+
 def render_shot(folder: Path, plan: Plan, random: np.random.Generator, threads: int = 0) -> None:
     """Render all files of a shot that are not there."""
     target = folder / f"{plan.kind}_{plan.seed}"
-    if (target / "shot.json").exists():
+    references = [target / f"reference_{part}.exr" for part in range(1, len(plan.reference_spp) + 1)]
+    if references[-1].exists():
         return
     start = time.process_time()
     target.mkdir(parents=True, exist_ok=True)
@@ -70,13 +83,9 @@ def render_shot(folder: Path, plan: Plan, random: np.random.Generator, threads: 
     scene = bpy.context.scene
     if threads:
         scene.render.threads_mode, scene.render.threads = "FIXED", threads
-    scene.cycles.film_exposure = exposure = choose_exposure(probe_luminance(), plan.brightness)
+    scene.cycles.film_exposure = describe_shot(target / "shot.json", plan)["exposure"]
     for spp in plan.spp:
         render(target / f"{spp}.exr", spp, 1000 * plan.seed + spp)
-    for part, spp in enumerate(plan.reference_spp, 1):
-        render(target / f"reference_{part}.exr", spp, 7776 + part, depth="32")
-    row = {**dataclasses.asdict(plan), "exposure": exposure, "blender": bpy.app.version_string}
-    temporary = target / ".shot.json"
-    temporary.write_text(json.dumps(row, indent=1) + "\n")
-    temporary.rename(target / "shot.json")
+    for part, (path, spp) in enumerate(zip(references, plan.reference_spp, strict=True), 1):
+        render(path, spp, 7776 + part, depth="32")
     print(f"wrote {target}, {time.process_time() - start:.0f} s of CPU", flush=True)
