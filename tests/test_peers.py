@@ -126,7 +126,7 @@ def test_guides_that_are_no_numbers_do_not_reach_it(full_frame: Frame, given: di
 def test_an_albedo_without_a_mean_of_the_area_is_that_of_the_samples(
     kind: str, full_frame: Frame, given: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(peers, "_prefilter", lambda name, image: image)
+    monkeypatch.setattr(peers, "_prefilter", lambda name, image, quality: image)
     guides = replace(full_frame.gbuffer, denoiser_albedo=None)
     for missing in ("diffuse_albedo", "specular_albedo"):
         without = replace(guides, **{f"mean_{missing}": None})

@@ -54,7 +54,22 @@ def name_oidn_guides(frame: Frame) -> tuple[str, ...]:
     return tuple(name for name, is_there in (("albedo", bool(albedos)), ("normal", normal is not None)) if is_there)
 
 
-def denoise_oidn(frame: Frame, *, quality: str = "high", guides: str = "prefiltered") -> tuple[FloatArray, float]:
+def has_clean_guides(frame: Frame) -> bool:
+    """Return whether all guides that `denoise_oidn` passes on are means without the noise of samples."""
+    guides = frame.gbuffer
+    if guides.denoiser_albedo is not None or guides.denoiser_normal is not None:
+        return False
+    pairs = (
+        (guides.normal, guides.mean_normal),
+        (guides.diffuse_albedo, guides.mean_diffuse_albedo),
+        (guides.specular_albedo, guides.mean_specular_albedo),
+    )
+    return all(noisy is None or mean is not None for noisy, mean in pairs)
+
+
+def denoise_oidn(
+    frame: Frame, *, quality: str = "high", guides: str = "prefiltered", prefilter: str = "high"
+) -> tuple[FloatArray, float]:
     """Denoise with Intel Open Image Denoise, which takes HDR colour and albedo and normal of the first hit.
 
     Source: its manual, "Open Image Denoise Overview", on albedos and normals, on prefiltering, and on ``cleanAux``.
@@ -71,11 +86,13 @@ def denoise_oidn(frame: Frame, *, quality: str = "high", guides: str = "prefilte
         a frame without albedo gets a white one. Where color and albedo are gray, so is the result. Sides of less than
         `MIN_SIDE_PIXELS` are continued by mirrored pixels, because the library darkens small images.
     quality : {"fast", "balanced", "high"}
-        Quality of the filter of the radiance; "high" is the library's default. Guides are always prefiltered at "high".
+        Quality of the filter of the radiance; "high" is the library's default.
     guides : {"prefiltered", "mean", "centre"}
         "prefiltered": the means of albedo and normal over the pixel, each denoised by the library's filter for guides.
         "mean": these means as they are. "centre": albedo and normal of the ray through the pixel's centre. A frame
         without ``mean_normal`` has only the normal of the centre.
+    prefilter : {"fast", "balanced", "high"}
+        Quality of the library's filter for guides.
 
     Returns
     -------
@@ -103,8 +120,8 @@ def denoise_oidn(frame: Frame, *, quality: str = "high", guides: str = "prefilte
     normal = None if normal is None else _widen(normal)
     start = time.perf_counter()
     if guides == "prefiltered":
-        albedo = None if albedo is None else _prefilter("albedo", albedo)
-        normal = None if normal is None else _prefilter("normal", normal)
+        albedo = None if albedo is None else _prefilter("albedo", albedo, prefilter)
+        normal = None if normal is None else _prefilter("normal", normal, prefilter)
     if albedo is None and normal is not None:
         albedo = np.ones_like(color)
     image = denoise(color, albedo, normal, hdr=True, clean_aux=albedo is not None, quality=quality)
@@ -184,7 +201,7 @@ def _open_prefilter(name: str) -> tuple[Any, Any]:
     return device, Filter(device, OIDN_FILTER_TYPE_RT)
 
 
-def _prefilter(name: str, image: FloatArray) -> FloatArray:
+def _prefilter(name: str, image: FloatArray, quality: str) -> FloatArray:
     """Return an albedo or normal image denoised by the library, without any other image as guide.
 
     Raises
@@ -192,7 +209,8 @@ def _prefilter(name: str, image: FloatArray) -> FloatArray:
     DeviceError
         If the library reports a problem.
     """
-    from pyoidn import OIDN_FORMAT_FLOAT3, OIDN_IMAGE_OUTPUT, OIDN_QUALITY_HIGH
+    import pyoidn
+    from pyoidn import OIDN_FORMAT_FLOAT3, OIDN_IMAGE_OUTPUT
 
     output = np.empty_like(image)
     # A filter holds the images of one call: another thread would replace them before the library reads them.
@@ -200,7 +218,7 @@ def _prefilter(name: str, image: FloatArray) -> FloatArray:
         device, network = _open_prefilter(name)
         network.set_image(name, image, OIDN_FORMAT_FLOAT3)
         network.set_image(OIDN_IMAGE_OUTPUT, output, OIDN_FORMAT_FLOAT3)
-        network.set_quality(OIDN_QUALITY_HIGH)
+        network.set_quality(getattr(pyoidn, f"OIDN_QUALITY_{quality.upper()}"))
         network.commit()
         network.execute()
         problem = device.get_error()

@@ -39,7 +39,7 @@ def present(monkeypatch: pytest.MonkeyPatch) -> list[Frame]:
     """Make Open Image Denoise one that gives light of 3 everywhere; return the frames that it is given."""
     given: list[Frame] = []
 
-    def run(frame: Frame) -> tuple[np.ndarray, float]:
+    def run(frame: Frame, **_: str) -> tuple[np.ndarray, float]:
         given.append(frame)
         return np.full((*frame.shape, 3), 3.0, np.float32), 0.1
 
@@ -69,7 +69,7 @@ def test_a_mixture_with_a_huge_image_is_not_negative(
     full_frame: Frame, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
 ) -> None:
     huge = (1e28 * rng.random((*full_frame.shape, 3))).astype(np.float32)
-    monkeypatch.setattr(combining, "denoise_oidn", lambda frame: (huge, 0.1))
+    monkeypatch.setattr(combining, "denoise_oidn", lambda frame, **_: (huge, 0.1))
     shares = np.full((*full_frame.shape, 3), 1.0 / 3.0, np.float32)
     shares[..., 0] += np.float32(1.0 / 3.0)
     monkeypatch.setattr(combining, "find_mixture", lambda *images, **told: shares)
@@ -125,14 +125,14 @@ def test_other_forms_are_fast_without_it(form: Any) -> None:
 def test_the_default_mixes(make_frame: Callable[..., Frame], present: list[Frame]) -> None:
     frame = make_frame(height=12, width=16)
     result = denoise(frame, **CHEAP)
-    assert len(present) == 1
+    assert len(present) == 2
     assert (result.settings["quality"], result.settings["with_oidn"]) == ("high", True)
     assert result.method == (
-        "Open Image Denoise with albedo and normal, mixed pixel by pixel with lobewise's own filters, "
+        "Open Image Denoise with and without albedo and normal, mixed pixel by pixel with lobewise's own filters, "
         "comparing which way surfaces face"
     )
     ours = denoise(frame, **CHEAP, with_oidn=False)
-    assert len(present) == 1
+    assert len(present) == 2
     assert ours.method == "lobewise's own filters, comparing which way surfaces face, quality high"
     images = np.stack([ours.image, frame.radiance.color, np.full_like(ours.image, 3.0)])
     assert (result.image >= images.min(axis=0) * 0.999).all()
@@ -159,9 +159,9 @@ def test_without_guides_it_is_all(make_frame: Callable[..., Frame]) -> None:
 @pytest.mark.parametrize(
     ("kept", "words"),
     [
-        (("albedo", "normal"), "with albedo and normal,"),
-        (("normal",), "with normal,"),
-        (("albedo",), "with albedo,"),
+        (("albedo", "normal"), "with and without albedo and normal,"),
+        (("normal",), "with and without normal,"),
+        (("albedo",), "with and without albedo,"),
         ((), "without guides,"),
     ],
 )
@@ -191,7 +191,7 @@ def test_features_of_your_own_leave_it_out(make_frame: Callable[..., Frame], pre
     assert result.method.endswith("neither Open Image Denoise nor the network of 'high' knows features of your own)")
     assert FEATURES_SOFTENED not in result.notes
     assert denoise(frame, **CHEAP, features=[ScreenFeature(2.0)], with_oidn=True).settings["with_oidn"] is True
-    assert len(present) == 1
+    assert len(present) == 2
     asked = denoise(frame, **CHEAP, features=[ScreenFeature(2.0)], quality="high")
     assert asked.settings["quality"] == "high"
     assert FEATURES_SOFTENED in asked.notes
@@ -241,8 +241,8 @@ def test_a_history_and_an_alpha_leave_it_out(make_frame: Callable[..., Frame], p
     noisy = np.concatenate([frame.radiance.color, np.ones((12, 16, 1), np.float32)], axis=-1)
     assert frame.gbuffer.normal is not None
     image = clean(noisy, normals=frame.gbuffer.normal)
-    assert len(present) == 1
-    assert "Used: Open Image Denoise with normal" in " ".join(clean.notes)
+    assert len(present) == 2
+    assert "Used: Open Image Denoise with and without normal" in " ".join(clean.notes)
     np.testing.assert_allclose(image[..., 3], 1.0, rtol=1e-5)
 
 

@@ -254,16 +254,46 @@ class TestContract:
 
 @pytest.fixture
 def peer(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """Return what stands for Open Image Denoise: its "image", and once it is called the "frame" and options."""
+    """Return what stands for Open Image Denoise: its "image", and once it is called the first "frame"."""
     told: dict[str, Any] = {"image": np.full((*SHAPE, 3), 3.0, np.float32)}
 
     def run(frame: Frame, **options: Any) -> tuple[FloatArray, float]:
-        told.update(options, frame=frame)
+        told.setdefault("frame", frame)
         return told["image"], 0.1
 
     monkeypatch.setattr(combining, "denoise_oidn", run)
     monkeypatch.setattr(peers, "_try_to_load", lambda: "")
     return told
+
+
+@pytest.mark.parametrize(("unguided", "share"), [(1.0, 1.0 / 3.0), (1.525, 1.0 / 6.0), (50.0, 0.0)])
+def test_the_image_without_guides_counts_where_it_agrees(unguided: float, share: float) -> None:
+    images = [np.full((*SHAPE, 3), value, np.float32) for value in (1.0, unguided)]
+    mixed = combining.average_alike(*images)
+    np.testing.assert_allclose(mixed, 1.0 + share * (unguided - 1.0), atol=3e-3)
+
+
+def test_guides_without_noise_are_not_filtered(peer: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[tuple[bool, dict[str, Any]]] = []
+
+    def run(frame: Frame, **options: Any) -> tuple[FloatArray, float]:
+        calls.append((frame.gbuffer.normal is None, options))
+        return peer["image"], 0.1
+
+    monkeypatch.setattr(combining, "denoise_oidn", run)
+    frame = make_frame()
+    guides = frame.gbuffer
+    means = replace(
+        guides,
+        mean_normal=guides.normal,
+        mean_diffuse_albedo=guides.diffuse_albedo,
+        mean_specular_albedo=guides.specular_albedo,
+    )
+    for each, options in ((guides, {"prefilter": "fast"}), (means, {"guides": "mean"})):
+        calls.clear()
+        image = frame.radiance.color
+        denoise_with_peer(frame.with_changes(gbuffer=each), image, image)
+        assert calls == [(False, options), (True, {"quality": "balanced"})]
 
 
 OURS, NOISY, PEERS = 0, 1, 2
@@ -313,8 +343,6 @@ class TestPeer:
         given = peer["frame"]
         np.testing.assert_array_equal(given.radiance.color, frame.radiance.color)
         assert given.gbuffer is frame.gbuffer
-        # With its own default, the best guides of the frame.
-        assert set(peer) == {"image", "frame"}
 
     @pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0], ids=str)
     def test_what_the_peer_spoils_is_ours(self, bad, networks, peer):
@@ -426,7 +454,8 @@ class TestPeer:
         # Without a firefly the peer is given the frame as it is.
         frame = frame.with_changes(radiance=Radiance(diffuse + specular, diffuse, specular))
         result = denoise(frame, similarity="normal", with_oidn=True)
-        np.testing.assert_allclose(result.image, peers.denoise_oidn(frame)[0], rtol=1e-4, atol=1e-5)
+        color = frame.radiance.color
+        np.testing.assert_allclose(result.image, denoise_with_peer(frame, color, color), rtol=1e-4, atol=1e-5)
 
 
 class TestSettings:

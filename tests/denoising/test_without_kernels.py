@@ -9,11 +9,12 @@ import pytest
 
 import lobewise
 from lobewise.backend import compiler, jit, prebuilt
+from lobewise.denoising.combining import denoise_with_peer
 from lobewise.denoising.planning.foretelling import foretell_method
 from lobewise.doctor import machine
 from lobewise.errors import InputError, MissingDependencyError
 from lobewise.frame import Frame, Radiance
-from lobewise.peers import denoise_oidn, has_oidn
+from lobewise.peers import has_oidn
 from lobewise.settings import DenoiseSettings
 
 needs_oidn = pytest.mark.skipif(not has_oidn(), reason="needs Open Image Denoise: pip install 'lobewise[compare]'")
@@ -38,7 +39,7 @@ def frame(make_frame: Callable[..., Frame]) -> Frame:
 @needs_oidn
 def test_the_result_is_the_image_of_the_peer(frame: Frame) -> None:
     result = lobewise.denoise(frame)
-    np.testing.assert_array_equal(result.image, denoise_oidn(frame)[0])
+    np.testing.assert_array_equal(result.image, denoise_with_peer(frame, frame.radiance.color, frame.radiance.color))
     assert result.method == foretell_method(frame, DenoiseSettings())
     assert "alone, because no filter of lobewise can run here" in result.method
     assert "`lobewise doctor` says what to do" in result.notes[-1]

@@ -369,7 +369,7 @@ class TestDemo:
         text = page.read_text(encoding="utf-8")
         peer = demo.has_oidn()
         ours = "own filters, comparing what surfaces reflect, quality high (Open"
-        made = "Here: Open Image Denoise with albedo and normal, mixed" if peer else ours
+        made = "Here: Open Image Denoise with and without albedo and normal, mixed" if peer else ours
         for words in ("noisy", "reference", made, "Specular pixels", "lobewise demo", "threads", "printed sheet"):
             assert words in text
         assert calls == [{"device": "auto"}]

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from lobewise.chunks import cut_rows
 from lobewise.denoising.automatic import explain_ours
 from lobewise.denoising.bad_pixels import find_good
 from lobewise.denoising.evidence import find_image_halves
@@ -24,7 +25,7 @@ from lobewise.filters.noise.detail import find_detail
 from lobewise.filters.noise.shares import find_shares
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.lobes.vectors import LUMINANCE
-from lobewise.peers import denoise_oidn, name_oidn_guides
+from lobewise.peers import denoise_oidn, has_clean_guides, name_oidn_guides
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_similarity
 
@@ -37,6 +38,15 @@ TRUST_WITHOUT_HALVES = 0.75
 pixels share samples the factor is 1, because the peer leaves such noise. The network was trained on frames of our
 renderer. Most files without halves are of other renderers, and on these it trusts our image too much
 (docs/research/quality_trials.md)."""
+
+PREFILTER_QUALITY, UNGUIDED_QUALITY = "fast", "balanced"
+"""Qualities of Open Image Denoise for its filters of guides, and for the image without guides. Higher ones cost 0.4 of
+its time at its best, and change the error by less than 1 % (benchmarks/results/peer_ways.json)."""
+UNGUIDED_SHARE = 1.0 / 3.0
+"""Share of the image without guides where it equals the one with guides."""
+HALF_SHARE_DIFFERENCE, DARK_SHARE = 0.5, 0.05
+"""Relative difference of luminance at which that share is halved, and the share of the mean luminance that is added to
+the luminance it is relative to."""
 
 
 def choose_between(
@@ -183,7 +193,7 @@ def describe_peer_alone(frame: Frame) -> str:
 
 
 def _describe_peer(guides: Sequence[str]) -> str:
-    return "Open Image Denoise " + (f"with {' and '.join(guides)}" if guides else "without guides")
+    return "Open Image Denoise " + (f"with and without {' and '.join(guides)}" if guides else "without guides")
 
 
 class Shares(NamedTuple):
@@ -246,19 +256,50 @@ def _divide(light: Any, by: Any, where: Any) -> FloatArray:
 
 
 def denoise_with_peer(frame: Frame, samples: FloatArray, image: FloatArray) -> FloatArray:
-    """Return what Open Image Denoise makes of samples, (height, width, 3), with the guides of a frame; finite, >= 0.
+    """Return what Open Image Denoise makes of samples, (height, width, 3); finite, >= 0.
 
-    Our ``image`` replaces bad pixels of the samples and of the result.
+    It is called with the guides of the frame and without. Both results have errors of their own, so that their mean is
+    better than either. Our ``image`` replaces bad pixels of the samples and of the result.
 
     Raises
     ------
     MissingDependencyError
         If Open Image Denoise is not installed.
     """
-    given = Radiance(np.where(find_good(samples)[..., None], samples, image))
-    peer, _ = denoise_oidn(frame.with_changes(radiance=given, layers=()))
-    fine = find_good(peer)
-    return peer if fine.all() else np.where(fine[..., None], peer, image)
+    given = Radiance(_replace_bad(samples, image))
+    guided = frame.with_changes(radiance=given, layers=())
+    if has_clean_guides(frame):
+        peer, _ = denoise_oidn(guided, guides="mean")
+    else:
+        peer, _ = denoise_oidn(guided, prefilter=PREFILTER_QUALITY)
+    peer = _replace_bad(peer, image)
+    if not name_oidn_guides(frame):
+        return peer
+    alone, _ = denoise_oidn(Frame(given), quality=UNGUIDED_QUALITY)
+    return average_alike(peer, _replace_bad(alone, image))
+
+
+def _replace_bad(image: FloatArray, other: FloatArray) -> FloatArray:
+    good = find_good(image)
+    return image if good.all() else np.where(good[..., None], image, other)
+
+
+def average_alike(guided: FloatArray, unguided: FloatArray) -> FloatArray:
+    """Return the image with guides, and a share of the one without where both are about as bright, (height, width, 3).
+
+    Where they are far apart, the image without guides has lost what only the guides tell.
+    """
+    luminance = np.array(LUMINANCE, dtype=np.float32)
+    floor = np.float32(DARK_SHARE * find_level(guided))
+    mixed = np.empty_like(guided)
+    for rows in cut_rows(*guided.shape[:2]):  # a chunk stays in the core's cache
+        change = unguided[rows] - guided[rows]
+        unit = np.maximum(guided[rows] @ luminance + floor, np.float32(MAX_BLACK_RADIANCE))
+        apart = (change @ luminance) / (np.float32(HALF_SHARE_DIFFERENCE) * unit)
+        with np.errstate(over="ignore"):  # an infinite difference has no share
+            share = np.float32(UNGUIDED_SHARE) / (np.float32(1.0) + apart * apart)
+        mixed[rows] = guided[rows] + share[..., None] * change
+    return mixed
 
 
 def find_level(image: FloatArray) -> float:
