@@ -1,8 +1,9 @@
 """Times of every recipe, this version and an older one in turn: what a rebuilding may not cost.
 
 ``python -m benchmarks.before_after --before CHECKOUT`` starts a process for either version, asks them by turns for one
-run of each case, and tells the ratio after over before: of the shortest runs, and the median of neighbouring runs. A
-machine that slows down or speeds up meanwhile slows both. The result is ``benchmarks/results/before_after.json``.
+run of each case, and tells the ratio after over before of processor times: of the shortest runs, and the median of
+neighbouring runs. A machine that slows down or speeds up meanwhile slows both. The result is
+``benchmarks/results/before_after.json``.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from benchmarks.same_bits import crop, enrich, load_bundled
 
 RESULTS = Path(__file__).parent / "results" / "before_after.json"
 LEAST_SECONDS = 0.1
-"""A run repeats a case until it has taken so long."""
+"""A run repeats a case until it has taken so much processor time."""
 
 
 def make_cases() -> dict[str, Callable[[], Any]]:
@@ -63,16 +64,16 @@ def make_cases() -> dict[str, Callable[[], Any]]:
 
 
 def serve() -> None:
-    """Answer names of cases on standard input with the seconds of a run, on standard output."""
+    """Answer names of cases on standard input with the processor seconds of a run, on standard output."""
     cases = make_cases()
     print(json.dumps(list(cases)), flush=True)
     for line in sys.stdin:
         run = cases[line.strip()]
-        count, start = 0, time.perf_counter()
-        while time.perf_counter() - start < LEAST_SECONDS:
+        count, start = 0, time.process_time()
+        while time.process_time() - start < LEAST_SECONDS:
             run()
             count += 1
-        print((time.perf_counter() - start) / count, flush=True)
+        print((time.process_time() - start) / count, flush=True)
 
 
 class Version:
@@ -89,7 +90,7 @@ class Version:
         self.commit = found.stdout.decode().strip()
 
     def time(self, case: str) -> float:
-        """Return the seconds of one run."""
+        """Return the processor seconds of one run, of all threads."""
         self._process.stdin.write(f"{case}\n")
         self._process.stdin.flush()
         return float(self._process.stdout.readline())

@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 
 from benchmarks.foreign.judging import Judge, make_judge
 from benchmarks.quality.measure import round_figure
+from benchmarks.users.alone import count_alone
 from benchmarks.users.methods import call_oidn
 from benchmarks.users.summary import UNKNOWN
 from lobewise.frame import FloatArray
 from lobewise.metrics import flip
 
-FIGURES = ("rel_mse", "doubt", "doubt over noisy", "without the worst", "flip", "energy")
+FIGURES = ("rel_mse", "doubt", "doubt over noisy", "without the worst", "flip", "energy", "bright", "dark")
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,8 @@ class Meter:
 
         "rel_mse" and "without the worst" are those of `Judge.measure`. "doubt" is the standard error that the
         references' noise leaves in the first, "doubt over noisy" that of its difference to the noisy image's. "flip"
-        counts the references' noise. "energy" is the sum of the image over that of the noisy one.
+        counts the references' noise. "energy" is the sum of the image over that of the noisy one. "bright" and "dark"
+        are the pixels that stand alone, see `benchmarks.users.alone`.
         """
         every, trimmed = self.judge.measure(image)
         values = (
@@ -48,10 +50,15 @@ class Meter:
             trimmed,
             flip(image, self.shown),
             float(image.sum(dtype=np.float64) / max(float(self.noisy.sum(dtype=np.float64)), 1e-30)),
+            *count_alone(image, self.shown).values(),
         )
         digits = {"energy": 5}
         return {
-            name: round(value, digits[name]) if name in digits else round_figure(value)
+            name: value
+            if isinstance(value, int)
+            else round(value, digits[name])
+            if name in digits
+            else round_figure(value)
             for name, value in zip(FIGURES, values, strict=True)
         }
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.users.alone import count_alone
 from lobewise.frame import FloatArray, Frame, Result
 from lobewise.metrics import make_error_map, rel_mse
 from tests.images.frames import (
@@ -30,10 +31,6 @@ BLOCK = 8
 """Width and height of the blocks of pixels that light is summed over, pixels."""
 MIN_SHARE_OF_IMAGE = 0.001
 """Least light of a pass, over that of the image, that a difference is relative to."""
-ALONE = 4.0
-"""How many times brighter than all of its neighbours, or darker, a pixel is that stands alone."""
-BLACK = 0.02
-"""Luminance below which two pixels count as equal, over the mean of the reference."""
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
@@ -99,21 +96,6 @@ def measure_image(image: FloatArray, reference: FloatArray) -> dict[str, float]:
     sums = image.sum(axis=(0, 1), dtype=np.float64), reference.sum(axis=(0, 1), dtype=np.float64)
     figures |= {f"energy {letter}": float(a / b) for letter, a, b in zip("RGB", *sums, strict=True)}
     return figures | count_alone(image, reference)
-
-
-def count_alone(image: FloatArray, reference: FloatArray) -> dict[str, float]:
-    """Return how many pixels are much brighter or darker than all neighbours, where those of the reference are not."""
-    level = BLACK * float((reference @ LUMINANCE).mean())
-    found = [_find_alone(picture @ LUMINANCE + level) for picture in (image, reference)]
-    bright, dark = (int(np.count_nonzero(own & ~true)) for own, true in zip(*found, strict=True))
-    return {"bright": bright, "dark": dark}
-
-
-def _find_alone(luminance: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    height, width = luminance.shape
-    padded = np.pad(luminance, 1, mode="reflect")
-    around = np.stack([padded[y : y + height, x : x + width] for y in range(3) for x in range(3) if (y, x) != (1, 1)])
-    return luminance > ALONE * around.max(axis=0), ALONE * luminance < around.min(axis=0)
 
 
 def measure_passes(view: View, result: Result) -> dict[str, float]:

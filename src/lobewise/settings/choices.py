@@ -69,8 +69,8 @@ class Quality:
     work_bytes_per_pixel : int
         Memory that the filters hold beside the frame, bytes; measured (docs/streaming.md).
     seconds_per_megapixel : float
-        Time at radius 8 with diffuse and specular light apart on two threads; measured
-        (``benchmarks/results/before_after.json``, and ``refinement_trials.json`` for "high").
+        Half of the processor time at radius 8 with diffuse and specular light apart: the time on two threads; measured
+        (``benchmarks/results/before_after.json``).
     """
 
     name: QualityName
@@ -98,9 +98,9 @@ SIMILARITIES: Mapping[str, Similarity] = {
 QUALITIES: Mapping[str, Quality] = {
     each.name: each
     for each in (
-        Quality(name="fast", forms=FORMS, reads_halves=False, work_bytes_per_pixel=250, seconds_per_megapixel=0.29),
-        Quality(name="balanced", reads_halves=True, work_bytes_per_pixel=480, seconds_per_megapixel=1.1),
-        Quality(name="high", reads_halves=True, refines=True, work_bytes_per_pixel=850, seconds_per_megapixel=1.7),
+        Quality(name="fast", forms=FORMS, reads_halves=False, work_bytes_per_pixel=250, seconds_per_megapixel=0.55),
+        Quality(name="balanced", reads_halves=True, work_bytes_per_pixel=480, seconds_per_megapixel=1.7),
+        Quality(name="high", reads_halves=True, refines=True, work_bytes_per_pixel=850, seconds_per_megapixel=2.3),
     )
 }
 
