@@ -52,7 +52,7 @@ def make_upsampling_figures(skies: dict[str, Any], measured: dict[str, Any]) -> 
 
 
 PAGES = {
-    "README.md": Source(users.make_readme_figures, ("users",)),
+    "README.md": Source(users.make_readme_figures, ("users", "blender_shots")),
     "docs/bench.md": Source(bench.make_figures, ("startup",)),
     "docs/export.md": Source(exports.make_figures, ("pipelines", "chains")),
     "docs/farm.md": Source(farm.make_figures, ("farm",)),
@@ -80,7 +80,7 @@ PAGES = {
     "docs/streaming.md": Source(streaming.make_figures, ("streaming",)),
     "docs/temporal.md": Source(temporal.make_figures, ("reflections",)),
     "docs/upsampling.md": Source(make_upsampling_figures, ("skies", "rays")),
-    "docs/users_results.md": Source(users.make_figures, ("users",)),
+    "docs/users_results.md": Source(users.make_figures, ("users", "blender_shots")),
     "docs/virtual_lights.md": Source(virtual_lights.make_figures, ("virtual_lights", "virtual_light_clusters")),
     "docs/windows.md": Source(films.make_figures, ("films",)),
 }

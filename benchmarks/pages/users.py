@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -31,6 +32,7 @@ TITLES = {
     "balanced": "`balanced`",
     "high": "`high`",
     "auto": "`auto`",
+    "oidn, color alone": "OIDN, color alone",
     "oidn, as called": "OIDN, as called",
     "oidn": "OIDN, at its best",
 }
@@ -51,6 +53,7 @@ README_COLUMNS = (
 """Guides and method of each column of the README's table."""
 GROUPS = {
     "interiors": "Public interiors",
+    "factory": "Random shots of Blender 4.5, Cycles",
     "blender": "Blender 4.5, Cycles",
     "blender-5.2": "Blender 5.2, Cycles",
     "luxcore": "LuxCoreRender",
@@ -58,15 +61,31 @@ GROUPS = {
     "own": "Built-in scenes",
 }
 FIGURES = {"rel_mse": "Error", "flip": "FLIP"}
+SHOTS_TRIMMED = "without the worst"
+SHOT_ROWS = (
+    ("all", "noisy"),
+    ("all", PEER),
+    ("all", "oidn, as called"),
+    ("all", "oidn, color alone"),
+    ("all", "balanced"),
+    ("all", "high"),
+    ("all", "auto"),
+    ("plain", "high"),
+    ("plain", "auto"),
+    ("color", "high"),
+)
+"""Guides and method of each row of the table of random Blender shots."""
 MAX_LISTED = 60
 """Number of broken promises that are listed one by one. The others are counted."""
 
 
-def make_figures(data: Mapping[str, Any]) -> dict[str, str]:
+def make_figures(data: Mapping[str, Any], shots: Mapping[str, Any]) -> dict[str, str]:
     """Return the figures of docs/users_results.md by place."""
     rows, summary = list(list_rows(data["scenes"])), data["summary"]
     held_out, train = (summary["ratios"].get(part, {}) for part in (HELD_OUT, TRAIN))
     return {
+        "blender-shots": make_shots(shots),
+        "blender-kinds": make_kinds(shots),
         "run": list_facts({"Machine": describe_run(data)}),
         "held-out-over-noisy": make_ratios(held_out, NOISY),
         "held-out-over-oidn": make_ratios(held_out, PEER),
@@ -80,8 +99,75 @@ def make_figures(data: Mapping[str, Any]) -> dict[str, str]:
     }
 
 
-def make_readme_figures(data: Mapping[str, Any]) -> dict[str, str]:
-    """Return the table of README.md: the means over the error of Open Image Denoise, by sample count."""
+def make_shots(shots: Mapping[str, Any]) -> str:
+    """Return the errors on random Blender shots over those of OIDN at its best, without the worst pixels."""
+    rows = {(row.scene, row.guides, row.spp): row.methods for row in list_rows(shots["scenes"])}
+    counts = sorted({spp for _, _, spp in rows})
+    table = []
+    for guides, method in SHOT_ROWS:
+        cells = {key: methods[method] for key, methods in rows.items() if key[1] == guides and method in methods}
+        ratios = {key: cell[SHOTS_TRIMMED] / _get_peer(rows, key)[SHOTS_TRIMMED] for key, cell in cells.items()}
+        worse = [key for key, cell in cells.items() if cell["rel_mse"] > rows[key]["noisy"]["rel_mse"]]
+        means = [_average(ratio for key, ratio in ratios.items() if key[2] == spp) for spp in counts]
+        alone = [sum(cell[name] for cell in cells.values()) for name in ("bright", "dark")]
+        light = [cell["energy"] for cell in cells.values()]
+        table.append(
+            [
+                guides,
+                TITLES[method],
+                *(f"{mean:.2f}" for mean in (*means, _average(ratios.values()), max(ratios.values()))),
+                str(len(worse)),
+                *map(str, alone),
+                f"{min(light):.3f} to {max(light):.3f}",
+            ]
+        )
+    header = ["guides", "method", *(f"{spp} spp" for spp in counts), "all", "largest", "worse than input"]
+    header += ["bright dots", "dark dots", "brightness"]
+    frames = len({key for key in rows if key[1] == "all"})
+    return make_table(header, table) + f"\n\n{frames} frames; {describe_run(shots)}."
+
+
+def make_kinds(shots: Mapping[str, Any]) -> str:
+    """Return the means of `make_shots` for every kind of shot, with all guides."""
+    rows = {(row.scene, row.guides, row.spp): row.methods for row in list_rows(shots["scenes"])}
+    kinds = sorted({_get_kind(scene) for scene, _, _ in rows})
+    methods = [method for guides, method in SHOT_ROWS if guides == "all" and method != PEER]
+    table = []
+    for method in methods:
+        means = [
+            _average(
+                methods[method][SHOTS_TRIMMED] / methods[PEER][SHOTS_TRIMMED]
+                for key, methods in rows.items()
+                if key[1] == "all" and _get_kind(key[0]) == kind
+            )
+            for kind in kinds
+        ]
+        table.append([TITLES[method], *(f"{mean:.2f}" for mean in means)])
+    return make_table(["method", *kinds], table)
+
+
+def _get_peer(rows: Mapping[tuple[str, str, int], Any], key: tuple[str, str, int]) -> Mapping[str, float]:
+    """Return the peer's cell with all guides of the same frame."""
+    cell: Mapping[str, float] = rows[key[0], "all", key[2]][PEER]
+    return cell
+
+
+def _get_kind(scene: str) -> str:
+    return scene.partition("/")[2].rpartition("_")[0]
+
+
+def _average(ratios: Iterable[float]) -> float:
+    """Return a geometric mean."""
+    return statistics.geometric_mean(list(ratios))
+
+
+def make_readme_figures(data: Mapping[str, Any], shots: Mapping[str, Any]) -> dict[str, str]:
+    """Return the tables of README.md."""
+    return {"results": make_means(data), "blender-shots": make_means(shots)}
+
+
+def make_means(data: Mapping[str, Any]) -> str:
+    """Return the means over the error of Open Image Denoise with the same guides, by sample count."""
     found = data["summary"]["ratios"][HELD_OUT][PEER]
     counts = _list_counts(spp for methods in found.values() for cells in methods.values() for spp in cells)
     itself = {PEER: {spp: {"ratio": 1.0} for spp in counts}}
@@ -92,7 +178,7 @@ def make_readme_figures(data: Mapping[str, Any]) -> dict[str, str]:
     ]
     rows = [[spp, *(f"{each[spp]['ratio']:.2f}" for each in cells)] for spp in counts]
     scenes = sum(1 for scene in data["scenes"].values() if scene["held_out"])
-    return {"results": make_table(["spp", *header], rows) + f"\n\n{scenes} scenes; {describe_run(data)}."}
+    return make_table(["spp", *header], rows) + f"\n\n{scenes} scenes; {describe_run(data)}."
 
 
 def make_ratios(bases: Mapping[str, Any], base: str) -> str:

@@ -17,7 +17,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -46,6 +46,8 @@ RECIPES: dict[str, dict[str, Any]] = {
     "high": {"quality": "high"},
     "auto": {},
 }
+AVERAGED = ("normal", "diffuse_albedo", "specular_albedo")
+"""Guides of which our own renderer writes means without the noise of samples."""
 MIN_SECONDS, MIN_ROUNDS = 8.0, 2
 """Processor time and runs after which a recipe is measured, without the first run."""
 MAX_PEER_ROUNDS = 3
@@ -73,6 +75,10 @@ def make_calls(frame: Frame) -> dict[str, Callable[[], Any]]:
     calls: dict[str, Callable[[], Any]] = {
         name: partial(lobewise.denoise, frame, device="cpu", **settings) for name, settings in RECIPES.items()
     }
+    means = {f"mean_{name}": getattr(frame.gbuffer, name) for name in AVERAGED}
+    clean = frame.with_changes(gbuffer=replace(frame.gbuffer, **means))
+    calls["auto, guides without noise"] = partial(lobewise.denoise, clean, device="cpu")
+    calls["Open Image Denoise at its best"] = partial(denoise_oidn, frame)
     calls["upsampling"] = partial(lobewise.upsample, lobewise.make_sparse(frame, 4), device="cpu")
     calls["history"] = partial(lobewise.TemporalFilter(device="cpu").add, frame)
     return calls
