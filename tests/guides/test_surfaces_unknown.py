@@ -84,3 +84,24 @@ def test_black_samples_in_fog_belong_to_it_and_holes_between_leaves_do_not() -> 
     depth[10, 10] = 0.0
     holed = leaves.with_changes(gbuffer=replace(leaves.gbuffer, depth=depth), layers=layers, radiance=foggy.radiance)
     assert stand_in_surfaces(holed)[0] is holed
+
+
+@pytest.mark.parametrize("sees_a_surface", [True, False])
+def test_a_black_pixel_with_an_albedo_is_no_sky(sees_a_surface: bool) -> None:
+    frame, _ = make_fog(0.0)
+    depth, light, albedo = (
+        np.array(image) for image in (frame.gbuffer.depth, frame.layers[2].radiance, frame.layers[0].albedo)
+    )
+    depth[10, 10], light[10, 10], albedo[10, 10] = 0.0, 0.0, 0.2 * sees_a_surface
+    depth[30, 30] = 0.0  # somewhere else the fog hides a surface
+    layers = (replace(frame.layers[0], albedo=albedo), replace(frame.layers[2], radiance=light))
+    filled, _ = stand_in_surfaces(
+        frame.with_changes(
+            gbuffer=replace(frame.gbuffer, depth=depth),
+            layers=layers,
+            radiance=Radiance(light, light, np.zeros_like(light)),
+        )
+    )
+    assert filled.gbuffer.depth is not None
+    assert bool(filled.gbuffer.depth[10, 10] > 0.0) is sees_a_surface
+    assert filled.gbuffer.depth[30, 30] > 0.0

@@ -34,7 +34,8 @@ BACKDROP_DISTANCE = 1e6
 """Distance of the wall behind the scene, world units. Places are compared in footprints, so that any will do."""
 MIN_LIT_NEIGHBOURS, MIN_UNKNOWN_NEIGHBOURS = 6, 4
 """Of the eight neighbours of a black pixel without a surface, those with light and those without a surface: with more
-the pixel belongs to the fog, and its samples are black by chance. Sky between leaves has other neighbours."""
+the pixel belongs to the fog, and its samples are black by chance. Sky between leaves has other neighbours. A pixel with
+an albedo is no sky, whatever its neighbours without a surface are."""
 MIN_SHARE_NAMED = 0.01
 """Share of the pixels above which the user is told."""
 REACH = MAX_DISTANCE_PIXELS
@@ -108,9 +109,12 @@ def _find_unknown(frame: Frame, known: NDArray[np.bool_]) -> NDArray[np.bool_] |
     unknown = ~known & lit
     if not unknown.any():
         return None
-    dark = ~known & ~_has_any(frame.radiance.color != 0.0)
-    enough = (_count_neighbours(lit) >= MIN_LIT_NEIGHBOURS) & (_count_neighbours(unknown) >= MIN_UNKNOWN_NEIGHBOURS)
-    return np.asarray(unknown | (dark & enough))
+    dark = ~known & ~_has_any(frame.radiance.color != 0.0) & (_count_neighbours(lit) >= MIN_LIT_NEIGHBOURS)
+    # Samples that saw a surface behind the fog left its albedo.
+    albedos = [layer.albedo for layer in frame.layers] or [frame.gbuffer.diffuse_albedo, frame.gbuffer.specular_albedo]
+    seen = [_has_any(albedo > 0.0) for albedo in albedos if albedo is not None]
+    foggy = _count_neighbours(unknown) >= MIN_UNKNOWN_NEIGHBOURS
+    return np.asarray(unknown | (dark & np.logical_or.reduce([foggy, *seen])))
 
 
 def _has_any(truth: NDArray[np.bool_]) -> NDArray[np.bool_]:
