@@ -78,7 +78,7 @@ def make_calls(frame: Frame) -> dict[str, Callable[[], Any]]:
     means = {f"mean_{name}": getattr(frame.gbuffer, name) for name in AVERAGED}
     clean = frame.with_changes(gbuffer=replace(frame.gbuffer, **means))
     calls["auto, guides without noise"] = partial(lobewise.denoise, clean, device="cpu")
-    calls["Open Image Denoise at its best"] = partial(denoise_oidn, frame)
+    calls["Open Image Denoise at its best"] = lambda: combining.denoise_oidn(frame)  # as `time_processor` has it
     calls["upsampling"] = partial(lobewise.upsample, lobewise.make_sparse(frame, 4), device="cpu")
     calls["history"] = partial(lobewise.TemporalFilter(device="cpu").add, frame)
     return calls
