@@ -243,11 +243,48 @@ def test_means_are_of_held_out_scenes_and_broken_promises_are_listed(measured: d
     }
 
 
+def test_random_shots_count_once_their_last_reference_is_there(tmp_path: Path) -> None:
+    shot = tmp_path / "foreign" / "factory" / "fog_0"
+    shot.mkdir(parents=True)
+    for name in ("shot.json", "4.exr", "16.exr", "reference_1.exr", "reference_2.exr"):
+        (shot / name).touch()
+    assert scenes.find_scenes(tmp_path, tmp_path / "foreign") == []
+    (shot / "reference_3.exr").touch()
+    (found,) = scenes.find_scenes(tmp_path, tmp_path / "foreign")
+    assert (found.key, list(found.frames), found.is_held_out) == ("factory/fog_0", [4, 16], True)
+
+
+def make_random_shots() -> dict[str, Any]:
+    """Return the figures of one shot of two kinds each; auto has half of the peer's error, then all of it."""
+
+    def make_cell(error: float) -> dict[str, float]:
+        figures = {"rel_mse": error, "without the worst": error, "doubt": 0.0, "energy": 1.0, "bright": 1, "dark": 2}
+        return {**figures, "doubt over noisy": 0.0, "flip": 0.1}
+
+    scenes = {}
+    for name, auto in (("fog_0", 0.1), ("glass_bowl_1", 0.2)):
+        errors = dict.fromkeys(page.TITLES, 0.4) | {"oidn": 0.2, "auto": auto}
+        row = {"methods": {method: make_cell(error) for method, error in errors.items()}}
+        guides = {each: {"16": row} for each in ("all", "plain", "color")}
+        scenes[f"factory/{name}"] = {"held_out": True, "guides": guides}
+    machine = {"processor": "a processor", "threads": 2, "commit": "abc"}
+    return {"scenes": scenes, "summary": summary.summarise(scenes), "machine": machine}
+
+
+def test_errors_on_random_shots_are_over_the_peer_s() -> None:
+    shots = make_random_shots()
+    table = page.make_shots(shots)
+    assert "| all | `auto` | 0.71 | 0.71 | 1.00 | 0 | 2 | 4 | 1.000 to 1.000 |" in table
+    assert "| all | noisy | 2.00 |" in table
+    assert page.make_kinds(shots).splitlines()[0] == "| method | fog | glass_bowl |"
+    assert page.make_kinds(shots).splitlines()[-1] == "| `auto` | 0.50 | 1.00 |"
+
+
 def test_the_page_has_held_out_scenes_first_and_the_noisy_input_everywhere(measured: dict[str, Any]) -> None:
     machine = {"processor": "a processor", "threads": 2, "commit": "abc"}
     tuning = {"64": {"normal_exponent": 16.0, "screen_sigma": 0.75}}
     data = {"scenes": measured, "summary": summary.summarise(measured), "tuning": tuning, "machine": machine}
-    text = "\n".join(page.make_figures(data).values())
+    text = "\n".join(page.make_figures(data, make_random_shots()).values())
     assert (
         text.index("| interiors/room | 64 | 0.2 |")
         < text.index("| own/street | 64 | 0.1 |")
