@@ -130,7 +130,8 @@ def main() -> None:
             continue
         if mutation.name == UNBROKEN and step != NONE:
             sys.exit(f"{test} fails although {UNBROKEN}: mend it first, else nothing can be told of the faults.")
-        found[mutation.name] = {"file": mutation.file, "noticed": step, "test": test, "seconds": seconds}
+        name = test.rpartition("/")[2]
+        found[mutation.name] = {"file": mutation.file, "noticed": step, "test": name, "seconds": seconds}
         counts = Counter(each["noticed"] for name, each in found.items() if name != UNBROKEN)
         told = {"tier": options.tier, "counts": {step: counts[step] for step in STEPS}, "mutations": found}
         write_json(options.output, told)

@@ -106,7 +106,8 @@ def make_shots(shots: Mapping[str, Any]) -> str:
     table = []
     for guides, method in SHOT_ROWS:
         cells = {key: methods[method] for key, methods in rows.items() if key[1] == guides and method in methods}
-        ratios = {key: cell[SHOTS_TRIMMED] / _get_peer(rows, key)[SHOTS_TRIMMED] for key, cell in cells.items()}
+        peers = {key: rows[key[0], "all", key[2]][PEER] for key in cells}
+        ratios = {key: cell[SHOTS_TRIMMED] / peers[key][SHOTS_TRIMMED] for key, cell in cells.items()}
         worse = [key for key, cell in cells.items() if cell["rel_mse"] > rows[key]["noisy"]["rel_mse"]]
         means = [_average(ratio for key, ratio in ratios.items() if key[2] == spp) for spp in counts]
         alone = [sum(cell[name] for cell in cells.values()) for name in ("bright", "dark")]
@@ -144,12 +145,6 @@ def make_kinds(shots: Mapping[str, Any]) -> str:
         ]
         table.append([TITLES[method], *(f"{mean:.2f}" for mean in means)])
     return make_table(["method", *kinds], table)
-
-
-def _get_peer(rows: Mapping[tuple[str, str, int], Any], key: tuple[str, str, int]) -> Mapping[str, float]:
-    """Return the peer's cell with all guides of the same frame."""
-    cell: Mapping[str, float] = rows[key[0], "all", key[2]][PEER]
-    return cell
 
 
 def _get_kind(scene: str) -> str:

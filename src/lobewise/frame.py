@@ -74,8 +74,8 @@ class GBuffer(Images):
     hit_albedo : array_like, shape (height, width, 3), optional
         Mean albedo, diffuse + specular, of these surfaces, in [0, 1]: 1 for a light source, 0 for no surface.
     mean_normal : array_like, shape (height, width, 3), optional
-        Mean of the shading normal over the pixel's area, 0 where there is no surface. ``normal`` is the normal at the
-        centre of the pixel.
+        Mean of the shading normal over the pixel's area without the noise of samples, 0 where there is no surface.
+        ``normal`` is the normal at the centre of the pixel.
     mean_diffuse_albedo, mean_specular_albedo : array_like, shape (height, width, 3), optional
         Means of the albedos over the pixel's area, in [0, 1], without the noise of samples.
     denoiser_albedo : array_like, shape (height, width, 3), optional

@@ -91,7 +91,7 @@ def test_what_changed_is_not_done(change: str, sequence: Sequence) -> None:
     assert sequence.list_done() == [1, 3]
 
 
-def test_a_changed_source_voids_its_frame_and_the_frames_after_it(sequence: Sequence) -> None:
+def test_frames_after_a_changed_source_are_made_again(sequence: Sequence) -> None:
     age(sequence.folder / "in.2")
     assert sequence.list_done() == [1]
 

@@ -45,8 +45,8 @@ its time at its best, and change the error by less than 1 % (benchmarks/results/
 UNGUIDED_SHARE = 1.0 / 3.0
 """Share of the image without guides where it equals the one with guides."""
 HALF_SHARE_DIFFERENCE, DARK_SHARE = 0.5, 0.05
-"""Relative difference of luminance at which that share is halved, and the share of the mean luminance that is added to
-the luminance it is relative to."""
+"""Difference of luminance at which `UNGUIDED_SHARE` is halved, over the luminance with guides plus the second number
+times its mean over the image."""
 
 
 def choose_between(
@@ -287,7 +287,12 @@ def _replace_bad(image: FloatArray, other: FloatArray) -> FloatArray:
 def average_alike(guided: FloatArray, unguided: FloatArray) -> FloatArray:
     """Return the image with guides, and a share of the one without where both are about as bright, (height, width, 3).
 
-    Where they are far apart, the image without guides has lost what only the guides tell.
+    Where the images are far apart, the one without guides has lost what only guides tell, and its share falls.
+
+    Parameters
+    ----------
+    guided, unguided : (height, width, 3)
+        Radiance, finite, >= 0.
     """
     luminance = np.array(LUMINANCE, dtype=np.float32)
     floor = np.float32(DARK_SHARE * find_level(guided))
