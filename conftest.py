@@ -5,6 +5,22 @@ from __future__ import annotations
 from collections import defaultdict
 
 import pytest
+from hypothesis import HealthCheck, settings
+
+FEW_EXAMPLES, MANY_EXAMPLES = 15, 100
+"""Of a property: in every build, and where the tests are not restricted by a marker."""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Let Hypothesis draw the same examples in every run, however busy the machine is."""
+    settings.register_profile(
+        "repeatable",
+        derandomize=True,
+        deadline=None,
+        max_examples=FEW_EXAMPLES if config.option.markexpr else MANY_EXAMPLES,
+        suppress_health_check=[HealthCheck.function_scoped_fixture],
+    )
+    settings.load_profile("repeatable")
 
 
 @pytest.hookimpl(tryfirst=True)

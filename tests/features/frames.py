@@ -24,7 +24,6 @@ from lobewise.features import (
 from lobewise.frame import FloatArray
 from lobewise.lobes.hits import HitField
 
-SIZES = [(1, 1), (1, 7), (17, 3), (64, 64), (67, 41), (3, 277)]
 KINDS = [
     "screen",
     "tent",

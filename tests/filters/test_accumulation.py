@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from lobewise.backend.jit import count_compiled_kernels
@@ -24,6 +26,7 @@ from lobewise.frame import FloatArray
 from lobewise.lobes.vectors import LUMINANCE
 from tests.features.frames import make_feature, make_mask, make_radiance
 from tests.features.oracles import get_similarity
+from tests.filters.sizes import SMALL_SIZES
 from tests.temporal.sums import add_own_samples, fade, gather_samples, make_sums, summarize
 
 FloatImage = NDArray[np.float64]
@@ -138,13 +141,18 @@ def accumulate_slowly(
     return sums
 
 
-@pytest.mark.parametrize("shape", [SHAPE, (3, 5), (1, 1)], ids=str)
-@pytest.mark.parametrize(("scale", "place"), CASES)
-def test_agrees_with_the_definition(scale: int, place: tuple[int, int], shape: tuple[int, int]) -> None:
+def check_definition(scale: int, place: tuple[int, int], shape: tuple[int, int]) -> None:
+    """Raise AssertionError unless random samples, one of each block, are accumulated as the definition says."""
+    # The first block has the place, however small the image is.
     place = min(place[0], shape[0] - 1), min(place[1], shape[1] - 1)
     given = make_given(shape, scale, place)
     out = accumulate(given, scale, place)
     np.testing.assert_allclose(out.sums, accumulate_slowly(given, scale, place), rtol=TOLERANCE, atol=1e-6)
+
+
+@given(scale=st.integers(1, 4), place=st.tuples(st.integers(0, 3), st.integers(0, 3)), shape=SMALL_SIZES)
+def test_agrees_with_the_definition(scale: int, place: tuple[int, int], shape: tuple[int, int]) -> None:
+    check_definition(scale, (place[0] % scale, place[1] % scale), shape)
 
 
 @pytest.mark.parametrize(("scale", "place"), CASES[1:])

@@ -30,28 +30,26 @@ def each_shape(call: str, shapes: Sequence[tuple[int, int]] = SHAPES) -> str:
 
 
 CASES = {
-    "full": each_shape("test_cross_filter.test_image_and_weight_sum_agree_with_oracle('full', SHAPE)"),
-    "separable": each_shape("test_cross_filter.test_image_and_weight_sum_agree_with_oracle('separable', SHAPE)"),
-    "atrous": each_shape("test_cross_filter.test_image_and_weight_sum_agree_with_oracle('atrous', SHAPE)"),
+    "full": each_shape("test_cross_filter.check_definition('lobes', 'full', SHAPE)"),
+    "separable": each_shape("test_cross_filter.check_definition('lobes', 'separable', SHAPE)"),
+    "atrous": each_shape("test_cross_filter.check_definition('lobes', 'atrous', SHAPE)"),
     "tiles": "test_cross_filter.test_tiles_change_nothing(pytest.MonkeyPatch())",
     "pixel by pixel": each_shape("test_pointwise.test_every_pixel_of_every_size(random.default_rng(1), SHAPE)"),
     "neighbours": each_shape("test_pointwise.test_neighbours(random.default_rng(1), SHAPE)"),
-    "strictness and moment": "test_cross_filter.test_strictness_and_moment_agree_with_oracle('full', (1, 7))",
+    "strictness and moment": "test_cross_filter.check_definition('strict', 'full', (1, 7))",
     "albedo": "test_cross_filter.test_demodulation('full')",
-    "dual buffer": each_shape("test_dual_buffer.test_agrees_with_the_definition('standard', SHAPE)", [(1, 1), (1, 9)]),
-    "own sample": each_shape(
-        "test_dual_buffer.test_agrees_with_the_definition('own sample', SHAPE)", [(1, 9), (40, 2)]
-    ),
+    "dual buffer": each_shape("test_dual_buffer.check_definition('standard', SHAPE)", [(1, 1), (1, 9)]),
+    "own sample": each_shape("test_dual_buffer.check_definition('own sample', SHAPE)", [(1, 9), (40, 2)]),
     "refinement": each_shape("test_refinement.test_the_kernels_agree_with_the_definition(SHAPE)"),
-    "noise guide": each_shape("test_noise_guides.test_guide_is_as_defined(SHAPE)"),
-    "measured light": each_shape("test_noise_guides.test_light_is_measured_as_defined(SHAPE, True)"),
-    "fireflies": each_shape("test_fireflies.test_against_the_definition(SHAPE, True)"),
-    "reprojection": each_shape("test_reprojection.test_own_places_give_the_past_back(SHAPE)"),
+    "noise guide": each_shape("test_noise_guides.check_guide(SHAPE)"),
+    "measured light": each_shape("test_noise_guides.check_light(SHAPE, True)"),
+    "fireflies": each_shape("test_fireflies.check_definition(SHAPE, True)"),
+    "reprojection": each_shape("test_reprojection.check_own_places(SHAPE)"),
     "vectors that move": "test_reprojection.test_vectors_that_move_together_agree_with_oracle((), (-5.25, 1.0))",
     "two places": "test_reprojection.test_of_two_places_the_better_counts_more(('plane', 'ggx'), 1)",
-    "accumulation": each_shape("test_accumulation.test_agrees_with_the_definition(1, (0, 0), SHAPE)", [(1, 1), (3, 5)]),
-    "sampled accumulation": each_shape("test_accumulation.test_agrees_with_the_definition(2, (1, 0), SHAPE)", [(3, 5)]),
-    "upsampling": each_shape("test_upsampling.test_agrees_with_the_definition(2, (1, 0), SHAPE)"),
+    "accumulation": each_shape("test_accumulation.check_definition(1, (0, 0), SHAPE)", [(1, 1), (3, 5)]),
+    "sampled accumulation": each_shape("test_accumulation.check_definition(2, (1, 0), SHAPE)", [(3, 5)]),
+    "upsampling": each_shape("test_upsampling.check_definition(2, (1, 0), SHAPE)"),
 }
 # A process that has imported everything and run no kernel, and so has no threads of Halide's, is copied for every case.
 PROGRAM = """

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from lobewise.errors import InputError
@@ -19,7 +21,8 @@ from lobewise.filters.highlights import (
     SPOT_RADIUS,
     split_highlights,
 )
-from tests.filters.test_fireflies import SIZES, find_light, make_case
+from tests.filters.sizes import SMALL_SIZES
+from tests.filters.test_fireflies import find_light, make_case
 
 Image = NDArray[np.float32]
 
@@ -86,23 +89,13 @@ def make_spots(size: tuple[int, int], strange: bool = True) -> tuple[tuple[Image
     return halves, albedo, mask
 
 
-@pytest.mark.sampled(
-    "cpu-(1, 1)-apart",
-    "cpu-(1, 7)-single",
-    "cpu-(2, 3)-paired",
-    "cpu-(9, 2)-shared",
-    "cpu-(17, 33)-apart",
-    "cpu-(17, 33)-single",
-    "cpu-(70, 41)-shared",
-    "cpu-(70, 41)-paired",
-    "vulkan-(17, 33)-paired",
-)
-@pytest.mark.parametrize("kind", ["apart", "shared", "single", "paired"])
-@pytest.mark.parametrize("size", SIZES, ids=str)
-def test_against_the_definition(size: tuple[int, int], kind: str) -> None:
+KINDS = ["apart", "shared", "single", "paired"]
+
+
+def check_definition(size: tuple[int, int], kind: str, strange: bool) -> NDArray[np.float64]:
+    """Return the share of every pixel that is split off, after both halves were compared with the definition."""
     kinds = [kind == each for each in ("shared", "single", "paired")]
-    # One of the strange numbers outshines every spot: the last size has none.
-    halves, albedo, mask = make_spots(size, strange=size != SIZES[-1])
+    halves, albedo, mask = make_spots(size, strange)
     share = find_slowly(halves, albedo, mask, *kinds)
     found = split_highlights(halves, albedo, mask, **dict(zip(("shared", "single", "paired"), kinds, strict=True)))
     for half, rest in zip(halves, (found.a, found.b), strict=True):
@@ -110,8 +103,19 @@ def test_against_the_definition(size: tuple[int, int], kind: str) -> None:
             known = ~np.isnan(find_light(half, albedo, mask))
             wanted = np.where(known[..., None], half * (1.0 - share[..., None]), half)
         np.testing.assert_allclose(rest, wanted, rtol=2e-4, atol=1e-6)
-    if size == SIZES[-1]:
-        assert 0.005 < (share > 0.0).mean() < 0.3
+    return share
+
+
+@pytest.mark.sampled("cpu", "vulkan")
+@given(size=SMALL_SIZES, kind=st.sampled_from(KINDS), strange=st.booleans())
+def test_agrees_with_the_definition(size: tuple[int, int], kind: str, strange: bool) -> None:
+    check_definition(size, kind, strange)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_highlights_are_there_to_be_seen(kind: str) -> None:
+    # One of the strange numbers would outshine every spot.
+    assert 0.005 < (check_definition((70, 41), kind, strange=False) > 0.0).mean() < 0.3
 
 
 def test_what_is_split_off_and_what_stays_add_up() -> None:

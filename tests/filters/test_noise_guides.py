@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
@@ -12,6 +14,7 @@ from lobewise.errors import InputError
 from lobewise.filters.noise_guides import find_level, make_noise_guide, measure_light
 from lobewise.frame import FloatArray
 from tests.features.frames import make_radiance
+from tests.filters.sizes import SIZES
 
 LOG_OFFSET_SHARE = 0.04
 LEVEL = 1.7
@@ -21,7 +24,6 @@ ALBEDO_FLOOR = 1e-3
 MIN_VARIANCE = 5e-4
 # The kernels' log2 is good to 1e-4, of which a natural logarithm has ln 2.
 LOGARITHM = 7e-5
-SHAPES = [(1, 1), (1, 9), (9, 1), (2, 3), (33, 17), (70, 65)]
 
 
 def make_halves(shape: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
@@ -55,11 +57,16 @@ def assert_is_guide(guide: FloatArray, expected: NDArray[np.float64]) -> None:
     np.testing.assert_allclose(guide[..., 3], expected[..., 3], rtol=1e-5, atol=1.2 * LOGARITHM * d)
 
 
-@pytest.mark.sampled("cpu-(1, 1)", "cpu-(1, 9)", "cpu-(9, 1)", "cpu-(70, 65)", "vulkan-(33, 17)")
-@pytest.mark.parametrize("shape", SHAPES, ids=str)
-def test_guide_is_as_defined(shape: tuple[int, int]) -> None:
+def check_guide(shape: tuple[int, int]) -> None:
+    """Raise AssertionError unless the guide of random halves of a size is as its definition says."""
     a, b = make_halves(shape)
     assert_is_guide(make_noise_guide(a, b, LEVEL), noise_guide_reference(a, b))
+
+
+@pytest.mark.sampled("cpu", "vulkan")
+@given(shape=SIZES)
+def test_guide_is_as_defined(shape: tuple[int, int]) -> None:
+    check_guide(shape)
 
 
 def test_variance_of_one_pixel_is_spread_by_the_gaussian() -> None:
@@ -134,10 +141,8 @@ def light_reference(
     return np.asarray(light.sum(axis=0) / np.maximum(good.sum(axis=0), 1))
 
 
-@pytest.mark.sampled("cpu-(1, 1)-plain", "cpu-(2, 3)-albedo", "cpu-(70, 65)-plain", "vulkan-(33, 17)-albedo")
-@pytest.mark.parametrize("tinted", [False, True], ids=["plain", "albedo"])
-@pytest.mark.parametrize("shape", SHAPES, ids=str)
-def test_light_is_measured_as_defined(shape: tuple[int, int], tinted: bool) -> None:
+def check_light(shape: tuple[int, int], tinted: bool) -> None:
+    """Raise AssertionError unless the light of random halves of a size is as its definition says."""
     halves, albedo, mask = make_samples(shape)
     tint = albedo if tinted else None
     rows = measure_light(halves, tint, mask)
@@ -146,6 +151,12 @@ def test_light_is_measured_as_defined(shape: tuple[int, int], tinted: bool) -> N
     np.testing.assert_array_equal(rows[:, 1], mask.sum(axis=1))
     if mask.any():
         assert find_level(rows) == pytest.approx(expected[mask].mean(), rel=1e-5, abs=1e-30)
+
+
+@pytest.mark.sampled("cpu", "vulkan")
+@given(shape=SIZES, tinted=st.booleans())
+def test_light_is_measured_as_defined(shape: tuple[int, int], tinted: bool) -> None:
+    check_light(shape, tinted)
 
 
 def test_the_level_of_an_image_is_that_of_its_bands() -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from lobewise.errors import InputError
 from lobewise.features import Feature, TentFeature
@@ -12,10 +14,9 @@ from lobewise.filters.history.accumulation import run_upsampling
 from lobewise.frame import FloatArray
 from tests.features.frames import make_feature, make_mask, make_radiance
 from tests.features.oracles import get_similarity
+from tests.filters.sizes import SMALL_SIZES
 
 RADIUS = 2
-SHAPES = [(1, 1), (3, 17), (21, 26)]
-CASES = [(2, (1, 0)), (3, (0, 2)), (4, (3, 1)), (8, (5, 6))]
 # As in test_cross_filter: the logarithm of the kernels, times beta, and the GGX kernel's own rounding.
 TOLERANCE = 2e-3
 
@@ -46,27 +47,11 @@ def upsample_slowly(
     return total / some[..., None] * albedo, weights
 
 
-def fit_place(place: tuple[int, int], shape: tuple[int, int]) -> tuple[int, int]:
-    """Return a place that the first block of an image of ``shape`` has."""
-    return min(place[0], shape[0] - 1), min(place[1], shape[1] - 1)
-
-
-@pytest.mark.sampled(
-    "cpu-2-place0-(1, 1)",
-    "cpu-2-place0-(3, 17)",
-    "cpu-3-place1-(1, 1)",
-    "cpu-3-place1-(3, 17)",
-    "cpu-4-place2-(1, 1)",
-    "cpu-4-place2-(3, 17)",
-    "cpu-8-place3-(1, 1)",
-    "cpu-8-place3-(3, 17)",
-    "vulkan-3-place1-(3, 17)",
-)
-@pytest.mark.parametrize("shape", SHAPES, ids=str)
-@pytest.mark.parametrize(("scale", "place"), CASES)
-def test_agrees_with_the_definition(scale: int, place: tuple[int, int], shape: tuple[int, int]) -> None:
+def check_definition(scale: int, place: tuple[int, int], shape: tuple[int, int]) -> None:
+    """Raise AssertionError unless random samples, one of each block, are upsampled as the definition says."""
     rng = np.random.default_rng([scale, *shape])
-    place = fit_place(place, shape)
+    # The first block has the place, however small the image is.
+    place = min(place[0], shape[0] - 1), min(place[1], shape[1] - 1)
     features = [make_feature(kind, shape) for kind in ("screen", "position", "ggx")]
     mask = rng.random(shape) > 0.1
     albedo = rng.uniform(0.1, 1.0, (*shape, 3)).astype(np.float32)
@@ -77,7 +62,12 @@ def test_agrees_with_the_definition(scale: int, place: tuple[int, int], shape: t
     np.testing.assert_allclose(out.image, image, rtol=2.0 * TOLERANCE, atol=1e-6)
 
 
-@pytest.mark.sampled("cpu")
+@pytest.mark.sampled("cpu", "vulkan")
+@given(scale=st.integers(2, 8), place=st.tuples(st.integers(0, 7), st.integers(0, 7)), shape=SMALL_SIZES)
+def test_agrees_with_the_definition(scale: int, place: tuple[int, int], shape: tuple[int, int]) -> None:
+    check_definition(scale, (place[0] % scale, place[1] % scale), shape)
+
+
 def test_upsampling_by_one_is_filtering() -> None:
     shape = (33, 29)
     features = [make_feature(kind, shape) for kind in ("screen", "position", "ggx")]
