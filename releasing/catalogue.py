@@ -17,10 +17,11 @@ from typing import Any
 import numpy as np
 
 import lobewise
-from lobewise import Frame
+from lobewise import Frame, Radiance
 from lobewise.bench.plan import Extent, list_jobs
 from lobewise.doctor.machine import examine_kernels
 from lobewise.errors import LobewiseError
+from lobewise.filters.noise.albedo import clean_albedo
 from lobewise.interactive import InteractiveSettings, Session
 from lobewise.interactive.settings import METHODS, UNFILTERED
 from lobewise.render import load_scene, make_orbit
@@ -37,7 +38,7 @@ Case = Callable[[], Any]
 
 
 def denoise(frame: Frame, **changes: Any) -> Case:
-    """Return a call of the recipe without Open Image Denoise, whose kernels are those of the quality "high"."""
+    """Return a call of the recipe without Open Image Denoise, which adds the kernels of `list_mixtures`."""
     return lambda: lobewise.denoise(frame, device="cpu", with_oidn=False, **changes)
 
 
@@ -47,6 +48,10 @@ def list_qualities() -> Iterator[Case]:
     for frame in (*vary_main_images(rich), *vary_rare_images(rich), *vary_rare_images(combine(rich))):
         for quality in QUALITIES:
             yield denoise(frame, quality=quality)
+    color = np.where(np.eye(*SIZE)[..., None] > 0.0, np.float32(np.nan), rich.radiance.color)
+    spoiled = combine(rich).with_changes(radiance=Radiance(color), half_a=None, half_b=None)
+    for quality in QUALITIES:
+        yield denoise(spoiled, quality=quality)
     narrow = make_frame((SIZE[0], NARROW))
     for frame in (narrow, combine(narrow), drop(narrow, "tangent", "alpha_v")):
         for quality in QUALITIES:
@@ -171,6 +176,12 @@ def list_examinations() -> Iterator[Case]:
     yield examine_kernels
 
 
+def list_mixtures() -> Iterator[Case]:
+    """Yield what cleans an albedo for Open Image Denoise."""
+    guide = np.ones((*SIZE, 3), np.float32)
+    yield lambda: clean_albedo(guide, guide)
+
+
 def list_interactive_frames() -> Iterator[Case]:
     """Yield frames of an interactive session by every method and similarity, while camera and light move.
 
@@ -204,6 +215,7 @@ PARTS: dict[str, Callable[[], Iterator[Case]]] = {
     "windows": list_windows,
     "benchmarks": list_benchmarks,
     "examinations": list_examinations,
+    "mixtures": list_mixtures,
     "interactive frames": list_interactive_frames,
 }
 

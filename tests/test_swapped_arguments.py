@@ -33,11 +33,14 @@ SYMMETRIC = {
     ("accumulation", "weight", "weight_sum"),
     # A sum.
     ("joined", "variance0", "variance1"),
+    ("composite", "light0", "light1"),
     # Products.
-    ("dual buffer", "lobes_exponent0", "lobes_feature0_scalar0"),
+    ("dual buffer", "exponent", "lobes_feature0_scalar0"),
     *((name, "alpha_u", "alpha_v") for name in ("lobes", "tolerances")),
 }
 """Kernels and pairs of arguments that they take alike."""
+LAYERS = {"convolution of the refining network", "filter of the refining network"}
+"""Kernels whose whole numbers say where the weights of a layer begin: others lead beyond the weights."""
 
 
 def make_frame(seed: int = 0) -> lobewise.Frame:
@@ -138,7 +141,10 @@ def test_swapped_arguments_are_refused_or_seen(recipe: str, monkeypatch: pytest.
     for kernel, recorded in record(monkeypatch, RECIPES[recipe]):
         arguments = vary(kernel, recorded, rng)
         expected = swap(kernel, arguments)
+        numbers = {name for name, value in arguments.items() if isinstance(value, int)}
         for one, other in combinations(arguments, 2):
+            if kernel.name in LAYERS and {one, other} <= numbers:
+                continue
             try:
                 found = swap(kernel, arguments, **{one: other, other: one})
             except TypeError:
