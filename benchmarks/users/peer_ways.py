@@ -16,6 +16,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,15 +24,18 @@ from benchmarks.common import RESULTS, describe_machine, write_json
 from benchmarks.users.measuring import make_reference_judge
 from benchmarks.users.scenes import FACTORY, Scene, find_scenes
 from lobewise.denoising.combining import UNGUIDED_QUALITY, average_alike
+from lobewise.filters.noise.albedo import clean_albedo
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.peers import denoise_oidn
 
 TIMED_SHAPE = (1080, 1920)
 BEST = "prefiltered high, filter high"
 Way = Callable[[Frame], FloatArray]
+OURS = {"prefilter": "fast", "clean_albedo": clean_albedo}
+"""Normals prefiltered by the library, albedos by `clean_albedo`."""
 
 
-def call(**options: str) -> Way:
+def call(**options: Any) -> Way:
     """Return a way that calls the library once."""
     return lambda frame: denoise_oidn(frame, **options)[0]
 
@@ -50,11 +54,13 @@ WAYS: dict[str, Way] = {
     BEST: call(),
     "prefiltered fast, filter high": call(prefilter="fast"),
     "prefiltered fast, filter balanced": call(prefilter="fast", quality="balanced"),
+    "albedo by lobewise, filter high": call(**OURS),
     "not prefiltered, filter high": call(guides="mean"),
     **{f"no guides, {quality}": call_unguided(quality) for quality in ("high", "balanced", "fast")},
     "prefiltered high, filter high; no guides": average(call()),
     "prefiltered fast, filter high; no guides": average(call(prefilter="fast")),
     "prefiltered fast, filter balanced; no guides": average(call(prefilter="fast", quality="balanced")),
+    "albedo by lobewise, filter high; no guides": average(call(**OURS)),
     "not prefiltered, filter high; no guides": average(call(guides="mean")),
 }
 

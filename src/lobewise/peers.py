@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import time
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -68,7 +69,12 @@ def has_clean_guides(frame: Frame) -> bool:
 
 
 def denoise_oidn(
-    frame: Frame, *, quality: str = "high", guides: str = "prefiltered", prefilter: str = "high"
+    frame: Frame,
+    *,
+    quality: str = "high",
+    guides: str = "prefiltered",
+    prefilter: str = "high",
+    clean_albedo: Callable[[FloatArray, FloatArray], FloatArray] | None = None,
 ) -> tuple[FloatArray, float]:
     """Denoise with Intel Open Image Denoise, which takes HDR colour and albedo and normal of the first hit.
 
@@ -93,6 +99,9 @@ def denoise_oidn(
         without ``mean_normal`` has only the normal of the centre.
     prefilter : {"fast", "balanced", "high"}
         Quality of the library's filter for guides.
+    clean_albedo : function, optional
+        Returns an albedo without noise, given the albedo and the prefiltered normal. It stands for the library's filter
+        where "prefiltered" guides have a normal.
 
     Returns
     -------
@@ -120,8 +129,11 @@ def denoise_oidn(
     normal = None if normal is None else _widen(normal)
     start = time.perf_counter()
     if guides == "prefiltered":
-        albedo = None if albedo is None else _prefilter("albedo", albedo, prefilter)
         normal = None if normal is None else _prefilter("normal", normal, prefilter)
+        if albedo is not None and normal is not None and clean_albedo is not None:
+            albedo = clean_albedo(albedo, normal)
+        elif albedo is not None:
+            albedo = _prefilter("albedo", albedo, prefilter)
     if albedo is None and normal is not None:
         albedo = np.ones_like(color)
     image = denoise(color, albedo, normal, hdr=True, clean_aux=albedo is not None, quality=quality)

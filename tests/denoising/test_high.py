@@ -307,7 +307,7 @@ class TestPeer:
 
     def combine(self, frame: Frame, ours: FloatArray) -> FloatArray:
         noisy = frame.radiance.color
-        return choose_between(frame, noisy, ours, denoise_with_peer(frame, noisy, ours), noisy)
+        return choose_between(frame, noisy, ours, denoise_with_peer(frame, noisy, ours), noisy).image
 
     def make_ours(self) -> FloatArray:
         return np.random.default_rng(8).uniform(0.5, 1.5, (*SHAPE, 3)).astype(np.float32)

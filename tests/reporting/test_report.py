@@ -393,7 +393,7 @@ class TestDemo:
         ):
             assert words in text
         assert text.count("quality fast") == 4
-        assert text.count("quality balanced") == 1
+        assert text.count("quality balanced") == 2
 
     def test_without_the_neural_peer_it_says_so(self, small, tmp_path, monkeypatch):
         monkeypatch.setattr(demo, "has_oidn", lambda: False)

@@ -17,14 +17,14 @@ from lobewise.errors import InputError, require_choice
 from lobewise.frame import Frame
 from lobewise.lobes.band_limit import default_tau
 from lobewise.peers import explain_no_oidn, has_oidn
-from lobewise.settings import DenoiseSettings, Quality, ResolvedSettings, Similarity
+from lobewise.settings import OIDN_QUALITY, DenoiseSettings, Quality, ResolvedSettings, Similarity
 from lobewise.settings.choices import get_quality, get_similarity
 from lobewise.sparse_frame import AnyFrame
 
 DEFAULT_SIMILARITY: Similarity = "ggx"
 """Similarity of "auto" where the frame has lobes: the winner of benchmarks/results/similarities.json."""
 DEFAULT_QUALITY: Quality = "high"
-"""Quality of "auto" for the full form. Of our qualities it has the least mean error on every measured set of scenes
+"""Quality of "auto" for the full form without Open Image Denoise. It has the least mean error on every set of scenes
 (docs/quality.md, docs/quality_results.md, docs/renderers_results.md)."""
 FEATURES_QUALITY: Quality = "balanced"
 """Quality of "auto" for the full form where the caller has features of its own: the network of "high" does not read
@@ -75,8 +75,8 @@ def ask(
     asked = change_settings(settings or DenoiseSettings(), changes)
     with_oidn = asked.asks_for_oidn or (whole and not with_features and leaves_oidn_open(asked) and has_oidn())
     quality = choose_quality(asked)
-    if with_features and asked.quality == "auto" and not asked.asks_for_oidn and asked.form == "full":
-        quality = FEATURES_QUALITY
+    if asked.quality == "auto" and asked.form == "full":
+        quality = OIDN_QUALITY if with_oidn else FEATURES_QUALITY if with_features else quality
     return replace(asked, quality=quality, with_oidn=with_oidn)
 
 
@@ -102,7 +102,7 @@ def choose_quality(settings: DenoiseSettings) -> Quality:
     if settings.quality != "auto":
         return settings.quality
     if settings.asks_for_oidn:
-        return "high"
+        return OIDN_QUALITY
     return DEFAULT_QUALITY if settings.form == "full" else "fast"
 
 

@@ -14,13 +14,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from lobewise.backend.prebuilt import has_kernels
 from lobewise.chunks import cut_rows
 from lobewise.denoising.automatic import explain_ours
 from lobewise.denoising.bad_pixels import find_good
-from lobewise.denoising.evidence import find_image_halves
+from lobewise.denoising.evidence import find_image_halves, find_share_proved, mix_noisy
 from lobewise.denoising.networks import load_networks
 from lobewise.filters.mixing import Network
 from lobewise.filters.noise.agreement import find_agreement
+from lobewise.filters.noise.albedo import clean_albedo
 from lobewise.filters.noise.detail import find_detail
 from lobewise.filters.noise.shares import find_shares
 from lobewise.frame import FloatArray, Frame, Radiance
@@ -49,10 +51,22 @@ HALF_SHARE_DIFFERENCE, DARK_SHARE = 0.5, 0.05
 times its mean over the image."""
 
 
-def choose_between(
-    frame: Frame, samples: FloatArray, ours: FloatArray, peer: FloatArray, noisy: FloatArray
-) -> FloatArray:
-    """Return the mixture of our image, the peer's image and the noisy image, (height, width, 3).
+class Mixture(NamedTuple):
+    """An image that several were mixed to, and how much of the noisy one it holds.
+
+    Parameters
+    ----------
+    image : (height, width, 3)
+    noisy_share : (height, width)
+        In [0, 1].
+    """
+
+    image: FloatArray
+    noisy_share: FloatArray
+
+
+def choose_between(frame: Frame, samples: FloatArray, ours: FloatArray, peer: FloatArray, noisy: FloatArray) -> Mixture:
+    """Return the mixture of our image, the peer's image and the noisy image.
 
     Where the frame has neither albedo nor normal, the result is the peer's image: the network was trained on no such
     frame.
@@ -69,7 +83,7 @@ def choose_between(
         The noisy image without fireflies. Our image replaces its bad pixels.
     """
     if not can_mix(frame):
-        return peer
+        return Mixture(peer, np.zeros(frame.shape, np.float32))
     halves = find_image_halves(frame)
     shares = find_mixture(
         samples,
@@ -82,9 +96,14 @@ def choose_between(
     if halves is None and not frame.noise_is_shared:
         shares = shares * np.float32(TRUST_WITHOUT_HALVES)
     noisy = np.where(find_good(noisy)[..., None], noisy, ours)
-    mixed = peer + shares[..., :1] * (ours - peer) + shares[..., 1:2] * (noisy - peer)
     # Where the images are many orders of magnitude apart, rounding can leave a negative value.
-    return np.maximum(mixed, np.float32(0.0))
+    mixed = np.maximum(peer + shares[..., :1] * (ours - peer) + shares[..., 1:2] * (noisy - peer), np.float32(0.0))
+    share = np.ascontiguousarray(shares[..., 1])
+    if halves is not None:
+        level = find_level(peer)
+        proved = find_share_proved(mixed, samples, halves, level=level, shared=frame.noise_is_shared)
+        mixed, share = mix_noisy(mixed, noisy, proved), share + proved * (np.float32(1.0) - share)
+    return Mixture(mixed, share)
 
 
 def find_mixture(
@@ -259,7 +278,8 @@ def denoise_with_peer(frame: Frame, samples: FloatArray, image: FloatArray) -> F
     """Return what Open Image Denoise makes of samples, (height, width, 3); finite, >= 0.
 
     It is called with the guides of the frame and without. Both results have errors of their own, so that their mean is
-    better than either. Our ``image`` replaces bad pixels of the samples and of the result.
+    better than either. Noisy normals are prefiltered by the library, noisy albedos by `clean_albedo`, which is faster.
+    Our ``image`` replaces bad pixels of the samples and of the result.
 
     Raises
     ------
@@ -271,7 +291,8 @@ def denoise_with_peer(frame: Frame, samples: FloatArray, image: FloatArray) -> F
     if has_clean_guides(frame):
         peer, _ = denoise_oidn(guided, guides="mean")
     else:
-        peer, _ = denoise_oidn(guided, prefilter=PREFILTER_QUALITY)
+        clean = clean_albedo if has_kernels() else None
+        peer, _ = denoise_oidn(guided, prefilter=PREFILTER_QUALITY, clean_albedo=clean)
     peer = _replace_bad(peer, image)
     if not name_oidn_guides(frame):
         return peer

@@ -55,14 +55,20 @@ def find_share_lost(
     network = load_networks()["refined" if refined else "noisy"]
     share = find_share_taken_back(image, color, network, halves=halves, level=level, shared=shared)
     if halves is not None:
-        # Halves prove lost detail on textures that the network has not seen, too.
-        floor = (DARK_SHARE * level) ** 2
-        certain = find_noisy_share(
-            image, color, halves=halves, floor=floor, shared=shared, concentration=MAX_CONCENTRATION
-        )
-        share = np.maximum(share, certain)
+        share = np.maximum(share, find_share_proved(image, color, halves, level=level, shared=shared))
     # The parts are added later, and near the largest float their sum overflows.
     return np.where(np.max(color, axis=-1) < MAX_RADIANCE, share, np.float32(0.0))
+
+
+def find_share_proved(
+    image: FloatArray, samples: FloatArray, halves: tuple[FloatArray, FloatArray], *, level: float, shared: bool
+) -> FloatArray:
+    """Return the share of the noisy image that its halves prove to be missing, also on textures that no network knows.
+
+    Parameters and result as of `find_share_lost`; ``shared`` says whether neighbouring pixels share their noise.
+    """
+    floor = (DARK_SHARE * level) ** 2
+    return find_noisy_share(image, samples, halves=halves, floor=floor, shared=shared, concentration=MAX_CONCENTRATION)
 
 
 def find_image_halves(frame: Frame) -> tuple[FloatArray, FloatArray] | None:

@@ -24,8 +24,9 @@ Form = FormName
 QUALITIES: tuple[Quality, ...] = get_args(Quality)
 SIMILARITIES: tuple[Similarity, ...] = get_args(Similarity)
 FORMS: tuple[Form, ...] = get_args(Form)
-OIDN_QUALITY: Quality = "high"
-"""The quality of our own image that is mixed with the image of Open Image Denoise."""
+OIDN_QUALITY: Quality = "balanced"
+"""The quality of our own image that is mixed with the image of Open Image Denoise, where none is named. The network of
+"high" takes a sixth of the processor time and made the mixture no better (docs/decisions.md)."""
 LARGEST_RADIUS = 64
 MAX_LOBES = 4
 """Largest number of spherical Gaussians in a mixture."""
@@ -170,11 +171,10 @@ class DenoiseSettings(Declared):
         Quality | Auto,
         Knob(
             'How much work goes into the noise: "fast" little, "balanced" more, "high" most, "auto" the best that is '
-            'here. "fast" weighs by guides alone, in one pass, as the paper does. "balanced" and "high" filter two '
-            'halves of the samples narrowly, and then widely by what that tells of light and noise; "high" does so in '
-            'several ways and mixes what comes out pixel by pixel. "auto" takes "high", and Open Image Denoise where '
-            'it is installed; for the other forms "fast", for they have nothing else; nor have upsampling and '
-            "histories.",
+            'here. "fast" weighs by guides alone, in one pass, as the paper does. "balanced" filters two halves of the '
+            'samples narrowly, and then widely by what that tells of light and noise; "high" also refines the image by '
+            'a network. "auto" mixes "balanced" with Open Image Denoise where it is installed, and takes "high" where '
+            'it is not; for the other forms, upsampling and histories it takes "fast", the only quality they have.',
             label="Quality",
         ),
     ] = "auto"
@@ -264,14 +264,14 @@ class DenoiseSettings(Declared):
         bool | Auto,
         Knob(
             'Whether the result is mixed with that of Intel Open Image Denoise (lobewise[best]): "auto" does so where '
-            'it is installed and no quality is named. With the quality "high", which it implies.',
+            'it is installed and no quality is named. With the quality "balanced" unless "high" is named.',
             opposite="offline",
         ),
     ] = "auto"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        quality = OIDN_QUALITY if self.asks_for_oidn else self.quality
+        quality = OIDN_QUALITY if self.asks_for_oidn and self.quality == "auto" else self.quality
         if quality != "auto" and self.form not in get_quality(quality).forms:
             raise InputError(
                 "form",
@@ -279,10 +279,10 @@ class DenoiseSettings(Declared):
                 got=repr(self.form),
                 action="use quality 'fast' for the other forms",
             )
-        if self.asks_for_oidn and self.quality not in ("auto", OIDN_QUALITY):
+        if self.asks_for_oidn and self.quality != "auto" and not get_quality(self.quality).reads_halves:
             raise InputError(
                 "quality",
-                expected=f"{OIDN_QUALITY!r} with Open Image Denoise",
+                expected="'balanced' or 'high' with Open Image Denoise",
                 got=repr(self.quality),
                 action="leave the quality out",
             )

@@ -120,7 +120,7 @@ def denoise_file(
     """Denoise an EXR file of any size in bounded memory.
 
     The file that comes out is that of ``write_result(output, denoise(read_frame(source), ...), source=source)``, to the
-    byte, with ``with_oidn=False``: Open Image Denoise takes whole images, so the quality "auto" is "high" without it.
+    byte, with ``with_oidn=False``: Open Image Denoise takes whole images, so that "auto" is "high" here.
     The file appears whole or not at all, whatever interrupts this.
 
     Parameters

@@ -53,10 +53,13 @@ class FrameTraits:
         By the names of the layers.
     has_passes : bool
         Whether the frame has images that are filtered by the weights of a layer or of the total.
+    has_halves : bool
+        Whether the frame has both halves of its samples.
     """
 
     layers: Mapping[str, LayerTraits]
     has_passes: bool = False
+    has_halves: bool = False
 
 
 @dataclass(frozen=True)
@@ -104,7 +107,8 @@ def plan_frame(traits: FrameTraits, settings: ResolvedSettings) -> FramePlan:
         FILTER_LAYERS: True,
         # A radius of 0 asks for no filter.
         REFINE: quality.refines and settings.radius > 0,
-        TAKE_BACK_NOISY: guided,
+        # With halves the mixture takes back what they prove.
+        TAKE_BACK_NOISY: guided and not (settings.with_oidn and traits.has_halves),
         KEEP_LIGHT: guided,
         FILL_HOLES: True,
         MIX_PEER: settings.with_oidn,
@@ -125,7 +129,7 @@ def describe_frame(frame: Frame) -> FrameTraits:
     else:
         layers = {"diffuse": LayerTraits(is_diffuse=True), "specular": LayerTraits(False, seen)}
     has_passes = bool(frame.also) or any(layer.parts for layer in frame.layers)
-    return FrameTraits(layers, has_passes)
+    return FrameTraits(layers, has_passes, has_halves=frame.half_a is not None and frame.half_b is not None)
 
 
 def has_seen(guides: GBuffer) -> bool:
