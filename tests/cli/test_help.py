@@ -80,7 +80,7 @@ def test_the_long_help_says_more(capsys: pytest.CaptureFixture[str]) -> None:
     plain, everything = (ask(capsys, "denoise", word) for word in ("--help", "--help-all"))
     for text, is_in in ((plain, False), (everything, True)):
         assert ("--similarity" in text) == is_in
-        assert ("mixes what comes out" in " ".join(text.split())) == is_in
+        assert ("refines the image by" in " ".join(text.split())) == is_in
     assert "rare options" in plain
     assert "normal=N.X,N.Y,N.Z" in plain
 

@@ -96,8 +96,9 @@ def choose_between(frame: Frame, samples: FloatArray, ours: FloatArray, peer: Fl
     if halves is None and not frame.noise_is_shared:
         shares = shares * np.float32(TRUST_WITHOUT_HALVES)
     noisy = np.where(find_good(noisy)[..., None], noisy, ours)
+    mixed = peer + shares[..., :1] * (ours - peer) + shares[..., 1:2] * (noisy - peer)
     # Where the images are many orders of magnitude apart, rounding can leave a negative value.
-    mixed = np.maximum(peer + shares[..., :1] * (ours - peer) + shares[..., 1:2] * (noisy - peer), np.float32(0.0))
+    mixed = np.maximum(mixed, np.float32(0.0))
     share = np.ascontiguousarray(shares[..., 1])
     if halves is not None:
         level = find_level(peer)

@@ -307,18 +307,14 @@ def fill(state: FrameRun) -> FrameRun:
 
 
 def mix_peer(state: FrameRun) -> FrameRun:
-    """Mix in the image of Open Image Denoise and the noisy one, and scale the parts so that they sum to the image.
-
-    If nothing was taken back before, each part takes its own noisy light in first, as much as the image does: detail of
-    one part is not spread over all.
-    """
+    """Mix in the image of Open Image Denoise and the noisy one, and scale the parts so that they sum to the image."""
     frame, found, image = state.frame, state.filtered, state.total
     samples = bound_samples(state)
     peer = denoise_with_peer(frame, samples, image)
     with np.errstate(over="ignore"):  # an infinite sum is a bad pixel, whose share is 0
         noisy = compose(frame, found.noisy, found.noisy_rest)
     mixed, share = choose_between(frame, samples, image, peer, noisy)
-    if found.share_taken is None:
+    if found.share_taken is None:  # detail of one part is not spread over all
         parts = [mix_noisy(*each, share) for each in zip(found.parts, found.noisy, strict=True)]
         image = mix_noisy(image, noisy, share)
         found = replace(found, parts=parts, taken_from=found, share_taken=share)
