@@ -7,7 +7,7 @@ from collections import defaultdict
 import pytest
 from hypothesis import HealthCheck, settings
 
-FEW_EXAMPLES, MANY_EXAMPLES = 15, 100
+FEW_EXAMPLES, MANY_EXAMPLES = 10, 100
 """Of a property: in every build, and where the tests are not restricted by a marker."""
 
 

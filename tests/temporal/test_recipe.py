@@ -68,6 +68,7 @@ class TestStill:
         assert np.abs(result.image / lit.color - 1.0).max() < 1e-3
         assert np.abs(upsample(make_sparse(frame, scale)).image / lit.color - 1.0).max() > 0.1
 
+    @pytest.mark.sampled("turning")
     @pytest.mark.parametrize("moving", [False, True], ids=["still", "turning"])
     def test_a_background_is_known_again(self, moving):
         rng = np.random.default_rng(3)
