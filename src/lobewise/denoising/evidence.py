@@ -63,9 +63,20 @@ def find_share_lost(
 def find_share_proved(
     image: FloatArray, samples: FloatArray, halves: tuple[FloatArray, FloatArray], *, level: float, shared: bool
 ) -> FloatArray:
-    """Return the share of the noisy image that its halves prove to be missing, also on textures that no network knows.
+    """Return the share of the noisy image that its halves prove to be missing, (height, width), in [0, 1).
 
-    Parameters and result as of `find_share_lost`; ``shared`` says whether neighbouring pixels share their noise.
+    No network is asked, so that the share is right on textures unlike any of the training, too.
+
+    Parameters
+    ----------
+    image, samples : (height, width, 3)
+        The result so far, finite and >= 0, and the noisy image.
+    halves : two arrays, (height, width, 3)
+        Means of one half of the samples each.
+    level : float
+        About the mean luminance of the whole image, > 0.
+    shared : bool
+        Whether neighbouring pixels share their noise.
     """
     floor = (DARK_SHARE * level) ** 2
     return find_noisy_share(image, samples, halves=halves, floor=floor, shared=shared, concentration=MAX_CONCENTRATION)

@@ -26,7 +26,7 @@ SIMILARITIES: tuple[Similarity, ...] = get_args(Similarity)
 FORMS: tuple[Form, ...] = get_args(Form)
 OIDN_QUALITY: Quality = "balanced"
 """The quality of our own image that is mixed with the image of Open Image Denoise, where none is named. The network of
-"high" takes a sixth of the processor time and made the mixture no better (docs/decisions.md)."""
+"high" made the mixture no better (docs/decisions.md)."""
 LARGEST_RADIUS = 64
 MAX_LOBES = 4
 """Largest number of spherical Gaussians in a mixture."""
