@@ -25,6 +25,7 @@ from lobewise.filters.noise.agreement import find_agreement
 from lobewise.filters.noise.albedo import clean_albedo
 from lobewise.filters.noise.detail import find_detail
 from lobewise.filters.noise.shares import find_shares
+from lobewise.filters.specks import MIN_BLUR_RADIUS
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.lobes.vectors import LUMINANCE
 from lobewise.peers import denoise_oidn, has_clean_guides, name_oidn_guides
@@ -279,8 +280,8 @@ def denoise_with_peer(frame: Frame, samples: FloatArray, image: FloatArray) -> F
     """Return what Open Image Denoise makes of samples, (height, width, 3); finite, >= 0.
 
     It is called with the guides of the frame and without. Both results have errors of their own, so that their mean is
-    better than either. Noisy normals are prefiltered by the library, noisy albedos by `clean_albedo`, which is faster.
-    Our ``image`` replaces bad pixels of the samples and of the result.
+    better than either. Noisy normals are prefiltered by the library, noisy albedos by `clean_albedo`, which is faster
+    but leaves lamps out of focus grainy: where a lens blurs, the library filters albedos, too. Our ``image`` replaces bad pixels of the samples and of the result.
 
     Raises
     ------
@@ -292,7 +293,9 @@ def denoise_with_peer(frame: Frame, samples: FloatArray, image: FloatArray) -> F
     if has_clean_guides(frame):
         peer, _ = denoise_oidn(guided, guides="mean")
     else:
-        clean = clean_albedo if has_kernels() else None
+        blur = frame.gbuffer.blur_radius
+        is_sharp = blur is None or not bool((blur >= MIN_BLUR_RADIUS).any())
+        clean = clean_albedo if is_sharp and has_kernels() else None
         peer, _ = denoise_oidn(guided, prefilter=PREFILTER_QUALITY, clean_albedo=clean)
     peer = _replace_bad(peer, image)
     if not name_oidn_guides(frame):
