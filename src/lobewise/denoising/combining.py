@@ -281,7 +281,8 @@ def denoise_with_peer(frame: Frame, samples: FloatArray, image: FloatArray) -> F
 
     It is called with the guides of the frame and without. Both results have errors of their own, so that their mean is
     better than either. Noisy normals are prefiltered by the library, noisy albedos by `clean_albedo`, which is faster
-    but leaves lamps out of focus grainy: where a lens blurs, the library filters albedos, too. Our ``image`` replaces bad pixels of the samples and of the result.
+    but leaves lamps out of focus grainy: where a lens blurs, the library filters albedos, too. Our ``image`` replaces
+    bad pixels of the samples and of the result.
 
     Raises
     ------
