@@ -133,7 +133,7 @@ def denoise_checked(checked: CheckedGuides[Frame], named: DenoiseSettings, featu
     if chosen.with_oidn:
         require_oidn()
     frame, below = split_negative(frame)
-    state = start_run(frame, chosen, features)
+    state = start_run(frame, chosen, features, seen=checked.seen)
     bad = int(np.count_nonzero(state.bad))
     require_some_good(bad, state.bad.size, "pixel")
     local = state.run(state.plan.local_stages)

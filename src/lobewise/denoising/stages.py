@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend.buffers import device_scope
-from lobewise.chunks import cut_rows
 from lobewise.denoising.also import Passed, filter_also
 from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, find_bad_pixels, find_good
 from lobewise.denoising.combining import choose_between, denoise_with_peer, share_out
@@ -23,6 +22,7 @@ from lobewise.denoising.planning.frame_plans import (
     FILTER_LAYERS,
     KEEP_LIGHT,
     MIX_PEER,
+    MIX_UNGUIDED,
     REFINE,
     TAKE_BACK_NOISY,
     FramePlan,
@@ -33,13 +33,14 @@ from lobewise.denoising.planning.frame_plans import (
 from lobewise.denoising.refining.inputs import sum_light as sum_parts
 from lobewise.denoising.refining.lamps import find_edges, find_refined, find_shining, find_small
 from lobewise.denoising.refining.network import find_factor
+from lobewise.denoising.refining.totals import compose, find_averaged_rest, find_rest
+from lobewise.denoising.refining.unguided import MIN_SHARE, find_unguided_share, forget_guides
 from lobewise.denoising.refining.whole_image import WholeImage, measure_whole
 from lobewise.denoising.running import keep_unfiltered, run_guided, run_plain
 from lobewise.features import Feature
-from lobewise.filters.compositing import average_emission
 from lobewise.filters.fireflies import cut_samples
 from lobewise.filters.specks import Sharing, find_sharing
-from lobewise.frame import FloatArray, Frame
+from lobewise.frame import FloatArray, Frame, GBuffer
 from lobewise.settings import ResolvedSettings
 from lobewise.settings.choices import get_quality
 
@@ -128,6 +129,8 @@ class FrameRun:
         Pixels that are NaN, infinite or negative.
     whole : WholeImage, optional
         What was measured of the whole image, where the frame is a part of it.
+    seen : GBuffer, optional
+        The guides of the frame before any stood in for missing ones; by default all are the frame's own.
     found : Filtered, optional
         The layers, once they are filtered.
     image : (height, width, 3), optional
@@ -148,6 +151,7 @@ class FrameRun:
     plan: FramePlan
     bad: NDArray[np.bool_]
     whole: WholeImage | None = None
+    seen: GBuffer | None = None
     found: Filtered | None = None
     image: FloatArray | None = None
     energy_lost: float = 0.0
@@ -179,10 +183,11 @@ def start_run(
     settings: ResolvedSettings,
     features: Sequence[Feature] = (),
     whole: WholeImage | None = None,
+    seen: GBuffer | None = None,
 ) -> FrameRun:
     """Return a frame before its first stage."""
     plan, bad = plan_frame(describe_frame(frame), settings), find_bad_pixels(frame)
-    return FrameRun(frame=frame, settings=settings, features=features, plan=plan, bad=bad, whole=whole)
+    return FrameRun(frame=frame, settings=settings, features=features, plan=plan, bad=bad, whole=whole, seen=seen)
 
 
 def filter_frame(
@@ -306,6 +311,19 @@ def fill(state: FrameRun) -> FrameRun:
     return replace(state, image=image, gains=found.find_gains())
 
 
+def mix_unguided(state: FrameRun) -> FrameRun:
+    """Mix in the image of the color alone where guides are noise, and scale the parts so that they sum to the image."""
+    share = find_unguided_share(state.frame.radiance.color, state.seen or state.frame.gbuffer)
+    if state.features or float(share.max()) < MIN_SHARE:
+        return state
+    found, settings = state.filtered, replace(state.settings, similarity="normal", hit_distance=False)
+    alone = start_run(forget_guides(state.frame), settings)
+    alone = alone.run([stage for stage in alone.plan.stages if stage not in (MIX_UNGUIDED, MIX_PEER)])
+    mixed = mix_noisy(state.total, alone.total, share)
+    image, parts, gain = share_out(mixed, state.total, found.parts)
+    return replace(state, found=replace(found, parts=parts), image=image, gains=(*state.gains, gain))
+
+
 def mix_peer(state: FrameRun) -> FrameRun:
     """Mix in the image of Open Image Denoise and the noisy one, and scale the parts so that they sum to the image."""
     frame, found, image = state.frame, state.filtered, state.total
@@ -357,43 +375,8 @@ RUNNERS: Mapping[Stage, Callable[[FrameRun], FrameRun]] = {
     TAKE_BACK_NOISY: take_back,
     KEEP_LIGHT: keep_light,
     FILL_HOLES: fill,
+    MIX_UNGUIDED: mix_unguided,
     MIX_PEER: mix_peer,
     FILTER_ALSO: filter_passes,
 }
 """What runs each stage."""
-
-
-def find_rest(frame: Frame) -> FloatArray | None:
-    """Return what is in none of the parts of a frame (emission, background), finite and >= 0; None without parts."""
-    if frame.radiance.parts is None:
-        return None
-    noisy = [layer.radiance for layer in frame.layers] or frame.radiance.parts
-    rest, nothing = np.empty_like(frame.radiance.color), np.float32(0.0)
-    for chunk in cut_rows(*frame.shape):  # a chunk stays in the core's cache
-        here = rest[chunk]
-        with np.errstate(invalid="ignore", over="ignore"):  # bad pixels are infinite or NaN until the end
-            # A negative part is no light: subtracting it would add light that is not in the total.
-            np.subtract(frame.radiance.color[chunk], np.maximum(noisy[0][chunk], nothing), out=here)
-            for part in noisy[1:]:
-                here -= np.maximum(part[chunk], nothing)
-        np.fmax(here, nothing, out=here)
-        here += nothing  # -0 becomes 0
-        here[here > np.finfo(np.float32).max] = nothing
-    return rest
-
-
-def find_averaged_rest(frame: Frame) -> FloatArray | None:
-    """Return what `find_rest` does, averaged with `GBuffer.mean_emission` where the frame has it."""
-    rest, emission = find_rest(frame), frame.gbuffer.mean_emission
-    return rest if rest is None or emission is None else average_emission(rest, emission, frame.spp)
-
-
-def compose(frame: Frame, parts: Sequence[FloatArray], rest: FloatArray | None) -> FloatArray:
-    """Return the total: the filtered parts, and what was in none of them."""
-    if rest is None:
-        return parts[0]
-    first, second, *others = *parts, rest
-    total = first + second
-    for each in others:
-        total += each
-    return np.asarray(total, dtype=np.float32)

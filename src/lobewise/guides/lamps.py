@@ -97,7 +97,7 @@ def find_lamps(color: FloatArray, albedo: FloatArray | None = None) -> Mask:
     good: Mask = np.asarray((np.isfinite(light) & (light >= 0.0)).all(axis=-1))
     light, color = (np.where(good[..., None], image, np.float32(0.0)) for image in (light, color))
     bright = light.mean(axis=-1)
-    around = _average(bright, MEAN_RADIUS)
+    around = average_square(bright, MEAN_RADIUS)
     lamps = _outshine(bright, around, _find_smooth(light) & (bright > 0.0), MIN_CONTRAST)
     if not lamps.any():
         return lamps
@@ -131,7 +131,7 @@ def _outshine(bright: FloatArray, around: FloatArray, candidates: Mask, factor: 
     found = np.zeros_like(candidates)
     level = np.floor(np.log(np.maximum(bright, 1e-30)) / np.log(LEVEL_RATIO)).astype(int)
     for each in np.unique(level[candidates]):
-        share = _average((around < LEVEL_RATIO**each / factor).astype(np.float32), COMPARED_RADIUS)
+        share = average_square((around < LEVEL_RATIO**each / factor).astype(np.float32), COMPARED_RADIUS)
         found |= candidates & (level == each) & (share >= MIN_DARKER_SHARE)
     return found
 
@@ -144,7 +144,7 @@ def _find_maximum(image: FloatArray, radius: int) -> FloatArray:
     return np.asarray(reduce(np.maximum, (rows[:, i : i + width] for i in steps)))
 
 
-def _average(image: FloatArray, radius: int) -> FloatArray:
+def average_square(image: FloatArray, radius: int) -> FloatArray:
     """Return the mean over a square around each pixel; at borders, over the part inside the image."""
     result = image.astype(np.float64)
     for axis in (0, 1):

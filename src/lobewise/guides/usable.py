@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend.prebuilt import has_kernels
-from lobewise.frame import FloatArray, Frame
+from lobewise.frame import FloatArray, Frame, GBuffer
 from lobewise.guides.stand_ins import stand_in_normals, stand_in_surfaces
 from lobewise.guides.surfaces import find_surface_pixels
 from lobewise.guides.survey import GuideSurvey
@@ -67,11 +67,14 @@ class CheckedGuides(Generic[FrameT]):
         One sentence for each thing that was found, for the user.
     idle : tuple of str
         Those of the notes that name a guide that is given and not used.
+    seen : GBuffer, optional
+        The guides before any stood in for missing ones; by default all are the frame's own.
     """
 
     frame: FrameT
     notes: tuple[str, ...] = ()
     idle: tuple[str, ...] = ()
+    seen: GBuffer | None = None
 
 
 def check_guides(frame: FrameT) -> CheckedGuides[FrameT]:
@@ -93,10 +96,11 @@ def check_guides(frame: FrameT) -> CheckedGuides[FrameT]:
     if has_unusable(frame):
         unusable = tuple(map(str, find_unusable(frame)))
         frame = bound_guides(frame)
+    seen = frame.gbuffer
     frame, told = stand_in_normals(frame)
     frame, more = stand_in_surfaces(frame)
     idle = tuple(survey.list_idle())
-    return CheckedGuides(frame, (*idle, *survey.list_notes(), *unusable, *told, *more), idle)
+    return CheckedGuides(frame, (*idle, *survey.list_notes(), *unusable, *told, *more), idle, seen)
 
 
 def has_unusable(frame: AnyFrame) -> bool:

@@ -41,6 +41,7 @@ from lobewise.denoising.light_loss import (
     sum_light,
 )
 from lobewise.denoising.noisy import make_bounded_layers, measure_layer
+from lobewise.denoising.refining.unguided import LEFT_OUT, MIN_SHARE, count_isolated, judge_guides
 from lobewise.denoising.refining.whole_image import WholeImage, join_measured, measure_rows
 from lobewise.denoising.stages import Filtered, filter_frame
 from lobewise.filters.fireflies import REACH as FIREFLY_REACH
@@ -120,7 +121,8 @@ def denoise_file(
     """Denoise an EXR file of any size in bounded memory.
 
     The file that comes out is that of ``write_result(output, denoise(read_frame(source), ...), source=source)``, to the
-    byte, with ``with_oidn=False``: Open Image Denoise takes whole images, so that "auto" is "high" here.
+    byte, with ``with_oidn=False``: Open Image Denoise takes whole images, so that "auto" is "high" here. Where guides
+    are noise, "high" mixes in an image filtered by its color alone, and bands leave this out, with a note.
     The file appears whole or not at all, whatever interrupts this.
 
     Parameters
@@ -186,6 +188,7 @@ def denoise_file(
         finish_bands(reader, kept, writer, Finisher(lambda: measure().mean_color, chosen.device), seen.find_gains())
         writer.finish(output, asdict(chosen))
     told = (*describe_lacks(probe, named), *describe_bad(bad_count, height * reader.shape[1]))
+    told = (*told, *measure().notes) if guided else told
     return DenoisedFile(
         shape=reader.shape,
         bands=len(bands),
@@ -214,6 +217,7 @@ class _Measured:
     tallies: tuple[Rows, ...]
     variances: Rows
     mean_color: FloatArray
+    notes: tuple[str, ...]
 
 
 @dataclass
@@ -270,6 +274,7 @@ def _measure(
     colors: list[Rows] = []
     rows: list[Rows] = []
     variances: list[Rows] = []
+    isolated: list[Rows] = []
     bad_count = 0
     for number, band in enumerate(bands):
         top, bottom = widen(band, CHECKED_REACH + (FIREFLY_REACH if guided else 0), height)
@@ -283,6 +288,8 @@ def _measure(
             lights.append([measure_layer(layer, settings)[core] for layer in layers])
             tallies.append([layer.bounded.tally[core] for layer in layers])
             rows.append(measure_rows(frame)[core])
+            if get_quality(settings.quality).refines:
+                isolated.append(count_isolated(frame.radiance.color, bounded.gbuffer)[core])
         elif frame.variance is not None:
             variances.append(list_relative_variances(reader.read_frame(*band)))
         if number + 1 < len(bands):
@@ -295,6 +302,7 @@ def _measure(
         tuple(np.concatenate(tally) for tally in zip(*tallies, strict=True)),
         np.concatenate(variances) if variances else np.empty(0),
         find_mean_color(np.concatenate(colors)),
+        (LEFT_OUT,) if isolated and judge_guides(np.concatenate(isolated)) >= MIN_SHARE else (),
     )
 
 

@@ -33,8 +33,8 @@ from lobewise.denoising.layers import (
 from lobewise.denoising.planning.layer_plans import plan_history
 from lobewise.denoising.planning.steps import LayerPlan
 from lobewise.denoising.recipe import filter_below
+from lobewise.denoising.refining.totals import compose, find_averaged_rest
 from lobewise.denoising.running import keep_unfiltered, run_with_history
-from lobewise.denoising.stages import compose, find_averaged_rest
 from lobewise.errors import InputError, require_choice, require_kind
 from lobewise.features import Feature
 from lobewise.filters.cross_pass import ALBEDO_FLOOR

@@ -39,6 +39,7 @@ REFINE = Stage("refine", "refine the image by the network that weighs neighbours
 TAKE_BACK_NOISY = Stage("take back", "take the noisy image back where the filter removed detail", DETAIL_REACH)
 KEEP_LIGHT = Stage("keep light", "share out the light that bounding took from fireflies")
 FILL_HOLES = Stage("fill holes", "fill bad pixels that no layer reached from their neighbours")
+MIX_UNGUIDED = Stage("mix unguided", "mix in an image filtered by its color alone where guides are noise")
 MIX_PEER = Stage("mix", "mix in the image of Open Image Denoise, pixel by pixel")
 FILTER_ALSO = Stage("filter passes", "filter the light passes that belong to the layers by the same weights")
 
@@ -111,6 +112,7 @@ def plan_frame(traits: FrameTraits, settings: ResolvedSettings) -> FramePlan:
         TAKE_BACK_NOISY: guided and not (settings.with_oidn and traits.has_halves),
         KEEP_LIGHT: guided,
         FILL_HOLES: True,
+        MIX_UNGUIDED: quality.refines and settings.radius > 0,
         MIX_PEER: settings.with_oidn,
         FILTER_ALSO: traits.has_passes,
     }

@@ -1,0 +1,149 @@
+"""Where the guides of a frame are noise: there an image that was filtered by its color alone is mixed in.
+
+A filter that compares guides keeps apart whatever they keep apart. Out of focus, in fog, in hair and in grass the
+normals of neighbouring pixels differ by chance, so that hardly any neighbour is like its pixel, and the noise stays.
+A pixel is isolated if it is further from both its neighbours in the row than they are from each other. Of white noise
+a third of the pixels are; edges, curved surfaces and textures wider than a pixel have hardly any. Where no surface is
+known the light is looked at instead: a sky is smooth, and the light of fog is not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.denoising.refining.whole_image import Rows
+from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
+from lobewise.guides.lamps import average_square
+from lobewise.guides.surfaces import find_surface_pixels
+from lobewise.lobes.vectors import LUMINANCE
+
+Mask = NDArray[np.bool_]
+
+MIN_SQUARED_DIFFERENCE = 0.003
+"""Squared difference of unit normals from which a pixel can be isolated, about 3 degrees."""
+MIN_RELATIVE_DIFFERENCE = 0.1
+"""Difference of luminance, over the larger one, from which a pixel without a surface can be isolated."""
+MAX_SHARE = 0.4
+"""Largest share of the image of the color alone where there are surfaces."""
+SHARE_ISOLATED = 1.0 / 15.0
+"""Share of isolated pixels, of all surfaces or of all pixels without one, from which `MAX_SHARE` is mixed in. Factor
+and share were chosen on frames of Blender, LuxCore and Mitsuba outside of the validation kinds
+(benchmarks/foreign/factory)."""
+MIN_SHARE = 0.05
+"""Largest share of an image below which the image of the color alone is not made: it takes half as long again."""
+MIN_SHARE_WITHOUT_SURFACE = 0.01
+"""Share of the pixels below which those without a surface say nothing of the whole image."""
+NOISY_RADIUS, NOISY_FROM, NOISY_TO = 7, 0.08, 0.18
+"""Radius of the square, pixels, and the shares of isolated ones among its pixels without a surface from which, and up
+to which, the image of the color alone replaces theirs."""
+LEFT_OUT = (
+    "The guides are noise, and bands leave out what helps: without bands an image filtered by its color alone is mixed "
+    "in."
+)
+"""What a user of bands is told."""
+
+
+def find_unguided_share(color: FloatArray, guides: GBuffer) -> FloatArray:
+    """Return the share of the image of the color alone at every pixel, (height, width), in [0, 1].
+
+    Parameters
+    ----------
+    color : (height, width, 3)
+        The noisy image.
+    guides : GBuffer
+        As the file has them: nothing stands in for missing ones.
+    """
+    found = _find_isolated(color, guides)
+    least = np.full(color.shape[:2], judge_guides(_count_rows(found)), np.float32)
+    if found.surface.all():
+        return least
+    known = average_square(found.background.astype(np.float32), NOISY_RADIUS)
+    noisy = average_square(found.noisy_background.astype(np.float32), NOISY_RADIUS)
+    share = noisy / np.maximum(known, np.float32(1e-6))
+    rise = np.clip((share - np.float32(NOISY_FROM)) / np.float32(NOISY_TO - NOISY_FROM), 0.0, 1.0)
+    return np.where(found.surface, least, rise)
+
+
+def count_isolated(color: FloatArray, guides: GBuffer) -> Rows:
+    """Return for each row what `judge_guides` reads, (height, 4): see `find_unguided_share`."""
+    return _count_rows(_find_isolated(color, guides))
+
+
+def judge_guides(rows: Rows) -> float:
+    """Return the share of the image of the color alone on surfaces, from 0 to `MAX_SHARE`.
+
+    Parameters
+    ----------
+    rows : (height, 4)
+        Pixels of surfaces, isolated ones among them, pixels without a surface, and isolated ones among these.
+    """
+    surfaces, noisy, others, noisy_others = rows.sum(axis=0)
+    share = noisy / max(surfaces, 1.0)
+    if others >= MIN_SHARE_WITHOUT_SURFACE * (surfaces + others):
+        share = max(share, noisy_others / max(others, 1.0))
+    return MAX_SHARE * min(float(share) / SHARE_ISOLATED, 1.0)
+
+
+class _Isolated(NamedTuple):
+    """Pixels that see a surface; then those with both neighbours of their kind, and the isolated ones among these."""
+
+    surface: Mask
+    told: Mask
+    noisy: Mask
+    background: Mask
+    noisy_background: Mask
+
+
+def _find_isolated(color: FloatArray, guides: GBuffer) -> _Isolated:
+    shape = color.shape[:2]
+    if guides.normal is None or shape[1] < 3:
+        nothing = np.zeros(shape, np.bool_)
+        return _Isolated(nothing, nothing, nothing, nothing, nothing)
+    surface = find_surface_pixels(guides, shape)
+    told, noisy = _find_odd(guides.normal, surface, MIN_SQUARED_DIFFERENCE, is_relative=False)
+    if surface.all():
+        nothing = np.zeros(shape, np.bool_)
+        return _Isolated(surface, told, noisy, nothing, nothing)
+    with np.errstate(invalid="ignore", over="ignore"):  # a bad pixel is isolated from nothing
+        light = color @ np.array(LUMINANCE, np.float32)
+        others = _find_odd(light[..., None], ~surface, MIN_RELATIVE_DIFFERENCE**2, is_relative=True)
+    return _Isolated(surface, told, noisy, *others)
+
+
+def _count_rows(found: _Isolated) -> Rows:
+    return np.stack([np.count_nonzero(mask, axis=1) for mask in found[1:]], axis=1).astype(np.float64)
+
+
+def _find_odd(image: FloatArray, mask: Mask, least: float, *, is_relative: bool) -> tuple[Mask, Mask]:
+    """Return which pixels have both neighbours in the row inside the mask, and which of them are isolated.
+
+    ``least`` is the smallest squared difference to both neighbours; with ``is_relative`` over the largest square of the
+    three.
+    """
+    left, middle, right = image[:, :-2], image[:, 1:-1], image[:, 2:]
+    told, odd = np.zeros(mask.shape, np.bool_), np.zeros(mask.shape, np.bool_)
+    told[:, 1:-1] = mask[:, :-2] & mask[:, 1:-1] & mask[:, 2:]
+    near = np.minimum(_square(left - middle), _square(right - middle))
+    unit = np.maximum(np.maximum(_square(left), _square(middle)), _square(right)) if is_relative else np.float32(1.0)
+    odd[:, 1:-1] = told[:, 1:-1] & (near > _square(right - left)) & (near > np.float32(least) * unit)
+    return told, odd
+
+
+def _square(vectors: FloatArray) -> FloatArray:
+    return np.asarray(np.einsum("...k,...k->...", vectors, vectors))
+
+
+def forget_guides(frame: Frame) -> Frame:
+    """Return a frame of the color alone, as filters can take it."""
+    color, half_a, half_b = (
+        None if each is None else Radiance(each.color) for each in (frame.radiance, frame.half_a, frame.half_b)
+    )
+    assert color is not None
+    bare = Frame(color, half_a=half_a, half_b=half_b, spp=frame.spp, noise_is_shared=frame.noise_is_shared)
+    normal = np.zeros((*frame.shape, 3), np.float32)
+    normal[..., 2] = 1.0
+    return replace(bare, gbuffer=GBuffer(normal=normal))
