@@ -20,13 +20,14 @@ from lobewise.denoising.automatic import explain_ours
 from lobewise.denoising.bad_pixels import find_good
 from lobewise.denoising.evidence import find_image_halves, find_share_proved, mix_noisy
 from lobewise.denoising.networks import load_networks
+from lobewise.denoising.refining.unguided import count_isolated, sees_fog
 from lobewise.filters.mixing import Network
 from lobewise.filters.noise.agreement import find_agreement
 from lobewise.filters.noise.albedo import clean_albedo
 from lobewise.filters.noise.detail import find_detail
 from lobewise.filters.noise.shares import find_shares
 from lobewise.filters.specks import MIN_BLUR_RADIUS
-from lobewise.frame import FloatArray, Frame, Radiance
+from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.lobes.vectors import LUMINANCE
 from lobewise.peers import denoise_oidn, has_clean_guides, name_oidn_guides
 from lobewise.settings import DenoiseSettings, ResolvedSettings
@@ -276,13 +277,14 @@ def _divide(light: Any, by: Any, where: Any) -> FloatArray:
     return np.asarray(np.divide(light, by, out=np.zeros_like(by), where=where))
 
 
-def denoise_with_peer(frame: Frame, samples: FloatArray, image: FloatArray) -> FloatArray:
+def denoise_with_peer(frame: Frame, samples: FloatArray, image: FloatArray, seen: GBuffer | None = None) -> FloatArray:
     """Return what Open Image Denoise makes of samples, (height, width, 3); finite, >= 0.
 
     It is called with the guides of the frame and without. Both results have errors of their own, so that their mean is
     better than either. Noisy normals are prefiltered by the library, noisy albedos by `clean_albedo`, which is faster
-    but leaves lamps out of focus grainy: where a lens blurs, the library filters albedos, too. Our ``image`` replaces
-    bad pixels of the samples and of the result.
+    but leaves lamps out of focus grainy, and fog uneven: where a lens blurs, and in fog, the library filters albedos,
+    too. Our ``image`` replaces bad pixels of the samples and of the result. ``seen`` are the guides before any stood in
+    for missing ones.
 
     Raises
     ------
@@ -296,7 +298,8 @@ def denoise_with_peer(frame: Frame, samples: FloatArray, image: FloatArray) -> F
     else:
         blur = frame.gbuffer.blur_radius
         is_sharp = blur is None or not bool((blur >= MIN_BLUR_RADIUS).any())
-        clean = clean_albedo if is_sharp and has_kernels() else None
+        with_ours = is_sharp and has_kernels() and not sees_fog(count_isolated(samples, seen or frame.gbuffer))
+        clean = clean_albedo if with_ours else None
         peer, _ = denoise_oidn(guided, prefilter=PREFILTER_QUALITY, clean_albedo=clean)
     peer = _replace_bad(peer, image)
     if not name_oidn_guides(frame):

@@ -328,7 +328,7 @@ def mix_peer(state: FrameRun) -> FrameRun:
     """Mix in the image of Open Image Denoise and the noisy one, and scale the parts so that they sum to the image."""
     frame, found, image = state.frame, state.filtered, state.total
     samples = bound_samples(state)
-    peer = denoise_with_peer(frame, samples, image)
+    peer = denoise_with_peer(frame, samples, image, state.seen)
     with np.errstate(over="ignore"):  # an infinite sum is a bad pixel, whose share is 0
         noisy = compose(frame, found.noisy, found.noisy_rest)
     mixed, share = choose_between(frame, samples, image, peer, noisy)

@@ -81,11 +81,19 @@ def judge_guides(rows: Rows) -> float:
     rows : (height, 4)
         Pixels of surfaces, isolated ones among them, pixels without a surface, and isolated ones among these.
     """
-    surfaces, noisy, others, noisy_others = rows.sum(axis=0)
-    share = noisy / max(surfaces, 1.0)
-    if others >= MIN_SHARE_WITHOUT_SURFACE * (surfaces + others):
-        share = max(share, noisy_others / max(others, 1.0))
-    return MAX_SHARE * min(float(share) / SHARE_ISOLATED, 1.0)
+    return MAX_SHARE * min(max(_find_shares(rows)) / SHARE_ISOLATED, 1.0)
+
+
+def sees_fog(rows: Rows) -> bool:
+    """Return whether light without a surface is noise, by the result of `count_isolated`."""
+    return _find_shares(rows)[1] >= NOISY_FROM
+
+
+def _find_shares(rows: Rows) -> tuple[float, float]:
+    """Return the share of isolated pixels of surfaces and of those without; 0 where too few pixels tell."""
+    surfaces, noisy, others, noisy_others = map(float, rows.sum(axis=0))
+    is_told = others >= MIN_SHARE_WITHOUT_SURFACE * (surfaces + others)
+    return noisy / max(surfaces, 1.0), noisy_others / max(others, 1.0) if is_told else 0.0
 
 
 class _Isolated(NamedTuple):
