@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.same_bits import crop, enrich, load_bundled
+from benchmarks.same_bits.frames import crop, enrich, load_bundled
 
 RESULTS = Path(__file__).parent / "results" / "before_after.json"
 LEAST_SECONDS = 0.1

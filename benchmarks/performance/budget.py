@@ -27,7 +27,7 @@ import numpy as np
 
 import lobewise
 from benchmarks.common import RESULTS, describe_machine, write_json
-from benchmarks.same_bits import load_bundled
+from benchmarks.same_bits.frames import load_bundled
 from lobewise.backend.runtime import Runtime
 from lobewise.bench.timing import limit_threads
 from lobewise.denoising import combining
@@ -70,6 +70,13 @@ def tile(frame: Frame, width: int, height: int) -> Frame:
     return Frame(repeat(frame.radiance), repeat(frame.gbuffer), frame.camera, spp=frame.spp)
 
 
+def roughen(frame: Frame) -> Frame:
+    """Return a frame with normals of white noise, where "high" filters the color alone as well."""
+    normal = np.random.default_rng(5).normal(size=(*frame.shape, 3)).astype(np.float32)
+    length = np.linalg.norm(normal, axis=-1, keepdims=True)
+    return frame.with_changes(gbuffer=replace(frame.gbuffer, normal=normal / length))
+
+
 def make_calls(frame: Frame) -> dict[str, Callable[[], Any]]:
     """Return every recipe by its name."""
     calls: dict[str, Callable[[], Any]] = {
@@ -78,6 +85,8 @@ def make_calls(frame: Frame) -> dict[str, Callable[[], Any]]:
     means = {f"mean_{name}": getattr(frame.gbuffer, name) for name in AVERAGED}
     clean = frame.with_changes(gbuffer=replace(frame.gbuffer, **means))
     calls["auto, guides without noise"] = partial(lobewise.denoise, clean, device="cpu")
+    calls["high, normals of noise"] = partial(lobewise.denoise, roughen(frame), device="cpu", quality="high")
+    calls["Open Image Denoise as called"] = lambda: combining.denoise_oidn(frame, guides="centre")
     calls["Open Image Denoise at its best"] = lambda: combining.denoise_oidn(frame)  # as `time_processor` has it
     calls["upsampling"] = partial(lobewise.upsample, lobewise.make_sparse(frame, 4), device="cpu")
     calls["history"] = partial(lobewise.TemporalFilter(device="cpu").add, frame)

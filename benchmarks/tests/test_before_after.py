@@ -7,7 +7,7 @@ import json
 import pytest
 
 from benchmarks.before_after import RESULTS
-from benchmarks.same_bits import load_bundled
+from benchmarks.same_bits.frames import load_bundled
 from lobewise.settings.choices import QUALITIES
 
 CASES = {"fast": "fast full ggx", "balanced": "balanced ggx", "high": "high"}

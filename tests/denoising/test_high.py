@@ -289,7 +289,8 @@ def test_guides_without_noise_are_not_filtered(peer: dict[str, Any], monkeypatch
         mean_diffuse_albedo=guides.diffuse_albedo,
         mean_specular_albedo=guides.specular_albedo,
     )
-    for each, options in ((guides, {"prefilter": "fast"}), (means, {"guides": "mean"})):
+    prefiltered = {"prefilter": "fast", "clean_albedo": combining.clean_albedo}
+    for each, options in ((guides, prefiltered), (means, {"guides": "mean"})):
         calls.clear()
         image = frame.radiance.color
         denoise_with_peer(frame.with_changes(gbuffer=each), image, image)
@@ -405,15 +406,16 @@ class TestPeer:
     @pytest.mark.parametrize("apart", [True, False], ids=["apart", "combined"])
     def test_denoise_mixes_when_asked(self, apart, networks, peer):
         frame, usual = make_frame(apart=apart), networks["peer"]
-        plain = denoise(frame, **CHEAP)
-        assert "frame" not in peer
-        assert (plain.diffuse is not None) is (plain.specular is not None) is apart
-        for quality in ("auto", "high"):
+        for quality, used in (("auto", "balanced"), ("high", "high")):
+            peer.pop("frame", None)
+            plain = denoise(frame, similarity="normal", quality=used)
+            assert "frame" not in peer
+            assert (plain.diffuse is not None) is (plain.specular is not None) is apart
             for chosen, expected in ((OURS, plain.image), (PEERS, peer["image"])):
                 networks["peer"] = force(usual, chosen)
                 result = denoise(frame, similarity="normal", quality=quality, with_oidn=True)
                 np.testing.assert_allclose(result.image, expected, rtol=ROUNDING)
-                assert result.settings["quality"] == "high"
+                assert result.settings["quality"] == used
                 assert result.settings["with_oidn"] is True
                 assert (result.diffuse is not None) is (result.specular is not None) is apart
 
@@ -459,19 +461,18 @@ class TestPeer:
 
 
 class TestSettings:
-    def test_open_image_denoise_implies_high(self):
-        for quality in ("auto", "high"):
-            assert choose_quality(DenoiseSettings(quality=quality, with_oidn=True)) == "high"
+    def test_open_image_denoise_is_mixed_with_balanced_unless_high_is_named(self):
+        for quality, used in (("auto", "balanced"), ("balanced", "balanced"), ("high", "high")):
+            assert choose_quality(DenoiseSettings(quality=quality, with_oidn=True)) == used
 
-    @pytest.mark.parametrize("quality", ["fast", "balanced"])
-    def test_other_qualities_do_not_mix(self, quality):
-        message = f"quality: expected 'high' with Open Image Denoise, got '{quality}'; leave the quality out"
+    def test_fast_does_not_mix(self):
+        message = "quality: expected 'balanced' or 'high' with Open Image Denoise, got 'fast'; leave the quality out"
         with pytest.raises(InputError, match=message):
-            DenoiseSettings(quality=quality, with_oidn=True)
+            DenoiseSettings(quality="fast", with_oidn=True)
 
     @pytest.mark.parametrize("form", ["separable", "atrous"])
     def test_other_forms_do_not_mix(self, form):
-        with pytest.raises(InputError, match=f"form: expected 'full' with quality 'high', got '{form}'"):
+        with pytest.raises(InputError, match=f"form: expected 'full' with quality 'balanced', got '{form}'"):
             DenoiseSettings(form=form, with_oidn=True)
 
     def test_what_has_fast_alone_does_not_mix(self):

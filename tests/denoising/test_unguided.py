@@ -16,8 +16,10 @@ from lobewise.denoising.refining.unguided import (
     MAX_SHARE,
     MIN_SHARE,
     count_isolated,
+    find_share_filtered,
     find_unguided_share,
     judge_guides,
+    sees_fog,
 )
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.io import write_frame
@@ -86,6 +88,24 @@ def test_light_without_a_surface_is_replaced_where_it_is_noise(
     # Fog lies before surfaces, too.
     assert share[40:].min() == share[40:].max()
     assert (share[40:].max() == np.float32(MAX_SHARE)) == (kind == "noise")
+
+
+def test_light_of_no_surface_counts_as_filtered_only_out_of_focus() -> None:
+    rest = np.array([0.0, 1.0, 4.0, 4.0, 4.0], np.float32)[None, :, None] * np.ones(3, np.float32)
+    image = np.array([4.0, 4.0, 4.0, 4.0, 4.0], np.float32)[None, :, None] * np.ones(3, np.float32)
+    in_focus = [1.0, 0.75, 0.0, 0.0, 0.0]
+    np.testing.assert_allclose(find_share_filtered(rest, image, None)[0], in_focus, atol=1e-6)
+    blur = np.array([[0.0, 0.0, 0.0, 3.0, np.nan]], np.float32)
+    np.testing.assert_allclose(find_share_filtered(rest, image, blur)[0], [1.0, 0.75, 0.0, 1.0, 1.0], atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["noise", "sky"])
+def test_fog_is_light_without_a_surface_that_is_noise(rng: np.random.Generator, kind: str) -> None:
+    normal, color = make_normals(rng, 0.5), make_noise(rng)
+    normal[:32] = 0.0
+    if kind == "sky":
+        color[:32] = 1.0
+    assert sees_fog(count_isolated(color, GBuffer(normal=normal))) == (kind == "noise")
 
 
 def test_an_image_that_is_too_small_has_no_share() -> None:

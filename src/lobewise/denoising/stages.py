@@ -34,7 +34,7 @@ from lobewise.denoising.refining.inputs import sum_light as sum_parts
 from lobewise.denoising.refining.lamps import find_edges, find_refined, find_shining, find_small
 from lobewise.denoising.refining.network import find_factor
 from lobewise.denoising.refining.totals import compose, find_averaged_rest, find_rest
-from lobewise.denoising.refining.unguided import MIN_SHARE, find_unguided_share, forget_guides
+from lobewise.denoising.refining.unguided import MIN_SHARE, find_share_filtered, find_unguided_share, forget_guides
 from lobewise.denoising.refining.whole_image import WholeImage, measure_whole
 from lobewise.denoising.running import keep_unfiltered, run_guided, run_plain
 from lobewise.features import Feature
@@ -313,10 +313,12 @@ def fill(state: FrameRun) -> FrameRun:
 
 def mix_unguided(state: FrameRun) -> FrameRun:
     """Mix in the image of the color alone where guides are noise, and scale the parts so that they sum to the image."""
-    share = find_unguided_share(state.frame.radiance.color, state.seen or state.frame.gbuffer)
-    if state.features or float(share.max()) < MIN_SHARE:
+    share, found = find_unguided_share(state.frame.radiance.color, state.seen or state.frame.gbuffer), state.filtered
+    if found.rest is not None:
+        share *= find_share_filtered(found.rest, state.total, state.frame.gbuffer.blur_radius)
+    if state.features or float(share.max(initial=0.0)) < MIN_SHARE:
         return state
-    found, settings = state.filtered, replace(state.settings, similarity="normal", hit_distance=False)
+    settings = replace(state.settings, similarity="normal", hit_distance=False)
     alone = start_run(forget_guides(state.frame), settings)
     alone = alone.run([stage for stage in alone.plan.stages if stage not in (MIX_UNGUIDED, MIX_PEER)])
     mixed = mix_noisy(state.total, alone.total, share)

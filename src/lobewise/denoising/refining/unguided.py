@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.denoising.refining.whole_image import Rows
+from lobewise.filters.specks import MIN_BLUR_RADIUS
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.guides.lamps import average_square
 from lobewise.guides.surfaces import find_surface_pixels
@@ -66,6 +67,24 @@ def find_unguided_share(color: FloatArray, guides: GBuffer) -> FloatArray:
     share = noisy / np.maximum(known, np.float32(1e-6))
     rise = np.clip((share - np.float32(NOISY_FROM)) / np.float32(NOISY_TO - NOISY_FROM), 0.0, 1.0)
     return np.where(found.surface, least, rise)
+
+
+def find_share_filtered(rest: FloatArray, image: FloatArray, blur_radius: FloatArray | None) -> FloatArray:
+    """Return the share of an image that filters changed, (height, width): all but the light in focus of no surface.
+
+    Parameters
+    ----------
+    rest : (height, width, 3)
+        Emission and background, which have no noise in focus.
+    image : (height, width, 3)
+        The filtered image, ``rest`` included.
+    blur_radius : (height, width), optional
+        As `lobewise.GBuffer.blur_radius`. Where the lens blurs, or nobody knows, all light counts as filtered.
+    """
+    luminance = np.array(LUMINANCE, np.float32)
+    exact = (rest @ luminance) / np.maximum(image @ luminance, np.float32(np.finfo(np.float32).tiny))
+    share = np.float32(1.0) - np.clip(exact, np.float32(0.0), np.float32(1.0))
+    return share if blur_radius is None else np.where(blur_radius < MIN_BLUR_RADIUS, share, np.float32(1.0))
 
 
 def count_isolated(color: FloatArray, guides: GBuffer) -> Rows:
