@@ -48,6 +48,8 @@ PREFILTER_QUALITY, UNGUIDED_QUALITY = "fast", "balanced"
 its time at its best, and change the error by less than 1 % (benchmarks/results/peer_ways.json)."""
 UNGUIDED_SHARE = 1.0 / 3.0
 """Share of the image without guides where it equals the one with guides."""
+UNGUIDED_QUALITY_CLEAN, UNGUIDED_SHARE_CLEAN = "fast", 0.25
+"""The same where guides have no noise: the image without guides helps less, and is made in half the time."""
 HALF_SHARE_DIFFERENCE, DARK_SHARE = 0.5, 0.05
 """Difference of luminance at which `UNGUIDED_SHARE` is halved, over the luminance with guides plus the second number
 times its mean over the image."""
@@ -293,7 +295,8 @@ def denoise_with_peer(frame: Frame, samples: FloatArray, image: FloatArray, seen
     """
     given = Radiance(_replace_bad(samples, image))
     guided = frame.with_changes(radiance=given, layers=())
-    if has_clean_guides(frame):
+    is_clean = has_clean_guides(frame)
+    if is_clean:
         peer, _ = denoise_oidn(guided, guides="mean")
     else:
         blur = frame.gbuffer.blur_radius
@@ -304,8 +307,9 @@ def denoise_with_peer(frame: Frame, samples: FloatArray, image: FloatArray, seen
     peer = _replace_bad(peer, image)
     if not name_oidn_guides(frame):
         return peer
-    alone, _ = denoise_oidn(Frame(given), quality=UNGUIDED_QUALITY)
-    return average_alike(peer, _replace_bad(alone, image))
+    quality, share = (UNGUIDED_QUALITY_CLEAN, UNGUIDED_SHARE_CLEAN) if is_clean else (UNGUIDED_QUALITY, UNGUIDED_SHARE)
+    alone, _ = denoise_oidn(Frame(given), quality=quality)
+    return average_alike(peer, _replace_bad(alone, image), share)
 
 
 def _replace_bad(image: FloatArray, other: FloatArray) -> FloatArray:
@@ -313,7 +317,7 @@ def _replace_bad(image: FloatArray, other: FloatArray) -> FloatArray:
     return image if good.all() else np.where(good[..., None], image, other)
 
 
-def average_alike(guided: FloatArray, unguided: FloatArray) -> FloatArray:
+def average_alike(guided: FloatArray, unguided: FloatArray, most: float = UNGUIDED_SHARE) -> FloatArray:
     """Return the image with guides, and a share of the one without where both are about as bright, (height, width, 3).
 
     Where the images are far apart, the one without guides has lost what only guides tell, and its share falls.
@@ -322,6 +326,8 @@ def average_alike(guided: FloatArray, unguided: FloatArray) -> FloatArray:
     ----------
     guided, unguided : (height, width, 3)
         Radiance, finite, >= 0.
+    most : float
+        Share of ``unguided`` where it equals ``guided``.
     """
     luminance = np.array(LUMINANCE, dtype=np.float32)
     floor = np.float32(DARK_SHARE * find_level(guided))
@@ -331,7 +337,7 @@ def average_alike(guided: FloatArray, unguided: FloatArray) -> FloatArray:
         unit = np.maximum(guided[rows] @ luminance + floor, np.float32(MAX_BLACK_RADIANCE))
         apart = (change @ luminance) / (np.float32(HALF_SHARE_DIFFERENCE) * unit)
         with np.errstate(over="ignore"):  # an infinite difference has no share
-            share = np.float32(UNGUIDED_SHARE) / (np.float32(1.0) + apart * apart)
+            share = np.float32(most) / (np.float32(1.0) + apart * apart)
         mixed[rows] = guided[rows] + share[..., None] * change
     return mixed
 
