@@ -31,6 +31,7 @@ ROOMS = [
     "render",
     "backend",
     "features",
+    "engine",
     "guides",
     "filters",
     "peers",
@@ -94,7 +95,7 @@ INNER_ROOMS = {
 """The order within rooms that have one, of their files and folders."""
 OWNERS: dict[str, str | tuple[str, ...]] = {
     "halide": "backend",
-    "lobewise.backend.compiler": ("backend", "features", "guides", "filters", "exporting"),
+    "lobewise.backend.compiler": ("backend", "features", "engine", "guides", "filters", "exporting"),
     "llvmlite": "backend",
     "mitsuba": "render",
     "drjit": "render",

@@ -12,12 +12,12 @@ import pytest
 from benchmarks.performance.pipelines import Library, pack_frame
 from lobewise.cli.main import run
 from lobewise.denoising.automatic import choose_beta, choose_screen_sigma, choose_tau
+from lobewise.engine.graph import Graph
+from lobewise.engine.memory import find_spans, plan_memory
+from lobewise.engine.numbers import Number, choose_larger, raise_to, round_single, write_number
 from lobewise.errors import InputError
 from lobewise.exporting.pipeline.driver import write_driver, write_header
 from lobewise.exporting.pipeline.planning import make_pipeline
-from lobewise.exporting.pipeline.program.graph import Graph
-from lobewise.exporting.pipeline.program.memory import find_spans, plan_memory
-from lobewise.exporting.pipeline.program.numbers import Number, choose_larger, raise_to, round_single, write_number
 from lobewise.exporting.pipeline.recipes.constants import Constants
 from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, WIDTH, collect_images, prepare_frame, run_recipe
 from lobewise.exporting.pipeline.scene import SPP, make_frame

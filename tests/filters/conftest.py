@@ -12,7 +12,7 @@ from lobewise.backend.devices import list_devices
 RUNS = (
     "run_filter",
     "PassRequest",
-    "run_reprojection",
+    "reproject",
     "run_upsampling",
     "SampleGrid",
     "bound_fireflies",

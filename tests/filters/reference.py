@@ -154,7 +154,7 @@ def reproject_reference(
     masks: tuple[NDArray[np.bool_], NDArray[np.bool_]],
     features: tuple[Sequence[Feature], Sequence[Feature]],
 ) -> FloatImage:
-    """Return the result of `run_reprojection`, (height, width, 8), computed in float64."""
+    """Return the result of `reproject`, (height, width, 8), computed in float64."""
     height, width = masks[1].shape
     pairs = [stack_frames(*pair) for pair in zip(*features, strict=True)]
     with np.errstate(invalid="ignore"):

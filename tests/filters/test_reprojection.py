@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from lobewise.features import Feature
-from lobewise.filters.history.reprojection import run_reprojection
+from lobewise.filters.history.reprojection import prepare_pixels, reproject
 from lobewise.filters.history.reprojection_pass import AGREEMENT, SNAP_PIXELS
 from lobewise.filters.history.sums import HISTORY_CHANNELS
 from lobewise.frame import FloatArray
@@ -60,6 +61,18 @@ def make_pair(kinds: tuple[str, ...], shape: tuple[int, int]) -> tuple[list[Feat
 def make_random_mask(shape: tuple[int, int], seed: int) -> NDArray[np.bool_]:
     """Return a mask that leaves out an eighth of the pixels."""
     return np.random.default_rng([seed, *shape]).random(shape) > 0.125
+
+
+def run_reprojection(
+    past: FloatArray,
+    places: FloatArray,
+    masks: tuple[NDArray[np.bool_], NDArray[np.bool_]],
+    features: tuple[Sequence[Feature], Sequence[Feature]],
+    **options: Any,
+) -> FloatArray:
+    """Return the history reprojected by the masks and the features of the frame before and of this frame."""
+    before, now = (prepare_pixels(mask, each) for mask, each in zip(masks, features, strict=True))
+    return reproject(past, places, before, now, **options)
 
 
 def reproject_plainly(past: FloatArray, places: FloatArray) -> FloatArray:

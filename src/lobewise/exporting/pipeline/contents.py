@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from typing import Any
 
 import lobewise
+from lobewise.engine.graph import Image
 from lobewise.exporting.folder import fill_template
 from lobewise.exporting.pipeline.driver import Pipeline
-from lobewise.exporting.pipeline.program.graph import Image
 from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, SPP, WIDTH
 
 HELD = "lobewise pipeline"

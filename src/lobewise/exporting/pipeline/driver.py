@@ -20,11 +20,11 @@ from lobewise.denoising.light_loss import (
     MAX_SHARED_AS_NOISE,
     MAX_TAKERS_GAIN,
 )
+from lobewise.engine.graph import Graph, Image, Operation
+from lobewise.engine.kernels import CompiledKernel
+from lobewise.engine.memory import MemoryPlan, plan_memory
+from lobewise.engine.numbers import write_number
 from lobewise.exporting.folder import fill_template, read_template
-from lobewise.exporting.pipeline.program.graph import Graph, Image, Operation
-from lobewise.exporting.pipeline.program.kernels import CompiledKernel
-from lobewise.exporting.pipeline.program.memory import MemoryPlan, plan_memory
-from lobewise.exporting.pipeline.program.numbers import write_number
 from lobewise.exporting.pipeline.recipes.constants import Constants, Setting, list_settings
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.filters.noise.detail import FEATURE_ROWS

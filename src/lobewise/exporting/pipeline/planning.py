@@ -6,9 +6,9 @@ from dataclasses import replace
 
 from lobewise.denoising.planning.frame_plans import FrameTraits, plan_frame
 from lobewise.denoising.planning.layer_plans import LayerTraits, plan_history, plan_upsampling
+from lobewise.engine.graph import Graph
+from lobewise.engine.kernels import Kernels
 from lobewise.exporting.pipeline.driver import Pipeline
-from lobewise.exporting.pipeline.program.graph import Graph
-from lobewise.exporting.pipeline.program.kernels import Kernels
 from lobewise.exporting.pipeline.recipes.constants import Constants
 from lobewise.exporting.pipeline.recipes.frames import PlannedFrame
 from lobewise.exporting.pipeline.recipes.guides import PipelineGuides

@@ -10,7 +10,7 @@ import numpy as np
 
 from lobewise.camera import Camera
 from lobewise.denoising.recipe import denoise_quietly
-from lobewise.exporting.pipeline.program.graph import Graph
+from lobewise.engine.graph import Graph
 from lobewise.exporting.pipeline.scene import CUT, HEIGHT, SPP, WIDTH, make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.frame import FloatArray, Frame, GBuffer, LobeKind, Radiance

@@ -67,11 +67,12 @@ def prepare_pixels(mask: NDArray[np.bool_], features: Sequence[Feature]) -> Comp
     return ComparedPixels(tuple(features), wide, np.moveaxis(planes, -1, 0), shape)
 
 
-def run_reprojection(
+@device_scope()
+def reproject(
     past: FloatArray,
     places: FloatArray,
-    masks: tuple[NDArray[np.bool_], NDArray[np.bool_]],
-    features: tuple[Sequence[Feature], Sequence[Feature]],
+    before: ComparedPixels,
+    now: ComparedPixels,
     *,
     virtual: tuple[FloatArray, int] | None = None,
     memory: float = 1.0,
@@ -86,10 +87,9 @@ def run_reprojection(
     places : array, shape (height, width, 2)
         Column and row of each pixel in the frame before, pixel centres at whole numbers; NaN or outside the image if it
         was not visible.
-    masks : pair of bool arrays, shape (height, width)
-        Where a pixel has meaning, in the frame before and in this frame.
-    features : pair of sequences of Feature
-        Features of the frame before and of this frame, of one structure; their similarities weight the history.
+    before, now : ComparedPixels
+        Results of `prepare_pixels` for both frames, by features of one structure; their similarities weight the
+        history.
     virtual : (array, int), optional
         Second places, those of each pixel's reflection, and the index of the first feature that is compared there.
     memory : float
@@ -102,22 +102,6 @@ def run_reprojection(
     array, shape (height, width, 8)
         The sums, and the agreement, 0 to 1 (up to the error of `exp2`).
     """
-    before, now = (prepare_pixels(mask, each) for mask, each in zip(masks, features, strict=True))
-    return reproject(past, places, before, now, virtual=virtual, memory=memory, device=device)
-
-
-@device_scope()
-def reproject(
-    past: FloatArray,
-    places: FloatArray,
-    before: ComparedPixels,
-    now: ComparedPixels,
-    *,
-    virtual: tuple[FloatArray, int] | None = None,
-    memory: float = 1.0,
-    device: str = "cpu",
-) -> FloatArray:
-    """Gather the history of every pixel from the prepared pixels of both frames; see `run_reprojection`."""
     size = now.shape
     virtual_from = None if virtual is None else virtual[1]
     ways = {"places": places} if virtual is None else {"places": places, "virtual_places": virtual[0]}

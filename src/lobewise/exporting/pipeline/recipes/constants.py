@@ -20,7 +20,7 @@ from lobewise.denoising.automatic import (
     NOISE_EXPONENT,
 )
 from lobewise.denoising.planning.layer_plans import AUTO_SIGMA
-from lobewise.exporting.pipeline.program.numbers import (
+from lobewise.engine.numbers import (
     Number,
     choose_given,
     choose_larger,

@@ -14,8 +14,8 @@ import numpy as np
 from lobewise.denoising.evidence import MAX_CONCENTRATION, MAX_RADIANCE
 from lobewise.denoising.light_loss import MAX_TAKER
 from lobewise.denoising.networks import load_networks
-from lobewise.exporting.pipeline.program.graph import Image
-from lobewise.exporting.pipeline.program.numbers import Number, choose_larger, choose_smaller, round_single
+from lobewise.engine.graph import Image
+from lobewise.engine.numbers import Number, choose_larger, choose_smaller, round_single
 from lobewise.exporting.pipeline.recipes import glue
 from lobewise.exporting.pipeline.recipes.guided import HalfLayer
 from lobewise.exporting.pipeline.recipes.guides import SIZE, PipelineGuides

@@ -18,9 +18,9 @@ from lobewise.denoising.planning.frame_plans import (
     Stage,
 )
 from lobewise.denoising.planning.steps import HISTORY, AccumulateStep, FilterStep, Step, UpsampleStep
+from lobewise.engine.graph import Image
+from lobewise.engine.numbers import Number
 from lobewise.errors import InputError
-from lobewise.exporting.pipeline.program.graph import Image
-from lobewise.exporting.pipeline.program.numbers import Number
 from lobewise.exporting.pipeline.recipes import evidence, glue
 from lobewise.exporting.pipeline.recipes.evidence import FoundFrame
 from lobewise.exporting.pipeline.recipes.guided import (

@@ -9,7 +9,6 @@ from operator import and_, or_
 from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import is_good
 from lobewise.backend.pointwise import LARGEST_FLOAT, Grid, Vector, is_finite, select_or_nan
-from lobewise.filters.cross_pass import ALBEDO_FLOOR
 
 
 def define_both(grid: Grid) -> list[Vector]:
@@ -20,11 +19,6 @@ def define_both(grid: Grid) -> list[Vector]:
 def define_any(grid: Grid) -> list[Vector]:
     """Return where any mask holds."""
     return [[hl.u8(reduce(or_, (grid.read_one(name) != 0 for name in grid.images)))]]
-
-
-def define_none(grid: Grid) -> list[Vector]:
-    """Return where no mask holds."""
-    return [[hl.u8(reduce(and_, (grid.read_one(name) == 0 for name in grid.images)))]]
 
 
 def define_bad(grid: Grid) -> list[Vector]:
@@ -112,37 +106,11 @@ def define_patched(grid: Grid) -> list[Vector]:
     return [[_select_bits(hole, mean, value) for value, mean in pairs]]
 
 
-def define_support(grid: Grid, count: int) -> list[Vector]:
-    """Return weight sum and effective samples of the least supported layer that reflects; see `find_support`."""
-    total, effective = grid.read_one("weight0"), grid.read_one("effective0")
-    known = _is_reflecting(grid, 0)
-    for number in range(1, count):
-        here, weight = _is_reflecting(grid, number), grid.read_one(f"weight{number}")
-        weaker = here & (~known | (weight < total))
-        total = hl.select(weaker, weight, total)
-        effective = hl.select(weaker, grid.read_one(f"effective{number}"), effective)
-        known = known | here
-    return [[total], [effective]]
-
-
-def _is_reflecting(grid: Grid, number: int) -> hl.Expr:
-    there = grid.read_one(f"mask{number}") != 0
-    if not grid.has(f"albedo{number}"):
-        return there
-    return there & reduce(or_, (tint > hl.f32(ALBEDO_FLOOR) for tint in grid.read(f"albedo{number}")))
-
-
 def define_good(grid: Grid) -> list[Vector]:
     """Return an image with 0 where a pixel is not finite or negative; see `blacken_bad`."""
     value = grid.read_channels("image")
     good = is_good(value)
     return [[hl.select(good, each, hl.f32(0.0)) for each in value]]
-
-
-def define_sum(grid: Grid) -> list[Vector]:
-    """Return the sum of images of one channel."""
-    first, *others = (grid.read_one(name) for name in grid.images)
-    return [[sum(others, first)]]
 
 
 def define_whole_albedo(grid: Grid, least: float) -> list[Vector]:

@@ -12,9 +12,9 @@ from typing import Any
 
 from lobewise.denoising.planning.layer_plans import AUTO_SIGMA
 from lobewise.denoising.planning.steps import SAMPLES, FinishStep, GuideStep, PassStep, Step
-from lobewise.exporting.pipeline.program.graph import Image
-from lobewise.exporting.pipeline.program.kernels import give_feature_images, give_feature_numbers
-from lobewise.exporting.pipeline.program.numbers import Number, choose_larger
+from lobewise.engine.graph import Image
+from lobewise.engine.kernels import give_feature_images, give_feature_numbers
+from lobewise.engine.numbers import Number, choose_larger
 from lobewise.exporting.pipeline.recipes import glue
 from lobewise.exporting.pipeline.recipes.guides import PipelineGuides, PlannedLayer
 from lobewise.exporting.pipeline.recipes.steps import PlannedRun

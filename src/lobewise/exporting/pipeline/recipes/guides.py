@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from lobewise.denoising.layers import MIN_WHOLE_ALBEDO
-from lobewise.exporting.pipeline.program.graph import Graph, Image
-from lobewise.exporting.pipeline.program.kernels import Kernels, make_feature
-from lobewise.exporting.pipeline.program.numbers import Number
+from lobewise.engine.graph import Graph, Image
+from lobewise.engine.kernels import Kernels, make_feature
+from lobewise.engine.numbers import Number
 from lobewise.exporting.pipeline.recipes.constants import Constants
 from lobewise.exporting.pipeline.recipes.glue import define_both, define_composed, define_mean, define_whole_albedo
 from lobewise.exporting.pipeline.settings import PipelineSettings

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from lobewise.exporting.pipeline.program.graph import Image
-from lobewise.exporting.pipeline.program.kernels import give_feature_images, give_feature_numbers, make_feature
-from lobewise.exporting.pipeline.program.numbers import Number, round_single
+from lobewise.engine.graph import Image
+from lobewise.engine.kernels import give_feature_images, give_feature_numbers, make_feature
+from lobewise.engine.numbers import Number, round_single
 from lobewise.exporting.pipeline.recipes.guides import SIZE, PipelineGuides
 from lobewise.features import DiffuseFeature, Feature, HitDistanceFeature, NormalFeature, PlaneFeature
 from lobewise.filters.cross_pass import describe_structure

@@ -8,8 +8,8 @@ from typing import Any
 
 from lobewise.backend.expressions import LOG2_E
 from lobewise.denoising.planning.steps import HISTORY, AccumulateStep, UpsampleStep
-from lobewise.exporting.pipeline.program.graph import Image
-from lobewise.exporting.pipeline.program.numbers import Number, round_single, write_number
+from lobewise.engine.graph import Image
+from lobewise.engine.numbers import Number, round_single, write_number
 from lobewise.exporting.pipeline.recipes.glue import define_any
 from lobewise.exporting.pipeline.recipes.guides import SAMPLES, SIZE, PipelineGuides, PlannedLayer
 from lobewise.exporting.pipeline.recipes.steps import PlannedOutput, PlannedRun, SampleCalls, split_accumulated

@@ -8,8 +8,8 @@ from functools import partial
 from typing import Any
 
 from lobewise.denoising.planning.steps import HISTORY, AccumulateStep, FilterStep, LayerPlan, Step
-from lobewise.exporting.pipeline.program.graph import Image
-from lobewise.exporting.pipeline.program.kernels import Kernels, give_feature_images, give_feature_numbers
+from lobewise.engine.graph import Image
+from lobewise.engine.kernels import Kernels, give_feature_images, give_feature_numbers
 from lobewise.exporting.pipeline.recipes.guides import PipelineGuides, PlannedLayer
 from lobewise.features import Feature
 from lobewise.filters.cross_filter import make_scheduled_pass

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lobewise.exporting.pipeline.program.graph import Graph, Image
+from lobewise.engine.graph import Graph, Image
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from lobewise.backend.jit import Scheduled, describe_kernel
 from lobewise.backend.objects import compile_object
 from lobewise.backend.pointwise import Definition, PointwiseKey, make_pointwise
 from lobewise.backend.signature import Parameter
-from lobewise.exporting.pipeline.program.graph import Graph, Image
-from lobewise.exporting.pipeline.program.numbers import Number
+from lobewise.engine.graph import Graph, Image
+from lobewise.engine.numbers import Number
 from lobewise.features import Feature
 from lobewise.features.arrays import give_scalars, name_arrays
 

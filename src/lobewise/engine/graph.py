@@ -16,13 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend.signature import Axis, Parameter
-from lobewise.exporting.pipeline.program.numbers import write_number
+from lobewise.engine.numbers import write_number
 
 SIZES = ("height", "width", "rows", "columns", "band")
 """Named axes: those of the image, those of the samples, which are the same unless samples are sparse, and the rows of a
 band."""
-ALIASES = {"height_before": "height", "width_before": "width"}
-"""Other names that kernels give to these axes."""
 
 
 @dataclass(frozen=True, eq=False)

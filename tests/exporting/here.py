@@ -1,0 +1,321 @@
+"""An engine that runs the calls of a recorded recipe at once, in this process: what is recorded is what is run.
+
+`Here` stands where `lobewise.engine.kernels.Kernels` records the call of a kernel, `HereGraph` where
+`lobewise.engine.graph.Graph` names images. Functions of the driver are those of the library that the driver repeats.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+from typing import Any
+
+import halide as hl
+import numpy as np
+
+from lobewise.backend.jit import Kernel, get_kernel, run_kernel
+from lobewise.camera import Camera
+from lobewise.denoising.automatic import estimate_spp
+from lobewise.denoising.bad_pixels import find_mean_color, sum_colors
+from lobewise.denoising.light_loss import find_gain, sum_missing
+from lobewise.denoising.planning.frame_plans import FrameTraits, plan_frame
+from lobewise.denoising.planning.layer_plans import LayerTraits, plan_history, plan_upsampling
+from lobewise.engine.graph import Graph, Image
+from lobewise.engine.kernels import Kernels
+from lobewise.engine.numbers import Number, round_single
+from lobewise.exporting.pipeline.recipes.constants import Constants
+from lobewise.exporting.pipeline.recipes.frames import PlannedFrame
+from lobewise.exporting.pipeline.recipes.guides import PipelineGuides
+from lobewise.exporting.pipeline.sample import collect_images
+from lobewise.exporting.pipeline.settings import PipelineSettings
+from lobewise.filters.noise_guides import find_level
+from lobewise.frame import FloatArray, Frame, Radiance
+from lobewise.guides.places import get_projection_numbers
+from lobewise.guides.surfaces import get_ray_numbers
+from lobewise.settings import TemporalSettings
+from lobewise.settings.choices import get_quality
+from lobewise.sparse_frame import AnyFrame, SparseFrame
+from lobewise.temporal.past import _find_near
+
+_NAME = re.compile(r"p->[\w>.\[\]-]+")
+
+
+class _Single:
+    """The cast to single precision in an expression of C."""
+
+    def __matmul__(self, value: float) -> float:
+        return float(np.float32(value))
+
+
+C_NAMES = {"F": _Single(), "fmax": max, "fmin": min, "sqrt": math.sqrt, "pow": math.pow, "hypot": math.hypot}
+"""What expressions of C name."""
+
+
+@dataclass(frozen=True, eq=False)
+class Held(Image):
+    """An image that has values."""
+
+    array: Any = None
+
+    @property
+    def values(self) -> Any:
+        """The array, cut to the planes of the shape: an image may be the first planes of another."""
+        count = self.shape[0]
+        return self.array[:count] if isinstance(count, int) else self.array
+
+    def take_plane(self, number: int) -> Held:
+        name, array = f"{self.name}_plane{number}", self.array[number]
+        return replace(self, name=name, shape=self.shape[1:], whole=self, plane=number, array=array)
+
+
+@dataclass
+class HereGraph(Graph):
+    """The images of a recipe with their arrays, and the numbers that functions of the driver write."""
+
+    inputs: Mapping[str, FloatArray] = field(default_factory=dict)
+    sizes: Mapping[str, int] = field(default_factory=dict)
+    place: tuple[int, int] = (0, 0)
+    past: Mapping[str, FloatArray] = field(default_factory=dict)
+    known: dict[str, float] = field(default_factory=dict)
+    remembered: dict[str, FloatArray] = field(default_factory=dict)
+    is_on: bool = True
+
+    def hold_new(self, name: str, shape: Sequence[Any], type: str = "float32", value: float = 0.0) -> Held:
+        """Return an image of one value."""
+        array = np.full([self.sizes.get(axis, axis) for axis in shape], value, type)
+        return Held(self.name(name), tuple(shape), type, array=array)
+
+    def give(self, name: str, *shape: Any, text: str, unit: str = "", type: str = "float32") -> Image:
+        if name not in self.given:
+            array = np.ascontiguousarray(self.inputs[name], type)
+            self.given[name] = Held(self.name(name), shape, type, "given", text, unit, array=array)
+        return self.given[name]
+
+    def make(self, name: str, *shape: Any, type: str = "float32") -> Image:
+        return self.hold_new(name, shape, type)
+
+    def make_flat(self, name: str, value: float, *shape: Any) -> Image:
+        return self.flats.setdefault(name, self.hold_new(name, shape, value=value))
+
+    def take(self, name: str, *shape: Any, text: str, unit: str = "") -> Image:
+        return self.results.setdefault(name, self.hold_new(name, shape))
+
+    def hold(self, name: str, values: np.ndarray) -> Image:
+        return Held(self.name(name), values.shape, array=np.ascontiguousarray(values, np.float32))
+
+    def keep(self, name: str, *shape: Any, type: str = "float32") -> tuple[Image, Image]:
+        now, before = self.hold_new(name, shape, type), self.hold_new(f"{name}_before", shape, type)
+        if name in self.past:
+            before.array[...] = self.past[name]
+        self.remembered[name] = now.array
+        return now, before
+
+    @contextmanager
+    def only_when(self, condition: str) -> Iterator[None]:
+        before, name = self.is_on, condition.removeprefix("!")
+        value = self.known.get(name, 1.0) != 0.0
+        self.is_on = before and value != condition.startswith("!")
+        try:
+            yield
+        finally:
+            self.is_on = before
+
+    def find(self, value: Any) -> float:
+        """Return the value of an argument: what the driver computed, or what the recipe computed in Python."""
+        code = getattr(value, "code", value)
+        names = _NAME.findall(code) if isinstance(code, str) else []
+        if not any(name in self.known for name in names):
+            return float(value)
+        text = _NAME.sub(lambda found: repr(self.known[found[0]]), code)
+        return float(eval(text.replace("(double)", "").replace("(float)", "F@"), {"__builtins__": {}}, C_NAMES))
+
+    def run(
+        self, function: str, images: Sequence[Image], numbers: Sequence[str], text: str, writes: Sequence[Image] = ()
+    ) -> None:
+        if self.is_on:
+            FUNCTIONS[function](self, [image.values for image in images], numbers)  # type: ignore[attr-defined]
+
+
+def _find_holes(graph: HereGraph, images: Sequence[np.ndarray], numbers: Sequence[str]) -> None:
+    graph.known[numbers[-1].lstrip("&")] = float(np.count_nonzero(images[0]))
+
+
+def _find_level(graph: HereGraph, images: Sequence[np.ndarray], numbers: Sequence[str]) -> None:
+    sums, mask = images
+    rows = np.stack([sums.sum(axis=1, dtype=np.float64), np.count_nonzero(mask, axis=1)], axis=1)
+    graph.known[numbers[0].lstrip("&")] = find_level(rows)
+
+
+def _find_gain(graph: HereGraph, images: Sequence[np.ndarray], numbers: Sequence[str]) -> None:
+    layer: Any = SimpleNamespace(radiance=images[0])
+    gain = find_gain(sum_missing(layer, *images[1:]))
+    graph.known |= {name.lstrip("&"): value for name, value in zip(numbers, (gain.takers, gain.all), strict=True)}
+
+
+def _pick_samples(graph: HereGraph, images: Sequence[np.ndarray], numbers: Sequence[str]) -> None:
+    (row, column), scale = graph.place, graph.sizes["height"] // graph.sizes["rows"]
+    axes = (slice(row, None, scale), slice(column, None, scale))
+    images[1][...] = images[0][(slice(None), *axes) if numbers[2] == "1" else axes]
+
+
+def _measure_cover(graph: HereGraph, images: Sequence[np.ndarray], numbers: Sequence[str]) -> None:
+    graph.known[numbers[1].lstrip("&")] = float(np.mean(images[0] != 0) > float(numbers[0]))
+
+
+def _judge_cut(graph: HereGraph, images: Sequence[np.ndarray], numbers: Sequence[str]) -> None:
+    agreement, places, mask = images
+    some = (slice(None, None, max(1, min(mask.shape) // int(numbers[2]))),) * 2
+    near = _find_near(places, float(numbers[1]) * max(mask.shape), some)
+    again, surface = (agreement[some] > float(numbers[0])) & near, mask[some] != 0
+    share = float(np.mean(again[surface])) if surface.any() else 1.0
+    graph.known[numbers[3].lstrip("&")] = float(share >= TemporalSettings.cut_share)
+
+
+def _find_mean_color(graph: HereGraph, images: Sequence[np.ndarray], numbers: Sequence[str]) -> None:
+    mean = find_mean_color(sum_colors(Frame(Radiance(images[0]))))
+    graph.known |= {f"p->mean_color[{k}]": float(value) for k, value in enumerate(mean)}
+
+
+FUNCTIONS: Mapping[str, Callable[[HereGraph, Sequence[np.ndarray], Sequence[str]], Any]] = {
+    "fill_bytes": lambda graph, images, numbers: images[0].fill(int(numbers[0])),
+    "clear_image": lambda graph, images, numbers: images[0].fill(0),
+    "copy_image": lambda graph, images, numbers: np.copyto(images[1], images[0]),
+    "set_flag": lambda graph, images, numbers: graph.known.update({numbers[0].lstrip("&"): float(numbers[1])}),
+    "find_holes": _find_holes,
+    "count_holes": _find_holes,
+    "find_mean_color": _find_mean_color,
+    "find_level": _find_level,
+    "find_gain": _find_gain,
+    "pick_samples": _pick_samples,
+    "measure_cover": _measure_cover,
+    "judge_cut": _judge_cut,
+}
+"""What the functions of the driver do."""
+
+
+class Here(Kernels):
+    """The kernels of a recipe; a call runs at once."""
+
+    def get(self, key: Any, make: Any, *, strict: bool = False) -> Any:
+        return get_kernel("cpu", key, make, strict=strict)
+
+    def call(
+        self,
+        kernel: Any,
+        arguments: Mapping[str, Any],
+        *,
+        names: Mapping[str, str] | None = None,
+        into: Mapping[str, Image] | None = None,
+        text: str,
+    ) -> dict[str, Image]:
+        graph = self.graph
+        assert isinstance(graph, HereGraph)
+        assert isinstance(kernel, Kernel)
+        wanted = {each.name: each for each in kernel.parameters}
+        given = {name: value for name, value in arguments.items() if name in wanted and value is not None}
+        images = {name: value for name, value in given.items() if isinstance(value, Image)}
+        outputs: dict[str, Image] = dict(into or {})
+        if not graph.is_on:
+            made = {each.name: graph.hold_new(each.name, each.axes, each.type) for each in kernel.outputs}
+            return {**made, **outputs}
+        places = dict(zip(("p->frame->row", "p->frame->column"), graph.place, strict=True))
+        places |= {f"p->{name}": length for name, length in graph.sizes.items()}
+        numbers: dict[str, float] = {}
+        for name, value in given.items():
+            if name not in images:
+                number = places[value] if value in places else graph.find(value)
+                numbers[name] = int(number) if wanted[name].type == "int32" else number
+        arrays = {name: image.values for name, image in images.items()}  # type: ignore[attr-defined]
+        found = run_kernel(kernel, "cpu", arrays, **numbers)
+        for each in kernel.outputs:
+            if each.name in outputs:
+                outputs[each.name].array[...] = found[each.name]  # type: ignore[attr-defined]
+            else:
+                name = graph.name((names or {}).get(each.name, each.name))
+                outputs[each.name] = Held(name, tuple(each.axes), each.type, array=np.asarray(found[each.name]))
+        return outputs
+
+    def call_stacked(
+        self, kernel: Any, arguments: Mapping[str, Any], *, name: str, text: str, stack: Image | None = None
+    ) -> Image:
+        assert isinstance(self.graph, HereGraph)
+        outputs = [each for each in kernel.parameters if each.role == "output"]
+        stack = stack or self.graph.hold_new(name, (len(outputs), "height", "width"))
+        self.call(kernel, arguments, into={each.name: stack.take_plane(k) for k, each in enumerate(outputs)}, text=text)
+        return stack
+
+
+class Numbers(Constants):
+    """The numbers of a frame whose camera moved."""
+
+    before: Camera | None = None
+
+    def get_vector(self, name: str, *, before: bool = False, single: bool = False) -> list[Number]:
+        camera = self.before if before and self.before is not None else self.camera
+        values = {"eye": camera.position, "forward": camera.forward}
+        values |= get_ray_numbers(camera, self.size) | get_projection_numbers(camera, self.size)
+        found = [Number(float(value), "x") for value in np.atleast_1d(values[name])]
+        return [round_single(each) for each in found] if single else found
+
+
+@dataclass
+class Recorded:
+    """A recipe that an engine runs, frame by frame.
+
+    Parameters
+    ----------
+    settings : PipelineSettings
+    """
+
+    settings: PipelineSettings
+    past: Mapping[str, FloatArray] = field(default_factory=dict)
+    camera: Camera | None = None
+
+    def run(self, frame: AnyFrame, emission: FloatArray | None = None) -> FloatArray:
+        """Return the image that the recorded recipe makes of a frame; ``emission`` as of `collect_images`."""
+        settings, (height, width) = self.settings, frame.gbuffer.shape or frame.shape
+        guided = get_quality(settings.plan).reads_halves
+        numbers = Numbers(settings.upsample, settings.radius, guided, camera=frame.require_camera("a recipe"))
+        numbers.size, numbers.spp, numbers.before = (height, width), estimate_spp(frame), self.camera
+        rows, columns = frame.radiance.color.shape[:2]
+        sizes = {"height": height, "width": width, "rows": rows, "columns": columns, "band": height}
+        sizes |= {"height_before": height, "width_before": width}
+        place = frame.place if isinstance(frame, SparseFrame) else (0, 0)
+        graph = HereGraph(stage="guides", sizes=sizes, place=place, past=self.past)
+        graph.known["p->has_past"] = float(self.camera is not None)
+        wanted = Graph()
+        wanted.given = dict.fromkeys(self.list_inputs())  # type: ignore[arg-type]
+        graph.inputs = collect_images(wanted, frame, emission)
+        PlannedFrame(
+            PipelineGuides(settings, graph, Here(graph, hl.get_host_target(), "x"), numbers), self.plan()
+        ).run()
+        self.past, self.camera = graph.remembered, frame.camera
+        image = graph.results["image"]
+        assert isinstance(image, Held)
+        return np.asarray(image.array)
+
+    def list_inputs(self) -> list[str]:
+        """Return the names of the images that the recipe is given, as the export records them."""
+        from lobewise.exporting.pipeline.planning import make_pipeline
+
+        return list(make_pipeline(self.settings).graph.given)
+
+    def plan(self) -> Any:
+        """Return the plan of the frame; see `lobewise.exporting.pipeline.planning.make_pipeline`."""
+        settings = self.settings
+        traits = {each: LayerTraits(is_diffuse=each == "diffuse") for each in settings.layer_names}
+        plan = plan_frame(FrameTraits(traits), settings.resolve())
+        if settings.history:
+            numbers = Constants(settings.upsample, settings.radius, False)
+            known = min(TemporalSettings.history_radius, settings.radius)
+            growth = numbers.get("strictness")
+            every = plan_history(settings.resolve(), growth=growth, own=numbers.own_weight, known_radius=known)
+        elif settings.upsample > 1:
+            every = plan_upsampling(settings.radius, settings.upsample)
+        else:
+            return plan
+        return replace(plan, layers=dict.fromkeys(plan.layers, every))

@@ -1,0 +1,63 @@
+"""A recorded recipe, run at once in this process, has the bits of the library's own: one text is enough for both."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lobewise.exporting.pipeline.sample import FRAMES, make_sparse, prepare_frame, run_recipe
+from lobewise.exporting.pipeline.scene import make_frame
+from lobewise.exporting.pipeline.settings import PipelineSettings
+from lobewise.frame import Frame
+from lobewise.settings.choices import get_quality
+from lobewise.sparse_frame import AnyFrame
+from tests.exporting.here import Recorded
+
+SIMILARITIES = ("normal", "sg", "asg", "ggx")
+
+
+def make_frames(settings: PipelineSettings, count: int) -> tuple[list[Frame], list[AnyFrame]]:
+    """Return frames of the example, whole, and as the recipe reads them."""
+    halves = get_quality(settings.plan).reads_halves
+    whole = [prepare_frame(settings, make_frame(number, halves=halves)) for number in range(count)]
+    return whole, [make_sparse(settings, frame, number) for number, frame in enumerate(whole)]
+
+
+def check(settings: PipelineSettings, count: int = 1) -> None:
+    """Raise AssertionError unless the recorded recipe and the library's make the same of frames."""
+    recorded = Recorded(settings)
+    whole, frames = make_frames(settings, count)
+    for full, frame, expected in zip(whole, frames, run_recipe(settings, frames), strict=True):
+        np.testing.assert_array_equal(recorded.run(frame, full.gbuffer.mean_emission), expected)
+
+
+@pytest.mark.sampled("full-ggx-apart", "separable-sg-color", "atrous-asg-apart", "full-normal-color")
+@pytest.mark.parametrize("layers", ["apart", "color"])
+@pytest.mark.parametrize("similarity", SIMILARITIES)
+@pytest.mark.parametrize("form", ["full", "separable", "atrous"])
+def test_fast(form: str, similarity: Any, layers: Any) -> None:
+    check(PipelineSettings(form=form, similarity=similarity, layers=layers, radius=2))
+
+
+@pytest.mark.sampled("2-sg", "4-ggx")
+@pytest.mark.parametrize("similarity", SIMILARITIES)
+@pytest.mark.parametrize("scale", [2, 4])
+def test_upsampling(scale: int, similarity: Any) -> None:
+    check(PipelineSettings(upsample=scale, similarity=similarity, radius=2))
+
+
+@pytest.mark.sampled("ggx-apart", "normal-color")
+@pytest.mark.parametrize("layers", ["apart", "color"])
+@pytest.mark.parametrize("similarity", SIMILARITIES)
+def test_balanced(similarity: Any, layers: Any) -> None:
+    check(PipelineSettings(plan="balanced", similarity=similarity, layers=layers, radius=2))
+
+
+@pytest.mark.sampled("ggx-{'hit_distance': True}", "sg-{'upsample': 4}", "normal-{'motion': False}")
+@pytest.mark.parametrize("changes", [{}, {"hit_distance": True}, {"motion": False}, {"upsample": 4}], ids=str)
+@pytest.mark.parametrize("similarity", ["normal", "sg", "ggx"])
+def test_history(similarity: Any, changes: dict[str, Any]) -> None:
+    """Four frames; the last follows a cut."""
+    check(PipelineSettings(history=True, similarity=similarity, radius=2, **changes), FRAMES)
