@@ -16,12 +16,12 @@ import pytest
 from lobewise import Frame, TemporalFilter, WindowFilter, make_sparse, upsample
 from lobewise.denoising import denoise
 from lobewise.filters.fireflies import bound_fireflies
-from lobewise.filters.history.reprojection import run_reprojection as reproject
 from lobewise.filters.noise_guides import make_noise_guide, measure_light
 from tests.denoising.test_denoising import make_frame
 from tests.features.frames import make_mask
 from tests.filters import test_accumulation, test_dual_buffer, test_fireflies, test_noise_guides, test_refinement
 from tests.filters.test_reprojection import make_pair, make_past, make_places
+from tests.filters.test_reprojection import run_reprojection as reproject
 
 SHAPE = (131, 67)
 
