@@ -15,7 +15,7 @@ import lobewise
 from benchmarks.same_bits.frames import crop, damage, enrich, forget, load_bundled, move, name_layers
 from lobewise import Camera, Frame, Radiance, peers
 from lobewise.denoising import combining
-from lobewise.denoising.linear import LinearFilter
+from lobewise.mitsuba.linear import LinearFilter
 
 Arrays = dict[str, np.ndarray]
 

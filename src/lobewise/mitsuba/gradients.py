@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.denoising.linear import LinearFilter
 from lobewise.frame import FloatArray
+from lobewise.mitsuba.linear import LinearFilter
 from lobewise.mitsuba.tensors import give_back, to_array
 
 

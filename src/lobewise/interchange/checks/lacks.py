@@ -16,7 +16,8 @@ def list_uses(channels: ChannelMap, frame: Frame) -> tuple[str, ...]:
     guides = frame.gbuffer
     there = {
         "normal": "normal" in channels.roles,
-        "roughness": guides.alpha_u is not None,
+        # Without a camera no lobe is compared. The network of "high" reads the roughness, too.
+        "roughness": guides.alpha_u is not None and (frame.is_placed or not has_oidn()),
         "camera": frame.is_placed,
         "layers": frame.radiance.parts is not None,
         "albedo": guides.diffuse_albedo is not None or guides.specular_albedo is not None,
@@ -35,6 +36,8 @@ def list_lacks(channels: ChannelMap, frame: Frame, *, is_light_denoised: bool) -
         told = advice.get(asked) or advice.get({"albedo": "diffuse_albedo"}.get(role, ""), "")
         if role in channels.roles:
             told = f"none; {channels.roles[role].label} is there, but no layer of light takes it"
+        if role == "roughness" and frame.gbuffer.alpha_u is not None:
+            told = "none; it is there, but without a camera no lobe is compared"
         if role == "layers" and is_light_denoised:
             told = "none; the passes of light are denoised by lobewise already"
         if role == "camera" and frame.camera is None and "position" in channels.roles:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lobewise.errors import InputError
-from lobewise.guides.cryptomatte import find_coverage, find_object_share
+from lobewise.interchange.silhouettes import find_coverage, find_object_share
 
 SIZE, FINE = 24, 16
 RED, BLUE = 0x3F8A1C01, 0x3E11FF07
