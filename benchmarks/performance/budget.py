@@ -27,7 +27,7 @@ import numpy as np
 
 import lobewise
 from benchmarks.common import RESULTS, describe_machine, write_json
-from benchmarks.same_bits.frames import load_bundled
+from benchmarks.same_bits.frames import load_bundled, roughen
 from lobewise.backend.runtime import Runtime
 from lobewise.bench.timing import limit_threads
 from lobewise.denoising import combining
@@ -68,13 +68,6 @@ def tile(frame: Frame, width: int, height: int) -> Frame:
         )
 
     return Frame(repeat(frame.radiance), repeat(frame.gbuffer), frame.camera, spp=frame.spp)
-
-
-def roughen(frame: Frame) -> Frame:
-    """Return a frame with normals of white noise, where "high" filters the color alone as well."""
-    normal = np.random.default_rng(5).normal(size=(*frame.shape, 3)).astype(np.float32)
-    length = np.linalg.norm(normal, axis=-1, keepdims=True)
-    return frame.with_changes(gbuffer=replace(frame.gbuffer, normal=normal / length))
 
 
 def make_calls(frame: Frame) -> dict[str, Callable[[], Any]]:

@@ -12,7 +12,7 @@ from unittest.mock import patch
 import numpy as np
 
 import lobewise
-from benchmarks.same_bits.frames import crop, damage, enrich, forget, load_bundled, move, name_layers
+from benchmarks.same_bits.frames import crop, damage, enrich, forget, load_bundled, move, name_layers, roughen
 from lobewise import Camera, Frame, Radiance, peers
 from lobewise.denoising import combining
 from lobewise.mitsuba.linear import LinearFilter
@@ -136,6 +136,7 @@ def _list_inputs(part: Frame, rich: Frame) -> Iterator[tuple[str, Callable[[], A
         "few rows": crop(part, slice(20, 23), slice(30, 90)),
         "color alone": Frame(Radiance(part.radiance.color), spp=4),
         "no camera": part.with_changes(camera=None),
+        "normals of noise": roughen(part),
     }
     for name, frame in frames.items():
         for quality in ("fast", "balanced", "high"):

@@ -117,6 +117,13 @@ def damage(frame: Frame) -> Frame:
     return frame.with_changes(radiance=Radiance(color, diffuse=diffuse, specular=parts[1]))
 
 
+def roughen(frame: Frame) -> Frame:
+    """Return a frame with normals of white noise, where "high" filters the color alone as well."""
+    normal = np.random.default_rng(5).normal(size=(*frame.shape, 3)).astype(np.float32)
+    length = np.linalg.norm(normal, axis=-1, keepdims=True)
+    return frame.with_changes(gbuffer=replace(frame.gbuffer, normal=normal / length))
+
+
 def move(frame: Frame, step: int) -> Frame:
     """Return a frame of a sequence: the light moves a pixel a frame, its noise changes, and motion tells so."""
     rng = np.random.default_rng(100 + step)
