@@ -108,6 +108,15 @@ def test_fog_is_light_without_a_surface_that_is_noise(rng: np.random.Generator, 
     assert sees_fog(count_isolated(color, GBuffer(normal=normal))) == (kind == "noise")
 
 
+def test_bad_pixels_and_normals_are_isolated_from_nothing(rng: np.random.Generator) -> None:
+    color, normal = make_noise(rng), make_normals(rng, 0.0)
+    normal[:8] = 0.0
+    color[:8] = 1.0
+    for value in (np.nan, np.inf):
+        color[4, ::2], normal[20, ::2] = value, value
+        assert find_unguided_share(color, GBuffer(normal=normal)).max() < MIN_SHARE
+
+
 def test_an_image_that_is_too_small_has_no_share() -> None:
     assert find_unguided_share(np.ones((4, 2, 3), np.float32), GBuffer(normal=np.ones((4, 2, 3)))).max() == 0.0
 

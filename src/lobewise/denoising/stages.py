@@ -313,10 +313,12 @@ def fill(state: FrameRun) -> FrameRun:
 
 def mix_unguided(state: FrameRun) -> FrameRun:
     """Mix in the image of the color alone where guides are noise, and scale the parts so that they sum to the image."""
+    if state.features:  # only the user's own features tell what they compare
+        return state
     share, found = find_unguided_share(state.frame.radiance.color, state.seen or state.frame.gbuffer), state.filtered
     if found.rest is not None:
         share *= find_share_filtered(found.rest, state.total, state.frame.gbuffer.blur_radius)
-    if state.features or float(share.max(initial=0.0)) < MIN_SHARE:
+    if float(share.max()) < MIN_SHARE:
         return state
     settings = replace(state.settings, similarity="normal", hit_distance=False)
     alone = start_run(forget_guides(state.frame), settings)

@@ -131,11 +131,11 @@ def _find_isolated(color: FloatArray, guides: GBuffer) -> _Isolated:
         nothing = np.zeros(shape, np.bool_)
         return _Isolated(nothing, nothing, nothing, nothing, nothing)
     surface = find_surface_pixels(guides, shape)
-    told, noisy = _find_odd(guides.normal, surface, MIN_SQUARED_DIFFERENCE, is_relative=False)
-    if surface.all():
-        nothing = np.zeros(shape, np.bool_)
-        return _Isolated(surface, told, noisy, nothing, nothing)
     with np.errstate(invalid="ignore", over="ignore"):  # a bad pixel is isolated from nothing
+        told, noisy = _find_odd(guides.normal, surface, MIN_SQUARED_DIFFERENCE, is_relative=False)
+        if surface.all():
+            nothing = np.zeros(shape, np.bool_)
+            return _Isolated(surface, told, noisy, nothing, nothing)
         light = color @ np.array(LUMINANCE, np.float32)
         others = _find_odd(light[..., None], ~surface, MIN_RELATIVE_DIFFERENCE**2, is_relative=True)
     return _Isolated(surface, told, noisy, *others)
