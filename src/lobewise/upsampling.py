@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise import engine
 from lobewise.denoising.automatic import change_settings, require_full, require_plain, resolve_settings
 from lobewise.denoising.bad_pixels import describe_bad, fill_holes, find_bad_pixels, require_some_good
 from lobewise.denoising.layers import (
@@ -106,11 +107,13 @@ def upsample(
         layers = [*make_layers(frame, chosen, features), *make_rest_layers(frame, chosen, features)]
         reach = chosen.radius
     plan = plan_upsampling(reach, frame.scale)
-    outputs = [run_plain(frame, layer, chosen, plan) for layer in layers]
-    joined = join_layers(outputs, [(layers[0].mask, None)]) if bilinear else join_sparse(frame, layers, outputs)
+    with engine.on(chosen.device):
+        outputs = [run_plain(frame, layer, chosen, plan) for layer in layers]
+        joined = join_layers(outputs, [(layers[0].mask, None)]) if bilinear else join_sparse(frame, layers, outputs)
+        image = fill_holes(joined.image, joined.holes, frame)
     diffuse, specular = joined.parts or (None, None)
     result = Result(
-        image=fill_holes(joined.image, joined.holes, frame, chosen.device),
+        image=image,
         diffuse=diffuse,
         specular=specular,
         weight_sum=joined.weight_sum,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise import denoise
+from lobewise import denoise, engine
 from lobewise.backend import devices
 from lobewise.backend.buffers import (
     Buffer,
@@ -99,16 +99,17 @@ class TestDeviceScope:
         shape = 20, 30
         light = rng.random((*shape, 3)).astype(np.float32)
         features, mask = [ScreenFeature(2.0)], np.ones(shape, bool)
-        given: dict[str, Any] = {"form": "separable", "radius": 2, "device": vulkan}
+        given: dict[str, Any] = {"form": "separable", "radius": 2}
         expected = run_filter(light, mask, features, form="separable", radius=2).image
         transfers.clear()
-        with device_scope():
+        with engine.on(vulkan), device_scope():
             for _ in range(3):
                 output = run_filter(light, mask, features, **given)
         assert transfers == {"up": 2, "down": 3}
         np.testing.assert_allclose(output.image, expected, rtol=DEVICE_RELATIVE)
         transfers.clear()
-        run_filter(light, mask, features, **given)
+        with engine.on(vulkan):
+            run_filter(light, mask, features, **given)
         assert transfers == {"up": 2, "down": 1}
 
     def test_what_nobody_reads_stays_there(self, vulkan):
@@ -125,29 +126,30 @@ class TestDeviceScope:
         monkeypatch.setattr(Buffer, "take_memory", lambda self, device: (taken.append(id(self)), take(self, device)))
         monkeypatch.setattr(Buffer, "give_memory", lambda self: (given.append(id(self)), give(self)))
         light = rng.random((8, 9, 3)).astype(np.float32)
-        run_filter(light, np.ones((8, 9), bool), [ScreenFeature(1.0)], form="separable", radius=1, device=vulkan)
+        with engine.on(vulkan):
+            run_filter(light, np.ones((8, 9), bool), [ScreenFeature(1.0)], form="separable", radius=1)
         assert len(taken) == 4  # radiance, mask, what the first pass writes, the result
         assert given == taken[::-1]
 
     def test_what_is_not_downloaded_is_gone_with_its_scope(self, vulkan, rng):
         a, b = rng.random((2, 8, 9, 3)).astype(np.float32)
-        given = {"level": 1.0, "device": vulkan}
-        with device_scope():
+        with engine.on(vulkan), device_scope():
             _, half = make_output((8, 9, 3), vulkan)
-            guide, again = (make_noise_guide(a, b, **given) for _ in range(2))
+            guide, again = (make_noise_guide(a, b, 1.0) for _ in range(2))
             assert isinstance(guide, DeviceImage)
             found = download(again)
-        np.testing.assert_allclose(found, make_noise_guide(a, b, 1.0, device="cpu"), rtol=DEVICE_RELATIVE)
+        np.testing.assert_allclose(found, make_noise_guide(a, b, 1.0), rtol=DEVICE_RELATIVE)
         np.testing.assert_array_equal(again.download(), found)
         with pytest.raises(TypeError, match="download"):
             guide.download()
-        with pytest.raises(TypeError, match="download"):
-            make_noise_guide(a, half, **given)
+        with pytest.raises(TypeError, match="download"), engine.on(vulkan):
+            make_noise_guide(a, half, 1.0)
 
     def test_outside_a_scope_images_are_arrays(self, vulkan, rng):
         a, b = rng.random((2, 8, 9, 3)).astype(np.float32)
-        request = PassRequest(halves=(a, b), mask=np.ones((8, 9), bool), radius=1, device=vulkan)
-        found = filter_dual_buffer(request)
+        request = PassRequest(halves=(a, b), mask=np.ones((8, 9), bool), radius=1)
+        with engine.on(vulkan):
+            found = filter_dual_buffer(request)
         assert all(type(image) is np.ndarray for image in found)
 
     def test_it_is_no_array(self, vulkan):
@@ -183,10 +185,9 @@ class TestDeviceScope:
             light = rng.random((*shape, 3)).astype(np.float32)
             mask = np.ones(shape, bool)
             for form in ("full", "separable", "atrous"):
-                found, expected = (
-                    run_filter(light, mask, [ScreenFeature(2.0)], form=form, radius=2, device=device).image
-                    for device in (vulkan, "cpu")
-                )
+                expected = run_filter(light, mask, [ScreenFeature(2.0)], form=form, radius=2).image
+                with engine.on(vulkan):
+                    found = run_filter(light, mask, [ScreenFeature(2.0)], form=form, radius=2).image
                 np.testing.assert_allclose(found, expected, rtol=DEVICE_RELATIVE)
 
 

@@ -211,7 +211,7 @@ class TestSources:
             (settings, "Band-limit of the lobes", "Limit of the lobes"),
             (errors, "expected", "wanted"),
             (trust, "belongs to another user", "is foreign"),
-            (cross_filter, "MAX_SCRATCH_BYTES = 1 << 29", "MAX_SCRATCH_BYTES = 1 << 28"),
+            (cross_filter, "MIN_TILE_STRIPS = 16", "MIN_TILE_STRIPS = 8"),
             (frame, "class LobeKind", "# A comment.\nclass LobeKind"),
         ],
         ids=lambda value: getattr(value, "__name__", ""),

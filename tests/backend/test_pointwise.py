@@ -6,12 +6,12 @@ import halide as hl
 import numpy as np
 import pytest
 
+from lobewise import engine
 from lobewise.backend.jit import count_compiled_kernels
 from lobewise.backend.pointwise import (
     Grid,
     Vector,
     is_finite,
-    run_pointwise,
     select_or_nan,
 )
 from lobewise.errors import InputError
@@ -54,7 +54,7 @@ def make_images(rng: np.random.Generator, size: tuple[int, int]) -> dict[str, np
 def test_every_pixel_of_every_size(rng: np.random.Generator, size: tuple[int, int]) -> None:
     images = make_images(rng, size)
     numbers = {"offset": np.float32([1.0, -2.0, 0.5]), "scale": 1.0 / 3.0}
-    shifted, truth, pair, twice = run_pointwise(define_sums, images, numbers, -1)
+    shifted, truth, pair, twice = engine.pixels(define_sums, images, numbers, -1)
     np.testing.assert_array_equal(shifted, np.float32([1.0, -2.0, 0.5]) - images["colour"])
     np.testing.assert_array_equal(truth, images["there"] & (images["weight"] > 0.0))
     np.testing.assert_array_equal(pair[..., 0], (images["weight"].astype(np.float64) / 3.0).astype(np.float32))
@@ -68,7 +68,7 @@ def test_every_pixel_of_every_size(rng: np.random.Generator, size: tuple[int, in
 @pytest.mark.parametrize("size", SIZES, ids=str)
 def test_neighbours(rng: np.random.Generator, size: tuple[int, int]) -> None:
     weight = rng.normal(size=size).astype(np.float32)
-    (out,) = run_pointwise(define_neighbours, {"weight": weight}, {})
+    (out,) = engine.pixels(define_neighbours, {"weight": weight}, {})
     columns = np.arange(size[1])
     np.testing.assert_array_equal(out[..., 0], weight[:, np.maximum(columns - 1, 0)])
     np.testing.assert_array_equal(out[..., 1], np.broadcast_to(np.minimum(columns + 1, size[1] - 1), size))
@@ -79,7 +79,7 @@ def test_neighbours(rng: np.random.Generator, size: tuple[int, int]) -> None:
 def test_what_is_no_number_is_told_apart() -> None:
     strange = np.float32([0.0, -0.0, 1.0, -1.0, np.nan, np.inf, -np.inf, 3.4e38, -3.4e38, 1e-42])
     value = np.tile(strange, (3, 4))
-    good, positive, small = run_pointwise(define_tests, {"value": value}, {})
+    good, positive, small = engine.pixels(define_tests, {"value": value}, {})
     np.testing.assert_array_equal(good, np.isfinite(value))
     np.testing.assert_array_equal(positive, np.where(np.isfinite(value) & (value > 0.0), value, np.nan))
     with np.errstate(over="ignore"):
@@ -88,25 +88,25 @@ def test_what_is_no_number_is_told_apart() -> None:
 
 def test_one_structure_is_compiled_once(rng: np.random.Generator) -> None:
     numbers = {"offset": np.float32([1.0, -2.0, 0.5]), "scale": 2.0}
-    run_pointwise(define_sums, make_images(rng, (4, 40)), numbers, 1)
+    engine.pixels(define_sums, make_images(rng, (4, 40)), numbers, 1)
     before = count_compiled_kernels()
     again = {"offset": np.float32([0.0, 3.0, 0.5]), "scale": -1.0}
-    run_pointwise(define_sums, make_images(rng, (40, 80)), again, 1)
+    engine.pixels(define_sums, make_images(rng, (40, 80)), again, 1)
     assert count_compiled_kernels() == before
-    run_pointwise(define_sums, make_images(rng, (4, 40)), numbers, 2)
+    engine.pixels(define_sums, make_images(rng, (4, 40)), numbers, 2)
     assert count_compiled_kernels() == before + 1
 
 
 def test_read_only_and_strided_images(rng: np.random.Generator) -> None:
     weight = rng.normal(size=(6, 80)).astype(np.float32)
-    expected = run_pointwise(define_neighbours, {"weight": weight[::2, ::2].copy()}, {})
+    expected = engine.pixels(define_neighbours, {"weight": weight[::2, ::2].copy()}, {})
     strided = weight[::2, ::2]
     strided.flags.writeable = False
-    np.testing.assert_array_equal(run_pointwise(define_neighbours, {"weight": strided}, {}), expected)
+    np.testing.assert_array_equal(engine.pixels(define_neighbours, {"weight": strided}, {}), expected)
 
 
 def test_images_of_unlike_size_are_refused(rng: np.random.Generator) -> None:
     images = make_images(rng, (4, 5))
     images["there"] = np.ones((4, 6), bool)
     with pytest.raises(InputError, match="guides: expected images of one size"):
-        run_pointwise(define_sums, images, {"offset": np.zeros(3, np.float32), "scale": 1.0}, 1)
+        engine.pixels(define_sums, images, {"offset": np.zeros(3, np.float32), "scale": 1.0}, 1)

@@ -391,8 +391,8 @@ def test_few_holes_are_filled_as_if_the_whole_image_was_filtered(
     image[holes] = np.nan
     mean = np.full(3, 0.5, np.float32)
     monkeypatch.setattr(bad_pixels, "MAX_WINDOWS_SHARE", 1e9)
-    windows = bad_pixels.refill(image, holes, mean, "cpu")
+    windows = bad_pixels.refill(image, holes, mean)
     monkeypatch.setattr(bad_pixels, "MAX_WINDOWS_SHARE", 0.0)
-    whole = bad_pixels.refill(image, holes, mean, "cpu")
+    whole = bad_pixels.refill(image, holes, mean)
     assert np.isfinite(windows).all()
     assert windows.tobytes() == whole.tobytes()

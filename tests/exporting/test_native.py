@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lobewise import engine
 from lobewise.backend.devices import list_devices
 from lobewise.cli.main import run
 from lobewise.errors import DeviceError, FileError, InputError
@@ -270,7 +271,6 @@ def test_folder_is_written_whole_or_not_at_all(quick: Path, tmp_path: Path, monk
 
 
 def test_mixture_kernel_is_the_mixture_field() -> None:
-    from lobewise.backend.pointwise import run_pointwise
     from lobewise.frame import GBuffer
     from lobewise.io import read_frame
 
@@ -288,7 +288,7 @@ def test_mixture_kernel_is_the_mixture_field() -> None:
     images["alpha_u"][5, 6] = np.nan
     numbers = {"eye": camera.position.astype(np.float32), "noise": np.float32(tau) ** 2}
     for lobes in (2, 3, 4):
-        valid, axis, sharpness, amplitude = run_pointwise(define_mixture, images, numbers, lobes)
+        valid, axis, sharpness, amplitude = engine.pixels(define_mixture, images, numbers, lobes)
         expected = make_mixture_field(GBuffer(**images), camera, tau=tau, lobes=lobes)
         np.testing.assert_array_equal(valid, expected.valid)
         np.testing.assert_allclose(axis, expected.axis, atol=3e-5)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.backend.pointwise import run_pointwise
+from lobewise import engine
 from lobewise.denoising.automatic import resolve_all
 from lobewise.denoising.networks import load_networks
 from lobewise.denoising.planning.frame_plans import FILL_HOLES, FILTER_LAYERS, KEEP_LIGHT, TAKE_BACK_NOISY
@@ -83,5 +83,5 @@ def test_stages_are_those_of_the_plan() -> None:
 def test_highlights_are_added_where_there_is_light(rng: np.random.Generator) -> None:
     image, kept = rng.random((2, 9, 40, 3)).astype(np.float32)
     lit = rng.random((9, 40)) < 0.5
-    (found,) = run_pointwise(define_with_highlights, {"image": image, "kept": kept, "lit": lit}, {})
+    (found,) = engine.pixels(define_with_highlights, {"image": image, "kept": kept, "lit": lit}, {})
     np.testing.assert_array_equal(found, np.where(lit[..., None], image + kept, image))

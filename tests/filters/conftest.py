@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
-from functools import partial
+from collections.abc import Iterator
 
 import pytest
 
+from lobewise import engine
 from lobewise.backend.devices import list_devices
 
 RUNS = (
@@ -23,7 +24,7 @@ RUNS = (
     "mix_candidates",
     "refine_image",
 )
-"""What takes a device; a test that names none gets the one it is run on."""
+"""What runs kernels on a device: the tests of modules that name one of these run on every device."""
 
 
 CARD = os.environ.get("LOBEWISE_TEST_DEVICE", "vulkan")
@@ -35,20 +36,18 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     calls = any(hasattr(metafunc.module, name) for name in RUNS)
     if calls and metafunc.definition.get_closest_marker("processor") is None:
         sampled = metafunc.definition.get_closest_marker("sampled")
-        is_sampled = sampled is not None and any(case.startswith(CARD) for case in sampled.args)
+        is_sampled = sampled is not None and any(case.startswith("vulkan") for case in sampled.args)
         marks = [pytest.mark.vulkan] if is_sampled else [pytest.mark.vulkan, pytest.mark.nightly]
-        metafunc.parametrize("device", ["cpu", pytest.param(CARD, marks=marks)], indirect=True)
+        metafunc.parametrize("device", ["cpu", pytest.param(CARD, marks=marks, id="vulkan")], indirect=True)
 
 
 @pytest.fixture(autouse=True)
-def device(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+def device(request: pytest.FixtureRequest) -> Iterator[str]:
     """Return the device on which everything in this test runs."""
     name = str(getattr(request, "param", "cpu"))
     found = {each.name: each for each in list_devices()}[name]
     if not found.available:
         assert "CI" not in os.environ, found.reason
         pytest.skip(f"{name}: {found.reason}")
-    for run in RUNS:
-        if hasattr(request.module, run):
-            monkeypatch.setattr(request.module, run, partial(getattr(request.module, run), device=name))
-    return name
+    with engine.on(name):
+        yield name

@@ -131,7 +131,7 @@ def test_holes_are_filled_from_what_was_filled() -> None:
     mean = np.full(3, 7.0, np.float32)
     bright = image.copy()
     bright[middle] = 2.0
-    before, after = (refill(each, holes, mean, "cpu") for each in (image, bright))
+    before, after = (refill(each, holes, mean) for each in (image, bright))
     found = measure(before, after)
     # The first round looks so near that its furthest weights are 0.
     assert 2 * ATROUS_REACH < found <= REFILL_REACH

@@ -80,6 +80,16 @@ class Kernel:
             for each in self.outputs
         }
 
+    def find_axes(self, images: Mapping[str, Image]) -> dict[str, int]:
+        """Return the lengths of named axes from the input images by name."""
+        return {
+            axis: length
+            for each in self.parameters
+            if each.role == "input" and each.name in images
+            for axis, length in zip(each.axes, images[each.name].shape, strict=False)
+            if isinstance(axis, str)
+        }
+
     def __call__(self, **arguments: Any) -> None:
         """Run the kernel with buffers (`lobewise.backend.buffers`) and numbers.
 
@@ -174,13 +184,7 @@ def run_kernel(kernel: Kernel, device: str, images: Mapping[str, Image], **numbe
     DeviceError
         If the device fails or runs out of memory.
     """
-    sizes = {
-        axis: length
-        for each in kernel.parameters
-        if each.role == "input" and each.name in images
-        for axis, length in zip(each.axes, images[each.name].shape, strict=False)
-        if isinstance(axis, str)
-    }
+    sizes = kernel.find_axes(images)
     # Keep every buffer in a local name until the call has returned: Halide holds no reference.
     lent = {name: lend(image, device) for name, image in images.items()}
     types = {each.name: each.type for each in kernel.outputs}

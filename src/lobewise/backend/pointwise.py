@@ -10,18 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.backend.buffers import download, take_mask
 from lobewise.backend.compiler import hl
-from lobewise.backend.devices import count_host_lanes
-from lobewise.backend.jit import Scheduled, get_kernel, run_kernel
+from lobewise.backend.jit import Scheduled
 from lobewise.backend.signature import Signature
-from lobewise.errors import InputError
 
 Vector: TypeAlias = "Sequence[hl.Expr]"
 """The channels of one pixel, or the components of a number."""
@@ -198,61 +194,3 @@ def schedule_rows(grid: Grid, outputs: Sequence[Vector], lanes: int) -> list[hl.
     for stage in grid.stages:
         stage.compute_at(outs[0], y)
     return outs
-
-
-def _take_image(image: NDArray[Any]) -> NDArray[Any]:
-    """Return an image as dense float32, a mask as uint8."""
-    if image.dtype == np.bool_:
-        return take_mask(image)
-    return np.ascontiguousarray(image, np.float32)
-
-
-def run_pointwise(
-    define: Definition,
-    images: Mapping[str, NDArray[Any] | None],
-    numbers: Mapping[str, Any],
-    *options: Hashable,
-) -> tuple[NDArray[Any], ...]:
-    """Compute images from images.
-
-    Parameters
-    ----------
-    define : Definition
-        A function at the top of a module; see `Definition`.
-    images : mapping of str to array or None
-        Each float32 or bool, (height, width) or (height, width, 2 or more); None if it is absent.
-    numbers : mapping of str to array_like
-        Scalars or vectors, computed as float32 if they are, else as float64. New values do not compile again.
-    *options
-        Further arguments of the definition. New values compile again.
-
-    Returns
-    -------
-    tuple of array
-        (height, width) or (height, width, channels), float32 or bool.
-
-    Raises
-    ------
-    InputError
-        If the images differ in size.
-    """
-    held: dict[str, NDArray[Any]] = {name: _take_image(image) for name, image in images.items() if image is not None}
-    sizes = {image.shape[:2] for image in held.values()}
-    if len(sizes) != 1:
-        raise InputError(
-            "guides", expected="images of one size", got=str(sorted(sizes)), action="give all of one frame"
-        )
-    ((_, width),) = sizes
-    vectors = {name: np.atleast_1d(np.asarray(value)) for name, value in numbers.items()}
-    key = PointwiseKey(
-        define,
-        options,
-        tuple((name, image[0, 0].size, image.dtype == np.uint8) for name, image in held.items()),
-        tuple((name, len(vector), vector.dtype != np.float32) for name, vector in vectors.items()),
-        # A row of differences is a pixel shorter.
-        narrow=width <= count_host_lanes(),
-    )
-    kernel = get_kernel("cpu", key, partial(make_pointwise, key), strict=True)
-    named = {f"{name}_{k}": float(value) for name, vector in vectors.items() for k, value in enumerate(vector)}
-    results = map(download, run_kernel(kernel, "cpu", held, **named).values())
-    return tuple(result.view(np.bool_) if result.dtype == np.uint8 else result for result in results)

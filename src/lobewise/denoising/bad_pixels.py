@@ -72,7 +72,7 @@ def describe_bad(bad: int, count: int) -> tuple[str, ...]:
     )
 
 
-def refill(image: FloatArray, holes: NDArray[np.bool_], mean: FloatArray, device: str) -> FloatArray:
+def refill(image: FloatArray, holes: NDArray[np.bool_], mean: FloatArray) -> FloatArray:
     """Return ``image`` with the pixels of ``holes`` replaced by the mean of the nearest others on the screen.
 
     Parameters
@@ -83,8 +83,6 @@ def refill(image: FloatArray, holes: NDArray[np.bool_], mean: FloatArray, device
         What is to be replaced.
     mean : (3,)
         What a hole becomes that has nothing else in its reach.
-    device : str
-        A name from `list_devices`.
     """
     source, holes = image.copy(), holes.copy()
     source[holes] = np.nan
@@ -94,7 +92,7 @@ def refill(image: FloatArray, holes: NDArray[np.bool_], mean: FloatArray, device
             window = source[rows, columns]
             features: list[Feature] = [] if sigma is None else [ScreenFeature(sigma)]
             everywhere = np.ones(window.shape[:2], dtype=bool)
-            filled = run_filter(window, everywhere, features, form="atrous", radius=0, device=device)
+            filled = run_filter(window, everywhere, features, form="atrous", radius=0)
             found.append((rows, columns, filled))
         for rows, columns, filled in found:
             # A pixel is exact in the window whose middle it is.
@@ -131,9 +129,9 @@ def _find_middle(holes: NDArray[np.bool_], rows: slice, columns: slice) -> NDArr
     return np.asarray(holes[rows, columns] & inside[0][:, None] & inside[1])
 
 
-def fill_holes(image: FloatArray, holes: NDArray[np.bool_], frame: AnyFrame, device: str) -> FloatArray:
+def fill_holes(image: FloatArray, holes: NDArray[np.bool_], frame: AnyFrame) -> FloatArray:
     """Return ``image`` with its holes refilled, at last with the mean colour of the frame's good pixels."""
-    return refill(image, holes, find_mean_color(sum_colors(frame)), device) if holes.any() else image
+    return refill(image, holes, find_mean_color(sum_colors(frame))) if holes.any() else image
 
 
 def sum_colors(frame: AnyFrame) -> NDArray[np.float64]:

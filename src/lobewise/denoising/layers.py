@@ -279,7 +279,6 @@ def filter_layer(layer: Layer, settings: ResolvedSettings, image: FloatArray) ->
         form=settings.form,
         radius=settings.radius,
         albedo=layer.albedo,
-        device=settings.device,
     )
 
 

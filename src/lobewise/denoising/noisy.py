@@ -98,7 +98,7 @@ def make_bounded_layers(frame: Frame, settings: ResolvedSettings) -> list[Bounde
     halves = find_halves(frame)
     found = []
     for layer in make_lobe_layers(frame, settings, finest=True, spread=True):
-        bounded = bound_fireflies(halves.images[layer.name], layer.albedo, layer.mask, device=settings.device)
+        bounded = bound_fireflies(halves.images[layer.name], layer.albedo, layer.mask)
         found.append(
             BoundedLayer(
                 layer=layer,
@@ -112,7 +112,7 @@ def make_bounded_layers(frame: Frame, settings: ResolvedSettings) -> list[Bounde
 
 def measure_layer(layer: BoundedLayer, settings: ResolvedSettings) -> NDArray[np.float64]:
     """Return the light of each row of a layer, from which its level follows; see `measure_light`."""
-    return measure_light(layer.halves, layer.layer.albedo, layer.layer.mask, settings.device)
+    return measure_light(layer.halves, layer.layer.albedo, layer.layer.mask)
 
 
 def make_noisy_layers(
@@ -167,7 +167,6 @@ def _split_layer(
         shared=each.noise_is_shared,
         single=single,
         paired=each.is_whole,
-        device=settings.device,
     )
     kept = download(found.kept)
     if not kept.any():
@@ -203,7 +202,7 @@ def find_seen(frame: Frame, mask: NDArray[np.bool_], settings: ResolvedSettings)
     # A pass takes no negative values: shift the normals, and shift them back below.
     images = albedo, np.float32(0.5) + np.float32(0.5) * normal
     place = make_pass_features(frame, settings, SEEN_SIGMA)
-    request = PassRequest(halves=images, mask=mask, place=place, radius=SEEN_RADIUS, device=settings.device)
+    request = PassRequest(halves=images, mask=mask, place=place, radius=SEEN_RADIUS)
     mean = filter_dual_buffer(request)
     sharpness = {"albedo_sharpness": SEEN_ALBEDO, "normal_sharpness": SEEN_NORMAL}
     near_normal = np.float32(2.0) * download(mean.b) - np.float32(1.0)

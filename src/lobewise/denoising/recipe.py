@@ -12,6 +12,7 @@ from weakref import ref
 
 import numpy as np
 
+from lobewise import engine
 from lobewise.denoising.automatic import ask, change_settings, needs_peer_alone, resolve_all
 from lobewise.denoising.bad_pixels import blacken_bad, describe_bad, find_good, require_some_good
 from lobewise.denoising.combining import denoise_with_peer, describe_peer_alone, name_method
@@ -136,8 +137,9 @@ def denoise_checked(checked: CheckedGuides[Frame], named: DenoiseSettings, featu
     state = start_run(frame, chosen, features, seen=checked.seen)
     bad = int(np.count_nonzero(state.bad))
     require_some_good(bad, state.bad.size, "pixel")
-    local = state.run(state.plan.local_stages)
-    state = local.run(state.plan.stages[len(state.plan.local_stages) :])
+    with engine.on(chosen.device):
+        local = state.run(state.plan.local_stages)
+        state = local.run(state.plan.stages[len(state.plan.local_stages) :])
     found = state.filtered
     diffuse, specular = join_parts(found.layers, found.parts)
     weight_sum, effective_samples = find_support(found.layers, found.supports)

@@ -154,9 +154,10 @@ def run_with_history(
 
 def run_filter_step(state: LayerRun, step: FilterStep) -> list[FilterOutput]:
     """Return the layer after one pass by its guides."""
-    layer, device = state.layer, state.settings.device
-    options = {"form": step.form, "radius": step.radius, "albedo": layer.albedo, "device": device}
-    return [run_filter(layer.radiance, layer.mask, layer.features, **options)]  # type: ignore[arg-type]
+    layer = state.layer
+    return [
+        run_filter(layer.radiance, layer.mask, layer.features, form=step.form, radius=step.radius, albedo=layer.albedo)
+    ]
 
 
 def run_upsample_step(state: LayerRun, step: UpsampleStep) -> list[FilterOutput]:
@@ -173,7 +174,6 @@ def run_upsample_step(state: LayerRun, step: UpsampleStep) -> list[FilterOutput]
             radius=step.radius,
             albedo=layer.albedo,
             weights=layer.weights,
-            device=state.settings.device,
         )
     ]
 
@@ -198,20 +198,18 @@ def make_grid(state: LayerRun) -> SampleGrid:
     """Return the guides of a layer with the places of its samples."""
     frame, layer = state.frame, state.layer
     scale, place = (frame.scale, frame.place) if isinstance(frame, SparseFrame) else (1, (0, 0))
-    return SampleGrid(
-        layer.mask, layer.features, scale=scale, place=place, albedo=layer.albedo, device=state.settings.device
-    )
+    return SampleGrid(layer.mask, layer.features, scale=scale, place=place, albedo=layer.albedo)
 
 
 def make_guide(state: LayerRun, step: GuideStep) -> list[Image]:
     """Return the guide of a pass: that of an earlier image, or of the samples."""
-    (source,), device = step.reads, state.settings.device
+    (source,) = step.reads
     if source == SAMPLES:
-        return [make_first_guide(state.noisy, device)]
-    return [compare_halves(state.noisy, state.images[source], device)]
+        return [make_first_guide(state.noisy)]
+    return [compare_halves(state.noisy, state.images[source])]
 
 
-def make_first_guide(noisy: NoisyLayer, device: str) -> Image:
+def make_first_guide(noisy: NoisyLayer) -> Image:
     """Return the guide that the samples of a layer give."""
     layer = noisy.layer
     if noisy.is_whole:
@@ -220,24 +218,23 @@ def make_first_guide(noisy: NoisyLayer, device: str) -> Image:
             mask=layer.mask,
             radius=0,
             albedo=layer.albedo,
-            device=device,
         )
         found = filter_dual_buffer(itself)
-        return compare_halves(noisy, Halves(found.a, found.b), device)
+        return compare_halves(noisy, Halves(found.a, found.b))
     image, dark = download(noisy.samples[0]), find_log_offset(noisy.level)
     halves = split_samples(image, layer.albedo, layer.mask, dark, shared=noisy.noise_is_shared)
-    return compare_halves(noisy, Halves(*halves), device)
+    return compare_halves(noisy, Halves(*halves))
 
 
-def compare_halves(noisy: NoisyLayer, halves: Halves, device: str) -> Image:
+def compare_halves(noisy: NoisyLayer, halves: Halves) -> Image:
     """Return the guide of a pass from two images that are as far apart as their noise."""
     floor = MIN_VARIANCE if noisy.is_whole else MIN_VARIANCE_WITHOUT_HALVES
-    return make_noise_guide(halves.a, halves.b, noisy.level, device, floor=floor)
+    return make_noise_guide(halves.a, halves.b, noisy.level, floor=floor)
 
 
 def run_pass(state: LayerRun, step: PassStep) -> list[Halves | DualBufferOutput]:
     """Return both filtered halves, with their weight sums where a later step reads them."""
-    noisy, settings, dense = state.noisy, state.settings, step.source == SAMPLES
+    noisy, dense = state.noisy, step.source == SAMPLES
     source = noisy.samples if dense else (state.images[step.source].a, state.images[step.source].b)
     request = PassRequest(
         halves=source,
@@ -251,7 +248,6 @@ def run_pass(state: LayerRun, step: PassStep) -> list[Halves | DualBufferOutput]
         albedo=noisy.layer.albedo if dense else None,
         guide=state.images[step.guide],
         noise=step.noise,
-        device=settings.device,
     )
     found = filter_dual_buffer(request)
     if dense and not noisy.is_whole:

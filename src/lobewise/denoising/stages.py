@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise import engine
 from lobewise.backend.buffers import device_scope
 from lobewise.denoising.also import Passed, filter_also
 from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, find_bad_pixels, find_good
@@ -195,7 +196,8 @@ def filter_frame(
 ) -> Filtered:
     """Return the layers of a frame, or of a band of it, after the stages that bands run one by one."""
     state = start_run(frame, settings, features, whole)
-    return state.run(state.plan.local_stages).filtered
+    with engine.on(settings.device):
+        return state.run(state.plan.local_stages).filtered
 
 
 def filter_layers(state: FrameRun) -> FrameRun:
@@ -256,7 +258,7 @@ def refine(state: FrameRun) -> FrameRun:
         shining = find_shining(rest, found.parts)
         surface, seen, edges = surface & ~shining, ~find_small(shining)[..., None], find_edges(shining)
         others = [np.where(seen, rest, np.float32(0.0))]
-    factor = find_factor(frame, [*found.noisy, *others], [*found.parts, *others], whole, state.settings.device)
+    factor = find_factor(frame, [*found.noisy, *others], [*found.parts, *others], whole)
     factor[~find_refined(surface)] = 1.0
     with np.errstate(invalid="ignore", over="ignore"):  # bad pixels of a part stay bad
         parts = [part * factor for part in found.parts]
@@ -307,7 +309,7 @@ def keep_light(state: FrameRun) -> FrameRun:
 def fill(state: FrameRun) -> FrameRun:
     """Fill the pixels without a value."""
     found = state.filtered
-    image = fill_holes(found.image, found.find_holes(state.bad), state.frame, state.settings.device)
+    image = fill_holes(found.image, found.find_holes(state.bad), state.frame)
     return replace(state, image=image, gains=found.find_gains())
 
 

@@ -1,1 +1,191 @@
-"""A pipeline as data: images, numbers, calls of kernels, and memory."""
+"""The engine: the verbs that recipes are written in.
+
+A recipe calls kernels by the functions of this package. The current engine of the thread runs the calls at once
+(`lobewise.engine.here.Here`, the default) or records them (`lobewise.engine.recorder.Recorder`). So a recipe stands
+once, and plans, costs and exported pipelines follow from the calls that it makes.
+
+An image is an array where calls run at once, and a `lobewise.engine.graph.Image` where they are recorded. A number is a
+float, and a `lobewise.engine.numbers.Number` where calls are recorded.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from typing import Any, Protocol
+
+from lobewise.engine.here import HERE, Here, Pass
+
+Make = Callable[[Any], Any]
+"""Defines a kernel for a target of Halide; see `lobewise.backend.jit.Scheduled`."""
+
+
+class Engine(Protocol):
+    """What runs or records the calls of a recipe; see the functions of this package."""
+
+    @property
+    def device(self) -> str:
+        """Where kernels run."""
+
+    def pixels(self, define: Any, images: Any, numbers: Any, options: Any, names: Any, into: Any, text: str) -> Any:
+        """See `pixels`."""
+
+    def kernel(self, key: Any, make: Any, images: Any, numbers: Any, names: Any, text: str, *, strict: bool) -> Any:
+        """See `kernel`."""
+
+    def planes(self, key: Any, make: Any, images: Any, numbers: Any, name: str, text: str, *, strict: bool) -> Any:
+        """See `planes`."""
+
+    def passes(self, passes: Any, images: Any, numbers: Any, tiles: Any, name: str) -> Any:
+        """See `passes`."""
+
+    def part(self, name: str) -> AbstractContextManager[None]:
+        """See `part`."""
+
+    def take(self, name: str, shape: Any, text: str, unit: str) -> Any:
+        """See `take`."""
+
+
+class _Current(threading.local):
+    engine: Engine = HERE
+
+
+_current = _Current()
+
+
+def get_engine() -> Engine:
+    """Return the current engine of this thread."""
+    return _current.engine
+
+
+@contextmanager
+def use(engine: Engine) -> Iterator[None]:
+    """Make an engine the current one of this thread inside the context."""
+    before, _current.engine = _current.engine, engine
+    try:
+        yield
+    finally:
+        _current.engine = before
+
+
+def on(device: str) -> AbstractContextManager[None]:
+    """Run kernels at once on a device of `lobewise.list_devices` inside the context."""
+    return use(Here(device))
+
+
+def pixels(
+    define: Callable[..., Any],
+    images: Mapping[str, Any],
+    numbers: Mapping[str, Any],
+    *options: Hashable,
+    names: Sequence[str] = (),
+    into: Sequence[Any] = (),
+    text: str = "",
+) -> tuple[Any, ...]:
+    """Compute images from images, pixel by pixel.
+
+    Parameters
+    ----------
+    define : Definition
+        A function at the top of a module; see `lobewise.backend.pointwise.Definition`.
+    images : mapping of str to image or None
+        Each float32 or a mask, (height, width) or (height, width, 2 or more); None if it is absent.
+    numbers : mapping of str to array_like
+        Scalars or vectors, computed as float32 if they are, else as float64. New values do not compile again.
+    *options
+        Further arguments of the definition. New values compile again.
+    names : sequence of str
+        Names of the outputs in recorded plans.
+    into : sequence of image or None
+        Memory for the first outputs.
+    text : str
+        What the call does, for recorded plans; by default the first line of the definition's docstring.
+
+    Returns
+    -------
+    tuple of image
+        (height, width) or (height, width, channels), float32 or masks.
+
+    Raises
+    ------
+    InputError
+        If the images differ in size.
+    """
+    return tuple(_current.engine.pixels(define, images, numbers, options, names, into, text))
+
+
+def kernel(
+    key: Hashable,
+    make: Make,
+    images: Mapping[str, Any],
+    numbers: Mapping[str, Any] | None = None,
+    *,
+    strict: bool = False,
+    names: Mapping[str, str] | None = None,
+    text: str = "",
+) -> dict[str, Any]:
+    """Call a compiled kernel; return its outputs by the names of its signature.
+
+    Parameters
+    ----------
+    key : hashable
+        Everything that changes the code of the kernel.
+    make : callable
+        Defines the kernel for a target.
+    images, numbers : mappings
+        Arguments by the names of the signature. Those that it does not have are left out.
+    strict : bool
+        Whether float operations keep their order.
+    names, text
+        For recorded plans: names of the outputs, and what the call does.
+    """
+    return dict(_current.engine.kernel(key, make, images, numbers or {}, names or {}, text, strict=strict))
+
+
+def planes(
+    key: Hashable,
+    make: Make,
+    images: Mapping[str, Any],
+    numbers: Mapping[str, Any],
+    *,
+    strict: bool = False,
+    name: str = "planes",
+    text: str = "",
+) -> Any:
+    """Call a kernel whose outputs are the planes of one stack; return the stack, (count, height, width)."""
+    return _current.engine.planes(key, make, images, numbers, name, text, strict=strict)
+
+
+def passes(
+    passes: Sequence[Pass],
+    images: Mapping[str, Any],
+    numbers: Mapping[str, Any],
+    *,
+    tiles: Sequence[tuple[slice, slice]] = (),
+    name: str = "filtered",
+) -> dict[str, Any]:
+    """Call kernels one after the other, each of which reads as ``source`` what the one before has written as ``sums``.
+
+    Parameters
+    ----------
+    passes : sequence of Pass
+    images, numbers : mappings
+        Arguments of all kernels by name, and the ``source`` of the first.
+    tiles : sequence of (rows, columns)
+        Of two passes, along rows and then along columns: the parts of the image that run one after the other, so that
+        what lies between the passes stays small.
+    name : str
+        Name of the result in recorded plans.
+    """
+    return dict(_current.engine.passes(passes, images, numbers, tiles, name))
+
+
+def part(name: str) -> AbstractContextManager[None]:
+    """Name the part of the recipe that the calls inside the context belong to, for recorded plans."""
+    return _current.engine.part(name)
+
+
+def take(name: str, *shape: Any, text: str, unit: str = "") -> Any:
+    """Return memory for a result that the user of a recorded recipe takes; None where calls run at once."""
+    return _current.engine.take(name, shape, text, unit)

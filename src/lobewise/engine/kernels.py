@@ -1,7 +1,6 @@
 """The kernels of a pipeline: each is defined once, called by the names of its parameters, and compiled for the target.
 
-The functions here stand for those that run a kernel in this process, such as
-`lobewise.backend.pointwise.run_pointwise`. They take the same names and add a call to the pipeline instead.
+The functions here take the same names as those of `lobewise.engine`, and add a call to the pipeline.
 """
 
 from __future__ import annotations
@@ -197,7 +196,7 @@ class Kernels:
         into: Sequence[Image] = (),
         text: str,
     ) -> tuple[Image, ...]:
-        """Add what `lobewise.backend.pointwise.run_pointwise` computes; ``into`` are images for its first outputs."""
+        """Add what `lobewise.engine.pixels` computes; ``into`` are images for its first outputs."""
         held = {name: image for name, image in images.items() if image is not None}
         vectors = {
             name: list(value) if isinstance(value, (list, tuple)) else [value] for name, value in numbers.items()

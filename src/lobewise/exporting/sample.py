@@ -9,7 +9,7 @@ from importlib.resources import as_file, files
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.backend.pointwise import run_pointwise
+from lobewise import engine
 from lobewise.denoising.automatic import choose_beta, choose_screen_sigma, choose_tau
 from lobewise.exporting.plan import FilterPlan, define_guides
 from lobewise.filters.cross_filter import run_filter
@@ -125,7 +125,7 @@ def _make_lobes(
     given = {{"alpha": "alpha_u"}.get(name, name): image for name, image in given.items()}
     eye = np.array([numbers[f"eye_{axis}"] for axis in "xyz"], np.float32)
     noise = np.float32(numbers["tau"]) * np.float32(numbers["tau"])
-    made = run_pointwise(define_guides, given, {"eye": eye, "noise": noise}, plan.similarity, plan.lobes)
+    made = engine.pixels(define_guides, given, {"eye": eye, "noise": noise}, plan.similarity, plan.lobes)
     names = [each.name for each in plan.lobe_arguments if each.role == "output"]
     return {
         name: image.view(np.uint8) if image.dtype == np.bool_ else image

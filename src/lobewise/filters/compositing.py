@@ -11,9 +11,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise import engine
 from lobewise.backend import expressions
 from lobewise.backend.compiler import hl
-from lobewise.backend.pointwise import Grid, Vector, give_channels, run_pointwise, select_or_nan
+from lobewise.backend.pointwise import Grid, Vector, give_channels, select_or_nan
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS
 from lobewise.frame import FloatArray
 
@@ -57,7 +58,7 @@ def composite_light(
     """
     named = {f"light{k}": image for k, image in enumerate(images)}
     others = {"lit": lit, "radiance": radiance, "albedo": albedo, "coverage": coverage}
-    (composite,) = run_pointwise(define_composite, {**named, **others}, {})
+    (composite,) = engine.pixels(define_composite, {**named, **others}, {})
     return np.asarray(composite)
 
 
@@ -86,7 +87,7 @@ def composite_parts(
         See `lobewise.frame.GBuffer`.
     """
     images = {"lit": lit, "albedo": albedo, "mean": mean_albedo, "coverage": coverage, **give_channels("part", part)}
-    (composite,) = run_pointwise(_define_part, images, {})
+    (composite,) = engine.pixels(_define_part, images, {})
     return np.asarray(composite)
 
 

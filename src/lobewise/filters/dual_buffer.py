@@ -10,9 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise import engine
 from lobewise.backend.buffers import Image, returns_host_images, take_channel, take_image, take_mask
 from lobewise.backend.compiler import hl
-from lobewise.backend.jit import Scheduled, get_kernel, run_kernel
+from lobewise.backend.jit import Scheduled
 from lobewise.features.arrays import give_features, give_scalars
 from lobewise.features.base import Feature
 from lobewise.filters.cross_pass import COLORS, describe_structure
@@ -68,8 +69,6 @@ class PassRequest:
         Colours and their variance (`lobewise.filters.noise_guides`).
     noise : float
         Number of variances by which a squared difference of the guide is divided, > 0.
-    device : str
-        A name from `list_devices`.
     """
 
     halves: tuple[Image, Image]
@@ -82,7 +81,6 @@ class PassRequest:
     albedo: FloatArray | None = None
     guide: Image | None = None
     noise: float = 1.0
-    device: str = "cpu"
 
     @property
     def size(self) -> tuple[int, int]:
@@ -134,8 +132,8 @@ class PassRequest:
 def filter_dual_buffer(request: PassRequest) -> DualBufferOutput:
     """Filter two halves of the samples by the same weights."""
     key = request.make_key()
-    kernel = get_kernel(request.device, key, partial(make_scheduled_dual_buffer, key, request.groups))
-    written = run_kernel(kernel, request.device, request.collect_images(), **request.collect_numbers())
+    make = partial(make_scheduled_dual_buffer, key, request.groups)
+    written = engine.kernel(key, make, request.collect_images(), request.collect_numbers())
     return DualBufferOutput(written["a"], written["b"], *(take_channel(written["support"], k) for k in range(2)))
 
 

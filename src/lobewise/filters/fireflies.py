@@ -17,11 +17,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise import engine
 from lobewise.backend.buffers import Image, download, returns_host_images, take_image, take_mask
 from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import is_good
-from lobewise.backend.jit import Scheduled, get_kernel, run_kernel
-from lobewise.backend.pointwise import LARGEST_FLOAT, Grid, Vector, run_pointwise, select_or_nan
+from lobewise.backend.jit import Scheduled
+from lobewise.backend.pointwise import LARGEST_FLOAT, Grid, Vector, select_or_nan
 from lobewise.backend.signature import Signature
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, demodulate, find_luminance
 from lobewise.filters.planes import C, X, Y
@@ -70,8 +71,6 @@ def bound_fireflies(
     halves: tuple[FloatArray, FloatArray],
     albedo: FloatArray | None,
     mask: NDArray[np.bool_],
-    *,
-    device: str = "cpu",
 ) -> BoundedHalves:
     """Return the two halves of a layer with their fireflies bounded, and the light that was taken away.
 
@@ -95,8 +94,6 @@ def bound_fireflies(
         Divides the radiance before luminances are compared. Pixels whose albedo is almost 0 do not count.
     mask : bool array, shape (height, width)
         False where a pixel does not belong to the layer: it neither counts nor changes.
-    device : str
-        A name from `lobewise.backend.devices.list_devices`.
 
     Raises
     ------
@@ -104,8 +101,7 @@ def bound_fireflies(
         If an image is not real numbers of the mask's size.
     """
     images, tinted = take_halves(halves, albedo, mask), albedo is not None
-    kernel = get_kernel(device, ("fireflies", tinted), partial(make_fireflies, tinted))
-    a, b, *sums = run_kernel(kernel, device, images).values()
+    a, b, *sums = engine.kernel(("fireflies", tinted), partial(make_fireflies, tinted), images).values()
     tally = np.stack([download(rows).sum(axis=1, dtype=np.float64) for rows in sums], axis=1)
     return BoundedHalves(a, b, tally)
 
@@ -126,7 +122,7 @@ def cut_samples(color: FloatArray, bounded: FloatArray) -> FloatArray:
     array, shape (height, width, 3)
         NaN where ``bounded`` is not finite or below 0.
     """
-    (cut,) = run_pointwise(define_cut, {"color": color, "bounded": bounded}, {})
+    (cut,) = engine.pixels(define_cut, {"color": color, "bounded": bounded}, {})
     return np.asarray(cut)
 
 

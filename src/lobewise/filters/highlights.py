@@ -19,9 +19,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise import engine
 from lobewise.backend.buffers import Image, returns_host_images
 from lobewise.backend.compiler import hl
-from lobewise.backend.jit import Scheduled, get_kernel, run_kernel
+from lobewise.backend.jit import Scheduled
 from lobewise.backend.pointwise import LARGEST_FLOAT
 from lobewise.backend.signature import Signature
 from lobewise.filters.fireflies import declare_halves, define_both, define_light, read_light, take_halves
@@ -83,7 +84,6 @@ def split_highlights(
     shared: bool = False,
     single: bool = False,
     paired: bool = False,
-    device: str = "cpu",
 ) -> SplitHalves:
     """Return two halves of the samples without the light of small highlights, and the light of the highlights.
 
@@ -110,8 +110,6 @@ def split_highlights(
     paired : bool
         Every pixel has samples in both halves: two neighbours also are a highlight if each is `MIN_PAIR_RATIO` times as
         bright in both halves and its halves agree.
-    device : str
-        A name from `lobewise.backend.devices.list_devices`.
 
     Raises
     ------
@@ -120,8 +118,8 @@ def split_highlights(
     """
     images, tinted = take_halves(halves, albedo, mask), albedo is not None
     kinds = Kinds(shared, single, paired)
-    kernel = get_kernel(device, ("highlights", tinted, kinds), partial(make_highlights, tinted, kinds))
-    return SplitHalves(*run_kernel(kernel, device, images).values())
+    key = "highlights", tinted, kinds
+    return SplitHalves(*engine.kernel(key, partial(make_highlights, tinted, kinds), images).values())
 
 
 def make_highlights(tinted: bool, kinds: Kinds, target: hl.Target) -> Scheduled:

@@ -8,10 +8,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise import engine
 from lobewise.backend import expressions
 from lobewise.backend.buffers import Image, device_scope, download, returns_host_images, take_image, take_mask
 from lobewise.backend.compiler import hl
-from lobewise.backend.jit import Scheduled, get_kernel, run_kernel
+from lobewise.backend.jit import Scheduled
 from lobewise.backend.pointwise import LARGEST_FLOAT
 from lobewise.backend.signature import Signature
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS, demodulate, find_luminance
@@ -94,7 +95,7 @@ def make_light_sums(tinted: bool, target: hl.Target) -> Scheduled:
 
 @device_scope()
 def measure_light(
-    halves: tuple[Image, Image], albedo: FloatArray | None, mask: NDArray[np.bool_], device: str = "cpu"
+    halves: tuple[Image, Image], albedo: FloatArray | None, mask: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
     """Return for every row the sum of luminance over albedo inside ``mask``, and its number of pixels: (height, 2).
 
@@ -109,8 +110,6 @@ def measure_light(
         Divides the radiance.
     mask : bool array, shape (height, width)
         True where pixels count.
-    device : str
-        A name from `list_devices`.
     """
     height, width = mask.shape
     images: dict[str, Image] = {
@@ -120,8 +119,7 @@ def measure_light(
         images["albedo"] = take_image("albedo", albedo, (height, width, COLORS))
     images["mask"] = take_mask(mask)
     tinted = albedo is not None
-    kernel = get_kernel(device, ("light sums", tinted), partial(make_light_sums, tinted))
-    sums = download(run_kernel(kernel, device, images)["sums"])
+    sums = download(engine.kernel(("light sums", tinted), partial(make_light_sums, tinted), images)["sums"])
     return np.stack([sums.sum(axis=1, dtype=np.float64), np.count_nonzero(mask, axis=1)], axis=1)
 
 
@@ -132,7 +130,7 @@ def find_level(rows: NDArray[np.float64]) -> float:
 
 
 @returns_host_images
-def make_noise_guide(a: Image, b: Image, level: float, device: str = "cpu", *, floor: float = MIN_VARIANCE) -> Image:
+def make_noise_guide(a: Image, b: Image, level: float, *, floor: float = MIN_VARIANCE) -> Image:
     """Return the mean of ``ln(a + d)`` and ``ln(b + d)``, and its variance, shape (height, width, 4).
 
     ``d`` is ``LOG_OFFSET_SHARE * level``: scaling the image only adds a constant to the guide. The variance is a
@@ -144,15 +142,14 @@ def make_noise_guide(a: Image, b: Image, level: float, device: str = "cpu", *, f
         Two filtered halves, finite, >= 0.
     level : float
         Mean light of the samples of the whole image (`find_level`), >= 0; the same for every part of an image.
-    device : str
-        A name from `list_devices`.
     floor : float
         Added to the variance.
     """
     shape = (*a.shape[:2], COLORS)
     images = {name: take_image("half", image, shape) for name, image in (("a", a), ("b", b))}
-    kernel = get_kernel(device, ("noise guide",), make_scheduled_noise_guide)
-    return run_kernel(kernel, device, images, offset=find_log_offset(level), floor=floor)["guide"]
+    numbers = {"offset": find_log_offset(level), "floor": floor}
+    guide: Image = engine.kernel(("noise guide",), make_scheduled_noise_guide, images, numbers)["guide"]
+    return guide
 
 
 def find_log_offset(level: float) -> float:

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from lobewise import engine
 from lobewise.backend.expressions import is_good
-from lobewise.backend.pointwise import Grid, Vector, run_pointwise, select_or_nan
+from lobewise.backend.pointwise import Grid, Vector, select_or_nan
 from lobewise.frame import FloatArray, Frame
 
 PARTS = ("color", "diffuse", "specular")
@@ -73,8 +74,8 @@ def mark_bad(image: FloatArray) -> FloatArray:
     # With a NaN both reductions return NaN, whose comparisons are False.
     if float(image.min()) >= 0.0 and float(image.max()) < np.inf:
         return image
-    (marked,) = run_pointwise(define_marked, {"image": image}, {})
-    return marked
+    (marked,) = engine.pixels(define_marked, {"image": image}, {})
+    return np.asarray(marked)
 
 
 def split_checkerboard(image: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -9,9 +9,10 @@ from typing import Any, NamedTuple, NoReturn, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise import engine
 from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import HALIDE
-from lobewise.backend.pointwise import LARGEST_FLOAT, Grid, Vector, is_finite, run_pointwise
+from lobewise.backend.pointwise import LARGEST_FLOAT, Grid, Vector, is_finite
 from lobewise.camera import Camera
 from lobewise.errors import InputError, MissingChannelError
 from lobewise.frame import FloatArray, GBuffer, LobeKind
@@ -155,7 +156,7 @@ def spread_lobes(field: Field) -> Field:
     """
     shapes = {name: getattr(field, name) for name in SHAPES[type(field)]}
     images = {"valid": field.valid, "axis": field.axis, **shapes}
-    found = run_pointwise(define_spread, images, {})
+    found = engine.pixels(define_spread, images, {})
     return replace(field, **dict(zip(shapes, found, strict=True)))
 
 
@@ -222,7 +223,7 @@ def make_split_field(gbuffer: GBuffer, camera: Camera, taus: Sequence[float]) ->
         check_lobe_guides(gbuffer, "ggx", tau)
     images, numbers = collect_guides(gbuffer, camera, 0.0, "ggx")
     noises = {f"noise{k}": np.float32(tau) * np.float32(tau) for k, tau in enumerate(taus)}
-    valid, *planes = run_pointwise(define_split_lobes, images, {**numbers, **noises}, len(taus))
+    valid, *planes = engine.pixels(define_split_lobes, images, {**numbers, **noises}, len(taus))
     pairs = [planes[6 + 2 * k : 8 + 2 * k] for k in range(len(taus))]
     return SplitField(valid, {tau: (*planes[:6], *pair) for tau, pair in zip(taus, pairs, strict=True)})
 
@@ -246,7 +247,7 @@ def _run(gbuffer: GBuffer, camera: Camera, tau: float, similarity: str, *, diffu
     check_lobe_guides(gbuffer, similarity, tau)
     images, numbers = collect_guides(gbuffer, camera, tau, similarity)
     numbers["diffuse_fallback"] = np.float32(diffuse_fallback)
-    return run_pointwise(define_lobes, images, numbers, similarity)
+    return engine.pixels(define_lobes, images, numbers, similarity)
 
 
 def check_lobe_guides(gbuffer: GBuffer, similarity: str, tau: float) -> None:

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise import engine
 from lobewise.backend.compiler import hl
-from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise, select_or_nan
+from lobewise.backend.pointwise import Grid, Vector, is_finite, select_or_nan
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray
 from lobewise.guides.surfaces import get_ray_numbers, is_surface_depth, make_ray
@@ -93,7 +94,7 @@ def find_surface_places(
     size = int(depth.shape[0]), int(depth.shape[1])
     numbers: dict[str, Any] = {**get_projection_numbers(previous, size), **get_ray_numbers(camera, size)}
     images = {"depth": depth, "position": position, "motion": motion}
-    where, *allowance = run_pointwise(define_surface_places, images, numbers)
+    where, *allowance = engine.pixels(define_surface_places, images, numbers)
     return where, allowance[0] if allowance else None
 
 
@@ -125,7 +126,7 @@ def estimate_curvature(position: FloatArray, normal: FloatArray) -> FloatArray:
     edges of objects nor creases count. An image of a single row or column is flat in the other direction.
     """
     images = {"position": position, "normal": normal}
-    (curvature,) = run_pointwise(define_curvature, images, {"edge": np.float32(MIN_EDGE_RATIO)})
+    (curvature,) = engine.pixels(define_curvature, images, {"edge": np.float32(MIN_EDGE_RATIO)})
     return np.asarray(curvature)
 
 
@@ -177,7 +178,7 @@ def find_virtual_places(
     size = int(curvature.shape[0]), int(curvature.shape[1])
     images = {"distance": hit_distance, "curvature": curvature, "position": position}
     numbers = {"eye": camera.position, "far": MISS_DISTANCE, **get_projection_numbers(previous, size)}
-    (places,) = run_pointwise(define_image_places, images, numbers)
+    (places,) = engine.pixels(define_image_places, images, numbers)
     return np.asarray(places)
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from lobewise import engine
 from lobewise.backend.compiler import hl
-from lobewise.backend.pointwise import Grid, Vector, run_pointwise
+from lobewise.backend.pointwise import Grid, Vector
 from lobewise.features.ray import RayFeature
 from lobewise.frame import FloatArray
 from lobewise.guides.surfaces import get_ray_numbers, make_ray
@@ -50,7 +51,7 @@ def make_ray_feature(frame: SparseFrame, direction: FloatArray) -> RayFeature:
     if tangent is None:
         u = v = u if v is None else np.sqrt(0.5 * (u * u + v * v))
         tangent = np.zeros((*frame.shape, 3), np.float32)
-    view, normal = run_pointwise(
+    view, normal = engine.pixels(
         _define_axes, {"normal": guides.require("normal", what)}, get_ray_numbers(camera, frame.shape)
     )
     whole = np.zeros((*frame.shape, 3), np.float32)

@@ -17,8 +17,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise import engine
 from lobewise.backend.compiler import hl
-from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise, select_or_nan
+from lobewise.backend.pointwise import Grid, Vector, is_finite, select_or_nan
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray
 from lobewise.guides.places import MISS_DISTANCE, get_projection_numbers, project_step
@@ -99,7 +100,7 @@ def find_moved_reflections(
     }
     numbers: dict[str, Any] = {"eye": camera.position, "far": MISS_DISTANCE, **get_projection_numbers(previous, size)}
     limits = {"least_motion": np.float32(MIN_MIRROR_MOTION), "least_cosine": np.float32(MIN_NORMAL_COSINE)}
-    return MovedReflections(*run_pointwise(_define_reflections, images, {**numbers, **limits}))
+    return MovedReflections(*engine.pixels(_define_reflections, images, {**numbers, **limits}))
 
 
 def _define_reflections(grid: Grid) -> list[Vector]:

@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from lobewise import engine
 from lobewise.backend.compiler import hl
-from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise
+from lobewise.backend.pointwise import Grid, Vector, is_finite
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray
 from lobewise.guides.places import get_projection_numbers, project_step
@@ -63,12 +64,12 @@ def find_screen_hits(
     numbers: dict[str, Any] = {"eye": camera.position, "angle": pixel_angle, **get_projection_numbers(camera, size)}
     numbers = {name: np.asarray(value, np.float32) for name, value in numbers.items()}
     images = {"position": position, "depth": depth, "normal": normal}
-    rays, state = run_pointwise(_define_rays, images, numbers)
+    rays, state = engine.pixels(_define_rays, images, numbers)
     growth = math.exp(math.log(FARTHEST / (FIRST_STEP * pixel_angle)) / STEPS)
     for _ in range(STEPS // STEPS_PER_CALL):
         images = {"position": position, "depth": depth, "rays": rays, "state": state}
-        (state,) = run_pointwise(_define_steps, images, {**numbers, "growth": np.float32(growth)})
-    (hits,) = run_pointwise(_define_hits, {"depth": depth, "state": state, "curvature": curvature}, {})
+        (state,) = engine.pixels(_define_steps, images, {**numbers, "growth": np.float32(growth)})
+    (hits,) = engine.pixels(_define_hits, {"depth": depth, "state": state, "curvature": curvature}, {})
     return np.asarray(hits)
 
 

@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise import engine
 from lobewise.backend.compiler import hl
-from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise
+from lobewise.backend.pointwise import Grid, Vector, is_finite
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray, GBuffer
 from lobewise.lobes.vectors import dot
@@ -45,7 +46,7 @@ def find_surface_pixels(gbuffer: GBuffer, size: tuple[int, int]) -> NDArray[np.b
     images = {"depth": gbuffer.depth, "position": gbuffer.position, "normal": gbuffer.normal}
     if all(image is None for image in images.values()):
         return np.ones(size, dtype=bool)
-    (surface,) = run_pointwise(define_surface, images, {})
+    (surface,) = engine.pixels(define_surface, images, {})
     return np.asarray(surface)
 
 
@@ -75,9 +76,9 @@ def find_places(gbuffer: GBuffer, camera: Camera) -> tuple[FloatArray, FloatArra
         assert depth is not None
         height, width = depth.shape
         numbers: dict[str, Any] = {"eye": camera.position, **get_ray_numbers(camera, (height, width))}
-        (position,) = run_pointwise(define_positions, {"depth": depth}, numbers)
+        (position,) = engine.pixels(define_positions, {"depth": depth}, numbers)
     if depth is None:
-        (depth,) = run_pointwise(_define_depths, {"position": position}, {"eye": camera.position})
+        (depth,) = engine.pixels(_define_depths, {"position": position}, {"eye": camera.position})
     return np.asarray(position), np.asarray(depth)
 
 
@@ -97,7 +98,7 @@ def find_inverse_hits(distance: FloatArray, depth: FloatArray | None = None, nea
 
     With ``depth``, t is at least ``nearest`` times the depth.
     """
-    (inverse,) = run_pointwise(define_inverse_hits, {"distance": distance, "depth": depth}, {"nearest": nearest})
+    (inverse,) = engine.pixels(define_inverse_hits, {"distance": distance, "depth": depth}, {"nearest": nearest})
     return np.asarray(inverse)
 
 
@@ -115,7 +116,7 @@ def define_inverse_hits(grid: Grid) -> list[Vector]:
 def find_tolerances(alpha_u: FloatArray, alpha_v: FloatArray | None, least: float, slope: float) -> FloatArray:
     """Return ``least + slope * alpha`` with the larger alpha, (height, width). NaN counts as alpha 0."""
     images = {"alpha_u": alpha_u, "alpha_v": alpha_v}
-    (tolerance,) = run_pointwise(define_tolerances, images, {"least": least, "slope": slope})
+    (tolerance,) = engine.pixels(define_tolerances, images, {"least": least, "slope": slope})
     return np.asarray(tolerance)
 
 
@@ -135,7 +136,7 @@ def find_footprints(
     """
     images = {"surface": surface, "depth": depth, "allowance": allowance}
     numbers = {"pixel_angle": np.float32(pixel_angle), "allowed": np.float32(allowed)}
-    (footprint,) = run_pointwise(define_footprints, images, numbers)
+    (footprint,) = engine.pixels(define_footprints, images, numbers)
     return np.asarray(footprint)
 
 
@@ -174,7 +175,7 @@ def put_backdrop(
     eye = np.zeros(3) if camera is None else camera.position
     images = {"surface": surface, "normal": normal, "position": position}
     numbers = {"eye": eye.astype(np.float32), "far": np.float32(far), **rays}
-    facing, flat, *points = run_pointwise(define_backdrop, images, numbers)
+    facing, flat, *points = engine.pixels(define_backdrop, images, numbers)
     return Backdrop(facing, flat, points[0] if points else None)
 
 

@@ -6,13 +6,12 @@ The samples of a frame are stratified over blocks of 4x4 pixels, and each frame 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
+from lobewise import engine
 from lobewise.denoising.automatic import resolve_settings
-from lobewise.denoising.layers import make_layers
-from lobewise.filters.cross_filter import run_filter
+from lobewise.denoising.layers import filter_layer, make_layers
 from lobewise.filters.history.light import LightPast, blend_light
 from lobewise.frame import Frame, Radiance
 from lobewise.interactive.settings import UNFILTERED, InteractiveSettings
@@ -46,8 +45,8 @@ def filter_direct(light: DirectLight, hits: FirstHits, settings: DenoiseSettings
     chosen = resolve_settings(frame, asked)
     parts = []
     for layer in make_layers(frame, chosen):
-        how: dict[str, Any] = {"form": chosen.form, "radius": chosen.radius, "device": chosen.device}
-        output = run_filter(layer.radiance, layer.mask, layer.features, albedo=layer.albedo, **how)
+        with engine.on(chosen.device):
+            output = filter_layer(layer, chosen, layer.radiance)
         clean = output.image
         # Keep the light of pixels that match no pixel of their kernel.
         unmatched = (output.weight_sum <= 0.0) & (layer.radiance[..., 1] > 0.0)

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.backend.buffers import device_scope
+from lobewise import engine
 from lobewise.denoising.automatic import resolve_settings
 from lobewise.denoising.bad_pixels import find_good
 from lobewise.denoising.layers import make_layers
@@ -81,11 +81,11 @@ class LinearFilter:
         finite = np.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0)
         return run(np.maximum(finite, 0.0)) - run(np.maximum(-finite, 0.0)) if (finite < 0.0).any() else run(finite)
 
-    @device_scope()
     def _run(self, image: FloatArray, albedo: FloatArray | None) -> FilterOutput:
         layer, settings = self._layer, self._settings
-        options = {"form": settings.form, "radius": settings.radius, "device": settings.device}
-        return run_filter(image, layer.mask, layer.features, albedo=albedo, **options)  # type: ignore[arg-type]
+        options = {"form": settings.form, "radius": settings.radius}
+        with engine.on(settings.device):
+            return run_filter(image, layer.mask, layer.features, albedo=albedo, **options)  # type: ignore[arg-type]
 
     def _mark(self, image: FloatArray) -> FloatArray:
         """Return an image with NaN, which gets no weight, where the frame's radiance is bad."""

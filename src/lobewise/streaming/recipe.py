@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise import engine
 from lobewise.denoising.automatic import (
     ask,
     change_settings,
@@ -173,7 +174,8 @@ def denoise_file(
         @cache
         def measure() -> _Measured:
             again = BandReader(source, lobe_tables=lobe_tables, wanted=list_measured(asked))
-            return _measure(again, survey, chosen, cut_bands(height, min(most, MEASURED_ROWS)), tell)
+            with engine.on(chosen.device):
+                return _measure(again, survey, chosen, cut_bands(height, min(most, MEASURED_ROWS)), tell)
 
         guided = get_quality(asked.quality).reads_halves
         if not guided and needs_spp(asked):
@@ -185,7 +187,8 @@ def denoise_file(
         seen = _Seen(survey, share_bounded >= MIN_SHARE_BOUNDED, get_quality(chosen.quality).refines)
         kept = KeptBands(waiting)
         bad_count = _filter(reader, kept, _Settings(chosen, below), whole, bands, tell, seen)
-        finish_bands(reader, kept, writer, Finisher(lambda: measure().mean_color, chosen.device), seen.find_gains())
+        with engine.on(chosen.device):
+            finish_bands(reader, kept, writer, Finisher(lambda: measure().mean_color), seen.find_gains())
         writer.finish(output, asdict(chosen))
     told = (*describe_lacks(probe, named), *describe_bad(bad_count, height * reader.shape[1]))
     told = (*told, *measure().notes) if guided else told

@@ -105,7 +105,6 @@ class HistoryReprojection:
         apart = "diffuse" in masks
         self._masks = masks
         self._temporal = temporal
-        self._device = settings.device
         self._past: Past | None = None
         self._places: _Places | None = None
         self._found: dict[str, FloatArray | None] = {}
@@ -160,8 +159,8 @@ class HistoryReprojection:
 
         def find(places: FloatArray, features: ValidationFeatures) -> FloatArray:
             now = features.pixels if name not in self._masks else features.pixels.restrict(self._masks[name])
-            memory, device = self._temporal.memory, self._device
-            return reproject(sums, places, old.pixels, now, virtual=second, memory=memory, device=device)
+            memory = self._temporal.memory
+            return reproject(sums, places, old.pixels, now, virtual=second, memory=memory)
 
         followed = self._places.followed
         if second is None or followed is None:

@@ -11,6 +11,7 @@ from weakref import ref
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise import engine
 from lobewise.backend.memory import MemoryPool
 from lobewise.denoising.automatic import estimate_spp, expect_noise, require_full, require_plain, resolve_settings
 from lobewise.denoising.bad_pixels import (
@@ -44,7 +45,7 @@ from lobewise.filters.history.sums import add_to_sums, split_sums
 from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.guides.lobe_fields import SplitField
 from lobewise.guides.negative import split_negative
-from lobewise.guides.usable import check_guides
+from lobewise.guides.usable import CheckedGuides, check_guides
 from lobewise.settings import DenoiseSettings, ResolvedSettings, TemporalChanges, TemporalSettings
 from lobewise.sparse_frame import AnyFrame, SparseFrame
 from lobewise.temporal.past import HistoryReprojection, Past, pack_past, unpack_past
@@ -171,18 +172,20 @@ class TemporalFilter:
         """
         start = time.perf_counter()
         require_kind("frame", frame, Frame, SparseFrame)
-        with self._memory.use():
-            result = self._add(frame, features, cut)
+        checked = check_guides(frame)
+        chosen = self._resolve(checked.frame)
+        with self._memory.use(), engine.on(chosen.device):
+            result = self._add(checked, chosen, features, cut)
         return replace(result, seconds=time.perf_counter() - start)
 
-    def _add(self, frame: AnyFrame, features: Sequence[Feature], cut: bool) -> Result:
-        checked = check_guides(frame)
+    def _add(
+        self, checked: CheckedGuides[AnyFrame], chosen: ResolvedSettings, features: Sequence[Feature], cut: bool
+    ) -> Result:
         frame, notes = checked.frame, checked.notes
         if isinstance(frame, SparseFrame):
             notes += describe_exact_light(frame)
         else:
             notes += frame.notes
-        chosen = self._resolve(frame)
         frame, below = split_negative(frame)
         if isinstance(frame, SparseFrame):
             frame = tint_samples(frame)
@@ -336,7 +339,7 @@ class TemporalFilter:
             support = Gathered(*find_support(list(layers.values()), told))
             variance = np.asarray(sum(output.variance for output in told), dtype=np.float32)
         return Result(
-            image=fill_holes(image, holes, frame, chosen.device),
+            image=fill_holes(image, holes, frame),
             diffuse=parts.get("diffuse"),
             specular=parts.get("specular"),
             weight_sum=support.weight_sum,

@@ -28,7 +28,7 @@ def load_weights() -> FloatArray:
 
 
 def find_factor(
-    frame: Frame, noisy: Sequence[FloatArray], parts: Sequence[FloatArray], whole: WholeImage, device: str
+    frame: Frame, noisy: Sequence[FloatArray], parts: Sequence[FloatArray], whole: WholeImage
 ) -> FloatArray:
     """Return the refined light over the filtered light, (height, width, 3); 0 where the filtered light is black.
 
@@ -37,8 +37,6 @@ def find_factor(
     frame, noisy, parts
         As in `collect_inputs`; with the light that no surface scatters as the last of both, where there is any.
     whole : WholeImage
-    device : str
-        A name from `list_devices`.
     """
     inputs = collect_inputs(frame, noisy, parts)
     axis, sharpness = find_lobes(frame, whole.tau)
@@ -48,7 +46,6 @@ def find_factor(
         brightness=whole.brightness,
         mean_log_depth=whole.mean_log_depth,
         shared=frame.noise_is_shared,
-        device=device,
     )
     lit = inputs.filtered > MAX_BLACK_RADIANCE
     return np.divide(refined, inputs.filtered, out=np.zeros_like(inputs.filtered), where=lit)

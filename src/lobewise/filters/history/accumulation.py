@@ -10,11 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise import engine
 from lobewise.backend.buffers import HostImage, device_scope, download, take_image, take_mask
 from lobewise.backend.compiler import hl
 from lobewise.backend.devices import count_host_lanes
 from lobewise.backend.expressions import LOG2_E
-from lobewise.backend.jit import Scheduled, get_kernel
+from lobewise.backend.jit import Scheduled
 from lobewise.errors import InputError
 from lobewise.features.arrays import give_features, give_scalars
 from lobewise.features.base import Feature
@@ -30,8 +31,8 @@ from lobewise.filters.history.accumulation_stages import AccumulationFuncs
 from lobewise.filters.history.sums import (
     HISTORY_CHANNELS,
     Sums,
+    cut_planes,
     fill,
-    run_planes,
     split_history,
     widen,
 )
@@ -100,8 +101,6 @@ class SampleGrid:
         Row and column of the shaded pixel within each block.
     albedo : array, shape (height, width, 3), optional
         Divides the radiance on the way in, at the shaded pixels, and multiplies it on the way out.
-    device : str
-        A name from `list_devices`.
     """
 
     def __init__(
@@ -112,12 +111,11 @@ class SampleGrid:
         scale: int,
         place: tuple[int, int] = (0, 0),
         albedo: FloatArray | None = None,
-        device: str = "cpu",
     ) -> None:
         self.shape: tuple[int, int] = (mask.shape[0], mask.shape[1])
         self.shaded = slice(place[0], None, scale), slice(place[1], None, scale)
         self._scale, self._place = scale, place
-        self._mask, self._features, self._device = mask, tuple(features), device
+        self._mask, self._features = mask, tuple(features)
         self._tinted = albedo is not None
         tint = {} if albedo is None else {"own_albedo": take_image("albedo", albedo, (*self.shape, 3))}
         guides = {name: download(image) for name, image in give_features("own", features, self.shape).items()}
@@ -247,7 +245,6 @@ class SampleGrid:
             modulate=False,
             moment=True,
             strictness=unit,
-            device=self._device,
         )
         assert found.moment is not None
         given = {
@@ -319,10 +316,8 @@ class SampleGrid:
     ) -> FloatArray:
         """Return the output of the pass ``make(*options)``, (rows, columns, planes)."""
         told = (tuple(map(describe_structure, each)) if isinstance(each, tuple) else each for each in options)
-        kernel = get_kernel(
-            self._device, (make, *told), partial(make_scheduled_accumulation, make, options), strict=strict
-        )
-        return run_planes(kernel, self._device, images, numbers, size)
+        scheduled = partial(make_scheduled_accumulation, make, options)
+        return cut_planes(engine.planes((make, *told), scheduled, images, numbers, strict=strict), size[1])
 
 
 def make_scheduled_accumulation(
@@ -352,12 +347,11 @@ def run_upsampling(
     radius: int,
     albedo: FloatArray | None = None,
     weights: FloatArray | None = None,
-    device: str = "cpu",
 ) -> FilterOutput:
     """Upsample radiance that was shaded at every ``scale``-th pixel, weighted by the similarity of pixels.
 
     With scale 1 this is the full form of `run_filter`. See `SampleGrid` and `SampleGrid.accumulate` for parameters.
     """
-    grid = SampleGrid(mask, features, scale=scale, place=place, albedo=albedo, device=device)
+    grid = SampleGrid(mask, features, scale=scale, place=place, albedo=albedo)
     out = grid.accumulate(radiance, radius=radius, weights=weights)
     return FilterOutput(np.ascontiguousarray(out.image), out.weight_sum, out.effective_samples)

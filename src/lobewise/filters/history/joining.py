@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise import engine
 from lobewise.backend import expressions
 from lobewise.backend.compiler import hl
-from lobewise.backend.pointwise import Grid, Vector, give_channels, run_pointwise
+from lobewise.backend.pointwise import Grid, Vector, give_channels
 from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS
 from lobewise.frame import FloatArray
@@ -76,7 +77,7 @@ def join_layers(
     for number, (mask, albedo) in enumerate(lobes):
         images |= {f"effective{number}": outputs[number].effective_samples}
         images |= {f"mask{number}": mask, f"albedo{number}": albedo}
-    told = run_pointwise(define_joined, images, {}, len(outputs), len(lobes))
+    told = engine.pixels(define_joined, images, {}, len(outputs), len(lobes))
     image, holes, weight_sum, effective, *more = told
     variance = more.pop(0) if variances else None
     return JoinedLayers(image, tuple(more), weight_sum, effective, variance, holes)
@@ -86,7 +87,7 @@ def find_reflecting(mask: NDArray[np.bool_], albedo: FloatArray | None, floor: f
     """Return where pixels of a mask have an albedo with a channel above ``floor``; the mask itself without albedo."""
     if albedo is None:
         return mask
-    (found,) = run_pointwise(define_reflecting, {"mask": mask, "albedo": albedo}, {"floor": np.float32(floor)})
+    (found,) = engine.pixels(define_reflecting, {"mask": mask, "albedo": albedo}, {"floor": np.float32(floor)})
     return np.asarray(found)
 
 

@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from lobewise import engine
 from lobewise.backend.compiler import hl
-from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise
+from lobewise.backend.pointwise import Grid, Vector, is_finite
 from lobewise.camera import Camera
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.frame import FloatArray, GBuffer
@@ -74,14 +75,14 @@ def blend_light(
     images = {"diffuse": diffuse, "specular": specular, **{f"{name}_albedo": image for name, image in images.items()}}
     eye = np.asarray(camera.position, np.float32)
     place: dict[str, Any] = {"depth": gbuffer.depth, "position": gbuffer.position}
-    (means,) = run_pointwise(_define_light, {**images, **place}, {"eye": eye})
+    (means,) = engine.pixels(_define_light, {**images, **place}, {"eye": eye})
     if past is None or past.means.shape != means.shape:
         return diffuse, specular, LightPast(means, camera)
     places, _ = find_surface_places(camera, past.camera, (place["position"], place["depth"]), None)
     images = {"diffuse": diffuse, "specular": specular, "position": place["position"], "now": means, "places": places}
     images |= {"means": past.means, "alpha_u": gbuffer.alpha_u, "alpha_v": gbuffer.alpha_v}
     numbers = {"eye": eye, "old_eye": np.asarray(past.camera.position, np.float32), "samples": np.float32(samples)}
-    means, *light = run_pointwise(_define_light_history, images, numbers)
+    means, *light = engine.pixels(_define_light_history, images, numbers)
     return light[0], light[1], LightPast(means, camera)
 
 

@@ -9,14 +9,16 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise import engine
 from lobewise.backend.buffers import HostImage, device_scope, download, take_image, take_mask
 from lobewise.backend.compiler import hl
-from lobewise.backend.jit import Scheduled, get_kernel
+from lobewise.backend.jit import Scheduled
+from lobewise.engine.here import HERE
 from lobewise.features.arrays import give_features, give_scalars
 from lobewise.features.base import Feature
 from lobewise.filters.cross_pass import describe_structure
 from lobewise.filters.history.reprojection_pass import make_preparation, make_reprojection
-from lobewise.filters.history.sums import run_planes, split_history, widen
+from lobewise.filters.history.sums import cut_planes, split_history, widen
 from lobewise.filters.schedules.reprojection import schedule_preparation, schedule_reprojection
 from lobewise.filters.schedules.rows import count_lanes
 from lobewise.frame import FloatArray
@@ -61,10 +63,9 @@ def prepare_pixels(mask: NDArray[np.bool_], features: Sequence[Feature]) -> Comp
         return ComparedPixels(tuple(features), wide, None, shape)
     arrays = {name: widen(download(image)) for name, image in give_features("own", features, shape).items()}
     key = "preparation", *map(describe_structure, features)
-    kernel = get_kernel("cpu", key, partial(make_scheduled_preparation, features))
-    size = (shape[0], wide.shape[1])
-    planes = run_planes(kernel, "cpu", {"mask": wide, **arrays}, give_scalars(features), size)
-    return ComparedPixels(tuple(features), wide, np.moveaxis(planes, -1, 0), shape)
+    make = partial(make_scheduled_preparation, features)
+    planes = HERE.planes(key, make, {"mask": wide, **arrays}, give_scalars(features))
+    return ComparedPixels(tuple(features), wide, planes, shape)
 
 
 @device_scope()
@@ -76,7 +77,6 @@ def reproject(
     *,
     virtual: tuple[FloatArray, int] | None = None,
     memory: float = 1.0,
-    device: str = "cpu",
 ) -> FloatArray:
     """Gather the history of every pixel from its place in the frame before.
 
@@ -94,8 +94,6 @@ def reproject(
         Second places, those of each pixel's reflection, and the index of the first feature that is compared there.
     memory : float
         Factor of all weights, 0 to 1.
-    device : str
-        A name from `list_devices`.
 
     Returns
     -------
@@ -111,8 +109,8 @@ def reproject(
         images |= {"planes": now.planes, "planes_before": before.planes}
     numbers = {"memory": memory, "rows": before.shape[0], "columns": before.shape[1], **give_scalars(now.features)}
     key = "reprojection", virtual_from, *map(describe_structure, now.features)
-    kernel = get_kernel(device, key, partial(make_scheduled_reprojection, now.features, virtual_from))
-    return run_planes(kernel, device, images, numbers, size)
+    make = partial(make_scheduled_reprojection, now.features, virtual_from)
+    return cut_planes(engine.planes(key, make, images, numbers), size[1])
 
 
 def make_scheduled_preparation(features: Sequence[Feature], target: hl.Target) -> Scheduled:

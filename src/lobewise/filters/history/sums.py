@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from lobewise.backend.buffers import HostImage, download, lend, make_output
+from lobewise.backend.buffers import HostImage
 from lobewise.backend.devices import count_host_lanes
-from lobewise.backend.jit import Kernel
-from lobewise.backend.memory import make_planes
 from lobewise.errors import InputError
 from lobewise.frame import FloatArray
 from lobewise.lobes.vectors import LUMINANCE
@@ -121,18 +118,6 @@ def split_history(history: FloatArray, size: tuple[int, int]) -> FloatArray:
     return np.ascontiguousarray(planes, dtype=np.float32)
 
 
-def run_planes(
-    kernel: Kernel, device: str, images: Mapping[str, HostImage], numbers: Mapping[str, float], size: tuple[int, int]
-) -> FloatArray:
-    """Run a kernel and return its output planes as an image of a size, (height, width, count)."""
-    # All planes lie in one array, channel by channel, so that the next kernel reads them without a copy.
-    memory = make_planes((len(kernel.outputs), size[0], max(size[1], count_host_lanes())))
-    planes = {
-        each.name: make_output(plane.shape, device, plane) for each, plane in zip(kernel.outputs, memory, strict=True)
-    }
-    # Every buffer is held in a local name until the call has returned: Halide keeps no reference.
-    lent = {name: lend(image, device) for name, image in images.items()}
-    kernel(**lent, **numbers, **{name: buffer for name, (buffer, _) in planes.items()})
-    for _, plane in planes.values():
-        download(plane)
-    return np.moveaxis(memory[..., : size[1]], 0, -1)
+def cut_planes(planes: FloatArray, width: int) -> FloatArray:
+    """Return planes (count, height, columns) as an image of a width, (height, width, count); see `widen`."""
+    return np.moveaxis(planes[..., :width], 0, -1)

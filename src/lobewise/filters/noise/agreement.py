@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from lobewise import engine
 from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import is_good
-from lobewise.backend.pointwise import Grid, Vector, run_pointwise
+from lobewise.backend.pointwise import Grid, Vector
 from lobewise.filters.noise.pooling import (
     DARK_SHARE,
     add_channels,
@@ -76,7 +77,7 @@ def find_agreement(
     told, factor = gather_noise(halves, None, shared=shared)
     images = {"one": one, "other": other, "noisy": noisy, **told}
     floor = np.float32(min(max((DARK_SHARE * level) ** 2, 1e-24), 1e30))
-    sums, light = run_pointwise(_define_sums, images, {"floor": floor})
+    sums, light = engine.pixels(_define_sums, images, {"floor": floor})
     held: dict[str, FloatArray | None] = {"light": light}
     for number in range(max(LEVELS) + 1):
         sums = blur_image(sums, 2**number)
@@ -88,7 +89,7 @@ def find_agreement(
         "level": np.float32(max(level, 1e-12)),
         "flags": np.array([halves is not None, shared], np.float32),
     }
-    (found,) = run_pointwise(_define_features, held, numbers)
+    (found,) = engine.pixels(_define_features, held, numbers)
     return np.asarray(found)
 
 

@@ -18,8 +18,9 @@ from lobewise.backend import expressions
 from lobewise.backend.buffers import take_image
 from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import LOG2_E
-from lobewise.backend.jit import Scheduled, get_kernel, run_kernel
+from lobewise.backend.jit import Scheduled
 from lobewise.backend.signature import Signature
+from lobewise.engine.here import HERE
 from lobewise.filters.cross_pass import COLORS, U, V
 from lobewise.filters.planes import C, X, Y
 from lobewise.filters.schedules.rows import STRIP_ROWS, keep_rows
@@ -61,7 +62,7 @@ def clean_albedo(albedo: FloatArray, normal: FloatArray) -> FloatArray:
     """
     size = (*albedo.shape[:2], COLORS)
     images = {"albedo": take_image("albedo", albedo, size), "normal": take_image("normal", normal, size)}
-    return np.asarray(run_kernel(get_kernel("cpu", ("albedo noise",), make_cleaning), "cpu", images)["clean"])
+    return np.asarray(HERE.kernel(("albedo noise",), make_cleaning, images, {})["clean"])
 
 
 class _Noise(NamedTuple):

@@ -17,9 +17,10 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from lobewise import engine
 from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import is_good
-from lobewise.backend.pointwise import Grid, Vector, run_pointwise
+from lobewise.backend.pointwise import Grid, Vector
 from lobewise.filters.noise.pooling import (
     DARK_SHARE,
     add_channels,
@@ -120,16 +121,16 @@ def find_detail(
         for start in range(top, bottom, FEATURE_ROWS):
             rows = slice(start, min(start + FEATURE_ROWS, bottom))
             inside = slice(rows.start - first, rows.stop - first)
-            (found,) = run_pointwise(define_features, {name: each[inside] for name, each in pooled.items()}, numbers)
+            (found,) = engine.pixels(define_features, {name: each[inside] for name, each in pooled.items()}, numbers)
             yield rows, np.asarray(found)
 
 
 def _pool(images: Mapping[str, FloatArray | None], floor: np.float32) -> dict[str, FloatArray]:
     """Return the images that features are computed from: squared difference, local light, averages at each width."""
     bounds = {"floor": floor}
-    apart, noise, light = run_pointwise(define_difference, images, bounds)
+    apart, noise, light = engine.pixels(define_difference, images, bounds)
     held = {"apart": apart, "noise": noise, "light": light, "filtered": images["filtered"]}
-    (sums,) = run_pointwise(define_products, held, bounds)
+    (sums,) = engine.pixels(define_products, held, bounds)
     pooled: dict[str, FloatArray] = {"own": np.ascontiguousarray(sums[..., 0]), "light": light}
     for number in range(max(LEVELS) + 1):
         sums = blur_image(sums, 2**number)

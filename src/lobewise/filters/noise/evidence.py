@@ -17,9 +17,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from lobewise import engine
 from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import is_good
-from lobewise.backend.pointwise import Grid, Vector, run_pointwise
+from lobewise.backend.pointwise import Grid, Vector
 from lobewise.filters.noise.pooling import REACH as POOLING_REACH
 from lobewise.filters.noise.pooling import (
     add_channels,
@@ -91,7 +92,7 @@ def find_noisy_share(
     """
     told, factor = gather_noise(halves, variance, shared=shared)
     images = {"filtered": filtered, "noisy": noisy, **told}
-    (sums,) = run_pointwise(define_excess, images, {"floor": np.float32(min(max(floor, 1e-24), 1e30))}, by_darker)
+    (sums,) = engine.pixels(define_excess, images, {"floor": np.float32(min(max(floor, 1e-24), 1e30))}, by_darker)
     levels = []
     for number in range(BLUR_COUNT):
         sums = blur_image(sums, 2**number)
@@ -102,8 +103,8 @@ def find_noisy_share(
         held = {"sums": levels[number], "near": levels[0], "wide": wide, "share": share}
         error = MARGIN_STANDARD_ERRORS**2 * factor / count_weights(number)
         numbers = {"error": np.float32(error), "most": np.float32(concentration)}
-        (share,) = run_pointwise(define_share, held, numbers)
-    (share,) = run_pointwise(define_kept, {"share": share, "noisy": noisy}, {})
+        (share,) = engine.pixels(define_share, held, numbers)
+    (share,) = engine.pixels(define_kept, {"share": share, "noisy": noisy}, {})
     return np.asarray(share)
 
 

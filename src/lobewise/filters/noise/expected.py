@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from lobewise import engine
 from lobewise.backend.compiler import hl
-from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise
+from lobewise.backend.pointwise import Grid, Vector, is_finite
 from lobewise.filters.cross_pass import COLORS
 from lobewise.frame import FloatArray
 
@@ -44,10 +45,10 @@ def expect_error(
     effective_samples : array, shape (height, width), optional
         Its inverse is the relative variance where no variance is given.
     """
-    (light,) = run_pointwise(_define_light, {"image": image, "exact": exact}, {})
+    (light,) = engine.pixels(_define_light, {"image": image, "exact": exact}, {})
     level = max(float(light.mean(dtype=np.float64)), MIN_LEVEL)
     noise: dict[str, Any] = {"variance": variance, "samples": None if variance is not None else effective_samples}
-    (expected,) = run_pointwise(_define_expected, {"light": light, **noise}, {"level": np.float32(level)})
+    (expected,) = engine.pixels(_define_expected, {"light": light, **noise}, {"level": np.float32(level)})
     return np.asarray(expected)
 
 

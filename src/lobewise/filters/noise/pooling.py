@@ -6,10 +6,11 @@ import math
 
 import numpy as np
 
+from lobewise import engine
 from lobewise.backend import expressions
 from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import is_good
-from lobewise.backend.pointwise import Grid, Vector, run_pointwise
+from lobewise.backend.pointwise import Grid, Vector
 from lobewise.filters.noise.residuals import DIFFERENCES, SHARED_NOISE_VARIANCE
 from lobewise.frame import FloatArray
 
@@ -133,7 +134,7 @@ def _mirror(place: hl.Expr, size: hl.Expr) -> hl.Expr:
 def blur_image(image: FloatArray, step: int) -> FloatArray:
     """Return an image blurred along rows and columns with five taps ``step`` pixels apart."""
     for along_rows in (True, False):
-        (image,) = run_pointwise(define_blur, {"image": image}, {"step": np.float32(step)}, along_rows)
+        (image,) = engine.pixels(define_blur, {"image": image}, {"step": np.float32(step)}, along_rows)
     return np.asarray(image)
 
 

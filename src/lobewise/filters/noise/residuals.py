@@ -13,8 +13,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise import engine
 from lobewise.backend.compiler import hl
-from lobewise.backend.pointwise import Grid, Vector, run_pointwise, select_or_nan
+from lobewise.backend.pointwise import Grid, Vector, select_or_nan
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS, demodulate
 from lobewise.frame import FloatArray
 
@@ -55,7 +56,7 @@ def find_squared_residual(
     array, shape (height, width, 3)
         NaN where the image is bad.
     """
-    (found,) = run_pointwise(_define_residual, {"image": image, "albedo": albedo, "mask": mask}, {}, shared)
+    (found,) = engine.pixels(_define_residual, {"image": image, "albedo": albedo, "mask": mask}, {}, shared)
     return np.asarray(found)
 
 
@@ -113,7 +114,7 @@ def split_samples(
         Offset under the logarithm, > 0.
     """
     images = {"image": image, "albedo": albedo, "mask": mask}
-    first, second = run_pointwise(_define_samples, images, {"dark": np.float32(dark)}, shared)
+    first, second = engine.pixels(_define_samples, images, {"dark": np.float32(dark)}, shared)
     return first, second
 
 
@@ -148,7 +149,7 @@ def split_by_noise(
         Offset under the logarithm, > 0.
     """
     images = {"mean": mean, "residual": residual, "worth": worth}
-    first, second = run_pointwise(_define_split, images, {"dark": np.float32(dark)})
+    first, second = engine.pixels(_define_split, images, {"dark": np.float32(dark)})
     return first, second
 
 

@@ -7,8 +7,9 @@ from functools import partial
 import numpy as np
 
 from lobewise.backend.compiler import hl
-from lobewise.backend.jit import Scheduled, get_kernel, run_kernel
+from lobewise.backend.jit import Scheduled
 from lobewise.backend.signature import Signature
+from lobewise.engine.here import HERE
 from lobewise.filters.mixing import Network
 from lobewise.filters.mixing_pass import define_network
 from lobewise.filters.planes import C, X, Y
@@ -34,9 +35,8 @@ def find_shares(seen: FloatArray, network: Network, count: int) -> FloatArray:
     network.require_fit(seen.shape[-1], count)
     sizes = seen.shape[-1], *(len(bias) for bias in network.biases)
     arrays = {name: np.ascontiguousarray(each, np.float32) for name, each in network.name_arrays().items()}
-    kernel = get_kernel("cpu", ("shares", sizes), partial(make_shares, sizes))
-    found = run_kernel(kernel, "cpu", {"seen": np.ascontiguousarray(seen, np.float32), **arrays})
-    return np.asarray(found["shares"])
+    images = {"seen": np.ascontiguousarray(seen, np.float32), **arrays}
+    return np.asarray(HERE.kernel(("shares", sizes), partial(make_shares, sizes), images, {})["shares"])
 
 
 def make_shares(sizes: tuple[int, ...], target: hl.Target) -> Scheduled:

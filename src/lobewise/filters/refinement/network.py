@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from lobewise import engine
 from lobewise.backend.buffers import Image, lend, make_output
 from lobewise.backend.compiler import hl
 from lobewise.backend.jit import Scheduled, get_kernel
@@ -39,16 +40,14 @@ class Network:
 
     Parameters
     ----------
-    device : str
-        A name from `list_devices`.
     weights : array
         Result of `lobewise.filters.refinement.run.pack_weights`.
     given : mapping of str to Image
         Results of the kernel of planes: "planes", "light", "vectors", "tint".
     """
 
-    def __init__(self, device: str, weights: FloatArray, given: Mapping[str, Image]) -> None:
-        self._device, self._weights, self._given = device, weights, given
+    def __init__(self, weights: FloatArray, given: Mapping[str, Image]) -> None:
+        self._device, self._weights, self._given = engine.get_engine().device, weights, given
         self._sizes = [Size(*given["tint"].shape[:2])]
         for _ in range(LEVELS - 1):
             self._sizes.append(Size(*((length + 1) // 2 for length in self._sizes[-1])))

@@ -7,8 +7,8 @@ from functools import partial
 
 import numpy as np
 
+from lobewise import engine
 from lobewise.backend.buffers import Image, device_scope, returns_host_images, take_image
-from lobewise.backend.jit import get_kernel, run_kernel
 from lobewise.errors import InputError
 from lobewise.filters.cross_pass import COLORS
 from lobewise.filters.refinement.network import Network
@@ -69,7 +69,6 @@ def refine_image(
     brightness: float,
     mean_log_depth: float,
     shared: bool,
-    device: str = "cpu",
 ) -> Image:
     """Return the refined image, shape (height, width, 3), finite and >= 0.
 
@@ -85,8 +84,6 @@ def refine_image(
         Mean natural logarithm of the depth of all surfaces of the whole image.
     shared : bool
         Whether neighbouring pixels share samples.
-    device : str
-        A name from `list_devices`.
 
     Raises
     ------
@@ -101,5 +98,4 @@ def refine_image(
         lent[name] = take_image(name, there[name], (*size, channels) if channels else size)
     key = PlanesKey(known)
     numbers = {"brightness": brightness, "mean_log_depth": mean_log_depth, "noise_is_shared": float(shared)}
-    planes = run_kernel(get_kernel(device, key, partial(make_planes, key)), device, lent, **numbers)
-    return Network(device, weights, planes).run()
+    return Network(weights, engine.kernel(key, partial(make_planes, key), lent, numbers)).run()

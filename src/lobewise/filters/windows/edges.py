@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise import engine
 from lobewise.backend.compiler import hl
-from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise
+from lobewise.backend.pointwise import Grid, Vector, is_finite
 from lobewise.frame import FloatArray
 from lobewise.guides.surfaces import is_surface_depth
 from lobewise.lobes.vectors import dot, subtract
@@ -47,7 +48,7 @@ def find_edges(
         Columns and rows, -1 to 1 each, to the nearest surface of the 3x3 pixels.
     """
     images = {"position": position, "depth": depth, "normal": normal, "share": object_share}
-    edge, way = run_pointwise(_define_edges, images, {"angle": np.float32(pixel_angle)})
+    edge, way = engine.pixels(_define_edges, images, {"angle": np.float32(pixel_angle)})
     return edge, way
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from lobewise import engine
 from lobewise.backend.compiler import hl
-from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise
+from lobewise.backend.pointwise import Grid, Vector, is_finite
 from lobewise.frame import FloatArray
 
 FIXED_POINT_STEPS = 4
@@ -22,7 +23,7 @@ def follow_back(places: FloatArray, motion: FloatArray) -> FloatArray:
     motion : array, shape (height, width, 2)
         Motion of that frame, see `lobewise.GBuffer`. The pixel nearest to a place tells its motion.
     """
-    (found,) = run_pointwise(_define_back, {"places": places, "motion": motion}, {})
+    (found,) = engine.pixels(_define_back, {"places": places, "motion": motion}, {})
     return np.asarray(found)
 
 
@@ -41,7 +42,7 @@ def follow_on(places: FloatArray, guess: FloatArray, motion: FloatArray) -> Floa
     motion : array, shape (height, width, 2)
         Motion of the *next* frame, see `lobewise.GBuffer`.
     """
-    (found,) = run_pointwise(_define_on, {"places": places, "guess": guess, "motion": motion}, {})
+    (found,) = engine.pixels(_define_on, {"places": places, "guess": guess, "motion": motion}, {})
     return np.asarray(found)
 
 

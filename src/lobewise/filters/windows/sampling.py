@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise import engine
 from lobewise.backend.compiler import hl
-from lobewise.backend.pointwise import Grid, Vector, is_finite, run_pointwise
+from lobewise.backend.pointwise import Grid, Vector, is_finite
 from lobewise.frame import FloatArray
 
 SNAP_PIXELS = 0.01
@@ -36,7 +37,7 @@ def sample_cubic(image: FloatArray, places: FloatArray) -> tuple[FloatArray, NDA
     bool array, shape (height, width)
         True where there is a value.
     """
-    values, known = run_pointwise(_define_sample, {"image": image, "places": places}, {})
+    values, known = engine.pixels(_define_sample, {"image": image, "places": places}, {})
     return values, known
 
 

@@ -12,8 +12,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from lobewise import engine
 from lobewise.backend.compiler import hl
-from lobewise.backend.pointwise import Grid, Vector, run_pointwise
+from lobewise.backend.pointwise import Grid, Vector
 from lobewise.filters.noise.pooling import add_channels, average_light, blur_image, count_weights
 from lobewise.frame import FloatArray
 
@@ -37,10 +38,10 @@ def find_noise(samples: FloatArray, pilot: FloatArray) -> FloatArray:
     samples, pilot : array, shape (height, width, 3)
         Samples, and what a first denoising made of them; finite.
     """
-    (squares,) = run_pointwise(_define_noise, {"samples": samples, "pilot": pilot}, {"floor": _find_floor(pilot)})
+    (squares,) = engine.pixels(_define_noise, {"samples": samples, "pilot": pilot}, {"floor": _find_floor(pilot)})
     for level in (1, 2):
         squares = blur_image(squares, level)
-    return squares
+    return np.asarray(squares)
 
 
 def _find_floor(image: FloatArray) -> np.float32:
@@ -70,9 +71,9 @@ def compare_pilots(own: FloatArray, other: FloatArray, agreement: FloatArray) ->
     agreement : array, shape (height, width)
         How well the surfaces match, 0 to 1. Pixels with agreement 0 do not count.
     """
-    (squares,) = run_pointwise(_define_pilots, {"own": own, "other": other, "agreement": agreement}, {})
+    (squares,) = engine.pixels(_define_pilots, {"own": own, "other": other, "agreement": agreement}, {})
     squares = blur_image(squares, 1)
-    (bias,) = run_pointwise(_define_mean, {"squares": squares}, {})
+    (bias,) = engine.pixels(_define_mean, {"squares": squares}, {})
     return np.asarray(bias)
 
 
@@ -98,12 +99,12 @@ def find_relative_bias(own: FloatArray, other: FloatArray, agreement: FloatArray
         How well the surfaces match, 0 to 1. Pixels with agreement 0 do not count.
     """
     images = {"own": own, "other": other, "agreement": agreement}
-    sums, squares = run_pointwise(_define_differences, images, {"floor": _find_floor(own)})
+    sums, squares = engine.pixels(_define_differences, images, {"floor": _find_floor(own)})
     found = np.zeros(agreement.shape, np.float32)
     for level in range(LEVELS):
         sums, squares = (blur_image(image, 2**level) for image in (sums, squares))
         images = {"sums": sums, "squares": squares, "before": found}
-        (found,) = run_pointwise(_define_relative, images, {"count": np.float32(count_weights(level))})
+        (found,) = engine.pixels(_define_relative, images, {"count": np.float32(count_weights(level))})
     return found
 
 

@@ -1,0 +1,237 @@
+"""The engine that runs every call at once, in this process."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.backend.buffers import Buffer, HostImage, Image, download, lend, make_output, take_mask
+from lobewise.backend.devices import count_host_lanes
+from lobewise.backend.jit import Kernel, get_kernel, run_kernel
+from lobewise.backend.memory import make_planes
+from lobewise.backend.pointwise import PointwiseKey, make_pointwise
+from lobewise.errors import InputError
+from lobewise.images import FloatArray
+
+MAX_SCRATCH_BYTES = 1 << 29
+"""Largest image between two passes whose memory is kept for the next call, bytes."""
+MAX_VECTOR_PIXELS = 16
+"""Pixels of the widest vector of any processor."""
+
+
+class Pass(NamedTuple):
+    """One of the kernels of `lobewise.engine.passes`: its key, its definition, its own numbers, and what it does."""
+
+    key: Hashable
+    make: Callable[[Any], Any]
+    radius: int
+    step: int
+    text: str
+
+
+class _Scratch(threading.local):
+    """Memory for images between two passes, per thread. Reusing it saves the page faults of fresh memory."""
+
+    def __init__(self) -> None:
+        self._held: dict[int, FloatArray] = {}
+
+    def lend(self, slot: int, shape: tuple[int, ...]) -> FloatArray | None:
+        """Return uninitialised memory of a shape; None if it is too large to keep."""
+        count = math.prod(shape)
+        if 4 * count > MAX_SCRATCH_BYTES:
+            return None
+        if slot not in self._held or self._held[slot].size < count:
+            self._held[slot] = np.empty(count, np.float32)
+        return self._held[slot][:count].reshape(shape)
+
+
+_scratch = _Scratch()
+
+
+@dataclass(frozen=True)
+class Here:
+    """The engine that runs every call at once; see `lobewise.engine`.
+
+    Parameters
+    ----------
+    device : str
+        Where kernels run, a name from `lobewise.list_devices`. What is computed pixel by pixel runs on the processor.
+    """
+
+    device: str = "cpu"
+
+    def pixels(
+        self,
+        define: Callable[..., Any],
+        images: Mapping[str, NDArray[Any] | None],
+        numbers: Mapping[str, Any],
+        options: tuple[Hashable, ...] = (),
+        names: Sequence[str] = (),
+        into: Sequence[Any] = (),
+        text: str = "",
+    ) -> tuple[NDArray[Any], ...]:
+        """See `lobewise.engine.pixels`."""
+        held: dict[str, NDArray[Any]] = {n: _take_image(image) for n, image in images.items() if image is not None}
+        sizes = {image.shape[:2] for image in held.values()}
+        if len(sizes) != 1:
+            raise InputError(
+                "guides", expected="images of one size", got=str(sorted(sizes)), action="give all of one frame"
+            )
+        ((_, width),) = sizes
+        vectors = {name: np.atleast_1d(np.asarray(value)) for name, value in numbers.items()}
+        key = PointwiseKey(
+            define,
+            options,
+            tuple((name, image[0, 0].size, image.dtype == np.uint8) for name, image in held.items()),
+            tuple((name, len(vector), vector.dtype != np.float32) for name, vector in vectors.items()),
+            # A row of differences is a pixel shorter.
+            narrow=width <= count_host_lanes(),
+        )
+        kernel = get_kernel("cpu", key, partial(make_pointwise, key), strict=True)
+        named = {f"{name}_{k}": float(value) for name, vector in vectors.items() for k, value in enumerate(vector)}
+        results = map(download, run_kernel(kernel, "cpu", held, **named).values())
+        return tuple(result.view(np.bool_) if result.dtype == np.uint8 else result for result in results)
+
+    def kernel(
+        self,
+        key: Hashable,
+        make: Callable[[Any], Any],
+        images: Mapping[str, Image],
+        numbers: Mapping[str, float],
+        names: Mapping[str, str] | None = None,
+        text: str = "",
+        *,
+        strict: bool = False,
+    ) -> dict[str, Image]:
+        """See `lobewise.engine.kernel`."""
+        return run_kernel(get_kernel(self.device, key, make, strict=strict), self.device, images, **numbers)
+
+    def planes(
+        self,
+        key: Hashable,
+        make: Callable[[Any], Any],
+        images: Mapping[str, Image],
+        numbers: Mapping[str, float],
+        name: str = "",
+        text: str = "",
+        *,
+        strict: bool = False,
+    ) -> FloatArray:
+        """See `lobewise.engine.planes`."""
+        kernel = get_kernel(self.device, key, make, strict=strict)
+        (shape,) = set(kernel.list_shapes(**kernel.find_axes(images)).values())
+        # All planes lie in one array, so that the next kernel reads them without a copy.
+        memory = make_planes((len(kernel.outputs), *shape))
+        planes = [
+            (each.name, make_output(plane.shape, self.device, plane))
+            for each, plane in zip(kernel.outputs, memory, strict=True)
+        ]
+        # Every buffer is held in a local name until the call has returned: Halide keeps no reference.
+        lent = {each: lend(image, self.device) for each, image in images.items()}
+        kernel(**lent, **numbers, **{each: buffer for each, (buffer, _) in planes})
+        for _, (_, plane) in planes:
+            download(plane)
+        return memory
+
+    def passes(
+        self,
+        passes: Sequence[Pass],
+        images: Mapping[str, Image],
+        numbers: Mapping[str, float],
+        tiles: Sequence[tuple[slice, slice]] = (),
+        name: str = "",
+    ) -> dict[str, Image]:
+        """See `lobewise.engine.passes`."""
+        beside = {each: image for each, image in images.items() if each != "source"}
+        kernels = [get_kernel(self.device, each.key, each.make) for each in passes]
+        run = _Chain(kernels, [each.step for each in passes], beside, numbers, passes[0].radius, self.device)
+        image = images["source"]
+        shapes = kernels[-1].list_shapes(height=image.shape[0], width=image.shape[1])
+        outputs = {each: make_output(shape, self.device) for each, shape in shapes.items()}
+        if tiles and self.device == "cpu":
+            arrays = {each: buffer.array for each, (buffer, _) in outputs.items()}
+            for rows, columns in tiles:
+                run.filter_tile(image, arrays, rows, columns)
+        else:
+            run.filter_whole(image, {each: buffer for each, (buffer, _) in outputs.items()})
+        return {each: download(image) for each, (_, image) in outputs.items()}
+
+    @contextmanager
+    def part(self, name: str) -> Iterator[None]:
+        """See `lobewise.engine.part`."""
+        yield
+
+    def take(self, name: str, shape: Any, text: str, unit: str) -> None:
+        """See `lobewise.engine.take`."""
+
+
+HERE = Here()
+"""The engine on the processor, which is the current one unless another is chosen."""
+
+
+def _take_image(image: NDArray[Any]) -> NDArray[Any]:
+    """Return an image as dense float32, a mask as uint8."""
+    if image.dtype == np.bool_:
+        return take_mask(image)
+    return np.ascontiguousarray(image, np.float32)
+
+
+@dataclass(frozen=True)
+class _Chain:
+    """Kernels that run one after the other, and the arguments of all of them beside the source."""
+
+    kernels: Sequence[Kernel]
+    steps: Sequence[int]
+    beside: Mapping[str, Image]
+    numbers: Mapping[str, float]
+    radius: int
+    device: str
+
+    def _call(
+        self, kernel: Kernel, source: Buffer, outputs: Mapping[str, Buffer], step: int, part: tuple[slice, ...] = ()
+    ) -> None:
+        """Run a pass over the pixels ``part``, or over all; ``source`` is already cut to the part."""
+        # Not every pass reads all images.
+        read = {each.name for each in kernel.parameters}
+        lent = {
+            name: lend(download(image)[part] if part else image, self.device)
+            for name, image in self.beside.items()
+            if name in read
+        }
+        kernel(source=source, step=step, radius=self.radius, **lent, **self.numbers, **outputs)
+
+    def filter_whole(self, image: Image, outputs: Mapping[str, Buffer]) -> None:
+        """Filter all pixels, pass by pass."""
+        height, width = image.shape[:2]
+        for number, (kernel, step) in enumerate(zip(self.kernels[:-1], self.steps, strict=False)):
+            shape = kernel.list_shapes(height=height, width=width)["sums"]
+            memory = _scratch.lend(number % 2, shape) if self.device == "cpu" else None
+            written, sums = make_output(shape, self.device, memory)
+            self._call(kernel, lend(image, self.device), {"sums": written}, step)
+            image = sums
+        self._call(self.kernels[-1], lend(image, self.device), outputs, self.steps[-1])
+
+    def filter_tile(self, image: Image, results: Mapping[str, HostImage], rows: slice, columns: slice) -> None:
+        """Filter a tile along rows, with the rows above and below that columns reach; then along columns."""
+        # Align vectors with those of the whole image, so that every pixel is computed by the same instructions.
+        beside = -(-self.radius // MAX_VECTOR_PIXELS) * MAX_VECTOR_PIXELS
+        tall = slice(max(rows.start - self.radius, 0), min(rows.stop + self.radius, image.shape[0]))
+        wide = slice(max(columns.start - beside, 0), min(columns.stop + beside, image.shape[1]))
+        along, down = self.kernels
+        shape = along.list_shapes(height=tall.stop - tall.start, width=columns.stop - columns.start)["sums"]
+        between = _scratch.lend(0, shape)
+        if between is None:
+            between = np.empty(shape, np.float32)
+        sums = Buffer(between, (0, 0, columns.start - wide.start))
+        self._call(along, Buffer(download(image)[tall, wide]), {"sums": sums}, 1, (tall, wide))
+        window = rows.start - tall.start, 0
+        written = {name: Buffer(whole[rows, columns], window) for name, whole in results.items()}
+        self._call(down, Buffer(between), written, 1, (tall, columns))
