@@ -278,7 +278,7 @@ EXPORTING = (
     ),
     Mutation(
         "exported pipelines forget the light of highlights",
-        "exporting/pipeline/recipes/glue.py",
+        "filters/glue.py",
         "_select_bits(lit, value + more, value)",
         "_select_bits(lit, value, value)",
         ("exporting/test_pipeline_balanced.py", "exporting/test_pipeline.py"),

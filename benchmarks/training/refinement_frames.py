@@ -37,7 +37,7 @@ from benchmarks.users.guides import reduce_frame
 from lobewise.denoising.refining.inputs import RefinementInputs, collect_inputs
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.guides.lobe_fields import make_sg_field
-from lobewise.lobes.band_limit import default_tau
+from lobewise.guides.lobe_fields import default_tau
 
 GUIDE_SETS = ("all", "unsplit", "passes", "plain", "color")
 """Sets of guides. "unsplit" has all guides beside one image of all light; the others are those of the users' bench."""

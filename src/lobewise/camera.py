@@ -165,6 +165,39 @@ class Camera:
         """Return the angle that one pixel at the image centre subtends vertically, radians."""
         return float(2.0 * np.tan(0.5 * self.fov_y) / self.get_rows(height)[1])
 
+    def get_ray_numbers(self, size: tuple[int, int]) -> dict[str, NDArray[np.float64]]:
+        """Return the numbers of the rays through pixels of an image, (height, width), for kernels.
+
+        They are the ray of the first pixel, the steps per pixel right and down, and the number of the first row.
+        """
+        height, width = size
+        first_row, rows = self.get_rows(height)
+        half_width, half_height = self.get_half_extent(width, height)
+        right, down = 2.0 * half_width / width * self.right, -2.0 * half_height / rows * self.up
+        corner = self.middle - half_width * self.right + half_height * self.up
+        first_ray = corner + 0.5 * (right + down)
+        return {
+            "first_ray": first_ray,
+            "ray_right": right,
+            "ray_down": down,
+            "first_row": np.array([float(first_row)]),
+        }
+
+    def get_projection_numbers(self, size: tuple[int, int]) -> dict[str, NDArray[np.float64]]:
+        """Return the numbers by which kernels project places to an image, (height, width).
+
+        They are the camera's position and direction, and its axes in units of the half image.
+        """
+        height, width = size
+        half_width, half_height = self.get_half_extent(width, height)
+        return {
+            "before": self.position,
+            "before_forward": self.forward,
+            # Kernels divide a step by its depth, so the shift of the image is subtracted per unit of depth.
+            "before_right": (self.right - self.shift[0] * self.forward) / half_width,
+            "before_up": (self.up - self.shift[1] * self.forward) / half_height,
+        }
+
     def get_plane(self, width: int, height: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the coordinates of pixel centres on the plane at distance 1, x of columns and y (upwards) of rows."""
         first, rows = self.get_rows(height)

@@ -16,7 +16,7 @@ from lobewise.errors import InputError
 from lobewise.features import ScreenFeature
 from lobewise.filters.compositing import composite_light
 from lobewise.frame import Frame, GBuffer, Radiance, RadianceLayer
-from lobewise.lobes.band_limit import default_tau
+from lobewise.guides.lobe_fields import default_tau
 from lobewise.metrics import rel_mse
 from lobewise.settings import QUALITIES, DenoiseSettings
 from lobewise.sparse_frame import make_sparse

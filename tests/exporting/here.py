@@ -1,6 +1,6 @@
 """An engine that runs the calls of a recorded recipe at once, in this process: what is recorded is what is run.
 
-`Here` stands where `lobewise.engine.kernels.Kernels` records the call of a kernel, `HereGraph` where
+`Here` stands where `lobewise.engine.recorder.Kernels` records the call of a kernel, `HereGraph` where
 `lobewise.engine.graph.Graph` names images. Functions of the driver are those of the library that the driver repeats.
 """
 
@@ -17,6 +17,7 @@ from typing import Any
 import halide as hl
 import numpy as np
 
+from lobewise import engine
 from lobewise.backend.jit import Kernel, get_kernel, run_kernel
 from lobewise.camera import Camera
 from lobewise.denoising.automatic import estimate_spp
@@ -25,8 +26,8 @@ from lobewise.denoising.light_loss import find_gain, sum_missing
 from lobewise.denoising.planning.frame_plans import FrameTraits, plan_frame
 from lobewise.denoising.planning.layer_plans import LayerTraits, plan_history, plan_upsampling
 from lobewise.engine.graph import Graph, Image
-from lobewise.engine.kernels import Kernels
 from lobewise.engine.numbers import Number, round_single
+from lobewise.engine.recorder import Recorder
 from lobewise.exporting.pipeline.recipes.constants import Constants
 from lobewise.exporting.pipeline.recipes.frames import PlannedFrame
 from lobewise.exporting.pipeline.recipes.guides import PipelineGuides
@@ -34,8 +35,6 @@ from lobewise.exporting.pipeline.sample import collect_images
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.filters.noise_guides import find_level
 from lobewise.frame import FloatArray, Frame, Radiance
-from lobewise.guides.places import get_projection_numbers
-from lobewise.guides.surfaces import get_ray_numbers
 from lobewise.settings import TemporalSettings
 from lobewise.settings.choices import get_quality
 from lobewise.sparse_frame import AnyFrame, SparseFrame
@@ -117,12 +116,13 @@ class HereGraph(Graph):
     @contextmanager
     def only_when(self, condition: str) -> Iterator[None]:
         before, name = self.is_on, condition.removeprefix("!")
+        outer, self.when = self.when, condition
         value = self.known.get(name, 1.0) != 0.0
         self.is_on = before and value != condition.startswith("!")
         try:
             yield
         finally:
-            self.is_on = before
+            self.is_on, self.when = before, outer
 
     def find(self, value: Any) -> float:
         """Return the value of an argument: what the driver computed, or what the recipe computed in Python."""
@@ -197,7 +197,7 @@ FUNCTIONS: Mapping[str, Callable[[HereGraph, Sequence[np.ndarray], Sequence[str]
 """What the functions of the driver do."""
 
 
-class Here(Kernels):
+class Here(Recorder):
     """The kernels of a recipe; a call runs at once."""
 
     def get(self, key: Any, make: Any, *, strict: bool = False) -> Any:
@@ -257,7 +257,7 @@ class Numbers(Constants):
     def get_vector(self, name: str, *, before: bool = False, single: bool = False) -> list[Number]:
         camera = self.before if before and self.before is not None else self.camera
         values = {"eye": camera.position, "forward": camera.forward}
-        values |= get_ray_numbers(camera, self.size) | get_projection_numbers(camera, self.size)
+        values |= camera.get_ray_numbers(self.size) | camera.get_projection_numbers(self.size)
         found = [Number(float(value), "x") for value in np.atleast_1d(values[name])]
         return [round_single(each) for each in found] if single else found
 
@@ -290,9 +290,9 @@ class Recorded:
         wanted = Graph()
         wanted.given = dict.fromkeys(self.list_inputs())  # type: ignore[arg-type]
         graph.inputs = collect_images(wanted, frame, emission)
-        PlannedFrame(
-            PipelineGuides(settings, graph, Here(graph, hl.get_host_target(), "x"), numbers), self.plan()
-        ).run()
+        here = Here(graph, hl.get_host_target(), "x")
+        with engine.use(here):
+            PlannedFrame(PipelineGuides(settings, graph, here, numbers), self.plan()).run()
         self.past, self.camera = graph.remembered, frame.camera
         image = graph.results["image"]
         assert isinstance(image, Held)

@@ -66,7 +66,7 @@ def run_python(hits: bool) -> tuple[lobewise.TemporalFilter, dict[str, Steps]]:
     assert past is not None
     chosen = recipe._resolve(frame)
     guides = Guides(frame.gbuffer, frame.camera, ())
-    lobes = split_lobes(frame, chosen.similarity, chosen.tau, find_same_tau(guides, frame.height, chosen))
+    lobes = split_lobes(frame, chosen.similarity, chosen.tau, find_same_tau(guides, chosen))
     layers = recipe._make_layers(frame, chosen, (), lobes)
     masks = {name: layer.mask for name, layer in layers.items()}
     reprojection = HistoryReprojection(guides, chosen, recipe.temporal, past, masks, lobes)

@@ -23,7 +23,7 @@ from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, WIDTH, collect_im
 from lobewise.exporting.pipeline.scene import SPP, make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.exporting.pipeline.writing import compile_kernels
-from lobewise.lobes.band_limit import default_tau
+from lobewise.guides.lobe_fields import default_tau
 from tests.exporting.conftest import find_program
 from tests.exporting.pipelines import LIBRARIES, STRICT, build, export, run_example
 

@@ -17,10 +17,10 @@ from lobewise.denoising.stages import start_run
 from lobewise.exporting.pipeline.driver import write_driver
 from lobewise.exporting.pipeline.planning import make_pipeline
 from lobewise.exporting.pipeline.recipes.constants import Constants
-from lobewise.exporting.pipeline.recipes.glue import define_with_highlights
 from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, WIDTH, make_settings, prepare_frame
 from lobewise.exporting.pipeline.scene import make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
+from lobewise.filters.glue import define_with_highlights
 from tests.exporting.conftest import find_program
 from tests.exporting.pipelines import export, run_example
 

@@ -11,12 +11,12 @@ from lobewise.errors import InputError, MissingChannelError
 from lobewise.frame import GBuffer, LobeKind
 from lobewise.guides.lobe_fields import (
     SPREAD_TURNS,
+    default_tau,
     make_covariance_field,
     make_sg_field,
     make_split_field,
     spread_lobes,
 )
-from lobewise.lobes.band_limit import default_tau
 from tests.lobes.oracles.brdf import reflect, reflect_sg
 from tests.lobes.oracles.roughness import sg_sharpness_from_ggx
 from tests.lobes.oracles.sg import sg_bandlimit

@@ -343,8 +343,8 @@ def take_dense(image: HostImage) -> FloatArray: ...
 @overload
 def take_dense(image: DeviceImage) -> DeviceImage: ...
 def take_dense(image: Image) -> Image:
-    """Return an image as dense float32; one on a device stays there."""
-    return image if isinstance(image, DeviceImage) else np.ascontiguousarray(image, dtype=np.float32)
+    """Return an image as dense float32; one on a device, or one that is recorded, stays as it is."""
+    return np.ascontiguousarray(image, dtype=np.float32) if isinstance(image, np.ndarray) else image
 
 
 def take_channel(image: Image, channel: int) -> Image:
@@ -353,5 +353,5 @@ def take_channel(image: Image, channel: int) -> Image:
 
 
 def take_mask(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Return a mask as dense uint8."""
-    return np.ascontiguousarray(mask).view(np.uint8)
+    """Return a mask as dense uint8; one that is recorded stays as it is."""
+    return np.ascontiguousarray(mask).view(np.uint8) if isinstance(mask, np.ndarray) else mask

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lobewise.backend.compiler import hl
 from lobewise.backend.jit import Scheduled
@@ -101,11 +100,15 @@ class Grid:
         return read
 
 
-def give_channels(name: str, image: NDArray[Any]) -> dict[str, NDArray[Any]]:
+def give_channels(name: str, image: Any) -> dict[str, Any]:
     """Return an image (height, width, channels) by name, its channels apart if they lie one after the other in memory.
 
-    Either way no copy is needed.
+    Either way no copy is needed. The channels may also come as a list of images.
     """
+    if isinstance(image, list):
+        return {f"{name}_channel{k}": channel for k, channel in enumerate(image)}
+    if not isinstance(image, np.ndarray):
+        return {name: image}
     if image.strides[-1] == image.itemsize:
         return {name: image}
     return {f"{name}_channel{k}": image[..., k] for k in range(image.shape[-1])}

@@ -16,9 +16,8 @@ from lobewise.features import (
     SgMixtureFeature,
 )
 from lobewise.frame import Frame, GBuffer, LobeKind, Radiance
-from lobewise.guides.lobe_fields import make_covariance_field, make_sg_field
+from lobewise.guides.lobe_fields import default_tau, make_covariance_field, make_sg_field
 from lobewise.guides.mixture_fields import make_mixture_field
-from lobewise.lobes.band_limit import default_tau
 
 BETA = 8.0
 """Exponent of the weight of lobes; it does not change the times."""

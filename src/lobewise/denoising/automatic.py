@@ -15,7 +15,7 @@ from lobewise.backend.prebuilt import has_kernels
 from lobewise.denoising.planning.layer_plans import AUTO_SIGMA
 from lobewise.errors import InputError, require_choice
 from lobewise.frame import Frame
-from lobewise.lobes.band_limit import default_tau
+from lobewise.guides.lobe_fields import default_tau
 from lobewise.peers import explain_no_oidn, has_oidn
 from lobewise.settings import OIDN_QUALITY, DenoiseSettings, Quality, ResolvedSettings, Similarity
 from lobewise.settings.choices import get_quality, get_similarity

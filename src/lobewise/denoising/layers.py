@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise import engine
 from lobewise.denoising.bad_pixels import find_good
 from lobewise.features import (
     AsgFeature,
@@ -26,6 +27,7 @@ from lobewise.features import (
 )
 from lobewise.filters.cross_filter import FilterOutput, run_filter
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
+from lobewise.filters.glue import define_whole_albedo
 from lobewise.frame import FloatArray, Frame, GBuffer
 from lobewise.guides.lobe_fields import (
     SgField,
@@ -114,11 +116,29 @@ def make_position_features(frame: AnyFrame, settings: ResolvedSettings) -> list[
     return features
 
 
-def _make_normal_features(frame: AnyFrame, settings: ResolvedSettings, mask: Mask) -> tuple[list[Feature], Mask]:
+class Compared(NamedTuple):
+    """What compares the specular light of a frame, or all light that is not split.
+
+    Parameters
+    ----------
+    features : tuple of Feature
+    mask : (height, width), bool
+        Pixels that have such light.
+    surface : (height, width), bool
+        Pixels that see a surface with finite guides.
+    """
+
+    features: tuple[Feature, ...]
+    mask: Mask
+    surface: Mask
+
+
+def _compare_normals(frame: AnyFrame, settings: ResolvedSettings) -> Compared:
     normal = frame.gbuffer.require("normal", _name_similarity(settings))
-    features: list[Feature] = [NormalFeature(normal, settings.normal_exponent)]
+    feature = NormalFeature(normal, settings.normal_exponent)
     if settings.band_limit is None:
-        return features, mask
+        surface = find_surface(frame)
+        return Compared((feature,), surface, surface)
     lobes = _make_sg_lobes(frame, settings)
     limit = BandLimitFeature(
         lobes.sharpness,
@@ -126,7 +146,7 @@ def _make_normal_features(frame: AnyFrame, settings: ResolvedSettings, mask: Mas
         scale=settings.band_limit,
         largest_sigma=float(max(settings.radius, 1)),
     )
-    return [*features, limit], mask & lobes.valid
+    return Compared((feature, limit), lobes.mask, lobes.surface)
 
 
 def _make_sg_lobes(frame: AnyFrame, settings: ResolvedSettings) -> SgField:
@@ -153,16 +173,15 @@ def split_lobes(frame: AnyFrame, similarity: str, *taus: float) -> SplitField | 
     return make_split_field(frame.gbuffer, frame.require_camera(f"similarity {similarity!r}"), taus)
 
 
-def make_specular_features(
+def compare_specular(
     frame: AnyFrame,
     settings: ResolvedSettings,
-    surface: Mask,
     apart: bool,
     *,
     spread: bool = False,
     lobes: SplitField | None = None,
-) -> tuple[list[Feature], Mask]:
-    """Return the features that compare specular radiance, or all radiance where it is not split, and its pixels.
+) -> Compared:
+    """Return what compares specular radiance, or all radiance where it is not split (``apart`` is False).
 
     With ``spread`` single lobes and covariances are as wide as what a pixel's area reflects; see `spread_lobes`.
     ``lobes`` hold the frame's lobes for the band-limit of the settings, if they were made beforehand.
@@ -170,26 +189,25 @@ def make_specular_features(
     similarity = get_similarity(settings.similarity)
     if lobes is not None:
         lobe, hits = SplitLobe(*lobes.lobes[settings.tau]), _make_hits(frame, settings)
-        return [SplitGgxFeature(lobe, settings.beta, hits)], surface & lobes.valid
+        return Compared((SplitGgxFeature(lobe, settings.beta, hits),), lobes.mask, lobes.surface)
     if not similarity.has_lobes:
-        return _make_normal_features(frame, settings, surface)
+        return _compare_normals(frame, settings)
     if similarity.is_mixture:
-        return _make_mixture_features(frame, settings, surface, apart)
+        return _compare_mixtures(frame, settings, apart)
     hits = _make_hits(frame, settings)
     if not similarity.has_covariance:
         single = _make_sg_lobes(frame, settings)
         single = spread_lobes(single) if spread else single
-        return [SgFeature(single.axis, single.sharpness, settings.beta, hits)], surface & single.valid
+        return Compared((SgFeature(single.axis, single.sharpness, settings.beta, hits),), single.mask, single.surface)
     camera, gaussian = frame.require_camera(_name_similarity(settings)), similarity.fits_gaussian
     kind = AsgFeature if gaussian else GgxFeature
     field = make_covariance_field(frame.gbuffer, camera, tau=settings.tau, gaussian=gaussian, diffuse_fallback=True)
     field = spread_lobes(field) if spread else field
-    return [kind(field.axis, field.covariance, field.determinant, settings.beta, hits)], surface & field.valid
+    feature = kind(field.axis, field.covariance, field.determinant, settings.beta, hits)
+    return Compared((feature,), field.mask, field.surface)
 
 
-def _make_mixture_features(
-    frame: AnyFrame, settings: ResolvedSettings, surface: Mask, apart: bool
-) -> tuple[list[Feature], Mask]:
+def _compare_mixtures(frame: AnyFrame, settings: ResolvedSettings, apart: bool) -> Compared:
     mixture = make_mixture_field(
         frame.gbuffer,
         frame.require_camera(_name_similarity(settings)),
@@ -199,7 +217,8 @@ def _make_mixture_features(
         diffuse=not apart,
     )
     feature = SgMixtureFeature(mixture.axis, mixture.sharpness, mixture.amplitude, settings.beta)
-    return [feature], surface & mixture.valid
+    surface = find_surface(frame)
+    return Compared((feature,), surface & mixture.valid, surface)
 
 
 def find_surface(frame: AnyFrame) -> Mask:
@@ -232,22 +251,20 @@ def make_lobe_layers(
     """Return the layers of a frame, compared by what they reflect alone.
 
     With ``finest`` those that the frame names itself, where it does; else one, or diffuse and specular. ``spread`` and
-    ``lobes`` as in `make_specular_features`.
+    ``lobes`` as in `compare_specular`.
     """
     guides, parts = frame.gbuffer, frame.radiance.parts
     normal = guides.require("normal", _name_similarity(settings))
-    surface = find_surface(frame)
-    apart = parts is not None
-    specular, specular_mask = make_specular_features(frame, settings, surface, apart, spread=spread, lobes=lobes)
+    specular = compare_specular(frame, settings, parts is not None, spread=spread, lobes=lobes)
     if parts is None:
-        return [Layer(frame.radiance.color, find_whole_albedo(guides), specular_mask, tuple(specular))]
+        return [Layer(frame.radiance.color, find_whole_albedo(guides), specular.mask, specular.features)]
     diffuse: Feature
     if get_similarity(settings.similarity).has_lobes:
         diffuse = DiffuseFeature(normal, settings.diffuse_beta)
     else:
         diffuse = NormalFeature(normal, settings.normal_exponent)
-    scattered, reflected = (surface, (diffuse,)), (specular_mask, tuple(specular))
-    transmitted = surface, (NormalFeature(normal, settings.normal_exponent),)
+    scattered, reflected = (specular.surface, (diffuse,)), (specular.mask, specular.features)
+    transmitted = specular.surface, (NormalFeature(normal, settings.normal_exponent),)
     if finest and isinstance(frame, Frame) and frame.layers:
         return [
             Layer(
@@ -270,15 +287,16 @@ def make_lobe_layers(
     return layers
 
 
-def filter_layer(layer: Layer, settings: ResolvedSettings, image: FloatArray) -> FilterOutput:
-    """Return an image that belongs to a layer, after one pass by the layer's features."""
+def filter_layer(layer: Layer, settings: ResolvedSettings, image: FloatArray | None = None) -> FilterOutput:
+    """Return an image that belongs to a layer, by default its radiance, after one pass by the layer's features."""
     return run_filter(
-        image,
+        layer.radiance if image is None else image,
         layer.mask,
         layer.features,
         form=settings.form,
         radius=settings.radius,
         albedo=layer.albedo,
+        name=f"{layer.name}_filtered",
     )
 
 
@@ -291,10 +309,11 @@ def find_whole_albedo(guides: GBuffer) -> FloatArray | None:
     known = [albedo for albedo in (guides.diffuse_albedo, guides.specular_albedo) if albedo is not None]
     if not known:
         return None
-    albedo: FloatArray = np.sum(known, axis=0, dtype=np.float32) if len(known) > 1 else known[0]
-    # The comparison is false for NaN, so an albedo of NaN counts as black.
-    black = ~(albedo.max(axis=-1, keepdims=True) > MIN_WHOLE_ALBEDO)
-    return np.where(black, np.float32(1.0), np.maximum(albedo, np.float32(MIN_WHOLE_ALBEDO)))
+    images = {f"albedo{number}": albedo for number, albedo in enumerate(known)}
+    (whole,) = engine.pixels(
+        define_whole_albedo, images, {}, MIN_WHOLE_ALBEDO, names=["albedo"], text="albedo of all light"
+    )
+    return whole
 
 
 def make_rest_layers(frame: SparseFrame, settings: ResolvedSettings, features: Sequence[Feature]) -> list[Layer]:

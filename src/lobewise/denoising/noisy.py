@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend.buffers import Image, download
-from lobewise.denoising.layers import Layer, make_lobe_layers, make_position_features, make_specular_features
+from lobewise.denoising.layers import Layer, compare_specular, make_lobe_layers, make_position_features
 from lobewise.denoising.planning.layer_plans import AUTO_SIGMA, LayerTraits
 from lobewise.features import Feature, SeenFeature
 from lobewise.filters.dual_buffer import PassRequest, filter_dual_buffer
@@ -138,7 +138,7 @@ def make_noisy_layers(
         is_specular = each.layer.is_reflected and each.name != "color"
         if each.layer.is_reflected and get_similarity(settings.similarity).has_covariance:
             simple = replace(settings, similarity="sg")
-            pilot, _ = make_specular_features(frame, simple, each.layer.mask, each.name != "color", spread=True)
+            pilot = compare_specular(frame, simple, each.name != "color", spread=True).features
         found.append(
             NoisyLayer(
                 layer=replace(each.layer, features=(*each.layer.features, *extra)),

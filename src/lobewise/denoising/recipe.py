@@ -18,7 +18,7 @@ from lobewise.denoising.bad_pixels import blacken_bad, describe_bad, find_good, 
 from lobewise.denoising.combining import denoise_with_peer, describe_peer_alone, name_method
 from lobewise.denoising.evidence import count_blurred, describe_blurred
 from lobewise.denoising.inputs import DEPTH_WITHOUT_CAMERA, describe_lacks, list_unused
-from lobewise.denoising.layers import Layer, find_support
+from lobewise.denoising.layers import Layer
 from lobewise.denoising.light_loss import MIN_SHARE_BOUNDED, describe_loss, sum_light
 from lobewise.denoising.planning.frame_plans import REFINE
 from lobewise.denoising.stages import Filtered, FrameRun, name_layers, start_run
@@ -142,7 +142,7 @@ def denoise_checked(checked: CheckedGuides[Frame], named: DenoiseSettings, featu
         state = local.run(state.plan.stages[len(state.plan.local_stages) :])
     found = state.filtered
     diffuse, specular = join_parts(found.layers, found.parts)
-    weight_sum, effective_samples = find_support(found.layers, found.supports)
+    weight_sum, effective_samples = found.find_support()
     result = Result(
         image=state.total,
         diffuse=diffuse,

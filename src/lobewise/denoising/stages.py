@@ -14,9 +14,10 @@ from lobewise.denoising.also import Passed, filter_also
 from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, find_bad_pixels, find_good
 from lobewise.denoising.combining import choose_between, denoise_with_peer, share_out
 from lobewise.denoising.evidence import find_share_lost, mix_noisy
-from lobewise.denoising.layers import Layer, Support, make_layers
+from lobewise.denoising.layers import Layer, Support, find_support
 from lobewise.denoising.light_loss import brighten, find_gain, find_share_missing, find_takers, sum_missing
 from lobewise.denoising.noisy import join_halves, make_noisy_layers
+from lobewise.denoising.plain import filter_by_guides
 from lobewise.denoising.planning.frame_plans import (
     FILL_HOLES,
     FILTER_ALSO,
@@ -37,8 +38,9 @@ from lobewise.denoising.refining.network import find_factor
 from lobewise.denoising.refining.totals import compose, find_averaged_rest, find_rest
 from lobewise.denoising.refining.unguided import MIN_SHARE, find_share_filtered, find_unguided_share, forget_guides
 from lobewise.denoising.refining.whole_image import WholeImage, measure_whole
-from lobewise.denoising.running import keep_unfiltered, run_guided, run_plain
+from lobewise.denoising.running import run_guided
 from lobewise.features import Feature
+from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.fireflies import cut_samples
 from lobewise.filters.specks import Sharing, find_sharing
 from lobewise.frame import FloatArray, Frame, GBuffer
@@ -53,9 +55,11 @@ class Filtered:
     Parameters
     ----------
     layers, parts, supports : sequences
-        The layers, their filtered radiance, and how much each filter gathered.
+        The layers, their filtered radiance, and how much each filter gathered; one support where it was joined.
     image : (height, width, 3)
         Sum of all parts and of the light that is in none of them; see `compose`.
+    holes : (height, width), bool, optional
+        Pixels without a value, where they are known.
     tallies : sequence of arrays
         Light that was taken from the fireflies of every layer, row by row; empty with the quality "fast".
     rest : (height, width, 3), optional
@@ -92,6 +96,11 @@ class Filtered:
     uncounted: NDArray[np.bool_] | None = None
     taken_from: Filtered | None = None
     share_taken: FloatArray | None = None
+    holes: NDArray[np.bool_] | None = None
+
+    def find_support(self) -> tuple[FloatArray, FloatArray]:
+        """Return weight sum and effective samples of the least supported layer that reflects anything at a pixel."""
+        return find_support(self.layers[: len(self.supports)], self.supports)
 
     def find_takers(self) -> list[FloatArray]:
         """Return the share of each pixel's light that takes part in sharing, for every layer; see `find_takers`."""
@@ -112,6 +121,8 @@ class Filtered:
 
     def find_holes(self, bad: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return where the image has no value, (height, width): not finite, or bad and reached by no layer."""
+        if self.holes is not None:
+            return self.holes
         holes: NDArray[np.bool_] = ~find_good(self.image)
         if bad.any():
             holes |= bad & np.logical_and.reduce([support.weight_sum <= 0.0 for support in self.supports])
@@ -216,10 +227,9 @@ def filter_layers(state: FrameRun) -> FrameRun:
 def filter_plain(state: FrameRun) -> Filtered:
     """Return the layers after one pass by their guides alone."""
     frame, settings = state.frame, state.settings
-    layers = make_layers(frame, settings, state.features, finest=True)
-    outputs = [run_plain(frame, layer, settings, state.plan.layers[layer.name]) for layer in layers]
-    parts = [keep_unfiltered(layer, output) for layer, output in zip(layers, outputs, strict=True)]
-    return Filtered(layers=layers, parts=parts, supports=outputs, image=compose(frame, parts, find_rest(frame)))
+    found = filter_by_guides(frame, settings, state.features, state.bad)
+    support = FilterOutput(found.image, found.weight_sum, found.effective_samples)
+    return Filtered(layers=found.layers, parts=found.parts, supports=[support], image=found.image, holes=found.holes)
 
 
 @device_scope()

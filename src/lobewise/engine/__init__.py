@@ -15,6 +15,8 @@ from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from typing import Any, Protocol
 
+from numpy.typing import NDArray
+
 from lobewise.engine.here import HERE, Here, Pass
 
 Make = Callable[[Any], Any]
@@ -82,7 +84,7 @@ def pixels(
     names: Sequence[str] = (),
     into: Sequence[Any] = (),
     text: str = "",
-) -> tuple[Any, ...]:
+) -> tuple[NDArray[Any], ...]:
     """Compute images from images, pixel by pixel.
 
     Parameters
@@ -152,9 +154,10 @@ def planes(
     strict: bool = False,
     name: str = "planes",
     text: str = "",
-) -> Any:
+) -> NDArray[Any]:
     """Call a kernel whose outputs are the planes of one stack; return the stack, (count, height, width)."""
-    return _current.engine.planes(key, make, images, numbers, name, text, strict=strict)
+    stack: NDArray[Any] = _current.engine.planes(key, make, images, numbers, name, text, strict=strict)
+    return stack
 
 
 def passes(

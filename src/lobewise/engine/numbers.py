@@ -63,10 +63,16 @@ class Number(float):
     def __rtruediv__(self, other: float) -> Number:
         return self._join(other, "/", lambda a, b: a / b, turned=True)
 
+    def __eq__(self, other: object) -> bool:
+        return self.code == other.code if isinstance(other, Number) else float(self) == other
+
+    def __hash__(self) -> int:
+        return hash(float(self))
+
     def __pow__(self, other: float, modulus: None = None) -> Number:
         if other == 2:
             return self * self
-        return raise_to(self, other)
+        return Number(math.pow(self, other), f"pow({self.code}, {write_number(other)})")
 
 
 def write_number(number: float) -> str:
@@ -79,38 +85,59 @@ def write_number(number: float) -> str:
     return f"({value!r})" if value < 0.0 else repr(value)
 
 
-def _call(name: str, compute: Callable[..., float], *numbers: float) -> Number:
-    return Number(compute(*map(float, numbers)), f"{name}({', '.join(map(write_number, numbers))})")
+def _call(name: str, compute: Callable[..., float], *numbers: float) -> float:
+    """Return a function of numbers: a `Number` if one of them is, else a plain float."""
+    value = float(compute(*map(float, numbers)))
+    if not any(isinstance(number, Number) for number in numbers):
+        return value
+    return Number(value, f"{name}({', '.join(map(write_number, numbers))})")
 
 
-def take_root(number: float) -> Number:
+def take_root(number: float) -> float:
     """Return the square root."""
     return _call("sqrt", math.sqrt, number)
 
 
-def raise_to(number: float, power: float) -> Number:
+def raise_to(number: float, power: float) -> float:
     """Return a power, with an exponent that need not be whole."""
     return _call("pow", math.pow, number, power)
 
 
-def choose_smaller(first: float, second: float) -> Number:
+def choose_smaller(first: float, second: float) -> float:
     """Return the smaller of two numbers."""
     return _call("fmin", min, first, second)
 
 
-def choose_larger(first: float, second: float) -> Number:
+def choose_larger(first: float, second: float) -> float:
     """Return the larger of two numbers."""
     return _call("fmax", max, first, second)
 
 
-def find_hypotenuse(first: float, second: float) -> Number:
+def find_hypotenuse(first: float, second: float) -> float:
     """Return the root of the sum of two squares."""
-    return _call("hypot", math.hypot, first, second)
+    return _call("hypot", np.hypot, first, second)
 
 
 def round_single(number: float) -> Number:
     """Return a number rounded to single precision, which kernels take as float32."""
     return Number(float(np.float32(number)), f"(double)(float){write_number(number)}", is_single=True)
+
+
+def make_single(value: Any) -> Any:
+    """Return a number or a vector in single precision, as `lobewise.engine.pixels` takes it."""
+    if isinstance(value, Number):
+        return round_single(value)
+    if isinstance(value, list):
+        return [make_single(each) for each in value]
+    return np.asarray(value, np.float32)
+
+
+def square_single(value: float) -> Any:
+    """Return a square: factors and product in single precision."""
+    single = np.float32(value)
+    if not isinstance(value, Number):
+        return single * single
+    return Number(float(single * single), f"(double)((float){value.code} * (float){value.code})", is_single=True)
 
 
 def choose_given(given: Number, automatic: float) -> Number:

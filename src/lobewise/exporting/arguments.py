@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
-from lobewise.lobes.band_limit import NORMAL_ERROR
+from lobewise.guides.lobe_fields import NORMAL_ERROR
 from lobewise.settings import DenoiseSettings
 
 PLANAR = 0

@@ -114,4 +114,7 @@ def define_guides(grid: Grid, similarity: str, lobes: int) -> Sequence[Vector]:
     The exported function is compiled from this definition, and the sample is made with it in this process.
     """
     is_mixture = get_similarity(similarity).is_mixture
-    return define_mixture(grid, lobes) if is_mixture else define_lobes(grid, similarity)
+    if is_mixture:
+        return define_mixture(grid, lobes)
+    valid, _, _, *lobe = define_lobes(grid, similarity)
+    return [valid, *lobe]

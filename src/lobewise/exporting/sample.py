@@ -14,9 +14,9 @@ from lobewise.denoising.automatic import choose_beta, choose_screen_sigma, choos
 from lobewise.exporting.plan import FilterPlan, define_guides
 from lobewise.filters.cross_filter import run_filter
 from lobewise.frame import FloatArray, Frame
+from lobewise.guides.lobe_fields import default_tau
 from lobewise.guides.surfaces import find_places
 from lobewise.io import read_frame
-from lobewise.lobes.band_limit import default_tau
 from lobewise.settings import DenoiseSettings
 
 FRAME = "sample.exr"

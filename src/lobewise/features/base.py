@@ -107,7 +107,8 @@ class DeclaredFeature(Feature):
     def __post_init__(self) -> None:
         for name, value in self._list_fields():
             if isinstance(value, Real):
-                number = float(value)
+                # A number of a recorded recipe is a float that remembers more.
+                number = value if isinstance(value, float) else float(value)
                 if not (number > 0.0 and math.isfinite(number)):
                     what, expected = f"{self.name} {name}".replace("_", " "), "a finite number above 0"
                     raise InputError(what, expected=expected, got=str(value), action="raise it")

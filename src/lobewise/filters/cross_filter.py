@@ -70,6 +70,7 @@ def run_filter(
     modulate: bool = True,
     moment: bool = False,
     strictness: FloatArray | None = None,
+    name: str = "filtered",
 ) -> FilterOutput:
     """Run the cross filter.
 
@@ -93,6 +94,8 @@ def run_filter(
         Whether to average the squared luminance as well.
     strictness : array, shape (height, width), optional
         Power to which each pixel raises the weights of its taps, > 0.
+    name : str
+        Name of the result in recorded plans.
 
     Returns
     -------
@@ -122,8 +125,8 @@ def run_filter(
         Pass(key, partial(make_scheduled_pass, key, features), reach, step, describe_pass(each, reach, step))
         for key, (each, reach, step) in zip(keys, taps, strict=True)
     ]
-    tiles = _list_tiles(*size) if form == "separable" else []
-    found = engine.passes(passes, images, give_scalars(features), tiles=tiles)
+    tiles = _list_tiles(*size) if form == "separable" and isinstance(size[0], int) else []
+    found = engine.passes(passes, images, give_scalars(features), tiles=tiles, name=name)
     return FilterOutput(**found) if on_processor else _split_output(found["pixels"])
 
 

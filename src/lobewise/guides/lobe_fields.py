@@ -14,14 +14,23 @@ from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import HALIDE
 from lobewise.backend.pointwise import LARGEST_FLOAT, Grid, Vector, is_finite
 from lobewise.camera import Camera
+from lobewise.engine.numbers import find_hypotenuse, make_single, square_single
 from lobewise.errors import InputError, MissingChannelError
 from lobewise.frame import FloatArray, GBuffer, LobeKind
-from lobewise.guides.surfaces import get_ray_numbers, is_surface_depth, make_ray
+from lobewise.guides.surfaces import is_surface, is_surface_depth, make_ray
 from lobewise.lobes.covariance import find_round_covariance, make_covariance_lobe, split_covariance
 from lobewise.lobes.directions import face_viewer, find_tangent, reflect
 from lobewise.lobes.gaussian import LAMBERT_SIMILARITY_SHARPNESS, find_ggx_variance
 from lobewise.lobes.vectors import cross, dot, scale
 from lobewise.settings.choices import get_similarity
+
+NORMAL_ERROR = 1e-3
+"""Standard deviation of the guides' normals, radians. An error e of the normal turns the reflection by 2 e."""
+
+
+def default_tau(camera: Camera, height: int) -> float:
+    """Return the band-limit, radians: the angle of a pixel and twice `NORMAL_ERROR`, added in square."""
+    return find_hypotenuse(camera.get_pixel_angle(height), 2.0 * NORMAL_ERROR)
 
 
 @dataclass(frozen=True)
@@ -36,11 +45,15 @@ class SgField:
         Mirror direction about the shading normal, unit length.
     sharpness : (height, width), float32
         Band-limited, inverse square radians.
+    surface, mask : (height, width), bool
+        Whether the pixel sees a surface (`lobewise.guides.surfaces.is_surface`), and one with a lobe.
     """
 
     valid: NDArray[np.bool_]
     axis: FloatArray
     sharpness: FloatArray
+    surface: NDArray[np.bool_]
+    mask: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -57,12 +70,16 @@ class CovarianceField:
         Band-limited: xx, xy, xz, yy, yz, zz, square radians.
     determinant : (height, width), float32
         Product of the two principal variances.
+    surface, mask : (height, width), bool
+        As in `SgField`.
     """
 
     valid: NDArray[np.bool_]
     axis: FloatArray
     covariance: FloatArray
     determinant: FloatArray
+    surface: NDArray[np.bool_]
+    mask: NDArray[np.bool_]
 
 
 def make_sg_field(gbuffer: GBuffer, camera: Camera, *, tau: float, diffuse_fallback: bool) -> SgField:
@@ -156,7 +173,8 @@ def spread_lobes(field: Field) -> Field:
     """
     shapes = {name: getattr(field, name) for name in SHAPES[type(field)]}
     images = {"valid": field.valid, "axis": field.axis, **shapes}
-    found = engine.pixels(define_spread, images, {})
+    names = [f"wide_{name}" for name in shapes]
+    found = engine.pixels(define_spread, images, {}, names=names, text="lobes of pixel areas")
     return replace(field, **dict(zip(shapes, found, strict=True)))
 
 
@@ -198,7 +216,7 @@ class SplitField(NamedTuple):
 
     Parameters
     ----------
-    valid : (height, width), bool
+    valid, surface, mask : (height, width), bool
         As in `CovarianceField`.
     lobes : dict of float to tuple of array
         By the band-limit, radians: axis, vector t, larger and smaller eigenvalue; eight images (height, width). See
@@ -206,6 +224,8 @@ class SplitField(NamedTuple):
     """
 
     valid: NDArray[np.bool_]
+    surface: NDArray[np.bool_]
+    mask: NDArray[np.bool_]
     lobes: dict[float, tuple[FloatArray, ...]]
 
 
@@ -222,20 +242,26 @@ def make_split_field(gbuffer: GBuffer, camera: Camera, taus: Sequence[float]) ->
     for tau in taus:
         check_lobe_guides(gbuffer, "ggx", tau)
     images, numbers = collect_guides(gbuffer, camera, 0.0, "ggx")
-    noises = {f"noise{k}": np.float32(tau) * np.float32(tau) for k, tau in enumerate(taus)}
-    valid, *planes = engine.pixels(define_split_lobes, images, {**numbers, **noises}, len(taus))
+    noises = {f"noise{k}": square_single(tau) for k, tau in enumerate(taus)}
+    names = ["has_lobe", "surface", "specular_mask", *(f"{axis}_{each}" for axis in ("axis", "turn") for each in "xyz")]
+    names += [f"{size}{k}" for k in range(len(taus)) for size in ("large", "small")]
+    text = "lobes, split, for each comparison"
+    valid, surface, mask, *planes = engine.pixels(
+        define_split_lobes, images, {**numbers, **noises}, len(taus), names=names, text=text
+    )
     pairs = [planes[6 + 2 * k : 8 + 2 * k] for k in range(len(taus))]
-    return SplitField(valid, {tau: (*planes[:6], *pair) for tau, pair in zip(taus, pairs, strict=True)})
+    lobes = {tau: (*planes[:6], *pair) for tau, pair in zip(taus, pairs, strict=True)}
+    return SplitField(valid, surface, mask, lobes)
 
 
 def define_split_lobes(grid: Grid, count: int) -> list[Vector]:
-    """Return validity, axis, t, and both eigenvalues for each of ``count`` band-limits."""
+    """Return validity, surface, mask, axis, t, and both eigenvalues for each of ``count`` band-limits."""
     which, axis, shape = _find_lobes(grid, "ggx", hl.Expr(True))
     which, *lobe = grid.share([which, *axis, *shape])
     axis, covariance, determinant = lobe[:3], lobe[3:9], lobe[9]
     large, t = split_covariance(HALIDE, axis, covariance)
     large, small, *t = grid.share([large, determinant / hl.max(large, hl.f32(1e-30)), *t])
-    outputs: list[Vector] = [[hl.u8(which != NO_LOBE)], *([value] for value in (*axis, *t))]
+    outputs: list[Vector] = [*_find_masks(grid, which), *([value] for value in (*axis, *t))]
     for k in range(count):
         # The Lambert lobe has no band-limit. A pixel without a lobe is harmless.
         noise = hl.select(which == SPECULAR_LOBE, grid.get(f"noise{k}")[0], hl.f32(0.0))
@@ -247,7 +273,10 @@ def _run(gbuffer: GBuffer, camera: Camera, tau: float, similarity: str, *, diffu
     check_lobe_guides(gbuffer, similarity, tau)
     images, numbers = collect_guides(gbuffer, camera, tau, similarity)
     numbers["diffuse_fallback"] = np.float32(diffuse_fallback)
-    return engine.pixels(define_lobes, images, numbers, similarity)
+    shape = ("covariance", "area") if get_similarity(similarity).has_covariance else ("sharpness",)
+    names, text = ["has_lobe", "surface", "specular_mask", "axis", *shape], f"lobes of the similarity {similarity}"
+    valid, surface, mask, *lobe = engine.pixels(define_lobes, images, numbers, similarity, names=names, text=text)
+    return (valid, *lobe, surface, mask)
 
 
 def check_lobe_guides(gbuffer: GBuffer, similarity: str, tau: float) -> None:
@@ -295,19 +324,24 @@ def collect_guides(
         "tangent": gbuffer.tangent if directed and gbuffer.alpha_v is not None else None,
     }
     numbers = {
-        "eye": camera.position.astype(np.float32),
-        "noise": np.float32(tau) * np.float32(tau),
-        **get_ray_numbers(camera, gbuffer.shape),
+        "eye": make_single(camera.position),
+        "noise": square_single(tau),
+        **camera.get_ray_numbers(gbuffer.shape),
     }
     return images, numbers
 
 
 def define_lobes(grid: Grid, similarity: str) -> list[Vector]:
-    """Return validity, axis and shape: the sharpness, or the covariance and its determinant."""
+    """Return validity, surface, mask, axis and shape: the sharpness, or the covariance and its determinant."""
     fallback = grid.get("diffuse_fallback")[0] != 0 if "diffuse_fallback" in grid.numbers else hl.Expr(False)
     which, axis, shape = _find_lobes(grid, similarity, fallback)
-    truth = [hl.u8(which != NO_LOBE)]
-    return [truth, axis, shape[:6], shape[6:]] if len(shape) > 1 else [truth, axis, shape]
+    return [*_find_masks(grid, which), axis, *([shape[:6], shape[6:]] if len(shape) > 1 else [shape])]
+
+
+def _find_masks(grid: Grid, which: hl.Expr) -> list[Vector]:
+    """Return where there is a lobe, where a surface, and where both."""
+    lobe, surface = which != NO_LOBE, is_surface(grid)
+    return [[hl.u8(lobe)], [hl.u8(surface)], [hl.u8(surface & lobe)]]
 
 
 def _find_lobes(grid: Grid, similarity: str, fallback: hl.Expr) -> tuple[hl.Expr, list[hl.Expr], list[hl.Expr]]:

@@ -249,7 +249,7 @@ def define_mixture(grid: Grid, lobes: int) -> list[Vector]:
 
     The area of the mixture is the variance of the single lobe without its band-limit.
     """
-    valid, axis, (single,) = define_lobes(grid, "sg")
+    valid, _, _, axis, (single,) = define_lobes(grid, "sg")
     (noise,) = grid.get("noise")
     area = hl.max(1.0 / single - noise, hl.f32(0.0))
     alpha = hl.clamp(grid.read_one("alpha_u"), hl.f32(0.0), hl.f32(1.0))

@@ -11,14 +11,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lobewise import engine
 from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, is_finite, select_or_nan
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray
-from lobewise.guides.surfaces import get_ray_numbers, is_surface_depth, make_ray
+from lobewise.guides.surfaces import is_surface_depth, make_ray
 from lobewise.lobes.vectors import dot, subtract
 
 MISS_DISTANCE = 1e6
@@ -37,19 +36,6 @@ def add_grid(motion: FloatArray) -> FloatArray:
     """Return column and row where each pixel was, pixel centres at whole numbers, (height, width, 2)."""
     height, width = motion.shape[:2]
     return motion + make_grid((height, width))
-
-
-def get_projection_numbers(camera: Camera, size: tuple[int, int]) -> dict[str, NDArray[np.float64]]:
-    """Return the numbers that `project_step` reads: the camera's position, and its axes in units of the half image."""
-    height, width = size
-    half_width, half_height = camera.get_half_extent(width, height)
-    return {
-        "before": camera.position,
-        "before_forward": camera.forward,
-        # `project_step` divides a step by its depth, so the shift of the image is subtracted per unit of depth.
-        "before_right": (camera.right - camera.shift[0] * camera.forward) / half_width,
-        "before_up": (camera.up - camera.shift[1] * camera.forward) / half_height,
-    }
 
 
 def project_step(grid: Grid, step: Vector) -> tuple[list[hl.Expr], hl.Expr]:
@@ -91,10 +77,11 @@ def find_surface_places(
         Distance in pixels between ``motion`` and the motion of the camera, 0 if unknown; None without ``motion``.
     """
     position, depth = places
-    size = int(depth.shape[0]), int(depth.shape[1])
-    numbers: dict[str, Any] = {**get_projection_numbers(previous, size), **get_ray_numbers(camera, size)}
+    size = depth.shape[0], depth.shape[1]
+    numbers: dict[str, Any] = {**previous.get_projection_numbers(size), **camera.get_ray_numbers(size)}
     images = {"depth": depth, "position": position, "motion": motion}
-    where, *allowance = engine.pixels(define_surface_places, images, numbers)
+    names, text = ["places", "allowance"], "places of surfaces a frame ago"
+    where, *allowance = engine.pixels(define_surface_places, images, numbers, names=names, text=text)
     return where, allowance[0] if allowance else None
 
 
@@ -126,8 +113,9 @@ def estimate_curvature(position: FloatArray, normal: FloatArray) -> FloatArray:
     edges of objects nor creases count. An image of a single row or column is flat in the other direction.
     """
     images = {"position": position, "normal": normal}
-    (curvature,) = engine.pixels(define_curvature, images, {"edge": np.float32(MIN_EDGE_RATIO)})
-    return np.asarray(curvature)
+    numbers = {"edge": np.float32(MIN_EDGE_RATIO)}
+    (curvature,) = engine.pixels(define_curvature, images, numbers, names=["curvature"], text="curvature of surfaces")
+    return curvature
 
 
 def define_curvature(grid: Grid) -> list[Vector]:
@@ -175,11 +163,12 @@ def find_virtual_places(
     Source: the mirror equation of optics. Zimmer et al. 2015, "Path-space motion estimation and decomposition for
     robust animation filtering", track the motion of reflections.
     """
-    size = int(curvature.shape[0]), int(curvature.shape[1])
+    size = curvature.shape[0], curvature.shape[1]
     images = {"distance": hit_distance, "curvature": curvature, "position": position}
-    numbers = {"eye": camera.position, "far": MISS_DISTANCE, **get_projection_numbers(previous, size)}
-    (places,) = engine.pixels(define_image_places, images, numbers)
-    return np.asarray(places)
+    numbers = {"eye": camera.position, "far": MISS_DISTANCE, **previous.get_projection_numbers(size)}
+    names, text = ["virtual_places"], "places of reflections a frame ago"
+    (places,) = engine.pixels(define_image_places, images, numbers, names=names, text=text)
+    return places
 
 
 def define_image_places(grid: Grid) -> list[Vector]:

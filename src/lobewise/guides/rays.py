@@ -9,7 +9,7 @@ from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector
 from lobewise.features.ray import RayFeature
 from lobewise.frame import FloatArray
-from lobewise.guides.surfaces import get_ray_numbers, make_ray
+from lobewise.guides.surfaces import make_ray
 from lobewise.lobes.vectors import dot
 from lobewise.sparse_frame import SparseFrame
 
@@ -52,7 +52,7 @@ def make_ray_feature(frame: SparseFrame, direction: FloatArray) -> RayFeature:
         u = v = u if v is None else np.sqrt(0.5 * (u * u + v * v))
         tangent = np.zeros((*frame.shape, 3), np.float32)
     view, normal = engine.pixels(
-        _define_axes, {"normal": guides.require("normal", what)}, get_ray_numbers(camera, frame.shape)
+        _define_axes, {"normal": guides.require("normal", what)}, camera.get_ray_numbers(frame.shape)
     )
     whole = np.zeros((*frame.shape, 3), np.float32)
     whole[frame.shaded] = direction

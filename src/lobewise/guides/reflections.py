@@ -22,7 +22,7 @@ from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, is_finite, select_or_nan
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray
-from lobewise.guides.places import MISS_DISTANCE, get_projection_numbers, project_step
+from lobewise.guides.places import MISS_DISTANCE, project_step
 from lobewise.lobes.vectors import dot, subtract
 
 MIN_MIRROR_MOTION = 0.004
@@ -98,7 +98,7 @@ def find_moved_reflections(
         "place": surface[0],
         "own": surface[1],
     }
-    numbers: dict[str, Any] = {"eye": camera.position, "far": MISS_DISTANCE, **get_projection_numbers(previous, size)}
+    numbers: dict[str, Any] = {"eye": camera.position, "far": MISS_DISTANCE, **previous.get_projection_numbers(size)}
     limits = {"least_motion": np.float32(MIN_MIRROR_MOTION), "least_cosine": np.float32(MIN_NORMAL_COSINE)}
     return MovedReflections(*engine.pixels(_define_reflections, images, {**numbers, **limits}))
 

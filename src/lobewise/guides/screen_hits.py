@@ -17,7 +17,7 @@ from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, is_finite
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray
-from lobewise.guides.places import get_projection_numbers, project_step
+from lobewise.guides.places import project_step
 from lobewise.guides.surfaces import is_surface_depth
 from lobewise.lobes.directions import reflect
 from lobewise.lobes.vectors import dot
@@ -61,7 +61,7 @@ def find_screen_hits(
     """
     size = int(depth.shape[0]), int(depth.shape[1])
     pixel_angle = camera.get_pixel_angle(size[0])
-    numbers: dict[str, Any] = {"eye": camera.position, "angle": pixel_angle, **get_projection_numbers(camera, size)}
+    numbers: dict[str, Any] = {"eye": camera.position, "angle": pixel_angle, **camera.get_projection_numbers(size)}
     numbers = {name: np.asarray(value, np.float32) for name, value in numbers.items()}
     images = {"position": position, "depth": depth, "normal": normal}
     rays, state = engine.pixels(_define_rays, images, numbers)

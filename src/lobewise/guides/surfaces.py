@@ -11,6 +11,7 @@ from lobewise import engine
 from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, is_finite
 from lobewise.camera import Camera
+from lobewise.engine.numbers import make_single
 from lobewise.frame import FloatArray, GBuffer
 from lobewise.lobes.vectors import dot
 
@@ -21,17 +22,6 @@ MIN_SQUARED_NORMAL = 0.01
 def is_surface_depth(depth: hl.Expr) -> hl.Expr:
     """Return whether a ray of this length hits a surface."""
     return (depth > hl.f32(0.0)) & is_finite(depth)
-
-
-def get_ray_numbers(camera: Camera, size: tuple[int, int]) -> dict[str, NDArray[np.float64]]:
-    """Return the numbers that `make_ray` reads: the first pixel's ray, and its steps per pixel right and down."""
-    height, width = size
-    first_row, rows = camera.get_rows(height)
-    half_width, half_height = camera.get_half_extent(width, height)
-    right, down = 2.0 * half_width / width * camera.right, -2.0 * half_height / rows * camera.up
-    corner = camera.middle - half_width * camera.right + half_height * camera.up
-    first_ray = corner + 0.5 * (right + down)
-    return {"first_ray": first_ray, "ray_right": right, "ray_down": down, "first_row": np.array([float(first_row)])}
 
 
 def make_ray(grid: Grid, kind: hl.Type) -> list[hl.Expr]:
@@ -46,8 +36,8 @@ def find_surface_pixels(gbuffer: GBuffer, size: tuple[int, int]) -> NDArray[np.b
     images = {"depth": gbuffer.depth, "position": gbuffer.position, "normal": gbuffer.normal}
     if all(image is None for image in images.values()):
         return np.ones(size, dtype=bool)
-    (surface,) = engine.pixels(define_surface, images, {})
-    return np.asarray(surface)
+    (surface,) = engine.pixels(define_surface, images, {}, names=["surface"], text="pixels with a surface")
+    return surface
 
 
 def define_surface(grid: Grid) -> list[Vector]:
@@ -74,12 +64,13 @@ def find_places(gbuffer: GBuffer, camera: Camera) -> tuple[FloatArray, FloatArra
     position, depth = gbuffer.position, gbuffer.depth
     if position is None:
         assert depth is not None
-        height, width = depth.shape
-        numbers: dict[str, Any] = {"eye": camera.position, **get_ray_numbers(camera, (height, width))}
-        (position,) = engine.pixels(define_positions, {"depth": depth}, numbers)
+        numbers: dict[str, Any] = {"eye": camera.position, **camera.get_ray_numbers(depth.shape)}
+        (position,) = engine.pixels(
+            define_positions, {"depth": depth}, numbers, names=["position"], text="positions from depths"
+        )
     if depth is None:
         (depth,) = engine.pixels(_define_depths, {"position": position}, {"eye": camera.position})
-    return np.asarray(position), np.asarray(depth)
+    return position, depth
 
 
 def define_positions(grid: Grid) -> list[Vector]:
@@ -98,8 +89,14 @@ def find_inverse_hits(distance: FloatArray, depth: FloatArray | None = None, nea
 
     With ``depth``, t is at least ``nearest`` times the depth.
     """
-    (inverse,) = engine.pixels(define_inverse_hits, {"distance": distance, "depth": depth}, {"nearest": nearest})
-    return np.asarray(inverse)
+    (inverse,) = engine.pixels(
+        define_inverse_hits,
+        {"distance": distance, "depth": depth},
+        {"nearest": nearest},
+        names=["inverse_hit"],
+        text="inverse hit distances",
+    )
+    return inverse
 
 
 def define_inverse_hits(grid: Grid) -> list[Vector]:
@@ -116,8 +113,11 @@ def define_inverse_hits(grid: Grid) -> list[Vector]:
 def find_tolerances(alpha_u: FloatArray, alpha_v: FloatArray | None, least: float, slope: float) -> FloatArray:
     """Return ``least + slope * alpha`` with the larger alpha, (height, width). NaN counts as alpha 0."""
     images = {"alpha_u": alpha_u, "alpha_v": alpha_v}
-    (tolerance,) = engine.pixels(define_tolerances, images, {"least": least, "slope": slope})
-    return np.asarray(tolerance)
+    numbers = {"least": least, "slope": slope}
+    (tolerance,) = engine.pixels(
+        define_tolerances, images, numbers, names=["tolerance"], text="tolerances of hit distances"
+    )
+    return tolerance
 
 
 def define_tolerances(grid: Grid) -> list[Vector]:
@@ -135,9 +135,11 @@ def find_footprints(
     With ``allowance`` the width grows by the factor ``1 + allowed * allowance``.
     """
     images = {"surface": surface, "depth": depth, "allowance": allowance}
-    numbers = {"pixel_angle": np.float32(pixel_angle), "allowed": np.float32(allowed)}
-    (footprint,) = engine.pixels(define_footprints, images, numbers)
-    return np.asarray(footprint)
+    numbers = {"pixel_angle": make_single(pixel_angle), "allowed": make_single(allowed)}
+    (footprint,) = engine.pixels(
+        define_footprints, images, numbers, names=["footprint"], text="widths of pixels on their surfaces"
+    )
+    return footprint
 
 
 def define_footprints(grid: Grid) -> list[Vector]:
@@ -166,16 +168,22 @@ def put_backdrop(
 
     Without a camera all pixels look along -z.
     """
-    size = int(surface.shape[0]), int(surface.shape[1])
+    size = surface.shape[0], surface.shape[1]
     if camera is not None:
-        rays = get_ray_numbers(camera, size)
+        rays = camera.get_ray_numbers(size)
     else:
         still = np.zeros(3)
         rays = {"first_ray": np.array([0.0, 0.0, -1.0]), "ray_right": still, "ray_down": still, "first_row": still[:1]}
     eye = np.zeros(3) if camera is None else camera.position
     images = {"surface": surface, "normal": normal, "position": position}
-    numbers = {"eye": eye.astype(np.float32), "far": np.float32(far), **rays}
-    facing, flat, *points = engine.pixels(define_backdrop, images, numbers)
+    numbers = {"eye": make_single(eye), "far": np.float32(far), **rays}
+    facing, flat, *points = engine.pixels(
+        define_backdrop,
+        images,
+        numbers,
+        names=["facing", "flat_normal", "flat_position"],
+        text="a wall far away in place of the background",
+    )
     return Backdrop(facing, flat, points[0] if points else None)
 
 

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray, GBuffer, Result
-from lobewise.guides.lobe_fields import make_sg_field
+from lobewise.guides.lobe_fields import default_tau, make_sg_field
 from lobewise.interactive.settings import MAX_SHOWN_FRAMES, MAX_SHOWN_SHARPNESS
-from lobewise.lobes.band_limit import default_tau
 from lobewise.sparse_frame import SparseFrame
 
 if TYPE_CHECKING:

@@ -102,7 +102,6 @@ class HistoryReprojection:
         masks: Mapping[str, NDArray[np.bool_]],
         lobes: SplitField | None = None,
     ) -> None:
-        apart = "diffuse" in masks
         self._masks = masks
         self._temporal = temporal
         self._past: Past | None = None
@@ -111,8 +110,8 @@ class HistoryReprojection:
         self.share = 0.0
         self.allowance: FloatArray | None = None
         if past is not None and past.guides.shape == guides.shape and past.similarity == settings.similarity:
-            self._places, self.allowance = _find_all_places(guides, past.guides)
-        self.validation = make_validation_features(guides, settings, temporal, self.allowance, apart, lobes)
+            self._places, self.allowance = find_all_places(guides, past.guides)
+        self.validation = make_validation_features(guides, settings, temporal, self.allowance, masks, lobes)
         if past is None or self._places is None:
             return
         # The next frame compares hits with those of this frame, and this frame with their earlier places.
@@ -120,7 +119,9 @@ class HistoryReprojection:
         if self._places.hit_distance is not None:
             self._now = follow_hits(self.validation, guides.gbuffer, self._places.hit_distance)
         # A past that was read from a file has no features yet.
-        self._old = past.validation or make_validation_features(past.guides, settings, temporal, past.allowance, apart)
+        self._old = past.validation or make_validation_features(
+            past.guides, settings, temporal, past.allowance, past.sums
+        )
         self._past = past
         # Measure how much of the image continues on a layer that is compared by place and normal alone.
         surface = self.validation["rest"].mask
@@ -137,7 +138,7 @@ class HistoryReprojection:
             self.share = float(np.mean(again[surface])) if surface.any() else 1.0
         if self.share < temporal.cut_share:
             self._past, self.share, self.allowance = None, 0.0, None
-            self.validation = make_validation_features(guides, settings, temporal, None, apart, lobes)
+            self.validation = make_validation_features(guides, settings, temporal, None, masks, lobes)
 
     def reproject(self, name: str) -> FloatArray | None:
         """Return the history of a layer, faded by a frame, (height, width, 7); None where there is none at all."""
@@ -177,7 +178,7 @@ def _find_near(places: FloatArray, reach: float, some: tuple[slice, slice]) -> N
     return np.asarray(across & (np.abs(places[(*some, 1)] - rows[:, None]) < reach))
 
 
-def _find_all_places(guides: Guides, before: Guides) -> tuple[_Places | None, FloatArray | None]:
+def find_all_places(guides: Guides, before: Guides) -> tuple[_Places | None, FloatArray | None]:
     """Return the earlier places of surfaces and reflections, and the own motion of surfaces, pixels."""
     motion, camera, previous = guides.gbuffer.motion, guides.camera, before.camera
     if camera is None or previous is None or not guides.is_placed:
@@ -190,7 +191,8 @@ def _find_all_places(guides: Guides, before: Guides) -> tuple[_Places | None, Fl
     if distance is None or normal is None:
         return _Places(surface), allowance
     curvature = estimate_curvature(position, normal)
-    moved, normal_before = guides.gbuffer.reflected_motion, before.gbuffer.normal
+    moved = guides.gbuffer.reflected_motion
+    normal_before = None if moved is None else before.gbuffer.normal
     if moved is None or normal_before is None or not before.is_placed:
         return _Places(surface, find_virtual_places(position, curvature, distance, camera, previous)), allowance
     mirrors = Mirror(position, normal), Mirror(before.places[0], normal_before)

@@ -193,7 +193,7 @@ class TemporalFilter:
         require_some_good(int(np.count_nonzero(bad)), bad.size, "sample")
         guides = Guides(frame.gbuffer, frame.camera, frame.lobe_tables)
         # The lobes are compared within the frame and between frames, by two band-limits.
-        lobes = split_lobes(frame, chosen.similarity, chosen.tau, find_same_tau(guides, frame.height, chosen))
+        lobes = split_lobes(frame, chosen.similarity, chosen.tau, find_same_tau(guides, chosen))
         layers = self._make_layers(frame, chosen, features, lobes)
         reprojection = HistoryReprojection(
             guides, chosen, self.temporal, None if cut else self._past, {n: layers[n].mask for n in layers}, lobes

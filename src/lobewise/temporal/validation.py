@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lobewise.camera import Camera
 from lobewise.denoising.automatic import can_use_hits
-from lobewise.denoising.layers import find_surface, make_specular_features, split_lobes
+from lobewise.denoising.layers import compare_specular, split_lobes
 from lobewise.features import (
     AsgFeature,
     DiffuseFeature,
@@ -26,7 +26,7 @@ from lobewise.features import (
 from lobewise.filters.cross_pass import describe_structure
 from lobewise.filters.history.reprojection import ComparedPixels, prepare_pixels
 from lobewise.frame import FloatArray, Frame, GBuffer, Guided, Radiance
-from lobewise.guides.lobe_fields import SplitField
+from lobewise.guides.lobe_fields import SplitField, default_tau
 from lobewise.guides.surfaces import (
     Backdrop,
     find_footprints,
@@ -36,7 +36,6 @@ from lobewise.guides.surfaces import (
     put_backdrop,
 )
 from lobewise.lobe_table import LobeTable
-from lobewise.lobes.band_limit import default_tau
 from lobewise.settings import ResolvedSettings, TemporalSettings
 from lobewise.settings.choices import get_similarity
 
@@ -109,9 +108,9 @@ class ValidationFeatures:
         )
 
 
-def find_same_tau(guides: Guided, height: int, settings: ResolvedSettings) -> float:
+def find_same_tau(guides: Guided, settings: ResolvedSettings) -> float:
     """Return the band-limit of lobes that are compared between frames, radians: a pixel's."""
-    return default_tau(guides.camera, height) if guides.camera is not None else settings.tau
+    return default_tau(guides.camera, guides.height) if guides.camera is not None else settings.tau
 
 
 def make_validation_features(
@@ -119,12 +118,12 @@ def make_validation_features(
     settings: ResolvedSettings,
     temporal: TemporalSettings,
     allowance: FloatArray | None,
-    apart: bool,
+    names: Collection[str],
     lobes: SplitField | None = None,
     *,
     spread: bool = False,
 ) -> dict[str, ValidationFeatures]:
-    """Return the features of all layers: ``diffuse`` and ``specular``, or ``color``; ``rest`` and ``background``.
+    """Return the features of all layers: ``diffuse`` and ``specular``, or ``color``; ``rest``, perhaps ``background``.
 
     Parameters
     ----------
@@ -136,35 +135,33 @@ def make_validation_features(
         Its ``beta`` and ``plane_sigma`` say how strictly.
     allowance : array, shape (height, width), optional
         Own motion of the surface, pixel footprints. It widens the tolerance of the settings.
-    apart : bool
-        Whether diffuse and specular radiance are split.
+    names : collection of str
+        Names of the layers: "diffuse" among them if diffuse and specular radiance are split.
     lobes : SplitField, optional
         The lobes for the band-limit of `find_same_tau`, if they were made beforehand.
     spread : bool
         Whether lobes are as wide as what a pixel's area reflects; see `lobewise.guides.lobe_fields.spread_lobes`.
     """
     frame = guides.frame
-    surface = find_surface(frame)
     normal = guides.gbuffer.require("normal", "a history")
     position = guides.places[0] if guides.is_placed else None
-    # Put the background far away, facing the camera: it then matches itself and no surface.
-    backdrop = Backdrop(normal, normal, position)
-    if not surface.all():
-        backdrop = put_backdrop(surface, normal, position, guides.camera, BACKGROUND_DISTANCE)
-    plane = _make_plane(guides, temporal, surface, allowance, backdrop)
-    facing = NormalFeature(backdrop.facing, settings.normal_exponent)
-    masks = {"rest": surface, "background": ~surface}
-    validation = {name: ValidationFeatures(mask, (*plane, facing)) for name, mask in masks.items()}
     same = replace(
         settings,
         beta=temporal.beta,
         diffuse_beta=temporal.beta,
-        tau=find_same_tau(guides, guides.shape[0], settings),
+        tau=find_same_tau(guides, settings),
         hit_distance=can_use_hits(frame),
     )
     if lobes is None and not spread:
         lobes = split_lobes(frame, settings.similarity, same.tau)
-    alike, mask = make_specular_features(frame, same, surface, apart, spread=spread, lobes=lobes)
+    apart = "diffuse" in names
+    alike, mask, surface = compare_specular(frame, same, apart, spread=spread, lobes=lobes)
+    # Put the background far away, facing the camera: it then matches itself and no surface.
+    backdrop = put_backdrop(surface, normal, position, guides.camera, BACKGROUND_DISTANCE)
+    plane = _make_plane(guides, temporal, surface, allowance, backdrop)
+    facing = NormalFeature(backdrop.facing, settings.normal_exponent)
+    masks = {"rest": surface, **({"background": ~surface} if "background" in names else {})}
+    validation = {name: ValidationFeatures(mask, (*plane, facing)) for name, mask in masks.items()}
     # Track reflections only where they are split from diffuse light, which moves with the surface.
     virtual = (*alike, *_make_hit_features(guides)) if apart and same.hit_distance else ()
     validation["specular" if apart else "color"] = ValidationFeatures(mask, (*plane, *(virtual or alike)), virtual)

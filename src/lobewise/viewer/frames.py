@@ -15,6 +15,7 @@ from lobewise.denoising.bad_pixels import find_good
 from lobewise.denoising.recipe import denoise_quietly
 from lobewise.errors import InputError, LobewiseError, MissingChannelError
 from lobewise.frame import FloatArray, Frame, Radiance, Result
+from lobewise.guides.lobe_fields import default_tau
 from lobewise.interactive.views import (
     show_albedo,
     show_hit_distance,
@@ -29,7 +30,6 @@ from lobewise.io.exr.layout import find_beauty
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.schema import SPARSE
 from lobewise.io.exr.sparse import read_sparse_frame
-from lobewise.lobes.band_limit import default_tau
 from lobewise.settings import FORMS, QUALITIES, DenoiseSettings
 from lobewise.sparse_frame import SparseFrame
 from lobewise.upsampling import DEFAULT_RADIUS, upsample

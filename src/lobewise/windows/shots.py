@@ -90,8 +90,9 @@ class Shot:
         """What recognises the pixels of each kind of light; see `make_validation_features`."""
         settings = resolve_settings(self.frame, DenoiseSettings(similarity=self._similarity), spp=1.0)
         allowance = np.float32(self._reach) * self.own_motion if self.is_placed else None
-        apart = self.frame.radiance.parts is not None
-        return make_validation_features(self.guides, settings, TemporalSettings(), allowance, apart, spread=True)
+        names = ("diffuse", "specular") if self.frame.radiance.parts is not None else ("color",)
+        names = (*names, "background")
+        return make_validation_features(self.guides, settings, TemporalSettings(), allowance, names, spread=True)
 
     @cached_property
     def layers(self) -> dict[str, LayerImages]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lobewise.camera import Camera
 from lobewise.denoising.bad_pixels import find_good
 from lobewise.frame import Frame
-from lobewise.lobes.band_limit import default_tau
+from lobewise.guides.lobe_fields import default_tau
 
 MIN_BRIGHTNESS = 1e-36
 """Smallest brightness of an image, radiance; a black image has none."""

@@ -21,9 +21,9 @@ from lobewise.denoising.light_loss import (
     MAX_TAKERS_GAIN,
 )
 from lobewise.engine.graph import Graph, Image, Operation
-from lobewise.engine.kernels import CompiledKernel
 from lobewise.engine.memory import MemoryPlan, plan_memory
 from lobewise.engine.numbers import write_number
+from lobewise.engine.recorder import CompiledKernel
 from lobewise.exporting.folder import fill_template, read_template
 from lobewise.exporting.pipeline.recipes.constants import Constants, Setting, list_settings
 from lobewise.exporting.pipeline.settings import PipelineSettings

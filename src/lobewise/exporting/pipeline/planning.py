@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from lobewise import engine
 from lobewise.denoising.planning.frame_plans import FrameTraits, plan_frame
 from lobewise.denoising.planning.layer_plans import LayerTraits, plan_history, plan_upsampling
 from lobewise.engine.graph import Graph
-from lobewise.engine.kernels import Kernels
+from lobewise.engine.recorder import Recorder
 from lobewise.exporting.pipeline.driver import Pipeline
 from lobewise.exporting.pipeline.recipes.constants import Constants
 from lobewise.exporting.pipeline.recipes.frames import PlannedFrame
@@ -46,7 +47,7 @@ def make_pipeline(
     guided = get_quality(settings.plan).reads_halves
     constants = constants or Constants(settings.upsample, settings.radius, guided)
     graph = Graph(stage="guides")
-    guides = PipelineGuides(settings, graph, Kernels(graph, chosen, name), constants)
+    guides = PipelineGuides(settings, graph, Recorder(graph, chosen, name), constants)
     traits = {each: LayerTraits(is_diffuse=each == "diffuse") for each in settings.layer_names}
     plan = plan_frame(FrameTraits(traits), settings.resolve())
     if settings.history:
@@ -57,6 +58,7 @@ def make_pipeline(
     elif settings.upsample > 1:
         every = plan_upsampling(settings.radius, settings.upsample)
         plan = replace(plan, layers=dict.fromkeys(plan.layers, every))
-    PlannedFrame(guides, plan).run()
+    with engine.use(guides.kernels):
+        PlannedFrame(guides, plan).run()
     kernels = guides.kernels
     return Pipeline(settings, graph, constants, list(kernels.found.values()), kernels.lanes, name, chosen.to_string())

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lobewise.camera import Camera
 from lobewise.exporting.shaders.language import Field, lay_out
 from lobewise.exporting.shaders.passes import Constant
-from lobewise.lobes.band_limit import NORMAL_ERROR, default_tau
+from lobewise.guides.lobe_fields import NORMAL_ERROR, default_tau
 from lobewise.settings import DenoiseSettings, ResolvedSettings, TemporalSettings
 from lobewise.upsampling import DEFAULT_RADIUS
 

@@ -16,7 +16,8 @@ from lobewise.backend import expressions
 from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, give_channels
 from lobewise.filters.cross_filter import FilterOutput
-from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS
+from lobewise.filters.cross_pass import COLORS
+from lobewise.filters.glue import find_support
 from lobewise.frame import FloatArray
 
 
@@ -113,7 +114,7 @@ def define_joined(grid: Grid, layers: int, lobes: int) -> list[Vector]:
         usable = expressions.is_good(mean)
         parts.append([hl.select(usable, value, zero) for value in mean])
     holes = hl.u8(~(supported & expressions.is_good(total)))
-    support = [[value] for value in _find_support(grid, weights, lobes)]
+    support = [[value] for value in find_support(grid, weights[:lobes])]
     if grid.has("variance0"):
         support.append([_add([grid.read_one(f"variance{number}") for number in range(layers)])])
     return [total, [holes], *support, *parts]
@@ -121,27 +122,3 @@ def define_joined(grid: Grid, layers: int, lobes: int) -> list[Vector]:
 
 def _add(values: Sequence[hl.Expr]) -> hl.Expr:
     return sum(values[1:], values[0])
-
-
-def _find_support(grid: Grid, weights: Sequence[hl.Expr], lobes: int) -> list[hl.Expr]:
-    """Return weight sum and effective samples of the least supported layer that reflects anything at a pixel.
-
-    Where no layer's lobe reflects (a light, the background) those of the first layer count.
-    """
-    total, effective = weights[0], grid.read_one("effective0")
-    known = _is_reflecting(grid, 0)
-    for number in range(1, lobes):
-        here = _is_reflecting(grid, number)
-        weaker = here & (~known | (weights[number] < total))
-        total = hl.select(weaker, weights[number], total)
-        effective = hl.select(weaker, grid.read_one(f"effective{number}"), effective)
-        known = known | here
-    return [total, effective]
-
-
-def _is_reflecting(grid: Grid, number: int) -> hl.Expr:
-    """Return whether a layer's lobe reflects more than `ALBEDO_FLOOR` of the light."""
-    there = grid.read_one(f"mask{number}") != 0
-    if not grid.has(f"albedo{number}"):
-        return there
-    return there & reduce(or_, (tint > hl.f32(ALBEDO_FLOOR) for tint in grid.read(f"albedo{number}")))

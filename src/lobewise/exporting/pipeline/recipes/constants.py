@@ -30,9 +30,7 @@ from lobewise.engine.numbers import (
     round_single,
     take_root,
 )
-from lobewise.guides.places import get_projection_numbers
-from lobewise.guides.surfaces import get_ray_numbers
-from lobewise.lobes.band_limit import NORMAL_ERROR
+from lobewise.guides.lobe_fields import NORMAL_ERROR
 from lobewise.settings import DenoiseSettings, TemporalSettings
 from lobewise.temporal.recipe import BORROWED_ERROR, MAX_OWN_WEIGHT
 
@@ -137,8 +135,9 @@ class Constants:
         value = self.spp if name == "samples_per_pixel" else found.default
         return Number(value, f"p->settings.{name}")
 
-    def derive(self, name: str, number: Number) -> Number:
+    def derive(self, name: str, number: float) -> Number:
         """Return a number that is computed once for a frame."""
+        assert isinstance(number, Number), name
         self.derived.setdefault(name, number)
         return Number(float(number), f"p->numbers.{name}", is_single=number.is_single)
 
@@ -154,20 +153,20 @@ class Constants:
             Whether it is rounded to single precision.
         """
         values = {"eye": self.camera.position, "forward": self.camera.forward}
-        values |= get_ray_numbers(self.camera, self.size) | get_projection_numbers(self.camera, self.size)
+        values |= self.camera.get_ray_numbers(self.size) | self.camera.get_projection_numbers(self.size)
         view = "p->view_before" if before else "p->view"
         found = [Number(float(value), f"{view}.{name}[{k}]") for k, value in enumerate(np.atleast_1d(values[name]))]
         return [round_single(each) for each in found] if single else found
 
     def get_rays(self) -> dict[str, list[Number]]:
-        """Return the numbers of `lobewise.guides.surfaces.get_ray_numbers`."""
+        """Return the numbers of `lobewise.camera.Camera.get_ray_numbers`."""
         first_row = [Number(0.0, "0.0")]
         return {name: self.get_vector(name) for name in ("first_ray", "ray_right", "ray_down")} | {
             "first_row": first_row
         }
 
     def get_projection(self) -> dict[str, list[Number]]:
-        """Return the numbers of `lobewise.guides.places.get_projection_numbers` for the camera of the frame before."""
+        """Return the numbers of `lobewise.camera.Camera.get_projection_numbers` for the camera of the frame before."""
         names = {"before": "eye", "before_forward": "forward"}
         names |= {name: name for name in ("before_right", "before_up")}
         return {name: self.get_vector(own, before=True) for name, own in names.items()}
@@ -179,7 +178,7 @@ class Constants:
 
     @property
     def pixel_tau(self) -> Number:
-        """Band-limit of lobes that a pixel asks for; see `lobewise.lobes.band_limit.default_tau`."""
+        """Band-limit of lobes that a pixel asks for; see `lobewise.guides.lobe_fields.default_tau`."""
         return self.derive("pixel_tau", find_hypotenuse(self.pixel_angle, 2.0 * NORMAL_ERROR))
 
     @property
@@ -216,7 +215,7 @@ class Constants:
     @property
     def tau(self) -> Number:
         """Band-limit of the lobes that are compared within a frame, radians."""
-        automatic: Number
+        automatic: float
         if self.guided:
             automatic = choose_larger(GUIDED_TAU, self.pixel_tau)
         else:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -16,9 +17,8 @@ from lobewise.denoising.light_loss import MAX_TAKER
 from lobewise.denoising.networks import load_networks
 from lobewise.engine.graph import Image
 from lobewise.engine.numbers import Number, choose_larger, choose_smaller, round_single
-from lobewise.exporting.pipeline.recipes import glue
-from lobewise.exporting.pipeline.recipes.guided import HalfLayer
 from lobewise.exporting.pipeline.recipes.guides import SIZE, PipelineGuides
+from lobewise.filters import glue
 from lobewise.filters.fireflies import define_cut
 from lobewise.filters.noise.detail import COUNT, LEVELS, define_difference, define_features, define_products
 from lobewise.filters.noise.evidence import (
@@ -37,7 +37,7 @@ from lobewise.filters.noise.shares import make_shares
 class FoundFrame:
     """The filtered layers of a frame: noisy light, filtered light, and the light that is in none of them."""
 
-    layers: Sequence[HalfLayer]
+    layers: Sequence[Any]
     noisy: Sequence[Image]
     parts: Sequence[Image]
     rest: Image | None
@@ -74,7 +74,7 @@ def _blur(guides: PipelineGuides, image: Image, step: int) -> Image:
 def take_back(guides: PipelineGuides, found: FoundFrame, color: Image) -> list[Image]:
     """Return the parts of a frame, and the rest where there is one, mixed with their noisy light."""
     kernels, levels = guides.kernels, [layer.level for layer in found.layers if layer.level is not None]
-    level: Number = levels[0]
+    level: float = levels[0]
     for other in levels[1:]:
         level = choose_larger(level, other)
     total, bounded = (compose(guides, light, found.rest) for light in (found.parts, found.noisy))
@@ -100,7 +100,7 @@ def take_back(guides: PipelineGuides, found: FoundFrame, color: Image) -> list[I
     return mixed
 
 
-def find_shares(guides: PipelineGuides, told: dict[str, Image], level: Number) -> Image:
+def find_shares(guides: PipelineGuides, told: dict[str, Image], level: float) -> Image:
     """Return the shares that the network predicts; see `find_share_taken_back`."""
     kernels = guides.kernels
     level = choose_smaller(choose_larger(level, 1e-12), 1e12)
@@ -139,7 +139,7 @@ def find_shares(guides: PipelineGuides, told: dict[str, Image], level: Number) -
     return shares
 
 
-def find_certain(guides: PipelineGuides, told: dict[str, Image], level: Number) -> Image:
+def find_certain(guides: PipelineGuides, told: dict[str, Image], level: float) -> Image:
     """Return the share of the noisy image that the halves prove; see `find_noisy_share`."""
     kernels = guides.kernels
     dark = DARK_SHARE * level
@@ -165,7 +165,7 @@ def find_certain(guides: PipelineGuides, told: dict[str, Image], level: Number) 
 
 
 def keep_light(
-    guides: PipelineGuides, layers: Sequence[HalfLayer], parts: Sequence[Image], image: Image
+    guides: PipelineGuides, layers: Sequence[Any], parts: Sequence[Image], image: Image
 ) -> tuple[Image, list[Image]]:
     """Return a frame and its parts, with the light that bounding took shared out; see `keep_light`."""
     kernels, graph, found = guides.kernels, guides.graph, []

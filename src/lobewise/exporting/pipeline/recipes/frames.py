@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from lobewise.denoising.bad_pixels import SIGMAS
-from lobewise.denoising.layers import MIN_HIT_DISTANCE
+from lobewise.denoising.layers import compare_specular, make_layers, make_lobe_layers, split_lobes
+from lobewise.denoising.plain import add_up, filter_by_guides
 from lobewise.denoising.planning.frame_plans import (
     FILL_HOLES,
     FILTER_LAYERS,
@@ -17,11 +18,11 @@ from lobewise.denoising.planning.frame_plans import (
     FramePlan,
     Stage,
 )
-from lobewise.denoising.planning.steps import HISTORY, AccumulateStep, FilterStep, Step, UpsampleStep
+from lobewise.denoising.planning.steps import HISTORY, AccumulateStep, Step, UpsampleStep
 from lobewise.engine.graph import Image
 from lobewise.engine.numbers import Number
 from lobewise.errors import InputError
-from lobewise.exporting.pipeline.recipes import evidence, glue
+from lobewise.exporting.pipeline.recipes import evidence
 from lobewise.exporting.pipeline.recipes.evidence import FoundFrame
 from lobewise.exporting.pipeline.recipes.guided import (
     GUIDED_STEPS,
@@ -32,8 +33,8 @@ from lobewise.exporting.pipeline.recipes.guided import (
     prepare_halves,
     run_layer,
 )
-from lobewise.exporting.pipeline.recipes.guides import SIZE, PipelineGuides, PlannedLayer
-from lobewise.exporting.pipeline.recipes.history import add_inverse_hits, make_history
+from lobewise.exporting.pipeline.recipes.guides import SIZE, PipelineGuides
+from lobewise.exporting.pipeline.recipes.history import make_history
 from lobewise.exporting.pipeline.recipes.samples import (
     add_sparse_accumulation,
     add_upsampling,
@@ -41,20 +42,17 @@ from lobewise.exporting.pipeline.recipes.samples import (
     reflect_enough,
 )
 from lobewise.exporting.pipeline.recipes.steps import (
-    FilterCall,
-    PlannedOutput,
     PlannedRun,
     add_accumulation,
-    add_filter,
-    call_filter,
 )
 from lobewise.exporting.pipeline.settings import CONTENTS
-from lobewise.features import Feature, ScreenFeature
+from lobewise.features import ScreenFeature
+from lobewise.filters import glue
+from lobewise.filters.cross_filter import run_filter
 from lobewise.filters.forms import ATROUS_REACH
-from lobewise.lobes.hits import HitField
+from lobewise.temporal.validation import find_same_tau
 
 STEPS: Mapping[type[Step], Callable[[PlannedRun, Any], Sequence[Any]]] = {
-    FilterStep: add_filter,
     AccumulateStep: add_accumulation,
 }
 """What adds each kind of step to a pipeline."""
@@ -73,8 +71,8 @@ class PlannedFrame:
 
     guides: PipelineGuides
     plan: FramePlan
-    layers: Sequence[PlannedLayer] = ()
-    outputs: Sequence[PlannedOutput] = ()
+    layers: Sequence[Any] = ()
+    outputs: list[Any] = field(default_factory=list)
     parts: list[Image] = field(default_factory=list)
     rest: Image | None = None
     bad: Image | None = None
@@ -94,53 +92,15 @@ class PlannedFrame:
             STAGES[stage](self)
 
 
-def find_bad(guides: PipelineGuides, layers: Sequence[PlannedLayer]) -> Image:
-    """Return the pixels whose radiance is NaN, infinite or negative."""
-    light = [guides.color, *(layer.radiance for layer in layers)]
-    images = {f"light{number}": image for number, image in enumerate(dict.fromkeys(light))}
-    (bad,) = guides.kernels.map_pixels(glue.define_bad, images, {}, names=["bad"], text="bad pixels")
-    return bad
-
-
-def find_rest(guides: PipelineGuides, layers: Sequence[PlannedLayer]) -> Image | None:
+def find_rest(guides: PipelineGuides, layers: Sequence[Any]) -> Any:
     """Return the light that is in none of the layers; None where light is not told apart."""
     if guides.settings.layers == "color":
         return None
+    text = "emission and background, which are not filtered"
     if guides.settings.emission:
-        text = "emission and background, which are not filtered"
-        (rest,) = guides.kernels.map_pixels(glue.define_good, {"image": guides.emission}, {}, names=["rest"], text=text)
-        return rest
+        return guides.kernels.map_pixels(glue.define_good, {"image": guides.emission}, {}, names=["rest"], text=text)[0]
     images = {"color": guides.color, **{f"noisy{k}": layer.radiance for k, layer in enumerate(layers)}}
-    (rest,) = guides.kernels.map_pixels(
-        glue.define_rest, images, {}, names=["rest"], text="emission and background, which are not filtered"
-    )
-    return rest
-
-
-def keep_unfiltered(guides: PipelineGuides, layer: PlannedLayer, output: PlannedOutput) -> Image:
-    """Return the filtered radiance, and the noisy one where no tap had weight."""
-    images = {"noisy": layer.radiance, "weight": output.weight_sum, **output.give_image("image")}
-    name = f"{layer.name}_part"
-    (part,) = guides.kernels.map_pixels(glue.define_kept, images, {}, names=[name], text="radiance of the layer")
-    return part
-
-
-def compose(frame: PlannedFrame) -> None:
-    """Add up the parts of a frame and what is in none of them, and find the pixels without a value."""
-    if frame.guides.settings.upsample > 1:
-        frame.total, frame.holes, frame.parts = join_sparse(frame.guides, [*frame.layers], [*frame.outputs])
-        give_parts(frame)
-        return
-    assert frame.bad is not None
-    images: dict[str, Image | None] = {f"part{k}": part for k, part in enumerate(frame.parts)}
-    images |= {f"weight{k}": output.weight_sum for k, output in enumerate(frame.outputs)}
-    images |= {"rest": frame.rest, "bad": frame.bad}
-    image = frame.guides.graph.take("image", *SIZE, 3, text="the denoised frame", unit="any")
-    total, holes = frame.guides.kernels.map_pixels(
-        glue.define_total, images, {}, names=["", "holes"], into=[image], text="the sum of all light, and its holes"
-    )
-    frame.total, frame.holes = total, holes
-    give_parts(frame)
+    return guides.kernels.map_pixels(glue.define_rest, images, {}, names=["rest"], text=text)[0]
 
 
 def give_parts(frame: PlannedFrame) -> None:
@@ -161,73 +121,59 @@ def filter_layers(frame: PlannedFrame) -> None:
 
 
 def filter_plain(frame: PlannedFrame) -> None:
-    """Filter every layer by its guides alone, and join it with its history where there is one."""
-    guides, constants = frame.guides, frame.guides.constants
-    place = guides.make_place_features(constants.screen_sigma, constants.get("position_sigma"))
-    specular, alike = make_specular_features(guides)
-    frame.layers = guides.make_layers(place, specular, constants.diffuse_beta)
-    if guides.settings.upsample > 1:
-        if alike is not None:
+    """Filter every layer by its guides alone; join it with its history where there is one."""
+    guides, settings = frame.guides, frame.guides.settings
+    if settings.history or settings.upsample > 1:
+        filter_over_time(frame)
+        return
+    exact = guides.emission if settings.emission else None
+    found: Any = filter_by_guides(guides, guides.resolved, (), guides.bad, exact=exact)  # type: ignore[arg-type]
+    frame.layers, frame.parts = found.layers, list(found.parts)
+    frame.total, frame.holes = found.image, found.holes
+
+
+def filter_over_time(frame: PlannedFrame) -> None:
+    """Join every layer with its history where there is one, and bring sparse samples to all pixels."""
+    guides, settings = frame.guides, frame.guides.settings
+    whole: Any = guides
+    resolved, lobes = guides.resolved, None
+    if settings.history:
+        lobes = split_lobes(whole, settings.similarity, resolved.tau, find_same_tau(whole, resolved))
+    layers: list[Any] = make_layers(whole, resolved, lobes=lobes)
+    names = ("diffuse", "specular") if len(layers) == 2 else ("color",)
+    frame.layers = [replace(layer, name=name) for name, layer in zip(names, layers, strict=True)]
+    sparse, history, found = settings.upsample > 1, None, {}
+    if settings.history:
+        if sparse:
             frame.layers = [reflect_enough(guides, layer) for layer in frame.layers]
-    else:
-        frame.bad = find_bad(guides, frame.layers)
-        frame.rest = find_rest(guides, frame.layers)
-    history, found = None, {}
-    if alike is not None:
-        masks = {layer.name: layer.mask for layer in frame.layers}
-        history = make_history(guides, [alike], specular[1], masks)
+        history = make_history(guides, lobes, {layer.name: layer.mask for layer in frame.layers})
         found = history.find_all()
-    outputs = []
-    sparse = guides.settings.upsample > 1
     for layer in frame.layers:
         run = PlannedRun(guides, layer)
         if history is not None:
             run.images |= {HISTORY: found[layer.name], "sums": history.keep_sums(layer.name)}
-        output = run.run(frame.plan.layers[layer.name], {**STEPS, **(SPARSE_STEPS if sparse else {})})
-        outputs.append(output)
+        frame.outputs.append(run.run(frame.plan.layers[layer.name], {**STEPS, **(SPARSE_STEPS if sparse else {})}))
+    with guides.graph.part("sum of the light"):
         if sparse:
-            continue
-        with guides.graph.part(f"{layer.name}: radiance"):
-            frame.parts.append(keep_unfiltered(guides, layer, output))
-    frame.outputs = outputs
-
-
-def make_specular_features(guides: PipelineGuides) -> tuple[tuple[Feature, Image], Feature | None]:
-    """Return what compares specular light within a frame, its pixels, and what compares it between frames.
-
-    The last is None without a history.
-    """
-    constants, settings = guides.constants, guides.settings
-    if not settings.history:
-        return guides.make_specular_feature(settings.similarity, constants.beta, constants.noise), None
-    beta, same = constants.get("history_beta"), constants.square_tau(constants.pixel_tau)
-    hits = None
-    if settings.hit_distance and settings.record.has_lobes:
-        places: Any = guides.position, add_inverse_hits(guides, MIN_HIT_DISTANCE * constants.pixel_angle)
-        hits = HitField(*places)
-    if settings.record.has_covariance and not settings.record.fits_gaussian:
-        valid, (own, other) = guides.split_lobes([constants.noise, same])
-        mask = guides.join_masks(valid)
-        feature = guides.make_split_feature(own, constants.beta)
-        return (feature, mask), guides.make_split_feature(other, beta, hits)
-    feature, mask = guides.make_specular_feature(settings.similarity, constants.beta, constants.noise)
-    alike, _ = guides.make_specular_feature(settings.similarity, beta, same, hits=hits)
-    return (feature, mask), alike
+            frame.total, frame.holes, frame.parts = join_sparse(guides, [*frame.layers], frame.outputs)
+            return
+        joined: Any = add_up(whole, frame.layers, frame.outputs, guides.bad)  # type: ignore[arg-type]
+        frame.parts, frame.total, frame.holes = list(joined.parts), joined.image, joined.holes
 
 
 def filter_halves(frame: PlannedFrame) -> None:
     """Filter both halves of the samples of every layer by its plan."""
-    guides, constants = frame.guides, frame.guides.constants
-    settings = guides.settings
-    specular = guides.make_specular_feature(settings.similarity, constants.beta, constants.noise, spread=True)
-    pilot = specular[0]
+    guides, settings = frame.guides, frame.guides.settings
+    whole: Any = guides
+    layers: list[Any] = make_lobe_layers(whole, guides.resolved, spread=True)
+    pilot = layers[-1].features
     if settings.record.has_covariance:
-        pilot, _ = guides.make_specular_feature(SIMPLE, constants.beta, constants.noise, spread=True)
-    layers = guides.make_layers([], specular, constants.diffuse_beta)
-    frame.bad, frame.rest = find_bad(guides, layers), find_rest(guides, layers)
+        simple = replace(guides.resolved, similarity=SIMPLE)
+        pilot = compare_specular(whole, simple, settings.layers == "apart", spread=True).features
+    frame.bad, frame.rest = guides.bad, find_rest(guides, layers)
     for layer in layers:
         with guides.graph.part(f"{layer.name}: samples"):
-            half = prepare_halves(guides, layer, layer.features[0] if layer.is_diffuse else pilot)
+            half = prepare_halves(guides, layer, layer.features if layer.is_diffuse else pilot)
             frame.noisy.append(join_halves(guides, half))
         output: HalfOutput = run_layer(guides, half).run(frame.plan.layers[layer.name], GUIDED_STEPS)
         assert output.image is not None
@@ -263,13 +209,14 @@ def check_total(frame: PlannedFrame) -> None:
     frame.total, frame.holes = frame.guides.kernels.map_pixels(
         glue.define_checked, images, {}, names=["", "holes"], into=[image], text="the result, and its holes"
     )
-    give_parts(frame)
 
 
 def fill_holes(frame: PlannedFrame) -> None:
     """Fill the pixels without a value from their neighbours; see `lobewise.denoising.bad_pixels.refill`."""
     with frame.guides.graph.part("sum of the light"):
-        (check_total if frame.supports else compose)(frame)
+        if frame.supports:
+            check_total(frame)
+        give_parts(frame)
     assert frame.total is not None and frame.holes is not None
     with frame.guides.graph.part(FILL_HOLES.name):
         fill_image(frame.guides, frame.total, frame.holes)
@@ -292,9 +239,8 @@ def fill_image(guides: PipelineGuides, image: Image, holes: Image) -> None:
         (source,) = kernels.map_pixels(glue.define_emptied, images, {}, names=["emptied"], text="NaN in the holes")
         for sigma in SIGMAS:
             features = [ScreenFeature(NO_SIGMA if sigma is None else sigma)]
-            found = call_filter(kernels, FilterCall(source, everywhere, features, "atrous", 0, name="around"))
-            assert isinstance(found.image, Image)
-            images = {"image": source, "holes": holes, "filled": found.image, "weight": found.weight_sum}
+            filtered: Any = run_filter(source, everywhere, features, form="atrous", radius=0, name="around")  # type: ignore[arg-type]
+            images = {"image": source, "holes": holes, "filled": filtered.image, "weight": filtered.weight_sum}
             source, holes = kernels.map_pixels(
                 glue.define_refilled, images, {}, names=["refilled", "holes"], text="fill holes from neighbours"
             )

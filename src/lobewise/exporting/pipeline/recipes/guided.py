@@ -10,15 +10,16 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
+from lobewise.denoising.layers import Layer, make_position_features
 from lobewise.denoising.planning.layer_plans import AUTO_SIGMA
 from lobewise.denoising.planning.steps import SAMPLES, FinishStep, GuideStep, PassStep, Step
 from lobewise.engine.graph import Image
-from lobewise.engine.kernels import give_feature_images, give_feature_numbers
 from lobewise.engine.numbers import Number, choose_larger
-from lobewise.exporting.pipeline.recipes import glue
-from lobewise.exporting.pipeline.recipes.guides import PipelineGuides, PlannedLayer
+from lobewise.engine.recorder import give_feature_images, give_feature_numbers
+from lobewise.exporting.pipeline.recipes.guides import PipelineGuides
 from lobewise.exporting.pipeline.recipes.steps import PlannedRun
 from lobewise.features import Feature
+from lobewise.filters import glue
 from lobewise.filters.compositing import define_composite
 from lobewise.filters.cross_pass import describe_structure
 from lobewise.filters.dual_buffer import make_scheduled_dual_buffer
@@ -27,16 +28,16 @@ from lobewise.filters.fireflies import make_fireflies
 from lobewise.filters.highlights import Kinds, make_highlights
 from lobewise.filters.noise_guides import LOG_OFFSET_SHARE, MIN_VARIANCE, make_light_sums, make_scheduled_noise_guide
 from lobewise.guides.halves import define_marked
-from lobewise.settings import DenoiseSettings
+from lobewise.settings import DenoiseSettings, Similarity
 
 KINDS = Kinds(shared=False, single=False, paired=True)
 """Halves of the samples are samples of every pixel, at least two, and independent of those of its neighbours."""
-SIMPLE = "sg"
+SIMPLE: Similarity = "sg"
 """Similarity of the pilot, which compares single lobes."""
 
 
 @dataclass(frozen=True)
-class HalfLayer(PlannedLayer):
+class HalfLayer(Layer):
     """A layer in two halves of its samples; see `lobewise.denoising.noisy.NoisyLayer`.
 
     Parameters
@@ -88,11 +89,13 @@ class GuidedRun(PlannedRun):
             name = f"sigma_{sigma:g}".replace(".", "_")
             screen = constants.derive(name, screen)
             position = screen * constants.get("position_sigma") / DenoiseSettings.position_sigma
-            self.places[sigma] = self.guides.make_place_features(screen, position)
+            whole: Any = self.guides
+            settings = replace(self.guides.resolved, screen_sigma=screen, position_sigma=position)
+            self.places[sigma] = make_position_features(whole, settings)
         return self.places[sigma]
 
 
-def prepare_halves(guides: PipelineGuides, layer: PlannedLayer, pilot: Feature) -> HalfLayer:
+def prepare_halves(guides: PipelineGuides, layer: Any, pilot: tuple[Feature, ...]) -> HalfLayer:
     """Return a layer in two halves, fireflies bounded and highlights split off; see `make_noisy_layers`."""
     kernels, name, graph = guides.kernels, layer.name, guides.graph
     marked = [
@@ -123,7 +126,7 @@ def prepare_halves(guides: PipelineGuides, layer: PlannedLayer, pilot: Feature) 
         **vars(layer),
         halves=(split["rest_a"], split["rest_b"]),
         kept=split["kept"],
-        pilot=(pilot,),
+        pilot=pilot,
         level=Number(1.0, level),
     )
 
@@ -142,7 +145,7 @@ def call_dual_buffer(
     step: PassStep | None,
     groups: Groups,
     *,
-    albedo: Image | None,
+    albedo: Any,
     guide: Image | None,
 ) -> HalfOutput:
     """Add a dual-buffer pass; without a step it filters nothing, and divides by the albedo."""

@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Any, cast
 
 from lobewise.engine.graph import Image
-from lobewise.engine.kernels import give_feature_images, give_feature_numbers, make_feature
-from lobewise.engine.numbers import Number, round_single
+from lobewise.engine.numbers import round_single
+from lobewise.engine.recorder import give_feature_images, give_feature_numbers
 from lobewise.exporting.pipeline.recipes.guides import SIZE, PipelineGuides
-from lobewise.features import DiffuseFeature, Feature, HitDistanceFeature, NormalFeature, PlaneFeature
+from lobewise.features import Feature
 from lobewise.filters.cross_pass import describe_structure
 from lobewise.filters.history.reprojection import make_scheduled_preparation, make_scheduled_reprojection
 from lobewise.filters.history.reprojection_pass import AGREEMENT
 from lobewise.filters.history.sums import HISTORY_CHANNELS
-from lobewise.guides.places import (
-    MIN_EDGE_RATIO,
-    MISS_DISTANCE,
-    define_curvature,
-    define_image_places,
-    define_surface_places,
-)
-from lobewise.guides.surfaces import define_backdrop, define_footprints, define_inverse_hits, define_tolerances
-from lobewise.temporal.past import MAX_SHARE_SAMPLES, MAX_STEP, MIN_AGREEMENT, MIN_DIFFUSE_SHARE
-from lobewise.temporal.validation import BACKGROUND_DISTANCE, HIT_TOLERANCE, HIT_TOLERANCE_PER_LOBE
+from lobewise.guides.lobe_fields import SplitField
+from lobewise.guides.surfaces import define_footprints
+from lobewise.settings import TemporalSettings
+from lobewise.temporal.past import MAX_SHARE_SAMPLES, MAX_STEP, MIN_AGREEMENT, MIN_DIFFUSE_SHARE, find_all_places
+from lobewise.temporal.validation import make_validation_features
 
 HAS_PAST, HAS_HISTORY = "p->has_past", "p->has_history"
 
@@ -183,131 +179,38 @@ class PlannedHistory:
         graph = self.guides.graph
         with graph.only_when(f"!{HAS_HISTORY}"):
             graph.run("clear_image", [self.allowance], [], "no motion is known", writes=[self.allowance])
-            add_footprints(self.guides, self.allowance, self.footprint)
+            constants = self.guides.constants
+            images = {"surface": self.guides.surface, "depth": self.guides.depth, "allowance": self.allowance}
+            allowed = round_single(1.0 / constants.get("plane_sigma"))
+            numbers = {"pixel_angle": round_single(constants.pixel_angle), "allowed": allowed}
+            self.guides.kernels.map_pixels(
+                define_footprints, images, numbers, into=[self.footprint], text="widths of pixels"
+            )
             for each in self.compared.values():
                 self._call_preparation(each)
 
 
-def add_footprints(guides: PipelineGuides, allowance: Image | None, into: Image | None = None) -> Image:
-    """Add the width of every pixel on its surface; wider where objects moved by themselves."""
-    constants = guides.constants
-    images = {"surface": guides.surface, "depth": guides.depth, "allowance": allowance}
-    allowed = round_single(1.0 / constants.get("plane_sigma"))
-    numbers = {"pixel_angle": round_single(constants.pixel_angle), "allowed": allowed}
-    (found,) = guides.kernels.map_pixels(
-        define_footprints,
-        images,
-        numbers,
-        names=["footprint"],
-        into=[] if into is None else [into],
-        text="widths of pixels on their surfaces",
-    )
-    return found
-
-
-def add_places(guides: PipelineGuides) -> tuple[Image, Image | None]:
-    """Add the earlier place of every surface, and how far it moved by itself, pixels."""
-    constants = guides.constants
-    motion = None
-    if guides.settings.motion:
-        text = "from a pixel to the place of its surface in the frame before: columns, rows"
-        motion = guides.graph.give("motion", *SIZE, 2, text=text, unit="pixels")
-    images = {"depth": guides.depth, "position": guides.position, "motion": motion}
-    numbers = {**constants.get_projection(), **constants.get_rays()}
-    places, *allowance = guides.kernels.map_pixels(
-        define_surface_places, images, numbers, names=["places", "allowance"], text="places of surfaces a frame ago"
-    )
-    return places, allowance[0] if allowance else None
-
-
-def add_virtual_places(guides: PipelineGuides) -> Image:
-    """Add the earlier place of every reflection; see `lobewise.guides.places.find_virtual_places`."""
-    constants = guides.constants
-    images = {"position": guides.position, "normal": guides.normal}
-    edge = {"edge": Number(MIN_EDGE_RATIO, str(MIN_EDGE_RATIO), is_single=True)}
-    (curvature,) = guides.kernels.map_pixels(
-        define_curvature, images, edge, names=["curvature"], text="curvature of surfaces"
-    )
-    images = {"distance": give_hits(guides), "curvature": curvature, "position": guides.position}
-    numbers = {"eye": constants.get_vector("eye"), "far": Number(MISS_DISTANCE, str(MISS_DISTANCE))}
-    (places,) = guides.kernels.map_pixels(
-        define_image_places,
-        images,
-        {**numbers, **constants.get_projection()},
-        names=["virtual_places"],
-        text="places of reflections a frame ago",
-    )
-    return places
-
-
-def give_hits(guides: PipelineGuides) -> Image:
-    """Return the hit distances."""
-    text = "distance from the surface to what its reflection shows; 0 where unknown, infinite for the sky"
-    return guides.graph.give("hit_distance", *SIZE, text=text, unit="world units")
-
-
-def make_history(
-    guides: PipelineGuides, alike: Sequence[Feature], lobes: Image, masks: Mapping[str, Image]
-) -> PlannedHistory:
-    """Return the history of a frame's layers, as `make_validation_features` and `HistoryReprojection` describe it.
+def make_history(guides: PipelineGuides, lobes: SplitField | None, masks: Mapping[str, Image]) -> PlannedHistory:
+    """Return the history of a frame's layers; see `lobewise.temporal.past.HistoryReprojection`.
 
     Parameters
     ----------
     guides : PipelineGuides
-    alike : sequence of Feature
-        What compares specular light, or all light in one image, between frames.
-    lobes : Image
-        Pixels that have such light.
+    lobes : SplitField, optional
+        The frame's lobes for both band-limits.
     masks : mapping of str to Image
         Pixels that have the light of each layer.
     """
-    constants, graph = guides.constants, guides.graph
+    constants, graph, whole = guides.constants, guides.graph, cast(Any, guides)
+    temporal = replace(TemporalSettings(), beta=constants.get("history_beta"), plane_sigma=constants.get("plane_sigma"))
     with graph.part("history: places of a frame ago"):
-        places, allowance = add_places(guides)
-        virtual_places = add_virtual_places(guides) if guides.settings.hit_distance else None
+        found, allowance = cast(Any, find_all_places(whole, guides.before))
         if allowance is not None:
             with graph.only_when(f"!{HAS_PAST}"):
                 graph.run("clear_image", [allowance], [], "no motion is known", writes=[allowance])
-        footprint = add_footprints(guides, allowance)
-        images = {"surface": guides.surface, "normal": guides.normal, "position": guides.position}
-        far = Number(BACKGROUND_DISTANCE, str(BACKGROUND_DISTANCE), is_single=True)
-        numbers = {"eye": constants.get_vector("eye", single=True), "far": far, **constants.get_rays()}
-        names = ["facing", "flat_normal", "flat_position"]
-        facing, flat, position = guides.kernels.map_pixels(
-            define_backdrop, images, numbers, names=names, text="a wall far away in place of the background"
-        )
-        virtual = [*alike, *_make_hit_features(guides)] if guides.settings.hit_distance else []
-    plane = make_feature(PlaneFeature, position, flat, footprint, constants.get("plane_sigma"))
-    facing_feature = make_feature(NormalFeature, facing, constants.get("normal_exponent"))
-    found = [Compared("rest", guides.surface, (plane, facing_feature))]
-    if "diffuse" in masks:
-        diffuse = facing_feature
-        if guides.settings.record.has_lobes:
-            diffuse = make_feature(DiffuseFeature, guides.normal, constants.get("history_beta"))
-        found.append(Compared("diffuse", guides.surface, (plane, diffuse)))
-    name = "specular" if "diffuse" in masks else "color"
-    found.append(Compared(name, lobes, (plane, *(virtual or alike)), len(virtual)))
-    compared = {each.name: each for each in found}
-    return PlannedHistory(guides, masks, compared, footprint, allowance, places, virtual_places)
-
-
-def _make_hit_features(guides: PipelineGuides) -> list[Feature]:
-    """Return the feature that compares hit distances between frames."""
-    alphas = {name: image for name, image in guides.alphas.items() if name != "tangent"}
-    numbers = {"least": HIT_TOLERANCE, "slope": HIT_TOLERANCE_PER_LOBE}
-    given = {name: Number(value, str(value)) for name, value in numbers.items()}
-    (tolerance,) = guides.kernels.map_pixels(
-        define_tolerances, alphas, given, names=["tolerance"], text="tolerances of hit distances"
-    )
-    return [make_feature(HitDistanceFeature, add_inverse_hits(guides, None), tolerance)]
-
-
-def add_inverse_hits(guides: PipelineGuides, nearest: Number | None) -> Image:
-    """Add the inverse of every hit distance; with ``nearest`` hits are at least so many depths away."""
-    images = {"distance": give_hits(guides), "depth": None if nearest is None else guides.depth}
-    numbers = {"nearest": Number(0.0, "0.0") if nearest is None else nearest}
-    name = "inverse_hit" if nearest is None else "inverse_far_hit"
-    (found,) = guides.kernels.map_pixels(
-        define_inverse_hits, images, numbers, names=[name], text="inverse hit distances"
-    )
-    return found
+        features = make_validation_features(whole, guides.resolved, temporal, allowance, masks, lobes)
+    plane: Any = features["rest"].surface[0]
+    compared = {
+        name: Compared(name, cast(Any, each.mask), each.surface, len(each.virtual)) for name, each in features.items()
+    }
+    return PlannedHistory(guides, masks, compared, plane.footprint, allowance, found.surface, found.virtual)

@@ -10,10 +10,10 @@ from lobewise.backend.expressions import LOG2_E
 from lobewise.denoising.planning.steps import HISTORY, AccumulateStep, UpsampleStep
 from lobewise.engine.graph import Image
 from lobewise.engine.numbers import Number, round_single, write_number
-from lobewise.exporting.pipeline.recipes.glue import define_any
-from lobewise.exporting.pipeline.recipes.guides import SAMPLES, SIZE, PipelineGuides, PlannedLayer
+from lobewise.exporting.pipeline.recipes.guides import SAMPLES, SIZE, PipelineGuides
 from lobewise.exporting.pipeline.recipes.steps import PlannedOutput, PlannedRun, SampleCalls, split_accumulated
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
+from lobewise.filters.glue import define_any
 from lobewise.filters.history.accumulation import TRUST_RADIUS
 from lobewise.filters.history.accumulation_pass import make_accumulation, make_trust
 from lobewise.filters.history.joining import define_joined, define_reflecting
@@ -46,7 +46,7 @@ class SparseCalls(SampleCalls):
         return known
 
 
-def reflect_enough(guides: PipelineGuides, layer: PlannedLayer) -> PlannedLayer:
+def reflect_enough(guides: PipelineGuides, layer: Any) -> Any:
     """Return a layer without the pixels that reflect almost nothing; see `find_reflecting`."""
     assert layer.albedo is not None
     floor = round_single(ALBEDO_FLOOR / guides.constants.own_weight)
@@ -128,7 +128,7 @@ def find_known_precision(guides: PipelineGuides, known: int) -> float:
 
 
 def join_sparse(
-    guides: PipelineGuides, layers: list[PlannedLayer], outputs: list[PlannedOutput]
+    guides: PipelineGuides, layers: list[Any], outputs: list[PlannedOutput]
 ) -> tuple[Image, Image, list[Image]]:
     """Return the sum of all light, its holes, and the light of each layer; see `lobewise.upsampling.join_sparse`."""
     masks = {f"mask{k}": layer.mask for k, layer in enumerate(layers)}

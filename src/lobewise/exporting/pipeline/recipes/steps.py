@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
-from lobewise.denoising.planning.steps import HISTORY, AccumulateStep, FilterStep, LayerPlan, Step
+from lobewise.denoising.planning.steps import HISTORY, AccumulateStep, LayerPlan, Step
 from lobewise.engine.graph import Image
-from lobewise.engine.kernels import Kernels, give_feature_images, give_feature_numbers
-from lobewise.exporting.pipeline.recipes.guides import PipelineGuides, PlannedLayer
-from lobewise.features import Feature
-from lobewise.filters.cross_filter import make_scheduled_pass
-from lobewise.filters.cross_pass import PassKey, Reads, Writes, chain_passes, describe_structure
-from lobewise.filters.forms import list_passes
+from lobewise.engine.recorder import Recorder, give_feature_images, give_feature_numbers
+from lobewise.exporting.pipeline.recipes.guides import PipelineGuides
+from lobewise.filters.cross_filter import run_filter
+from lobewise.filters.cross_pass import describe_structure
 from lobewise.filters.history.accumulation import TRUST_RADIUS, make_scheduled_accumulation
 from lobewise.filters.history.accumulation_pass import (
     ACCUMULATED,
@@ -49,11 +47,11 @@ class PlannedRun:
     """A layer on its way through its plan; see `lobewise.denoising.running.LayerRun`."""
 
     guides: PipelineGuides
-    layer: PlannedLayer
+    layer: Any
     images: dict[str, Any] = field(default_factory=dict)
 
     @property
-    def kernels(self) -> Kernels:
+    def kernels(self) -> Recorder:
         """The kernels of the pipeline."""
         return self.guides.kernels
 
@@ -64,59 +62,6 @@ class PlannedRun:
                 outputs = emitters[type(step)](self, step)
             self.images.update(zip(step.writes, outputs, strict=True))
         return self.images[plan.steps[-1].writes[0]]
-
-
-@dataclass(frozen=True)
-class FilterCall:
-    """What `lobewise.filters.cross_filter.run_filter` is told."""
-
-    source: Image
-    mask: Image
-    features: Sequence[Feature]
-    form: str
-    radius: int
-    albedo: Image | None = None
-    modulate: bool = True
-    moment: bool = False
-    strictness: Image | None = None
-    name: str = "filtered"
-
-
-def call_filter(kernels: Kernels, wanted: FilterCall) -> PlannedOutput:
-    """Add the passes of the cross filter."""
-    passes = list_passes(wanted.form, wanted.radius)
-    whole = PassKey(
-        passes[0][0],
-        tuple(describe_structure(feature) for feature in wanted.features),
-        reads=Reads.RADIANCE if wanted.albedo is None else Reads.DEMODULATED,
-        writes=Writes.IMAGES,
-        modulate=wanted.albedo is not None and wanted.modulate,
-        moment=wanted.moment,
-        strict=wanted.strictness is not None,
-    )
-    keys = chain_passes(whole, [taps for taps, _, _ in passes], mirror=True)
-    beside = {"mask": wanted.mask, "albedo": wanted.albedo, "strictness": wanted.strictness}
-    beside |= give_feature_images("tap", wanted.features) | give_feature_numbers(wanted.features)
-    source, outputs = wanted.source, {}
-    for number, (key, (taps, radius, step)) in enumerate(zip(keys, passes, strict=True)):
-        kernel = kernels.get(key, partial(make_scheduled_pass, key, wanted.features))
-        size = 2 * radius + 1 if radius else 5
-        text = f"{taps.value} taps, {size} across" + (f", {step} pixels apart" if step > 1 else "")
-        names = {each: f"{wanted.name}_{each}" for each in ("weight_sum", "effective_samples", "moment")}
-        names |= {"image": wanted.name, "sums": f"{wanted.name}_sums{number}"}
-        given = {"source": source, "radius": radius, "step": step, **beside}
-        outputs = kernels.call(kernel, given, names=names, text=text)
-        source = outputs.get("sums", source)
-    return PlannedOutput(outputs["image"], outputs["weight_sum"], outputs["effective_samples"], outputs.get("moment"))
-
-
-def add_filter(run: PlannedRun, step: FilterStep) -> list[PlannedOutput]:
-    """Add one pass over a layer by its guides."""
-    layer = run.layer
-    wanted = FilterCall(
-        layer.radiance, layer.mask, layer.features, step.form, step.radius, layer.albedo, name=f"{layer.name}_filtered"
-    )
-    return [call_filter(run.kernels, wanted)]
 
 
 @dataclass(frozen=True)
@@ -155,7 +100,7 @@ class SampleCalls:
         told = (tuple(map(describe_structure, each)) if isinstance(each, tuple) else each for each in options)
         kernels = self.run.kernels
         kernel = kernels.get((make, *told), partial(make_scheduled_accumulation, make, options), strict=strict)
-        return kernels.call(kernel, given, names=names, into=into, text=text)
+        return dict(kernels.call(kernel, given, names=names, into=into, text=text))
 
 
 def split_accumulated(name: str, sums: Image, run: PlannedRun) -> tuple[dict[str, Image], PlannedOutput]:
@@ -191,20 +136,18 @@ def add_accumulation(run: PlannedRun, step: AccumulateStep) -> list[PlannedOutpu
     given |= {"trust_radius": TRUST_RADIUS, "growth": growth, **calls.place(1)}
     names = {name: f"{layer.name}_{name}" for name in NARROWED}
     narrowed = calls.call(make_narrowing, (features,), given, names, text="how much the kernel narrows")
-    wanted = FilterCall(
+    found: Any = run_filter(
         layer.radiance,
         layer.mask,
         features,
-        step.form,
-        step.radius,
-        layer.albedo,
+        form=step.form,
+        radius=step.radius,
+        albedo=layer.albedo,
         modulate=False,
         moment=True,
-        strictness=narrowed["unit"],
+        strictness=cast(Any, narrowed["unit"]),
         name=f"{layer.name}_filtered",
     )
-    found = call_filter(run.kernels, wanted)
-    assert isinstance(found.image, Image) and found.moment is not None
     given = {"samples": layer.radiance, "mean": found.image, "total": found.weight_sum, "history": history}
     given |= {"effective": found.effective_samples, "mean_square": found.moment, **narrowed, **calls.images}
     given |= {"own": own, "bonus": own - 1.0}

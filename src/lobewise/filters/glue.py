@@ -9,6 +9,7 @@ from operator import and_, or_
 from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import is_good
 from lobewise.backend.pointwise import LARGEST_FLOAT, Grid, Vector, is_finite, select_or_nan
+from lobewise.filters.cross_pass import ALBEDO_FLOOR
 
 
 def define_both(grid: Grid) -> list[Vector]:
@@ -51,37 +52,69 @@ def define_rest(grid: Grid) -> list[Vector]:
     return [read_rest(grid)]
 
 
-def define_kept(grid: Grid) -> list[Vector]:
-    """Return filtered radiance, and the noisy one where nothing was gathered; see `keep_unfiltered`."""
-    noisy, lost = grid.read("noisy"), grid.read_one("weight") <= hl.f32(0.0)
-    good = is_good(noisy)
-    return [
-        [
-            _select_bits(lost, select_or_nan(good, raw), value)
-            for raw, value in zip(noisy, grid.read_channels("image"), strict=True)
-        ]
-    ]
-
-
 def _select_bits(condition: hl.Expr, first: hl.Expr, second: hl.Expr) -> hl.Expr:
     """Return one of two float32 that may be NaN."""
     bits = [hl.reinterpret(hl.UInt(32), value) for value in (first, second)]
     return hl.reinterpret(hl.Float(32), hl.select(condition, *bits))
 
 
-def define_total(grid: Grid) -> list[Vector]:
-    """Return the sum of the parts ``part0`` and so on and of ``rest``, and where it is a hole.
+def define_filtered_sum(grid: Grid, count: int) -> list[Vector]:
+    """Return the sum of filtered layers and of the light in none of them, its holes, its support, and its parts.
 
-    A hole is not finite or negative, or a bad pixel that no filter reached; see `Filtered.find_holes`.
+    A part is the filtered radiance, or the noisy one where nothing was gathered. Support and parts come only if there
+    are several layers, or light beside one.
     """
-    parts = _read_parts(grid, "part")
-    total = parts[0]
-    for part in (*parts[1:], *([grid.read("rest")] if grid.has("rest") else [])):
-        total = [value + more for value, more in zip(total, part, strict=True)]
-    weights = [name for name in grid.images if name.startswith("weight")]
-    untouched = reduce(and_, (grid.read_one(name) <= hl.f32(0.0) for name in weights))
-    hole = ~is_good(total) | ((grid.read_one("bad") != 0) & untouched)
-    return [total, [hl.u8(hole)]]
+    parts = [keep_unfiltered(grid, number) for number in range(count)]
+    total: Vector = reduce(_add_colors, parts)
+    if grid.has("exact"):
+        exact = grid.read("exact")
+        total = _add_colors(total, [hl.select(is_good(exact), value, hl.f32(0.0)) for value in exact])
+    elif grid.has("color"):
+        total = _add_colors(total, read_rest(grid))
+    weights = [grid.read_one(f"weight{number}") for number in range(count)]
+    untouched = reduce(and_, (weight <= hl.f32(0.0) for weight in weights))
+    outputs = [total, [hl.u8(~is_good(total) | ((grid.read_one("bad") != 0) & untouched))]]
+    if count > 1:
+        outputs += [[value] for value in find_support(grid, weights)]
+    elif grid.has("exact") or grid.has("color"):
+        outputs += [weights, [grid.read_one("effective0")]]
+    return outputs + (parts if len(outputs) > 2 else [])
+
+
+def keep_unfiltered(grid: Grid, number: int) -> Vector:
+    """Return a layer's filtered radiance, or the noisy one where nothing was gathered; NaN where that is bad too."""
+    noisy, lost = grid.read(f"noisy{number}"), grid.read_one(f"weight{number}") <= hl.f32(0.0)
+    good = is_good(noisy)
+    pairs = zip(noisy, grid.read_channels(f"image{number}"), strict=True)
+    return [_select_bits(lost, select_or_nan(good, raw), value) for raw, value in pairs]
+
+
+def _add_colors(first: Vector, second: Vector) -> Vector:
+    return [a + b for a, b in zip(first, second, strict=True)]
+
+
+def find_support(grid: Grid, weights: Sequence[hl.Expr]) -> list[hl.Expr]:
+    """Return weight sum and effective samples of the least supported layer that reflects anything at a pixel.
+
+    Where no layer's lobe reflects (a light, the background) those of the first layer count.
+    """
+    total, effective = weights[0], grid.read_one("effective0")
+    known = _is_reflecting(grid, 0)
+    for number, weight in enumerate(weights[1:], 1):
+        here = _is_reflecting(grid, number)
+        weaker = here & (~known | (weight < total))
+        total = hl.select(weaker, weight, total)
+        effective = hl.select(weaker, grid.read_one(f"effective{number}"), effective)
+        known = known | here
+    return [total, effective]
+
+
+def _is_reflecting(grid: Grid, number: int) -> hl.Expr:
+    """Return whether a layer's lobe reflects more than `ALBEDO_FLOOR` of the light; everywhere without albedo."""
+    there = grid.read_one(f"mask{number}") != 0
+    if not grid.has(f"albedo{number}"):
+        return there
+    return there & reduce(or_, (tint > hl.f32(ALBEDO_FLOOR) for tint in grid.read(f"albedo{number}")))
 
 
 def define_emptied(grid: Grid) -> list[Vector]:

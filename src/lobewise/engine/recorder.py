@@ -1,26 +1,27 @@
-"""The kernels of a pipeline: each is defined once, called by the names of its parameters, and compiled for the target.
-
-The functions here take the same names as those of `lobewise.engine`, and add a call to the pipeline.
-"""
+"""The engine that records a recipe: each kernel is defined once, called by names, and compiled for a target."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Hashable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
+
 from lobewise.backend.compiler import hl
 from lobewise.backend.disk import fetch_object
 from lobewise.backend.jit import Scheduled, describe_kernel
 from lobewise.backend.objects import compile_object
 from lobewise.backend.pointwise import Definition, PointwiseKey, make_pointwise
-from lobewise.backend.signature import Parameter
+from lobewise.backend.signature import Axis, Parameter
 from lobewise.engine.graph import Graph, Image
-from lobewise.engine.numbers import Number
+from lobewise.engine.here import Pass
+from lobewise.engine.numbers import Number, write_number
 from lobewise.features import Feature
 from lobewise.features.arrays import give_scalars, name_arrays
 
@@ -94,8 +95,8 @@ def make_kernel_target(target: hl.Target, *, strict: bool = False) -> hl.Target:
 
 
 @dataclass
-class Kernels:
-    """The kernels of a pipeline, and the calls of them that are added to its graph.
+class Recorder:
+    """The engine that records every call: it adds the call to a graph, and defines the kernel for a target.
 
     Parameters
     ----------
@@ -110,6 +111,8 @@ class Kernels:
     target: hl.Target
     prefix: str
     found: dict[tuple[Hashable, bool], CompiledKernel] = field(default_factory=dict)
+    computed: dict[Hashable, tuple[Image, ...]] = field(default_factory=dict)
+    """What `pixels` has computed, by definition, images and numbers."""
 
     @property
     def lanes(self) -> int:
@@ -186,21 +189,29 @@ class Kernels:
         self.call(kernel, arguments, into=into, text=text)
         return stack
 
-    def map_pixels(
+    @property
+    def device(self) -> str:
+        """A processor: pipelines run there."""
+        return "cpu"
+
+    def pixels(
         self,
         define: Definition,
-        images: Mapping[str, Image | None],
+        images: Mapping[str, Any],
         numbers: Mapping[str, Any],
-        *options: Hashable,
-        names: Sequence[str] = (),
-        into: Sequence[Image] = (),
+        options: tuple[Hashable, ...],
+        names: Sequence[str],
+        into: Sequence[Image | None],
         text: str,
     ) -> tuple[Image, ...]:
-        """Add what `lobewise.engine.pixels` computes; ``into`` are images for its first outputs."""
-        held = {name: image for name, image in images.items() if image is not None}
-        vectors = {
-            name: list(value) if isinstance(value, (list, tuple)) else [value] for name, value in numbers.items()
-        }
+        """See `lobewise.engine.pixels`. What was computed before of the same images is not computed again."""
+        held: dict[str, Image] = {name: image for name, image in images.items() if image is not None}
+        vectors = {name: take_vector(value) for name, value in numbers.items()}
+        codes = tuple((name, *(each.code for each in vector)) for name, vector in vectors.items())
+        same = define, options, tuple((name, image.name) for name, image in held.items()), codes
+        changes = any(into) or self.graph.when or self.graph.in_box
+        if not changes and same in self.computed:
+            return self.computed[same]
         key = PointwiseKey(
             define,
             options,
@@ -211,13 +222,100 @@ class Kernels:
         kernel = self.get(key, partial(make_pointwise, key), strict=True)
         named = {f"{name}_{k}": value for name, vector in vectors.items() for k, value in enumerate(vector)}
         wanted = {f"out{number}": name for number, name in enumerate(names)}
-        written = {f"out{number}": image for number, image in enumerate(into)}
-        outputs = self.call(kernel, {**held, **named}, names=wanted, into=written, text=text)
-        return tuple(outputs[each.name] for each in kernel.parameters if each.role == "output")
+        written = {f"out{number}": image for number, image in enumerate(into) if image is not None}
+        outputs = self.call(kernel, {**held, **named}, names=wanted, into=written, text=text or describe(define))
+        found = tuple(outputs[each.name] for each in kernel.parameters if each.role == "output")
+        if not changes:
+            self.computed[same] = found
+        return found
+
+    def map_pixels(
+        self,
+        define: Definition,
+        images: Mapping[str, Any],
+        numbers: Mapping[str, Any],
+        *options: Hashable,
+        names: Sequence[str] = (),
+        into: Sequence[Image] = (),
+        text: str,
+    ) -> tuple[Image, ...]:
+        """Record what `lobewise.engine.pixels` computes."""
+        return self.pixels(define, images, numbers, options, names, into, text)
+
+    def kernel(
+        self,
+        key: Hashable,
+        make: Callable[[hl.Target], Scheduled],
+        images: Mapping[str, Image],
+        numbers: Mapping[str, Any],
+        names: Mapping[str, str],
+        text: str,
+        *,
+        strict: bool = False,
+    ) -> dict[str, Image]:
+        """See `lobewise.engine.kernel`."""
+        return self.call(self.get(key, make, strict=strict), {**images, **numbers}, names=names, text=text)
+
+    def planes(
+        self,
+        key: Hashable,
+        make: Callable[[hl.Target], Scheduled],
+        images: Mapping[str, Image],
+        numbers: Mapping[str, Any],
+        name: str,
+        text: str,
+        *,
+        strict: bool = False,
+    ) -> Image:
+        """See `lobewise.engine.planes`."""
+        return self.call_stacked(self.get(key, make, strict=strict), {**images, **numbers}, name=name, text=text)
+
+    def passes(
+        self,
+        passes: Sequence[Pass],
+        images: Mapping[str, Image],
+        numbers: Mapping[str, Any],
+        tiles: object,
+        name: str,
+    ) -> dict[str, Image]:
+        """See `lobewise.engine.passes`."""
+        given, found = {**images, **numbers}, {}
+        for number, each in enumerate(passes):
+            kernel = self.get(each.key, each.make)
+            names = {out: f"{name}_{out}" for out in ("weight_sum", "effective_samples", "moment")}
+            names |= {"image": name, "sums": f"{name}_sums{number}"}
+            given |= {"radius": each.radius, "step": each.step}
+            found = self.call(kernel, given, names=names, text=each.text)
+            given |= {"source": found.get("sums")}
+        return found
+
+    def part(self, name: str) -> AbstractContextManager[None]:
+        """See `lobewise.engine.part`."""
+        return self.graph.part(name)
+
+    def take(self, name: str, shape: Sequence[Axis], text: str, unit: str) -> Image:
+        """See `lobewise.engine.take`."""
+        return self.graph.take(name, *shape, text=text, unit=unit)
 
 
-def _is_single(vector: Sequence[Any]) -> bool:
-    singles = {isinstance(value, str) or (isinstance(value, Number) and value.is_single) for value in vector}
+def describe(define: Definition) -> str:
+    """Return what a definition computes, by the first sentence of its docstring."""
+    first = (define.__doc__ or define.__name__).partition("\n")[0]
+    return first.removeprefix("Return ").removesuffix(".")
+
+
+def take_vector(value: Any) -> list[Number]:
+    """Return the components of a number that a recipe gives to a kernel."""
+    if isinstance(value, Number):
+        return [value]
+    if isinstance(value, (list, tuple)):
+        return [each for part in value for each in take_vector(part)]
+    vector = np.atleast_1d(np.asarray(value))
+    return [Number(float(each), write_number(each), is_single=vector.dtype == np.float32) for each in vector]
+
+
+def _is_single(vector: Sequence[Number]) -> bool:
+    singles = {value.is_single for value in vector}
     assert len(singles) == 1, "the components of a number have one precision"
     return singles == {True}
 
@@ -230,16 +328,3 @@ def give_feature_images(prefix: str, features: Sequence[Feature]) -> dict[str, A
 def give_feature_numbers(features: Sequence[Feature], prefix: str = "") -> dict[str, float]:
     """Return the numbers of features by the names that kernels declare."""
     return give_scalars(features, prefix)
-
-
-def make_feature(kind: Callable[..., Feature], *parts: Any, **named: Any) -> Feature:
-    """Return a feature whose arrays are `Image` and whose numbers keep their expressions.
-
-    Features check their numbers and keep plain floats, so the numbers are put back.
-    """
-    feature = kind(*parts, **named)
-    fields = getattr(feature, "__dataclass_fields__", {})
-    for name, value in [*zip(fields, parts, strict=False), *named.items()]:
-        if isinstance(value, Number):
-            object.__setattr__(feature, name, value)
-    return feature

@@ -1,0 +1,110 @@
+"""The recipe of the quality "fast": the paper's filter, once for every layer, by the guides alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise import engine
+from lobewise.backend.pointwise import give_channels
+from lobewise.denoising.layers import Layer, filter_layer, make_layers
+from lobewise.denoising.planning.layer_plans import plan_fast
+from lobewise.features import Feature
+from lobewise.filters.cross_filter import FilterOutput
+from lobewise.filters.glue import define_filtered_sum
+from lobewise.frame import FloatArray, Frame
+from lobewise.settings import ResolvedSettings
+
+
+class FilteredSum(NamedTuple):
+    """The layers of a frame after one pass, and their sum.
+
+    Parameters
+    ----------
+    layers, outputs : sequences
+        The layers, and what the filter made of them.
+    image : (height, width, 3)
+        Sum of all parts and of the light that is in none of them.
+    holes : (height, width), bool
+        Pixels without a value: not finite or negative, or bad and reached by no layer.
+    parts : sequence of (height, width, 3)
+        Filtered radiance of every layer, albedo included; the noisy radiance where nothing was gathered.
+    weight_sum, effective_samples : (height, width)
+        Those of the least supported layer that reflects anything at a pixel.
+    """
+
+    layers: Sequence[Layer]
+    outputs: Sequence[FilterOutput]
+    image: FloatArray
+    holes: NDArray[np.bool_]
+    parts: Sequence[FloatArray]
+    weight_sum: FloatArray
+    effective_samples: FloatArray
+
+
+def filter_by_guides(
+    frame: Frame,
+    settings: ResolvedSettings,
+    features: Sequence[Feature],
+    bad: NDArray[np.bool_],
+    *,
+    exact: FloatArray | None = None,
+) -> FilteredSum:
+    """Return the layers of a frame after one pass by their guides, and their sum.
+
+    Source: Tokuyoshi 2015, "Specular Lobe-Aware Filtering and Upsampling for Interactive Indirect Illumination".
+
+    Parameters
+    ----------
+    frame, settings
+    features : sequence of Feature
+        More features of every layer.
+    bad : (height, width), bool
+        Pixels whose radiance is NaN, infinite or negative.
+    exact : (height, width, 3), optional
+        The light in no layer, without noise; by default what the layers leave of all light.
+    """
+    # Each layer is one light: its albedo divides it, and its features compare its pixels.
+    layers = make_layers(frame, settings, features, finest=True)
+    outputs, (step,) = [], plan_fast(settings).steps
+    for layer in layers:
+        with engine.part(f"{layer.name}: {step.describe()}"):
+            outputs.append(filter_layer(layer, settings))
+    with engine.part("sum of the light"):
+        return add_up(frame, layers, outputs, bad, exact)
+
+
+def add_up(
+    frame: Frame,
+    layers: Sequence[Layer],
+    outputs: Sequence[FilterOutput],
+    bad: NDArray[np.bool_],
+    exact: FloatArray | None = None,
+) -> FilteredSum:
+    """Return the sum of filtered layers, in one pass over memory; parameters as of `filter_by_guides`."""
+    images: dict[str, Any] = {"bad": bad}
+    for number, (layer, output) in enumerate(zip(layers, outputs, strict=True)):
+        images |= {f"noisy{number}": layer.radiance, f"weight{number}": output.weight_sum}
+        images |= give_channels(f"image{number}", output.image)
+        if len(layers) > 1 or frame.radiance.parts is not None:
+            images |= {f"effective{number}": output.effective_samples, f"mask{number}": layer.mask}
+            images |= {f"albedo{number}": layer.albedo}
+    # Emission and background are in no layer. They are not filtered.
+    if exact is not None:
+        images["exact"] = exact
+    elif frame.radiance.parts is not None:
+        images["color"] = frame.radiance.color
+    image, holes, *more = engine.pixels(
+        define_filtered_sum,
+        images,
+        {},
+        len(layers),
+        names=["", "holes", "weight_sum", "effective_samples", *(f"{layer.name}_part" for layer in layers)],
+        into=[engine.take("image", "height", "width", 3, text="the denoised frame", unit="any")],
+        text="the sum of all light, and its holes",
+    )
+    weight_sum, effective, *parts = more or (outputs[0].weight_sum, outputs[0].effective_samples, image)
+    return FilteredSum(layers, outputs, image, holes, parts, weight_sum, effective)
