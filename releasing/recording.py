@@ -20,7 +20,7 @@ from lobewise.backend import jit
 from lobewise.backend.devices import make_target
 from lobewise.backend.signature import Parameter, check_call
 
-FAULT_FINDERS = ("odd", "lost")
+FAULT_FINDERS = ("odd", "lost", "filtered_sum")
 """Names of kernels that return whether a pixel is impossible."""
 
 

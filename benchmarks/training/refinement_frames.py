@@ -36,8 +36,7 @@ from benchmarks.training.rendering import (
 from benchmarks.users.guides import reduce_frame
 from lobewise.denoising.refining.inputs import RefinementInputs, collect_inputs
 from lobewise.frame import FloatArray, Frame, Radiance
-from lobewise.guides.lobe_fields import make_sg_field
-from lobewise.guides.lobe_fields import default_tau
+from lobewise.guides.lobe_fields import default_tau, make_sg_field
 
 GUIDE_SETS = ("all", "unsplit", "passes", "plain", "color")
 """Sets of guides. "unsplit" has all guides beside one image of all light; the others are those of the users' bench."""

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum
-from typing import Any
+from typing import Any, ClassVar
 
 from lobewise.camera import Camera
 from lobewise.display.cards import make_card
@@ -168,6 +168,8 @@ class Guided(ABC):
 
     gbuffer: GBuffer
     camera: Camera | None
+    is_sparse: ClassVar[bool] = False
+    """Whether radiance is given at one pixel of each block alone."""
 
     @property
     @abstractmethod

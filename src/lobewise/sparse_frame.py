@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from numbers import Integral
+from typing import ClassVar
 
 import numpy as np
 
@@ -118,6 +119,7 @@ class SparseFrame(Guided):
         size or no specular radiance beside them.
     """
 
+    is_sparse: ClassVar[bool] = True
     radiance: Radiance
     gbuffer: GBuffer
     scale: int

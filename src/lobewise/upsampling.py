@@ -20,18 +20,17 @@ from lobewise.denoising.layers import (
     make_layers,
     make_rest_layers,
 )
-from lobewise.denoising.planning.layer_plans import plan_upsampling
-from lobewise.denoising.running import run_plain
 from lobewise.errors import require_kind
 from lobewise.features import Feature, TentFeature
 from lobewise.filters.compositing import composite_parts
 from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
+from lobewise.filters.history.accumulation import run_upsampling
 from lobewise.filters.history.joining import JoinedLayers, join_layers
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance, Result
 from lobewise.guides.negative import split_negative
 from lobewise.guides.usable import check_guides
-from lobewise.settings import DenoiseChanges, DenoiseSettings
+from lobewise.settings import DenoiseChanges, DenoiseSettings, ResolvedSettings
 from lobewise.sparse_frame import SparseFrame
 
 if TYPE_CHECKING:
@@ -99,17 +98,13 @@ def upsample(
         frame = tint_samples(frame)
     bad = find_bad_pixels(Frame(frame.radiance))
     require_some_good(int(np.count_nonzero(bad)), bad.size, "sample")
-    if bilinear:
-        everywhere = np.ones(frame.shape, dtype=bool)
-        tent: tuple[Feature, ...] = (TentFeature(float(frame.scale)), *features)
-        layers, reach = [Layer(frame.radiance.color, None, everywhere, tent)], 1
-    else:
-        layers = [*make_layers(frame, chosen, features), *make_rest_layers(frame, chosen, features)]
-        reach = chosen.radius
-    plan = plan_upsampling(reach, frame.scale)
     with engine.on(chosen.device):
-        outputs = [run_plain(frame, layer, chosen, plan) for layer in layers]
-        joined = join_layers(outputs, [(layers[0].mask, None)]) if bilinear else join_sparse(frame, layers, outputs)
+        if bilinear:
+            everywhere = np.ones(frame.shape, dtype=bool)
+            tent = Layer(frame.radiance.color, None, everywhere, (TentFeature(float(frame.scale)), *features))
+            joined = join_layers([upsample_layer(frame, tent, 1)], [(everywhere, None)])
+        else:
+            joined = upsample_by_guides(frame, chosen, features)
         image = fill_holes(joined.image, joined.holes, frame)
     diffuse, specular = joined.parts or (None, None)
     result = Result(
@@ -126,6 +121,49 @@ def upsample(
     if below is not None:
         result = result.subtract(upsample(below, asked, bilinear=bilinear, features=features))
     return replace(result, seconds=time.perf_counter() - start)
+
+
+def upsample_by_guides(
+    frame: SparseFrame, settings: ResolvedSettings, features: Sequence[Feature] = ()
+) -> JoinedLayers:
+    """Return all pixels of a sparse frame: every layer is averaged by the guides of pixels and samples.
+
+    Source: Tokuyoshi 2015, slide "Spatio-Temporal Upsampling", its spatial part.
+
+    Parameters
+    ----------
+    frame, settings
+    features : sequence of Feature
+        More features of every layer.
+    """
+    # Light of lobes, and light that no lobe scattered, which is compared by place alone.
+    layers = [*make_layers(frame, settings, features), *make_rest_layers(frame, settings, features)]
+    outputs = []
+    for layer in layers:
+        with engine.part(f"{layer.name}: {describe_upsampling(settings.radius, frame.scale)}"):
+            outputs.append(upsample_layer(frame, layer, settings.radius))
+    with engine.part("sum of the light"):
+        return join_sparse(frame, layers, outputs)
+
+
+def describe_upsampling(radius: int, scale: int) -> str:
+    """Return the kernel of upsampling in a few words."""
+    return f"upsampling kernel, {2 * radius + 1}x{2 * radius + 1} samples, {scale} pixels apart"
+
+
+def upsample_layer(frame: SparseFrame, layer: Layer, radius: int) -> FilterOutput:
+    """Return a layer at every pixel; the radius counts samples."""
+    return run_upsampling(
+        layer.radiance,
+        layer.mask,
+        layer.features,
+        scale=frame.scale,
+        place=frame.place,
+        radius=radius,
+        albedo=layer.albedo,
+        weights=layer.weights,
+        name=layer.name,
+    )
 
 
 def join_sparse(
@@ -156,7 +194,8 @@ def join_sparse(
         [(layer.mask, layer.albedo) for layer in lobes],
         variances=variances,
         exact=frame.gbuffer.mean_emission if knows_exact_light(frame) else None,
-        reflecting=np.logical_or.reduce([layer.mask for layer in lobes]) if is_black_beside else None,
+        is_black_beside=is_black_beside,
+        names=[layer.name for layer in lobes],
     )
 
 

@@ -24,7 +24,7 @@ from lobewise.denoising.automatic import estimate_spp
 from lobewise.denoising.bad_pixels import find_mean_color, sum_colors
 from lobewise.denoising.light_loss import find_gain, sum_missing
 from lobewise.denoising.planning.frame_plans import FrameTraits, plan_frame
-from lobewise.denoising.planning.layer_plans import LayerTraits, plan_history, plan_upsampling
+from lobewise.denoising.planning.layer_plans import LayerTraits
 from lobewise.engine.graph import Graph, Image
 from lobewise.engine.numbers import Number, round_single
 from lobewise.engine.recorder import Recorder
@@ -308,14 +308,4 @@ class Recorded:
         """Return the plan of the frame; see `lobewise.exporting.pipeline.planning.make_pipeline`."""
         settings = self.settings
         traits = {each: LayerTraits(is_diffuse=each == "diffuse") for each in settings.layer_names}
-        plan = plan_frame(FrameTraits(traits), settings.resolve())
-        if settings.history:
-            numbers = Constants(settings.upsample, settings.radius, False)
-            known = min(TemporalSettings.history_radius, settings.radius)
-            growth = numbers.get("strictness")
-            every = plan_history(settings.resolve(), growth=growth, own=numbers.own_weight, known_radius=known)
-        elif settings.upsample > 1:
-            every = plan_upsampling(settings.radius, settings.upsample)
-        else:
-            return plan
-        return replace(plan, layers=dict.fromkeys(plan.layers, every))
+        return plan_frame(FrameTraits(traits), settings.resolve())

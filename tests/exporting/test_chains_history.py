@@ -20,7 +20,7 @@ from lobewise.filters.history.accumulation import SampleGrid
 from lobewise.frame import FloatArray, Frame
 from lobewise.guides.places import add_grid, estimate_curvature, find_virtual_places
 from lobewise.temporal.past import HistoryReprojection
-from lobewise.temporal.recipe import find_own_weight
+from lobewise.temporal.recipe import find_own_weight, make_named_layers
 from lobewise.temporal.validation import Guides, find_same_tau
 from tests.exporting.chain_device import Player, fill, give_images
 from tests.exporting.chain_scene import make_clean_image, make_frame
@@ -67,7 +67,7 @@ def run_python(hits: bool) -> tuple[lobewise.TemporalFilter, dict[str, Steps]]:
     chosen = recipe._resolve(frame)
     guides = Guides(frame.gbuffer, frame.camera, ())
     lobes = split_lobes(frame, chosen.similarity, chosen.tau, find_same_tau(guides, chosen))
-    layers = recipe._make_layers(frame, chosen, (), lobes)
+    layers = make_named_layers(frame, chosen, (), lobes, find_own_weight(frame))
     masks = {name: layer.mask for name, layer in layers.items()}
     reprojection = HistoryReprojection(guides, chosen, recipe.temporal, past, masks, lobes)
     steps = {}
@@ -77,7 +77,7 @@ def run_python(hits: bool) -> tuple[lobewise.TemporalFilter, dict[str, Steps]]:
         grid = SampleGrid(layer.mask, layer.features, scale=1, albedo=layer.albedo)
         own, growth = find_own_weight(frame), recipe.temporal.strictness
         trust = grid.find_trust(layer.radiance, history, own)
-        narrowing = grid._narrow(history, trust, growth)
+        narrowing = np.dstack(grid._narrow(history, trust, growth))
         more: dict[str, Any] = {"history": history, "trust": trust, "growth": growth, "own": own}
         output = grid.accumulate_filtered(layer.radiance, **SETTINGS, **more)
         steps[name] = Steps(layer, past.sums[name], history, trust, narrowing, output)

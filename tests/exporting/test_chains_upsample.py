@@ -14,7 +14,7 @@ from lobewise.exporting.shaders.chains import make_chain
 from lobewise.exporting.shaders.constants import compute_constants
 from lobewise.filters.history.accumulation import KnownKernel, SampleGrid
 from lobewise.sparse_frame import SparseFrame, list_places
-from lobewise.temporal.recipe import find_own_weight
+from lobewise.temporal.recipe import find_own_weight, make_named_layers
 from tests.exporting.chain_device import Player, fill, give_images
 from tests.exporting.chain_scene import make_sparse_frame
 from tests.exporting.test_chains import RTOL, WEIGHT_RTOL, compare
@@ -51,7 +51,7 @@ def test_passes(graphics: Any, language: str, folder: Path, name: str) -> None:
     frame, past = make(3), recipe._past
     assert past is not None
     chosen = recipe._resolve(frame)
-    layer = recipe._make_layers(frame, chosen, (), None)[name]
+    layer = make_named_layers(frame, chosen, (), None, find_own_weight(frame))[name]
     # A history in half of the image, so that both radii occur; pixels without light have none.
     half = (np.arange(frame.shape[1]) < frame.shape[1] // 2)[:, None]
     history = np.where(layer.mask[..., None] & half, past.sums[name], np.float32(0.0))

@@ -67,7 +67,7 @@ def test_where_nothing_reflects_no_support_is_needed() -> None:
     reflecting[:, 20:] = False
     for output in outputs:
         output.weight_sum[3:] = 0.0
-    found = join_layers(outputs, [(reflecting, None)] * 2, reflecting=reflecting)
+    found = join_layers(outputs, [(reflecting, None)] * 2, is_black_beside=True)
     assert found.holes[3:, :20].all()
     assert not found.holes[:, 20:].any()
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 PAGE = (Path(__file__).parents[2] / "docs" / "theory.md").read_text()
-LOBES = ["albedo", "band_limit", "clusters", "covariance", "directions", "gaussian", "hits", "mixture", "roughness"]
+LOBES = ["albedo", "clusters", "covariance", "directions", "gaussian", "hits", "mixture", "roughness"]
 ORACLES = ["asg", "brdf", "hits", "mixture", "roughness", "sg", "tangent"]
 
 

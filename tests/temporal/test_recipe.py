@@ -230,9 +230,9 @@ class TestStill:
     def test_the_automatic_screen_distance_shrinks_with_the_radius(self, settings, radius, share):
         active, frame = TemporalFilter(**settings), make_still(1, 4)[0]
         chosen = active._resolve(frame)
-        (step,) = active._plan(frame, chosen).steps
-        assert step.known_radius == radius
-        assert (step.known_sigma or chosen.screen_sigma) == pytest.approx(share * chosen.screen_sigma)
+        known = active._plan(frame, chosen).known
+        assert known.radius == radius
+        assert known.sigma == pytest.approx(share * chosen.screen_sigma)
 
     def test_variance_tells_the_error(self):
         truth = find_truth()

@@ -348,7 +348,7 @@ def knows_exact_light(frame: AnyFrame) -> bool:
     Without light split by lobe, nobody knows which part of the samples it is.
     """
     known = frame.gbuffer.mean_emission is not None and frame.radiance.parts is not None
-    return known and isinstance(frame, SparseFrame)
+    return known and frame.is_sparse
 
 
 def find_exact_light(frame: AnyFrame) -> FloatArray | None:

@@ -17,31 +17,24 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lobewise.backend.buffers import Image, download
-from lobewise.denoising.bad_pixels import find_good
 from lobewise.denoising.layers import Layer
 from lobewise.denoising.noisy import NoisyLayer, make_pass_features
 from lobewise.denoising.planning.steps import (
-    HISTORY,
     SAMPLES,
-    AccumulateStep,
-    FilterStep,
     FinishStep,
     GuideStep,
     LayerPlan,
     PassStep,
     Step,
-    UpsampleStep,
 )
 from lobewise.features import Feature
 from lobewise.filters.compositing import composite_light
-from lobewise.filters.cross_filter import FilterOutput, run_filter
 from lobewise.filters.dual_buffer import DualBufferOutput, PassRequest, filter_dual_buffer
-from lobewise.filters.history.accumulation import AccumulatedOutput, KnownKernel, SampleGrid, run_upsampling
 from lobewise.filters.noise.residuals import split_by_noise, split_samples
 from lobewise.filters.noise_guides import MIN_VARIANCE, MIN_VARIANCE_WITHOUT_HALVES, find_log_offset, make_noise_guide
 from lobewise.frame import FloatArray, Frame
 from lobewise.settings import ResolvedSettings
-from lobewise.sparse_frame import AnyFrame, SparseFrame
+from lobewise.sparse_frame import AnyFrame
 
 
 class Halves(NamedTuple):
@@ -119,86 +112,6 @@ def run_guided(frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings, plan
     state.run(plan)
     clean: CleanLayer = state.images["image"]
     return clean
-
-
-def run_plain(frame: AnyFrame, layer: Layer, settings: ResolvedSettings, plan: LayerPlan) -> FilterOutput:
-    """Return the result of a layer that is filtered or upsampled by its guides alone."""
-    state = LayerRun(frame, layer, settings)
-    state.run(plan)
-    output: FilterOutput = state.images["image"]
-    return output
-
-
-def keep_unfiltered(layer: Layer, output: FilterOutput) -> FloatArray:
-    """Return the filtered radiance, and the input where no tap had weight; NaN where that is bad too."""
-    lost = output.weight_sum <= 0.0
-    if not lost.any():
-        return output.image
-    image = output.image.copy()
-    # Channel by channel: a mask that NumPy spreads over an axis of three is several times slower.
-    for k in range(3):
-        np.copyto(image[..., k], layer.radiance[..., k], where=lost)
-    image[lost & ~find_good(layer.radiance)] = np.nan
-    return image
-
-
-def run_with_history(
-    frame: AnyFrame, layer: Layer, settings: ResolvedSettings, plan: LayerPlan, history: FloatArray | None
-) -> AccumulatedOutput:
-    """Return the result of a layer and the sums that become its history."""
-    state = LayerRun(frame, layer, settings, images={HISTORY: history})
-    state.run(plan)
-    output: AccumulatedOutput = state.images["image"]
-    return output
-
-
-def run_filter_step(state: LayerRun, step: FilterStep) -> list[FilterOutput]:
-    """Return the layer after one pass by its guides."""
-    layer = state.layer
-    return [
-        run_filter(layer.radiance, layer.mask, layer.features, form=step.form, radius=step.radius, albedo=layer.albedo)
-    ]
-
-
-def run_upsample_step(state: LayerRun, step: UpsampleStep) -> list[FilterOutput]:
-    """Return the layer at every pixel."""
-    frame, layer = state.frame, state.layer
-    assert isinstance(frame, SparseFrame)
-    return [
-        run_upsampling(
-            layer.radiance,
-            layer.mask,
-            layer.features,
-            scale=step.scale,
-            place=frame.place,
-            radius=step.radius,
-            albedo=layer.albedo,
-            weights=layer.weights,
-        )
-    ]
-
-
-def run_accumulate_step(state: LayerRun, step: AccumulateStep) -> list[AccumulatedOutput]:
-    """Return the layer joined with its history, as far as the samples bear the history out."""
-    radiance, history, grid = state.layer.radiance, state.images[HISTORY], make_grid(state)
-    options: dict[str, Any] = {"radius": step.radius, "growth": step.growth, "own": step.own}
-    if history is not None:
-        trust = grid.find_trust(radiance, history, step.own, state.layer.weights)
-        options |= {HISTORY: history, "trust": trust}
-    if isinstance(state.frame, SparseFrame):
-        options["weights"] = state.layer.weights
-        if step.known_radius is not None:
-            sigmas = state.settings.screen_sigma, step.known_sigma or state.settings.screen_sigma
-            options["known"] = KnownKernel(step.known_radius, *sigmas)
-        return [grid.accumulate(radiance, **options)]
-    return [grid.accumulate_filtered(radiance, form=step.form, **options)]
-
-
-def make_grid(state: LayerRun) -> SampleGrid:
-    """Return the guides of a layer with the places of its samples."""
-    frame, layer = state.frame, state.layer
-    scale, place = (frame.scale, frame.place) if isinstance(frame, SparseFrame) else (1, (0, 0))
-    return SampleGrid(layer.mask, layer.features, scale=scale, place=place, albedo=layer.albedo)
 
 
 def make_guide(state: LayerRun, step: GuideStep) -> list[Image]:
@@ -292,9 +205,6 @@ def finish_layer(frame: Frame, noisy: NoisyLayer, light: Sequence[Image], suppor
 
 
 RUNNERS: Mapping[type[Step], Callable[[LayerRun, Any], Sequence[Any]]] = {
-    FilterStep: run_filter_step,
-    UpsampleStep: run_upsample_step,
-    AccumulateStep: run_accumulate_step,
     GuideStep: make_guide,
     PassStep: run_pass,
     FinishStep: run_finish,

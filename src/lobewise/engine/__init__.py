@@ -36,11 +36,19 @@ class Engine(Protocol):
     def kernel(self, key: Any, make: Any, images: Any, numbers: Any, names: Any, text: str, *, strict: bool) -> Any:
         """See `kernel`."""
 
-    def planes(self, key: Any, make: Any, images: Any, numbers: Any, name: str, text: str, *, strict: bool) -> Any:
+    def planes(
+        self, key: Any, make: Any, images: Any, numbers: Any, name: str, keep: str, text: str, *, strict: bool
+    ) -> Any:
         """See `planes`."""
 
     def passes(self, passes: Any, images: Any, numbers: Any, tiles: Any, name: str) -> Any:
         """See `passes`."""
+
+    def pick(self, image: Any, scale: int, place: Any, *, stacked: bool) -> Any:
+        """See `pick`."""
+
+    def fill(self, name: str, value: float, shape: Any) -> Any:
+        """See `fill`."""
 
     def part(self, name: str) -> AbstractContextManager[None]:
         """See `part`."""
@@ -153,11 +161,21 @@ def planes(
     *,
     strict: bool = False,
     name: str = "planes",
+    keep: str = "",
     text: str = "",
-) -> NDArray[Any]:
-    """Call a kernel whose outputs are the planes of one stack; return the stack, (count, height, width)."""
-    stack: NDArray[Any] = _current.engine.planes(key, make, images, numbers, name, text, strict=strict)
-    return stack
+) -> Any:
+    """Call a kernel whose outputs are planes, (height, width) each; return the planes: an array or a list of images.
+
+    Parameters
+    ----------
+    key, make, images, numbers, strict, text
+        As of `kernel`.
+    name : str
+        Beginning of the names of the planes in recorded plans.
+    keep : str
+        In recorded plans the name of the state whose planes the first outputs become: the next frame reads it.
+    """
+    return _current.engine.planes(key, make, images, numbers, name, keep, text, strict=strict)
 
 
 def passes(
@@ -182,6 +200,19 @@ def passes(
         Name of the result in recorded plans.
     """
     return dict(_current.engine.passes(passes, images, numbers, tiles, name))
+
+
+def pick(image: Any, scale: int, place: tuple[Any, Any], *, stacked: bool = False) -> Any:
+    """Return an image at one pixel of every block of ``scale`` times ``scale``, (rows, columns, ...).
+
+    ``place`` is the row and the column of the pixel in each block. If ``stacked`` the image is (count, height, width).
+    """
+    return _current.engine.pick(image, scale, place, stacked=stacked)
+
+
+def fill(name: str, value: float, shape: tuple[Any, ...]) -> Any:
+    """Return an image of one value, whose rows share their memory; ``name`` is that in recorded plans."""
+    return _current.engine.fill(name, value, shape)
 
 
 def part(name: str) -> AbstractContextManager[None]:

@@ -83,6 +83,10 @@ class Image:
         """Number of values of a pixel."""
         return math.prod(length for length in self.shape if isinstance(length, int))
 
+    def __getitem__(self, number: int) -> Image:
+        """Return a plane of a stack, as an array does."""
+        return self.take_plane(number)
+
     def take_plane(self, number: int) -> Image:
         """Return a plane of a stack (count, height, width)."""
         return replace(self, name=f"{self.name}_plane{number}", shape=self.shape[1:], whole=self, plane=number)

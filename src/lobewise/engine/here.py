@@ -121,6 +121,7 @@ class Here:
         images: Mapping[str, Image],
         numbers: Mapping[str, float],
         name: str = "",
+        keep: str = "",
         text: str = "",
         *,
         strict: bool = False,
@@ -163,6 +164,16 @@ class Here:
         else:
             run.filter_whole(image, {each: buffer for each, (buffer, _) in outputs.items()})
         return {each: download(image) for each, (_, image) in outputs.items()}
+
+    def pick(self, image: HostImage, scale: int, place: tuple[int, int], *, stacked: bool) -> HostImage:
+        """See `lobewise.engine.pick`."""
+        shaded = slice(place[0], None, scale), slice(place[1], None, scale)
+        return np.ascontiguousarray(image[(slice(None), *shaded)] if stacked else image[shaded])
+
+    def fill(self, name: str, value: float, shape: tuple[int, ...]) -> FloatArray:
+        """See `lobewise.engine.fill`."""
+        row = np.full((*shape[:-2], 1, shape[-1]), value, np.float32)
+        return np.broadcast_to(row, shape)
 
     @contextmanager
     def part(self, name: str) -> Iterator[None]:

@@ -113,6 +113,10 @@ class Recorder:
     found: dict[tuple[Hashable, bool], CompiledKernel] = field(default_factory=dict)
     computed: dict[Hashable, tuple[Image, ...]] = field(default_factory=dict)
     """What `pixels` has computed, by definition, images and numbers."""
+    picked: dict[str, Image] = field(default_factory=dict)
+    """Images at the shaded pixels, by the names of the images of all pixels."""
+    state: dict[str, Image] = field(default_factory=dict)
+    """Stacks that the next frame reads, by the names of `planes`."""
 
     @property
     def lanes(self) -> int:
@@ -263,12 +267,38 @@ class Recorder:
         images: Mapping[str, Image],
         numbers: Mapping[str, Any],
         name: str,
+        keep: str,
         text: str,
         *,
         strict: bool = False,
-    ) -> Image:
+    ) -> list[Image]:
         """See `lobewise.engine.planes`."""
-        return self.call_stacked(self.get(key, make, strict=strict), {**images, **numbers}, name=name, text=text)
+        kernel, given = self.get(key, make, strict=strict), {**images, **numbers}
+        outputs = [each for each in kernel.parameters if each.role == "output"]
+        axes = kernel.find_axes({each: image for each, image in given.items() if isinstance(image, Image)})
+        size = [axes.get(axis, axis) if isinstance(axis, str) else axis for axis in outputs[0].axes]
+        kept = self.state[keep].list_planes() if keep in self.state else []
+        more = self.graph.make(f"{name}_{kernel.name}".replace(" ", "_"), len(outputs) - len(kept), *size)
+        planes = [*kept, *more.list_planes()]
+        self.call(
+            kernel, given, into={each.name: plane for each, plane in zip(outputs, planes, strict=True)}, text=text
+        )
+        return planes
+
+    def pick(self, image: Image, scale: int, place: tuple[str, str], *, stacked: bool) -> Image:
+        """See `lobewise.engine.pick`."""
+        if image.name not in self.picked:
+            size = "rows", "columns"
+            shape = [image.shape[0], *size] if stacked else [*size, *image.shape[2:]]
+            found = self.graph.make(f"{image.name}_picked", *shape, type=image.type)
+            numbers = [*place, str(int(stacked))]
+            self.graph.run("pick_samples", [image, found], numbers, f"{image.name} at shaded pixels", writes=[found])
+            self.picked[image.name] = found
+        return self.picked[image.name]
+
+    def fill(self, name: str, value: float, shape: tuple[Axis, ...]) -> Image:
+        """See `lobewise.engine.fill`."""
+        return self.graph.make_flat(name, value, *shape)
 
     def passes(
         self,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, fields, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 from weakref import ref
 
 import numpy as np
@@ -19,27 +19,23 @@ from lobewise.denoising.bad_pixels import (
     describe_bad,
     fill_holes,
     find_bad_pixels,
-    find_good,
     require_some_good,
 )
 from lobewise.denoising.layers import (
     Layer,
     Support,
     describe_exact_light,
-    find_support,
     make_layers,
     make_rest_layers,
     split_lobes,
 )
-from lobewise.denoising.planning.layer_plans import plan_history
-from lobewise.denoising.planning.steps import LayerPlan
+from lobewise.denoising.plain import add_up
 from lobewise.denoising.recipe import filter_below
-from lobewise.denoising.refining.totals import compose, find_averaged_rest
-from lobewise.denoising.running import keep_unfiltered, run_with_history
+from lobewise.denoising.refining.totals import find_averaged_rest
 from lobewise.errors import InputError, require_choice, require_kind
 from lobewise.features import Feature
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
-from lobewise.filters.history.accumulation import AccumulatedOutput
+from lobewise.filters.history.accumulation import AccumulatedOutput, KnownKernel, SampleGrid
 from lobewise.filters.history.joining import find_reflecting
 from lobewise.filters.history.sums import add_to_sums, split_sums
 from lobewise.frame import FloatArray, Frame, Radiance, Result
@@ -194,13 +190,13 @@ class TemporalFilter:
         guides = Guides(frame.gbuffer, frame.camera, frame.lobe_tables)
         # The lobes are compared within the frame and between frames, by two band-limits.
         lobes = split_lobes(frame, chosen.similarity, chosen.tau, find_same_tau(guides, chosen))
-        layers = self._make_layers(frame, chosen, features, lobes)
+        how = self._plan(frame, chosen)
+        layers = make_named_layers(frame, chosen, features, lobes, how.own)
         reprojection = HistoryReprojection(
             guides, chosen, self.temporal, None if cut else self._past, {n: layers[n].mask for n in layers}, lobes
         )
-        plan = self._plan(frame, chosen)
         outputs = {
-            name: run_with_history(frame, layer, chosen, plan, reprojection.reproject(name))
+            name: join_history(frame, layer, chosen, reprojection.reproject(name), how)
             for name, layer in layers.items()
         }
         result = self._make_result(frame, layers, outputs, chosen, bad, reprojection.share)
@@ -278,13 +274,13 @@ class TemporalFilter:
                 raise InputError(f"history of {name}", expected=expected, got=got, action="keep its shape")
         sums.update(found)
 
-    def _plan(self, frame: AnyFrame, chosen: ResolvedSettings) -> LayerPlan:
+    def _plan(self, frame: AnyFrame, chosen: ResolvedSettings) -> Growth:
         known = min(self.temporal.history_radius, chosen.radius)
         is_auto = self._ask(frame).screen_sigma == "auto"
         # The automatic screen sigma is proportional to the radius.
-        sigma = chosen.screen_sigma * known / chosen.radius if is_auto and known > 0 else None
-        growth, own = self.temporal.strictness, find_own_weight(frame)
-        return plan_history(chosen, growth=growth, own=own, known_radius=known, known_sigma=sigma)
+        sigma = chosen.screen_sigma * known / chosen.radius if is_auto and known > 0 else chosen.screen_sigma
+        kernel = KnownKernel(known, chosen.screen_sigma, sigma)
+        return Growth(self.temporal.strictness, find_own_weight(frame), kernel)
 
     def _ask(self, frame: AnyFrame) -> DenoiseSettings:
         """Return the settings that the user asked for."""
@@ -298,19 +294,6 @@ class TemporalFilter:
         if isinstance(frame, SparseFrame):
             require_full(asked)
         return resolve_settings(frame, asked, frame.scale if isinstance(frame, SparseFrame) else 1)
-
-    @staticmethod
-    def _make_layers(
-        frame: AnyFrame, chosen: ResolvedSettings, features: Sequence[Feature], lobes: SplitField | None
-    ) -> dict[str, Layer]:
-        layers = make_layers(frame, chosen, features, lobes=lobes)
-        named = dict(zip(("diffuse", "specular") if len(layers) == 2 else ("color",), layers, strict=True))
-        if isinstance(frame, SparseFrame):
-            floor = ALBEDO_FLOOR / find_own_weight(frame)
-            for name, layer in named.items():
-                named[name] = replace(layer, mask=find_reflecting(layer.mask, layer.albedo, floor))
-            named |= {layer.name: layer for layer in make_rest_layers(frame, chosen, features)}
-        return named
 
     @staticmethod
     def _make_result(
@@ -330,13 +313,11 @@ class TemporalFilter:
             bad = spread(frame, bad)
         else:
             told = list(outputs.values())
-            parts = {name: keep_unfiltered(layers[name], output) for name, output in outputs.items()}
-            image = compose(frame, list(parts.values()), find_averaged_rest(frame))
-            good = find_good(image)
-            holes = (bad & np.logical_and.reduce([output.weight_sum <= 0.0 for output in told])) | ~good
-            if not good.all():
-                parts = {name: blacken_bad(part) for name, part in parts.items()}
-            support = Gathered(*find_support(list(layers.values()), told))
+            emission = frame.gbuffer.mean_emission
+            exact = None if emission is None else find_averaged_rest(frame)
+            support = added = add_up(frame, list(layers.values()), told, bad, exact)
+            image, holes = added.image, added.holes
+            parts = dict(zip(layers, map(blacken_bad, added.parts), strict=True))
             variance = np.asarray(sum(output.variance for output in told), dtype=np.float32)
         return Result(
             image=fill_holes(image, holes, frame),
@@ -352,11 +333,65 @@ class TemporalFilter:
         )
 
 
-class Gathered(NamedTuple):
-    """What the filters of a frame's layers gathered at every pixel, (height, width) each."""
+def make_named_layers(
+    frame: AnyFrame, settings: ResolvedSettings, features: Sequence[Feature], lobes: SplitField | None, own: float
+) -> dict[str, Layer]:
+    """Return the layers of a frame that have a history, by name; ``own`` is the weight of a pixel's own sample."""
+    layers = make_layers(frame, settings, features, lobes=lobes)
+    names = ("diffuse", "specular") if len(layers) == 2 else ("color",)
+    named = {name: replace(layer, name=name) for name, layer in zip(names, layers, strict=True)}
+    if not frame.is_sparse:
+        return named
+    # A pixel that reflects almost nothing would wait for its own samples.
+    floor = ALBEDO_FLOOR / own
+    for name, layer in named.items():
+        named[name] = replace(layer, mask=find_reflecting(layer.mask, layer.albedo, floor))
+    return named | {layer.name: layer for layer in make_rest_layers(cast(SparseFrame, frame), settings, features)}
 
-    weight_sum: FloatArray
-    effective_samples: FloatArray
+
+class Growth(NamedTuple):
+    """How samples join a history.
+
+    Parameters
+    ----------
+    strictness : float
+        How the kernel narrows as the history of a pixel grows, 0 (not) to 1.
+    own : float
+        Weight of a pixel's own sample, >= 1. A borrowed sample that matches fully has weight 1.
+    known : KnownKernel
+        Kernel of the pixels of sparse frames that have a history. Whole frames ignore it.
+    """
+
+    strictness: float
+    own: float
+    known: KnownKernel
+
+
+def join_history(
+    frame: AnyFrame, layer: Layer, settings: ResolvedSettings, history: FloatArray | None, how: Growth
+) -> AccumulatedOutput:
+    """Return a layer joined with its history, as far as the samples bear the history out.
+
+    Parameters
+    ----------
+    frame : Frame or SparseFrame
+    layer : Layer
+    settings : ResolvedSettings
+    history : (height, width, 7), optional
+        Sums of the frames before, at the places of this frame's pixels; None for none.
+    how : Growth
+    """
+    sparse: Any = frame if frame.is_sparse else None
+    scale, place = (sparse.scale, sparse.place) if frame.is_sparse else (1, (0, 0))
+    grid = SampleGrid(layer.mask, layer.features, scale=scale, place=place, albedo=layer.albedo, name=layer.name)
+    options: dict[str, Any] = {"radius": settings.radius, "growth": how.strictness, "own": how.own}
+    if history is not None:
+        # A light that went out shows in the samples alone.
+        trust = grid.find_trust(layer.radiance, history, how.own, layer.weights)
+        options |= {"history": history, "trust": trust}
+    if frame.is_sparse:
+        return grid.accumulate(layer.radiance, known=how.known, weights=layer.weights, **options)
+    return grid.accumulate_filtered(layer.radiance, form=settings.form, **options)
 
 
 def find_own_weight(frame: AnyFrame) -> float:

@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from lobewise.denoising.planning.steps import (
-    HISTORY,
     SAMPLES,
-    AccumulateStep,
     FilterStep,
     FinishStep,
     GuideStep,
     LayerPlan,
     PassStep,
     Step,
-    UpsampleStep,
 )
 from lobewise.settings import ResolvedSettings
 from lobewise.settings.choices import get_quality
@@ -79,36 +76,6 @@ def plan_layer(traits: LayerTraits, settings: ResolvedSettings) -> LayerPlan:
 def plan_fast(settings: ResolvedSettings) -> LayerPlan:
     """Return the plan of the quality "fast": the paper's filter, once."""
     return LayerPlan((FilterStep(reads=(SAMPLES,), writes=("image",), form=settings.form, radius=settings.radius),))
-
-
-def plan_upsampling(radius: int, scale: int) -> LayerPlan:
-    """Return the plan of upsampling; the radius counts samples, which are ``scale`` pixels apart."""
-    return LayerPlan((UpsampleStep(reads=(SAMPLES,), writes=("image",), radius=radius, scale=scale),))
-
-
-def plan_history(
-    settings: ResolvedSettings,
-    *,
-    growth: float,
-    own: float,
-    known_radius: int | None = None,
-    known_sigma: float | None = None,
-) -> LayerPlan:
-    """Return the plan of a frame that is joined with its history; parameters as of `AccumulateStep`."""
-    return LayerPlan(
-        (
-            AccumulateStep(
-                reads=(SAMPLES, HISTORY),
-                writes=("image",),
-                form=settings.form,
-                radius=settings.radius,
-                growth=growth,
-                own=own,
-                known_radius=known_radius,
-                known_sigma=known_sigma,
-            ),
-        )
-    )
 
 
 def plan_balanced(traits: LayerTraits, settings: ResolvedSettings) -> LayerPlan:

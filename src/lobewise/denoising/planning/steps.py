@@ -20,8 +20,6 @@ from lobewise.guides.lobe_fields import SPREAD_REACH
 
 SAMPLES = "samples"
 """Name of the samples of a layer, the first image of every plan."""
-HISTORY = "history"
-"""Name of what earlier frames left at every pixel."""
 SAMPLES_REACH = FIREFLY_REACH + HIGHLIGHT_REACH + RESIDUAL_REACH + SPREAD_REACH
 """Reach of everything that happens to the samples and to the lobes before the first pass, pixels."""
 
@@ -75,51 +73,6 @@ class FilterStep(KernelStep):
         """A row and a column, five levels of 5x5, or the whole square."""
         size = 2 * self.radius + 1
         return {"separable": 2 * size, "atrous": 5 * 5 * 5}.get(self.form, size * size)
-
-
-@dataclass(frozen=True, kw_only=True)
-class UpsampleStep(Step):
-    """Bring the samples to every pixel: average the samples whose pixels have the same guides."""
-
-    radius: int
-    scale: int
-
-    @property
-    def reach(self) -> int:
-        """The radius counts samples, which are ``scale`` pixels apart."""
-        return self.radius * self.scale
-
-    def describe(self) -> str:
-        """Return the size of the kernel."""
-        size = 2 * self.radius + 1
-        return f"upsampling kernel, {size}x{size} samples, {self.scale} pixels apart"
-
-
-@dataclass(frozen=True, kw_only=True)
-class AccumulateStep(KernelStep):
-    """Filter or upsample the samples of a layer and add them to its history. Sparse samples have the form "full".
-
-    Parameters
-    ----------
-    growth : float
-        How the kernel narrows as the history of a pixel grows, 0 (not) to 1.
-    own : float
-        Weight of a pixel's own sample, >= 1. A borrowed sample that matches fully has weight 1.
-    known_radius : int, optional
-        Radius of the kernel of pixels with a history, samples; None for the same radius. Whole frames ignore it.
-    known_sigma : float, optional
-        Standard deviation of the screen distance of these pixels; None for the same.
-    """
-
-    growth: float
-    own: float
-    known_radius: int | None = None
-    known_sigma: float | None = None
-
-    def describe(self) -> str:
-        """Return the form and the size of the kernel."""
-        size = 2 * self.reach + 1
-        return f"{self.form} kernel, {size}x{size} samples, and the history"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -233,7 +186,7 @@ class LayerPlan:
     def reach(self) -> int:
         """Pixels from a pixel of the result to the furthest sample that it depends on."""
         first = SAMPLES_REACH if any(isinstance(step, GuideStep) for step in self.steps) else 0
-        reaches = {SAMPLES: first, HISTORY: 0}
+        reaches = {SAMPLES: first}
         for step in self.steps:
             reach = max(reaches[name] for name in step.reads) + step.reach
             reaches |= dict.fromkeys(step.writes, reach)
@@ -243,7 +196,7 @@ class LayerPlan:
         """Return the images of a step that no later step reads, but for the result."""
         later = {name for step in self.steps[number + 1 :] for name in step.reads}
         step = self.steps[number]
-        return {*step.reads, *step.writes} - later - {SAMPLES, HISTORY, *self.steps[-1].writes}
+        return {*step.reads, *step.writes} - later - {SAMPLES, *self.steps[-1].writes}
 
     def split_guides(self) -> tuple[LayerPlan, LayerPlan]:
         """Return a plan that makes all guides, and the passes for images that belong to the layer.

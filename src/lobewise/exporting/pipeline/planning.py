@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from lobewise import engine
 from lobewise.denoising.planning.frame_plans import FrameTraits, plan_frame
-from lobewise.denoising.planning.layer_plans import LayerTraits, plan_history, plan_upsampling
+from lobewise.denoising.planning.layer_plans import LayerTraits
 from lobewise.engine.graph import Graph
 from lobewise.engine.recorder import Recorder
 from lobewise.exporting.pipeline.driver import Pipeline
@@ -15,7 +13,6 @@ from lobewise.exporting.pipeline.recipes.frames import PlannedFrame
 from lobewise.exporting.pipeline.recipes.guides import PipelineGuides
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.exporting.targets import get_gpu_api, parse_target, refuse_target
-from lobewise.settings import TemporalSettings
 from lobewise.settings.choices import get_quality
 
 
@@ -50,14 +47,6 @@ def make_pipeline(
     guides = PipelineGuides(settings, graph, Recorder(graph, chosen, name), constants)
     traits = {each: LayerTraits(is_diffuse=each == "diffuse") for each in settings.layer_names}
     plan = plan_frame(FrameTraits(traits), settings.resolve())
-    if settings.history:
-        growth, own = constants.get("strictness"), constants.own_weight
-        known = min(TemporalSettings.history_radius, settings.radius)
-        over_time = plan_history(settings.resolve(), growth=growth, own=own, known_radius=known)
-        plan = replace(plan, layers=dict.fromkeys(plan.layers, over_time))
-    elif settings.upsample > 1:
-        every = plan_upsampling(settings.radius, settings.upsample)
-        plan = replace(plan, layers=dict.fromkeys(plan.layers, every))
     with engine.use(guides.kernels):
         PlannedFrame(guides, plan).run()
     kernels = guides.kernels

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise import engine
-from lobewise.backend.buffers import HostImage, device_scope, download, take_image, take_mask
+from lobewise.backend.buffers import HostImage, device_scope, download, take_dense, take_image, take_mask
 from lobewise.backend.compiler import hl
-from lobewise.backend.devices import count_host_lanes
 from lobewise.backend.expressions import LOG2_E
 from lobewise.backend.jit import Scheduled
 from lobewise.errors import InputError
@@ -31,9 +30,10 @@ from lobewise.filters.history.accumulation_stages import AccumulationFuncs
 from lobewise.filters.history.sums import (
     HISTORY_CHANNELS,
     Sums,
-    cut_planes,
-    fill,
+    cut,
+    join_channels,
     split_history,
+    take_planes,
     widen,
 )
 from lobewise.filters.schedules.accumulation import schedule_accumulation
@@ -101,6 +101,8 @@ class SampleGrid:
         Row and column of the shaded pixel within each block.
     albedo : array, shape (height, width, 3), optional
         Divides the radiance on the way in, at the shaded pixels, and multiplies it on the way out.
+    name : str
+        Name of the light in recorded plans. The sums are kept there as ``<name>_sums``.
     """
 
     def __init__(
@@ -111,22 +113,23 @@ class SampleGrid:
         scale: int,
         place: tuple[int, int] = (0, 0),
         albedo: FloatArray | None = None,
+        name: str = "light",
     ) -> None:
         self.shape: tuple[int, int] = (mask.shape[0], mask.shape[1])
-        self.shaded = slice(place[0], None, scale), slice(place[1], None, scale)
+        self.name = name
         self._scale, self._place = scale, place
         self._mask, self._features = mask, tuple(features)
         self._tinted = albedo is not None
         tint = {} if albedo is None else {"own_albedo": take_image("albedo", albedo, (*self.shape, 3))}
-        guides = {name: download(image) for name, image in give_features("own", features, self.shape).items()}
+        guides = {each: download(image) for each, image in give_features("own", features, self.shape).items()}
         whole: dict[str, HostImage] = {"own_mask": take_mask(mask), **tint, **guides}
-        self._taps = {name.replace("own", "tap"): self._pick(image) for name, image in whole.items()}
+        self._taps = {each.replace("own", "tap"): self._pick(image) for each, image in whole.items()}
         self.size: tuple[int, int] = self._taps["tap_mask"].shape
-        self._whole = {name: widen(image) for name, image in whole.items()}
+        self._whole = {each: widen(image) for each, image in whole.items()}
 
-    def _pick(self, image: HostImage) -> HostImage:
-        """Return an image at the shaded pixels."""
-        return np.ascontiguousarray(image[self.shaded]) if self._scale > 1 else image
+    def _pick(self, image: HostImage, *, stacked: bool = False) -> HostImage:
+        """Return an image, or with ``stacked`` the planes of a stack (count, height, width), at the shaded pixels."""
+        return engine.pick(image, self._scale, self._place, stacked=stacked) if self._scale > 1 else image
 
     @device_scope()
     def find_trust(
@@ -147,13 +150,15 @@ class SampleGrid:
         pixels = {name.replace("tap", "own"): widen(image) for name, image in self._taps.items()}
         images = {
             "samples": self._take_samples(samples),
-            "history": np.ascontiguousarray(np.moveaxis(history[self.shaded], -1, 0)),
+            "history": take_dense(self._pick(take_planes(history), stacked=True)),
             **self._taps,
             **{name: image for name, image in pixels.items() if name != "own_albedo"},
             **weighed,
         }
         numbers = {"trust_radius": TRUST_RADIUS, "own": own, **self._place_samples(1, (0, 0))}
-        return self._run(images, numbers, self.size, make_trust, *self._list_options(weights))[..., 0]
+        options, text = self._list_options(weights), "how far samples confirm the history"
+        trust: FloatArray = self._run(images, numbers, self.size, make_trust, *options, text=text)[0]
+        return trust
 
     @device_scope()
     def accumulate(
@@ -213,7 +218,9 @@ class SampleGrid:
         if known is not None and known.radius < radius:
             radii = {"known_radius": known.radius, "known_precision": known.precision}
         options = self._list_options(weights)
-        return _split_output(self._run(images, {**numbers, **radii}, self.shape, make_accumulation, *options))
+        text = f"{self.name} light at every pixel"
+        found = self._run(images, {**numbers, **radii}, self.shape, make_accumulation, *options, text=text, keeps=True)
+        return _split_output(found)
 
     @device_scope()
     def accumulate_filtered(
@@ -231,9 +238,9 @@ class SampleGrid:
 
         See `accumulate` and `run_filter` for parameters, result and errors.
         """
-        share = unit = fill(1.0, self.shape)
+        share = unit = engine.fill("one", 1.0, self.shape)
         if history is not None and trust is not None:
-            share, unit = np.moveaxis(self._narrow(history, trust, growth), -1, 0)
+            share, unit = self._narrow(history, trust, growth)
         albedo = self._whole.get("own_albedo")
         found = run_filter(
             self._take_samples(samples),
@@ -241,10 +248,11 @@ class SampleGrid:
             self._features,
             form=form,
             radius=radius,
-            albedo=None if albedo is None else albedo[:, : self.shape[1]],
+            albedo=None if albedo is None else cut(albedo, self.shape[1], axis=1),
             modulate=False,
             moment=True,
             strictness=unit,
+            name=f"{self.name}_filtered",
         )
         assert found.moment is not None
         given = {
@@ -256,22 +264,31 @@ class SampleGrid:
             "share": share,
             "unit": unit,
         }
-        images = {name: widen(np.asarray(image)) for name, image in given.items()}
+        images = {each: widen(image) for each, image in given.items()}
         images |= {"history": self._take_history(history), "own_mask": self._whole["own_mask"]}
         images |= {} if albedo is None else {"own_albedo": albedo}
         # Strict order of floats: the sums come from several passes, and must not differ more than the passes do.
         accumulated = self._run(
-            images, {"own": own, "bonus": own - 1.0}, self.shape, make_filtered_accumulation, self._tinted, strict=True
+            images,
+            {"own": own, "bonus": own - 1.0},
+            self.shape,
+            make_filtered_accumulation,
+            self._tinted,
+            text="add the frame to the history",
+            keeps=True,
+            strict=True,
         )
         return _split_output(accumulated)
 
-    def _narrow(self, history: FloatArray, trust: FloatArray, growth: float) -> FloatArray:
-        """Return trust in the history and unit of every pixel, (height, width, 2)."""
+    def _narrow(self, history: FloatArray, trust: FloatArray, growth: float) -> Any:
+        """Return trust in the history and unit of every pixel, two images (height, width)."""
         frames = self._take_history(history)[Sums._fields.index("frames")]
         images = {"frames": frames, "trust": self._take_trust(trust), **self._taps, **self._whole}
         images = {name: image for name, image in images.items() if not name.endswith("albedo")}
         numbers = {"trust_radius": self._trust_radius, "growth": growth, **self._place_samples(1, (0, 0))}
-        return self._run(images, numbers, self.shape, make_narrowing, self._features)
+        return self._run(
+            images, numbers, self.shape, make_narrowing, self._features, text="how much the kernel narrows"
+        )
 
     def _list_options(self, weights: FloatArray | None) -> tuple[tuple[Feature, ...], bool, bool]:
         return self._features, self._tinted, weights is not None
@@ -291,14 +308,17 @@ class SampleGrid:
                 got=f"shape {samples.shape}",
                 action="check scale and place",
             )
-        return np.ascontiguousarray(samples, dtype=np.float32)
+        return take_dense(samples)
 
     def _take_trust(self, trust: FloatArray | None) -> FloatArray:
-        return fill(1.0, self.size) if trust is None else take_image("trust", trust, self.size)
+        return engine.fill("full_trust", 1.0, self.size) if trust is None else take_image("trust", trust, self.size)
 
     def _take_history(self, history: FloatArray | None) -> FloatArray:
-        wide = self.shape[0], max(self.shape[1], count_host_lanes())
-        return fill(0.0, (HISTORY_CHANNELS, *wide), 1) if history is None else split_history(history, self.shape)
+        if history is not None:
+            return split_history(history, self.shape)
+        size = self._whole["own_mask"].shape
+        nothing: FloatArray = engine.fill("no_sums", 0.0, (HISTORY_CHANNELS, *size))
+        return nothing
 
     def _place_samples(self, factor: int, place: tuple[int, int]) -> dict[str, float]:
         """Return the numbers that place samples among pixels, and the scalars of the features."""
@@ -312,12 +332,21 @@ class SampleGrid:
         size: tuple[int, int],
         make: Callable[..., AccumulationFuncs],
         *options: Any,
+        text: str,
+        keeps: bool = False,
         strict: bool = False,
-    ) -> FloatArray:
-        """Return the output of the pass ``make(*options)``, (rows, columns, planes)."""
+    ) -> Any:
+        """Return the output planes of the pass ``make(*options)``, (planes, rows, columns).
+
+        With ``keeps`` the first of them are the sums that the next frame reads.
+        """
         told = (tuple(map(describe_structure, each)) if isinstance(each, tuple) else each for each in options)
         scheduled = partial(make_scheduled_accumulation, make, options)
-        return cut_planes(engine.planes((make, *told), scheduled, images, numbers, strict=strict), size[1])
+        keep = f"{self.name}_sums" if keeps else ""
+        found = engine.planes(
+            (make, *told), scheduled, images, numbers, strict=strict, name=self.name, keep=keep, text=text
+        )
+        return cut(found, size[1])
 
 
 def make_scheduled_accumulation(
@@ -329,11 +358,13 @@ def make_scheduled_accumulation(
     return Scheduled([funcs.out], funcs.signature)
 
 
-def _split_output(accumulated: FloatArray) -> AccumulatedOutput:
+def _split_output(accumulated: Any) -> AccumulatedOutput:
     """Return the output planes of an accumulation by name."""
     first = HISTORY_CHANNELS + 3
-    weight_sum, effective, variance = (np.ascontiguousarray(accumulated[..., first + k]) for k in range(3))
-    sums, mean = accumulated[..., :HISTORY_CHANNELS], accumulated[..., HISTORY_CHANNELS:first]
+    weight_sum, effective, variance = (take_dense(accumulated[first + k]) for k in range(3))
+    sums, mean = (
+        join_channels(accumulated[part]) for part in (slice(0, HISTORY_CHANNELS), slice(HISTORY_CHANNELS, first))
+    )
     return AccumulatedOutput(mean, weight_sum, effective, sums=sums, variance=variance)
 
 
@@ -347,11 +378,12 @@ def run_upsampling(
     radius: int,
     albedo: FloatArray | None = None,
     weights: FloatArray | None = None,
+    name: str = "light",
 ) -> FilterOutput:
     """Upsample radiance that was shaded at every ``scale``-th pixel, weighted by the similarity of pixels.
 
     With scale 1 this is the full form of `run_filter`. See `SampleGrid` and `SampleGrid.accumulate` for parameters.
     """
-    grid = SampleGrid(mask, features, scale=scale, place=place, albedo=albedo)
+    grid = SampleGrid(mask, features, scale=scale, place=place, albedo=albedo, name=name)
     out = grid.accumulate(radiance, radius=radius, weights=weights)
-    return FilterOutput(np.ascontiguousarray(out.image), out.weight_sum, out.effective_samples)
+    return FilterOutput(take_dense(out.image), out.weight_sum, out.effective_samples)

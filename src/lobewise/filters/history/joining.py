@@ -15,6 +15,7 @@ from lobewise import engine
 from lobewise.backend import expressions
 from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, give_channels
+from lobewise.engine.numbers import make_single
 from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.cross_pass import COLORS
 from lobewise.filters.glue import find_support
@@ -53,7 +54,8 @@ def join_layers(
     *,
     variances: Sequence[FloatArray] = (),
     exact: FloatArray | None = None,
-    reflecting: NDArray[np.bool_] | None = None,
+    is_black_beside: bool = False,
+    names: Sequence[str] = (),
 ) -> JoinedLayers:
     """Return the sum of the layers of a frame.
 
@@ -67,10 +69,12 @@ def join_layers(
         Variance of the luminance of each layer; none if it is not known.
     exact : array, shape (height, width, 3), optional
         Light without noise that is added; pixels that are not finite or negative add nothing.
-    reflecting : bool array, shape (height, width), optional
-        Where it is False nothing is scattered, so that the pixel needs no support.
+    is_black_beside : bool
+        Whether nothing is scattered where no layer has light, so that these pixels need no support.
+    names : sequence of str
+        Names of the layers that lobes scattered, for recorded plans.
     """
-    images: dict[str, Any] = {"exact": exact, "reflecting": reflecting}
+    images: dict[str, Any] = {"exact": exact}
     for number, output in enumerate(outputs):
         images |= give_channels(f"mean{number}", output.image)
         images |= {f"weight{number}": output.weight_sum}
@@ -78,8 +82,24 @@ def join_layers(
     for number, (mask, albedo) in enumerate(lobes):
         images |= {f"effective{number}": outputs[number].effective_samples}
         images |= {f"mask{number}": mask, f"albedo{number}": albedo}
-    told = engine.pixels(define_joined, images, {}, len(outputs), len(lobes))
-    image, holes, weight_sum, effective, *more = told
+    image, holes, weight_sum, effective, *more = engine.pixels(
+        define_joined,
+        images,
+        {},
+        len(outputs),
+        len(lobes),
+        is_black_beside,
+        names=[
+            "",
+            "holes",
+            "weight_sum",
+            "effective_samples",
+            *["variance"] * bool(variances),
+            *(f"{name}_part" for name in names),
+        ],
+        into=[engine.take("image", "height", "width", COLORS, text="the denoised frame", unit="any")],
+        text="the sum of all light, and its holes",
+    )
     variance = more.pop(0) if variances else None
     return JoinedLayers(image, tuple(more), weight_sum, effective, variance, holes)
 
@@ -88,8 +108,9 @@ def find_reflecting(mask: NDArray[np.bool_], albedo: FloatArray | None, floor: f
     """Return where pixels of a mask have an albedo with a channel above ``floor``; the mask itself without albedo."""
     if albedo is None:
         return mask
-    (found,) = engine.pixels(define_reflecting, {"mask": mask, "albedo": albedo}, {"floor": np.float32(floor)})
-    return np.asarray(found)
+    images, text = {"mask": mask, "albedo": albedo}, "pixels that reflect light"
+    (found,) = engine.pixels(define_reflecting, images, {"floor": make_single(floor)}, names=["reflecting"], text=text)
+    return found
 
 
 def define_reflecting(grid: Grid) -> list[Vector]:
@@ -97,7 +118,7 @@ def define_reflecting(grid: Grid) -> list[Vector]:
     return [[hl.u8((grid.read_one("mask") != 0) & reduce(or_, (tint > floor for tint in grid.read("albedo"))))]]
 
 
-def define_joined(grid: Grid, layers: int, lobes: int) -> list[Vector]:
+def define_joined(grid: Grid, layers: int, lobes: int, is_black_beside: bool) -> list[Vector]:
     zero = hl.f32(0.0)
     means = [grid.read_channels(f"mean{number}") for number in range(layers)]
     total = [_add([mean[k] for mean in means]) for k in range(COLORS)]
@@ -107,8 +128,8 @@ def define_joined(grid: Grid, layers: int, lobes: int) -> list[Vector]:
         total = [value + hl.select(good, more, zero) for value, more in zip(total, exact, strict=True)]
     weights = [grid.read_one(f"weight{number}") for number in range(layers)]
     supported = reduce(or_, (weight > zero for weight in weights))
-    if grid.has("reflecting"):
-        supported = supported | (grid.read_one("reflecting") == 0)
+    if is_black_beside:
+        supported = supported | ~reduce(or_, (grid.read_one(f"mask{number}") != 0 for number in range(lobes)))
     parts = []
     for mean in means[:lobes] if lobes > 1 else []:
         usable = expressions.is_good(mean)

@@ -18,7 +18,7 @@ from lobewise.features.arrays import give_features, give_scalars
 from lobewise.features.base import Feature
 from lobewise.filters.cross_pass import describe_structure
 from lobewise.filters.history.reprojection_pass import make_preparation, make_reprojection
-from lobewise.filters.history.sums import cut_planes, split_history, widen
+from lobewise.filters.history.sums import cut, join_channels, split_history, widen
 from lobewise.filters.schedules.reprojection import schedule_preparation, schedule_reprojection
 from lobewise.filters.schedules.rows import count_lanes
 from lobewise.frame import FloatArray
@@ -110,7 +110,8 @@ def reproject(
     numbers = {"memory": memory, "rows": before.shape[0], "columns": before.shape[1], **give_scalars(now.features)}
     key = "reprojection", virtual_from, *map(describe_structure, now.features)
     make = partial(make_scheduled_reprojection, now.features, virtual_from)
-    return cut_planes(engine.planes(key, make, images, numbers), size[1])
+    found: FloatArray = join_channels(cut(engine.planes(key, make, images, numbers), size[1]))
+    return found
 
 
 def make_scheduled_preparation(features: Sequence[Feature], target: hl.Target) -> Scheduled:

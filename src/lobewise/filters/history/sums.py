@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -83,18 +83,31 @@ def add_to_sums(
 
 
 def widen(image: HostImage) -> HostImage:
-    """Return an image that is at least as wide as a vector, by repeating its last column."""
-    missing = count_host_lanes() - image.shape[1]
-    if missing <= 0:
+    """Return an image that is at least as wide as a vector, by repeating its last column.
+
+    Recorded images stay as they are: pipelines refuse narrow ones.
+    """
+    if not isinstance(image, np.ndarray) or image.shape[1] >= count_host_lanes():
         return image
+    missing = count_host_lanes() - image.shape[1]
     return np.pad(image, [(0, 0), (0, missing), *[(0, 0)] * (image.ndim - 2)], mode="edge")
 
 
-def fill(value: float, shape: tuple[int, ...], axis: int = 0) -> FloatArray:
-    """Return an image of one value. Entries along ``axis`` share one place in memory."""
-    row = np.full([1 if k == axis else length for k, length in enumerate(shape)], value, np.float32)
-    strides = [0 if k == axis else stride for k, stride in enumerate(row.strides)]
-    return np.lib.stride_tricks.as_strided(row, shape, strides)
+def cut(image: Any, width: int, axis: int = -1) -> Any:
+    """Return an image, or a stack of planes, without the columns that `widen` added."""
+    if not isinstance(image, np.ndarray) or image.shape[axis] == width:
+        return image
+    return image[(slice(None),) * (axis % image.ndim) + (slice(width),)]
+
+
+def join_channels(planes: Any) -> Any:
+    """Return planes (count, height, width) as an image (height, width, count), a view; a list of planes stays one."""
+    return np.moveaxis(planes, 0, -1) if isinstance(planes, np.ndarray) else planes
+
+
+def take_planes(history: Any) -> Any:
+    """Return the sums of a history (height, width, 7 or more), planes first; a recorded history has them so."""
+    return np.moveaxis(history, -1, 0) if isinstance(history, np.ndarray) else history
 
 
 def split_history(history: FloatArray, size: tuple[int, int]) -> FloatArray:
@@ -105,6 +118,8 @@ def split_history(history: FloatArray, size: tuple[int, int]) -> FloatArray:
     InputError
         If the history has another size.
     """
+    if not isinstance(history, np.ndarray):  # recorded
+        return cast(FloatArray, history)
     if history.shape[:2] != size or history.ndim != 3 or history.shape[2] < HISTORY_CHANNELS:
         raise InputError(
             "history",
@@ -112,12 +127,7 @@ def split_history(history: FloatArray, size: tuple[int, int]) -> FloatArray:
             got=f"shape {history.shape}",
             action="give those of this image",
         )
-    planes = np.moveaxis(widen(history[..., :HISTORY_CHANNELS]), -1, 0)
+    planes: FloatArray = take_planes(widen(history[..., :HISTORY_CHANNELS]))
     if planes.dtype == np.float32 and planes.strides[2] == planes.itemsize:
         return planes
     return np.ascontiguousarray(planes, dtype=np.float32)
-
-
-def cut_planes(planes: FloatArray, width: int) -> FloatArray:
-    """Return planes (count, height, columns) as an image of a width, (height, width, count); see `widen`."""
-    return np.moveaxis(planes[..., :width], 0, -1)

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 from lobewise.denoising.bad_pixels import SIGMAS
-from lobewise.denoising.layers import compare_specular, make_layers, make_lobe_layers, split_lobes
+from lobewise.denoising.layers import compare_specular, make_lobe_layers, split_lobes
 from lobewise.denoising.plain import add_up, filter_by_guides
 from lobewise.denoising.planning.frame_plans import (
     FILL_HOLES,
@@ -18,7 +19,6 @@ from lobewise.denoising.planning.frame_plans import (
     FramePlan,
     Stage,
 )
-from lobewise.denoising.planning.steps import HISTORY, AccumulateStep, Step, UpsampleStep
 from lobewise.engine.graph import Image
 from lobewise.engine.numbers import Number
 from lobewise.errors import InputError
@@ -35,32 +35,17 @@ from lobewise.exporting.pipeline.recipes.guided import (
 )
 from lobewise.exporting.pipeline.recipes.guides import SIZE, PipelineGuides
 from lobewise.exporting.pipeline.recipes.history import make_history
-from lobewise.exporting.pipeline.recipes.samples import (
-    add_sparse_accumulation,
-    add_upsampling,
-    join_sparse,
-    reflect_enough,
-)
-from lobewise.exporting.pipeline.recipes.steps import (
-    PlannedRun,
-    add_accumulation,
-)
 from lobewise.exporting.pipeline.settings import CONTENTS
 from lobewise.features import ScreenFeature
 from lobewise.filters import glue
 from lobewise.filters.cross_filter import run_filter
 from lobewise.filters.forms import ATROUS_REACH
+from lobewise.filters.history.accumulation import KnownKernel
+from lobewise.settings import TemporalSettings
+from lobewise.temporal.recipe import Growth, join_history, make_named_layers
 from lobewise.temporal.validation import find_same_tau
+from lobewise.upsampling import join_sparse, upsample_by_guides
 
-STEPS: Mapping[type[Step], Callable[[PlannedRun, Any], Sequence[Any]]] = {
-    AccumulateStep: add_accumulation,
-}
-"""What adds each kind of step to a pipeline."""
-SPARSE_STEPS: Mapping[type[Step], Callable[[PlannedRun, Any], Sequence[Any]]] = {
-    UpsampleStep: add_upsampling,
-    AccumulateStep: add_sparse_accumulation,
-}
-"""The same where samples are sparse."""
 NO_SIGMA = 1e15
 """Standard deviation of the screen distance, pixels, beside which no distance counts."""
 
@@ -134,31 +119,43 @@ def filter_plain(frame: PlannedFrame) -> None:
 
 def filter_over_time(frame: PlannedFrame) -> None:
     """Join every layer with its history where there is one, and bring sparse samples to all pixels."""
-    guides, settings = frame.guides, frame.guides.settings
-    whole: Any = guides
-    resolved, lobes = guides.resolved, None
-    if settings.history:
-        lobes = split_lobes(whole, settings.similarity, resolved.tau, find_same_tau(whole, resolved))
-    layers: list[Any] = make_layers(whole, resolved, lobes=lobes)
-    names = ("diffuse", "specular") if len(layers) == 2 else ("color",)
-    frame.layers = [replace(layer, name=name) for name, layer in zip(names, layers, strict=True)]
-    sparse, history, found = settings.upsample > 1, None, {}
-    if settings.history:
-        if sparse:
-            frame.layers = [reflect_enough(guides, layer) for layer in frame.layers]
-        history = make_history(guides, lobes, {layer.name: layer.mask for layer in frame.layers})
-        found = history.find_all()
-    for layer in frame.layers:
-        run = PlannedRun(guides, layer)
-        if history is not None:
-            run.images |= {HISTORY: found[layer.name], "sums": history.keep_sums(layer.name)}
-        frame.outputs.append(run.run(frame.plan.layers[layer.name], {**STEPS, **(SPARSE_STEPS if sparse else {})}))
+    guides, settings, whole = frame.guides, frame.guides.settings, cast(Any, frame.guides)
+    resolved = guides.resolved
+    if not settings.history:
+        joined: Any = upsample_by_guides(whole, resolved)
+        frame.total, frame.holes, frame.parts = joined.image, joined.holes, [*joined.parts]
+        frame.layers = [SimpleNamespace(name=name) for name in settings.layer_names]
+        return
+    how = find_growth(guides)
+    lobes = split_lobes(whole, settings.similarity, resolved.tau, find_same_tau(whole, resolved))
+    layers = make_named_layers(whole, resolved, (), lobes, how.own)
+    history = make_history(guides, lobes, {name: cast(Any, layer.mask) for name, layer in layers.items()})
+    found, outputs = history.find_all(), []
+    for name, layer in layers.items():
+        history.keep_sums(name)
+        with guides.graph.part(f"{name}: join with its history"):
+            outputs.append(join_history(whole, layer, resolved, cast(Any, found[name]), how))
+    frame.layers = list(layers.values())
     with guides.graph.part("sum of the light"):
-        if sparse:
-            frame.total, frame.holes, frame.parts = join_sparse(guides, [*frame.layers], frame.outputs)
-            return
-        joined: Any = add_up(whole, frame.layers, frame.outputs, guides.bad)  # type: ignore[arg-type]
-        frame.parts, frame.total, frame.holes = list(joined.parts), joined.image, joined.holes
+        if guides.is_sparse:
+            joined = join_sparse(whole, frame.layers, outputs)
+        else:
+            joined = add_up(whole, frame.layers, outputs, cast(Any, guides.bad))
+    frame.total, frame.holes, frame.parts = joined.image, joined.holes, [*joined.parts]
+
+
+def find_growth(guides: PipelineGuides) -> Growth:
+    """Return how samples join a history.
+
+    The standard deviation on the screen of pixels that have a history follows their radius, unless the user sets that
+    of all pixels.
+    """
+    constants, sigma = guides.constants, guides.constants.screen_sigma
+    known = min(TemporalSettings.history_radius, constants.radius)
+    narrow = sigma * float(known) / float(constants.radius)
+    code = f"({constants.get('screen_sigma').code} > 0.0 || {known} == 0 ? {sigma.code} : {narrow.code})"
+    kernel = KnownKernel(known, sigma, Number(float(narrow) if known else float(sigma), code))
+    return Growth(constants.get("strictness"), constants.own_weight, kernel)
 
 
 def filter_halves(frame: PlannedFrame) -> None:

@@ -5,7 +5,7 @@ Images become inputs of the pipeline when a recipe reads them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -51,6 +51,9 @@ GUIDES = {
         "world units",
     ),
     "motion": Guide(2, "from a pixel to the place of its surface in the frame before: columns, rows", "pixels"),
+    "emission": Guide(
+        3, "light that no surface scattered, emission and background, at every pixel; it is not filtered", "any"
+    ),
     "diffuse_albedo": Guide(3, ALBEDO.format("diffuse"), "0 to 1"),
     "specular_albedo": Guide(3, ALBEDO.format("specular"), "0 to 1"),
 }
@@ -84,8 +87,11 @@ class GivenGuides:
             "tangent": settings.anisotropic,
             "lobe_kind": settings.lobe_kind,
             "hit_distance": settings.hit_distance,
+            "emission": settings.emission or settings.upsample > 1,
             "motion": settings.history and settings.motion,
         }
+        if name == "mean_emission" and settings.upsample > 1:
+            name = "emission"
         if name not in GUIDES or not asked.get(name, True):
             return None
         if name == "alpha_u" and not settings.anisotropic:
@@ -142,13 +148,22 @@ class PipelineGuides:
     graph: Graph
     kernels: Recorder
     constants: Constants
-    picked: dict[str, Image] = field(default_factory=dict)
-    """Images at the shaded pixels, by the names of the images of all pixels."""
     layers = ()
     lobe_tables = ()
     shape = SIZE
     height, width = SIZE
     is_placed = True
+    place = "p->frame->row", "p->frame->column"
+
+    @property
+    def is_sparse(self) -> bool:
+        """Whether radiance is given at one pixel of each block alone."""
+        return self.settings.upsample > 1
+
+    @property
+    def scale(self) -> int:
+        """Distance of shaded pixels."""
+        return self.settings.upsample
 
     @cached_property
     def gbuffer(self) -> Any:
@@ -224,8 +239,7 @@ class PipelineGuides:
     @property
     def emission(self) -> Image:
         """Light that no surface scattered."""
-        text = "light that no surface scattered, emission and background, at every pixel; it is not filtered"
-        return self.graph.give("emission", *SIZE, 3, text=text, unit="any")
+        return self.gbuffer.emission  # type: ignore[no-any-return]
 
     def give_halves(self, name: str) -> list[Image]:
         """Return the images of both halves of the samples of some light."""

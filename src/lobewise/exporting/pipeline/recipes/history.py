@@ -96,11 +96,11 @@ class PlannedHistory:
             if name in self.masks
         }
 
-    def keep_sums(self, name: str) -> Image:
-        """Return the memory for the new sums of a layer."""
+    def keep_sums(self, name: str) -> None:
+        """Let the sums of a layer be what the next frame reads."""
         sums = self.compared[name].sums
         assert sums is not None
-        return sums[0]
+        self.guides.kernels.state[f"{name}_sums"] = sums[0]
 
     def _prepare(self, each: Compared) -> None:
         """Add the planes by which a layer is compared, in this frame and in the next."""
