@@ -14,7 +14,7 @@ from lobewise.denoising.planning import frame_plans
 from lobewise.denoising.planning.foretelling import count_bytes, estimate_seconds_per_megapixel, foretell
 from lobewise.denoising.planning.frame_plans import FramePlan, describe_frame, find_reach, plan_frame
 from lobewise.denoising.planning.layer_plans import LayerTraits, plan_balanced, plan_layer
-from lobewise.denoising.planning.steps import HISTORY, SAMPLES, GuideStep, LayerPlan, PassStep
+from lobewise.denoising.planning.steps import SAMPLES, GuideStep, LayerPlan, PassStep
 from lobewise.denoising.running import LayerRun
 from lobewise.frame import Frame
 from lobewise.settings import QUALITIES, DenoiseSettings, ResolvedSettings
@@ -36,7 +36,7 @@ def make_plan(frame: Frame, **changes: object) -> FramePlan:
 @pytest.mark.parametrize("apart", [True, False])
 def test_every_step_reads_what_an_earlier_one_wrote(quality: str, apart: bool) -> None:
     for plan in make_plan(make_frame(apart=apart), quality=quality).layers.values():
-        known = {SAMPLES, HISTORY}
+        known = {SAMPLES}
         for step in plan.steps:
             assert known.issuperset(step.reads), step
             assert known.isdisjoint(step.writes), step

@@ -26,7 +26,7 @@ from lobewise.denoising.light_loss import find_gain, sum_missing
 from lobewise.denoising.planning.frame_plans import FrameTraits, plan_frame
 from lobewise.denoising.planning.layer_plans import LayerTraits
 from lobewise.engine.graph import Graph, Image
-from lobewise.engine.numbers import Number, round_single
+from lobewise.engine.numbers import Condition, Number, round_single
 from lobewise.engine.recorder import Recorder
 from lobewise.exporting.pipeline.recipes.constants import Constants
 from lobewise.exporting.pipeline.recipes.frames import PlannedFrame
@@ -35,10 +35,8 @@ from lobewise.exporting.pipeline.sample import collect_images
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.filters.noise_guides import find_level
 from lobewise.frame import FloatArray, Frame, Radiance
-from lobewise.settings import TemporalSettings
 from lobewise.settings.choices import get_quality
 from lobewise.sparse_frame import AnyFrame, SparseFrame
-from lobewise.temporal.past import _find_near
 
 _NAME = re.compile(r"p->[\w>.\[\]-]+")
 
@@ -162,19 +160,6 @@ def _pick_samples(graph: HereGraph, images: Sequence[np.ndarray], numbers: Seque
     images[1][...] = images[0][(slice(None), *axes) if numbers[2] == "1" else axes]
 
 
-def _measure_cover(graph: HereGraph, images: Sequence[np.ndarray], numbers: Sequence[str]) -> None:
-    graph.known[numbers[1].lstrip("&")] = float(np.mean(images[0] != 0) > float(numbers[0]))
-
-
-def _judge_cut(graph: HereGraph, images: Sequence[np.ndarray], numbers: Sequence[str]) -> None:
-    agreement, places, mask = images
-    some = (slice(None, None, max(1, min(mask.shape) // int(numbers[2]))),) * 2
-    near = _find_near(places, float(numbers[1]) * max(mask.shape), some)
-    again, surface = (agreement[some] > float(numbers[0])) & near, mask[some] != 0
-    share = float(np.mean(again[surface])) if surface.any() else 1.0
-    graph.known[numbers[3].lstrip("&")] = float(share >= TemporalSettings.cut_share)
-
-
 def _find_mean_color(graph: HereGraph, images: Sequence[np.ndarray], numbers: Sequence[str]) -> None:
     mean = find_mean_color(sum_colors(Frame(Radiance(images[0]))))
     graph.known |= {f"p->mean_color[{k}]": float(value) for k, value in enumerate(mean)}
@@ -184,15 +169,12 @@ FUNCTIONS: Mapping[str, Callable[[HereGraph, Sequence[np.ndarray], Sequence[str]
     "fill_bytes": lambda graph, images, numbers: images[0].fill(int(numbers[0])),
     "clear_image": lambda graph, images, numbers: images[0].fill(0),
     "copy_image": lambda graph, images, numbers: np.copyto(images[1], images[0]),
-    "set_flag": lambda graph, images, numbers: graph.known.update({numbers[0].lstrip("&"): float(numbers[1])}),
     "find_holes": _find_holes,
     "count_holes": _find_holes,
     "find_mean_color": _find_mean_color,
     "find_level": _find_level,
     "find_gain": _find_gain,
     "pick_samples": _pick_samples,
-    "measure_cover": _measure_cover,
-    "judge_cut": _judge_cut,
 }
 """What the functions of the driver do."""
 
@@ -202,6 +184,26 @@ class Here(Recorder):
 
     def get(self, key: Any, make: Any, *, strict: bool = False) -> Any:
         return get_kernel("cpu", key, make, strict=strict)
+
+    def total(self, measure: Any, images: Any, numbers: Any, name: str) -> Number:
+        graph = self.graph
+        assert isinstance(graph, HereGraph)
+        code = f"p->{name or measure.__name__}"
+        if graph.is_on:
+            arrays = [image.values for image in images]
+            arrays = [array.view(bool) if array.dtype == np.uint8 else array for array in arrays]
+            graph.known[code] = measure(*arrays, *numbers)
+        return Number(graph.known.get(code, 0.0), code)
+
+    def compare(self, first: Any, sign: str, second: Any) -> Condition:
+        condition, values = super().compare(first, sign, second), [self.graph.find(each) for each in (first, second)]
+        self.graph.known[condition] = float(values[0] > values[1] if sign == ">" else values[0] >= values[1])
+        return condition
+
+    def both(self, first: Condition, second: Condition) -> Condition:
+        condition, known = super().both(first, second), self.graph.known
+        known[condition] = known[first] * known[second]
+        return condition
 
     def call(
         self,

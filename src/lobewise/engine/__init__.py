@@ -50,6 +50,31 @@ class Engine(Protocol):
     def fill(self, name: str, value: float, shape: Any) -> Any:
         """See `fill`."""
 
+    def total(self, measure: Any, images: Any, numbers: Any, name: str) -> Any:
+        """See `total`."""
+
+    def compare(self, first: float, sign: str, second: float) -> Any:
+        """See `compare`."""
+
+    def both(self, first: Any, second: Any) -> Any:
+        """See `both`."""
+
+    def when(self, condition: Any, run: Any, otherwise: Any) -> Any:
+        """See `when`."""
+
+    def keep(self, name: str, make: Any) -> None:
+        """See `keep`."""
+
+    def clear(self, image: Any) -> None:
+        """See `clear`."""
+
+    def only(self, condition: Any, image: Any) -> Any:
+        """See `only`."""
+
+    @property
+    def host(self) -> Any:
+        """The engine that runs calls on the processor."""
+
     def part(self, name: str) -> AbstractContextManager[None]:
         """See `part`."""
 
@@ -213,6 +238,54 @@ def pick(image: Any, scale: int, place: tuple[Any, Any], *, stacked: bool = Fals
 def fill(name: str, value: float, shape: tuple[Any, ...]) -> Any:
     """Return an image of one value, whose rows share their memory; ``name`` is that in recorded plans."""
     return _current.engine.fill(name, value, shape)
+
+
+def total(
+    measure: Callable[..., float], images: Sequence[Any], numbers: Sequence[float] = (), *, name: str = ""
+) -> Any:
+    """Return a number of whole images: what a function of them and of some numbers returns.
+
+    A pipeline calls the routine in C of the same name. ``name`` is that of the number there; several calls of one name
+    write one number.
+    """
+    return _current.engine.total(measure, images, numbers, name)
+
+
+def compare(first: float, sign: str, second: float) -> Any:
+    """Return the condition that a number is above (">") or at least (">=") another one."""
+    return _current.engine.compare(first, sign, second)
+
+
+def both(first: Any, second: Any) -> Any:
+    """Return the condition that two conditions hold. The second is not read where the first does not hold."""
+    return _current.engine.both(first, second)
+
+
+def when(condition: Any, run: Callable[[], Any], otherwise: Callable[[], Any] | None = None) -> Any:
+    """Run a part of a recipe where a condition holds, and another one where it does not; return what they return.
+
+    A recorded recipe has both parts, and takes what the first returns.
+    """
+    return _current.engine.when(condition, run, otherwise)
+
+
+def keep(name: str, make: Callable[[], Any]) -> None:
+    """Let an image be what the next frame finds under a name.
+
+    A recorded recipe copies the image, unless it was written there. Where calls run at once the caller keeps what it
+    needs, and nothing is made.
+    """
+    _current.engine.keep(name, make)
+
+
+def clear(image: Any) -> None:
+    """Set all of an image to 0."""
+    _current.engine.clear(image)
+
+
+def only(condition: Any, image: Any) -> Any:
+    """Return an image where a condition holds; else None, or an image of 0 in a recorded recipe."""
+    return _current.engine.only(condition, image)
 
 
 def part(name: str) -> AbstractContextManager[None]:

@@ -83,9 +83,17 @@ class Image:
         """Number of values of a pixel."""
         return math.prod(length for length in self.shape if isinstance(length, int))
 
-    def __getitem__(self, number: int) -> Image:
-        """Return a plane of a stack, as an array does."""
-        return self.take_plane(number)
+    def __getitem__(self, at: int | slice) -> Any:
+        """Return a plane of a stack, its first planes as a stack, or others as a list."""
+        if isinstance(at, int):
+            return self.take_plane(at)
+        if at.start:
+            return self.list_planes()[at]
+        return replace(self, name=f"{self.name}_first", shape=(at.stop, *self.shape[1:]), whole=self)
+
+    def __iter__(self) -> Iterator[Image]:
+        """Yield the planes of a stack."""
+        return iter(self.list_planes())
 
     def take_plane(self, number: int) -> Image:
         """Return a plane of a stack (count, height, width)."""

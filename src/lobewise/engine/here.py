@@ -97,7 +97,10 @@ class Here:
         )
         kernel = get_kernel("cpu", key, partial(make_pointwise, key), strict=True)
         named = {f"{name}_{k}": float(value) for name, vector in vectors.items() for k, value in enumerate(vector)}
-        results = map(download, run_kernel(kernel, "cpu", held, **named).values())
+        results = [download(result) for result in run_kernel(kernel, "cpu", held, **named).values()]
+        for number, memory in enumerate(into):
+            if memory is not None:
+                np.copyto(memory, results[number])
         return tuple(result.view(np.bool_) if result.dtype == np.uint8 else result for result in results)
 
     def kernel(
@@ -174,6 +177,42 @@ class Here:
         """See `lobewise.engine.fill`."""
         row = np.full((*shape[:-2], 1, shape[-1]), value, np.float32)
         return np.broadcast_to(row, shape)
+
+    def total(
+        self, measure: Callable[..., float], images: Sequence[Any], numbers: Sequence[float], name: str = ""
+    ) -> float:
+        """See `lobewise.engine.total`."""
+        return measure(*images, *numbers)
+
+    def compare(self, first: float, sign: str, second: float) -> bool:
+        """See `lobewise.engine.compare`."""
+        return first > second if sign == ">" else first >= second
+
+    def both(self, first: bool, second: bool) -> bool:
+        """See `lobewise.engine.both`."""
+        return first and second
+
+    def when(self, condition: bool, run: Callable[[], Any], otherwise: Callable[[], Any] | None) -> Any:
+        """See `lobewise.engine.when`."""
+        if condition:
+            return run()
+        return otherwise() if otherwise is not None else None
+
+    def keep(self, name: str, make: Callable[[], Any]) -> None:
+        """See `lobewise.engine.keep`."""
+
+    def clear(self, image: HostImage) -> None:
+        """See `lobewise.engine.clear`."""
+        image[...] = 0
+
+    def only(self, condition: bool, image: Any) -> Any:
+        """See `lobewise.engine.only`."""
+        return image if condition else None
+
+    @property
+    def host(self) -> Here:
+        """See `lobewise.engine.Engine`."""
+        return HERE
 
     @contextmanager
     def part(self, name: str) -> Iterator[None]:

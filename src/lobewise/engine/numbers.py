@@ -75,6 +75,10 @@ class Number(float):
         return Number(math.pow(self, other), f"pow({self.code}, {write_number(other)})")
 
 
+class Condition(str):
+    """A condition that a pipeline judges for every frame: an expression of C."""
+
+
 def write_number(number: float) -> str:
     """Return a number as a C expression of type double."""
     if isinstance(number, Number):

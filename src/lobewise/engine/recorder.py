@@ -21,7 +21,7 @@ from lobewise.backend.pointwise import Definition, PointwiseKey, make_pointwise
 from lobewise.backend.signature import Axis, Parameter
 from lobewise.engine.graph import Graph, Image
 from lobewise.engine.here import Pass
-from lobewise.engine.numbers import Number, write_number
+from lobewise.engine.numbers import Condition, Number, write_number
 from lobewise.features import Feature
 from lobewise.features.arrays import give_scalars, name_arrays
 
@@ -116,7 +116,11 @@ class Recorder:
     picked: dict[str, Image] = field(default_factory=dict)
     """Images at the shaded pixels, by the names of the images of all pixels."""
     state: dict[str, Image] = field(default_factory=dict)
-    """Stacks that the next frame reads, by the names of `planes`."""
+    """What the next frame reads, by name."""
+    before: dict[str, Image] = field(default_factory=dict)
+    """The same, as the frame before left it."""
+    totals: dict[str, str] = field(default_factory=dict)
+    """Expressions of C of numbers of whole images, by name."""
 
     @property
     def lanes(self) -> int:
@@ -271,18 +275,21 @@ class Recorder:
         text: str,
         *,
         strict: bool = False,
-    ) -> list[Image]:
+    ) -> Any:
         """See `lobewise.engine.planes`."""
         kernel, given = self.get(key, make, strict=strict), {**images, **numbers}
         outputs = [each for each in kernel.parameters if each.role == "output"]
         axes = kernel.find_axes({each: image for each, image in given.items() if isinstance(image, Image)})
         size = [axes.get(axis, axis) if isinstance(axis, str) else axis for axis in outputs[0].axes]
-        kept = self.state[keep].list_planes() if keep in self.state else []
-        more = self.graph.make(f"{name}_{kernel.name}".replace(" ", "_"), len(outputs) - len(kept), *size)
-        planes = [*kept, *more.list_planes()]
-        self.call(
-            kernel, given, into={each.name: plane for each, plane in zip(outputs, planes, strict=True)}, text=text
-        )
+        if keep:
+            self.declare(keep, len(outputs), *size)
+        kept = self.state[keep].list_planes() if keep else []
+        planes: Any = self.state[keep] if keep else None
+        if len(kept) < len(outputs):
+            more = self.graph.make(f"{name}_{kernel.name}".replace(" ", "_"), len(outputs) - len(kept), *size)
+            planes = [*kept, *more.list_planes()] if kept else more
+        into = {each.name: planes[number] for number, each in enumerate(outputs)}
+        self.call(kernel, given, into=into, text=text)
         return planes
 
     def pick(self, image: Image, scale: int, place: tuple[str, str], *, stacked: bool) -> Image:
@@ -318,6 +325,65 @@ class Recorder:
             found = self.call(kernel, given, names=names, text=each.text)
             given |= {"source": found.get("sums")}
         return found
+
+    def total(
+        self, measure: Callable[..., float], images: Sequence[Image], numbers: Sequence[float], name: str
+    ) -> Number:
+        """See `lobewise.engine.total`."""
+        name = name or measure.__name__
+        if name not in self.totals:
+            self.totals[name] = self.graph.add_real(name)
+        text = (measure.__doc__ or name).partition("\n")[0].removeprefix("Return ").removesuffix(".")
+        arguments = [*map(write_number, numbers), f"&{self.totals[name]}"]
+        self.graph.run(measure.__name__, images, arguments, text)
+        return Number(1.0, self.totals[name])
+
+    def compare(self, first: float, sign: str, second: float) -> Condition:
+        """See `lobewise.engine.compare`."""
+        return Condition(f"({write_number(first)} {sign} {write_number(second)})")
+
+    def both(self, first: Condition, second: Condition) -> Condition:
+        """See `lobewise.engine.both`."""
+        return Condition(f"({first} && {second})")
+
+    def when(self, condition: Condition, run: Callable[[], Any], otherwise: Callable[[], Any] | None) -> Any:
+        """See `lobewise.engine.when`."""
+        with self.graph.only_when(condition):
+            found = run()
+        if otherwise is not None:
+            with self.graph.only_when(f"!{condition}"):
+                otherwise()
+        return found
+
+    def declare(self, name: str, *shape: Axis, type: str = "float32") -> Image:
+        """Declare what the next frame finds under a name; return what the frame before left there."""
+        if name not in self.state:
+            self.state[name], self.before[name] = self.graph.keep(name, *shape, type=type)
+        return self.before[name]
+
+    def keep(self, name: str, make: Callable[[], Image | None]) -> None:
+        """See `lobewise.engine.keep`."""
+        image = make()
+        if image is None or (name in self.state and image.memory is self.state[name].memory):
+            return
+        self.declare(name, *image.shape, type=image.type)
+        kept = self.state[name]
+        self.graph.run("copy_image", [image, kept], [], "what the next frame reads", writes=[kept])
+
+    def clear(self, image: Image) -> None:
+        """See `lobewise.engine.clear`."""
+        self.graph.run("clear_image", [image], [], "nothing", writes=[image])
+
+    def only(self, condition: Condition, image: Image) -> Image:
+        """See `lobewise.engine.only`."""
+        with self.graph.only_when(f"!{condition}"):
+            self.clear(image)
+        return image
+
+    @property
+    def host(self) -> Recorder:
+        """See `lobewise.engine.Engine`."""
+        return self
 
     def part(self, name: str) -> AbstractContextManager[None]:
         """See `lobewise.engine.part`."""

@@ -12,16 +12,6 @@ from lobewise.backend.pointwise import LARGEST_FLOAT, Grid, Vector, is_finite, s
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
 
 
-def define_both(grid: Grid) -> list[Vector]:
-    """Return where all masks hold."""
-    return [[hl.u8(reduce(and_, (grid.read_one(name) != 0 for name in grid.images)))]]
-
-
-def define_any(grid: Grid) -> list[Vector]:
-    """Return where any mask holds."""
-    return [[hl.u8(reduce(or_, (grid.read_one(name) != 0 for name in grid.images)))]]
-
-
 def define_bad(grid: Grid) -> list[Vector]:
     """Return where a pixel of any image is NaN, infinite or negative; see `find_bad_pixels`."""
     return [[hl.u8(~reduce(and_, (is_good(grid.read(name)) for name in grid.images)))]]

@@ -128,16 +128,21 @@ def define_tolerances(grid: Grid) -> list[Vector]:
 
 
 def find_footprints(
-    surface: NDArray[np.bool_], depth: FloatArray, pixel_angle: float, allowance: FloatArray | None, allowed: float
+    surface: NDArray[np.bool_],
+    depth: FloatArray,
+    pixel_angle: float,
+    allowance: FloatArray | None,
+    allowed: float,
+    into: FloatArray | None = None,
 ) -> FloatArray:
     """Return the width of a pixel on its surface, world units, (height, width); 1 where there is no surface.
 
-    With ``allowance`` the width grows by the factor ``1 + allowed * allowance``.
+    With ``allowance`` the width grows by the factor ``1 + allowed * allowance``. ``into`` is memory for the result.
     """
     images = {"surface": surface, "depth": depth, "allowance": allowance}
     numbers = {"pixel_angle": make_single(pixel_angle), "allowed": make_single(allowed)}
     (footprint,) = engine.pixels(
-        define_footprints, images, numbers, names=["footprint"], text="widths of pixels on their surfaces"
+        define_footprints, images, numbers, names=["footprint"], into=[into], text="widths of pixels on their surfaces"
     )
     return footprint
 

@@ -3,24 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise import engine
 from lobewise.camera import Camera
 from lobewise.errors import InputError, LobewiseError, require_kind
-from lobewise.filters.history.reprojection import reproject
+from lobewise.features import PlaneFeature
+from lobewise.filters.history.reprojection import ComparedPixels, reproject
 from lobewise.filters.history.reprojection_pass import AGREEMENT
-from lobewise.filters.history.sums import HISTORY_CHANNELS
+from lobewise.filters.history.sums import HISTORY_CHANNELS, get_channel, get_sums, join_channels
 from lobewise.frame import FloatArray, GBuffer
 from lobewise.guides.lobe_fields import SplitField
 from lobewise.guides.places import add_grid, estimate_curvature, find_surface_places, find_virtual_places
 from lobewise.guides.reflections import Mirror, find_moved_reflections
 from lobewise.lobe_table import LobeTable
 from lobewise.settings import ResolvedSettings, TemporalSettings
-from lobewise.temporal.validation import Guides, ValidationFeatures, follow_hits, make_validation_features
+from lobewise.temporal.validation import (
+    Guides,
+    ValidationFeatures,
+    follow_hits,
+    make_validation_features,
+    update_footprints,
+)
 
 MIN_AGREEMENT = 0.1
 """Agreement above which a pixel counts as found in the frame before, 0 to 1."""
@@ -65,6 +74,13 @@ class Past:
     sums: dict[str, FloatArray]
     validation: dict[str, ValidationFeatures] = field(default_factory=dict)
     allowance: FloatArray | None = None
+    exists: ClassVar[bool] = True
+    """Whether there was a frame before; a pipeline asks it for every frame."""
+
+    def get_pixels(self, name: str, features: ValidationFeatures) -> ComparedPixels | None:
+        """Return the pixels of a layer; None if it has none that this frame's features can be compared with."""
+        old = self.validation.get(name)
+        return old.pixels if old is not None and features.fits(old) else None
 
 
 class _Places(NamedTuple):
@@ -81,7 +97,18 @@ class _Places(NamedTuple):
 
 
 class HistoryReprojection:
-    """Finds the history of one frame's layers in the past. ``masks`` are the pixels that have the light of each layer.
+    """Finds the history of one frame's layers in the past.
+
+    Parameters
+    ----------
+    guides : Guides
+    settings, temporal
+    past : Past, optional
+        The frame before; None before the first.
+    masks : mapping of str to array, shape (height, width)
+        Pixels that have the light of each layer, by name.
+    lobes : SplitField, optional
+        As of `make_validation_features`.
 
     Attributes
     ----------
@@ -102,58 +129,95 @@ class HistoryReprojection:
         masks: Mapping[str, NDArray[np.bool_]],
         lobes: SplitField | None = None,
     ) -> None:
-        self._masks = masks
-        self._temporal = temporal
+        self._masks, self._temporal, self._guides = masks, temporal, guides
         self._past: Past | None = None
         self._places: _Places | None = None
         self._found: dict[str, FloatArray | None] = {}
         self.share = 0.0
         self.allowance: FloatArray | None = None
-        if past is not None and past.guides.shape == guides.shape and past.similarity == settings.similarity:
-            self._places, self.allowance = find_all_places(guides, past.guides)
-        self.validation = make_validation_features(guides, settings, temporal, self.allowance, masks, lobes)
+        # Where surfaces and reflections were a frame ago.
+        with engine.part("history: places of a frame ago"):
+            if past is not None and past.guides.shape == guides.shape and past.similarity == settings.similarity:
+                self._places, self.allowance = find_all_places(guides, past.guides)
+            # What recognises pixels there.
+            self.validation = make_validation_features(guides, settings, temporal, self.allowance, masks, lobes)
         if past is None or self._places is None:
             return
         # The next frame compares hits with those of this frame, and this frame with their earlier places.
         self._now = self.validation
         if self._places.hit_distance is not None:
             self._now = follow_hits(self.validation, guides.gbuffer, self._places.hit_distance)
-        # A past that was read from a file has no features yet.
-        self._old = past.validation or make_validation_features(
-            past.guides, settings, temporal, past.allowance, past.sums
-        )
+        if not past.validation:  # it was read from a file
+            old = make_validation_features(past.guides, settings, temporal, past.allowance, past.sums)
+            past = replace(past, validation=old)
         self._past = past
-        # Measure how much of the image continues on a layer that is compared by place and normal alone.
-        surface = self.validation["rest"].mask
-        if "diffuse" in past.sums and np.mean(masks["diffuse"]) > MIN_DIFFUSE_SHARE:
-            surface = masks["diffuse"]
-            found = self._found["diffuse"] = self._find("diffuse", past.sums["diffuse"])
-        else:
-            found = self._find("rest", np.zeros((*guides.shape, HISTORY_CHANNELS), np.float32))
-        if found is not None:
-            some = (slice(None, None, max(1, min(guides.shape) // MAX_SHARE_SAMPLES)),) * 2
-            near = _find_near(self._places.surface, MAX_STEP * max(guides.shape), some)
-            again, surface = (found[(*some, AGREEMENT)] > MIN_AGREEMENT) & near, surface[some]
-            # A frame of sky alone is no cut.
-            self.share = float(np.mean(again[surface])) if surface.any() else 1.0
-        if self.share < temporal.cut_share:
-            self._past, self.share, self.allowance = None, 0.0, None
-            self.validation = make_validation_features(guides, settings, temporal, None, masks, lobes)
+        for name, each in self.validation.items():
+            with engine.part("history: what is compared"):
+                self._leave(name, each)
+        # A cut drops all history.
+        with engine.part("history: cut"):
+            self.share = engine.when(past.exists, self._judge_cut)
+            self._continues = engine.both(past.exists, engine.compare(self.share, ">=", temporal.cut_share))
+            engine.when(self._continues, lambda: None, self._forget)
 
     def reproject(self, name: str) -> FloatArray | None:
         """Return the history of a layer, faded by a frame, (height, width, 7); None where there is none at all."""
         if self._past is None or name not in self._past.sums:
             return None
-        found = self._found[name] if name in self._found else self._find(name, self._past.sums[name])
-        if found is None:
-            return None
-        return found[..., :AGREEMENT]
+        with engine.part(f"{name}: history"):
+            if name not in self._found:
+                engine.when(self._continues, partial(self._store, name))
+            found = engine.only(self._continues, self._found.get(name))
+            return None if found is None else get_sums(found)
+
+    def _leave(self, name: str, features: ValidationFeatures) -> None:
+        """Leave what the next frame compares."""
+        engine.keep(f"{name}_mask", lambda: features.mask)
+        engine.keep(f"{name}_planes", lambda: features.pixels.planes)
+
+    def _judge_cut(self) -> float:
+        """Return how much of the image continues, measured by diffuse light where there is enough of it."""
+        assert self._past is not None
+        if "diffuse" not in self._past.sums:
+            return self._judge("rest")
+        diffuse = self._masks["diffuse"]
+        self._store("diffuse")
+        covered = engine.compare(engine.total(measure_cover, [diffuse], name="cover"), ">", MIN_DIFFUSE_SHARE)
+        share: float = engine.when(covered, partial(self._judge, "diffuse"), partial(self._judge, "rest"))
+        return share
+
+    def _judge(self, name: str) -> float:
+        """Return the share of the pixels of a layer that continue."""
+        if name in self._found:
+            found, mask = self._found[name], self._masks[name]
+        else:
+            nothing = engine.fill("no_history", 0.0, (HISTORY_CHANNELS, *self._guides.shape))
+            found, mask = self._find(name, join_channels(nothing)), self.validation[name].mask
+        if found is None or self._places is None:
+            return 0.0
+        images = [get_channel(found, AGREEMENT), self._places.surface, mask]
+        share: float = engine.total(measure_share, images, [MIN_AGREEMENT, MAX_STEP, MAX_SHARE_SAMPLES], name="share")
+        return share
+
+    def _forget(self) -> None:
+        """Drop the past. Nothing has moved by itself then: the next frame compares plain footprints."""
+        self.share = 0.0
+        if self.allowance is not None:
+            engine.clear(self.allowance)
+            plane = self.validation["rest"].surface[0]
+            assert isinstance(plane, PlaneFeature)
+            update_footprints(self._guides, self._temporal, self.validation["rest"].mask, self.allowance, plane)
+            self.validation = {name: replace(each) for name, each in self.validation.items()}
+            for name, each in self.validation.items():
+                self._leave(name, each)
 
     def _find(self, name: str, sums: FloatArray) -> FloatArray | None:
-        old, new = self._old.get(name), self._now[name]
-        if old is None or not new.fits(old):
+        """Return the history of a layer and its agreement, (height, width, 8); None where frames do not compare."""
+        assert self._places is not None and self._past is not None
+        new = self._now[name]
+        old = self._past.get_pixels(name, new)
+        if old is None:
             return None
-        assert self._places is not None
         surface, virtual = self._places.surface, self._places.virtual
         # At the place of the reflection, compare all features but those of the surface.
         second = (virtual, len(new.surface) - len(new.virtual)) if new.virtual and virtual is not None else None
@@ -161,7 +225,7 @@ class HistoryReprojection:
         def find(places: FloatArray, features: ValidationFeatures) -> FloatArray:
             now = features.pixels if name not in self._masks else features.pixels.restrict(self._masks[name])
             memory = self._temporal.memory
-            return reproject(sums, places, old.pixels, now, virtual=second, memory=memory)
+            return reproject(sums, places, old, now, virtual=second, memory=memory, name=name)
 
         followed = self._places.followed
         if second is None or followed is None:
@@ -169,6 +233,44 @@ class HistoryReprojection:
         found = find(np.where(followed[..., None], np.float32(np.nan), surface), new)
         lost = followed & (found[..., AGREEMENT] < MIN_FOLLOWED_AGREEMENT)
         return np.where(lost[..., None], find(surface, self.validation[name]), found) if lost.any() else found
+
+    def _store(self, name: str) -> None:
+        """Find the history of a layer, for `reproject`."""
+        assert self._past is not None
+        self._found[name] = self._find(name, self._past.sums[name])
+
+
+def measure_cover(mask: NDArray[np.bool_]) -> float:
+    """Return the share of the pixels that have the light of a mask."""
+    return float(np.mean(mask))
+
+
+def measure_share(
+    agreement: FloatArray,
+    places: FloatArray,
+    mask: NDArray[np.bool_],
+    least_agreement: float,
+    longest_step: float,
+    most_samples: int,
+) -> float:
+    """Return the share of surfaces that are found in the frame before, not too far away.
+
+    Parameters
+    ----------
+    agreement, places, mask : arrays
+        Of all pixels: agreement of the history, its place, and whether the pixel counts.
+    least_agreement : float
+        Agreement of a pixel that is found, exclusive.
+    longest_step : float
+        Longest way of such a pixel, as a share of the image's longer side, exclusive.
+    most_samples : int
+        About the rows and columns of the shorter side that are counted.
+    """
+    some = (slice(None, None, max(1, min(mask.shape) // most_samples)),) * 2
+    near = _find_near(places, longest_step * max(mask.shape), some)
+    again, surface = (agreement[some] > least_agreement) & near, mask[some]
+    # A frame of sky alone is no cut.
+    return float(np.mean(again[surface])) if surface.any() else 1.0
 
 
 def _find_near(places: FloatArray, reach: float, some: tuple[slice, slice]) -> NDArray[np.bool_]:

@@ -84,16 +84,19 @@ class ValidationFeatures:
         Compared at the earlier place of the surface point.
     virtual : tuple of Feature
         Compared at the earlier place of the reflection; empty where reflections are not split off or not tracked.
+    name : str
+        Name of the layer.
     """
 
     mask: NDArray[np.bool_]
     surface: tuple[Feature, ...]
     virtual: tuple[Feature, ...] = ()
+    name: str = "light"
 
     @cached_property
     def pixels(self) -> ComparedPixels:
         """The pixels, ready to be compared. They are prepared once, for this frame and the next."""
-        return prepare_pixels(self.mask, self.surface)
+        return prepare_pixels(self.mask, self.surface, self.name)
 
     def fits(self, other: ValidationFeatures) -> bool:
         """Return whether both have the same kinds of features and one size."""
@@ -161,13 +164,14 @@ def make_validation_features(
     plane = _make_plane(guides, temporal, surface, allowance, backdrop)
     facing = NormalFeature(backdrop.facing, settings.normal_exponent)
     masks = {"rest": surface, **({"background": ~surface} if "background" in names else {})}
-    validation = {name: ValidationFeatures(mask, (*plane, facing)) for name, mask in masks.items()}
+    validation = {name: ValidationFeatures(mask, (*plane, facing), (), name) for name, mask in masks.items()}
     # Track reflections only where they are split from diffuse light, which moves with the surface.
     virtual = (*alike, *_make_hit_features(guides)) if apart and same.hit_distance else ()
-    validation["specular" if apart else "color"] = ValidationFeatures(mask, (*plane, *(virtual or alike)), virtual)
+    name = "specular" if apart else "color"
+    validation[name] = ValidationFeatures(mask, (*plane, *(virtual or alike)), virtual, name)
     if apart:
         diffuse = DiffuseFeature(normal, temporal.beta) if get_similarity(settings.similarity).has_lobes else facing
-        validation["diffuse"] = ValidationFeatures(surface, (*plane, diffuse))
+        validation["diffuse"] = ValidationFeatures(surface, (*plane, diffuse), (), "diffuse")
     return validation
 
 
@@ -203,7 +207,8 @@ def follow_hits(
     if "specular" in found and found["specular"].virtual:
         mask, surface, virtual = (getattr(found["specular"], name) for name in ("mask", "surface", "virtual"))
         moved = tuple(follow(feature) for feature in virtual)
-        found["specular"] = ValidationFeatures(mask, (*surface[: len(surface) - len(virtual)], *moved), moved)
+        features = (*surface[: len(surface) - len(virtual)], *moved)
+        found["specular"] = ValidationFeatures(mask, features, moved, "specular")
     return found
 
 
@@ -216,9 +221,24 @@ def _make_plane(
 ) -> tuple[Feature, ...]:
     if backdrop.position is None:
         return ()
-    pixel_angle = guides.require_camera("a plane").get_pixel_angle(guides.height)
-    footprint = find_footprints(surface, guides.places[1], pixel_angle, allowance, 1.0 / temporal.plane_sigma)
+    footprint = update_footprints(guides, temporal, surface, allowance)
     return (PlaneFeature(backdrop.position, backdrop.normal, footprint, temporal.plane_sigma),)
+
+
+def update_footprints(
+    guides: Guides,
+    temporal: TemporalSettings,
+    surface: NDArray[np.bool_],
+    allowance: FloatArray | None,
+    plane: PlaneFeature | None = None,
+) -> FloatArray:
+    """Return the widths of pixels on their surfaces, wider where these moved by themselves.
+
+    With ``plane`` its footprints become these widths.
+    """
+    angle = guides.require_camera("a plane").get_pixel_angle(guides.height)
+    into = None if plane is None else plane.footprint
+    return find_footprints(surface, guides.places[1], angle, allowance, 1.0 / temporal.plane_sigma, into)
 
 
 def _make_hit_features(guides: Guides) -> tuple[Feature, ...]:

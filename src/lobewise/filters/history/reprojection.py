@@ -13,7 +13,6 @@ from lobewise import engine
 from lobewise.backend.buffers import HostImage, device_scope, download, take_image, take_mask
 from lobewise.backend.compiler import hl
 from lobewise.backend.jit import Scheduled
-from lobewise.engine.here import HERE
 from lobewise.features.arrays import give_features, give_scalars
 from lobewise.features.base import Feature
 from lobewise.filters.cross_pass import describe_structure
@@ -45,12 +44,18 @@ class ComparedPixels:
     shape: tuple[int, int]
 
     def restrict(self, mask: NDArray[np.bool_]) -> ComparedPixels:
-        """Return these pixels with a meaning only where ``mask``, (height, width), is True."""
-        return replace(self, mask=self.mask & widen(take_mask(mask)))
+        """Return these pixels with a meaning only where ``mask``, (height, width), is True.
+
+        The masks of recorded layers lie within those of their features.
+        """
+        within = self.mask & widen(take_mask(mask)) if isinstance(mask, np.ndarray) else mask
+        return replace(self, mask=within)
 
 
-def prepare_pixels(mask: NDArray[np.bool_], features: Sequence[Feature]) -> ComparedPixels:
+def prepare_pixels(mask: NDArray[np.bool_], features: Sequence[Feature], name: str = "light") -> ComparedPixels:
     """Return the pixels of a frame, ready to be compared with those of the frame before and after.
+
+    ``name`` is that of the light in recorded plans.
 
     Raises
     ------
@@ -64,7 +69,15 @@ def prepare_pixels(mask: NDArray[np.bool_], features: Sequence[Feature]) -> Comp
     arrays = {name: widen(download(image)) for name, image in give_features("own", features, shape).items()}
     key = "preparation", *map(describe_structure, features)
     make = partial(make_scheduled_preparation, features)
-    planes = HERE.planes(key, make, {"mask": wide, **arrays}, give_scalars(features))
+    planes = engine.get_engine().host.planes(
+        key,
+        make,
+        {"mask": wide, **arrays},
+        give_scalars(features),
+        name,
+        f"{name}_planes",
+        f"planes that {name} light is recognised by",
+    )
     return ComparedPixels(tuple(features), wide, planes, shape)
 
 
@@ -77,6 +90,7 @@ def reproject(
     *,
     virtual: tuple[FloatArray, int] | None = None,
     memory: float = 1.0,
+    name: str = "light",
 ) -> FloatArray:
     """Gather the history of every pixel from its place in the frame before.
 
@@ -94,6 +108,8 @@ def reproject(
         Second places, those of each pixel's reflection, and the index of the first feature that is compared there.
     memory : float
         Factor of all weights, 0 to 1.
+    name : str
+        Name of the light in recorded plans.
 
     Returns
     -------
@@ -110,7 +126,8 @@ def reproject(
     numbers = {"memory": memory, "rows": before.shape[0], "columns": before.shape[1], **give_scalars(now.features)}
     key = "reprojection", virtual_from, *map(describe_structure, now.features)
     make = partial(make_scheduled_reprojection, now.features, virtual_from)
-    found: FloatArray = join_channels(cut(engine.planes(key, make, images, numbers), size[1]))
+    planes = engine.planes(key, make, images, numbers, name=name, text=f"history of {name} light")
+    found: FloatArray = join_channels(cut(planes, size[1]))
     return found
 
 

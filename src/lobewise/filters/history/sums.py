@@ -105,6 +105,16 @@ def join_channels(planes: Any) -> Any:
     return np.moveaxis(planes, 0, -1) if isinstance(planes, np.ndarray) else planes
 
 
+def get_channel(history: Any, number: int) -> Any:
+    """Return a channel of a history (height, width, channels), or of a recorded one, whose planes come first."""
+    return history[..., number] if isinstance(history, np.ndarray) else history[number]
+
+
+def get_sums(history: Any) -> Any:
+    """Return a history without what is not a sum."""
+    return history[..., :HISTORY_CHANNELS] if isinstance(history, np.ndarray) else history[:HISTORY_CHANNELS]
+
+
 def take_planes(history: Any) -> Any:
     """Return the sums of a history (height, width, 7 or more), planes first; a recorded history has them so."""
     return np.moveaxis(history, -1, 0) if isinstance(history, np.ndarray) else history

@@ -34,7 +34,7 @@ from lobewise.exporting.pipeline.recipes.guided import (
     run_layer,
 )
 from lobewise.exporting.pipeline.recipes.guides import SIZE, PipelineGuides
-from lobewise.exporting.pipeline.recipes.history import make_history
+from lobewise.exporting.pipeline.recipes.history import make_past
 from lobewise.exporting.pipeline.settings import CONTENTS
 from lobewise.features import ScreenFeature
 from lobewise.filters import glue
@@ -42,6 +42,7 @@ from lobewise.filters.cross_filter import run_filter
 from lobewise.filters.forms import ATROUS_REACH
 from lobewise.filters.history.accumulation import KnownKernel
 from lobewise.settings import TemporalSettings
+from lobewise.temporal.past import HistoryReprojection
 from lobewise.temporal.recipe import Growth, join_history, make_named_layers
 from lobewise.temporal.validation import find_same_tau
 from lobewise.upsampling import join_sparse, upsample_by_guides
@@ -129,12 +130,17 @@ def filter_over_time(frame: PlannedFrame) -> None:
     how = find_growth(guides)
     lobes = split_lobes(whole, settings.similarity, resolved.tau, find_same_tau(whole, resolved))
     layers = make_named_layers(whole, resolved, (), lobes, how.own)
-    history = make_history(guides, lobes, {name: cast(Any, layer.mask) for name, layer in layers.items()})
-    found, outputs = history.find_all(), []
+    constants, past = guides.constants, cast(Any, make_past(guides))
+    names = {"beta": "history_beta", **{name: name for name in ("memory", "plane_sigma", "strictness", "cut_share")}}
+    numbers: Any = {name: constants.get(own) for name, own in names.items()}
+    temporal = replace(TemporalSettings(), **numbers)
+    masks = {name: layer.mask for name, layer in layers.items()}
+    history = HistoryReprojection(whole, resolved, temporal, past, masks, lobes)
+    outputs = []
     for name, layer in layers.items():
-        history.keep_sums(name)
+        sums = history.reproject(name)
         with guides.graph.part(f"{name}: join with its history"):
-            outputs.append(join_history(whole, layer, resolved, cast(Any, found[name]), how))
+            outputs.append(join_history(whole, layer, resolved, sums, how))
     frame.layers = list(layers.values())
     with guides.graph.part("sum of the light"):
         if guides.is_sparse:

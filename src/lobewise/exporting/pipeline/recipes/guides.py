@@ -182,7 +182,9 @@ class PipelineGuides:
     @property
     def before(self) -> Any:
         """The frame before, of which only the camera is known."""
-        return SimpleNamespace(camera=GivenCamera(self.constants, is_before=True), gbuffer=None, is_placed=False)
+        return SimpleNamespace(
+            camera=GivenCamera(self.constants, is_before=True), gbuffer=None, is_placed=False, shape=SIZE
+        )
 
     @property
     def frame(self) -> PipelineGuides:

@@ -7,27 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from lobewise.denoising.planning.steps import LayerPlan, Step
-from lobewise.engine.graph import Image
 from lobewise.engine.recorder import Recorder
 from lobewise.exporting.pipeline.recipes.guides import PipelineGuides
-
-
-@dataclass(frozen=True)
-class PlannedOutput:
-    """The result of a filter; see `lobewise.filters.cross_filter.FilterOutput`. An image may be a list of planes."""
-
-    image: Image | Sequence[Image]
-    weight_sum: Image
-    effective_samples: Image
-    moment: Image | None = None
-    sums: Image | None = None
-    variance: Image | None = None
-
-    def give_image(self, name: str) -> dict[str, Image]:
-        """Return the image by name, or its planes as `lobewise.backend.pointwise.give_channels` names them."""
-        if isinstance(self.image, Image):
-            return {name: self.image}
-        return {f"{name}_channel{k}": plane for k, plane in enumerate(self.image)}
 
 
 @dataclass

@@ -109,27 +109,27 @@ static void clear_image(${name}_pipeline *p, halide_buffer_t *image)
 }
 
 /* routine: measure_cover */
-static void measure_cover(${name}_pipeline *p, const halide_buffer_t *mask, double least, int *is_covered)
+static void measure_cover(${name}_pipeline *p, const halide_buffer_t *mask, double *share)
 {
-    /* Whether more than a share of the pixels has the light of a mask. */
+    /* The share of the pixels that have the light of a mask. */
     const size_t pixels = (size_t)p->width * (size_t)p->height;
     size_t count = 0, k;
     for (k = 0; k < pixels; k++) {
         count += mask->host[k] != 0;
     }
-    *is_covered = (double)count / (double)pixels > least;
+    *share = (double)count / (double)pixels;
 }
 
-/* routine: judge_cut */
-static void judge_cut(
+/* routine: measure_share */
+static void measure_share(
     ${name}_pipeline *p, const halide_buffer_t *agreement, const halide_buffer_t *places, const halide_buffer_t *mask,
-    double least_agreement, double longest_step, int most_samples, int *has_history)
+    double least_agreement, double longest_step, double most_samples, double *share)
 {
-    /* The history counts where enough surfaces are found in the frame before, not too far away. */
+    /* The share of surfaces that are found in the frame before, not too far away. */
     const float *agrees = (const float *)agreement->host, *place = (const float *)places->host;
     const int shorter = p->width < p->height ? p->width : p->height;
     const int longer = p->width < p->height ? p->height : p->width;
-    const int step = shorter / most_samples > 1 ? shorter / most_samples : 1;
+    const int step = shorter / (int)most_samples > 1 ? shorter / (int)most_samples : 1;
     const float reach = (float)(longest_step * longer);
     size_t found = 0, count = 0;
     int x, y;
@@ -142,14 +142,7 @@ static void judge_cut(
             found += is_surface && near && (double)agrees[k] > least_agreement;
         }
     }
-    *has_history = count == 0 || (double)found / (double)count >= p->settings.cut_share;
-}
-
-/* routine: set_flag */
-static void set_flag(${name}_pipeline *p, int *flag, int value)
-{
-    (void)p;
-    *flag = value;
+    *share = count == 0 ? 1.0 : (double)found / (double)count;
 }
 
 /* routine: pick_samples */
