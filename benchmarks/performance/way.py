@@ -9,6 +9,7 @@ prints which files follow each other most often.
 from __future__ import annotations
 
 import argparse
+import itertools
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -57,7 +58,7 @@ def list_recipes() -> dict[str, Callable[[], Any]]:
 
 def count_way(calls: list[tuple[str, str]]) -> dict[str, int]:
     """Return how many calls, functions and files a way has, and how often the file changes from call to call."""
-    changes = sum(first[0] != second[0] for first, second in zip(calls, calls[1:], strict=False))
+    changes = sum(first[0] != second[0] for first, second in itertools.pairwise(calls))
     return {
         "calls": len(calls),
         "functions": len(set(calls)),
@@ -81,7 +82,7 @@ def main() -> None:
         rows[name] = count_way(calls)
         print(f"{name:<12}", rows[name], flush=True)
         if name == asked.list:
-            pairs = Counter(zip(calls, calls[1:], strict=False))
+            pairs = Counter(itertools.pairwise(calls))
             for (first, second), count in pairs.most_common(40):
                 if first[0] != second[0]:
                     print(f"{count:6}  {':'.join(first)} -> {':'.join(second)}")

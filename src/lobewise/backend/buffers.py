@@ -75,6 +75,8 @@ class Buffer:
         self.device = ""
         """Name of the device that has memory for the array; empty if none."""
         self.first = tuple(first)
+        self.layout = array.dtype, array.shape, array.strides, self.first
+        """What a kernel examines of the array."""
         axes = zip(reversed(array.shape), reversed(array.strides), strict=True)
         self._dimensions = _describe_axes([(extent, stride // array.itemsize) for extent, stride in axes])
         for axis, least in enumerate(first):

@@ -16,6 +16,7 @@ from dataclasses import astuple, dataclass, fields, is_dataclass
 from enum import Enum
 from functools import cache, partial
 from importlib.metadata import version
+from numbers import Integral
 from types import FunctionType
 from typing import Any
 
@@ -23,10 +24,11 @@ from lobewise.backend.buffers import Image, lend, make_output
 from lobewise.backend.compiler import has_compiler, hl, refuse_compiling
 from lobewise.backend.devices import make_target
 from lobewise.backend.disk import fetch_object
+from lobewise.backend.memory import make_array
 from lobewise.backend.objects import compile_object
 from lobewise.backend.prebuilt import find_library, name_symbol
 from lobewise.backend.runtime import Runtime, get_runtime
-from lobewise.backend.signature import Parameter, Signature, check_call, describe_call, unpack_parameters
+from lobewise.backend.signature import Parameter, Signature, check_call, unpack_parameters
 from lobewise.backend.sources import PACKAGE, describe_definitions
 from lobewise.backend.watching import tell_compiling
 from lobewise.chunks import make_fork_lock
@@ -100,7 +102,11 @@ class Kernel:
         DeviceError
             If the device fails. The outputs are then undefined.
         """
-        layout = describe_call(arguments)
+        # Everything that `check_call` examines: calls of one description have one result.
+        layout = tuple(
+            (name, getattr(value, "layout", None) or (value if isinstance(value, Integral) else type(value)))
+            for name, value in arguments.items()
+        )
         if layout not in self._accepted:
             check_call(self.name, self.parameters, arguments)
             self._accepted.add(layout)
@@ -185,12 +191,11 @@ def run_kernel(kernel: Kernel, device: str, images: Mapping[str, Image], **numbe
         If the device fails or runs out of memory.
     """
     sizes = kernel.find_axes(images)
+    types = {each.name: each.type for each in kernel.outputs}
+    memory = {name: make_array(shape, types[name]) for name, shape in kernel.list_shapes(**sizes).items()}
     # Keep every buffer in a local name until the call has returned: Halide holds no reference.
     lent = {name: lend(image, device) for name, image in images.items()}
-    types = {each.name: each.type for each in kernel.outputs}
-    outputs = {
-        name: make_output(shape, device, type=types[name]) for name, shape in kernel.list_shapes(**sizes).items()
-    }
+    outputs = {name: make_output(array.shape, device, array) for name, array in memory.items()}
     kernel(**lent, **numbers, **{name: buffer for name, (buffer, _) in outputs.items()})
     return {name: image for name, (_, image) in outputs.items()}
 

@@ -6,7 +6,7 @@ compiled function's arguments follows from the declarations and is written nowhe
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Integral, Real
 from typing import Any, Protocol
@@ -156,16 +156,6 @@ def _name_type(kind: hl.Type) -> str:
 def unpack_parameters(packed: Sequence[Sequence[Any]]) -> list[Parameter]:
     """Return parameters from lists of their fields, as JSON holds them."""
     return [Parameter(name, role, kind, *map(tuple, rest)) for name, role, kind, *rest in packed]
-
-
-def describe_call(given: Mapping[str, Any]) -> Hashable:
-    """Return everything of a call that `check_call` examines: calls of one description have one result."""
-    return tuple(
-        (name, value if isinstance(value, Integral) else type(value))
-        if (array := getattr(value, "array", None)) is None
-        else (name, array.dtype, array.shape, array.strides, tuple(value.first))
-        for name, value in given.items()
-    )
 
 
 def check_call(kernel: str, parameters: Sequence[Parameter], given: Mapping[str, Any]) -> None:

@@ -97,7 +97,7 @@ class Here:
         )
         kernel = get_kernel("cpu", key, partial(make_pointwise, key), strict=True)
         named = {f"{name}_{k}": float(value) for name, vector in vectors.items() for k, value in enumerate(vector)}
-        results = [download(result) for result in run_kernel(kernel, "cpu", held, **named).values()]
+        results: list[Any] = list(run_kernel(kernel, "cpu", held, **named).values())
         for number, memory in enumerate(into):
             if memory is not None:
                 np.copyto(memory, results[number])

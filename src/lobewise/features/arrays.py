@@ -31,8 +31,10 @@ def declare_features(signature: Signature, prefix: str, features: Sequence[Featu
 def give_features(prefix: str, features: Sequence[Feature], size: tuple[int, int]) -> dict[str, Image]:
     """Return the arrays that `declare_features` declares, by name; raise InputError if an array has another size."""
     owners = [feature for feature in features for _ in feature.get_arrays()]
-    named = zip(name_arrays(prefix, features).items(), owners, strict=True)
-    return {name: _take_array(feature, array, size) for (name, array), feature in named}
+    named = name_arrays(prefix, features)
+    for feature, array in zip(owners, named.values(), strict=True):
+        _require_image(feature, array, size)
+    return {name: take_dense(array) for name, array in named.items()}
 
 
 def declare_scalars(signature: Signature, features: Sequence[Feature], prefix: str = "") -> list[list[hl.Param]]:
@@ -64,8 +66,8 @@ def _name_scalar(prefix: str, number: int, k: int) -> str:
     return f"{prefix}_feature{number}_scalar{k}".removeprefix("_")
 
 
-def _take_array(feature: Feature, array: Image, size: tuple[int, int]) -> Image:
-    """Return an array of a feature as dense float32; raise InputError if it is not an image of this size."""
+def _require_image(feature: Feature, array: Image, size: tuple[int, int]) -> None:
+    """Raise InputError if an array of a feature is not an image of this size."""
     if array.ndim not in (2, 3) or array.shape[:2] != size or array.dtype.kind not in "fiub":
         raise InputError(
             f"an array of feature {feature.name!r}",
@@ -73,4 +75,3 @@ def _take_array(feature: Feature, array: Image, size: tuple[int, int]) -> Image:
             got=f"{array.dtype} of shape {array.shape}",
             action="give one value, or one row of channels, for every pixel of the frame",
         )
-    return take_dense(array)

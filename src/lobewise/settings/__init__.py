@@ -89,7 +89,7 @@ class Knob:
     def check(self, value: Any) -> None:
         """Raise InputError unless ``value`` is one that the setting takes."""
         if self.kind is str:
-            if self.choices:
+            if self.choices and not (isinstance(value, str) and value in self.choices):
                 require_choice(self.name, value, self.choices)
         elif not (value is None and self.optional) and not self._takes(value):
             raise InputError(self.name, expected=self.expected, got=name_value(value), action=self.usual)

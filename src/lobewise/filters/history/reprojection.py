@@ -66,7 +66,8 @@ def prepare_pixels(mask: NDArray[np.bool_], features: Sequence[Feature], name: s
     wide = widen(take_mask(mask))
     if not any(feature.get_arrays() for feature in features):
         return ComparedPixels(tuple(features), wide, None, shape)
-    arrays = {name: widen(download(image)) for name, image in give_features("own", features, shape).items()}
+    held = {each: download(image) for each, image in give_features("own", features, shape).items()}
+    arrays = {each: widen(image) for each, image in held.items()}
     key = "preparation", *map(describe_structure, features)
     make = partial(make_scheduled_preparation, features)
     planes = engine.get_engine().host.planes(
