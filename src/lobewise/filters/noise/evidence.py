@@ -93,19 +93,18 @@ def find_noisy_share(
     told, factor = gather_noise(halves, variance, shared=shared)
     images = {"filtered": filtered, "noisy": noisy, **told}
     (sums,) = engine.pixels(define_excess, images, {"floor": np.float32(min(max(floor, 1e-24), 1e30))}, by_darker)
-    levels = []
+    levels = {}
     for number in range(BLUR_COUNT):
-        sums = blur_image(sums, 2**number)
-        levels.append(sums)
-    wide = np.ascontiguousarray(levels[-1][..., 1])
-    share = np.zeros(wide.shape, np.float32)
-    for number in range(FIRST_BLUR, BLUR_COUNT):
-        held = {"sums": levels[number], "near": levels[0], "wide": wide, "share": share}
-        error = MARGIN_STANDARD_ERRORS**2 * factor / count_weights(number)
-        numbers = {"error": np.float32(error), "most": np.float32(concentration)}
-        (share,) = engine.pixels(define_share, held, numbers)
-    (share,) = engine.pixels(define_kept, {"share": share, "noisy": noisy}, {})
-    return np.asarray(share)
+        levels[f"sums{number}"] = sums = blur_image(sums, 2**number)
+    numbers = {"error": find_margins(factor), "most": np.float32(concentration)}
+    (share,) = engine.pixels(define_share, {"noisy": noisy, **levels}, numbers)
+    return share
+
+
+def find_margins(factor: float = 1.0) -> FloatArray:
+    """Return the squared margin of each blur that counts, over the squared excess."""
+    counts = [count_weights(number) for number in range(FIRST_BLUR, BLUR_COUNT)]
+    return np.array([MARGIN_STANDARD_ERRORS**2 * factor / count for count in counts], np.float32)
 
 
 def define_excess(grid: Grid, by_darker: bool) -> list[Vector]:
@@ -126,19 +125,17 @@ def define_excess(grid: Grid, by_darker: bool) -> list[Vector]:
 
 
 def define_share(grid: Grid) -> list[Vector]:
-    """Define the larger of the share so far and this blur's share: certain error over certain error plus variance."""
-    excess, square, variance = grid.read("sums")
-    excess_near, _, variance_near = grid.read("near")
-    # Where fireflies are missing by chance, samples are a little too dark and vary too little: use a wide average.
-    square = hl.max(square, grid.read_one("wide"))
-    certain = hl.max(excess - hl.sqrt(grid.get("error")[0] * square), hl.f32(0.0))
-    # Excess and variance add up to the squared difference.
-    apart = (excess_near + variance_near) / hl.max(excess + variance, hl.f32(_MIN_SQUARE))
-    certain = certain * hl.clamp(apart, hl.f32(1.0), grid.get("most")[0])
-    noise = hl.max(variance, variance_near)
-    return [[hl.max(grid.read_one("share"), certain / hl.max(certain + noise, hl.f32(_MIN_SQUARE)))]]
-
-
-def define_kept(grid: Grid) -> list[Vector]:
-    """Define the share, 0 where the noisy image is bad."""
-    return [[hl.select(is_good(grid.read("noisy")), grid.read_one("share"), hl.f32(0.0))]]
+    """Define the largest share of any blur: certain error over certain error plus variance; 0 at bad pixels."""
+    share: hl.Expr = hl.f32(0.0)
+    excess_near, _, variance_near = grid.read("sums0")
+    wide = grid.read(f"sums{BLUR_COUNT - 1}")[1]
+    for number, error in zip(range(FIRST_BLUR, BLUR_COUNT), grid.get("error"), strict=True):
+        excess, square, variance = grid.read(f"sums{number}")
+        # Where fireflies are missing by chance, samples are a little too dark and vary too little: use a wide average.
+        certain = hl.max(excess - hl.sqrt(error * hl.max(square, wide)), hl.f32(0.0))
+        # Excess and variance add up to the squared difference.
+        apart = (excess_near + variance_near) / hl.max(excess + variance, hl.f32(_MIN_SQUARE))
+        certain = certain * hl.clamp(apart, hl.f32(1.0), grid.get("most")[0])
+        noise = hl.max(variance, variance_near)
+        share = hl.max(share, certain / hl.max(certain + noise, hl.f32(_MIN_SQUARE)))
+    return [[hl.select(is_good(grid.read("noisy")), share, hl.f32(0.0))]]

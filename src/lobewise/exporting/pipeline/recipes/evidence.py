@@ -23,11 +23,9 @@ from lobewise.filters.fireflies import define_cut
 from lobewise.filters.noise.detail import COUNT, LEVELS, define_difference, define_features, define_products
 from lobewise.filters.noise.evidence import (
     BLUR_COUNT,
-    FIRST_BLUR,
-    MARGIN_STANDARD_ERRORS,
     define_excess,
-    define_kept,
     define_share,
+    find_margins,
 )
 from lobewise.filters.noise.pooling import DARK_SHARE, count_weights, define_blur
 from lobewise.filters.noise.shares import make_shares
@@ -146,21 +144,11 @@ def find_certain(guides: PipelineGuides, told: dict[str, Image], level: float) -
     floor = round_single(choose_smaller(choose_larger(dark * dark, 1e-24), 1e30))
     text = "excess of the difference over the noise"
     (sums,) = kernels.map_pixels(define_excess, told, {"floor": floor}, False, names=["excess"], text=text)
-    levels = []
+    images = {"noisy": told["noisy"]}
     for number in range(BLUR_COUNT):
-        sums = _blur(guides, sums, 2**number)
-        levels.append(sums)
-    images = {"image": levels[-1]}
-    (wide,) = kernels.map_pixels(glue.define_channel, images, {}, 1, names=["wide"], text="wide average")
-    share = guides.graph.make("no_share", *SIZE)
-    guides.graph.run("clear_image", [share], [], "no share is proved yet", writes=[share])
-    for number in range(FIRST_BLUR, BLUR_COUNT):
-        held = {"sums": levels[number], "near": levels[0], "wide": wide, "share": share}
-        error = MARGIN_STANDARD_ERRORS**2 / count_weights(number)
-        numbers = {"error": _single(error), "most": _single(MAX_CONCENTRATION)}
-        (share,) = kernels.map_pixels(define_share, held, numbers, names=["proved"], text="share that is proved")
-    images = {"share": share, "noisy": told["noisy"]}
-    (share,) = kernels.map_pixels(define_kept, images, {}, names=["certain"], text="share that is certain")
+        images[f"sums{number}"] = sums = _blur(guides, sums, 2**number)
+    numbers = {"error": find_margins(), "most": _single(MAX_CONCENTRATION)}
+    (share,) = kernels.map_pixels(define_share, images, numbers, names=["certain"], text="share that is certain")
     return share
 
 
