@@ -381,18 +381,14 @@ def test_position_may_come_from_depth_and_camera(quality: str) -> None:
 
 
 @pytest.mark.parametrize("size", [(300, 340), (90, 400)])
-def test_few_holes_are_filled_as_if_the_whole_image_was_filtered(
-    size: tuple[int, int], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_holes_are_filled_in_their_box_as_in_the_whole_image(size: tuple[int, int]) -> None:
     rng = np.random.default_rng(5)
     image, holes = rng.random((*size, 3), np.float32), np.zeros(size, bool)
-    # Alone, together, in a corner, and too wide for the first round.
-    holes[20, 100], holes[21:23, 102:105], holes[0, 0], holes[-1, -1] = True, True, True, True
+    # Alone, together, and too wide for the first round.
+    holes[40, 100], holes[41:43, 102:105], holes[44:84, 140:180] = True, True, True
     image[holes] = np.nan
     mean = np.full(3, 0.5, np.float32)
-    monkeypatch.setattr(bad_pixels, "MAX_WINDOWS_SHARE", 1e9)
-    windows = bad_pixels.refill(image, holes, mean)
-    monkeypatch.setattr(bad_pixels, "MAX_WINDOWS_SHARE", 0.0)
-    whole = bad_pixels.refill(image, holes, mean)
-    assert np.isfinite(windows).all()
-    assert windows.tobytes() == whole.tobytes()
+    box, whole = bad_pixels.refill(image, holes, mean), image.copy()
+    bad_pixels._fill_box(mean, whole, holes)
+    assert np.isfinite(box).all()
+    assert box.tobytes() == whole.tobytes()

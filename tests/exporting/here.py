@@ -21,7 +21,6 @@ from lobewise import engine
 from lobewise.backend.jit import Kernel, get_kernel, run_kernel
 from lobewise.camera import Camera
 from lobewise.denoising.automatic import estimate_spp
-from lobewise.denoising.bad_pixels import find_mean_color, sum_colors
 from lobewise.denoising.light_loss import find_gain, sum_missing
 from lobewise.denoising.planning.frame_plans import FrameTraits, plan_frame
 from lobewise.denoising.planning.layer_plans import LayerTraits
@@ -34,7 +33,7 @@ from lobewise.exporting.pipeline.recipes.guides import PipelineGuides
 from lobewise.exporting.pipeline.sample import collect_images
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.filters.noise_guides import find_level
-from lobewise.frame import FloatArray, Frame, Radiance
+from lobewise.frame import FloatArray
 from lobewise.settings.choices import get_quality
 from lobewise.sparse_frame import AnyFrame, SparseFrame
 
@@ -138,10 +137,6 @@ class HereGraph(Graph):
             FUNCTIONS[function](self, [image.values for image in images], numbers)  # type: ignore[attr-defined]
 
 
-def _find_holes(graph: HereGraph, images: Sequence[np.ndarray], numbers: Sequence[str]) -> None:
-    graph.known[numbers[-1].lstrip("&")] = float(np.count_nonzero(images[0]))
-
-
 def _find_level(graph: HereGraph, images: Sequence[np.ndarray], numbers: Sequence[str]) -> None:
     sums, mask = images
     rows = np.stack([sums.sum(axis=1, dtype=np.float64), np.count_nonzero(mask, axis=1)], axis=1)
@@ -160,18 +155,10 @@ def _pick_samples(graph: HereGraph, images: Sequence[np.ndarray], numbers: Seque
     images[1][...] = images[0][(slice(None), *axes) if numbers[2] == "1" else axes]
 
 
-def _find_mean_color(graph: HereGraph, images: Sequence[np.ndarray], numbers: Sequence[str]) -> None:
-    mean = find_mean_color(sum_colors(Frame(Radiance(images[0]))))
-    graph.known |= {f"p->mean_color[{k}]": float(value) for k, value in enumerate(mean)}
-
-
 FUNCTIONS: Mapping[str, Callable[[HereGraph, Sequence[np.ndarray], Sequence[str]], Any]] = {
-    "fill_bytes": lambda graph, images, numbers: images[0].fill(int(numbers[0])),
     "clear_image": lambda graph, images, numbers: images[0].fill(0),
     "copy_image": lambda graph, images, numbers: np.copyto(images[1], images[0]),
-    "find_holes": _find_holes,
-    "count_holes": _find_holes,
-    "find_mean_color": _find_mean_color,
+    "find_box": lambda graph, images, numbers: None,
     "find_level": _find_level,
     "find_gain": _find_gain,
     "pick_samples": _pick_samples,
@@ -185,15 +172,19 @@ class Here(Recorder):
     def get(self, key: Any, make: Any, *, strict: bool = False) -> Any:
         return get_kernel("cpu", key, make, strict=strict)
 
-    def total(self, measure: Any, images: Any, numbers: Any, name: str) -> Number:
+    def total(self, measure: Any, images: Any, numbers: Any, name: str, count: int) -> Any:
         graph = self.graph
         assert isinstance(graph, HereGraph)
         code = f"p->{name or measure.__name__}"
         if graph.is_on:
             arrays = [image.values for image in images]
             arrays = [array.view(bool) if array.dtype == np.uint8 else array for array in arrays]
-            graph.known[code] = measure(*arrays, *numbers)
-        return Number(graph.known.get(code, 0.0), code)
+            found = np.atleast_1d(measure(*arrays, *numbers))
+            graph.known |= {code if count == 1 else f"{code}[{k}]": float(value) for k, value in enumerate(found)}
+        if count == 1:
+            return Number(graph.known.get(code, 0.0), code)
+        codes = [f"{code}[{k}]" for k in range(count)]
+        return [Number(graph.known.get(each, 0.0), each, is_single=True) for each in codes]
 
     def compare(self, first: Any, sign: str, second: Any) -> Condition:
         condition, values = super().compare(first, sign, second), [self.graph.find(each) for each in (first, second)]

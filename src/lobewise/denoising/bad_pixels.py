@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise import engine
 from lobewise.errors import InputError
-from lobewise.features import Feature, ScreenFeature
+from lobewise.features import ScreenFeature
 from lobewise.filters.cross_filter import run_filter
+from lobewise.filters.cross_pass import COLORS
 from lobewise.filters.forms import ATROUS_REACH
+from lobewise.filters.glue import define_emptied, define_patched, define_refilled
 from lobewise.frame import FloatArray, Frame
 from lobewise.sparse_frame import AnyFrame
 
-SIGMAS: tuple[float | None, ...] = (1.0, 16.0, None)
-"""Standard deviations of the rounds that fill holes, pixels. None weighs all pixels of the kernel alike."""
-MAX_WINDOWS_SHARE = 0.5
-"""Area of the windows around single holes over that of the image, above which the whole image is filtered instead."""
+SIGMAS = (1.0, 16.0, 1e15)
+"""Standard deviations of the rounds that fill holes, pixels. The last weighs all pixels of the kernel alike."""
 MAX_SHARE_BAD = 0.01
 """Share of the pixels above which bad ones are no accident, and the user is asked."""
 REFILL_REACH = len(SIGMAS) * ATROUS_REACH
@@ -72,6 +75,18 @@ def describe_bad(bad: int, count: int) -> tuple[str, ...]:
     )
 
 
+def fill_holes(image: FloatArray, holes: NDArray[np.bool_], frame: AnyFrame) -> FloatArray:
+    """Return ``image`` with its holes refilled, at last with the mean colour of the frame's good pixels."""
+
+    def run() -> FloatArray:
+        mean = engine.total(measure_mean_color, [frame.radiance.color], name="mean_color", count=COLORS)
+        return refill(image, holes, mean)
+
+    left = engine.total(count_holes, [holes], name="holes_left")
+    filled: FloatArray = engine.when(engine.compare(left, ">", 0.0), run, lambda: image)
+    return filled
+
+
 def refill(image: FloatArray, holes: NDArray[np.bool_], mean: FloatArray) -> FloatArray:
     """Return ``image`` with the pixels of ``holes`` replaced by the mean of the nearest others on the screen.
 
@@ -84,59 +99,60 @@ def refill(image: FloatArray, holes: NDArray[np.bool_], mean: FloatArray) -> Flo
     mean : (3,)
         What a hole becomes that has nothing else in its reach.
     """
-    source, holes = image.copy(), holes.copy()
-    source[holes] = np.nan
-    for sigma in SIGMAS:
-        found = []
-        for rows, columns in _list_windows(holes):
-            window = source[rows, columns]
-            features: list[Feature] = [] if sigma is None else [ScreenFeature(sigma)]
-            everywhere = np.ones(window.shape[:2], dtype=bool)
-            filled = run_filter(window, everywhere, features, form="atrous", radius=0)
-            found.append((rows, columns, filled))
-        for rows, columns, filled in found:
-            # A pixel is exact in the window whose middle it is.
-            reached = _find_middle(holes, rows, columns) & (filled.weight_sum > 0.0)
-            source[rows, columns][reached] = filled.image[reached]
-            holes[rows, columns] &= ~reached
-        if not holes.any():
-            return source
-    source[holes] = mean
-    return source
+    filled: FloatArray = engine.own(image)
+    # No hole depends on pixels outside of the box.
+    engine.in_box(holes, ATROUS_REACH, partial(_fill_box, mean), filled, holes)
+    return filled
 
 
-def _list_windows(holes: NDArray[np.bool_]) -> list[tuple[slice, slice]]:
-    """Return the parts of an image that are filtered to fill its holes: a window for each of a few, or all of it."""
-    height, width = holes.shape
-    rows, columns = np.nonzero(holes)
-    side = 2 * ATROUS_REACH + 1
-    if len(rows) * side**2 > MAX_WINDOWS_SHARE * holes.size:
-        return [(slice(0, height), slice(0, width))]
-
-    def surround(at: int, size: int) -> slice:
-        return slice(max(0, at - ATROUS_REACH), min(size, at + ATROUS_REACH + 1))
-
-    return [(surround(y, height), surround(x, width)) for y, x in zip(rows.tolist(), columns.tolist(), strict=True)]
+def _fill_box(mean: FloatArray, image: FloatArray, holes: NDArray[np.bool_]) -> None:
+    """Fill the holes of an image in place."""
+    images = {"image": image, "holes": holes}
+    source, everywhere = engine.pixels(
+        define_emptied, images, {}, names=["emptied", "everywhere"], text="NaN in the holes"
+    )
+    _fill_round(0, (source, holes), everywhere, mean, image)
 
 
-def _find_middle(holes: NDArray[np.bool_], rows: slice, columns: slice) -> NDArray[np.bool_]:
-    """Return the holes of a window whose whole reach lies inside the window or outside the image."""
-    inside = []
-    for window, size in zip((rows, columns), holes.shape, strict=True):
-        at = np.arange(window.start, window.stop)
-        first = np.maximum(at - ATROUS_REACH, 0) >= window.start
-        inside.append(first & (np.minimum(at + ATROUS_REACH + 1, size) <= window.stop))
-    return np.asarray(holes[rows, columns] & inside[0][:, None] & inside[1])
+def _fill_round(
+    number: int,
+    source: tuple[FloatArray, NDArray[np.bool_]],
+    everywhere: NDArray[np.bool_],
+    mean: FloatArray,
+    image: FloatArray,
+) -> None:
+    """Fill the holes that the rounds before have left; ``source`` is what they left, NaN in its holes."""
+    features = [ScreenFeature(SIGMAS[number])]
+    around = run_filter(source[0], everywhere, features, form="atrous", radius=0, name="around")
+    images = dict(zip(("image", "holes"), source, strict=True)) | {"filled": around.image, "weight": around.weight_sum}
+    filled, holes = engine.pixels(
+        define_refilled, images, {}, names=["refilled", "holes"], text="fill holes from neighbours"
+    )
+    engine.pixels(
+        define_patched,
+        {"image": filled, "holes": holes},
+        {"mean": mean},
+        into=[image],
+        text="the result, and the mean colour in the holes that are left",
+    )
+    if number + 1 < len(SIGMAS):
+        left = engine.total(count_holes, [holes], name=f"holes_after{number}")
+        again = partial(_fill_round, number + 1, (filled, holes), everywhere, mean, image)
+        engine.when(engine.compare(left, ">", 0.0), again)
 
 
-def fill_holes(image: FloatArray, holes: NDArray[np.bool_], frame: AnyFrame) -> FloatArray:
-    """Return ``image`` with its holes refilled, at last with the mean colour of the frame's good pixels."""
-    return refill(image, holes, find_mean_color(sum_colors(frame))) if holes.any() else image
+def count_holes(holes: NDArray[np.bool_]) -> float:
+    """Return the number of holes."""
+    return float(np.count_nonzero(holes))
 
 
-def sum_colors(frame: AnyFrame) -> NDArray[np.float64]:
+def measure_mean_color(color: FloatArray) -> FloatArray:
+    """Return the mean colour of the good pixels of an image."""
+    return find_mean_color(sum_colors(color))
+
+
+def sum_colors(color: FloatArray) -> NDArray[np.float64]:
     """Return the colours of every row's good pixels, summed, and how many there are, (height, 4)."""
-    color = frame.radiance.color
     good = find_good(color)
     lit = np.where(good[..., None], color, np.float32(0.0))
     # Row by row, so that rows add up to the same bits however an image was cut into bands of them.

@@ -50,8 +50,14 @@ class Engine(Protocol):
     def fill(self, name: str, value: float, shape: Any) -> Any:
         """See `fill`."""
 
-    def total(self, measure: Any, images: Any, numbers: Any, name: str) -> Any:
+    def total(self, measure: Any, images: Any, numbers: Any, name: str, count: int) -> Any:
         """See `total`."""
+
+    def own(self, image: Any) -> Any:
+        """See `own`."""
+
+    def in_box(self, mask: Any, reach: int, run: Any, images: Any) -> None:
+        """See `in_box`."""
 
     def compare(self, first: float, sign: str, second: float) -> Any:
         """See `compare`."""
@@ -241,14 +247,14 @@ def fill(name: str, value: float, shape: tuple[Any, ...]) -> Any:
 
 
 def total(
-    measure: Callable[..., float], images: Sequence[Any], numbers: Sequence[float] = (), *, name: str = ""
+    measure: Callable[..., Any], images: Sequence[Any], numbers: Sequence[float] = (), *, name: str = "", count: int = 1
 ) -> Any:
     """Return a number of whole images: what a function of them and of some numbers returns.
 
     A pipeline calls the routine in C of the same name. ``name`` is that of the number there; several calls of one name
-    write one number.
+    write one number. ``count`` numbers in single precision may come instead of one.
     """
-    return _current.engine.total(measure, images, numbers, name)
+    return _current.engine.total(measure, images, numbers, name, count)
 
 
 def compare(first: float, sign: str, second: float) -> Any:
@@ -276,6 +282,19 @@ def keep(name: str, make: Callable[[], Any]) -> None:
     needs, and nothing is made.
     """
     _current.engine.keep(name, make)
+
+
+def own(image: Any) -> Any:
+    """Return an image that the recipe may change: a copy, or a recorded image itself."""
+    return _current.engine.own(image)
+
+
+def in_box(mask: Any, reach: int, run: Callable[..., None], *images: Any) -> None:
+    """Run a part of a recipe on the box around the pixels of a mask, and ``reach`` pixels more; not at all if none is.
+
+    ``run`` gets the parts of the images that lie in the box, and may change them.
+    """
+    _current.engine.in_box(mask, reach, run, images)
 
 
 def clear(image: Any) -> None:

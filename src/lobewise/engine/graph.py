@@ -254,10 +254,10 @@ class Graph:
         self.flags.append(flag)
         return f"p->{flag}"
 
-    def add_real(self, name: str) -> str:
-        """Return the C expression of a new number."""
+    def add_real(self, name: str, count: int = 1) -> str:
+        """Return the C expression of a new number, or of several."""
         real = self.name(name)
-        self.reals.append(real)
+        self.reals.append(real if count == 1 else f"{real}[{count}]")
         return f"p->{real}"
 
     def hold(self, name: str, values: NDArray[np.floating[Any]]) -> Image:

@@ -179,10 +179,28 @@ class Here:
         return np.broadcast_to(row, shape)
 
     def total(
-        self, measure: Callable[..., float], images: Sequence[Any], numbers: Sequence[float], name: str = ""
-    ) -> float:
+        self,
+        measure: Callable[..., Any],
+        images: Sequence[Any],
+        numbers: Sequence[float],
+        name: str = "",
+        count: int = 1,
+    ) -> Any:
         """See `lobewise.engine.total`."""
         return measure(*images, *numbers)
+
+    def own(self, image: HostImage) -> HostImage:
+        """See `lobewise.engine.own`."""
+        return image.copy()
+
+    def in_box(
+        self, mask: NDArray[np.bool_], reach: int, run: Callable[..., None], images: Sequence[HostImage]
+    ) -> None:
+        """See `lobewise.engine.in_box`."""
+        rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+        if len(rows):
+            box = tuple(slice(max(int(at[0]) - reach, 0), int(at[-1]) + reach + 1) for at in (rows, columns))
+            run(*(image[box] for image in images))
 
     def compare(self, first: float, sign: str, second: float) -> bool:
         """See `lobewise.engine.compare`."""

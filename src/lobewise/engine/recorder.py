@@ -327,16 +327,35 @@ class Recorder:
         return found
 
     def total(
-        self, measure: Callable[..., float], images: Sequence[Image], numbers: Sequence[float], name: str
-    ) -> Number:
+        self,
+        measure: Callable[..., Any],
+        images: Sequence[Image],
+        numbers: Sequence[float],
+        name: str,
+        count: int,
+    ) -> Any:
         """See `lobewise.engine.total`."""
         name = name or measure.__name__
         if name not in self.totals:
-            self.totals[name] = self.graph.add_real(name)
+            self.totals[name] = self.graph.add_real(name, count)
         text = (measure.__doc__ or name).partition("\n")[0].removeprefix("Return ").removesuffix(".")
-        arguments = [*map(write_number, numbers), f"&{self.totals[name]}"]
-        self.graph.run(measure.__name__, images, arguments, text)
-        return Number(1.0, self.totals[name])
+        real = self.totals[name]
+        self.graph.run(
+            measure.__name__, images, [*map(write_number, numbers), f"&{real}" if count == 1 else real], text
+        )
+        if count == 1:
+            return Number(1.0, real)
+        return [Number(1.0, f"{real}[{k}]", is_single=True) for k in range(count)]
+
+    def own(self, image: Image) -> Image:
+        """See `lobewise.engine.own`."""
+        return image
+
+    def in_box(self, mask: Image, reach: int, run: Callable[..., None], images: Sequence[Image]) -> None:
+        """See `lobewise.engine.in_box`."""
+        self.graph.run("find_box", [mask], [str(reach)], "the box around the pixels of the mask")
+        with self.graph.only_in_box():
+            run(*images)
 
     def compare(self, first: float, sign: str, second: float) -> Condition:
         """See `lobewise.engine.compare`."""

@@ -108,9 +108,9 @@ def _is_reflecting(grid: Grid, number: int) -> hl.Expr:
 
 
 def define_emptied(grid: Grid) -> list[Vector]:
-    """Return an image that is NaN in its holes."""
+    """Return an image that is NaN in its holes, and a mask of all pixels."""
     known = grid.read_one("holes") == 0
-    return [[select_or_nan(known, value) for value in grid.read("image")]]
+    return [[select_or_nan(known, value) for value in grid.read("image")], [hl.u8(1)]]
 
 
 def define_refilled(grid: Grid) -> list[Vector]:

@@ -285,7 +285,7 @@ def _measure(
         frame, _ = split_negative(stand_in_surfaces(bounded)[0])
         core = slice(band[0] - top, band[1] - top)
         bad_count += int(np.count_nonzero(find_bad_pixels(frame)[core]))
-        colors.append(sum_colors(frame)[core])
+        colors.append(sum_colors(frame.radiance.color)[core])
         if guided:
             layers = make_bounded_layers(frame, settings)
             lights.append([measure_layer(layer, settings)[core] for layer in layers])

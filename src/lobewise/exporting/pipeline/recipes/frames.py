@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any, cast
 
-from lobewise.denoising.bad_pixels import SIGMAS
+from lobewise.denoising import bad_pixels
 from lobewise.denoising.layers import compare_specular, make_lobe_layers, split_lobes
 from lobewise.denoising.plain import add_up, filter_by_guides
 from lobewise.denoising.planning.frame_plans import (
@@ -36,19 +35,13 @@ from lobewise.exporting.pipeline.recipes.guided import (
 from lobewise.exporting.pipeline.recipes.guides import SIZE, PipelineGuides
 from lobewise.exporting.pipeline.recipes.history import make_past
 from lobewise.exporting.pipeline.settings import CONTENTS
-from lobewise.features import ScreenFeature
 from lobewise.filters import glue
-from lobewise.filters.cross_filter import run_filter
-from lobewise.filters.forms import ATROUS_REACH
 from lobewise.filters.history.accumulation import KnownKernel
 from lobewise.settings import TemporalSettings
 from lobewise.temporal.past import HistoryReprojection
 from lobewise.temporal.recipe import Growth, join_history, make_named_layers
 from lobewise.temporal.validation import find_same_tau
 from lobewise.upsampling import join_sparse, upsample_by_guides
-
-NO_SIGMA = 1e15
-"""Standard deviation of the screen distance, pixels, beside which no distance counts."""
 
 
 @dataclass
@@ -222,46 +215,7 @@ def fill_holes(frame: PlannedFrame) -> None:
         give_parts(frame)
     assert frame.total is not None and frame.holes is not None
     with frame.guides.graph.part(FILL_HOLES.name):
-        fill_image(frame.guides, frame.total, frame.holes)
-
-
-def fill_image(guides: PipelineGuides, image: Image, holes: Image) -> None:
-    """Fill the holes of an image in place, inside of the box around them."""
-    graph, kernels = guides.graph, guides.kernels
-    with ExitStack() as conditions:
-        left = graph.add_flag("holes_left")
-        graph.run("find_holes", [holes], [str(ATROUS_REACH), f"&{left}"], "find the holes, and the box around them")
-        conditions.enter_context(graph.only_when(left))
-        mean = [Number(0.0, f"p->mean_color[{k}]", is_single=True) for k in range(3)]
-        graph.run("find_mean_color", [guides.color], [], "mean colour of the good pixels")
-        # No hole depends on pixels outside of the box.
-        conditions.enter_context(graph.only_in_box())
-        everywhere = graph.make("everywhere", *SIZE, type="uint8")
-        graph.run("fill_bytes", [everywhere], ["1"], "a mask of all pixels", writes=[everywhere])
-        images = {"image": image, "holes": holes}
-        (source,) = kernels.map_pixels(glue.define_emptied, images, {}, names=["emptied"], text="NaN in the holes")
-        for sigma in SIGMAS:
-            features = [ScreenFeature(NO_SIGMA if sigma is None else sigma)]
-            filtered: Any = run_filter(source, everywhere, features, form="atrous", radius=0, name="around")  # type: ignore[arg-type]
-            images = {"image": source, "holes": holes, "filled": filtered.image, "weight": filtered.weight_sum}
-            source, holes = kernels.map_pixels(
-                glue.define_refilled, images, {}, names=["refilled", "holes"], text="fill holes from neighbours"
-            )
-            kernels.map_pixels(
-                glue.define_patched,
-                {"image": source, "holes": holes},
-                {"mean": mean},
-                into=[image],
-                text="the result, and the mean colour in the holes that are left",
-            )
-            conditions.enter_context(graph.only_when(_count(guides, holes)))
-
-
-def _count(guides: PipelineGuides, holes: Image) -> str:
-    """Return the expression of C that counts the holes of an image."""
-    left = guides.graph.add_flag("holes_left")
-    guides.graph.run("count_holes", [holes], [f"&{left}"], "count the holes")
-    return left
+        bad_pixels.fill_holes(cast(Any, frame.total), cast(Any, frame.holes), cast(Any, frame.guides))
 
 
 STAGES: Mapping[Stage, Callable[[PlannedFrame], None]] = {

@@ -62,7 +62,6 @@ ${numbers}
         int unused;
     } numbers;
 ${flags}
-    float mean_color[3];
     struct {
         int left, top, width, height;
     } box; /* part of the image that some steps compute */

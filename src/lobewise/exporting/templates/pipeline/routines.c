@@ -9,11 +9,11 @@ static int is_good_pixel(const float *pixel)
 }
 
 /* routine: count_holes */
-static void count_holes(${name}_pipeline *p, const halide_buffer_t *holes, int *count)
+static void count_holes(${name}_pipeline *p, const halide_buffer_t *holes, double *count)
 {
     int x, y;
     (void)p;
-    *count = 0;
+    *count = 0.0;
     for (y = 0; y < holes->dim[1].extent; y++) {
         const uint8_t *row = holes->host + (ptrdiff_t)y * holes->dim[1].stride;
         for (x = 0; x < holes->dim[0].extent; x++) {
@@ -22,17 +22,15 @@ static void count_holes(${name}_pipeline *p, const halide_buffer_t *holes, int *
     }
 }
 
-/* routine: find_holes */
-static void find_holes(${name}_pipeline *p, const halide_buffer_t *holes, int reach, int *count)
+/* routine: find_box */
+static void find_box(${name}_pipeline *p, const halide_buffer_t *mask, int reach)
 {
-    /* The box holds all holes and what their filling reads; it is at least as wide as a vector. */
+    /* The box holds all pixels of the mask and what is so near; it is at least as wide as a vector. */
     int left = p->width, right = -1, top = p->height, bottom = -1, x, y;
-    *count = 0;
     for (y = 0; y < p->height; y++) {
-        const uint8_t *row = holes->host + (size_t)y * (size_t)p->width;
+        const uint8_t *row = mask->host + (size_t)y * (size_t)p->width;
         for (x = 0; x < p->width; x++) {
             if (row[x]) {
-                *count += 1;
                 left = x < left ? x : left;
                 right = x > right ? x : right;
                 top = y < top ? y : top;
@@ -54,18 +52,8 @@ static void find_holes(${name}_pipeline *p, const halide_buffer_t *holes, int re
     p->box.height = bottom - top;
 }
 
-/* routine: fill_bytes */
-static void fill_bytes(${name}_pipeline *p, halide_buffer_t *image, int value)
-{
-    int y;
-    (void)p;
-    for (y = 0; y < image->dim[1].extent; y++) {
-        memset(image->host + (ptrdiff_t)y * image->dim[1].stride, value, (size_t)image->dim[0].extent);
-    }
-}
-
-/* routine: find_mean_color */
-static void find_mean_color(${name}_pipeline *p, const halide_buffer_t *color)
+/* routine: measure_mean_color */
+static void measure_mean_color(${name}_pipeline *p, const halide_buffer_t *color, double *mean)
 {
     const float *pixel = (const float *)color->host;
     const size_t pixels = (size_t)p->rows * (size_t)p->columns;
@@ -80,7 +68,7 @@ static void find_mean_color(${name}_pipeline *p, const halide_buffer_t *color)
         count += good;
     }
     for (channel = 0; channel < 3; channel++) {
-        p->mean_color[channel] = (float)(sums[channel] / (count > 1.0 ? count : 1.0));
+        mean[channel] = (float)(sums[channel] / (count > 1.0 ? count : 1.0));
     }
 }
 
