@@ -29,7 +29,7 @@ from lobewise.engine.numbers import Condition, Number, round_single
 from lobewise.engine.recorder import Recorder
 from lobewise.exporting.pipeline.recipes.constants import Constants
 from lobewise.exporting.pipeline.recipes.frames import PlannedFrame
-from lobewise.exporting.pipeline.recipes.guides import PipelineGuides
+from lobewise.exporting.pipeline.recipes.guides import Features, PipelineGuides, no_features
 from lobewise.exporting.pipeline.sample import collect_images
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.filters.noise_guides import find_level
@@ -262,9 +262,12 @@ class Recorded:
     Parameters
     ----------
     settings : PipelineSettings
+    features : callable
+        More features of every layer.
     """
 
     settings: PipelineSettings
+    features: Features = no_features
     past: Mapping[str, FloatArray] = field(default_factory=dict)
     camera: Camera | None = None
 
@@ -285,7 +288,7 @@ class Recorded:
         graph.inputs = collect_images(wanted, frame, emission)
         here = Here(graph, hl.get_host_target(), "x")
         with engine.use(here):
-            PlannedFrame(PipelineGuides(settings, graph, here, numbers), self.plan()).run()
+            PlannedFrame(PipelineGuides(settings, graph, here, numbers, self.features), self.plan()).run()
         self.past, self.camera = graph.remembered, frame.camera
         image = graph.results["image"]
         assert isinstance(image, Held)
@@ -295,7 +298,7 @@ class Recorded:
         """Return the names of the images that the recipe is given, as the export records them."""
         from lobewise.exporting.pipeline.planning import make_pipeline
 
-        return list(make_pipeline(self.settings).graph.given)
+        return list(make_pipeline(self.settings, features=self.features).graph.given)
 
     def plan(self) -> Any:
         """Return the plan of the frame; see `lobewise.exporting.pipeline.planning.make_pipeline`."""

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pytest
 
+from lobewise.exporting.pipeline.recipes.guides import Features, no_features
 from lobewise.exporting.pipeline.sample import FRAMES, make_sparse, prepare_frame, run_recipe
 from lobewise.exporting.pipeline.scene import make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
-from lobewise.frame import Frame
+from lobewise.features.base import DeclaredFeature
+from lobewise.frame import FloatArray, Frame
 from lobewise.settings.choices import get_quality
 from lobewise.sparse_frame import AnyFrame
 from tests.exporting.here import Recorded
@@ -25,11 +28,11 @@ def make_frames(settings: PipelineSettings, count: int) -> tuple[list[Frame], li
     return whole, [make_sparse(settings, frame, number) for number, frame in enumerate(whole)]
 
 
-def check(settings: PipelineSettings, count: int = 1) -> None:
+def check(settings: PipelineSettings, count: int = 1, features: Features = no_features) -> None:
     """Raise AssertionError unless the recorded recipe and the library's make the same of frames."""
-    recorded = Recorded(settings)
+    recorded = Recorded(settings, features)
     whole, frames = make_frames(settings, count)
-    for full, frame, expected in zip(whole, frames, run_recipe(settings, frames), strict=True):
+    for full, frame, expected in zip(whole, frames, run_recipe(settings, frames, features), strict=True):
         np.testing.assert_array_equal(recorded.run(frame, full.gbuffer.mean_emission), expected)
 
 
@@ -39,6 +42,39 @@ def check(settings: PipelineSettings, count: int = 1) -> None:
 @pytest.mark.parametrize("form", ["full", "separable", "atrous"])
 def test_fast(form: str, similarity: Any, layers: Any) -> None:
     check(PipelineSettings(form=form, similarity=similarity, layers=layers, radius=2))
+
+
+@pytest.mark.sampled("full-ggx", "separable-sg")
+@pytest.mark.parametrize("similarity", ["sg", "asg", "ggx"])
+@pytest.mark.parametrize("form", ["full", "separable"])
+def test_layers_that_frames_name_and_hits(form: Any, similarity: Any) -> None:
+    check(PipelineSettings(form=form, similarity=similarity, layers="named", hit_distance=True, radius=2))
+
+
+@dataclass(frozen=True)
+class NearDepth(DeclaredFeature):
+    """A feature of somebody else: pixels are alike whose depths are."""
+
+    depth: FloatArray
+    sigma: float
+
+    def log2_similarity(self, i: Any, j: Any, parameters: Any, offset: Any, stage: Any) -> Any:
+        apart = (i[0] - j[0]) / parameters[0]
+        return -1.0 * apart * apart
+
+
+@pytest.mark.sampled("history")
+@pytest.mark.parametrize("settings", [{}, {"upsample": 2}, {"history": True}], ids=["fast", "upsample", "history"])
+def test_features_of_ones_own(settings: dict[str, Any]) -> None:
+    check(
+        PipelineSettings(similarity="sg", radius=2, **settings),
+        2 if settings else 1,
+        lambda frame: [NearDepth(frame.gbuffer.depth, 0.3)],
+    )
+
+
+def test_hits_of_sparse_samples() -> None:
+    check(PipelineSettings(upsample=2, similarity="ggx", hit_distance=True, radius=2))
 
 
 @pytest.mark.sampled("2-sg", "4-ggx")

@@ -244,6 +244,12 @@ def test_a_change_of_the_plan_changes_the_export() -> None:
 
 
 @pytest.mark.nightly
+def test_named_layers_and_hits_have_the_bits_of_python(cpp: str, tmp_path: Path) -> None:
+    folder = export(tmp_path / "out", radius=2, layers="named", hit_distance=True)
+    assert max(run_example(folder, cpp)) == 0.0
+
+
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("target", "magic"),
     [

@@ -28,7 +28,7 @@ from lobewise.features import (
 from lobewise.filters.cross_filter import FilterOutput, run_filter
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.filters.glue import define_whole_albedo
-from lobewise.frame import FloatArray, Frame, GBuffer
+from lobewise.frame import FloatArray, GBuffer
 from lobewise.guides.lobe_fields import (
     SgField,
     SplitField,
@@ -265,7 +265,8 @@ def make_lobe_layers(
         diffuse = NormalFeature(normal, settings.normal_exponent)
     scattered, reflected = (specular.surface, (diffuse,)), (specular.mask, specular.features)
     transmitted = specular.surface, (NormalFeature(normal, settings.normal_exponent),)
-    if finest and isinstance(frame, Frame) and frame.layers:
+    named = getattr(frame, "layers", ())  # sparse frames have none
+    if finest and named:
         return [
             Layer(
                 each.radiance,
@@ -275,7 +276,7 @@ def make_lobe_layers(
                 each.is_diffuse,
                 each.is_transmitted,
             )
-            for each in frame.layers
+            for each in named
         ]
     layers = [
         Layer(parts[0], guides.diffuse_albedo, *scattered, "diffuse", is_diffuse=True),

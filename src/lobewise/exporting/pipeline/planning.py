@@ -10,14 +10,19 @@ from lobewise.engine.recorder import Recorder
 from lobewise.exporting.pipeline.driver import Pipeline
 from lobewise.exporting.pipeline.recipes.constants import Constants
 from lobewise.exporting.pipeline.recipes.frames import PlannedFrame
-from lobewise.exporting.pipeline.recipes.guides import PipelineGuides
+from lobewise.exporting.pipeline.recipes.guides import Features, PipelineGuides, no_features
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.exporting.targets import get_gpu_api, parse_target, refuse_target
 from lobewise.settings.choices import get_quality
 
 
 def make_pipeline(
-    settings: PipelineSettings, *, target: str = "host", name: str = "lobewise", constants: Constants | None = None
+    settings: PipelineSettings,
+    *,
+    target: str = "host",
+    name: str = "lobewise",
+    constants: Constants | None = None,
+    features: Features = no_features,
 ) -> Pipeline:
     """Return the pipeline of some settings; nothing is compiled yet.
 
@@ -30,6 +35,8 @@ def make_pipeline(
         Beginning of the names of files and functions.
     constants : Constants, optional
         Others than those of the usual example values. The program does not depend on them.
+    features : callable
+        As of `lobewise.exporting.pipeline.writing.export_pipeline`.
 
     Raises
     ------
@@ -44,7 +51,7 @@ def make_pipeline(
     guided = get_quality(settings.plan).reads_halves
     constants = constants or Constants(settings.upsample, settings.radius, guided)
     graph = Graph(stage="guides")
-    guides = PipelineGuides(settings, graph, Recorder(graph, chosen, name), constants)
+    guides = PipelineGuides(settings, graph, Recorder(graph, chosen, name), constants, features)
     traits = {each: LayerTraits(is_diffuse=each == "diffuse") for each in settings.layer_names}
     plan = plan_frame(FrameTraits(traits), settings.resolve())
     with engine.use(guides.kernels):

@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 
 from lobewise.camera import Camera
-from lobewise.denoising.recipe import denoise_quietly
+from lobewise.denoising.recipe import check_frame, denoise_checked
 from lobewise.engine.graph import Graph
+from lobewise.exporting.pipeline.recipes.guides import Features, no_features
 from lobewise.exporting.pipeline.scene import CUT, HEIGHT, SPP, WIDTH, make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.frame import FloatArray, Frame, GBuffer, LobeKind, Radiance
 from lobewise.guides.surfaces import find_places
+from lobewise.radiance import RadianceLayer
 from lobewise.settings import DenoiseSettings
 from lobewise.settings.choices import get_quality
 from lobewise.sparse_frame import AnyFrame, SparseFrame
@@ -55,12 +57,12 @@ class SampleFrame:
         )
 
 
-def make_sample(settings: PipelineSettings, graph: Graph) -> list[SampleFrame]:
+def make_sample(settings: PipelineSettings, graph: Graph, features: Features = no_features) -> list[SampleFrame]:
     """Return the frames of the example, filtered by the recipe whose plan is exported."""
     halves = get_quality(settings.plan).reads_halves
     made = [make_frame(number, halves=halves) for number in range(FRAMES)]
     frames = [make_sparse(settings, prepare_frame(settings, frame), number) for number, frame in enumerate(made)]
-    results = run_recipe(settings, frames)
+    results = run_recipe(settings, frames, features)
     return [
         SampleFrame(
             frame.require_camera("a pipeline"),
@@ -91,12 +93,26 @@ def prepare_frame(settings: PipelineSettings, frame: Frame) -> Frame:
         changes |= {"alpha_v": np.float32(0.5) * alpha, "tangent": np.cross(normal, np.array([0.3, 0.9, 0.1]))}
     if settings.lobe_kind:
         changes["lobe_kind"] = find_kinds(guides)
-    return replace(frame, radiance=radiance, gbuffer=replace(guides, **changes))
+    layers = name_layers(frame) if settings.layers == "named" else ()
+    return replace(frame, radiance=radiance, gbuffer=replace(guides, **changes), layers=layers)
+
+
+def name_layers(frame: Frame) -> tuple[RadianceLayer, ...]:
+    """Return the light of a frame in three layers: a part of its specular light counts as transmitted."""
+    assert frame.radiance.parts is not None
+    diffuse, specular = frame.radiance.parts
+    glossy = np.float32(0.75) * specular
+    albedos = {name: getattr(frame.gbuffer, f"{name}_albedo") for name in ("diffuse", "specular")}
+    lights = {"diffuse": diffuse, "glossy": glossy, "transmission": specular - glossy}
+    return tuple(
+        RadianceLayer(name, name, light, albedos["diffuse" if name == "diffuse" else "specular"])
+        for name, light in lights.items()
+    )
 
 
 def choose_light(settings: PipelineSettings, radiance: Radiance) -> Radiance:
     """Return diffuse and specular light apart, or all light in one image."""
-    return radiance if settings.layers == "apart" else Radiance(radiance.color)
+    return Radiance(radiance.color) if settings.layers == "color" else radiance
 
 
 def average_light(a: Radiance, b: Radiance) -> Radiance:
@@ -144,18 +160,23 @@ def make_settings(settings: PipelineSettings) -> DenoiseSettings:
         form=settings.form,
         radius=settings.radius,
         device="cpu",
+        hit_distance=settings.compares_hits,
         with_oidn=False,
     )
 
 
-def run_recipe(settings: PipelineSettings, frames: Sequence[AnyFrame]) -> list[FloatArray]:
+def run_recipe(
+    settings: PipelineSettings, frames: Sequence[AnyFrame], features: Features = no_features
+) -> list[FloatArray]:
     """Return what Python makes of frames, one after the other."""
     wanted = make_settings(settings)
     if settings.history:
         over_time = TemporalFilter(wanted)
-        return [over_time.add(frame).image for frame in frames]
+        return [over_time.add(frame, features=features(frame)).image for frame in frames]
     return [
-        upsample(frame, wanted).image if isinstance(frame, SparseFrame) else denoise_quietly(frame, wanted).image
+        upsample(frame, wanted, features=features(frame)).image
+        if isinstance(frame, SparseFrame)
+        else denoise_checked(check_frame(frame, wanted), wanted, features(frame)).image
         for frame in frames
     ]
 
@@ -169,6 +190,8 @@ def collect_images(graph: Graph, frame: AnyFrame, emission: FloatArray | None = 
         named |= {f"{half}_{part}": getattr(light, part, None) for part in ("color", "diffuse", "specular")}
     named |= {"emission": guides.mean_emission if emission is None else emission}
     named |= {} if guides.alpha_v is not None else {"alpha": guides.alpha_u}
+    for layer in getattr(frame, "layers", ()):
+        named |= {layer.name: layer.radiance, f"{layer.name}_albedo": layer.albedo}
     found = {}
     for name in graph.given:
         image = named.get(name) if name in named else getattr(guides, name)

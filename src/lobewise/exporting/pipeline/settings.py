@@ -11,6 +11,8 @@ from lobewise.settings import Similarity as SimilarityName
 from lobewise.settings.choices import MAX_SCALE_PIXELS, Similarity, get_quality, get_similarity
 
 PLANS = ("fast", "balanced")
+LAYERS = {"apart": ("diffuse", "specular"), "named": ("diffuse", "glossy", "transmission"), "color": ("color",)}
+"""Names of the layers of each kind of light."""
 CONTENTS = (
     "the plan fast, alone, with a history, with upsampling or both; the plan balanced; the similarities normal, sg, "
     "asg and ggx; not Open Image Denoise, not the network of high, and nothing that is chosen for each frame"
@@ -35,7 +37,11 @@ class PipelineSettings(Declared):
         int, Knob("Distance of shaded pixels, pixels: one pixel of a block is shaded.", low=1, high=MAX_SCALE_PIXELS)
     ] = 1
     layers: Annotated[
-        Literal["apart", "color"], Knob("Whether diffuse and specular light come apart, or all light in one image.")
+        Literal["apart", "named", "color"],
+        Knob(
+            "Whether diffuse and specular light come apart, or diffuse, glossy and transmitted light, or all light in "
+            "one image."
+        ),
     ] = "apart"
     emission: Annotated[
         bool, Knob("Whether emission and background come in an image of their own, instead of all light in one.")
@@ -46,9 +52,13 @@ class PipelineSettings(Declared):
     position: Annotated[bool, Knob("Whether positions are given beside depths; else the camera tells them.")] = False
     anisotropic: Annotated[bool, Knob("Whether lobes come from two roughnesses and a tangent.")] = False
     lobe_kind: Annotated[bool, Knob("Whether an image tells the kind of each pixel's lobe.")] = False
-    hit_distance: Annotated[bool, Knob("Whether histories follow reflections, by the distances that rays went.")] = (
-        False
-    )
+    hit_distance: Annotated[
+        bool,
+        Knob(
+            "Whether the distances that reflected rays went are given: histories follow reflections by them; without "
+            "a history lobes are compared at their hits."
+        ),
+    ] = False
 
     def __post_init__(self) -> None:
         if self.plan not in PLANS:
@@ -56,6 +66,10 @@ class PipelineSettings(Declared):
         super().__post_init__()
         if self.upsample > 1 and self.layers == "color":
             raise _refuse("layers", "one layer with upsampling", "give diffuse and specular light apart")
+        if self.layers == "named" and (self.history or self.upsample > 1 or get_quality(self.plan).reads_halves):
+            raise _refuse(
+                "layers", "named layers in more than one frame or pass", "choose the plan fast alone, or apart"
+            )
         if self.record.is_mixture:
             raise _refuse("similarity", self.similarity, "choose ggx, or export the filter alone, without --plan")
         guided = get_quality(self.plan).reads_halves
@@ -70,8 +84,10 @@ class PipelineSettings(Declared):
                 "upsampling, which has it anyway" if self.upsample > 1 else "one layer",
                 "leave it out" if self.upsample > 1 else "give diffuse and specular light apart",
             )
-        if self.hit_distance and not (self.history and self.layers == "apart"):
-            raise _refuse("hit_distance", "without history or with one layer", "add history, or leave it out")
+        if self.hit_distance and self.history and self.layers == "color":
+            raise _refuse("hit_distance", "a history with one layer", "give diffuse and specular light apart")
+        if self.hit_distance and not self.history and not self.record.has_lobes:
+            raise _refuse("hit_distance", f"{self.similarity} without a history", "choose a similarity of lobes")
         if self.anisotropic and not self.record.has_covariance:
             raise _refuse("anisotropic", self.similarity, "choose asg or ggx")
 
@@ -83,7 +99,12 @@ class PipelineSettings(Declared):
     @property
     def layer_names(self) -> tuple[str, ...]:
         """Names of the layers."""
-        return ("diffuse", "specular") if self.layers == "apart" else ("color",)
+        return LAYERS[self.layers]
+
+    @property
+    def compares_hits(self) -> bool:
+        """Whether lobes are compared at their hits."""
+        return self.hit_distance and not self.history
 
     def resolve(self) -> ResolvedSettings:
         """Return the settings of the recipe whose plan is exported; a pipeline computes their numbers itself."""
@@ -97,7 +118,7 @@ class PipelineSettings(Declared):
             screen_sigma=1.0,
             tau=0.01,
             device="cpu",
-            hit_distance=False,
+            hit_distance=self.compares_hits,
             with_oidn=False,
         )
 

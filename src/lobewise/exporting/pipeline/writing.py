@@ -16,6 +16,7 @@ from lobewise.exporting.names import require_identifier
 from lobewise.exporting.pipeline.contents import describe_contents, write_readme
 from lobewise.exporting.pipeline.driver import Pipeline, write_driver, write_header
 from lobewise.exporting.pipeline.planning import make_pipeline
+from lobewise.exporting.pipeline.recipes.guides import Features, no_features
 from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, SPP, WIDTH, make_sample
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.exporting.plan import FilterPlan
@@ -26,7 +27,13 @@ Place = Callable[[str], Path]
 
 
 def export_pipeline(
-    output: PathLike, settings: PipelineSettings, *, target: str = "host", name: str = "lobewise", force: bool = False
+    output: PathLike,
+    settings: PipelineSettings,
+    *,
+    target: str = "host",
+    name: str = "lobewise",
+    force: bool = False,
+    features: Features = no_features,
 ) -> str:
     """Write a folder with a pipeline; return the command that builds its example.
 
@@ -41,6 +48,9 @@ def export_pipeline(
         Prefix of files and functions: an identifier of C.
     force : bool
         Replace an earlier export and everything in its folder.
+    features : callable, optional
+        Returns more features of every layer, of your own or from `lobewise.features`, from the guides of a frame:
+        ``lambda frame: [MyFeature(frame.gbuffer.depth)]``. The pipeline has an input for each guide that they read.
 
     Raises
     ------
@@ -51,8 +61,8 @@ def export_pipeline(
     """
     require_identifier(name, "my_pipeline")
     require_folder(output, force=force)
-    pipeline = make_pipeline(settings, target=target, name=name)
-    sample = make_sample(settings, pipeline.graph)
+    pipeline = make_pipeline(settings, target=target, name=name, features=features)
+    sample = make_sample(settings, pipeline.graph, features)
     with open_folder(output, force=force) as place:
         place("kernels").mkdir()
         for file, content in compile_kernels(pipeline, target):

@@ -106,7 +106,7 @@ def filter_plain(frame: PlannedFrame) -> None:
         filter_over_time(frame)
         return
     exact = guides.emission if settings.emission else None
-    found: Any = filter_by_guides(guides, guides.resolved, (), guides.bad, exact=exact)  # type: ignore[arg-type]
+    found: Any = filter_by_guides(guides, guides.resolved, guides.features, guides.bad, exact=exact)  # type: ignore[arg-type]
     frame.layers, frame.parts = found.layers, list(found.parts)
     frame.total, frame.holes = found.image, found.holes
 
@@ -116,13 +116,13 @@ def filter_over_time(frame: PlannedFrame) -> None:
     guides, settings, whole = frame.guides, frame.guides.settings, cast(Any, frame.guides)
     resolved = guides.resolved
     if not settings.history:
-        joined: Any = upsample_by_guides(whole, resolved)
+        joined: Any = upsample_by_guides(whole, resolved, guides.features)
         frame.total, frame.holes, frame.parts = joined.image, joined.holes, [*joined.parts]
         frame.layers = [SimpleNamespace(name=name) for name in settings.layer_names]
         return
     how = find_growth(guides)
     lobes = split_lobes(whole, settings.similarity, resolved.tau, find_same_tau(whole, resolved))
-    layers = make_named_layers(whole, resolved, (), lobes, how.own)
+    layers = make_named_layers(whole, resolved, guides.features, lobes, how.own)
     constants, past = guides.constants, cast(Any, make_past(guides))
     names = {"beta": "history_beta", **{name: name for name in ("memory", "plane_sigma", "strictness", "cut_share")}}
     numbers: Any = {name: constants.get(own) for name, own in names.items()}

@@ -5,6 +5,7 @@ Images become inputs of the pipeline when a recipe reads them.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import SimpleNamespace
@@ -17,6 +18,7 @@ from lobewise.engine.numbers import Number
 from lobewise.engine.recorder import Recorder
 from lobewise.exporting.pipeline.recipes.constants import Constants
 from lobewise.exporting.pipeline.settings import PipelineSettings
+from lobewise.features import Feature
 from lobewise.filters.glue import define_bad, define_composed, define_mean
 from lobewise.guides.surfaces import find_places
 from lobewise.settings import ResolvedSettings
@@ -55,7 +57,7 @@ GUIDES = {
         3, "light that no surface scattered, emission and background, at every pixel; it is not filtered", "any"
     ),
     "diffuse_albedo": Guide(3, ALBEDO.format("diffuse"), "0 to 1"),
-    "specular_albedo": Guide(3, ALBEDO.format("specular"), "0 to 1"),
+    **{f"{name}_albedo": Guide(3, ALBEDO.format(name), "0 to 1") for name in ("specular", "glossy", "transmission")},
 }
 """The guides that a pipeline may be given, by their names."""
 
@@ -132,6 +134,15 @@ class GivenCamera:
         return self.constants.get_projection()
 
 
+Features = Callable[[Any], Sequence[Feature]]
+"""Returns more features of every layer from a frame, whose images may be recorded."""
+
+
+def no_features(frame: object) -> Sequence[Feature]:
+    """Return no more features than the recipe's own."""
+    return ()
+
+
 @dataclass
 class PipelineGuides:
     """The frame of a pipeline. Images are made when they are asked for, once.
@@ -142,13 +153,15 @@ class PipelineGuides:
     graph : Graph
     kernels : Recorder
     constants : Constants
+    make_features : callable
+        More features of every layer.
     """
 
     settings: PipelineSettings
     graph: Graph
     kernels: Recorder
     constants: Constants
-    layers = ()
+    make_features: Features = no_features
     lobe_tables = ()
     shape = SIZE
     height, width = SIZE
@@ -196,6 +209,27 @@ class PipelineGuides:
         """The surface points and their depths."""
         return find_places(self.gbuffer, self.camera)
 
+    @cached_property
+    def features(self) -> tuple[Feature, ...]:
+        """More features of every layer."""
+        return tuple(self.make_features(self))
+
+    @property
+    def layers(self) -> list[Any]:
+        """The layers that the frame names itself."""
+        if self.settings.layers != "named":
+            return []
+        return [
+            SimpleNamespace(
+                name=name,
+                radiance=self.take_light(name, describe_light(name)),
+                albedo=getattr(self.gbuffer, f"{name}_albedo"),
+                is_diffuse=name == "diffuse",
+                is_transmitted=name == "transmission",
+            )
+            for name in self.settings.layer_names
+        ]
+
     @property
     def radiance(self) -> Any:
         """The radiance, which has the names of `lobewise.Radiance`."""
@@ -203,10 +237,10 @@ class PipelineGuides:
 
     @property
     def parts(self) -> tuple[Image, Image] | None:
-        """Diffuse and specular light; None where all light comes in one image."""
+        """The light of two layers; None where all light comes in one image."""
         if self.settings.layers == "color":
             return None
-        first, second = (self.take_light(name, describe_light(name)) for name in ("diffuse", "specular"))
+        first, second = (self.take_light(name, describe_light(name)) for name in self.settings.layer_names[:2])
         return first, second
 
     @cached_property
@@ -227,7 +261,7 @@ class PipelineGuides:
         """Return an image of radiance: of the samples. All light is summed up where emission comes by itself."""
         if name.endswith("color") and self.settings.emission:
             prefix = name.removesuffix("color")
-            names = [f"{prefix}{each}" for each in ("diffuse", "specular")]
+            names = [f"{prefix}{each}" for each in self.settings.layer_names]
             images = {f"part{k}": self.give_light(each, describe_light(each)) for k, each in enumerate(names)}
             images |= {"rest": self.emission}
             return self._compute(define_composed, images, name, "all light of the samples")
@@ -262,7 +296,8 @@ class PipelineGuides:
     @property
     def bad(self) -> Image:
         """Pixels whose radiance is NaN, infinite or negative."""
-        images = {f"light{number}": image for number, image in enumerate((self.color, *(self.parts or ())))}
+        light = [layer.radiance for layer in self.layers] or self.parts or ()
+        images = {f"light{number}": image for number, image in enumerate((self.color, *light))}
         return self._compute(define_bad, images, "bad", "bad pixels")
 
     @property
