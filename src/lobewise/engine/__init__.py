@@ -13,95 +13,33 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
 from lobewise.engine.here import HERE, Here, Pass
 
+if TYPE_CHECKING:
+    from lobewise.engine.recorder import Recorder
+
 Make = Callable[[Any], Any]
 """Defines a kernel for a target of Halide; see `lobewise.backend.jit.Scheduled`."""
 
 
-class Engine(Protocol):
-    """What runs or records the calls of a recipe; see the functions of this package."""
-
-    @property
-    def device(self) -> str:
-        """Where kernels run."""
-
-    def pixels(self, define: Any, images: Any, numbers: Any, options: Any, names: Any, into: Any, text: str) -> Any:
-        """See `pixels`."""
-
-    def kernel(self, key: Any, make: Any, images: Any, numbers: Any, names: Any, text: str, *, strict: bool) -> Any:
-        """See `kernel`."""
-
-    def planes(
-        self, key: Any, make: Any, images: Any, numbers: Any, name: str, keep: str, text: str, *, strict: bool
-    ) -> Any:
-        """See `planes`."""
-
-    def passes(self, passes: Any, images: Any, numbers: Any, tiles: Any, name: str) -> Any:
-        """See `passes`."""
-
-    def pick(self, image: Any, scale: int, place: Any, *, stacked: bool) -> Any:
-        """See `pick`."""
-
-    def fill(self, name: str, value: float, shape: Any) -> Any:
-        """See `fill`."""
-
-    def total(self, measure: Any, images: Any, numbers: Any, name: str, count: int) -> Any:
-        """See `total`."""
-
-    def own(self, image: Any) -> Any:
-        """See `own`."""
-
-    def in_box(self, mask: Any, reach: int, run: Any, images: Any) -> None:
-        """See `in_box`."""
-
-    def compare(self, first: float, sign: str, second: float) -> Any:
-        """See `compare`."""
-
-    def both(self, first: Any, second: Any) -> Any:
-        """See `both`."""
-
-    def when(self, condition: Any, run: Any, otherwise: Any) -> Any:
-        """See `when`."""
-
-    def keep(self, name: str, make: Any) -> None:
-        """See `keep`."""
-
-    def clear(self, image: Any) -> None:
-        """See `clear`."""
-
-    def only(self, condition: Any, image: Any) -> Any:
-        """See `only`."""
-
-    @property
-    def host(self) -> Any:
-        """The engine that runs calls on the processor."""
-
-    def part(self, name: str) -> AbstractContextManager[None]:
-        """See `part`."""
-
-    def take(self, name: str, shape: Any, text: str, unit: str) -> Any:
-        """See `take`."""
-
-
 class _Current(threading.local):
-    engine: Engine = HERE
+    engine: Here | Recorder = HERE
 
 
 _current = _Current()
 
 
-def get_engine() -> Engine:
+def get_engine() -> Here | Recorder:
     """Return the current engine of this thread."""
     return _current.engine
 
 
 @contextmanager
-def use(engine: Engine) -> Iterator[None]:
+def use(engine: Here | Recorder) -> Iterator[None]:
     """Make an engine the current one of this thread inside the context."""
     before, _current.engine = _current.engine, engine
     try:
@@ -153,7 +91,8 @@ def pixels(
     InputError
         If the images differ in size.
     """
-    return tuple(_current.engine.pixels(define, images, numbers, options, names, into, text))
+    found: Any = _current.engine.pixels(define, images, numbers, options, names, into, text)
+    return tuple(found)
 
 
 def kernel(

@@ -229,7 +229,7 @@ class Here:
 
     @property
     def host(self) -> Here:
-        """See `lobewise.engine.Engine`."""
+        """The engine that runs calls on the processor."""
         return HERE
 
     @contextmanager

@@ -401,7 +401,7 @@ class Recorder:
 
     @property
     def host(self) -> Recorder:
-        """See `lobewise.engine.Engine`."""
+        """The engine that runs calls on the processor: a recorded recipe runs there."""
         return self
 
     def part(self, name: str) -> AbstractContextManager[None]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,10 +71,11 @@ def prepare_pixels(mask: NDArray[np.bool_], features: Sequence[Feature], name: s
     arrays = {each: widen(image) for each, image in held.items()}
     key = "preparation", *map(describe_structure, features)
     make = partial(make_scheduled_preparation, features)
-    planes = engine.get_engine().host.planes(
+    images: dict[str, Any] = {"mask": wide, **arrays}
+    planes: Any = engine.get_engine().host.planes(
         key,
         make,
-        {"mask": wide, **arrays},
+        images,
         give_scalars(features),
         name,
         f"{name}_planes",

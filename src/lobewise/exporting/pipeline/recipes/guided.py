@@ -1,6 +1,6 @@
 """The plan "balanced" as steps of a pipeline: two halves of the samples, filtered by the same weights.
 
-Every function stands for one of `lobewise.denoising`: what it computes is told there.
+Every function records what one of `lobewise.denoising` runs, whose docstring says what it computes.
 """
 
 from __future__ import annotations
