@@ -162,6 +162,10 @@ class SparseFrame(Guided):
         where = f"one of {self.scale}x{self.scale} pixels at {self.place}"
         return f"SparseFrame({self.width}x{self.height}, {where}: {describe_content(self)})"
 
+    def with_light(self, color: FloatArray, diffuse: FloatArray, specular: FloatArray) -> SparseFrame:
+        """Return the frame with other light of its samples."""
+        return replace(self, radiance=replace(self.radiance, color=color, diffuse=diffuse, specular=specular))
+
     @property
     def shape(self) -> tuple[int, int]:
         """(height, width) of the full image."""

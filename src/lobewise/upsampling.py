@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from lobewise.errors import require_kind
 from lobewise.features import Feature, TentFeature
 from lobewise.filters.compositing import composite_parts
 from lobewise.filters.cross_filter import FilterOutput
-from lobewise.filters.cross_pass import ALBEDO_FLOOR
+from lobewise.filters.glue import define_tinted
 from lobewise.filters.history.accumulation import run_upsampling
 from lobewise.filters.history.joining import JoinedLayers, join_layers
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance, Result
@@ -216,37 +216,34 @@ MAX_TINT = 4.0
 
 def tint_samples(frame: SparseFrame) -> SparseFrame:
     """Return a frame whose samples have the albedo of the surface at the pixel's centre; see `tint_radiance`."""
-    return replace(frame, radiance=tint_radiance(frame.radiance, frame.gbuffer, frame.shaded))
+    light = tint_radiance(frame.radiance, frame.gbuffer, lambda image: engine.pick(image, frame.scale, frame.place))
+    return frame if light is None else frame.with_light(*light)
 
 
-def tint_radiance(radiance: Radiance, guides: GBuffer, where: Any) -> Radiance:
-    """Return the radiance of pixel areas with the albedo of the surface at each pixel's centre.
+def tint_radiance(
+    radiance: Radiance, guides: GBuffer, pick: Callable[[FloatArray], FloatArray]
+) -> tuple[FloatArray, ...] | None:
+    """Return the radiance of pixel areas with the albedo of the surface at each pixel's centre: color and both parts.
 
     Where several surfaces share a pixel, the light is its radiance over the mean albedo, and not over the albedo at the
-    centre. Radiance that is not split by lobe, or whose areas are not known, stays as it is.
+    centre. The result is None for radiance that is not split by lobe, or whose areas are not known: it stays as it is.
 
     Parameters
     ----------
     radiance : Radiance
     guides : GBuffer
         Guides of the whole image.
-    where : index
-        The pixels of the image, rows and columns, whose radiance is given; ``image[where]`` has the shape
-        (rows, columns, channels) of the radiance.
+    pick : callable
+        Returns the pixels of an image, (rows, columns, channels), whose radiance is given.
     """
-    if not knows_areas(radiance, guides):
-        return radiance
-    old, parts = radiance.parts, {}
-    assert old is not None
-    for name, part in zip(AREAS, old, strict=True):
-        albedo, mean = (guides.require(each, "compositing")[where] for each in AREAS[name])
-        with np.errstate(invalid="ignore"):
-            ratio = albedo / np.maximum(mean, np.float32(ALBEDO_FLOOR))
-            ratio = np.where((mean > ALBEDO_FLOOR) & (ratio > 0.0), np.minimum(ratio, np.float32(MAX_TINT)), 1.0)
-        parts[name] = (part * ratio).astype(np.float32)
-    with np.errstate(invalid="ignore", over="ignore"):
-        color = radiance.color - old[0] - old[1] + parts["diffuse"] + parts["specular"]
-    return replace(radiance, color=color, **parts)
+    if not knows_areas(radiance, guides) or radiance.parts is None:
+        return None
+    images = {"color": radiance.color}
+    for number, (part, names) in enumerate(zip(radiance.parts, AREAS.values(), strict=True)):
+        albedo, mean = (pick(guides.require(name, "compositing")) for name in names)
+        images |= {f"part{number}": part, f"albedo{number}": albedo, f"mean{number}": mean}
+    told = ["tinted", *(f"tinted_{name}" for name in AREAS)]
+    return engine.pixels(define_tinted, images, {}, MAX_TINT, names=told, text="light of the surfaces at pixel centres")
 
 
 def composite_areas(frame: SparseFrame, outputs: Sequence[FilterOutput]) -> list[FilterOutput]:
@@ -259,7 +256,7 @@ def composite_areas(frame: SparseFrame, outputs: Sequence[FilterOutput]) -> list
     areas = []
     for output, names in zip(outputs, AREAS.values(), strict=True):
         albedo, mean = (guides.require(name, "compositing") for name in names)
-        image = composite_parts(output.image, output.weight_sum > 0.0, albedo, mean, coverage)
+        image = composite_parts(output.image, output.weight_sum, albedo, mean, coverage)
         areas.append(replace(output, image=image))
     return areas
 

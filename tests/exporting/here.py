@@ -212,8 +212,10 @@ class Here(Recorder):
         given = {name: value for name, value in arguments.items() if name in wanted and value is not None}
         images = {name: value for name, value in given.items() if isinstance(value, Image)}
         outputs: dict[str, Image] = dict(into or {})
+        axes: Any = kernel.find_axes(images)  # type: ignore[arg-type]
+        shapes = {each.name: tuple(axes.get(axis, axis) for axis in each.axes) for each in kernel.outputs}
         if not graph.is_on:
-            made = {each.name: graph.hold_new(each.name, each.axes, each.type) for each in kernel.outputs}
+            made = {each.name: graph.hold_new(each.name, shapes[each.name], each.type) for each in kernel.outputs}
             return {**made, **outputs}
         places = dict(zip(("p->frame->row", "p->frame->column"), graph.place, strict=True))
         places |= {f"p->{name}": length for name, length in graph.sizes.items()}
@@ -229,17 +231,8 @@ class Here(Recorder):
                 outputs[each.name].array[...] = found[each.name]  # type: ignore[attr-defined]
             else:
                 name = graph.name((names or {}).get(each.name, each.name))
-                outputs[each.name] = Held(name, tuple(each.axes), each.type, array=np.asarray(found[each.name]))
+                outputs[each.name] = Held(name, shapes[each.name], each.type, array=np.asarray(found[each.name]))
         return outputs
-
-    def call_stacked(
-        self, kernel: Any, arguments: Mapping[str, Any], *, name: str, text: str, stack: Image | None = None
-    ) -> Image:
-        assert isinstance(self.graph, HereGraph)
-        outputs = [each for each in kernel.parameters if each.role == "output"]
-        stack = stack or self.graph.hold_new(name, (len(outputs), "height", "width"))
-        self.call(kernel, arguments, into={each.name: stack.take_plane(k) for k, each in enumerate(outputs)}, text=text)
-        return stack
 
 
 class Numbers(Constants):

@@ -51,6 +51,13 @@ def test_layers_that_frames_name_and_hits(form: Any, similarity: Any) -> None:
     check(PipelineSettings(form=form, similarity=similarity, layers="named", hit_distance=True, radius=2))
 
 
+@pytest.mark.sampled("False")
+@pytest.mark.parametrize("history", [False, True])
+def test_areas_and_rays_of_sparse_samples(history: bool) -> None:
+    settings = PipelineSettings(upsample=2, similarity="ggx", radius=2, history=history, coverage=True, rays=True)
+    check(settings, 2 if history else 1)
+
+
 @dataclass(frozen=True)
 class NearDepth(DeclaredFeature):
     """A feature of somebody else: pixels are alike whose depths are."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -244,9 +245,11 @@ def test_a_change_of_the_plan_changes_the_export() -> None:
 
 
 @pytest.mark.nightly
-def test_named_layers_and_hits_have_the_bits_of_python(cpp: str, tmp_path: Path) -> None:
-    folder = export(tmp_path / "out", radius=2, layers="named", hit_distance=True)
-    assert max(run_example(folder, cpp)) == 0.0
+@pytest.mark.parametrize(
+    "settings", [{"layers": "named", "hit_distance": True}, {"upsample": 2, "coverage": True, "rays": True}], ids=str
+)
+def test_what_frames_have_besides_has_the_bits_of_python(settings: dict[str, Any], cpp: str, tmp_path: Path) -> None:
+    assert max(run_example(export(tmp_path / "out", radius=2, **settings), cpp)) == 0.0
 
 
 @pytest.mark.nightly

@@ -19,7 +19,7 @@ def make_given(shape: tuple[int, int]) -> dict[str, Any]:
     albedo[rng.random((*shape, 3)) < 0.2] = 0.0
     return {
         "part": rng.exponential(1.0, (*shape, 3)).astype(np.float32),
-        "lit": rng.random(shape) < 0.8,
+        "weight_sum": np.float32(rng.random(shape) < 0.8),
         "albedo": albedo,
         "mean_albedo": mean,
         "coverage": (coverage / np.maximum(coverage.sum(-1, keepdims=True), 1.0)).astype(np.float32),
@@ -27,12 +27,12 @@ def make_given(shape: tuple[int, int]) -> dict[str, Any]:
 
 
 def composite_slowly(
-    part: np.ndarray, lit: np.ndarray, albedo: np.ndarray, mean_albedo: np.ndarray, coverage: np.ndarray
+    part: np.ndarray, weight_sum: np.ndarray, albedo: np.ndarray, mean_albedo: np.ndarray, coverage: np.ndarray
 ) -> np.ndarray:
     """Return the composite, neighbour by neighbour."""
-    height, width = lit.shape
+    height, width = weight_sum.shape
     weights, sums = np.zeros(part.shape), np.zeros(part.shape)
-    known = lit[..., None] & (albedo > ALBEDO_FLOOR)
+    known = (weight_sum > 0.0)[..., None] & (albedo > ALBEDO_FLOOR)
     for k in range(9):
         y = np.clip(np.arange(height) + k // 3 - 1, 0, height - 1)[:, None]
         x = np.clip(np.arange(width) + k % 3 - 1, 0, width - 1)
@@ -67,6 +67,6 @@ def test_half_of_each_surface_is_half_of_the_light_of_each() -> None:
     coverage = np.zeros((3, 20, 9), np.float32)
     coverage[..., 4] = 1.0
     coverage[:, 9, 4], coverage[:, 9, 5] = 0.5, 0.5
-    found = composite_parts(part, np.ones((3, 20), bool), albedo, albedo, coverage)
+    found = composite_parts(part, np.ones((3, 20), np.float32), albedo, albedo, coverage)
     np.testing.assert_allclose(found[:, 9], 2.0, rtol=1e-6)
     np.testing.assert_allclose(found[:, 8], 1.0, rtol=1e-6)

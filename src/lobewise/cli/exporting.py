@@ -18,7 +18,19 @@ OWN = ("similarity", "form", "radius", "lobes", "albedo", "anisotropic")
 """Settings of a single filter."""
 SHARED = ("similarity", "form", "radius", "anisotropic")
 """Settings of a filter that a pipeline has, too."""
-PIPELINE = ("plan", "history", "upsample", "motion", "hit_distance", "layers", "emission", "position", "lobe_kind")
+PIPELINE = (
+    "plan",
+    "history",
+    "upsample",
+    "motion",
+    "hit_distance",
+    "layers",
+    "emission",
+    "position",
+    "lobe_kind",
+    "coverage",
+    "rays",
+)
 """Settings of a pipeline alone."""
 DEFAULT_NAME = "lobewise"
 USUAL = ("similarity", "form", "radius", "albedo", "plan", "history", "upsample")

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lobewise.backend.devices import choose_device
 from lobewise.backend.prebuilt import has_kernels
 from lobewise.denoising.planning.layer_plans import AUTO_SIGMA
+from lobewise.engine.numbers import choose_larger, choose_smaller, raise_to, take_root
 from lobewise.errors import InputError, require_choice
 from lobewise.frame import Frame
 from lobewise.guides.lobe_fields import default_tau
@@ -154,7 +155,7 @@ def choose_beta(spp: float) -> float:
     is proportional to the cube root of the sample count. The factor is fitted (benchmarks/results/similarities.json,
     "tuned beta").
     """
-    return min(max(2.5 * math.pow(spp, 1.0 / 3.0), 1.0), 64.0)
+    return choose_smaller(choose_larger(2.5 * raise_to(spp, 1.0 / 3.0), 1.0), 64.0)
 
 
 def choose_screen_sigma(spp: float, radius: int) -> float:
@@ -162,7 +163,8 @@ def choose_screen_sigma(spp: float, radius: int) -> float:
 
     Lobes do not tell how fast the reflected light changes. The screen distance bounds the error of this.
     """
-    return max(radius * min(1.0, 0.6 * math.pow(8.0 / max(spp, 1.0), 0.25)), 0.5)
+    share = choose_smaller(1.0, 0.6 * raise_to(8.0 / choose_larger(spp, 1.0), 0.25))
+    return choose_larger(radius * share, 0.5)
 
 
 def choose_tau(spp: float, pixel_tau: float) -> float:
@@ -171,7 +173,7 @@ def choose_tau(spp: float, pixel_tau: float) -> float:
     A sharp lobe shows the noise of the light that it reflects. So few samples need wider lobes than the pixel asks for,
     and mirrors become sharp as their noise falls. The factor was fitted on the built-in scenes.
     """
-    return max(0.03 * math.sqrt(4.0 / max(spp, 0.25)), pixel_tau)
+    return choose_larger(0.03 * take_root(4.0 / choose_larger(spp, 0.25)), pixel_tau)
 
 
 def can_use_hits(frame: AnyFrame) -> bool:
@@ -298,7 +300,7 @@ def expect_noise(spp: float) -> float:
 
     It falls more slowly than 1/spp, because few samples miss the tail of the noise.
     """
-    return NOISE_AT_4_SPP * math.pow(4.0 / spp, NOISE_EXPONENT)
+    return NOISE_AT_4_SPP * raise_to(4.0 / spp, NOISE_EXPONENT)
 
 
 def expect_spp(noise: float) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +43,7 @@ from lobewise.guides.surfaces import find_inverse_hits, find_places, find_surfac
 from lobewise.lobes.hits import HitField
 from lobewise.settings import ResolvedSettings
 from lobewise.settings.choices import get_similarity
-from lobewise.sparse_frame import AnyFrame, SparseFrame
+from lobewise.sparse_frame import AnyFrame, Rays, SparseFrame
 
 Mask = NDArray[np.bool_]
 
@@ -282,9 +282,11 @@ def make_lobe_layers(
         Layer(parts[0], guides.diffuse_albedo, *scattered, "diffuse", is_diffuse=True),
         Layer(parts[1], guides.specular_albedo, *reflected, "specular"),
     ]
-    if isinstance(frame, SparseFrame) and frame.rays is not None:
-        more = () if frame.rays.direction is None else (make_ray_feature(frame, frame.rays.direction),)
-        layers[1] = replace(layers[1], features=(*layers[1].features, *more), weights=find_ray_weights(frame))
+    rays: Rays | None = getattr(frame, "rays", None)  # whole frames have none
+    if rays is not None:
+        sparse = cast(SparseFrame, frame)
+        more = () if rays.direction is None else (make_ray_feature(sparse, rays.direction),)
+        layers[1] = replace(layers[1], features=(*layers[1].features, *more), weights=find_ray_weights(sparse))
     return layers
 
 

@@ -167,10 +167,8 @@ class Graph:
     when: str = ""
     in_box: bool = False
     in_band: bool = False
-    flags: list[str] = field(default_factory=list)
-    """Names of whole numbers that C functions write and conditions read."""
     reals: list[str] = field(default_factory=list)
-    """Names of numbers that C functions write."""
+    """Names of numbers that C functions write and conditions read, as C declares them."""
     held: dict[str, NDArray[np.float32]] = field(default_factory=dict)
     """Arrays that are compiled in, by the names of their images."""
     _names: set[str] = field(default_factory=set)
@@ -247,12 +245,6 @@ class Graph:
                 yield
             finally:
                 self.in_band = False
-
-    def add_flag(self, name: str) -> str:
-        """Return the C expression of a new whole number."""
-        flag = self.name(name)
-        self.flags.append(flag)
-        return f"p->{flag}"
 
     def add_real(self, name: str, count: int = 1) -> str:
         """Return the C expression of a new number, or of several."""

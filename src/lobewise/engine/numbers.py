@@ -66,6 +66,9 @@ class Number(float):
     def __eq__(self, other: object) -> bool:
         return self.code == other.code if isinstance(other, Number) else float(self) == other
 
+    def __ne__(self, other: object) -> bool:
+        return not self == other
+
     def __hash__(self) -> int:
         return hash(float(self))
 

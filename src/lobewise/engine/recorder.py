@@ -177,26 +177,6 @@ class Recorder:
         self.graph.call(kernel.symbol, {**given, **outputs}, kernel.parameters, text)
         return outputs
 
-    def call_stacked(
-        self,
-        kernel: CompiledKernel,
-        arguments: Mapping[str, Any],
-        *,
-        name: str,
-        text: str,
-        stack: Image | None = None,
-    ) -> Image:
-        """Add a call whose outputs are the planes of one stack (count, height, width); return the stack."""
-        outputs = [each for each in kernel.parameters if each.role == "output"]
-        if stack is None:
-            given = {key: value for key, value in arguments.items() if isinstance(value, Image)}
-            axes = kernel.find_axes(given)
-            shape = [axes.get(axis, axis) if isinstance(axis, str) else axis for axis in outputs[0].axes]
-            stack = self.graph.make(name, len(outputs), *shape)
-        into = {each.name: stack.take_plane(number) for number, each in enumerate(outputs)}
-        self.call(kernel, arguments, into=into, text=text)
-        return stack
-
     @property
     def device(self) -> str:
         """A processor: pipelines run there."""

@@ -64,7 +64,7 @@ def composite_light(
 
 def composite_parts(
     part: FloatArray,
-    lit: NDArray[np.bool_],
+    weight_sum: FloatArray,
     albedo: FloatArray,
     mean_albedo: FloatArray,
     coverage: FloatArray,
@@ -79,23 +79,25 @@ def composite_parts(
     ----------
     part : array, shape (height, width, 3)
         Radiance of one layer, as if the surface at the centre filled the pixel; finite, >= 0.
-    lit : bool array, shape (height, width)
-        True where the radiance is defined.
+    weight_sum : array, shape (height, width)
+        Above 0 where the radiance is defined.
     albedo, mean_albedo : array, shape (height, width, 3)
         Albedo at the centre, and its mean over the pixel's area.
     coverage : array, shape (height, width, 9)
         See `lobewise.frame.GBuffer`.
     """
-    images = {"lit": lit, "albedo": albedo, "mean": mean_albedo, "coverage": coverage, **give_channels("part", part)}
-    (composite,) = engine.pixels(_define_part, images, {})
-    return np.asarray(composite)
+    images = {"weight": weight_sum, "albedo": albedo, "mean": mean_albedo, "coverage": coverage}
+    images |= give_channels("part", part)
+    (composite,) = engine.pixels(define_part, images, {}, names=["area"], text="light of pixel areas")
+    return composite
 
 
-def _define_part(grid: Grid) -> list[Vector]:
+def define_part(grid: Grid) -> list[Vector]:
+    """Return the radiance of pixel areas; see `composite_parts`."""
     zero = hl.f32(0.0)
     # The values of every pixel, 0 where it does not count, are computed once for all of its neighbours.
     at = grid.inside
-    lit = grid.read("lit", *at)[0] != 0
+    lit = grid.read("weight", *at)[0] > hl.f32(0.0)
     tints, lights = [], []
     for value, albedo in zip(grid.read_channels("part", *at), grid.read("albedo", *at), strict=True):
         known = lit & (albedo > hl.f32(ALBEDO_FLOOR))

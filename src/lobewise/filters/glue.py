@@ -129,6 +129,21 @@ def define_patched(grid: Grid) -> list[Vector]:
     return [[_select_bits(hole, mean, value) for value, mean in pairs]]
 
 
+def define_tinted(grid: Grid, most: float) -> list[Vector]:
+    """Return light, and its parts times the albedo at the pixel's centre over that of its area; see `tint_radiance`."""
+    total, parts = grid.read("color"), []
+    for number in range(2):
+        old, mean = grid.read(f"part{number}"), grid.read(f"mean{number}")
+        tinted = []
+        for value, albedo, area in zip(old, grid.read(f"albedo{number}"), mean, strict=True):
+            ratio = albedo / hl.max(area, hl.f32(ALBEDO_FLOOR))
+            known = (area > hl.f32(ALBEDO_FLOOR)) & (ratio > hl.f32(0.0))
+            tinted.append(value * hl.select(known, hl.min(ratio, hl.f32(most)), hl.f32(1.0)))
+        parts.append(tinted)
+        total = [value - each for value, each in zip(total, old, strict=True)]
+    return [reduce(_add_colors, [total, *parts]), *parts]
+
+
 def define_good(grid: Grid) -> list[Vector]:
     """Return an image with 0 where a pixel is not finite or negative; see `blacken_bad`."""
     value = grid.read_channels("image")

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from functools import reduce
+from operator import and_
+
 import numpy as np
 
 from lobewise import engine
 from lobewise.backend.compiler import hl
-from lobewise.backend.pointwise import Grid, Vector
+from lobewise.backend.pointwise import LARGEST_FLOAT, Grid, Vector, is_finite
 from lobewise.features.ray import RayFeature
 from lobewise.frame import FloatArray
 from lobewise.guides.surfaces import make_ray
@@ -29,8 +32,19 @@ def find_ray_weights(frame: SparseFrame) -> FloatArray | None:
     albedo = frame.gbuffer.diffuse_albedo
     if albedo is None:
         return frame.rays.weight
-    both = albedo[frame.shaded].max(axis=-1) > MIN_DIFFUSE_ALBEDO
-    return np.where(both, frame.rays.weight, np.float32(1.0))
+    images = {"albedo": engine.pick(albedo, frame.scale, frame.place), "weight": frame.rays.weight}
+    (weights,) = engine.pixels(
+        _define_weights, images, {}, MIN_DIFFUSE_ALBEDO, names=["ray_weights"], text="weights of rays"
+    )
+    return weights
+
+
+def _define_weights(grid: Grid, least: float) -> list[Vector]:
+    """Return the weights of rays where a surface is diffuse as well, and 1 elsewhere."""
+    albedo = grid.read("albedo")
+    known = reduce(and_, (is_finite(value) | (hl.abs(value) > hl.f32(LARGEST_FLOAT)) for value in albedo))
+    both = known & (hl.max(*albedo) > hl.f32(least))
+    return [[hl.select(both, grid.read_one("weight"), hl.f32(1.0))]]
 
 
 def make_ray_feature(frame: SparseFrame, direction: FloatArray) -> RayFeature:

@@ -32,6 +32,7 @@ from lobewise.denoising.layers import (
 from lobewise.denoising.plain import add_up
 from lobewise.denoising.recipe import filter_below
 from lobewise.denoising.refining.totals import find_averaged_rest
+from lobewise.engine.numbers import choose_larger, choose_smaller
 from lobewise.errors import InputError, require_choice, require_kind
 from lobewise.features import Feature
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
@@ -246,7 +247,9 @@ class TemporalFilter:
                 raise InputError("radiance", expected=expected, got=repr(radiance), action=action)
         # As the samples of the frame were; see `_add`.
         if self._is_sparse and "diffuse" in self._albedos:
-            radiance = tint_radiance(radiance, self._past.guides.gbuffer, (rows[:, None], columns[:, None]))
+            where = rows[:, None], columns[:, None]
+            if (light := tint_radiance(radiance, self._past.guides.gbuffer, lambda image: image[where])) is not None:
+                radiance = Radiance(light[0], diffuse=light[1], specular=light[2])
         for name, albedo in self._albedos.items():
             divisor = 1.0 if albedo is None else np.maximum(albedo[rows, columns], np.float32(ALBEDO_FLOOR))
             means = getattr(radiance, name)[:, 0] / divisor
@@ -397,6 +400,10 @@ def join_history(
 def find_own_weight(frame: AnyFrame) -> float:
     """Return the weight of a pixel's own sample, >= 1: a borrowed one has an error of its own beside the noise."""
     without_noise = frame.variance is not None and not frame.variance.color.any()
-    noise = 0.0 if without_noise else expect_noise(estimate_spp(frame))
-    own = 1.0 + BORROWED_ERROR / max(noise, BORROWED_ERROR / MAX_OWN_WEIGHT)
-    return min(own, MAX_OWN_WEIGHT)
+    return weigh_own(0.0 if without_noise else expect_noise(estimate_spp(frame)))
+
+
+def weigh_own(noise: float) -> float:
+    """Return the weight of a pixel's own sample, >= 1, for the relative variance of the samples."""
+    own = 1.0 + BORROWED_ERROR / choose_larger(noise, BORROWED_ERROR / MAX_OWN_WEIGHT)
+    return choose_smaller(own, MAX_OWN_WEIGHT)

@@ -163,9 +163,7 @@ def write_driver(pipeline: Pipeline) -> str:
         images="\n".join(f"    IMAGE_{image.name}," for image in pipeline.images),
         infos="\n".join(_describe_image(pipeline, image) for image in pipeline.images),
         numbers="\n".join(f"        double {key};" for key in pipeline.constants.derived),
-        flags="\n".join(
-            [*(f"    int {flag};" for flag in graph.flags), *(f"    double {real};" for real in graph.reals)]
-        ),
+        reals="\n".join(f"    double {real};" for real in graph.reals),
         held="\n".join(_write_held(*each) for each in graph.held.items()),
         prototypes="\n".join(map(_declare_kernel, pipeline.kernels)),
         routines=_list_routines(graph, name),

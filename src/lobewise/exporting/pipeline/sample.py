@@ -19,7 +19,7 @@ from lobewise.guides.surfaces import find_places
 from lobewise.radiance import RadianceLayer
 from lobewise.settings import DenoiseSettings
 from lobewise.settings.choices import get_quality
-from lobewise.sparse_frame import AnyFrame, SparseFrame
+from lobewise.sparse_frame import AnyFrame, Rays, SparseFrame
 from lobewise.temporal import TemporalFilter
 from lobewise.upsampling import upsample
 
@@ -91,6 +91,8 @@ def prepare_frame(settings: PipelineSettings, frame: Frame) -> Frame:
     if settings.anisotropic:
         alpha, normal = (guides.require(name, "brushed surfaces") for name in ("alpha_u", "normal"))
         changes |= {"alpha_v": np.float32(0.5) * alpha, "tangent": np.cross(normal, np.array([0.3, 0.9, 0.1]))}
+    if settings.coverage:
+        changes |= cover_pixels(guides)
     if settings.lobe_kind:
         changes["lobe_kind"] = find_kinds(guides)
     layers = name_layers(frame) if settings.layers == "named" else ()
@@ -127,6 +129,19 @@ def average_light(a: Radiance, b: Radiance) -> Radiance:
     return Radiance(color, diffuse=average("diffuse"), specular=average("specular"))
 
 
+def cover_pixels(guides: GBuffer) -> dict[str, FloatArray]:
+    """Return shares of pixels that near surfaces cover, and the albedos over pixel areas that follow."""
+    share = np.random.default_rng(9).uniform(0.0, 0.2, (*(guides.shape or (0, 0)), 9))
+    share[..., 4] += 1.0 - share.sum(axis=-1)
+    found = {"coverage": share.astype(np.float32)}
+    for name in ("diffuse_albedo", "specular_albedo"):
+        albedo = np.pad(guides.require(name, "coverage"), ((1, 1), (1, 1), (0, 0)), mode="edge")
+        near = [albedo[k // 3 :, k % 3 :][: share.shape[0], : share.shape[1]] for k in range(9)]
+        parts = [share[..., k : k + 1] * each for k, each in enumerate(near)]
+        found[f"mean_{name}"] = np.sum(parts, axis=0).astype(np.float32)
+    return found
+
+
 def find_kinds(guides: GBuffer) -> FloatArray:
     """Return kinds of lobes: diffuse surfaces have none, the smoothest are mirrors."""
     alpha = guides.require("alpha_u", "kinds of lobes")
@@ -144,7 +159,10 @@ def make_sparse(settings: PipelineSettings, frame: Frame, number: int) -> AnyFra
     images = [frame.radiance.color, *(frame.radiance.parts or ())]
     color, diffuse, specular = (image[row::scale, column::scale] for image in images)
     radiance = Radiance(color, diffuse=diffuse, specular=specular)
-    return SparseFrame(radiance, frame.gbuffer, scale, (row, column), frame.camera, spp=frame.spp)
+    rays = None
+    if settings.rays:
+        rays = Rays(np.random.default_rng(number).uniform(0.5, 1.5, color.shape[:2]))
+    return SparseFrame(radiance, frame.gbuffer, scale, (row, column), frame.camera, spp=frame.spp, rays=rays)
 
 
 def get_place(frame: AnyFrame) -> tuple[int, int]:
@@ -190,6 +208,7 @@ def collect_images(graph: Graph, frame: AnyFrame, emission: FloatArray | None = 
         named |= {f"{half}_{part}": getattr(light, part, None) for part in ("color", "diffuse", "specular")}
     named |= {"emission": guides.mean_emission if emission is None else emission}
     named |= {} if guides.alpha_v is not None else {"alpha": guides.alpha_u}
+    named |= {"ray_weight": getattr(getattr(frame, "rays", None), "weight", None)}
     for layer in getattr(frame, "layers", ()):
         named |= {layer.name: layer.radiance, f"{layer.name}_albedo": layer.albedo}
     found = {}

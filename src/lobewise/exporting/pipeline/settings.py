@@ -60,6 +60,18 @@ class PipelineSettings(Declared):
         ),
     ] = False
 
+    coverage: Annotated[
+        bool,
+        Knob(
+            "With upsampling, whether the shares of pixels that near surfaces cover and mean albedos are given: edges "
+            "of surfaces are smooth then."
+        ),
+    ] = False
+    rays: Annotated[
+        bool,
+        Knob("With upsampling, whether the weights of the specular rays of samples are given."),
+    ] = False
+
     def __post_init__(self) -> None:
         if self.plan not in PLANS:
             raise _refuse("plan", self.plan, "choose fast")
@@ -88,6 +100,9 @@ class PipelineSettings(Declared):
             raise _refuse("hit_distance", "a history with one layer", "give diffuse and specular light apart")
         if self.hit_distance and not self.history and not self.record.has_lobes:
             raise _refuse("hit_distance", f"{self.similarity} without a history", "choose a similarity of lobes")
+        for name in ("coverage", "rays"):
+            if getattr(self, name) and self.upsample == 1:
+                raise _refuse(name, "without upsampling", "add upsampling, or leave it out")
         if self.anisotropic and not self.record.has_covariance:
             raise _refuse("anisotropic", self.similarity, "choose asg or ggx")
 

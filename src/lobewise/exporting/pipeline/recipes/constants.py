@@ -1,7 +1,7 @@
 """The numbers of a pipeline: what its user sets, what the camera gives, and what follows from both.
 
-The formulas are those of `lobewise.denoising.automatic` and `lobewise.guides`, written with `Number` so that the
-pipeline computes them for every frame. Tests compare each with its original.
+The formulas are those of `lobewise.denoising.automatic` and `lobewise.guides`. Given a `Number` they return a `Number`,
+so that the pipeline computes them for every frame.
 """
 
 from __future__ import annotations
@@ -16,23 +16,22 @@ from lobewise.denoising.automatic import (
     BETA_DIFFUSE,
     BETA_SPECULAR,
     GUIDED_TAU,
-    NOISE_AT_4_SPP,
-    NOISE_EXPONENT,
+    choose_beta,
+    choose_screen_sigma,
+    choose_tau,
+    expect_noise,
 )
 from lobewise.denoising.planning.layer_plans import AUTO_SIGMA
 from lobewise.engine.numbers import (
     Number,
     choose_given,
     choose_larger,
-    choose_smaller,
     find_hypotenuse,
-    raise_to,
     round_single,
-    take_root,
 )
 from lobewise.guides.lobe_fields import NORMAL_ERROR
 from lobewise.settings import DenoiseSettings, TemporalSettings
-from lobewise.temporal.recipe import BORROWED_ERROR, MAX_OWN_WEIGHT
+from lobewise.temporal.recipe import weigh_own
 
 
 @dataclass(frozen=True)
@@ -194,8 +193,7 @@ class Constants:
     def _choose_beta(self, guided: float) -> float:
         if self.guided:
             return guided
-        root = 2.5 * raise_to(self.get("samples_per_pixel"), 1.0 / 3.0)
-        chosen = choose_smaller(choose_larger(root, 1.0), 64.0)
+        chosen = choose_beta(self.get("samples_per_pixel"))
         return chosen if self.scale == 1 else chosen * (1.0 / self.scale**2) ** -0.15
 
     @property
@@ -209,8 +207,7 @@ class Constants:
         if self.guided:
             return AUTO_SIGMA * max(self.radius, 1) / 8.0
         spp = (1.0 / self.scale**2) * self.get("samples_per_pixel")
-        share = choose_smaller(1.0, 0.6 * raise_to(8.0 / choose_larger(spp, 1.0), 0.25))
-        return choose_larger(self.radius * self.scale * share, 0.5)
+        return choose_screen_sigma(spp, self.radius * self.scale)
 
     @property
     def tau(self) -> Number:
@@ -219,26 +216,13 @@ class Constants:
         if self.guided:
             automatic = choose_larger(GUIDED_TAU, self.pixel_tau)
         else:
-            root = take_root(4.0 / choose_larger(self.get("samples_per_pixel"), 0.25))
-            automatic = choose_larger(self.scale * (0.03 * root), self.pixel_tau)
+            automatic = choose_larger(self.scale * choose_tau(self.get("samples_per_pixel"), 0.0), self.pixel_tau)
         return self.derive("tau", choose_given(self.get("tau"), automatic))
-
-    @property
-    def noise(self) -> Number:
-        """Squared band-limit, single precision."""
-        return self.square_tau(self.tau)
-
-    def square_tau(self, tau: Number) -> Number:
-        """Return the square of a band-limit as kernels take it: both factors and the product in single precision."""
-        single = np.float32(tau)
-        return Number(float(single * single), f"(double)((float){tau.code} * (float){tau.code})", is_single=True)
 
     @property
     def own_weight(self) -> Number:
         """Weight of a pixel's own sample; see `lobewise.temporal.recipe.find_own_weight`."""
-        noise = NOISE_AT_4_SPP * raise_to(4.0 / self.get("samples_per_pixel"), NOISE_EXPONENT)
-        own = 1.0 + BORROWED_ERROR / choose_larger(noise, BORROWED_ERROR / MAX_OWN_WEIGHT)
-        return self.derive("own", choose_smaller(own, MAX_OWN_WEIGHT))
+        return self.derive("own", weigh_own(expect_noise(self.get("samples_per_pixel"))))
 
 
 def list_settings(*, history: bool) -> Sequence[Setting]:

@@ -41,7 +41,7 @@ from lobewise.settings import TemporalSettings
 from lobewise.temporal.past import HistoryReprojection
 from lobewise.temporal.recipe import Growth, join_history, make_named_layers
 from lobewise.temporal.validation import find_same_tau
-from lobewise.upsampling import join_sparse, upsample_by_guides
+from lobewise.upsampling import join_sparse, tint_samples, upsample_by_guides
 
 
 @dataclass
@@ -115,6 +115,8 @@ def filter_over_time(frame: PlannedFrame) -> None:
     """Join every layer with its history where there is one, and bring sparse samples to all pixels."""
     guides, settings, whole = frame.guides, frame.guides.settings, cast(Any, frame.guides)
     resolved = guides.resolved
+    if guides.is_sparse:
+        whole = tint_samples(whole)
     if not settings.history:
         joined: Any = upsample_by_guides(whole, resolved, guides.features)
         frame.total, frame.holes, frame.parts = joined.image, joined.holes, [*joined.parts]

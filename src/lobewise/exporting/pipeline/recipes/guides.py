@@ -57,6 +57,11 @@ GUIDES = {
         3, "light that no surface scattered, emission and background, at every pixel; it is not filtered", "any"
     ),
     "diffuse_albedo": Guide(3, ALBEDO.format("diffuse"), "0 to 1"),
+    "coverage": Guide(9, "shares of the pixel that the surfaces at the 3x3 pixel centres around it cover", "0 to 1"),
+    **{
+        f"mean_{name}_albedo": Guide(3, f"albedo of the {name} lobe, averaged over the pixel's area", "0 to 1")
+        for name in ("diffuse", "specular")
+    },
     **{f"{name}_albedo": Guide(3, ALBEDO.format(name), "0 to 1") for name in ("specular", "glossy", "transmission")},
 }
 """The guides that a pipeline may be given, by their names."""
@@ -91,6 +96,7 @@ class GivenGuides:
             "hit_distance": settings.hit_distance,
             "emission": settings.emission or settings.upsample > 1,
             "motion": settings.history and settings.motion,
+            **dict.fromkeys(("coverage", "mean_diffuse_albedo", "mean_specular_albedo"), settings.coverage),
         }
         if name == "mean_emission" and settings.upsample > 1:
             name = "emission"
@@ -162,6 +168,8 @@ class PipelineGuides:
     kernels: Recorder
     constants: Constants
     make_features: Features = no_features
+    light: Any = None
+    """The light of the samples, where it is not that of the caller."""
     lobe_tables = ()
     shape = SIZE
     height, width = SIZE
@@ -233,7 +241,20 @@ class PipelineGuides:
     @property
     def radiance(self) -> Any:
         """The radiance, which has the names of `lobewise.Radiance`."""
-        return self
+        return self if self.light is None else self.light
+
+    def with_light(self, color: Image, diffuse: Image, specular: Image) -> PipelineGuides:
+        """Return the frame with other light of its samples."""
+        light = SimpleNamespace(color=color, diffuse=diffuse, specular=specular, parts=(diffuse, specular))
+        return replace(self, light=light)
+
+    @property
+    def rays(self) -> Any:
+        """The rays along which specular light came."""
+        if not self.settings.rays:
+            return None
+        text = "f cos / (p a) of the specular ray of each sample: BRDF, density of the direction, specular albedo"
+        return SimpleNamespace(weight=self.graph.give("ray_weight", *SAMPLES, text=text, unit=">= 0"), direction=None)
 
     @property
     def parts(self) -> tuple[Image, Image] | None:

@@ -61,7 +61,7 @@ struct ${name}_pipeline {
 ${numbers}
         int unused;
     } numbers;
-${flags}
+${reals}
     struct {
         int left, top, width, height;
     } box; /* part of the image that some steps compute */
