@@ -31,7 +31,8 @@ from lobewise.backend.devices import make_target
 from lobewise.bench.kernels import count_taps, make_kernel_calls
 from lobewise.bench.plane import make_features, make_frame
 from lobewise.bench.timing import time_best
-from lobewise.filters.cross_pass import PassKey, Reads, Writes, describe_structure, make_pass
+from lobewise.features.base import describe_structure
+from lobewise.filters.cross_pass import PassKey, Reads, Writes, make_pass
 from lobewise.filters.forms import Taps
 from lobewise.filters.schedules.cross_pass import schedule_pass
 from lobewise.filters.schedules.rows import count_lanes

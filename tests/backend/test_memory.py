@@ -7,7 +7,7 @@ import gc
 import numpy as np
 import pytest
 
-from lobewise.backend.memory import MIN_SPREAD_BYTES, PAGE_BYTES, MemoryPool, make_array, make_planes
+from lobewise.backend.buffers import MIN_SPREAD_BYTES, PAGE_BYTES, MemoryPool, make_array, make_planes
 
 SHAPE = (256, 512)
 

@@ -13,7 +13,7 @@ from lobewise.denoising.noisy import make_noisy_layers
 from lobewise.denoising.planning import frame_plans
 from lobewise.denoising.planning.foretelling import count_bytes, estimate_seconds_per_megapixel, foretell
 from lobewise.denoising.planning.frame_plans import FramePlan, describe_frame, find_reach, plan_frame
-from lobewise.denoising.planning.layer_plans import LayerTraits, plan_balanced, plan_layer
+from lobewise.denoising.planning.layer_plans import LayerTraits, plan_balanced, plan_layers
 from lobewise.denoising.planning.steps import SAMPLES, GuideStep, LayerPlan, PassStep
 from lobewise.denoising.running import LayerRun
 from lobewise.frame import Frame
@@ -58,7 +58,7 @@ def test_the_executor_keeps_nothing_but_the_result(quality: str) -> None:
     settings = resolve(frame, quality=quality, similarity="normal")
     for noisy in make_noisy_layers(frame, settings, ()):
         state = LayerRun(frame, noisy.layer, settings, noisy)
-        state.run(plan_layer(noisy.traits, settings))
+        state.run(plan_layers({"": noisy.traits}, settings)[""])
         assert set(state.images) == {"image"}
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lobewise.backend.expressions import exp2
 from lobewise.features import Feature
-from lobewise.filters.cross_pass import describe_structure
+from lobewise.features.base import describe_structure
 from lobewise.filters.planes import neutralize, prepare_planes
 from lobewise.frame import FloatArray
 from tests.features.oracles import Pixels

@@ -24,7 +24,6 @@ from lobewise.backend.buffers import Image, lend, make_output
 from lobewise.backend.compiler import has_compiler, hl, refuse_compiling
 from lobewise.backend.devices import make_target
 from lobewise.backend.disk import fetch_object
-from lobewise.backend.memory import make_array
 from lobewise.backend.objects import compile_object
 from lobewise.backend.prebuilt import find_library, name_symbol
 from lobewise.backend.runtime import Runtime, get_runtime
@@ -192,10 +191,10 @@ def run_kernel(kernel: Kernel, device: str, images: Mapping[str, Image], **numbe
     """
     sizes = kernel.find_axes(images)
     types = {each.name: each.type for each in kernel.outputs}
-    memory = {name: make_array(shape, types[name]) for name, shape in kernel.list_shapes(**sizes).items()}
+    shapes = kernel.list_shapes(**sizes)
     # Keep every buffer in a local name until the call has returned: Halide holds no reference.
     lent = {name: lend(image, device) for name, image in images.items()}
-    outputs = {name: make_output(array.shape, device, array) for name, array in memory.items()}
+    outputs = {name: make_output(shape, device, type=types[name]) for name, shape in shapes.items()}
     kernel(**lent, **numbers, **{name: buffer for name, (buffer, _) in outputs.items()})
     return {name: image for name, (_, image) in outputs.items()}
 

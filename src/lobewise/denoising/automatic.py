@@ -48,9 +48,11 @@ def change_settings(settings: DenoiseSettings, changes: Mapping[str, Any]) -> De
     InputError
         If a parameter is unknown or out of range.
     """
+    known = [item.name for item in fields(DenoiseSettings)]
     for name in changes:
-        require_choice("setting", name, [item.name for item in fields(DenoiseSettings)])
-    return replace(settings, **changes)
+        if name not in known:
+            require_choice("setting", name, known)
+    return replace(settings, **changes) if changes else settings
 
 
 def ask(

@@ -10,7 +10,7 @@ from lobewise.denoising.bad_pixels import blacken_bad, find_good
 from lobewise.denoising.networks import load_networks
 from lobewise.filters.mixing import Network
 from lobewise.filters.noise.detail import find_detail
-from lobewise.filters.noise.evidence import find_noisy_share
+from lobewise.filters.noise.evidence import count_certain, find_noisy_share
 from lobewise.filters.noise.pooling import DARK_SHARE
 from lobewise.filters.noise.shares import find_shares
 from lobewise.frame import FloatArray, Frame
@@ -169,16 +169,14 @@ def count_blurred(
     counts = []
     for start in range(-(-first // step) * step, end, step):
         rows = slice(start - top, min(start + STRIP_ROWS, height) - top)
-        share = find_noisy_share(
+        blurred = count_certain(
             image[rows],
             frame.radiance.color[rows],
             variance=None if variance is None else variance[rows],
             floor=EPSILON,
             shared=frame.noise_is_shared,
-            by_darker=True,
         )
-        # Where both errors are equal, the best share is one half.
-        counts.append((np.count_nonzero(share > 0.5), share.size))
+        counts.append((blurred, (rows.stop - rows.start) * frame.width))
     return np.array(counts, np.float64).reshape(-1, 2)
 
 

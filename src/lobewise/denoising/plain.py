@@ -69,9 +69,9 @@ def filter_by_guides(
     """
     # Each layer is one light: its albedo divides it, and its features compare its pixels.
     layers = make_layers(frame, settings, features, finest=True)
-    outputs, (step,) = [], plan_fast(settings).steps
+    outputs, text = [], plan_fast(settings).steps[0].describe()
     for layer in layers:
-        with engine.part(f"{layer.name}: {step.describe()}"):
+        with engine.part(f"{layer.name}: {text}"):
             outputs.append(filter_layer(layer, settings))
     with engine.part("sum of the light"):
         return add_up(frame, layers, outputs, bad, exact)

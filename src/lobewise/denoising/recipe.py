@@ -137,9 +137,10 @@ def denoise_checked(checked: CheckedGuides[Frame], named: DenoiseSettings, featu
     state = start_run(frame, chosen, features, seen=checked.seen)
     bad = int(np.count_nonzero(state.bad))
     require_some_good(bad, state.bad.size, "pixel")
+    stages, bands = state.plan.stages, state.plan.local_stages
     with engine.on(chosen.device):
-        local = state.run(state.plan.local_stages)
-        state = local.run(state.plan.stages[len(state.plan.local_stages) :])
+        local = state.run(bands)
+        state = local.run(stages[len(bands) :])
     found = state.filtered
     diffuse, specular = join_parts(found.layers, found.parts)
     weight_sum, effective_samples = found.find_support()

@@ -100,7 +100,9 @@ class Filtered:
 
     def find_support(self) -> tuple[FloatArray, FloatArray]:
         """Return weight sum and effective samples of the least supported layer that reflects anything at a pixel."""
-        return find_support(self.layers[: len(self.supports)], self.supports)
+        if len(self.supports) == 1:
+            return self.supports[0].weight_sum, self.supports[0].effective_samples
+        return find_support(self.layers, self.supports)
 
     def find_takers(self) -> list[FloatArray]:
         """Return the share of each pixel's light that takes part in sharing, for every layer; see `find_takers`."""

@@ -20,7 +20,8 @@ from lobewise.exporting.arguments import Argument
 from lobewise.exporting.plan import FilterPlan, Term, define_guides
 from lobewise.exporting.targets import parse_target, refuse_target
 from lobewise.features import Feature
-from lobewise.filters.cross_pass import PassInputs, PassKey, Reads, Writes, chain_passes, describe_structure, make_pass
+from lobewise.features.base import describe_structure
+from lobewise.filters.cross_pass import PassInputs, PassKey, Reads, Writes, chain_passes, make_pass
 from lobewise.filters.forms import list_passes
 from lobewise.filters.planes import begin_at_zero
 from lobewise.filters.schedules.cross_pass import schedule_pass

@@ -30,11 +30,11 @@ def declare_features(signature: Signature, prefix: str, features: Sequence[Featu
 
 def give_features(prefix: str, features: Sequence[Feature], size: tuple[int, int]) -> dict[str, Image]:
     """Return the arrays that `declare_features` declares, by name; raise InputError if an array has another size."""
-    owners = [feature for feature in features for _ in feature.get_arrays()]
-    named = name_arrays(prefix, features)
-    for feature, array in zip(owners, named.values(), strict=True):
-        _require_image(feature, array, size)
-    return {name: take_dense(array) for name, array in named.items()}
+    held = [feature.get_arrays() for feature in features]
+    for feature, arrays in zip(features, held, strict=True):
+        for array in arrays:
+            _require_image(feature, array, size)
+    return {name: take_dense(array) for name, array in _name_all(prefix, held).items()}
 
 
 def declare_scalars(signature: Signature, features: Sequence[Feature], prefix: str = "") -> list[list[hl.Param]]:
@@ -47,18 +47,22 @@ def declare_scalars(signature: Signature, features: Sequence[Feature], prefix: s
 
 def give_scalars(features: Sequence[Feature], prefix: str = "") -> dict[str, float]:
     """Return the scalars that `declare_scalars` declares, by name."""
+    scalars = [feature.get_parameters() for feature in features]
     return {
-        _name_scalar(prefix, number, k): value
-        for number, feature in enumerate(features)
-        for k, value in enumerate(feature.get_parameters())
+        _name_scalar(prefix, number, k): value for number, each in enumerate(scalars) for k, value in enumerate(each)
     }
 
 
 def name_arrays(prefix: str, features: Sequence[Feature]) -> dict[str, Image]:
+    """Return the arrays of all features by the names that `declare_features` declares."""
+    return _name_all(prefix, [feature.get_arrays() for feature in features])
+
+
+def _name_all(prefix: str, held: Sequence[Sequence[Image]]) -> dict[str, Image]:
     return {
         f"{prefix}_feature{number}_{slot}": array
-        for number, feature in enumerate(features)
-        for slot, array in enumerate(feature.get_arrays())
+        for number, arrays in enumerate(held)
+        for slot, array in enumerate(arrays)
     }
 
 

@@ -142,3 +142,8 @@ class DeclaredFeature(Feature):
 def count_channels(feature: Feature) -> list[int]:
     """Return the number of channels of each array of a feature."""
     return [1 if array.ndim == 2 else int(array.shape[2]) for array in feature.get_arrays()]
+
+
+def describe_structure(feature: Feature) -> Hashable:
+    """Return the part of a kernel's key that identifies the code of a feature."""
+    return type(feature), feature.structure, tuple(a.shape[2:] for a in feature.get_arrays())

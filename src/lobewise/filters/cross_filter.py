@@ -17,8 +17,8 @@ from lobewise.backend.jit import Scheduled
 from lobewise.engine.here import MAX_VECTOR_PIXELS, Pass
 from lobewise.errors import require_choice
 from lobewise.features.arrays import give_features, give_scalars
-from lobewise.features.base import Feature
-from lobewise.filters.cross_pass import COLORS, PassKey, Reads, Writes, chain_passes, describe_structure, make_pass
+from lobewise.features.base import Feature, describe_structure
+from lobewise.filters.cross_pass import COLORS, PassKey, Reads, Writes, chain_passes, make_pass
 from lobewise.filters.forms import ATROUS_RADIUS, Taps, list_passes
 from lobewise.filters.schedules.cross_pass import schedule_pass
 from lobewise.filters.schedules.rows import STRIP_ROWS, count_lanes
@@ -101,7 +101,8 @@ def run_filter(
     -------
     FilterOutput
     """
-    require_choice("form", form, FORMS)
+    if form not in FORMS:
+        require_choice("form", form, FORMS)
     size, taps = (mask.shape[0], mask.shape[1]), list_passes(form, radius)
     images: dict[str, Image] = {"source": take_image("radiance", radiance, (*size, COLORS)), "mask": take_mask(mask)}
     images |= give_features("tap", features, size)

@@ -149,11 +149,6 @@ class PassFuncs:
     """The results that ``out`` and ``rest`` read."""
 
 
-def describe_structure(feature: Feature) -> Hashable:
-    """Return the part of a kernel's key that identifies the code of a feature."""
-    return type(feature), feature.structure, tuple(a.shape[2:] for a in feature.get_arrays())
-
-
 def make_stage(stages: list[hl.Func], at: Sequence[hl.Var]) -> Stage:
     """Return a `Stage` that computes a value of pixel and tap in a function of its own and adds it to ``stages``."""
 

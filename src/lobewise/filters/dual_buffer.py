@@ -15,8 +15,8 @@ from lobewise.backend.buffers import Image, returns_host_images, take_channel, t
 from lobewise.backend.compiler import hl
 from lobewise.backend.jit import Scheduled
 from lobewise.features.arrays import give_features, give_scalars
-from lobewise.features.base import Feature
-from lobewise.filters.cross_pass import COLORS, describe_structure
+from lobewise.features.base import Feature, describe_structure
+from lobewise.filters.cross_pass import COLORS
 from lobewise.filters.dual_buffer_pass import (
     GUIDE_CHANNELS,
     DualBufferKey,

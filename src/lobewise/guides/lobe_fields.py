@@ -311,7 +311,8 @@ def collect_guides(
     gbuffer: GBuffer, camera: Camera, tau: float, similarity: str
 ) -> tuple[dict[str, NDArray[Any] | None], dict[str, Any]]:
     """Return the images and numbers that `define_lobes` reads."""
-    assert gbuffer.shape is not None
+    size = gbuffer.shape
+    assert size is not None
     has_covariance = get_similarity(similarity).has_covariance
     directed = has_covariance and gbuffer.tangent is not None
     images = {
@@ -326,7 +327,7 @@ def collect_guides(
     numbers = {
         "eye": make_single(camera.position),
         "noise": square_single(tau),
-        **camera.get_ray_numbers(gbuffer.shape),
+        **camera.get_ray_numbers(size),
     }
     return images, numbers
 

@@ -180,11 +180,11 @@ def _list_images(frame: AnyFrame) -> Iterator[tuple[str, FloatArray]]:
 
 def _list_lights(frame: AnyFrame) -> Iterator[tuple[str, Sequence[FloatArray]]]:
     """Yield the light that surfaces with a guide scatter, by the guide: black light explains a black guide."""
-    radiance = frame.radiance
-    scattered = radiance.parts or (radiance.color,)
+    parts = frame.radiance.parts
+    scattered = parts or (frame.radiance.color,)
     yield from ((name, scattered) for name in (*SURFACES, "denoiser_albedo"))
     for number, name in enumerate(LOBE_ALBEDOS):
-        light = [scattered[number if radiance.parts else 0]]
+        light = [scattered[number if parts else 0]]
         yield name, light
         yield f"mean_{name}", light
     for layer in frame.layers if isinstance(frame, Frame) else ():

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise import engine
-from lobewise.backend.memory import MemoryPool
+from lobewise.backend.buffers import MemoryPool
 from lobewise.denoising.automatic import estimate_spp, expect_noise, require_full, require_plain, resolve_settings
 from lobewise.denoising.bad_pixels import (
     blacken_bad,

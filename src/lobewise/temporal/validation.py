@@ -23,7 +23,7 @@ from lobewise.features import (
     SgFeature,
     SplitGgxFeature,
 )
-from lobewise.filters.cross_pass import describe_structure
+from lobewise.features.base import describe_structure
 from lobewise.filters.history.reprojection import ComparedPixels, prepare_pixels
 from lobewise.frame import FloatArray, Frame, GBuffer, Guided, Radiance
 from lobewise.guides.lobe_fields import SplitField, default_tau

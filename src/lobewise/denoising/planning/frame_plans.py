@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from lobewise.denoising.planning.layer_plans import LayerTraits, plan_layer
+from lobewise.denoising.planning.layer_plans import LayerTraits, plan_layers
 from lobewise.denoising.planning.steps import LayerPlan
 from lobewise.denoising.refining.lamps import REACH as LAMPS_REACH
 from lobewise.filters.noise.detail import REACH as DETAIL_REACH
@@ -116,8 +116,9 @@ def plan_frame(traits: FrameTraits, settings: ResolvedSettings) -> FramePlan:
         MIX_PEER: settings.with_oidn,
         FILTER_ALSO: traits.has_passes,
     }
-    layers = {name: plan_layer(each, settings) for name, each in traits.layers.items()}
-    return FramePlan(layers, tuple(stage for stage, is_wanted in wanted.items() if is_wanted))
+    return FramePlan(
+        plan_layers(traits.layers, settings), tuple(stage for stage, is_wanted in wanted.items() if is_wanted)
+    )
 
 
 def describe_frame(frame: Frame) -> FrameTraits:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from lobewise.denoising.planning.steps import (
@@ -67,10 +68,11 @@ AUTO_SIGMA = 30.0
 """Screen sigma, pixels, that "auto" stands for at radius 8. The sigmas of the passes are in proportion to it."""
 
 
-def plan_layer(traits: LayerTraits, settings: ResolvedSettings) -> LayerPlan:
-    """Return the plan of a layer for the quality of the settings."""
-    guided = get_quality(settings.quality).reads_halves
-    return plan_balanced(traits, settings) if guided else plan_fast(settings)
+def plan_layers(traits: Mapping[str, LayerTraits], settings: ResolvedSettings) -> dict[str, LayerPlan]:
+    """Return the plans of layers for the quality of the settings, by name."""
+    if not get_quality(settings.quality).reads_halves:
+        return dict.fromkeys(traits, plan_fast(settings))
+    return {name: plan_balanced(each, settings) for name, each in traits.items()}
 
 
 def plan_fast(settings: ResolvedSettings) -> LayerPlan:

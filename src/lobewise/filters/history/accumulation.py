@@ -17,9 +17,8 @@ from lobewise.backend.expressions import LOG2_E
 from lobewise.backend.jit import Scheduled
 from lobewise.errors import InputError
 from lobewise.features.arrays import give_features, give_scalars
-from lobewise.features.base import Feature
+from lobewise.features.base import Feature, describe_structure
 from lobewise.filters.cross_filter import FilterOutput, run_filter
-from lobewise.filters.cross_pass import describe_structure
 from lobewise.filters.history.accumulation_pass import (
     make_accumulation,
     make_filtered_accumulation,

@@ -15,8 +15,7 @@ from lobewise.backend.buffers import HostImage, device_scope, download, take_ima
 from lobewise.backend.compiler import hl
 from lobewise.backend.jit import Scheduled
 from lobewise.features.arrays import give_features, give_scalars
-from lobewise.features.base import Feature
-from lobewise.filters.cross_pass import describe_structure
+from lobewise.features.base import Feature, describe_structure
 from lobewise.filters.history.reprojection_pass import make_preparation, make_reprojection
 from lobewise.filters.history.sums import cut, join_channels, split_history, widen
 from lobewise.filters.schedules.reprojection import schedule_preparation, schedule_reprojection

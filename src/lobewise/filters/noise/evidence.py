@@ -15,6 +15,9 @@ errors is our own.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from lobewise import engine
@@ -41,6 +44,8 @@ FIRST_BLUR = 1
 """First blur that counts: fewer than 60 products do not estimate their own spread well."""
 REACH: int = POOLING_REACH + 2 * (2**BLUR_COUNT - 1)
 """Distance of the farthest pixel that affects a pixel's share, rows or columns."""
+COUNTED_BLOCKS = (16, 32)
+"""Sides of the blocks of `count_certain`, pixels. They hold about as many pixels as the blurs that count average."""
 _MIN_SQUARE = 1e-30
 
 
@@ -52,7 +57,6 @@ def find_noisy_share(
     variance: FloatArray | None = None,
     floor: float,
     shared: bool = False,
-    by_darker: bool = False,
     concentration: float = 1.0,
 ) -> FloatArray:
     """Return the share of the noisy image that minimises the error of a mixture of both, as far as it is certain.
@@ -73,9 +77,6 @@ def find_noisy_share(
         Added to the squared local luminance that squared differences are divided by, > 0.
     shared : bool
         Whether neighbouring pixels share their noise.
-    by_darker : bool
-        Divide by the smaller luminance of the filtered and the noisy image, so that a filtered image that is too bright
-        does not make its own error look small. Otherwise divide by that of the filtered image, which has less noise.
     concentration : float
         Largest error of a pixel over the mean error of its neighbourhood, >= 1; the pixel's squared difference decides.
         Filters steered by guides err along edges. With 1 the error is spread evenly.
@@ -90,15 +91,54 @@ def find_noisy_share(
     InputError
         If the images differ in size.
     """
-    told, factor = gather_noise(halves, variance, shared=shared)
-    images = {"filtered": filtered, "noisy": noisy, **told}
-    (sums,) = engine.pixels(define_excess, images, {"floor": np.float32(min(max(floor, 1e-24), 1e30))}, by_darker)
+    sums, factor = _find_excess(filtered, noisy, gather_noise(halves, variance, shared=shared), floor, by_darker=False)
     levels = {}
     for number in range(BLUR_COUNT):
         levels[f"sums{number}"] = sums = blur_image(sums, 2**number)
     numbers = {"error": find_margins(factor), "most": np.float32(concentration)}
     (share,) = engine.pixels(define_share, {"noisy": noisy, **levels}, numbers)
     return share
+
+
+def count_certain(
+    filtered: FloatArray, noisy: FloatArray, *, variance: FloatArray | None, floor: float, shared: bool
+) -> int:
+    """Return in how many pixels the error of a filtered image is certainly larger than the noise of the noisy one.
+
+    Blocks of `COUNTED_BLOCKS` pixels count as a whole. Differences are divided by the smaller luminance of both images,
+    so that a filtered image that is too bright does not make its own error look small. Parameters are those of
+    `find_noisy_share`.
+    """
+    noise = gather_noise(None, variance, shared=shared)
+    sums, factor = _find_excess(filtered, noisy, noise, floor, by_darker=True)
+    found, sizes = np.zeros(noisy.shape[:2], np.bool_), np.ones(noisy.shape[:2], np.float32)
+    block = 1
+    for size in COUNTED_BLOCKS:
+        # Each block is the sum of smaller ones.
+        for axis in (0, 1):
+            starts = np.arange(0, sums.shape[axis], size // block)
+            sums, sizes = (np.add.reduceat(each, starts, axis=axis) for each in (sums, sizes))
+        block = size
+        excess, square, own = (sums[..., k] / sizes for k in range(3))
+        certain = excess - np.sqrt(MARGIN_STANDARD_ERRORS**2 * factor / sizes * square) > own
+        height, width = noisy.shape[:2]
+        found |= certain.repeat(size, axis=0)[:height].repeat(size, axis=1)[:, :width]
+    return int(np.count_nonzero(found))
+
+
+def _find_excess(
+    filtered: FloatArray,
+    noisy: FloatArray,
+    noise: tuple[Mapping[str, Any], float],
+    floor: float,
+    *,
+    by_darker: bool,
+) -> tuple[FloatArray, float]:
+    """Return excess, squared excess and variance of every pixel, and the factor of squared margins."""
+    told, factor = noise
+    images = {"filtered": filtered, "noisy": noisy, **told}
+    (sums,) = engine.pixels(define_excess, images, {"floor": np.float32(min(max(floor, 1e-24), 1e30))}, by_darker)
+    return sums, factor
 
 
 def find_margins(factor: float = 1.0) -> FloatArray:

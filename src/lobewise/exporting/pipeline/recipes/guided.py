@@ -19,9 +19,9 @@ from lobewise.engine.recorder import give_feature_images, give_feature_numbers
 from lobewise.exporting.pipeline.recipes.guides import PipelineGuides
 from lobewise.exporting.pipeline.recipes.steps import PlannedRun
 from lobewise.features import Feature
+from lobewise.features.base import describe_structure
 from lobewise.filters import glue
 from lobewise.filters.compositing import define_composite
-from lobewise.filters.cross_pass import describe_structure
 from lobewise.filters.dual_buffer import make_scheduled_dual_buffer
 from lobewise.filters.dual_buffer_pass import DualBufferKey, Groups
 from lobewise.filters.fireflies import make_fireflies
