@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from lobewise import engine
 from lobewise.features import Feature
-from lobewise.filters.cross_filter import run_filter
+from lobewise.filters.cross_filter import FilterOutput, run_filter
 from lobewise.filters.forms import ATROUS_LEVELS
 from lobewise.frame import Frame
 
@@ -35,5 +36,9 @@ def make_kernel_calls(
     frame: Frame, features: dict[str, list[Feature]], radius: int, form: str, device: str = "cpu"
 ) -> Calls:
     """Return functions that filter one image with each list of features; Open Image Denoise also gets one image."""
-    run = partial(run_filter, frame.radiance.color, np.ones(frame.shape, dtype=bool))
-    return {name: partial(run, chosen, form=form, radius=radius, device=device) for name, chosen in features.items()}
+
+    def run(chosen: list[Feature]) -> FilterOutput:
+        with engine.on(device):
+            return run_filter(frame.radiance.color, np.ones(frame.shape, dtype=bool), chosen, form=form, radius=radius)
+
+    return {name: partial(run, chosen) for name, chosen in features.items()}

@@ -56,5 +56,8 @@ def make_pipeline(
     plan = plan_frame(FrameTraits(traits), settings.resolve())
     with engine.use(guides.kernels):
         PlannedFrame(guides, plan).run()
+    read = {image.memory.name for operation in graph.operations for image in operation.reads}
+    unread = [before.name for _, before in graph.kept if before.name not in read]
+    assert not unread, f"no step reads what the frame before has left: {unread}"
     kernels = guides.kernels
     return Pipeline(settings, graph, constants, list(kernels.found.values()), kernels.lanes, name, chosen.to_string())

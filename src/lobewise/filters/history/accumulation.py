@@ -218,7 +218,9 @@ class SampleGrid:
             radii = {"known_radius": known.radius, "known_precision": known.precision}
         options = self._list_options(weights)
         text = f"{self.name} light at every pixel"
-        found = self._run(images, {**numbers, **radii}, self.shape, make_accumulation, *options, text=text, keeps=True)
+        found = self._run(
+            images, {**numbers, **radii}, self.shape, make_accumulation, *options, text=text, keeps=history is not None
+        )
         return _split_output(found)
 
     @device_scope()
@@ -274,7 +276,7 @@ class SampleGrid:
             make_filtered_accumulation,
             self._tinted,
             text="add the frame to the history",
-            keeps=True,
+            keeps=history is not None,
             strict=True,
         )
         return _split_output(accumulated)

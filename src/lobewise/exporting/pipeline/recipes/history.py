@@ -13,9 +13,6 @@ from lobewise.filters.history.reprojection import ComparedPixels
 from lobewise.filters.history.sums import HISTORY_CHANNELS
 from lobewise.temporal.validation import ValidationFeatures
 
-NAMES = "color", "diffuse", "specular", "rest"
-"""Names of layers, and of the surfaces by which frames are recognised."""
-
 
 @dataclass(frozen=True)
 class GivenPast:
