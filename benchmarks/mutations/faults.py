@@ -144,9 +144,9 @@ DENOISING = (
     ),
     Mutation(
         "the light of fireflies is given back to the image and not to its parts",
-        "denoising/stages.py",
-        "parts.append(brighten(part, part, taker, gain))",
-        "parts.append(part)",
+        "denoising/light_loss.py",
+        'bright.append(brighten(part, part, taker, gain, name="part"))',
+        "bright.append(part)",
         ("denoising/test_light_loss.py", "denoising/test_also.py"),
     ),
     Mutation(

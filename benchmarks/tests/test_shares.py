@@ -20,9 +20,9 @@ from benchmarks.training.candidates import (
 )
 from lobewise.denoising.automatic import resolve_all
 from lobewise.denoising.combining import find_mixture
-from lobewise.denoising.evidence import find_share_taken_back
 from lobewise.denoising.networks import NAMES, unpack_network
 from lobewise.denoising.stages import start_run
+from lobewise.filters.noise.detail import predict_shares
 from lobewise.guides.usable import check_guides
 from lobewise.settings import DenoiseSettings
 from tests.streaming.frames import make_scene
@@ -87,7 +87,7 @@ def test_they_take_what_is_nearer(tmp_path: Path, rng: np.random.Generator) -> N
         # What else the file holds stays.
         np.testing.assert_array_equal(arrays["other"], 1.0)
     found = make_candidates(8, rng)
-    share = find_share_taken_back(found.high, found.noisy, noisy, halves=found.halves, level=0.6, shared=False)
+    share = predict_shares(found.high, found.noisy, noisy, halves=found.halves, level=0.6)[..., 0]
     assert share[8:-8, 8:16].mean() > 0.5
     assert share[8:-8, -16:-8].mean() < 0.2
     ours = found.high + share[..., None] * (found.noisy - found.high)

@@ -25,10 +25,9 @@ from benchmarks.training.candidates import COLOR, DRAWN, FEW_SPP, Candidates, re
 from benchmarks.training.frames import is_validation
 from benchmarks.training.share_network import Examples, ShareNetwork, make_examples, measure, train
 from lobewise.denoising.combining import find_level, see_mixture
-from lobewise.denoising.evidence import find_share_taken_back
 from lobewise.denoising.networks import NAMES, WEIGHTS, load_networks, pack_network
 from lobewise.filters.mixing import Network
-from lobewise.filters.noise.detail import find_detail
+from lobewise.filters.noise.detail import find_detail, predict_shares
 
 STEPS = 9000
 MAX_LEVEL = 4.0
@@ -63,10 +62,9 @@ def make_noisy(found: Candidates, quality: str, rng: np.random.Generator) -> Exa
 def make_peer(found: Candidates, network: Network, rng: np.random.Generator) -> Examples:
     """Return the example for the network "peer": the image of Open Image Denoise, ours, and the noisy one."""
     shared = found.kind == "shared"
-    share = find_share_taken_back(
-        found.high, found.noisy, network, halves=found.halves, level=find_level(found.high), shared=shared
-    )
-    ours = found.high + share[..., None] * (found.noisy - found.high)
+    level = find_level(found.high)
+    shares = predict_shares(found.high, found.noisy, network, halves=found.halves, level=level, shared=shared)
+    ours = found.high + shares[..., :1] * (found.noisy - found.high)
     rows = see_mixture(found.noisy, ours, found.peer, halves=found.halves, shared=shared)
     seen = np.concatenate([features for _, features in rows])
     references = found.reference_a, found.reference_b

@@ -21,4 +21,4 @@ def unshared(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def trusted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave results as the filters made them: no detail is taken back."""
-    monkeypatch.setattr(stages, "find_share_lost", lambda frame, *_, **__: np.zeros(frame.shape, np.float32))
+    monkeypatch.setattr(stages, "find_share_lost", lambda samples, *_, **__: np.zeros(samples.shape[:2], np.float32))

@@ -165,10 +165,10 @@ def test_pixels_that_do_not_count_tell_no_loss() -> None:
     part, uncounted = 0.5 * light, np.zeros((2, 4), bool)
     part[0, 0], uncounted[0, 0] = 30.0, True
     taker = np.ones((2, 4), np.float32)
-    rows = sum_missing(layer, part, taker, uncounted=uncounted)
+    rows = sum_missing(layer.radiance, part, taker, uncounted=uncounted)
     np.testing.assert_allclose(rows[:, 1], [3 * 1.5, 4 * 1.5])
-    np.testing.assert_allclose(sum_missing(layer, part, taker, slice(0, 1), uncounted=uncounted), rows[:1])
-    assert sum_missing(layer, part, taker)[0, 1] < 0.0
+    np.testing.assert_allclose(sum_missing(layer.radiance, part, taker, slice(0, 1), uncounted=uncounted), rows[:1])
+    assert sum_missing(layer.radiance, part, taker)[0, 1] < 0.0
 
 
 def test_a_pixel_takes_by_its_light_up_to_half_the_mean() -> None:

@@ -11,7 +11,6 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from types import SimpleNamespace
 from typing import Any
 
 import halide as hl
@@ -21,7 +20,6 @@ from lobewise import engine
 from lobewise.backend.jit import Kernel, get_kernel, run_kernel
 from lobewise.camera import Camera
 from lobewise.denoising.automatic import estimate_spp
-from lobewise.denoising.light_loss import find_gain, sum_missing
 from lobewise.denoising.planning.frame_plans import FrameTraits, plan_frame
 from lobewise.denoising.planning.layer_plans import LayerTraits
 from lobewise.engine.graph import Graph, Image
@@ -143,12 +141,6 @@ def _find_level(graph: HereGraph, images: Sequence[np.ndarray], numbers: Sequenc
     graph.known[numbers[0].lstrip("&")] = find_level(rows)
 
 
-def _find_gain(graph: HereGraph, images: Sequence[np.ndarray], numbers: Sequence[str]) -> None:
-    layer: Any = SimpleNamespace(radiance=images[0])
-    gain = find_gain(sum_missing(layer, *images[1:]))
-    graph.known |= {name.lstrip("&"): value for name, value in zip(numbers, (gain.takers, gain.all), strict=True)}
-
-
 def _pick_samples(graph: HereGraph, images: Sequence[np.ndarray], numbers: Sequence[str]) -> None:
     (row, column), scale = graph.place, graph.sizes["height"] // graph.sizes["rows"]
     axes = (slice(row, None, scale), slice(column, None, scale))
@@ -160,7 +152,6 @@ FUNCTIONS: Mapping[str, Callable[[HereGraph, Sequence[np.ndarray], Sequence[str]
     "copy_image": lambda graph, images, numbers: np.copyto(images[1], images[0]),
     "find_box": lambda graph, images, numbers: None,
     "find_level": _find_level,
-    "find_gain": _find_gain,
     "pick_samples": _pick_samples,
 }
 """What the functions of the driver do."""

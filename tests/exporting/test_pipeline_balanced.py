@@ -69,7 +69,7 @@ def test_no_number_of_a_frame_is_compiled_in() -> None:
 def test_network_is_compiled_in() -> None:
     driver = write_driver(make_pipeline(PipelineSettings(plan="balanced")))
     network = load_networks()["noisy"]
-    begin = driver.index("HELD_VALUES_network_centre[] = {")
+    begin = driver.index("HELD_VALUES_shares_centre[] = {")
     words = driver[begin : driver.index("};", begin)].split("{")[1].replace("f", "").split(",")
     np.testing.assert_array_equal(np.array(words, np.float64).astype(np.float32), network.mean)
 

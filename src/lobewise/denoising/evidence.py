@@ -5,14 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.chunks import cut_rows
-from lobewise.denoising.bad_pixels import blacken_bad, find_good
+from lobewise import engine
 from lobewise.denoising.networks import load_networks
-from lobewise.filters.mixing import Network
-from lobewise.filters.noise.detail import find_detail
+from lobewise.filters.glue import define_good, define_mixed, define_share_taken
+from lobewise.filters.noise.detail import predict_shares
 from lobewise.filters.noise.evidence import count_certain, find_noisy_share
 from lobewise.filters.noise.pooling import DARK_SHARE
-from lobewise.filters.noise.shares import find_shares
 from lobewise.frame import FloatArray, Frame
 from lobewise.metrics.images import EPSILON
 
@@ -33,31 +31,45 @@ MIN_STRIPS = 4
 
 
 def find_share_lost(
-    frame: Frame, samples: FloatArray, image: FloatArray, level: float, *, refined: bool = False
+    samples: FloatArray,
+    image: FloatArray,
+    level: float,
+    *,
+    halves: tuple[FloatArray, FloatArray] | None,
+    shared: bool,
+    refined: bool = False,
 ) -> FloatArray:
     """Return the share of the noisy image to take back where the filter removed detail, (height, width), in [0, 1].
 
+    A network says at which share it expects the least error of the mixture. It was trained on random scenes, with and
+    without guides and halves (``benchmarks/training/shares.py``).
+
     Parameters
     ----------
-    frame : Frame
-        The noisy frame.
     samples : array, shape (height, width, 3)
         The noisy image; see `lobewise.filters.fireflies.cut_samples`.
     image : array, shape (height, width, 3)
         The filtered image: the sum of the layers and of the light that is in no layer.
     level : float
         Mean light of the samples of the whole image, radiance over albedo, > 0.
+    halves : two arrays, shape (height, width, 3), optional
+        Means of one half of the samples each.
+    shared : bool
+        Whether neighbouring pixels share their noise.
     refined : bool
         Whether the refining network made the image.
     """
-    image, color, halves = blacken_bad(image), samples, find_image_halves(frame)
-    shared = frame.noise_is_shared
+    text = "the filtered image, finite"
+    (filtered,) = engine.pixels(define_good, {"image": image}, {}, names=["good"], text=text)
     network = load_networks()["refined" if refined else "noisy"]
-    share = find_share_taken_back(image, color, network, halves=halves, level=level, shared=shared)
+    shares = predict_shares(filtered, samples, network, halves=halves, level=level, shared=shared)
+    certain = None
     if halves is not None:
-        share = np.maximum(share, find_share_proved(image, color, halves, level=level, shared=shared))
+        certain = find_share_proved(filtered, samples, halves, level=level, shared=shared)
     # The parts are added later, and near the largest float their sum overflows.
-    return np.where(np.max(color, axis=-1) < MAX_RADIANCE, share, np.float32(0.0))
+    images = {"color": samples, "shares": shares, "certain": certain}
+    (share,) = engine.pixels(define_share_taken, images, {}, MAX_RADIANCE, names=["share"])
+    return share
 
 
 def find_share_proved(
@@ -88,51 +100,10 @@ def find_image_halves(frame: Frame) -> tuple[FloatArray, FloatArray] | None:
     return None if a is None or b is None else (a.color, b.color)
 
 
-def find_share_taken_back(
-    filtered: FloatArray,
-    noisy: FloatArray,
-    network: Network,
-    *,
-    halves: tuple[FloatArray, FloatArray] | None,
-    level: float,
-    shared: bool,
-) -> FloatArray:
-    """Return the share of the noisy image at which a network expects the least error of the mixture.
-
-    The network was trained on random scenes, with and without guides and halves (``benchmarks/training/shares.py``).
-
-    Parameters
-    ----------
-    filtered, noisy, halves, level, shared
-        As in `lobewise.filters.noise.detail.find_detail`.
-    network : Network
-        Its two outputs are the shares of the noisy and of the filtered image.
-
-    Returns
-    -------
-    array, shape (height, width)
-        In [0, 1]; 0 at bad pixels.
-    """
-    share = np.empty(noisy.shape[:2], np.float32)
-    for rows, seen in find_detail(filtered, noisy, halves=halves, level=level, shared=shared):
-        share[rows] = find_shares(seen, network, 2)[..., 0]
-    share[~find_good(noisy)] = 0.0
-    return share
-
-
 def mix_noisy(part: FloatArray, noisy: FloatArray, share: FloatArray) -> FloatArray:
     """Return a filtered part with a share, (height, width), of its samples; where these are not finite, the part."""
-    mixed = np.empty_like(part)
-    for chunk in cut_rows(*share.shape):  # a chunk stays in the core's cache
-        here, before = mixed[chunk], part[chunk]
-        # Shares of their own for every channel: NumPy is several times slower where it spreads them.
-        shares = np.repeat(share[chunk], 3, axis=1).reshape(before.shape)
-        with np.errstate(invalid="ignore", over="ignore"):
-            # A negative part counts as no light, as in the total.
-            np.subtract(np.maximum(noisy[chunk], np.float32(0.0)), before, out=here)
-            here *= shares
-            here += before
-        np.copyto(here, before, where=~(np.isfinite(here) & (shares > 0.0)))
+    images, text = {"part": part, "noisy": noisy, "share": share}, "take the noisy light back"
+    (mixed,) = engine.pixels(define_mixed, images, {}, names=["mixed"], text=text)
     return mixed
 
 

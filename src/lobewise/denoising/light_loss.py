@@ -23,8 +23,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.denoising.bad_pixels import blacken_bad, find_good
+from lobewise import engine
+from lobewise.denoising.bad_pixels import find_good
 from lobewise.denoising.layers import Layer
+from lobewise.engine.numbers import make_single
+from lobewise.filters.glue import define_brightened, define_takers
 from lobewise.filters.noise.residuals import DIFFERENCES, SHARED_NOISE_VARIANCE, SHARED_STEP
 from lobewise.frame import FloatArray, Frame
 
@@ -74,34 +77,32 @@ def find_takers(layer: Layer, part: FloatArray, level: float) -> FloatArray:
     level : float
         Mean light of the layer's samples, over albedo.
     """
-    light = _add_channels(blacken_bad(part))
-    bound = np.full_like(light, 3.0)
-    if layer.albedo is not None:
-        bound = _add_channels(blacken_bad(layer.albedo))
-    bound *= MAX_TAKER * level
-    share = np.divide(bound, light, out=np.zeros_like(light), where=layer.mask & (light > 0.0))
-    return np.minimum(share, 1.0).astype(np.float32)
+    images = {"part": part, "albedo": layer.albedo, "mask": layer.mask}
+    numbers, text = {"level": level}, "light that takes part in sharing"
+    (taker,) = engine.pixels(define_takers, images, numbers, MAX_TAKER, names=["taker"], text=text)
+    return taker
 
 
 def sum_missing(
-    layer: Layer,
+    radiance: FloatArray,
     part: FloatArray,
     taker: FloatArray,
     rows: slice = slice(None),
     *,
     uncounted: NDArray[np.bool_] | None = None,
 ) -> Rows:
-    """Return sums over the good pixels of each row, (rows, 5), from which `find_gain` computes the gain.
+    """Return sums over the good pixels of each row, (rows, 5), from which `find_gain` computes the gain of a layer.
 
-    The sums are: the noisy light; the noisy minus the filtered light; the square of this difference; the light that
-    takes part in sharing; all light of the pixels that take part. Light is the sum of the three channels. Pixels in
+    The images are the layer's noisy and filtered light, (height, width, 3), and the result of `find_takers`. The sums
+    are: the noisy light; the noisy minus the filtered light; the square of this difference; the light that takes part
+    in sharing; all light of the pixels that take part. Light is the sum of the three channels. Pixels in
     ``uncounted``, (height, width), are left out.
     """
     first, stop, _ = rows.indices(len(part))
     found = [np.zeros((0, 5))]
     for top in range(first, stop, MISSING_ROWS_AT_ONCE):
         block = slice(top, min(top + MISSING_ROWS_AT_ONCE, stop))
-        noisy, done, share = layer.radiance[block], part[block], taker[block]
+        noisy, done, share = radiance[block], part[block], taker[block]
         good = find_good(noisy) & find_good(done)
         if uncounted is not None:
             good &= ~uncounted[block]
@@ -147,12 +148,28 @@ def find_gain(rows: Rows, *, refined: bool = False) -> Gain:
     return Gain(takers, first + min((shared - takers * taking) / whole, most - first, MAX_GAIN))
 
 
-def brighten(image: FloatArray, part: FloatArray, taker: FloatArray, gain: Gain) -> FloatArray:
-    """Return an image, (height, width, 3), plus the gain of a layer's ``part``."""
-    if not any(gain):
-        return image
-    factor = np.where(taker > 0.0, np.float32(gain.takers) * taker + np.float32(gain.all), np.float32(0.0))
-    return np.asarray(image + part * factor[..., None], np.float32)
+def measure_gain(radiance: FloatArray, part: FloatArray, taker: FloatArray) -> Gain:
+    """Return the gain of a layer whose image no network refined, from the images of `sum_missing`."""
+    return find_gain(sum_missing(radiance, part, taker))
+
+
+def brighten(image: FloatArray, part: FloatArray, taker: FloatArray, gain: Gain, *, name: str = "") -> FloatArray:
+    """Return an image, (height, width, 3), plus the gain of a layer's ``part``; ``name`` is its name in plans."""
+    images = {"image": image, "part": part, "taker": taker}
+    numbers = {"takers": make_single(gain.takers), "all": make_single(gain.all)}
+    (bright,) = engine.pixels(define_brightened, images, numbers, names=[name], text="share light out")
+    return bright
+
+
+def share_light(
+    image: FloatArray, parts: Sequence[FloatArray], takers: Sequence[FloatArray], gains: Sequence[Gain]
+) -> tuple[FloatArray, list[FloatArray]]:
+    """Return an image, (height, width, 3), and its parts, each with the gains of the layers."""
+    bright = []
+    for part, taker, gain in zip(parts, takers, gains, strict=True):
+        image = brighten(image, part, taker, gain, name="total")
+        bright.append(brighten(part, part, taker, gain, name="part"))
+    return image, bright
 
 
 def find_share_missing(rows: Sequence[Rows], gains: Sequence[Gain]) -> float:

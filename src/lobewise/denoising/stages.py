@@ -13,9 +13,9 @@ from lobewise.backend.buffers import device_scope
 from lobewise.denoising.also import Passed, filter_also
 from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, find_bad_pixels, find_good
 from lobewise.denoising.combining import choose_between, denoise_with_peer, share_out
-from lobewise.denoising.evidence import find_share_lost, mix_noisy
+from lobewise.denoising.evidence import find_image_halves, find_share_lost, mix_noisy
 from lobewise.denoising.layers import Layer, Support, find_support
-from lobewise.denoising.light_loss import brighten, find_gain, find_share_missing, find_takers, sum_missing
+from lobewise.denoising.light_loss import find_gain, find_share_missing, find_takers, share_light, sum_missing
 from lobewise.denoising.noisy import join_halves, make_noisy_layers
 from lobewise.denoising.plain import filter_by_guides
 from lobewise.denoising.planning.frame_plans import (
@@ -111,7 +111,7 @@ class Filtered:
 
     def sum_missing(self, takers: Sequence[FloatArray], rows: slice = slice(None)) -> list[NDArray[np.float64]]:
         """Return the sums of `lobewise.denoising.light_loss.sum_missing` for every layer in some rows."""
-        layers = zip(self.layers, self.parts, takers, strict=False)
+        layers = zip((layer.radiance for layer in self.layers), self.parts, takers, strict=False)
         return [sum_missing(*each, rows, uncounted=self.uncounted) for each in layers]
 
     def find_gains(self) -> tuple[FloatArray, ...]:
@@ -249,7 +249,7 @@ def filter_halves(state: FrameRun) -> Filtered:
         layers=[each.layer for each in noisy],
         parts=parts,
         supports=clean,
-        image=compose(frame, parts, rest),
+        image=compose(parts, rest),
         tallies=[each.bounded.tally for each in noisy],
         rest=rest,
         noisy_rest=rest,
@@ -276,7 +276,7 @@ def refine(state: FrameRun) -> FrameRun:
         parts = [part * factor for part in found.parts]
     if rest is not None and seen is not None:
         rest = np.where(seen, rest * factor, rest)
-    image = compose(frame, parts, rest)
+    image = compose(parts, rest)
     return replace(state, found=replace(found, parts=parts, rest=rest, image=image, is_refined=True, uncounted=edges))
 
 
@@ -287,18 +287,19 @@ def take_back(state: FrameRun) -> FrameRun:
     noisy, parts = found.noisy, found.parts
     if found.rest is not None and found.noisy_rest is not None:
         noisy, parts = [*noisy, found.noisy_rest], [*parts, found.rest]
-    share = find_share_lost(state.frame, bound_samples(state), found.image, level, refined=refined)
+    halves, shared = find_image_halves(state.frame), state.frame.noise_is_shared
+    samples = bound_samples(state)
+    share = find_share_lost(samples, found.image, level, halves=halves, shared=shared, refined=refined)
     mixed = [mix_noisy(*each, share) for each in zip(parts, noisy, strict=True)]
     rest = mixed.pop() if len(mixed) > len(found.parts) else None
-    image = compose(state.frame, mixed, rest)
+    image = compose(mixed, rest)
     after = replace(found, parts=mixed, rest=rest, image=image, taken_from=found, share_taken=share)
     return replace(state, found=after)
 
 
 def bound_samples(state: FrameRun) -> FloatArray:
     """Return the samples of a frame without those that are too bright for any network; see `cut_samples`."""
-    with np.errstate(over="ignore"):  # an infinite sum is a bad pixel
-        bounded = compose(state.frame, state.filtered.noisy, find_rest(state.frame))
+    bounded = compose(state.filtered.noisy, find_rest(state.frame))
     return cut_samples(state.frame.radiance.color, bounded)
 
 
@@ -311,10 +312,7 @@ def keep_light(state: FrameRun) -> FrameRun:
     lost = find_share_missing(rows, gains)
     if not any(map(any, gains)):
         return replace(state, energy_lost=lost)
-    image, parts = found.image, []
-    for part, taker, gain in zip(found.parts, takers, gains, strict=True):
-        image = brighten(image, part, taker, gain)
-        parts.append(brighten(part, part, taker, gain))
+    image, parts = share_light(found.image, found.parts, takers, gains)
     return replace(state, found=replace(found, image=image, parts=parts), energy_lost=lost)
 
 
@@ -347,8 +345,7 @@ def mix_peer(state: FrameRun) -> FrameRun:
     frame, found, image = state.frame, state.filtered, state.total
     samples = bound_samples(state)
     peer = denoise_with_peer(frame, samples, image, state.seen)
-    with np.errstate(over="ignore"):  # an infinite sum is a bad pixel, whose share is 0
-        noisy = compose(frame, found.noisy, found.noisy_rest)
+    noisy = compose(found.noisy, found.noisy_rest)
     mixed, share = choose_between(frame, samples, image, peer, noisy)
     if found.share_taken is None:  # detail of one part is not spread over all
         parts = [mix_noisy(*each, share) for each in zip(found.parts, found.noisy, strict=True)]

@@ -15,6 +15,7 @@ from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.engine.here import HERE, Here, Pass
@@ -234,6 +235,54 @@ def in_box(mask: Any, reach: int, run: Callable[..., None], *images: Any) -> Non
     ``run`` gets the parts of the images that lie in the box, and may change them.
     """
     _current.engine.in_box(mask, reach, run, images)
+
+
+def in_bands(
+    gather: Callable[[dict[str, Any]], dict[str, Any]],
+    finish: Callable[[dict[str, Any]], Any],
+    images: Mapping[str, Any],
+    rows: int,
+    reach: int,
+) -> Any:
+    """Run a part of a recipe on some rows after others, so that what it gathers takes little memory; return an image.
+
+    ``gather`` gets the images of ``rows`` rows and of ``reach`` rows above and below, and returns images. ``finish``
+    gets these without the rows above and below, and returns an image. A recorded recipe gathers all rows at once.
+    """
+    given = {name: image for name, image in images.items() if image is not None}
+    return _current.engine.in_bands(gather, finish, given, rows, reach)
+
+
+def chain(
+    define: Callable[..., Any],
+    images: Mapping[str, Any],
+    numbers: Mapping[str, Any],
+    key: Hashable,
+    make: Make,
+    arrays: Mapping[str, NDArray[np.float32]],
+    *,
+    rows: int,
+    name: str,
+    channels: int,
+    texts: tuple[str, str] = ("", ""),
+) -> Any:
+    """Call a kernel on the image that a definition computes, for some rows after others; return the only output.
+
+    So the image between takes the memory of ``rows`` rows.
+
+    Parameters
+    ----------
+    define, images, numbers
+        As of `pixels`.
+    key, make
+        As of `kernel`. It reads the image ``name``, and ``arrays``, which are the same for all frames.
+    rows, channels : int
+        Rows that are computed together, and channels of the image between.
+    name : str
+    texts : pair of str
+        What the two calls do, for recorded plans.
+    """
+    return _current.engine.chain(define, images, numbers, key, make, arrays, rows, name, channels, texts)
 
 
 def clear(image: Any) -> None:

@@ -201,6 +201,44 @@ class Here:
             box = tuple(slice(max(int(at[0]) - reach, 0), int(at[-1]) + reach + 1) for at in (rows, columns))
             run(*(image[box] for image in images))
 
+    def in_bands(
+        self,
+        gather: Callable[[dict[str, Any]], dict[str, Any]],
+        finish: Callable[[dict[str, Any]], Any],
+        images: Mapping[str, HostImage],
+        rows: int,
+        reach: int,
+    ) -> HostImage:
+        """See `lobewise.engine.in_bands`."""
+        height, found = len(next(iter(images.values()))), []
+        for top in range(0, height, rows):
+            first, bottom = max(top - reach, 0), min(top + rows, height)
+            gathered = gather({name: image[first : bottom + reach] for name, image in images.items()})
+            found.append(finish({name: image[top - first : bottom - first] for name, image in gathered.items()}))
+        return np.concatenate(found)
+
+    def chain(
+        self,
+        define: Callable[..., Any],
+        images: Mapping[str, HostImage],
+        numbers: Mapping[str, Any],
+        key: Hashable,
+        make: Callable[[Any], Any],
+        arrays: Mapping[str, FloatArray],
+        rows: int,
+        name: str,
+        channels: int,
+        texts: tuple[str, str],
+    ) -> HostImage:
+        """See `lobewise.engine.chain`."""
+        height, found = len(next(iter(images.values()))), []
+        for top in range(0, height, rows):
+            part = {each: image[top : top + rows] for each, image in images.items()}
+            (between,) = self.pixels(define, part, numbers)
+            (result,) = self.host.kernel(key, make, {name: between, **arrays}, {}).values()
+            found.append(np.asarray(result))
+        return np.concatenate(found)
+
     def compare(self, first: float, sign: str, second: float) -> bool:
         """See `lobewise.engine.compare`."""
         return first > second if sign == ">" else first >= second

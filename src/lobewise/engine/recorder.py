@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lobewise.backend.compiler import hl
 from lobewise.backend.disk import fetch_object
@@ -336,6 +337,41 @@ class Recorder:
         self.graph.run("find_box", [mask], [str(reach)], "the box around the pixels of the mask")
         with self.graph.only_in_box():
             run(*images)
+
+    def in_bands(
+        self,
+        gather: Callable[[dict[str, Any]], dict[str, Any]],
+        finish: Callable[[dict[str, Any]], Any],
+        images: Mapping[str, Image],
+        rows: int,
+        reach: int,
+    ) -> Any:
+        """See `lobewise.engine.in_bands`."""
+        return finish(gather(dict(images)))
+
+    def chain(
+        self,
+        define: Definition,
+        images: Mapping[str, Image],
+        numbers: Mapping[str, Any],
+        key: Hashable,
+        make: Callable[[hl.Target], Scheduled],
+        arrays: Mapping[str, NDArray[np.float32]],
+        rows: int,
+        name: str,
+        channels: int,
+        texts: tuple[str, str],
+    ) -> Image:
+        """See `lobewise.engine.chain`."""
+        kernel, size = self.get(key, make), ("height", "width")
+        (out,) = (each for each in kernel.parameters if each.role == "output")
+        held = {each: self.graph.hold(f"{out.name}_{each}", array) for each, array in arrays.items()}
+        between = self.graph.make(name, "band", size[1], channels)
+        result = self.graph.make(out.name, *size, *out.axes[2:], type=out.type)
+        with self.graph.only_in_bands():
+            self.pixels(define, images, numbers, (), (), [between], texts[0])
+            self.call(kernel, {name: between, **held}, into={out.name: result}, text=texts[1])
+        return result
 
     def compare(self, first: float, sign: str, second: float) -> Condition:
         """See `lobewise.engine.compare`."""

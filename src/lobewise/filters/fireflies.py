@@ -122,8 +122,9 @@ def cut_samples(color: FloatArray, bounded: FloatArray) -> FloatArray:
     array, shape (height, width, 3)
         NaN where ``bounded`` is not finite or below 0.
     """
-    (cut,) = engine.pixels(define_cut, {"color": color, "bounded": bounded}, {})
-    return np.asarray(cut)
+    images, text = {"color": color, "bounded": bounded}, "samples that are not too bright"
+    (cut,) = engine.pixels(define_cut, images, {}, names=["cut"], text=text)
+    return cut
 
 
 def define_cut(grid: Grid) -> list[Vector]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.denoising.bad_pixels import REFILL_REACH, refill
-from lobewise.denoising.light_loss import Gain, brighten
+from lobewise.denoising.light_loss import Gain, share_light
 from lobewise.frame import FloatArray
 from lobewise.io.exr.bands import BandReader, BandWriter
 from lobewise.streaming.kept import KeptBands
@@ -25,11 +25,9 @@ def finish_bands(
         holes, row = images.pop("holes"), row + len(images["color"])
         takers = [images.pop(f"taker{number}") for number in range(len(gains))]
         names = ("diffuse", "specular") if "diffuse" in images else ("color",)
-        total = images["color"]
-        for name, taker, gain in zip(names, takers, gains, strict=False):
-            total = brighten(total, images[name], taker, gain)
-            images[name] = brighten(images[name], images[name], taker, gain)
-        images["color"] = total
+        if any(map(any, gains)):
+            total, parts = share_light(images["color"], [images[name] for name in names], takers, gains)
+            images |= {**dict(zip(names, parts, strict=True)), "color": total}
         finisher.add(images, holes)
         last = row == height
         done = finisher.release(last=last)

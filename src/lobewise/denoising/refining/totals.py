@@ -6,8 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from lobewise import engine
 from lobewise.chunks import cut_rows
 from lobewise.filters.compositing import average_emission
+from lobewise.filters.glue import define_composed
 from lobewise.frame import FloatArray, Frame
 
 
@@ -36,12 +38,10 @@ def find_averaged_rest(frame: Frame) -> FloatArray | None:
     return rest if rest is None or emission is None else average_emission(rest, emission, frame.spp)
 
 
-def compose(frame: Frame, parts: Sequence[FloatArray], rest: FloatArray | None) -> FloatArray:
+def compose(parts: Sequence[FloatArray], rest: FloatArray | None) -> FloatArray:
     """Return the total: the filtered parts, and what was in none of them."""
-    if rest is None:
+    if rest is None and len(parts) == 1:
         return parts[0]
-    first, second, *others = *parts, rest
-    total = first + second
-    for each in others:
-        total += each
-    return np.asarray(total, dtype=np.float32)
+    images = {**{f"part{number}": part for number, part in enumerate(parts)}, "rest": rest}
+    (total,) = engine.pixels(define_composed, images, {}, names=["total"], text="the sum of all light")
+    return total

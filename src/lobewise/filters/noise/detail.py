@@ -14,6 +14,8 @@ Fit in Time Series Models", Biometrika 65(2)), here in two dimensions and at eve
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +23,9 @@ from lobewise import engine
 from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import is_good
 from lobewise.backend.pointwise import Grid, Vector
+from lobewise.engine.numbers import choose_larger, choose_smaller, make_single
+from lobewise.filters.glue import define_channel
+from lobewise.filters.mixing import Network
 from lobewise.filters.noise.pooling import (
     DARK_SHARE,
     add_channels,
@@ -33,6 +38,7 @@ from lobewise.filters.noise.pooling import (
     take_logarithm,
 )
 from lobewise.filters.noise.pooling import REACH as POOLING_REACH
+from lobewise.filters.noise.shares import make_shares
 from lobewise.frame import FloatArray
 
 OFFSETS = (
@@ -104,20 +110,10 @@ def find_detail(
     InputError
         If the images differ in size.
     """
-    told, factor = gather_noise(halves, None, shared=shared)
-    level = min(max(level, 1e-12), 1e12)
-    numbers = {
-        "counts": np.array([count_weights(number) for number in LEVELS], np.float32),
-        "factor": np.float32(factor),
-        "level": np.float32(level),
-        "flags": np.array([halves is not None, shared], np.float32),
-    }
-    floor = np.float32(max((DARK_SHARE * level) ** 2, 1e-24))
-    images = {"filtered": filtered, "noisy": noisy, **told}
+    images, numbers, floor = _take_arguments(filtered, noisy, halves, level, shared=shared)
     for top in range(0, len(noisy), BAND_ROWS):
         bottom, first = min(top + BAND_ROWS, len(noisy)), max(top - REACH, 0)
-        band = slice(first, bottom + REACH)
-        pooled = _pool({name: None if each is None else each[band] for name, each in images.items()}, floor)
+        pooled = _pool({name: each[first : bottom + REACH] for name, each in images.items()}, floor)
         for start in range(top, bottom, FEATURE_ROWS):
             rows = slice(start, min(start + FEATURE_ROWS, bottom))
             inside = slice(rows.start - first, rows.stop - first)
@@ -125,13 +121,72 @@ def find_detail(
             yield rows, np.asarray(found)
 
 
-def _pool(images: Mapping[str, FloatArray | None], floor: np.float32) -> dict[str, FloatArray]:
+def predict_shares(
+    filtered: FloatArray,
+    noisy: FloatArray,
+    network: Network,
+    *,
+    halves: tuple[FloatArray, FloatArray] | None = None,
+    level: float,
+    shared: bool = False,
+) -> FloatArray:
+    """Return the shares of the noisy and of the filtered image that a network predicts, (height, width, 2), in [0, 1].
+
+    Parameters are those of `find_detail`, and a network of two outputs.
+
+    Raises
+    ------
+    InputError
+        If the images differ in size, or the network has another number of inputs or outputs.
+    """
+    images, numbers, floor = _take_arguments(filtered, noisy, halves, level, shared=shared)
+    network.require_fit(COUNT, 2)
+    sizes = COUNT, *(len(bias) for bias in network.biases)
+
+    def predict(pooled: dict[str, FloatArray]) -> FloatArray:
+        shares: FloatArray = engine.chain(
+            define_features,
+            pooled,
+            numbers,
+            ("shares", sizes),
+            partial(make_shares, sizes),
+            network.name_arrays(),
+            rows=FEATURE_ROWS,
+            name="seen",
+            channels=COUNT,
+            texts=("features of the difference", "a small network says how much to take back"),
+        )
+        return shares
+
+    shares: FloatArray = engine.in_bands(lambda band: _pool(band, floor), predict, images, BAND_ROWS, REACH)
+    return shares
+
+
+def _take_arguments(
+    filtered: FloatArray, noisy: FloatArray, halves: tuple[FloatArray, FloatArray] | None, level: float, *, shared: bool
+) -> tuple[dict[str, FloatArray], dict[str, Any], Any]:
+    """Return the images that features are computed from, the numbers of `define_features`, and the floor of light."""
+    told, factor = gather_noise(halves, None, shared=shared)
+    level = choose_smaller(choose_larger(level, 1e-12), 1e12)
+    numbers = {
+        "counts": np.array([count_weights(number) for number in LEVELS], np.float32),
+        "factor": np.float32(factor),
+        "level": make_single(level),
+        "flags": np.array([halves is not None, shared], np.float32),
+    }
+    images = {"filtered": filtered, "noisy": noisy, **told}
+    floor = make_single(choose_larger((DARK_SHARE * level) ** 2, 1e-24))
+    return {name: each for name, each in images.items() if each is not None}, numbers, floor
+
+
+def _pool(images: Mapping[str, FloatArray], floor: Any) -> dict[str, FloatArray]:
     """Return the images that features are computed from: squared difference, local light, averages at each width."""
-    bounds = {"floor": floor}
-    apart, noise, light = engine.pixels(define_difference, images, bounds)
+    bounds, names = {"floor": floor}, ["apart", "noise", "light"]
+    apart, noise, light = engine.pixels(define_difference, images, bounds, names=names)
     held = {"apart": apart, "noise": noise, "light": light, "filtered": images["filtered"]}
-    (sums,) = engine.pixels(define_products, held, bounds)
-    pooled: dict[str, FloatArray] = {"own": np.ascontiguousarray(sums[..., 0]), "light": light}
+    (sums,) = engine.pixels(define_products, held, bounds, names=["products"])
+    (own,) = engine.pixels(define_channel, {"image": sums}, {}, 0, names=["own"], text="squared difference")
+    pooled: dict[str, FloatArray] = {"own": own, "light": light}
     for number in range(max(LEVELS) + 1):
         sums = blur_image(sums, 2**number)
         if number in LEVELS:

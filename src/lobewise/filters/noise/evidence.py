@@ -24,6 +24,7 @@ from lobewise import engine
 from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import is_good
 from lobewise.backend.pointwise import Grid, Vector
+from lobewise.engine.numbers import choose_larger, choose_smaller, make_single
 from lobewise.filters.noise.pooling import REACH as POOLING_REACH
 from lobewise.filters.noise.pooling import (
     add_channels,
@@ -91,12 +92,15 @@ def find_noisy_share(
     InputError
         If the images differ in size.
     """
-    sums, factor = _find_excess(filtered, noisy, gather_noise(halves, variance, shared=shared), floor, by_darker=False)
+    least = make_single(choose_smaller(choose_larger(floor, 1e-24), 1e30))
+    sums, factor = _find_excess(filtered, noisy, gather_noise(halves, variance, shared=shared), least, by_darker=False)
     levels = {}
     for number in range(BLUR_COUNT):
         levels[f"sums{number}"] = sums = blur_image(sums, 2**number)
-    numbers = {"error": find_margins(factor), "most": np.float32(concentration)}
-    (share,) = engine.pixels(define_share, {"noisy": noisy, **levels}, numbers)
+    counts = [count_weights(number) for number in range(FIRST_BLUR, BLUR_COUNT)]
+    margins = np.array([MARGIN_STANDARD_ERRORS**2 * factor / count for count in counts], np.float32)
+    numbers = {"error": margins, "most": np.float32(concentration)}
+    (share,) = engine.pixels(define_share, {"noisy": noisy, **levels}, numbers, names=["certain"])
     return share
 
 
@@ -110,7 +114,7 @@ def count_certain(
     `find_noisy_share`.
     """
     noise = gather_noise(None, variance, shared=shared)
-    sums, factor = _find_excess(filtered, noisy, noise, floor, by_darker=True)
+    sums, factor = _find_excess(filtered, noisy, noise, np.float32(floor), by_darker=True)
     found, sizes = np.zeros(noisy.shape[:2], np.bool_), np.ones(noisy.shape[:2], np.float32)
     block = 1
     for size in COUNTED_BLOCKS:
@@ -130,21 +134,15 @@ def _find_excess(
     filtered: FloatArray,
     noisy: FloatArray,
     noise: tuple[Mapping[str, Any], float],
-    floor: float,
+    floor: Any,
     *,
     by_darker: bool,
 ) -> tuple[FloatArray, float]:
     """Return excess, squared excess and variance of every pixel, and the factor of squared margins."""
     told, factor = noise
     images = {"filtered": filtered, "noisy": noisy, **told}
-    (sums,) = engine.pixels(define_excess, images, {"floor": np.float32(min(max(floor, 1e-24), 1e30))}, by_darker)
+    (sums,) = engine.pixels(define_excess, images, {"floor": floor}, by_darker, names=["excess"])
     return sums, factor
-
-
-def find_margins(factor: float = 1.0) -> FloatArray:
-    """Return the squared margin of each blur that counts, over the squared excess."""
-    counts = [count_weights(number) for number in range(FIRST_BLUR, BLUR_COUNT)]
-    return np.array([MARGIN_STANDARD_ERRORS**2 * factor / count for count in counts], np.float32)
 
 
 def define_excess(grid: Grid, by_darker: bool) -> list[Vector]:

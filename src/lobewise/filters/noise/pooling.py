@@ -133,9 +133,10 @@ def _mirror(place: hl.Expr, size: hl.Expr) -> hl.Expr:
 
 def blur_image(image: FloatArray, step: int) -> FloatArray:
     """Return an image blurred along rows and columns with five taps ``step`` pixels apart."""
+    numbers, text = {"step": np.float32(step)}, f"blur, taps {step} pixels apart"
     for along_rows in (True, False):
-        (image,) = engine.pixels(define_blur, {"image": image}, {"step": np.float32(step)}, along_rows)
-    return np.asarray(image)
+        (image,) = engine.pixels(define_blur, {"image": image}, numbers, along_rows, names=["blurred"], text=text)
+    return image
 
 
 def define_blur(grid: Grid, along_rows: bool) -> list[Vector]:

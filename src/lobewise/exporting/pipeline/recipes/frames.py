@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from types import SimpleNamespace
 from typing import Any, cast
 
+from lobewise import engine
 from lobewise.denoising import bad_pixels
+from lobewise.denoising.evidence import find_share_lost, mix_noisy
 from lobewise.denoising.layers import compare_specular, make_lobe_layers, split_lobes
+from lobewise.denoising.light_loss import Gain, find_takers, measure_gain, share_light
 from lobewise.denoising.plain import add_up, filter_by_guides
 from lobewise.denoising.planning.frame_plans import (
     FILL_HOLES,
@@ -18,11 +22,10 @@ from lobewise.denoising.planning.frame_plans import (
     FramePlan,
     Stage,
 )
+from lobewise.denoising.refining.totals import compose
 from lobewise.engine.graph import Image
-from lobewise.engine.numbers import Number
+from lobewise.engine.numbers import Number, choose_larger
 from lobewise.errors import InputError
-from lobewise.exporting.pipeline.recipes import evidence
-from lobewise.exporting.pipeline.recipes.evidence import FoundFrame
 from lobewise.exporting.pipeline.recipes.guided import (
     GUIDED_STEPS,
     SIMPLE,
@@ -36,6 +39,7 @@ from lobewise.exporting.pipeline.recipes.guides import SIZE, PipelineGuides
 from lobewise.exporting.pipeline.recipes.history import make_past
 from lobewise.exporting.pipeline.settings import CONTENTS
 from lobewise.filters import glue
+from lobewise.filters.fireflies import cut_samples
 from lobewise.filters.history.accumulation import KnownKernel
 from lobewise.settings import TemporalSettings
 from lobewise.temporal.past import HistoryReprojection
@@ -183,20 +187,30 @@ def filter_halves(frame: PlannedFrame) -> None:
 
 def take_back(frame: PlannedFrame) -> None:
     """Take the noisy image back where it has less error than the filtered one."""
-    found = FoundFrame(frame.halves, frame.noisy, frame.parts, frame.rest)
+    guides: Any = frame.guides
+    parts, noisy, rest = cast(Any, (frame.parts, frame.noisy, frame.rest))
+    levels: list[float] = [layer.level for layer in frame.halves if layer.level is not None]
     with frame.guides.graph.part(TAKE_BACK_NOISY.name):
-        mixed = evidence.take_back(frame.guides, found, frame.guides.color)
-        frame.rest = mixed.pop() if frame.rest is not None else None
-        frame.parts = mixed
-        frame.total = evidence.compose(frame.guides, frame.parts, frame.rest)
+        image, samples = compose(parts, rest), cut_samples(guides.color, compose(noisy, rest))
+        halves = tuple(guides.give_halves("color"))
+        share = find_share_lost(samples, image, reduce(choose_larger, levels), halves=halves, shared=False)
+        mixed: list[Any] = [mix_noisy(*each, share) for each in zip(parts, noisy, strict=True)]
+        if rest is not None:
+            frame.rest = rest = cast(Any, mix_noisy(rest, rest, share))
+        frame.parts, frame.total = mixed, cast(Any, compose(mixed, rest))
 
 
 def keep_light(frame: PlannedFrame) -> None:
     """Share the light that bounding took out over each layer."""
-    assert frame.total is not None
+    layers: Any = frame.halves
+    total, parts = cast(Any, (frame.total, frame.parts))
     with frame.guides.graph.part(KEEP_LIGHT.name):
-        found = evidence.keep_light(frame.guides, frame.halves, frame.parts, frame.total)
-        frame.total, frame.parts = found
+        takers = [find_takers(layer, part, layer.level) for layer, part in zip(layers, parts, strict=True)]
+        gains = []
+        for layer, part, taker in zip(layers, parts, takers, strict=True):
+            images = [layer.radiance, part, taker]
+            gains.append(Gain(*engine.total(measure_gain, images, name=f"gain_{layer.name}", count=2)))
+        frame.total, frame.parts = cast(Any, share_light(total, parts, takers, gains))
 
 
 def check_total(frame: PlannedFrame) -> None:

@@ -171,10 +171,10 @@ static void find_level(${name}_pipeline *p, const halide_buffer_t *sums, const h
     *level = light / (count > 1.0 ? count : 1.0);
 }
 
-/* routine: find_gain */
-static void find_gain(
+/* routine: measure_gain */
+static void measure_gain(
     ${name}_pipeline *p, const halide_buffer_t *noisy, const halide_buffer_t *filtered, const halide_buffer_t *taker,
-    double *takers, double *all)
+    double *gain)
 {
     /* How much of a layer's light is shared out, over the light that takes part and over all of it. The light that is
        missing is as sure as the equal fireflies are many that would explain it. */
@@ -183,7 +183,7 @@ static void find_gain(
     const float *share = (const float *)taker->host;
     double missing = 0.0, squared = 0.0, taking = 0.0, whole = 0.0, fireflies, known, shared, most, second;
     size_t k;
-    *takers = *all = 0.0;
+    gain[0] = gain[1] = 0.0;
     for (k = 0; k < pixels; k++, before += 3, after += 3) {
         if (is_good_pixel(before) && is_good_pixel(after)) {
             const double light = (double)after[0] + after[1] + after[2];
@@ -202,10 +202,10 @@ static void find_gain(
     shared = fmax(known, fmin(fabs(missing), ${max_shared_as_noise} * whole));
     most = ${max_gain_per_firefly} * fireflies;
     if (missing < 0.0) {
-        *all = -fmin(fmin(shared / whole, most), ${max_fall});
+        gain[1] = -fmin(fmin(shared / whole, most), ${max_fall});
         return;
     }
-    *takers = fmin(fmin(shared / taking, most), ${max_takers_gain});
-    second = (shared - *takers * taking) / whole;
-    *all = fmin(fmin(second, most), ${max_gain});
+    gain[0] = fmin(fmin(shared / taking, most), ${max_takers_gain});
+    second = (shared - gain[0] * taking) / whole;
+    gain[1] = fmin(fmin(second, most), ${max_gain});
 }
