@@ -207,6 +207,7 @@ def test_denoise_gives_the_same_on_another_device(vulkan, make_frame, quality):
         == {
             "fast": {"up": 12, "down": 2},
             "balanced": {"up": 19, "down": 19},
-            "high": {"up": 31, "down": 20},
+            # The guides of this frame are noise: the color alone is filtered as well.
+            "high": {"up": 41, "down": 30},
         }[quality]
     )

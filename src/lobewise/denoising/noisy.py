@@ -8,12 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise import engine
 from lobewise.backend.buffers import Image, download
 from lobewise.denoising.layers import Layer, compare_specular, make_lobe_layers, make_position_features
 from lobewise.denoising.planning.layer_plans import AUTO_SIGMA, LayerTraits
+from lobewise.engine.numbers import choose_larger
 from lobewise.features import Feature, SeenFeature
 from lobewise.filters.dual_buffer import PassRequest, filter_dual_buffer
 from lobewise.filters.fireflies import BoundedHalves, bound_fireflies
+from lobewise.filters.glue import define_joined_halves
 from lobewise.filters.highlights import split_highlights
 from lobewise.filters.noise.residuals import find_squared_residual
 from lobewise.filters.noise_guides import find_level, measure_light
@@ -177,9 +180,12 @@ def _split_layer(
 def join_halves(noisy: NoisyLayer) -> FloatArray:
     """Return the samples of a layer without fireflies, radiance, (height, width, 3); bad pixels are not finite."""
     a, b = map(download, noisy.halves)
-    half = np.float32(0.5)
-    image = half * a + half * b if noisy.is_whole else np.where(np.isnan(a), b, a)
-    return np.asarray(image if noisy.kept is None else image + noisy.kept, dtype=np.float32)
+    if not noisy.is_whole:
+        image = np.where(np.isnan(a), b, a)
+        return np.asarray(image if noisy.kept is None else image + noisy.kept, dtype=np.float32)
+    images, name = {"a": a, "b": b, "kept": noisy.kept}, f"{noisy.name}_samples"
+    (joined,) = engine.pixels(define_joined_halves, images, {}, names=[name], text="bounded samples")
+    return joined
 
 
 def _find_samples(each: BoundedLayer) -> tuple[Image, Image]:
@@ -228,6 +234,6 @@ def make_pass_features(frame: AnyFrame, settings: ResolvedSettings, sigma: float
 
     ``sigma`` is the standard deviation of the distance at radius 8 of the settings, pixels and footprints.
     """
-    screen = max(sigma * settings.screen_sigma / AUTO_SIGMA, 0.5)
+    screen = choose_larger(sigma * settings.screen_sigma / AUTO_SIGMA, 0.5)
     position = screen * settings.position_sigma / DenoiseSettings.position_sigma
     return make_position_features(frame, replace(settings, screen_sigma=screen, position_sigma=position))

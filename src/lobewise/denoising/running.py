@@ -12,10 +12,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from lobewise import engine
 from lobewise.backend.buffers import Image, download
 from lobewise.denoising.layers import Layer
 from lobewise.denoising.noisy import NoisyLayer, make_pass_features
@@ -30,6 +31,7 @@ from lobewise.denoising.planning.steps import (
 from lobewise.features import Feature
 from lobewise.filters.compositing import composite_light
 from lobewise.filters.dual_buffer import DualBufferOutput, PassRequest, filter_dual_buffer
+from lobewise.filters.glue import define_lit, define_with_highlights
 from lobewise.filters.noise.residuals import split_by_noise, split_samples
 from lobewise.filters.noise_guides import MIN_VARIANCE, MIN_VARIANCE_WITHOUT_HALVES, find_log_offset, make_noise_guide
 from lobewise.frame import FloatArray, Frame
@@ -52,13 +54,22 @@ class CleanLayer:
     ----------
     image : (height, width, 3)
         Filtered radiance, albedo included; the noisy radiance where nothing was gathered.
-    weight_sum, effective_samples : (height, width)
+    support : (height, width, 2)
         See `lobewise.filters.dual_buffer.DualBufferOutput`.
     """
 
     image: FloatArray
-    weight_sum: FloatArray
-    effective_samples: FloatArray
+    support: FloatArray
+
+    @property
+    def weight_sum(self) -> FloatArray:
+        """Sum of the weights of every pixel, (height, width)."""
+        return self.support[..., 0]
+
+    @property
+    def effective_samples(self) -> FloatArray:
+        """Number of equally weighted samples with the same variance, (height, width)."""
+        return self.support[..., 1]
 
 
 @dataclass(frozen=True)
@@ -88,7 +99,8 @@ class LayerRun:
     def run(self, plan: LayerPlan, keep: Sequence[str] = ()) -> None:
         """Run every step; let go of each image after the last step that reads it, unless it is to be kept."""
         for number, step in enumerate(plan.steps):
-            outputs = RUNNERS[type(step)](self, step)
+            with engine.part(f"{self.layer.name}: {step.describe()}"):
+                outputs = RUNNERS[type(step)](self, step)
             self.images.update(zip(step.writes, outputs, strict=True))
             for name in plan.list_unused(number).difference(keep):
                 del self.images[name]
@@ -132,7 +144,7 @@ def make_first_guide(noisy: NoisyLayer) -> Image:
             radius=0,
             albedo=layer.albedo,
         )
-        found = filter_dual_buffer(itself)
+        found = filter_dual_buffer(itself, "light over albedo")
         return compare_halves(noisy, Halves(found.a, found.b))
     image, dark = download(noisy.samples[0]), find_log_offset(noisy.level)
     halves = split_samples(image, layer.albedo, layer.mask, dark, shared=noisy.noise_is_shared)
@@ -162,7 +174,7 @@ def run_pass(state: LayerRun, step: PassStep) -> list[Halves | DualBufferOutput]
         guide=state.images[step.guide],
         noise=step.noise,
     )
-    found = filter_dual_buffer(request)
+    found = filter_dual_buffer(request, step.describe())
     if dense and not noisy.is_whole:
         found = split_lone(found, noisy.level)
     (name,) = step.writes
@@ -175,14 +187,13 @@ def split_lone(found: DualBufferOutput, level: float) -> DualBufferOutput:
     # The mean of two halves filtered by the same weights is worth twice as many samples as this one image.
     worth = np.float32(0.5) * download(found.effective_samples)
     halves = split_by_noise(mean, download(found.b), worth, find_log_offset(level))
-    return DualBufferOutput(*halves, found.weight_sum, worth)
+    return DualBufferOutput(*halves, np.stack([download(found.weight_sum), worth], axis=-1))
 
 
 def run_finish(state: LayerRun, step: FinishStep) -> list[CleanLayer]:
     """Return the radiance of the layer."""
     light, support = (state.images[name] for name in (step.reads[0], step.support))
-    assert isinstance(state.frame, Frame)
-    return [finish_layer(state.frame, state.noisy, (light.a, light.b), support)]
+    return [finish_layer(cast(Frame, state.frame), state.noisy, (light.a, light.b), support)]
 
 
 def finish_layer(frame: Frame, noisy: NoisyLayer, light: Sequence[Image], support: DualBufferOutput) -> CleanLayer:
@@ -190,18 +201,22 @@ def finish_layer(frame: Frame, noisy: NoisyLayer, light: Sequence[Image], suppor
 
     ``light`` is one image, or two halves.
     """
-    guides, albedo = frame.gbuffer, noisy.layer.albedo
-    means = {"diffuse": guides.mean_diffuse_albedo, "specular": guides.mean_specular_albedo}
-    # A layer that the frame names itself has its own albedo alone.
-    mean, coverage = means.get(noisy.name, albedo if frame.layers else None), guides.coverage
-    if coverage is None or mean is None or albedo is None:
-        mean, coverage = albedo, None
-    weight_sum, effective_samples = download(support.weight_sum), download(support.effective_samples)
-    lit = noisy.layer.mask & (weight_sum > 0.0)
-    image = composite_light(list(map(download, light)), lit, noisy.layer.radiance, mean, coverage)
+    layer, support_image = noisy.layer, download(support.support)
+    images = {"mask": layer.mask, "support": support_image}
+    (lit,) = engine.pixels(define_lit, images, {}, names=[f"{layer.name}_lit"], text="pixels with light")
+    mean, coverage = layer.albedo, None if layer.albedo is None else frame.gbuffer.coverage
+    if coverage is not None:
+        means = {"diffuse": frame.gbuffer.mean_diffuse_albedo, "specular": frame.gbuffer.mean_specular_albedo}
+        # A layer that the frame names itself has its own albedo alone.
+        area = means.get(layer.name, mean if frame.layers else None)
+        mean, coverage = (mean, None) if area is None else (area, coverage)
+    image = composite_light(list(map(download, light)), lit, layer.radiance, mean, coverage)
     if noisy.kept is not None:
-        image = np.add(image, noisy.kept, out=image, where=lit[..., None])
-    return CleanLayer(image, weight_sum, effective_samples)
+        images = {"image": image, "kept": noisy.kept, "lit": lit}
+        (image,) = engine.pixels(
+            define_with_highlights, images, {}, names=[f"{layer.name}_part"], text="add highlights"
+        )
+    return CleanLayer(image, support_image)
 
 
 RUNNERS: Mapping[type[Step], Callable[[LayerRun, Any], Sequence[Any]]] = {

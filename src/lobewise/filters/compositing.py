@@ -58,8 +58,10 @@ def composite_light(
     """
     named = {f"light{k}": image for k, image in enumerate(images)}
     others = {"lit": lit, "radiance": radiance, "albedo": albedo, "coverage": coverage}
-    (composite,) = engine.pixels(define_composite, {**named, **others}, {})
-    return np.asarray(composite)
+    (composite,) = engine.pixels(
+        define_composite, {**named, **others}, {}, names=["composite"], text="light times albedo"
+    )
+    return composite
 
 
 def composite_parts(

@@ -35,16 +35,23 @@ class DualBufferOutput(NamedTuple):
     ----------
     a, b : (height, width, 3)
         The filtered halves, divided by the albedo; 0 where no tap of either half had any weight.
-    weight_sum : (height, width)
-        Mean of both halves' weight sums, in units of the pixel's own albedo.
-    effective_samples : (height, width)
-        Number of equally weighted samples that have the variance of the mean of both halves.
+    support : (height, width, 2)
+        The weight sum and the effective samples of every pixel.
     """
 
     a: Image
     b: Image
-    weight_sum: Image
-    effective_samples: Image
+    support: Image
+
+    @property
+    def weight_sum(self) -> Image:
+        """Mean of both halves' weight sums, (height, width), in units of the pixel's own albedo."""
+        return take_channel(self.support, 0)
+
+    @property
+    def effective_samples(self) -> Image:
+        """Number of equally weighted samples with the variance of the mean of both halves, (height, width)."""
+        return take_channel(self.support, 1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,8 +127,8 @@ class PassRequest:
             "divided": int(self.albedo is not None),
             "radius": self.radius,
             "step": self.step,
-            "noise": float(self.noise),
-            "exponent": float(self.exponent),
+            "noise": self.noise,
+            "exponent": self.exponent,
         }
         for name, features in self.groups._asdict().items():
             numbers |= give_scalars(features, name)
@@ -129,12 +136,12 @@ class PassRequest:
 
 
 @returns_host_images
-def filter_dual_buffer(request: PassRequest) -> DualBufferOutput:
-    """Filter two halves of the samples by the same weights."""
+def filter_dual_buffer(request: PassRequest, text: str = "") -> DualBufferOutput:
+    """Filter two halves of the samples by the same weights; ``text`` says in recorded plans what the pass does."""
     key = request.make_key()
     make = partial(make_scheduled_dual_buffer, key, request.groups)
-    written = engine.kernel(key, make, request.collect_images(), request.collect_numbers())
-    return DualBufferOutput(written["a"], written["b"], *(take_channel(written["support"], k) for k in range(2)))
+    written = engine.kernel(key, make, request.collect_images(), request.collect_numbers(), text=text)
+    return DualBufferOutput(written["a"], written["b"], written["support"])
 
 
 def make_scheduled_dual_buffer(key: DualBufferKey, groups: Groups, target: hl.Target) -> Scheduled:

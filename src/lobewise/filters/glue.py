@@ -175,7 +175,9 @@ def define_mean(grid: Grid) -> list[Vector]:
 def define_joined_halves(grid: Grid) -> list[Vector]:
     """Return the mean of both halves and the light of highlights; see `join_halves`."""
     (mean,) = define_mean(grid)
-    return [[value + more for value, more in zip(mean, grid.read("kept"), strict=True)]]
+    if grid.has("kept"):
+        mean = [value + more for value, more in zip(mean, grid.read("kept"), strict=True)]
+    return [mean]
 
 
 def define_lit(grid: Grid) -> list[Vector]:

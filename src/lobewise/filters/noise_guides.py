@@ -15,6 +15,7 @@ from lobewise.backend.compiler import hl
 from lobewise.backend.jit import Scheduled
 from lobewise.backend.pointwise import LARGEST_FLOAT
 from lobewise.backend.signature import Signature
+from lobewise.engine.numbers import choose_larger
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS, demodulate, find_luminance
 from lobewise.filters.dual_buffer_pass import GUIDE_CHANNELS
 from lobewise.filters.planes import C, X, Y
@@ -148,10 +149,11 @@ def make_noise_guide(a: Image, b: Image, level: float, *, floor: float = MIN_VAR
     shape = (*a.shape[:2], COLORS)
     images = {name: take_image("half", image, shape) for name, image in (("a", a), ("b", b))}
     numbers = {"offset": find_log_offset(level), "floor": floor}
-    guide: Image = engine.kernel(("noise guide",), make_scheduled_noise_guide, images, numbers)["guide"]
+    made = engine.kernel(("noise guide",), make_scheduled_noise_guide, images, numbers, text="noise guide")
+    guide: Image = made["guide"]
     return guide
 
 
 def find_log_offset(level: float) -> float:
     """Return the offset under the logarithms of an image with mean light ``level``."""
-    return max(LOG_OFFSET_SHARE * level, 1e-30)
+    return choose_larger(LOG_OFFSET_SHARE * level, 1e-30)

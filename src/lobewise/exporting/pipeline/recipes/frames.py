@@ -13,6 +13,7 @@ from lobewise.denoising import bad_pixels
 from lobewise.denoising.evidence import find_share_lost, mix_noisy
 from lobewise.denoising.layers import compare_specular, make_lobe_layers, split_lobes
 from lobewise.denoising.light_loss import Gain, find_takers, measure_gain, share_light
+from lobewise.denoising.noisy import join_halves
 from lobewise.denoising.plain import add_up, filter_by_guides
 from lobewise.denoising.planning.frame_plans import (
     FILL_HOLES,
@@ -23,18 +24,11 @@ from lobewise.denoising.planning.frame_plans import (
     Stage,
 )
 from lobewise.denoising.refining.totals import compose
+from lobewise.denoising.running import run_guided
 from lobewise.engine.graph import Image
 from lobewise.engine.numbers import Number, choose_larger
 from lobewise.errors import InputError
-from lobewise.exporting.pipeline.recipes.guided import (
-    GUIDED_STEPS,
-    SIMPLE,
-    HalfLayer,
-    HalfOutput,
-    join_halves,
-    prepare_halves,
-    run_layer,
-)
+from lobewise.exporting.pipeline.recipes.guided import SIMPLE, prepare_halves
 from lobewise.exporting.pipeline.recipes.guides import SIZE, PipelineGuides
 from lobewise.exporting.pipeline.recipes.history import make_past
 from lobewise.exporting.pipeline.settings import CONTENTS
@@ -61,7 +55,7 @@ class PlannedFrame:
     bad: Image | None = None
     total: Image | None = None
     holes: Image | None = None
-    halves: list[HalfLayer] = field(default_factory=list)
+    levels: list[float] = field(default_factory=list)
     noisy: list[Image] = field(default_factory=list)
     supports: list[Image] = field(default_factory=list)
 
@@ -176,24 +170,22 @@ def filter_halves(frame: PlannedFrame) -> None:
     for layer in layers:
         with guides.graph.part(f"{layer.name}: samples"):
             half = prepare_halves(guides, layer, layer.features if layer.is_diffuse else pilot)
-            frame.noisy.append(join_halves(guides, half))
-        output: HalfOutput = run_layer(guides, half).run(frame.plan.layers[layer.name], GUIDED_STEPS)
-        assert output.image is not None
-        frame.halves.append(half)
-        frame.supports.append(output.support)
-        frame.parts.append(output.image)
-    frame.layers = frame.halves
+            frame.noisy.append(cast(Any, join_halves(half)))
+        clean: Any = run_guided(whole, half, guides.resolved, frame.plan.layers[layer.name])
+        frame.levels.append(half.level)
+        frame.supports.append(clean.support)
+        frame.parts.append(clean.image)
+    frame.layers = layers
 
 
 def take_back(frame: PlannedFrame) -> None:
     """Take the noisy image back where it has less error than the filtered one."""
     guides: Any = frame.guides
     parts, noisy, rest = cast(Any, (frame.parts, frame.noisy, frame.rest))
-    levels: list[float] = [layer.level for layer in frame.halves if layer.level is not None]
     with frame.guides.graph.part(TAKE_BACK_NOISY.name):
         image, samples = compose(parts, rest), cut_samples(guides.color, compose(noisy, rest))
         halves = tuple(guides.give_halves("color"))
-        share = find_share_lost(samples, image, reduce(choose_larger, levels), halves=halves, shared=False)
+        share = find_share_lost(samples, image, reduce(choose_larger, frame.levels), halves=halves, shared=False)
         mixed: list[Any] = [mix_noisy(*each, share) for each in zip(parts, noisy, strict=True)]
         if rest is not None:
             frame.rest = rest = cast(Any, mix_noisy(rest, rest, share))
@@ -202,12 +194,11 @@ def take_back(frame: PlannedFrame) -> None:
 
 def keep_light(frame: PlannedFrame) -> None:
     """Share the light that bounding took out over each layer."""
-    layers: Any = frame.halves
     total, parts = cast(Any, (frame.total, frame.parts))
     with frame.guides.graph.part(KEEP_LIGHT.name):
-        takers = [find_takers(layer, part, layer.level) for layer, part in zip(layers, parts, strict=True)]
+        takers = [find_takers(*each) for each in zip(frame.layers, parts, frame.levels, strict=True)]
         gains = []
-        for layer, part, taker in zip(layers, parts, takers, strict=True):
+        for layer, part, taker in zip(frame.layers, parts, takers, strict=True):
             images = [layer.radiance, part, taker]
             gains.append(Gain(*engine.total(measure_gain, images, name=f"gain_{layer.name}", count=2)))
         frame.total, frame.parts = cast(Any, share_light(total, parts, takers, gains))
