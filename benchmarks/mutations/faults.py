@@ -130,9 +130,9 @@ DENOISING = (
     ),
     Mutation(
         "a light group that is not finite at a pixel stays so",
-        "denoising/evidence.py",
-        "where=~(np.isfinite(here) & (shares > 0.0))",
-        "where=~(shares > 0.0)",
+        "filters/glue.py",
+        "_select_bits(is_finite(value) & taken, value, part)",
+        "_select_bits(taken, value, part)",
         ("denoising/test_also.py",),
     ),
     Mutation(
