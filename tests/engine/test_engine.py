@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import partial
+from itertools import pairwise
+
 import halide as hl
 import numpy as np
 import pytest
@@ -13,12 +16,28 @@ from lobewise.engine.graph import Graph, Image
 from lobewise.engine.here import HERE, Here
 from lobewise.engine.numbers import Condition, Number, choose_larger, make_single, square_single
 from lobewise.engine.recorder import Recorder
+from lobewise.filters.mixing import Network
+from lobewise.filters.noise.pooling import blur_image
+from lobewise.filters.noise.shares import find_shares, make_shares
 
 
 def define_sum(grid: Grid) -> list[Vector]:
     """Return the sum of two images, and where it is above a number."""
     total = grid.read_one("a") + grid.read_one("b")
     return [[total], [hl.u8(total > grid.get("bound")[0])]]
+
+
+def define_same(grid: Grid) -> list[Vector]:
+    """Return an image."""
+    return [grid.read("image")]
+
+
+def make_network(inputs: int, outputs: int) -> Network:
+    """Return a random network with hidden layers of four units."""
+    rng, sizes = np.random.default_rng(5), (inputs, 4, 4, outputs)
+    weights = [rng.normal(size=pair).astype(np.float32) for pair in pairwise(sizes)]
+    biases = [rng.normal(size=size).astype(np.float32) for size in sizes[1:]]
+    return Network(np.zeros(inputs, np.float32), np.ones(inputs, np.float32), tuple(weights), tuple(biases))
 
 
 @pytest.fixture
@@ -69,6 +88,27 @@ class TestHere:
         assert image.sum() == 70.0
         engine.in_box(np.zeros((9, 12), bool), 2, run, image)
         assert len(seen) == 1
+
+    @pytest.mark.parametrize("rows", [1, 7, 64])
+    def test_rows_one_after_others_are_those_of_the_whole(self, rows: int, rng: np.random.Generator) -> None:
+        image = rng.random((23, 17, 3)).astype(np.float32)
+        heights: list[int] = []
+
+        def gather(images: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+            heights.append(len(images["image"]))
+            return {"blurred": blur_image(images["image"], 2)}
+
+        given = {"image": image, "absent": None}
+        found = engine.in_bands(gather, lambda gathered: gathered["blurred"], given, rows, 4)
+        np.testing.assert_array_equal(found, blur_image(image, 2))
+        assert max(heights) <= rows + 8
+
+    def test_a_chain_is_its_two_kernels(self, rng: np.random.Generator) -> None:
+        seen, network = rng.random((23, 17, 5)).astype(np.float32), make_network(5, 2)
+        key, make, rows = ("shares", (5, 4, 4, 2)), partial(make_shares, (5, 4, 4, 2)), {"rows": 6, "channels": 5}
+        images = {"image": seen}
+        found = engine.chain(define_same, images, {}, key, make, network.name_arrays(), name="seen", **rows)
+        np.testing.assert_array_equal(found, find_shares(seen, network, 2))
 
     def test_conditions_are_judged_at_once(self) -> None:
         assert engine.when(engine.compare(2.0, ">=", 2.0), lambda: "yes", lambda: "no") == "yes"
@@ -141,6 +181,25 @@ class TestRecorder:
             assert engine.only(Condition("p->known"), a) is a
         (operation,) = recorder.graph.operations
         assert (operation.function, operation.when) == ("clear_image", "!p->known")
+
+    def test_what_lies_in_a_chain_holds_a_band(self, recorder: Recorder) -> None:
+        network, make = make_network(5, 2), partial(make_shares, (5, 4, 4, 2))
+        image = recorder.graph.give("image", "height", "width", 5, text="image")
+        with engine.use(recorder):
+            found = engine.chain(
+                define_same,
+                {"image": image},
+                {},
+                "shares",
+                make,
+                network.name_arrays(),
+                rows=6,
+                name="seen",
+                channels=5,
+            )
+        assert found.shape == ("height", "width", 2)
+        between = {each.name: each.shape for operation in recorder.graph.operations for each in operation.writes}
+        assert between["seen"] == ("band", "width", 5)
 
     def test_planes_of_a_stack(self, recorder: Recorder) -> None:
         stack = recorder.graph.make("stack", 4, "height", "width")
