@@ -30,7 +30,6 @@ from lobewise.exporting.pipeline.recipes.frames import PlannedFrame
 from lobewise.exporting.pipeline.recipes.guides import Features, PipelineGuides, no_features
 from lobewise.exporting.pipeline.sample import collect_images
 from lobewise.exporting.pipeline.settings import PipelineSettings
-from lobewise.filters.noise_guides import find_level
 from lobewise.frame import FloatArray
 from lobewise.settings.choices import get_quality
 from lobewise.sparse_frame import AnyFrame, SparseFrame
@@ -135,12 +134,6 @@ class HereGraph(Graph):
             FUNCTIONS[function](self, [image.values for image in images], numbers)  # type: ignore[attr-defined]
 
 
-def _find_level(graph: HereGraph, images: Sequence[np.ndarray], numbers: Sequence[str]) -> None:
-    sums, mask = images
-    rows = np.stack([sums.sum(axis=1, dtype=np.float64), np.count_nonzero(mask, axis=1)], axis=1)
-    graph.known[numbers[0].lstrip("&")] = find_level(rows)
-
-
 def _pick_samples(graph: HereGraph, images: Sequence[np.ndarray], numbers: Sequence[str]) -> None:
     (row, column), scale = graph.place, graph.sizes["height"] // graph.sizes["rows"]
     axes = (slice(row, None, scale), slice(column, None, scale))
@@ -151,7 +144,6 @@ FUNCTIONS: Mapping[str, Callable[[HereGraph, Sequence[np.ndarray], Sequence[str]
     "clear_image": lambda graph, images, numbers: images[0].fill(0),
     "copy_image": lambda graph, images, numbers: np.copyto(images[1], images[0]),
     "find_box": lambda graph, images, numbers: None,
-    "find_level": _find_level,
     "pick_samples": _pick_samples,
 }
 """What the functions of the driver do."""

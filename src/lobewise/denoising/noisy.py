@@ -19,7 +19,7 @@ from lobewise.filters.fireflies import BoundedHalves, bound_fireflies
 from lobewise.filters.glue import define_joined_halves
 from lobewise.filters.highlights import split_highlights
 from lobewise.filters.noise.residuals import find_squared_residual
-from lobewise.filters.noise_guides import find_level, measure_light
+from lobewise.filters.noise_guides import add_light, measure_level, measure_light
 from lobewise.frame import FloatArray, Frame
 from lobewise.guides.halves import find_halves
 from lobewise.settings import DenoiseSettings, ResolvedSettings
@@ -118,6 +118,13 @@ def measure_layer(layer: BoundedLayer, settings: ResolvedSettings) -> NDArray[np
     return measure_light(layer.halves, layer.layer.albedo, layer.layer.mask)
 
 
+def find_layer_level(layer: BoundedLayer) -> float:
+    """Return the mean light of the samples of a layer, over the albedo."""
+    sums = add_light(layer.halves, layer.layer.albedo, layer.layer.mask)
+    level: float = engine.total(measure_level, [sums, layer.layer.mask], name=f"level_{layer.name}")
+    return level
+
+
 def make_noisy_layers(
     frame: Frame, settings: ResolvedSettings, extra: Sequence[Feature], levels: Sequence[float] | None = None
 ) -> list[NoisyLayer]:
@@ -135,7 +142,7 @@ def make_noisy_layers(
     found = []
     bounded = make_bounded_layers(frame, settings)
     for number, bright in enumerate(bounded):
-        level = levels[number] if levels is not None else find_level(measure_layer(bright, settings))
+        level = levels[number] if levels is not None else find_layer_level(bright)
         each, kept = _split_layer(bright, settings, single=frame.spp == 1)
         pilot: Sequence[Feature] = each.layer.features
         is_specular = each.layer.is_reflected and each.name != "color"
@@ -174,7 +181,7 @@ def _split_layer(
     kept = download(found.kept)
     if not kept.any():
         return each, None
-    return replace(each, bounded=BoundedHalves(found.a, found.b, each.bounded.tally)), kept
+    return replace(each, bounded=BoundedHalves(found.a, found.b, each.bounded.sums)), kept
 
 
 def join_halves(noisy: NoisyLayer) -> FloatArray:

@@ -52,13 +52,18 @@ class BoundedHalves(NamedTuple):
     ----------
     a, b : (height, width, 3)
         The two halves, nowhere brighter than before.
-    tally : (height, 2)
-        For each row, summed over the good pixels of both halves: luminance before, and luminance taken away.
+    sums : two images, (height, parts)
+        For each row in parts, summed over the good pixels of both halves: luminance before, and luminance taken away.
     """
 
     a: Image
     b: Image
-    tally: NDArray[np.float64]
+    sums: tuple[Image, ...]
+
+    @property
+    def tally(self) -> NDArray[np.float64]:
+        """The same sums for each row, (height, 2)."""
+        return np.stack([download(rows).sum(axis=1, dtype=np.float64) for rows in self.sums], axis=1)
 
     @property
     def energy_lost(self) -> float:
@@ -101,9 +106,9 @@ def bound_fireflies(
         If an image is not real numbers of the mask's size.
     """
     images, tinted = take_halves(halves, albedo, mask), albedo is not None
-    a, b, *sums = engine.kernel(("fireflies", tinted), partial(make_fireflies, tinted), images).values()
-    tally = np.stack([download(rows).sum(axis=1, dtype=np.float64) for rows in sums], axis=1)
-    return BoundedHalves(a, b, tally)
+    make = partial(make_fireflies, tinted)
+    a, b, *sums = engine.kernel(("fireflies", tinted), make, images, text="bound fireflies").values()
+    return BoundedHalves(a, b, tuple(sums))
 
 
 def cut_samples(color: FloatArray, bounded: FloatArray) -> FloatArray:

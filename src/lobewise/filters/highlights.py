@@ -119,7 +119,8 @@ def split_highlights(
     images, tinted = take_halves(halves, albedo, mask), albedo is not None
     kinds = Kinds(shared, single, paired)
     key = "highlights", tinted, kinds
-    return SplitHalves(*engine.kernel(key, partial(make_highlights, tinted, kinds), images).values())
+    make = partial(make_highlights, tinted, kinds)
+    return SplitHalves(*engine.kernel(key, make, images, text="split off highlights").values())
 
 
 def make_highlights(tinted: bool, kinds: Kinds, target: hl.Target) -> Scheduled:

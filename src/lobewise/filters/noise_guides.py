@@ -112,16 +112,28 @@ def measure_light(
     mask : bool array, shape (height, width)
         True where pixels count.
     """
-    height, width = mask.shape
-    images: dict[str, Image] = {
-        name: take_image("half", half, (height, width, COLORS)) for name, half in zip("ab", halves, strict=True)
-    }
+    return _count_light(add_light(halves, albedo, mask), mask)
+
+
+def add_light(halves: tuple[Image, Image], albedo: FloatArray | None, mask: NDArray[np.bool_]) -> Image:
+    """Return for every row in parts the sum of luminance over albedo, (height, parts); see `measure_light`."""
+    shape, tinted = (*mask.shape, COLORS), albedo is not None
+    images: dict[str, Image] = {name: take_image("half", half, shape) for name, half in zip("ab", halves, strict=True)}
     if albedo is not None:
-        images["albedo"] = take_image("albedo", albedo, (height, width, COLORS))
+        images["albedo"] = take_image("albedo", albedo, shape)
     images["mask"] = take_mask(mask)
-    tinted = albedo is not None
-    sums = download(engine.kernel(("light sums", tinted), partial(make_light_sums, tinted), images)["sums"])
-    return np.stack([sums.sum(axis=1, dtype=np.float64), np.count_nonzero(mask, axis=1)], axis=1)
+    make = partial(make_light_sums, tinted)
+    sums: Image = engine.kernel(("light sums", tinted), make, images, text="light of every row")["sums"]
+    return sums
+
+
+def _count_light(sums: Image, mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+    return np.stack([download(sums).sum(axis=1, dtype=np.float64), np.count_nonzero(mask, axis=1)], axis=1)
+
+
+def measure_level(sums: Image, mask: NDArray[np.bool_]) -> float:
+    """Return the mean light of a layer from the sums of `add_light`; 0 if no pixel counts."""
+    return find_level(_count_light(sums, mask))
 
 
 def find_level(rows: NDArray[np.float64]) -> float:

@@ -153,8 +153,9 @@ static void pick_samples(
     }
 }
 
-/* routine: find_level */
-static void find_level(${name}_pipeline *p, const halide_buffer_t *sums, const halide_buffer_t *mask, double *level)
+/* routine: measure_level */
+static void measure_level(
+    ${name}_pipeline *p, const halide_buffer_t *sums, const halide_buffer_t *mask, double *level)
 {
     /* The light of rows in parts, over the number of pixels of the layer. */
     const size_t parts = (size_t)sums->dim[0].extent * (size_t)p->height;
