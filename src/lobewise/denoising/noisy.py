@@ -113,7 +113,7 @@ def make_bounded_layers(frame: Frame, settings: ResolvedSettings) -> list[Bounde
     return found
 
 
-def measure_layer(layer: BoundedLayer, settings: ResolvedSettings) -> NDArray[np.float64]:
+def measure_layer(layer: BoundedLayer) -> NDArray[np.float64]:
     """Return the light of each row of a layer, from which its level follows; see `measure_light`."""
     return measure_light(layer.halves, layer.layer.albedo, layer.layer.mask)
 

@@ -244,10 +244,11 @@ def in_bands(
     rows: int,
     reach: int,
 ) -> Any:
-    """Run a part of a recipe on some rows after others, so that what it gathers takes little memory; return an image.
+    """Run a part of a recipe band by band, so that the images between take little memory; return the joined image.
 
-    ``gather`` gets the images of ``rows`` rows and of ``reach`` rows above and below, and returns images. ``finish``
-    gets these without the rows above and below, and returns an image. A recorded recipe gathers all rows at once.
+    ``gather`` takes the images of a band of ``rows`` rows, with ``reach`` more rows above and below, and returns images
+    of as many rows. ``finish`` takes these images, cut to the band, and returns an image. A recorded recipe gathers the
+    whole image at once.
     """
     given = {name: image for name, image in images.items() if image is not None}
     return _current.engine.in_bands(gather, finish, given, rows, reach)
@@ -266,19 +267,22 @@ def chain(
     channels: int,
     texts: tuple[str, str] = ("", ""),
 ) -> Any:
-    """Call a kernel on the image that a definition computes, for some rows after others; return the only output.
+    """Compute an image by a definition, and call a kernel on it, band by band; return the kernel's only output.
 
-    So the image between takes the memory of ``rows`` rows.
+    The computed image is never held as a whole: it takes the memory of one band.
 
     Parameters
     ----------
     define, images, numbers
         As of `pixels`.
     key, make
-        As of `kernel`. It reads the image ``name``, and ``arrays``, which are the same for all frames.
-    rows, channels : int
-        Rows that are computed together, and channels of the image between.
-    name : str
+        As of `kernel`.
+    arrays : mapping of str to array
+        Further inputs of the kernel by name, equal for all frames.
+    rows : int
+        Rows of a band; a recorded pipeline chooses its own.
+    name, channels : str, int
+        Name of the computed image in the signature of the kernel, and its channels.
     texts : pair of str
         What the two calls do, for recorded plans.
     """

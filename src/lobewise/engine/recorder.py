@@ -23,8 +23,6 @@ from lobewise.backend.signature import Axis, Parameter
 from lobewise.engine.graph import Graph, Image
 from lobewise.engine.here import Pass
 from lobewise.engine.numbers import Condition, Number, write_number
-from lobewise.features import Feature
-from lobewise.features.arrays import give_scalars, name_arrays
 
 
 @dataclass(frozen=True)
@@ -217,19 +215,6 @@ class Recorder:
         if not changes:
             self.computed[same] = found
         return found
-
-    def map_pixels(
-        self,
-        define: Definition,
-        images: Mapping[str, Any],
-        numbers: Mapping[str, Any],
-        *options: Hashable,
-        names: Sequence[str] = (),
-        into: Sequence[Image] = (),
-        text: str,
-    ) -> tuple[Image, ...]:
-        """Record what `lobewise.engine.pixels` computes."""
-        return self.pixels(define, images, numbers, options, names, into, text)
 
     def kernel(
         self,
@@ -449,13 +434,3 @@ def _is_single(vector: Sequence[Number]) -> bool:
     singles = {value.is_single for value in vector}
     assert len(singles) == 1, "the components of a number have one precision"
     return singles == {True}
-
-
-def give_feature_images(prefix: str, features: Sequence[Feature]) -> dict[str, Any]:
-    """Return the images of features by the names that kernels declare."""
-    return dict(name_arrays(prefix, features))
-
-
-def give_feature_numbers(features: Sequence[Feature], prefix: str = "") -> dict[str, float]:
-    """Return the numbers of features by the names that kernels declare."""
-    return give_scalars(features, prefix)

@@ -62,7 +62,7 @@ class BoundedHalves(NamedTuple):
 
     @property
     def tally(self) -> NDArray[np.float64]:
-        """The same sums for each row, (height, 2)."""
+        """Luminance of every row before bounding, and luminance taken away, (height, 2)."""
         return np.stack([download(rows).sum(axis=1, dtype=np.float64) for rows in self.sums], axis=1)
 
     @property

@@ -1,4 +1,4 @@
-"""Small steps of a pipeline, pixel by pixel: what recipes compute with NumPy between the kernels of the filters."""
+"""Small steps of recipes, pixel by pixel, between the kernels of the filters."""
 
 from __future__ import annotations
 

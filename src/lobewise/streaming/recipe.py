@@ -288,7 +288,7 @@ def _measure(
         colors.append(sum_colors(frame.radiance.color)[core])
         if guided:
             layers = make_bounded_layers(frame, settings)
-            lights.append([measure_layer(layer, settings)[core] for layer in layers])
+            lights.append([measure_layer(layer)[core] for layer in layers])
             tallies.append([layer.bounded.tally[core] for layer in layers])
             rows.append(measure_rows(frame)[core])
             if get_quality(settings.quality).refines:

@@ -49,7 +49,6 @@ class PlannedFrame:
     guides: PipelineGuides
     plan: FramePlan
     layers: Sequence[Any] = ()
-    outputs: list[Any] = field(default_factory=list)
     parts: list[Image] = field(default_factory=list)
     rest: Image | None = None
     bad: Image | None = None
@@ -75,9 +74,9 @@ def find_rest(guides: PipelineGuides, layers: Sequence[Any]) -> Any:
         return None
     text = "emission and background, which are not filtered"
     if guides.settings.emission:
-        return guides.kernels.map_pixels(glue.define_good, {"image": guides.emission}, {}, names=["rest"], text=text)[0]
+        return engine.pixels(glue.define_good, {"image": guides.emission}, {}, names=["rest"], text=text)[0]
     images = {"color": guides.color, **{f"noisy{k}": layer.radiance for k, layer in enumerate(layers)}}
-    return guides.kernels.map_pixels(glue.define_rest, images, {}, names=["rest"], text=text)[0]
+    return engine.pixels(glue.define_rest, images, {}, names=["rest"], text=text)[0]
 
 
 def give_parts(frame: PlannedFrame) -> None:
@@ -89,7 +88,7 @@ def give_parts(frame: PlannedFrame) -> None:
         result = frame.guides.graph.take(f"{layer.name}_image", *SIZE, 3, text=text, unit="any")
         with frame.guides.graph.only_when(f"p->frame->{result.name}"):
             text = f"{layer.name} light for the caller"
-            frame.guides.kernels.map_pixels(glue.define_good, {"image": part}, {}, into=[result], text=text)
+            engine.pixels(glue.define_good, {"image": part}, {}, into=[result], text=text)
 
 
 def filter_layers(frame: PlannedFrame) -> None:
@@ -209,9 +208,9 @@ def check_total(frame: PlannedFrame) -> None:
     images: dict[str, Image | None] = {f"support{k}": support for k, support in enumerate(frame.supports)}
     images |= {"image": frame.total, "bad": frame.bad}
     image = frame.guides.graph.take("image", *SIZE, 3, text="the denoised frame", unit="any")
-    frame.total, frame.holes = frame.guides.kernels.map_pixels(
-        glue.define_checked, images, {}, names=["", "holes"], into=[image], text="the result, and its holes"
-    )
+    text = "the result, and its holes"
+    checked: Any = engine.pixels(glue.define_checked, images, {}, names=["", "holes"], into=[image], text=text)
+    frame.total, frame.holes = checked
 
 
 def fill_holes(frame: PlannedFrame) -> None:
