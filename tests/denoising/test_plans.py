@@ -9,13 +9,14 @@ import pytest
 
 from lobewise.denoising import denoise
 from lobewise.denoising.automatic import ask, resolve_all
-from lobewise.denoising.noisy import make_noisy_layers
+from lobewise.denoising.noisy import find_layer_level, make_bounded_layers, make_noisy_layers, measure_layer
 from lobewise.denoising.planning import frame_plans
 from lobewise.denoising.planning.foretelling import count_bytes, estimate_seconds_per_megapixel, foretell
 from lobewise.denoising.planning.frame_plans import FramePlan, describe_frame, find_reach, plan_frame
 from lobewise.denoising.planning.layer_plans import LayerTraits, plan_balanced, plan_layers
 from lobewise.denoising.planning.steps import SAMPLES, GuideStep, LayerPlan, PassStep
 from lobewise.denoising.running import LayerRun
+from lobewise.filters.noise_guides import find_level
 from lobewise.frame import Frame
 from lobewise.settings import QUALITIES, DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import QUALITIES as LIBRARY
@@ -60,6 +61,12 @@ def test_the_executor_keeps_nothing_but_the_result(quality: str) -> None:
         state = LayerRun(frame, noisy.layer, settings, noisy)
         state.run(plan_layers({"": noisy.traits}, settings)[""])
         assert set(state.images) == {"image"}
+
+
+def test_the_level_of_a_layer_is_that_of_its_rows() -> None:
+    for layer in make_bounded_layers(make_frame(), resolve(make_frame())):
+        level = find_layer_level(layer)
+        assert level == find_level(measure_layer(layer)) > 0.0
 
 
 def test_a_frame_is_described_as_its_layers_are(full_frame: Frame) -> None:

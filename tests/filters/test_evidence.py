@@ -9,8 +9,14 @@ import numpy as np
 import pytest
 
 import lobewise
-from lobewise.denoising import stages
-from lobewise.denoising.evidence import STRIP_ROWS, count_blurred, describe_blurred
+from lobewise.denoising import evidence, stages
+from lobewise.denoising.evidence import (
+    STRIP_ROWS,
+    count_blurred,
+    describe_blurred,
+    find_share_lost,
+    find_share_proved,
+)
 from lobewise.filters.noise.evidence import find_noisy_share
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.metrics import rel_mse
@@ -49,6 +55,21 @@ def test_a_right_image_is_left_alone(kind: str, rng: np.random.Generator) -> Non
         # A mixture with the share s of an image of the variance v has the error s² v.
         assert np.square(share).mean() < 2e-3
         assert share.min() >= 0.0
+
+
+def test_a_network_that_sees_nothing_does_not_hide_what_halves_prove(
+    monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
+) -> None:
+    truth = make_texture()
+    a, b = draw_halves(truth, 1e-3, rng)
+    noisy, even = 0.5 * (a + b), np.full_like(truth, truth.mean())
+    noisy[10, 20] = np.nan
+    blind = np.zeros((SIZE, SIZE, 2), np.float32)
+    monkeypatch.setattr(evidence, "predict_shares", lambda *images, **told: blind)
+    proved = find_share_proved(even, noisy, (a, b), level=1.0, shared=False)
+    assert proved[8:-8, 8:40].mean() > 0.5
+    np.testing.assert_array_equal(find_share_lost(noisy, even, 1.0, halves=(a, b), shared=False), proved)
+    np.testing.assert_array_equal(find_share_lost(noisy, even, 1.0, halves=None, shared=False), 0.0)
 
 
 def test_what_a_filter_blurs_is_taken_back(rng: np.random.Generator) -> None:
