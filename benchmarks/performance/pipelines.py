@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.common import RESULTS, describe_machine, write_json
-from lobewise.exporting.pipeline.planning import make_pipeline
+from lobewise.exporting.pipeline.recording import make_pipeline
 from lobewise.exporting.pipeline.sample import collect_images, get_place, make_sparse, prepare_frame
 from lobewise.exporting.pipeline.scene import CUT, SPP, make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings

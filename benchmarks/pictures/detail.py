@@ -18,8 +18,8 @@ from benchmarks.users.__main__ import make_shot
 from benchmarks.users.scenes import Scene, find_scenes
 from lobewise.denoising import denoise
 from lobewise.denoising.automatic import resolve_all
-from lobewise.denoising.planning.frame_plans import TAKE_BACK_NOISY
-from lobewise.denoising.stages import start_run
+from lobewise.denoising.bad_pixels import find_bad_pixels
+from lobewise.denoising.chain import filter_rows
 from lobewise.display.tones import choose_exposure, map_tones
 from lobewise.frame import FloatArray, Frame
 from lobewise.guides.usable import bound_guides
@@ -44,8 +44,9 @@ def filter_alone(frame: Frame) -> NDArray[np.float32]:
     """Return what the quality "high" makes of a frame before detail is taken back."""
     frame = bound_guides(frame)
     settings = resolve_all(frame, DenoiseSettings(quality="high", with_oidn=False))
-    run = start_run(frame, settings)
-    return run.run(run.plan.stages[: run.plan.stages.index(TAKE_BACK_NOISY)]).total
+    before = filter_rows(frame, settings, (), find_bad_pixels(frame)).taken_from
+    assert before is not None
+    return before.image
 
 
 def join(panels: list[NDArray[np.uint8]], axis: int) -> NDArray[np.uint8]:

@@ -19,9 +19,10 @@ from benchmarks.training.candidates import (
     write_candidates,
 )
 from lobewise.denoising.automatic import resolve_all
+from lobewise.denoising.bad_pixels import find_bad_pixels
+from lobewise.denoising.chain import filter_rows
 from lobewise.denoising.combining import find_mixture
-from lobewise.denoising.networks import NAMES, unpack_network
-from lobewise.denoising.stages import start_run
+from lobewise.denoising.evidence import NAMES, unpack_network
 from lobewise.filters.noise.detail import predict_shares
 from lobewise.guides.usable import check_guides
 from lobewise.settings import DenoiseSettings
@@ -166,9 +167,10 @@ def test_candidates_are_results_before_the_noisy_image_is_taken_back() -> None:
     pytest.importorskip("pyoidn", reason="Open Image Denoise is not installed")
     frame = check_guides(make_scene((32, 32))).frame
     images = denoise_all(frame)
-    names = {"balanced": ("filter",), "high": ("filter", "refine")}
-    for quality, wanted in names.items():
-        run = start_run(frame, resolve_all(frame, DenoiseSettings(quality=quality, with_oidn=False)))
-        stages = [stage for stage in run.plan.stages if stage.name in wanted]
-        np.testing.assert_array_equal(images[quality], run.run(stages).total)
+    for quality in ("balanced", "high"):
+        settings = resolve_all(frame, DenoiseSettings(quality=quality, with_oidn=False))
+        found = filter_rows(frame, settings, (), find_bad_pixels(frame))
+        assert not np.array_equal(images[quality], found.image)
+        assert found.taken_from is not None
+        np.testing.assert_array_equal(images[quality], found.taken_from.image)
     assert not np.array_equal(images["balanced"], images["high"])

@@ -155,8 +155,8 @@ def denoise_all(frame: Frame) -> dict[str, Array]:
     The results are those before the noisy image is taken back, which is what the first network decides.
     """
     from lobewise.denoising.automatic import resolve_all
-    from lobewise.denoising.planning.frame_plans import TAKE_BACK_NOISY
-    from lobewise.denoising.stages import start_run
+    from lobewise.denoising.bad_pixels import find_bad_pixels
+    from lobewise.denoising.chain import filter_rows
     from lobewise.guides.usable import check_guides
     from lobewise.peers import denoise_oidn
     from lobewise.settings import DenoiseSettings
@@ -164,9 +164,10 @@ def denoise_all(frame: Frame) -> dict[str, Array]:
     images = {"noisy": frame.radiance.color, "peer": denoise_oidn(frame)[0]}
     for quality in ("balanced", "high"):
         settings = resolve_all(frame, DenoiseSettings(quality=quality, with_oidn=False))
-        run = start_run(check_guides(frame).frame, settings)
-        stages = run.plan.stages
-        images[quality] = run.run(stages[: stages.index(TAKE_BACK_NOISY)]).total
+        checked = check_guides(frame).frame
+        before = filter_rows(checked, settings, (), find_bad_pixels(checked)).taken_from
+        assert before is not None
+        images[quality] = before.image
     if frame.half_a is not None and frame.half_b is not None:
         images |= {"half_a": frame.half_a.color, "half_b": frame.half_b.color}
     return images

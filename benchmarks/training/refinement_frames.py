@@ -108,14 +108,15 @@ def limit_guides(frame: Frame, guides: str) -> Frame:
 def filter_frame(frame: Frame) -> dict[str, FloatArray]:
     """Return what the refining network reads, and the light that is in no layer, by name."""
     from lobewise.denoising.automatic import resolve_all
-    from lobewise.denoising.planning.frame_plans import FILTER_LAYERS
-    from lobewise.denoising.stages import start_run
+    from lobewise.denoising.bad_pixels import find_bad_pixels
+    from lobewise.denoising.chain import filter_rows
     from lobewise.guides.usable import check_guides
     from lobewise.settings import DenoiseSettings
 
     settings = resolve_all(frame, DenoiseSettings(quality="balanced", with_oidn=False))
     frame = check_guides(frame).frame
-    found = start_run(frame, settings).run((FILTER_LAYERS,)).filtered
+    found = filter_rows(frame, settings, (), find_bad_pixels(frame)).taken_from
+    assert found is not None
     inputs = collect_inputs(frame, found.noisy, found.parts)
     images = {each.name: getattr(inputs, each.name) for each in fields(RefinementInputs)}
     images |= {"rest": found.rest, "lobe": find_lobes(frame)}

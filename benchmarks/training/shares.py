@@ -25,7 +25,7 @@ from benchmarks.training.candidates import COLOR, DRAWN, FEW_SPP, Candidates, re
 from benchmarks.training.frames import is_validation
 from benchmarks.training.share_network import Examples, ShareNetwork, make_examples, measure, train
 from lobewise.denoising.combining import find_level, see_mixture
-from lobewise.denoising.networks import NAMES, WEIGHTS, load_networks, pack_network
+from lobewise.denoising.evidence import NAMES, WEIGHTS, load_networks, pack_network
 from lobewise.filters.mixing import Network
 from lobewise.filters.noise.detail import find_detail, predict_shares
 

@@ -201,7 +201,7 @@ class TestDenoise:
         from lobewise.denoising import recipe
 
         monkeypatch.setattr(peers, "_try_to_load", lambda: "Open Image Denoise is not here; install it")
-        monkeypatch.setattr(recipe, "start_run", lambda *_: pytest.fail("filtered first"))
+        monkeypatch.setattr(recipe, "clean_frame", lambda *_: pytest.fail("filtered first"))
         err = fail(capsys, "denoise", frame_file, "-o", tmp_path / "out.exr", "--with-oidn")
         assert err.endswith("Open Image Denoise is not here; install it.\n")
         assert not (tmp_path / "out.exr").exists()

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lobewise.denoising import stages
-from lobewise.denoising.planning import frame_plans
+from lobewise.denoising import chain
 
 
 @pytest.fixture
@@ -15,10 +14,10 @@ def unshared(monkeypatch: pytest.MonkeyPatch) -> None:
 
     With it each pixel tells a little on all others.
     """
-    monkeypatch.setitem(stages.RUNNERS, frame_plans.KEEP_LIGHT, lambda state: state)  # type: ignore[arg-type]
+    monkeypatch.setattr(chain, "keep_light", lambda found: found)
 
 
 @pytest.fixture
 def trusted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave results as the filters made them: no detail is taken back."""
-    monkeypatch.setattr(stages, "find_share_lost", lambda samples, *_, **__: np.zeros(samples.shape[:2], np.float32))
+    monkeypatch.setattr(chain, "find_share_lost", lambda samples, *_, **__: np.zeros(samples.shape[:2], np.float32))

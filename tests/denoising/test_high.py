@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from lobewise import peers
-from lobewise.denoising import combining, denoise, evidence, stages
+from lobewise.denoising import chain, combining, denoise, evidence
 from lobewise.denoising.automatic import choose_quality, resolve_guided
 from lobewise.denoising.combining import choose_between, denoise_with_peer, share_out
-from lobewise.denoising.networks import load_networks, pack_network, unpack_network
-from lobewise.denoising.planning.frame_plans import find_reach
+from lobewise.denoising.evidence import load_networks, pack_network, unpack_network
+from lobewise.denoising.plan import find_reach
 from lobewise.errors import InputError, LobewiseError, MissingDependencyError
 from lobewise.filters.mixing import Network
 from lobewise.filters.noise import agreement, detail
@@ -449,7 +449,7 @@ class TestPeer:
 
     def test_one_that_is_not_installed_is_told_before_anything_is_filtered(self, monkeypatch):
         monkeypatch.setattr(peers, "_try_to_load", lambda: "It is not installed; pip install 'lobewise[best]'")
-        monkeypatch.setattr(stages, "filter_halves", lambda *_: pytest.fail("filtered first"))
+        monkeypatch.setattr(chain, "filter_halves", lambda *_: pytest.fail("filtered first"))
         for quality in ("auto", "high"):
             with pytest.raises(MissingDependencyError, match=r"not installed; pip install 'lobewise\[best\]'\.$"):
                 denoise(make_frame(), similarity="normal", quality=quality, with_oidn=True)

@@ -18,6 +18,7 @@ from lobewise.denoising.light_loss import (
     brighten,
     describe_loss,
     find_gain,
+    find_loss,
     find_share_missing,
     find_takers,
     sum_light,
@@ -101,7 +102,7 @@ def test_so_much_is_shared_out_as_the_noise_leaves_sure(fireflies: int, lost: fl
     rows = np.array([[whole + missing, missing, fireflies * lost**2, whole, whole]])
     shared = max(missing * (1.0 - fireflies**-2.0), min(missing, 0.01 * whole))
     assert find_gain(rows).sum_light(rows) == pytest.approx(shared)
-    assert find_share_missing([rows], [find_gain(rows)]) == pytest.approx((missing - shared) / (whole + missing))
+    assert find_share_missing([find_loss(rows)]) == pytest.approx((missing - shared) / (whole + missing))
     # In two parts the same.
     halves = np.repeat(0.5 * rows, 2, axis=0)
     assert find_gain(halves) == find_gain(rows)
@@ -135,7 +136,7 @@ def test_what_is_no_part_of_a_layer_stays_as_it_is(rng: np.random.Generator) -> 
 def test_light_that_was_added_is_taken_away() -> None:
     rows = np.array([[1000.0, -100.0, 10.0, 700.0, 1100.0]])
     assert find_gain(rows) == (0.0, pytest.approx(-100.0 / 1100.0, rel=1e-5))
-    assert find_share_missing([rows], [find_gain(rows)]) == 0.0
+    assert find_share_missing([find_loss(rows)]) == 0.0
 
 
 def test_nothing_is_shared_out_over_nothing() -> None:

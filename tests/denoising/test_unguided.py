@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.denoising import denoise, stages
-from lobewise.denoising.planning.frame_plans import MIX_UNGUIDED
+from lobewise.denoising import chain, denoise
 from lobewise.denoising.refining.unguided import (
     LEFT_OUT,
     MAX_SHARE,
@@ -124,7 +123,7 @@ def test_an_image_that_is_too_small_has_no_share() -> None:
 @pytest.fixture
 def guided(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave the image of the color alone out."""
-    monkeypatch.setitem(stages.RUNNERS, MIX_UNGUIDED, lambda state: state)
+    monkeypatch.setattr(chain, "mix_unguided", lambda frame, settings, found, seen: (found, []))
 
 
 def test_noise_of_normals_does_no_harm_any_more(rng: np.random.Generator, request: pytest.FixtureRequest) -> None:

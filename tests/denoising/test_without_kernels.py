@@ -10,7 +10,7 @@ import pytest
 import lobewise
 from lobewise.backend import compiler, jit, prebuilt
 from lobewise.denoising.combining import denoise_with_peer
-from lobewise.denoising.planning.foretelling import foretell_method
+from lobewise.denoising.plan import foretell_method
 from lobewise.doctor import machine
 from lobewise.errors import InputError, MissingDependencyError
 from lobewise.frame import Frame, Radiance

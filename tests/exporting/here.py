@@ -20,14 +20,12 @@ from lobewise import engine
 from lobewise.backend.jit import Kernel, get_kernel, run_kernel
 from lobewise.camera import Camera
 from lobewise.denoising.automatic import estimate_spp
-from lobewise.denoising.planning.frame_plans import FrameTraits, plan_frame
-from lobewise.denoising.planning.layer_plans import LayerTraits
 from lobewise.engine.graph import Graph, Image
 from lobewise.engine.numbers import Condition, Number, round_single
 from lobewise.engine.recorder import Recorder
-from lobewise.exporting.pipeline.recipes.constants import Constants
-from lobewise.exporting.pipeline.recipes.frames import PlannedFrame
-from lobewise.exporting.pipeline.recipes.guides import Features, PipelineGuides, no_features
+from lobewise.exporting.pipeline.constants import Constants
+from lobewise.exporting.pipeline.frame import Features, PipelineGuides, no_features
+from lobewise.exporting.pipeline.recording import record_frame
 from lobewise.exporting.pipeline.sample import collect_images
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.frame import FloatArray
@@ -264,7 +262,7 @@ class Recorded:
         graph.inputs = collect_images(wanted, frame, emission)
         here = Here(graph, hl.get_host_target(), "x")
         with engine.use(here):
-            PlannedFrame(PipelineGuides(settings, graph, here, numbers, self.features), self.plan()).run()
+            record_frame(PipelineGuides(settings, graph, here, numbers, self.features))
         self.past, self.camera = graph.remembered, frame.camera
         image = graph.results["image"]
         assert isinstance(image, Held)
@@ -272,12 +270,6 @@ class Recorded:
 
     def list_inputs(self) -> list[str]:
         """Return the names of the images that the recipe is given, as the export records them."""
-        from lobewise.exporting.pipeline.planning import make_pipeline
+        from lobewise.exporting.pipeline.recording import make_pipeline
 
         return list(make_pipeline(self.settings, features=self.features).graph.given)
-
-    def plan(self) -> Any:
-        """Return the plan of the frame; see `lobewise.exporting.pipeline.planning.make_pipeline`."""
-        settings = self.settings
-        traits = {each: LayerTraits(is_diffuse=each == "diffuse") for each in settings.layer_names}
-        return plan_frame(FrameTraits(traits), settings.resolve())

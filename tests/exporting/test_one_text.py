@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.exporting.pipeline.recipes.guides import Features, no_features
+from lobewise.exporting.pipeline.frame import Features, no_features
 from lobewise.exporting.pipeline.sample import FRAMES, make_sparse, prepare_frame, run_recipe
 from lobewise.exporting.pipeline.scene import make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings

@@ -17,9 +17,9 @@ from lobewise.engine.graph import Graph
 from lobewise.engine.memory import find_spans, plan_memory
 from lobewise.engine.numbers import Number, choose_larger, raise_to, round_single, write_number
 from lobewise.errors import InputError
+from lobewise.exporting.pipeline.constants import Constants
 from lobewise.exporting.pipeline.driver import write_driver, write_header
-from lobewise.exporting.pipeline.planning import make_pipeline
-from lobewise.exporting.pipeline.recipes.constants import Constants
+from lobewise.exporting.pipeline.recording import make_pipeline
 from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, WIDTH, collect_images, prepare_frame, run_recipe
 from lobewise.exporting.pipeline.scene import SPP, make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +12,12 @@ import pytest
 
 from lobewise import engine
 from lobewise.denoising.automatic import resolve_all
-from lobewise.denoising.networks import load_networks
-from lobewise.denoising.planning.frame_plans import FILL_HOLES, FILTER_LAYERS, KEEP_LIGHT, TAKE_BACK_NOISY
-from lobewise.denoising.stages import start_run
+from lobewise.denoising.bad_pixels import fill_holes, find_bad_pixels
+from lobewise.denoising.chain import filter_rows, keep_light
+from lobewise.denoising.evidence import load_networks
+from lobewise.exporting.pipeline.constants import Constants
 from lobewise.exporting.pipeline.driver import write_driver
-from lobewise.exporting.pipeline.planning import make_pipeline
-from lobewise.exporting.pipeline.recipes.constants import Constants
+from lobewise.exporting.pipeline.recording import make_pipeline
 from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, WIDTH, make_settings, prepare_frame
 from lobewise.exporting.pipeline.scene import make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
@@ -49,14 +50,12 @@ def test_every_stage_changes_the_example() -> None:
     """The example is taken back, brightened and filled, so that agreement with Python tells about each stage."""
     settings = PipelineSettings(**SETTINGS)
     frame = prepare_frame(settings, make_frame(0, halves=True))
-    state = start_run(frame, resolve_all(frame, make_settings(settings)))
-    changed = {}
-    for stage in state.plan.stages:
-        before = None if state.found is None else np.nan_to_num(state.total)
-        state = state.run([stage])
-        changed[stage] = before is None or float(np.abs(np.nan_to_num(state.total) - before).max())
-    assert list(changed) == [FILTER_LAYERS, TAKE_BACK_NOISY, KEEP_LIGHT, FILL_HOLES]
-    assert min(changed.values()) > 1e-3
+    taken = filter_rows(frame, resolve_all(frame, make_settings(settings)), (), find_bad_pixels(frame))
+    assert taken.taken_from is not None
+    kept = keep_light(taken)
+    images = [taken.taken_from.image, taken.image, kept.image, fill_holes(*kept.find_holes(), frame)]
+    for before, after in pairwise(map(np.nan_to_num, images)):
+        assert np.abs(after - before).max() > 1e-3
 
 
 def test_no_number_of_a_frame_is_compiled_in() -> None:
@@ -76,8 +75,8 @@ def test_network_is_compiled_in() -> None:
 
 def test_stages_are_those_of_the_plan() -> None:
     stages = [name for name, _ in make_pipeline(PipelineSettings(plan="balanced")).stages]
-    assert "diffuse: dual-buffer pass, 7x7 taps, exponent of lobes 4, 40 variances" in stages
-    assert stages[-4:] == ["take back", "keep light", "sum of the light", "fill holes"]
+    assert "diffuse: 7x7 taps, lobes to the power 4, 40 variances" in stages
+    assert stages[-4:] == ["take the noisy image back", "share out the light of fireflies", "fill holes", "results"]
 
 
 def test_highlights_are_added_where_there_is_light(rng: np.random.Generator) -> None:

@@ -11,9 +11,9 @@ import pytest
 
 from lobewise.cli.main import run
 from lobewise.errors import InputError
+from lobewise.exporting.pipeline.constants import Constants
 from lobewise.exporting.pipeline.driver import write_driver
-from lobewise.exporting.pipeline.planning import make_pipeline
-from lobewise.exporting.pipeline.recipes.constants import Constants
+from lobewise.exporting.pipeline.recording import make_pipeline
 from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, WIDTH, get_place, make_sparse, prepare_frame
 from lobewise.exporting.pipeline.scene import make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings

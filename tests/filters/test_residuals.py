@@ -61,7 +61,9 @@ def test_the_two_images_are_as_far_apart_as_the_noise() -> None:
     mean = rng.uniform(1.0, 4.0, (SIZE, SIZE, 3)).astype(np.float32)
     residual = (0.2 * mean * rng.uniform(0.5, 1.0, mean.shape)).astype(np.float32)
     worth = rng.uniform(1.0, 30.0, (SIZE, SIZE)).astype(np.float32)
-    a, b = split_by_noise(mean, residual, worth, 0.1)
+    support = np.stack([worth, 2.0 * worth], axis=-1)
+    a, b, halved = split_by_noise(mean, residual, support, 0.1)
+    np.testing.assert_array_equal(halved, np.stack([worth, worth], axis=-1))
     np.testing.assert_allclose(0.5 * (a + b), mean, rtol=1e-5)
     apart = 0.5 * (np.log(a + 0.1) - np.log(b + 0.1))
     np.testing.assert_allclose(
@@ -72,7 +74,8 @@ def test_the_two_images_are_as_far_apart_as_the_noise() -> None:
 def test_they_are_never_negative_nor_bad_however_large_the_noise() -> None:
     mean = np.array([0.0, 1e-20, 1e-3, 1.0, 1e30], np.float32)[None, :, None] * np.ones((4, 1, 3), np.float32)
     for size in (0.0, 1.0, 1e30, np.float32(3e38)):
-        a, b = split_by_noise(mean, np.full_like(mean, size), np.ones(mean.shape[:2], np.float32), 1e-30)
+        support = np.full((*mean.shape[:2], 2), 2.0, np.float32)
+        a, b, _ = split_by_noise(mean, np.full_like(mean, size), support, 1e-30)
         for image in (a, b):
             assert np.isfinite(image).all()
             assert (image >= 0.0).all()

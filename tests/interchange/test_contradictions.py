@@ -12,7 +12,7 @@ from renderers import WRITERS, Written, make_scene, write
 from lobewise.cli.main import run
 from lobewise.denoising.automatic import ask, resolve_all
 from lobewise.denoising.inputs import list_unused
-from lobewise.denoising.planning.foretelling import foretell_method
+from lobewise.denoising.plan import foretell_method
 from lobewise.errors import LobewiseError
 from lobewise.interchange import describe_file, import_file
 from lobewise.settings import DenoiseSettings

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from lobewise.denoising.automatic import ask, resolve_all
-from lobewise.denoising.bad_pixels import REFILL_REACH, refill
-from lobewise.denoising.planning.frame_plans import find_reach
-from lobewise.denoising.planning.layer_plans import BALANCED_DIFFUSE, BALANCED_SPECULAR, scale_kernel
+from lobewise.denoising.bad_pixels import REFILL_REACH, find_bad_pixels, refill
+from lobewise.denoising.chain import Filtered, filter_rows
+from lobewise.denoising.passes import DIFFUSE_PASSES, SPECULAR_PASSES, list_passes
+from lobewise.denoising.plan import find_reach
 from lobewise.denoising.refining.whole_image import WholeImage
-from lobewise.denoising.stages import filter_frame
 from lobewise.features import ScreenFeature
 from lobewise.filters import compositing, fireflies, highlights, noise_guides, specks
 from lobewise.filters.compositing import composite_light
@@ -26,7 +26,7 @@ from lobewise.filters.noise import evidence
 from lobewise.filters.noise.evidence import find_noisy_share
 from lobewise.filters.noise_guides import make_noise_guide
 from lobewise.filters.specks import find_sharing
-from lobewise.frame import FloatArray
+from lobewise.frame import FloatArray, Frame
 from tests.streaming.frames import change_radiance, make_scene
 
 pytestmark = pytest.mark.nightly  # every quality and form, whole and in bands
@@ -172,11 +172,15 @@ def measure_reach(settings: dict[str, Any], *, halves: bool = True, find: bool =
     if find and chosen.quality != "fast":
         return find_reach(chosen)
     whole = WholeImage(levels=(0.5, 0.5), brightness=0.5, mean_log_depth=0.0, tau=0.01)
-    before = filter_frame(frame, chosen, (), whole)
+
+    def run(given: Frame) -> Filtered:
+        return filter_rows(given, chosen, (), find_bad_pixels(given), whole=whole)
+
+    before = run(frame)
     found = 0
     for factor in (0.0, 1e3):
         brighter = change_radiance(frame, [120], slice(None), lambda old, factor=factor: old * np.float32(factor))
-        found = max(found, measure(before.image, filter_frame(brighter, chosen, (), whole).image))
+        found = max(found, measure(before.image, run(brighter).image))
     if find:
         assert found == find_reach(chosen)
     return found
@@ -208,11 +212,11 @@ def test_evidence_reaches_its_widest_neighbourhood(halves: bool) -> None:
 
 
 def test_dense_passes_have_no_step_at_any_radius() -> None:
-    for chosen in (*BALANCED_DIFFUSE, *BALANCED_SPECULAR):
+    for is_diffuse, passes in ((True, DIFFUSE_PASSES), (False, SPECULAR_PASSES)):
         for radius in (1, 8, 16, 64):
-            taps, step = scale_kernel(chosen.radius, chosen.step, radius, follows=True)
-            if chosen.step == 1:
-                assert (taps, step) == (round(chosen.radius * radius / 8), 1)
-            else:
-                assert (taps, step) == (min(chosen.radius, radius), max(round(chosen.step * radius / 8), 1))
-    assert scale_kernel(3, 4, 16, follows=False) == (6, 8)
+            for chosen, scaled in zip(passes, list_passes(radius, is_diffuse=is_diffuse), strict=True):
+                if chosen.of_samples:
+                    assert (scaled.radius, scaled.step) == (round(chosen.radius * radius / 8), 1)
+                else:
+                    expected = min(chosen.radius, radius), max(round(chosen.step * radius / 8), 1)
+                    assert (scaled.radius, scaled.step) == expected

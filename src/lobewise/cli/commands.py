@@ -184,7 +184,7 @@ def foretell_file(source: Path, reading: PassReading, imported: Imported | None)
     ``imported`` is the file if it was read already.
     """
     from lobewise.cli.options.reading import check_import
-    from lobewise.denoising.planning.foretelling import foretell_method
+    from lobewise.denoising.plan import foretell_method
 
     settings, height = DenoiseSettings(), None
     if imported is not None:
@@ -215,7 +215,7 @@ def read_planned(
 
 def print_plan(source: Path, reading: PassReading, settings: dict[str, Any]) -> None:
     """Print the plan by which `denoise` would filter a file."""
-    from lobewise.denoising.planning.foretelling import foretell
+    from lobewise.denoising.plan import foretell
 
     checked, height = read_planned(source, reading, settings)
     for line in foretell(checked.frame, DenoiseSettings(**settings), height=height):

@@ -126,7 +126,7 @@ def _print_contents(
         lines = list_chain(make_chain(chain, **settings), target)
     else:
         from lobewise.exporting.pipeline.contents import list_contents
-        from lobewise.exporting.pipeline.planning import make_pipeline
+        from lobewise.exporting.pipeline.recording import make_pipeline
 
         lines = list_contents(make_pipeline(_choose_pipeline(settings), target=target, name=name or DEFAULT_NAME))
     for line in lines:

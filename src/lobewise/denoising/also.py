@@ -15,13 +15,12 @@ from functools import partial
 
 import numpy as np
 
-from lobewise.backend.buffers import device_scope
+from lobewise.backend.buffers import Image, device_scope
 from lobewise.denoising.bad_pixels import blacken_bad
 from lobewise.denoising.evidence import mix_noisy
 from lobewise.denoising.layers import Layer, filter_layer, make_layers
 from lobewise.denoising.noisy import NoisyLayer, join_halves, make_noisy_layers
-from lobewise.denoising.planning.layer_plans import plan_balanced
-from lobewise.denoising.running import LayerRun, finish_layer
+from lobewise.denoising.passes import find_guides, finish_layer, run_last_passes
 from lobewise.features import Feature
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.guides.halves import mark_bad
@@ -49,11 +48,17 @@ class Passed:
     share: FloatArray | None = None
 
 
+def has_passes(frame: Frame) -> bool:
+    """Return whether a frame has images that belong to a layer or to the whole frame."""
+    return bool(frame.also) or any(layer.parts for layer in frame.layers)
+
+
 @device_scope()
 def filter_also(
     frame: Frame,
     settings: ResolvedSettings,
     features: Sequence[Feature],
+    filters: Mapping[str, Filter],
     layers: Mapping[str, Passed],
     whole: Passed,
     rest: tuple[FloatArray, FloatArray],
@@ -64,27 +69,28 @@ def filter_also(
     ----------
     frame, settings, features
         As they were filtered.
+    filters : mapping of str to Filter
+        What filters images by the weights of the layers that the frame names.
     layers : mapping of str to Passed
-        What happened to the layers that the frame names.
+        What happened to these layers.
     whole : Passed
         What happened to the light that surfaces scatter, in total.
     rest : pair of (height, width, 3)
         The other light of the total, emission and background, before and after.
     """
     found: dict[str, FloatArray] = {}
-    wanted = {layer.name: layer.parts for layer in frame.layers if layer.parts}
-    if wanted:
-        filters = make_filters(frame, settings, features)
-        for name, parts in wanted.items():
-            filtered = _filter_parts(*filters[name], parts, layers[name])
-            found |= {f"{name}/{part}": each for part, each in filtered.items()}
+    for layer in frame.layers:
+        if layer.parts:
+            filtered = _filter_parts(layer.radiance, filters[layer.name], layer.parts, layers[layer.name])
+            found |= {f"{layer.name}/{part}": each for part, each in filtered.items()}
     if frame.also:
         before, after = rest
         share = _find_share(before, frame.radiance.color)
         with np.errstate(invalid="ignore"):  # bad pixels stay bad
             scattered = {name: image - share * image for name, image in frame.also.items()}
         total = frame.with_changes(layers=(), radiance=Radiance(frame.radiance.color - before))
-        filtered = _filter_parts(*make_filters(total, settings, features)["color"], scattered, whole)
+        (run,) = _make_filters(total, settings, features)
+        filtered = _filter_parts(total.radiance.color, run, scattered, whole)
         exact = share * _divide(after, before)
         found |= {name: image + exact * blacken_bad(frame.also[name]) for name, image in filtered.items()}
     return found
@@ -94,15 +100,16 @@ Filter = Callable[[Sequence[FloatArray]], list[tuple[FloatArray, FloatArray]]]
 """Runs images through the weights of a layer: returns each filtered, and its samples without fireflies."""
 
 
-def make_filters(
-    frame: Frame, settings: ResolvedSettings, features: Sequence[Feature]
-) -> dict[str, tuple[FloatArray, Filter]]:
-    """Return for every layer of a frame its radiance and what filters images by its weights."""
+def _make_filters(frame: Frame, settings: ResolvedSettings, features: Sequence[Feature]) -> list[Filter]:
+    """Return for every layer of a frame what filters images by its weights."""
     if not get_quality(settings.quality).reads_halves:
-        plain = make_layers(frame, settings, features, finest=True)
-        return {each.name: (each.radiance, partial(_run_plain, each, settings)) for each in plain}
-    noisy = make_noisy_layers(frame, settings, features)
-    return {each.name: (each.layer.radiance, partial(_run_guided, frame, each, settings)) for each in noisy}
+        layers = make_layers(frame, settings, features, finest=True)
+        return [partial(filter_by_layer, each, settings) for each in layers]
+    found: list[Filter] = []
+    for each in make_noisy_layers(frame, settings, features):
+        guides = find_guides(frame, each, settings)
+        found.append(partial(filter_by_halves, frame, each, settings, guides, join_halves(each)))
+    return found
 
 
 def _filter_parts(
@@ -137,9 +144,10 @@ def _is_sum(image: FloatArray, parts: Sequence[FloatArray]) -> bool:
         return not bool((apart > np.float32(2e-3) * np.abs(image)).any())
 
 
-def _run_plain(
+def filter_by_layer(
     layer: Layer, settings: ResolvedSettings, images: Sequence[FloatArray]
 ) -> list[tuple[FloatArray, FloatArray]]:
+    """Return images after the filter of a layer by its guides."""
     found = []
     for image in images:
         output = filter_layer(layer, settings, image)
@@ -148,15 +156,19 @@ def _run_plain(
     return found
 
 
-def _run_guided(
-    frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings, images: Sequence[FloatArray]
+def filter_by_halves(
+    frame: Frame,
+    noisy: NoisyLayer,
+    settings: ResolvedSettings,
+    guides: Sequence[Image],
+    joined: FloatArray,
+    images: Sequence[FloatArray],
 ) -> list[tuple[FloatArray, FloatArray]]:
-    """Return images after the passes of a layer with its guides; two at a time take the places of its halves."""
-    until_guides, passes = plan_balanced(noisy.traits, settings).split_guides()
-    own = LayerRun(frame, noisy.layer, settings, noisy)
-    own.run(until_guides, keep=until_guides.guides)
-    joined = join_halves(noisy)
-    highlights = _find_share_kept(noisy, joined)
+    """Return images after the passes of a layer with its guides; two at a time take the places of its halves.
+
+    ``joined`` is the result of `join_halves`.
+    """
+    highlights = None if noisy.kept is None else _find_share(noisy.kept, joined)
     bounded = [_bound_part(image, joined) for image in images]
     found: list[tuple[FloatArray, FloatArray]] = []
     for start in range(0, len(images), 2):
@@ -166,12 +178,10 @@ def _run_guided(
         halves = [mark_bad(image) for image in rest]
         # Both images are samples of every pixel, even where the layer itself has no halves.
         both = replace(noisy, samples=(halves[0], halves[-1]), is_whole=True)
-        state = replace(own, found=both, images=dict(own.images))
-        state.run(passes)
-        (output,) = (state.images[name] for name in passes.steps[-1].writes)
+        output = run_last_passes(frame, both, settings, guides)
         for image, highlight, light in zip(pair, kept, (output.a, output.b), strict=False):
             mine = replace(both, layer=replace(noisy.layer, radiance=image), kept=highlight)
-            found.append((finish_layer(frame, mine, (light,), output).image, image))
+            found.append((finish_layer(frame, mine, (light,), output.support)[0], image))
     return found
 
 
@@ -184,13 +194,6 @@ def _bound_part(image: FloatArray, bounded: FloatArray) -> FloatArray:
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         scale = np.minimum((bounded @ weights) / (image @ weights), np.float32(1.0))
     return np.asarray(image * np.where(np.isnan(scale), np.float32(1.0), scale)[..., None])
-
-
-def _find_share_kept(noisy: NoisyLayer, joined: FloatArray) -> FloatArray | None:
-    """Return the share of each pixel's light that highlights hold, (height, width, 1), in [0, 1]; None without any."""
-    if noisy.kept is None:
-        return None
-    return _find_share(noisy.kept, joined)
 
 
 def _find_share(part: FloatArray, image: FloatArray) -> FloatArray:

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from lobewise.backend.devices import choose_device
 from lobewise.backend.prebuilt import has_kernels
-from lobewise.denoising.planning.layer_plans import AUTO_SIGMA
 from lobewise.engine.numbers import choose_larger, choose_smaller, raise_to, take_root
 from lobewise.errors import InputError, require_choice
 from lobewise.frame import Frame
@@ -35,6 +34,8 @@ BETA_DIFFUSE, BETA_SPECULAR = 2.0, 1.0
 GUIDED_TAU = 0.01
 """Band-limit of the lobes, radians, that "auto" stands for where the passes are guided by the noise: lobes need not be
 widened for it."""
+AUTO_SIGMA = 30.0
+"""Screen sigma, pixels, that "auto" stands for at radius 8. The sigmas of guided passes are in proportion to it."""
 NOISE_AT_4_SPP, NOISE_EXPONENT = 0.0825, 0.56
 """Relative variance that `expect_noise` gives for 4 samples per pixel, and the power of the sample count by which it
 falls."""

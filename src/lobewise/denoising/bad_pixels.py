@@ -13,7 +13,7 @@ from lobewise.features import ScreenFeature
 from lobewise.filters.cross_filter import run_filter
 from lobewise.filters.cross_pass import COLORS
 from lobewise.filters.forms import ATROUS_REACH
-from lobewise.filters.glue import define_emptied, define_patched, define_refilled
+from lobewise.filters.glue import define_bad, define_emptied, define_patched, define_refilled
 from lobewise.frame import FloatArray, Frame
 from lobewise.sparse_frame import AnyFrame
 
@@ -47,10 +47,9 @@ def blacken_bad(image: FloatArray) -> FloatArray:
 
 def find_bad_pixels(frame: Frame) -> NDArray[np.bool_]:
     """Return where any radiance of the frame is NaN, infinite or negative, shape (height, width)."""
-    bad = np.zeros(frame.shape, dtype=bool)
-    for image in (frame.radiance.color, frame.radiance.diffuse, frame.radiance.specular):
-        if image is not None:
-            bad |= ~find_good(image)
+    light = [layer.radiance for layer in frame.layers] or frame.radiance.parts or ()
+    images = {f"light{number}": image for number, image in enumerate((frame.radiance.color, *light))}
+    (bad,) = engine.pixels(define_bad, images, {}, names=["bad"], text="bad pixels")
     return bad
 
 

@@ -18,8 +18,7 @@ from lobewise.backend.prebuilt import has_kernels
 from lobewise.chunks import cut_rows
 from lobewise.denoising.automatic import explain_ours
 from lobewise.denoising.bad_pixels import find_good
-from lobewise.denoising.evidence import find_image_halves, find_share_proved, mix_noisy
-from lobewise.denoising.networks import load_networks
+from lobewise.denoising.evidence import find_image_halves, find_share_proved, load_networks, mix_noisy
 from lobewise.denoising.refining.unguided import count_isolated, sees_fog
 from lobewise.filters.mixing import Network
 from lobewise.filters.noise.agreement import find_agreement

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import cache
+from importlib.resources import files
+
 import numpy as np
 from numpy.typing import NDArray
 
 from lobewise import engine
-from lobewise.denoising.networks import load_networks
 from lobewise.filters.glue import define_good, define_mixed, define_share_taken
+from lobewise.filters.mixing import Network
 from lobewise.filters.noise.detail import predict_shares
 from lobewise.filters.noise.evidence import count_certain, find_noisy_share
 from lobewise.filters.noise.pooling import DARK_SHARE
@@ -22,6 +26,11 @@ MIN_SHARE_BLURRED = 0.01
 MAX_RADIANCE = 1e36
 """Radiance above which no share of a pixel is taken back, because sums of it overflow."""
 Rows = NDArray[np.float64]
+WEIGHTS = "weights.npz"
+"""File of the trained networks, beside this module: small perceptrons as arrays by name."""
+NAMES = ("noisy", "refined", "peer")
+""""noisy" says how much of the noisy image a filtered image takes back, "refined" how much an image takes back that the
+refining network made. "peer" mixes a result with the image of Open Image Denoise."""
 STRIP_ROWS = 32
 """Rows of a strip. What the user is told about blur is counted in strips, each an image of its own."""
 MAX_STRIP_STEP = 4
@@ -167,3 +176,26 @@ def describe_blurred(strips: Rows) -> tuple[str, ...]:
         "tell: there the noisy image is nearer to the truth. The qualities 'balanced' and 'high' keep what they blur; "
         "with 'fast' a smaller radius helps.",
     )
+
+
+@cache
+def load_networks() -> Mapping[str, Network]:
+    """Return the networks by name, see `NAMES`."""
+    with files("lobewise.denoising").joinpath(WEIGHTS).open("rb") as file:
+        arrays = dict(np.load(file, allow_pickle=False))
+    return {kind: unpack_network(arrays, kind) for kind in NAMES}
+
+
+def unpack_network(arrays: Mapping[str, FloatArray], kind: str) -> Network:
+    """Return a network from the arrays that `pack_network` makes."""
+    weights = tuple(arrays[f"{kind}_weights_{number}"] for number in range(3))
+    biases = tuple(arrays[f"{kind}_biases_{number}"] for number in range(3))
+    return Network(arrays[f"{kind}_mean"], arrays[f"{kind}_scale"], weights, biases)  # type: ignore[arg-type]
+
+
+def pack_network(network: Network, kind: str) -> dict[str, FloatArray]:
+    """Return a network as arrays by name."""
+    arrays = {f"{kind}_mean": network.mean, f"{kind}_scale": network.scale}
+    arrays |= {f"{kind}_weights_{number}": each for number, each in enumerate(network.weights)}
+    arrays |= {f"{kind}_biases_{number}": each for number, each in enumerate(network.biases)}
+    return arrays

@@ -148,9 +148,44 @@ def find_gain(rows: Rows, *, refined: bool = False) -> Gain:
     return Gain(takers, first + min((shared - takers * taking) / whole, most - first, MAX_GAIN))
 
 
-def measure_gain(radiance: FloatArray, part: FloatArray, taker: FloatArray) -> Gain:
-    """Return the gain of a layer whose image no network refined, from the images of `sum_missing`."""
-    return find_gain(sum_missing(radiance, part, taker))
+class Loss(NamedTuple):
+    """The light of a layer.
+
+    Parameters
+    ----------
+    takers, all : float
+        Its gain; see `Gain`.
+    noisy, missing : float
+        Sums over pixels and channels: the light of its samples, and what is missing of it with the gain.
+    """
+
+    takers: float
+    all: float
+    noisy: float
+    missing: float
+
+    @property
+    def gain(self) -> Gain:
+        """The gain of the layer."""
+        return Gain(self.takers, self.all)
+
+
+def find_loss(rows: Rows, *, refined: bool = False) -> Loss:
+    """Return the light of a layer; parameters as of `find_gain`."""
+    gain, sums = find_gain(rows, refined=refined), rows.sum(axis=0)
+    return Loss(*gain, float(sums[0]), float(sums[1]) - gain.sum_light(rows))
+
+
+def measure_gain(radiance: FloatArray, part: FloatArray, taker: FloatArray) -> Loss:
+    """Return the gain of a layer, and the light that is missing with it, from the images of `sum_missing`."""
+    return find_loss(sum_missing(radiance, part, taker))
+
+
+def measure_refined_gain(
+    radiance: FloatArray, part: FloatArray, taker: FloatArray, uncounted: NDArray[np.bool_] | None
+) -> Loss:
+    """Return what `measure_gain` does, of a layer that the network refined."""
+    return find_loss(sum_missing(radiance, part, taker, uncounted=uncounted), refined=True)
 
 
 def brighten(image: FloatArray, part: FloatArray, taker: FloatArray, gain: Gain, *, name: str = "") -> FloatArray:
@@ -172,12 +207,9 @@ def share_light(
     return image, bright
 
 
-def find_share_missing(rows: Sequence[Rows], gains: Sequence[Gain]) -> float:
+def find_share_missing(losses: Sequence[Loss]) -> float:
     """Return the share of the light of all layers that is missing after sharing, in [0, 1]."""
-    noisy = missing = 0.0
-    for each, gain in zip(rows, gains, strict=True):
-        sums = each.sum(axis=0)
-        noisy, missing = noisy + float(sums[0]), missing + float(sums[1]) - gain.sum_light(each)
+    noisy, missing = (sum(each) for each in ([loss.noisy for loss in losses], [loss.missing for loss in losses]))
     # Rounding leaves a little behind.
     return min(missing / noisy, 1.0) if missing > 1e-6 * noisy else 0.0
 

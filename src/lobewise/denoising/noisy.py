@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from lobewise import engine
 from lobewise.backend.buffers import Image, download
+from lobewise.denoising.automatic import AUTO_SIGMA
 from lobewise.denoising.layers import Layer, compare_specular, make_lobe_layers, make_position_features
-from lobewise.denoising.planning.layer_plans import AUTO_SIGMA, LayerTraits
 from lobewise.engine.numbers import choose_larger
 from lobewise.features import Feature, SeenFeature
 from lobewise.filters.dual_buffer import PassRequest, filter_dual_buffer
 from lobewise.filters.fireflies import BoundedHalves, bound_fireflies
-from lobewise.filters.glue import define_joined_halves
+from lobewise.filters.glue import define_joined_colours, define_joined_halves, define_near_hits, define_shifted
 from lobewise.filters.highlights import split_highlights
 from lobewise.filters.noise.residuals import find_squared_residual
 from lobewise.filters.noise_guides import add_light, measure_level, measure_light
@@ -90,17 +90,13 @@ class NoisyLayer(BoundedLayer):
     samples: tuple[Image, Image]
     kept: FloatArray | None = None
 
-    @property
-    def traits(self) -> LayerTraits:
-        """What the plan of the layer depends on."""
-        return LayerTraits(self.layer.is_diffuse, bool(self.seen))
-
 
 def make_bounded_layers(frame: Frame, settings: ResolvedSettings) -> list[BoundedLayer]:
     """Return the layers of a frame with both their halves."""
-    halves = find_halves(frame)
     found = []
-    for layer in make_lobe_layers(frame, settings, finest=True, spread=True):
+    layers = make_lobe_layers(frame, settings, finest=True, spread=True)
+    halves = find_halves(frame, [layer.name for layer in layers])
+    for layer in layers:
         bounded = bound_fireflies(halves.images[layer.name], layer.albedo, layer.mask)
         found.append(
             BoundedLayer(
@@ -143,62 +139,50 @@ def make_noisy_layers(
     bounded = make_bounded_layers(frame, settings)
     for number, bright in enumerate(bounded):
         level = levels[number] if levels is not None else find_layer_level(bright)
-        each, kept = _split_layer(bright, settings, single=frame.spp == 1)
-        pilot: Sequence[Feature] = each.layer.features
-        is_specular = each.layer.is_reflected and each.name != "color"
-        if each.layer.is_reflected and get_similarity(settings.similarity).has_covariance:
+        layer = bright.layer
+        a, b, kept = split_highlights(
+            bright.halves,
+            layer.albedo,
+            layer.mask,
+            shared=bright.noise_is_shared,
+            single=frame.spp == 1,
+            paired=bright.is_whole,
+        )
+        each = replace(bright, bounded=BoundedHalves(a, b, bright.bounded.sums))
+        pilot: Sequence[Feature] = layer.features
+        is_specular = layer.is_reflected and each.name != "color"
+        if layer.is_reflected and get_similarity(settings.similarity).has_covariance:
             simple = replace(settings, similarity="sg")
             pilot = compare_specular(frame, simple, each.name != "color", spread=True).features
         found.append(
             NoisyLayer(
-                layer=replace(each.layer, features=(*each.layer.features, *extra)),
+                layer=replace(layer, features=(*layer.features, *extra)),
                 bounded=each.bounded,
                 is_whole=each.is_whole,
                 noise_is_shared=each.noise_is_shared,
                 pilot_features=(*pilot, *extra),
-                seen=find_seen(frame, each.layer.mask, settings) if is_specular else (),
+                seen=find_seen(frame, layer.mask, settings) if is_specular else (),
                 level=level,
                 samples=each.halves if each.is_whole else _find_samples(each),
-                kept=kept,
+                kept=engine.some(download(kept)),
             )
         )
     return found
 
 
-def _split_layer(
-    each: BoundedLayer, settings: ResolvedSettings, *, single: bool
-) -> tuple[BoundedLayer, FloatArray | None]:
-    """Return a layer without the light of highlights, and the light of highlights; None where there is none."""
-    layer = each.layer
-    found = split_highlights(
-        each.halves,
-        layer.albedo,
-        layer.mask,
-        shared=each.noise_is_shared,
-        single=single,
-        paired=each.is_whole,
-    )
-    kept = download(found.kept)
-    if not kept.any():
-        return each, None
-    return replace(each, bounded=BoundedHalves(found.a, found.b, each.bounded.sums)), kept
-
-
 def join_halves(noisy: NoisyLayer) -> FloatArray:
     """Return the samples of a layer without fireflies, radiance, (height, width, 3); bad pixels are not finite."""
     a, b = map(download, noisy.halves)
-    if not noisy.is_whole:
-        image = np.where(np.isnan(a), b, a)
-        return np.asarray(image if noisy.kept is None else image + noisy.kept, dtype=np.float32)
+    define = define_joined_halves if noisy.is_whole else define_joined_colours
     images, name = {"a": a, "b": b, "kept": noisy.kept}, f"{noisy.name}_samples"
-    (joined,) = engine.pixels(define_joined_halves, images, {}, names=[name], text="bounded samples")
+    (joined,) = engine.pixels(define, images, {}, names=[name], text="bounded samples")
     return joined
 
 
 def _find_samples(each: BoundedLayer) -> tuple[Image, Image]:
     """Return a layer without halves, put together from the colours of its checkerboard, and its squared residual."""
     even, odd = map(download, each.halves)
-    image = np.where(np.isnan(even), odd, even)
+    (image,) = engine.pixels(define_joined_colours, {"a": even, "b": odd}, {}, names=["image"], text="samples")
     return image, find_squared_residual(image, each.layer.albedo, each.layer.mask, shared=each.noise_is_shared)
 
 
@@ -213,27 +197,15 @@ def find_seen(frame: Frame, mask: NDArray[np.bool_], settings: ResolvedSettings)
     if albedo is None or normal is None:
         return ()
     # A pass takes no negative values: shift the normals, and shift them back below.
-    images = albedo, np.float32(0.5) + np.float32(0.5) * normal
+    (shifted,) = engine.pixels(define_shifted, {"normal": normal}, {}, names=["shifted_hits"])
     place = make_pass_features(frame, settings, SEEN_SIGMA)
-    request = PassRequest(halves=images, mask=mask, place=place, radius=SEEN_RADIUS)
+    request = PassRequest(halves=(albedo, shifted), mask=mask, place=place, radius=SEEN_RADIUS)
     mean = filter_dual_buffer(request)
-    sharpness = {"albedo_sharpness": SEEN_ALBEDO, "normal_sharpness": SEEN_NORMAL}
-    near_normal = np.float32(2.0) * download(mean.b) - np.float32(1.0)
-    mirrors = find_mirrors(frame)[..., None]
-    if not mirrors.any():  # the albedo stays on the device
-        return (SeenFeature(mean.a, near_normal, **sharpness),)
-    near_albedo = download(mean.a)
-    return (SeenFeature(np.where(mirrors, albedo, near_albedo), np.where(mirrors, normal, near_normal), **sharpness),)
-
-
-def find_mirrors(frame: Frame) -> NDArray[np.bool_]:
-    """Return where the specular lobe is a mirror, shape (height, width); nowhere if the frame has no roughness."""
-    guides = frame.gbuffer
-    widths = [alpha for alpha in (guides.alpha_u, guides.alpha_v) if alpha is not None]
-    if not widths:
-        return np.zeros((frame.height, frame.width), np.bool_)
-    mirrors: NDArray[np.bool_] = np.logical_and.reduce([alpha <= MAX_MIRROR_ALPHA for alpha in widths])
-    return mirrors
+    widths = {"alpha_u": frame.gbuffer.alpha_u, "alpha_v": frame.gbuffer.alpha_v}
+    images = {"albedo": albedo, "normal": normal, "near": download(mean.a), "shifted": download(mean.b), **widths}
+    names = ["near_hit_albedo", "near_hit_normal"]
+    near_albedo, near_normal = engine.pixels(define_near_hits, images, {}, MAX_MIRROR_ALPHA, names=names)
+    return (SeenFeature(near_albedo, near_normal, albedo_sharpness=SEEN_ALBEDO, normal_sharpness=SEEN_NORMAL),)
 
 
 def make_pass_features(frame: AnyFrame, settings: ResolvedSettings, sigma: float) -> list[Feature]:

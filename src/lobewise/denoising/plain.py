@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from lobewise import engine
 from lobewise.backend.pointwise import give_channels
 from lobewise.denoising.layers import Layer, filter_layer, make_layers
-from lobewise.denoising.planning.layer_plans import plan_fast
 from lobewise.features import Feature
 from lobewise.filters.cross_filter import FilterOutput
+from lobewise.filters.forms import describe_form
 from lobewise.filters.glue import define_filtered_sum
 from lobewise.frame import FloatArray, Frame
 from lobewise.settings import ResolvedSettings
@@ -69,9 +69,9 @@ def filter_by_guides(
     """
     # Each layer is one light: its albedo divides it, and its features compare its pixels.
     layers = make_layers(frame, settings, features, finest=True)
-    outputs, text = [], plan_fast(settings).steps[0].describe()
+    outputs = []
     for layer in layers:
-        with engine.part(f"{layer.name}: {text}"):
+        with engine.part(f"{layer.name}: {describe_form(settings.form, settings.radius)}"):
             outputs.append(filter_layer(layer, settings))
     with engine.part("sum of the light"):
         return add_up(frame, layers, outputs, bad, exact)

@@ -14,14 +14,13 @@ import numpy as np
 
 from lobewise import engine
 from lobewise.denoising.automatic import ask, change_settings, needs_peer_alone, resolve_all
-from lobewise.denoising.bad_pixels import blacken_bad, describe_bad, find_good, require_some_good
+from lobewise.denoising.bad_pixels import blacken_bad, describe_bad, find_bad_pixels, find_good, require_some_good
+from lobewise.denoising.chain import Clean, Filtered, clean_frame, name_layers
 from lobewise.denoising.combining import denoise_with_peer, describe_peer_alone, name_method
 from lobewise.denoising.evidence import count_blurred, describe_blurred
 from lobewise.denoising.inputs import DEPTH_WITHOUT_CAMERA, describe_lacks, list_unused
 from lobewise.denoising.layers import Layer
-from lobewise.denoising.light_loss import MIN_SHARE_BOUNDED, describe_loss, sum_light
-from lobewise.denoising.planning.frame_plans import REFINE
-from lobewise.denoising.stages import Filtered, FrameRun, name_layers, start_run
+from lobewise.denoising.light_loss import MIN_SHARE_BOUNDED, describe_loss, find_share_missing, sum_light
 from lobewise.errors import UnusedGuideWarning, require_kind
 from lobewise.features import Feature
 from lobewise.filters.fireflies import find_energy_lost
@@ -29,7 +28,7 @@ from lobewise.frame import FloatArray, Frame, Result
 from lobewise.guides.negative import split_negative
 from lobewise.guides.usable import CheckedGuides, check_guides
 from lobewise.peers import require_oidn
-from lobewise.settings import DenoiseChanges, DenoiseSettings
+from lobewise.settings import DenoiseChanges, DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_quality
 
 if TYPE_CHECKING:
@@ -134,30 +133,28 @@ def denoise_checked(checked: CheckedGuides[Frame], named: DenoiseSettings, featu
     if chosen.with_oidn:
         require_oidn()
     frame, below = split_negative(frame)
-    state = start_run(frame, chosen, features, seen=checked.seen)
-    bad = int(np.count_nonzero(state.bad))
-    require_some_good(bad, state.bad.size, "pixel")
-    stages, bands = state.plan.stages, state.plan.local_stages
+    bad_pixels = find_bad_pixels(frame)
+    bad = int(np.count_nonzero(bad_pixels))
+    require_some_good(bad, bad_pixels.size, "pixel")
     with engine.on(chosen.device):
-        local = state.run(bands)
-        state = local.run(stages[len(bands) :])
-    found = state.filtered
+        clean = clean_frame(frame, chosen, features, bad_pixels, checked.seen)
+    found = clean.found
     diffuse, specular = join_parts(found.layers, found.parts)
     weight_sum, effective_samples = found.find_support()
     result = Result(
-        image=state.total,
+        image=found.image,
         diffuse=diffuse,
         specular=specular,
-        layers=name_layers(state),
-        also={**state.also, **scale_unscattered(state)},
+        layers=name_layers(frame, found),
+        also={**clean.also, **scale_unscattered(frame, clean)},
         weight_sum=np.ascontiguousarray(weight_sum),
         effective_samples=np.ascontiguousarray(effective_samples),
-        bad_pixels=state.bad,
+        bad_pixels=found.bad,
         settings=asdict(chosen),
         seconds=0.0,
-        energy_lost=state.energy_lost,
+        energy_lost=find_share_missing(found.losses),
         method=name_method(frame, named, chosen, with_features=bool(features)),
-        notes=(*notes, *describe_bad(bad, state.bad.size), *describe_filtering(state, local.filtered)),
+        notes=(*notes, *describe_bad(bad, found.bad.size), *describe_filtering(frame, chosen, features, clean.before)),
         unused=list_unused(frame, chosen),
         find_noisy=noisy,
     )
@@ -194,26 +191,32 @@ def filter_below(below: Frame, named: DenoiseSettings, features: Sequence[Featur
     return denoise_checked(CheckedGuides(below), replace(named, quality="fast", with_oidn=False), features)
 
 
-def scale_unscattered(state: FrameRun) -> dict[str, FloatArray]:
-    """Return emission and background where a stage shared them out or scaled them."""
-    if not state.gains and not state.unscattered:
+def scale_unscattered(frame: Frame, clean: Clean) -> dict[str, FloatArray]:
+    """Return emission and background where a lens blurs them, or where they were scaled."""
+    sharing = clean.found.sharing
+    if not clean.gains and sharing is None:
         return {}
-    unscattered = {**state.frame.unscattered, **state.unscattered}
-    scaled = {name: reduce(np.multiply, state.gains, light) for name, light in unscattered.items()}
+    unscattered = dict(frame.unscattered)
+    if sharing is not None:
+        unscattered = {name: sharing.apply(blacken_bad(light)) for name, light in unscattered.items()}
+    scaled = {name: reduce(np.multiply, clean.gains, light) for name, light in unscattered.items()}
     return {name: np.where(np.isfinite(light), light, np.float32(0.0)) for name, light in scaled.items()}
 
 
-def describe_filtering(state: FrameRun, before: Filtered) -> tuple[str, ...]:
+def describe_filtering(
+    frame: Frame, settings: ResolvedSettings, features: Sequence[Feature], before: Filtered
+) -> tuple[str, ...]:
     """Return what the filters did that a user should know, one sentence each.
 
     ``before`` are the layers before the light that bounding took was shared out.
     """
-    notes: tuple[str, ...] = (FEATURES_SOFTENED,) if state.features and REFINE in state.plan.stages else ()
+    quality = get_quality(settings.quality)
+    notes: tuple[str, ...] = (FEATURES_SOFTENED,) if features and quality.refines and settings.radius > 0 else ()
     share_bounded = find_energy_lost(before.tallies)
     if share_bounded >= MIN_SHARE_BOUNDED:
-        notes += describe_loss(sum_light(state.frame, before.image, state.bad), share_bounded)
-    if not get_quality(state.settings.quality).reads_halves:
-        notes += describe_blurred(count_blurred(state.frame, before.image))
+        notes += describe_loss(sum_light(frame, before.image, before.bad), share_bounded)
+    if not quality.reads_halves:
+        notes += describe_blurred(count_blurred(frame, before.image))
     return notes
 
 

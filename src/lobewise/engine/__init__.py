@@ -299,6 +299,11 @@ def only(condition: Any, image: Any) -> Any:
     return _current.engine.only(condition, image)
 
 
+def some(image: Any) -> Any:
+    """Return an image; None where all of it is 0. A recorded recipe always has the image."""
+    return _current.engine.some(image)
+
+
 def part(name: str) -> AbstractContextManager[None]:
     """Name the part of the recipe that the calls inside the context belong to, for recorded plans."""
     return _current.engine.part(name)

@@ -264,6 +264,10 @@ class Here:
         """See `lobewise.engine.only`."""
         return image if condition else None
 
+    def some(self, image: HostImage) -> HostImage | None:
+        """See `lobewise.engine.some`."""
+        return image if image.any() else None
+
     @property
     def host(self) -> Here:
         """The engine that runs calls on the processor."""

@@ -400,6 +400,10 @@ class Recorder:
             self.clear(image)
         return image
 
+    def some(self, image: Image) -> Image:
+        """See `lobewise.engine.some`."""
+        return image
+
     @property
     def host(self) -> Recorder:
         """The engine that runs calls on the processor: a recorded recipe runs there."""

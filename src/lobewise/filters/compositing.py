@@ -137,8 +137,16 @@ def average_emission(emission: FloatArray, mean: FloatArray, spp: float | None) 
         Samples per pixel.
     """
     share = np.float32(MEAN_EMISSION_SPP / (MEAN_EMISSION_SPP + (UNKNOWN_SPP if spp is None else spp)))
-    good = (mean >= 0.0) & (mean <= np.finfo(np.float32).max)
-    return np.where(good, emission + share * (np.where(good, mean, np.float32(0.0)) - emission), emission)
+    images = {"emission": emission, "mean": mean}
+    (average,) = engine.pixels(define_averaged_emission, images, {"share": share}, names=["rest"])
+    return average
+
+
+def define_averaged_emission(grid: Grid) -> list[Vector]:
+    """Return the emission of samples averaged with that of the pixel's area; see `average_emission`."""
+    (share,) = grid.get("share")
+    pairs = zip(grid.read("emission"), grid.read("mean"), strict=True)
+    return [[hl.select(expressions.is_bad(mean), value, value + share * (mean - value)) for value, mean in pairs]]
 
 
 def define_composite(grid: Grid) -> list[Vector]:

@@ -32,3 +32,15 @@ def list_passes(form: str, radius: int) -> list[tuple[Taps, int, int]]:
     if form == "separable":
         return [(Taps.HORIZONTAL, radius, 1), (Taps.VERTICAL, radius, 1)]
     return [(Taps.ATROUS, 0, 2**level) for level in range(ATROUS_LEVELS)]
+
+
+def count_taps(form: str, radius: int) -> int:
+    """Return how many taps all passes of a form have for a pixel."""
+    size = 2 * radius + 1
+    return {"separable": 2 * size, "atrous": ATROUS_LEVELS * (2 * ATROUS_RADIUS + 1) ** 2}.get(form, size * size)
+
+
+def describe_form(form: str, radius: int) -> str:
+    """Return the form and the size of the kernel."""
+    size = 2 * (ATROUS_REACH if form == "atrous" else radius) + 1
+    return f"{form} kernel, {size}x{size} pixels"

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
-
-import numpy as np
 
 from lobewise import engine
 from lobewise.backend.expressions import is_good
 from lobewise.backend.pointwise import Grid, Vector, select_or_nan
 from lobewise.frame import FloatArray, Frame
-
-PARTS = ("color", "diffuse", "specular")
-"""Radiance that is filtered, in total and by part."""
 
 
 @dataclass(frozen=True)
@@ -24,8 +19,8 @@ class Halves:
     Parameters
     ----------
     images : mapping of str to pair of (height, width, 3)
-        Both images of each of the frame's `PARTS`, or of each of its layers, by name. A pixel without a sample in an
-        image is NaN; a filter gives it weight 0.
+        Both images of each of the frame's layers, by name. A pixel without a sample in an image is NaN; a filter gives
+        it weight 0.
     origin : {"file", "neighbours"}
         "file" if each image holds half of the samples of every pixel, "neighbours" if each holds every other pixel.
     """
@@ -34,64 +29,66 @@ class Halves:
     origin: str
 
 
-def find_halves(frame: Frame) -> Halves:
+def find_halves(frame: Frame, names: Sequence[str]) -> Halves:
     """Return two independent images of a frame: the halves of its samples, or else the colours of a checkerboard.
 
-    The halves of the samples are used only if the frame has them for all of its parts or layers: then all parts of a
-    half come from the same samples. Otherwise a pixel is in the image of its colour of the checkerboard, and NaN in the
-    other. A checkerboard reveals fireflies, which are not in the neighbours; it measures noise badly
+    The halves of the samples are used only if the frame has them for all of the layers: then all layers of a half come
+    from the same samples. Otherwise a pixel is in the image of its colour of the checkerboard, and NaN in the other. A
+    checkerboard reveals fireflies, which are not in the neighbours; it measures noise badly
     (`lobewise.filters.noise.residuals`). A pixel that is NaN, infinite or negative in one image becomes NaN there.
+
+    Parameters
+    ----------
+    frame : Frame
+    names : sequence of str
+        Names of layers: those that the frame names itself, or fields of `lobewise.Radiance`.
     """
-    wanted = _list_layers(frame) if frame.layers else _list_parts(frame)
-    if all(a is not None and b is not None for _, a, b in wanted.values()):
-        return Halves({name: (mark_bad(a), mark_bad(b)) for name, (_, a, b) in wanted.items()}, "file")
-    return Halves({name: split_checkerboard(image) for name, (image, _, _) in wanted.items()}, "neighbours")
-
-
-def _list_layers(frame: Frame) -> dict[str, tuple[FloatArray, Any, Any]]:
-    """Return the radiance and both halves of every layer, by name."""
-    return {layer.name: (layer.radiance, layer.half_a, layer.half_b) for layer in frame.layers}
-
-
-def _list_parts(frame: Frame) -> dict[str, tuple[FloatArray, Any, Any]]:
-    """Return the radiance and both halves of every part, by name."""
-    names = [name for name in PARTS if getattr(frame.radiance, name) is not None]
-    return {
-        name: (
-            getattr(frame.radiance, name),
-            getattr(frame.half_a, name, None),
-            getattr(frame.half_b, name, None),
-        )
-        for name in names
+    if frame.layers:
+        layers = {layer.name: layer for layer in frame.layers}
+        wanted = {name: (layers[name].half_a, layers[name].half_b) for name in names}
+    else:
+        wanted = {name: (getattr(frame.half_a, name, None), getattr(frame.half_b, name, None)) for name in names}
+    if all(half is not None for pair in wanted.values() for half in pair):
+        return Halves({name: _mark_pair(name, *pair) for name, pair in wanted.items()}, "file")
+    whole = {layer.name: layer.radiance for layer in frame.layers} or {
+        name: getattr(frame.radiance, name) for name in names
     }
+    return Halves({name: split_checkerboard(whole[name], name=name) for name in names}, "neighbours")
 
 
-def mark_bad(image: FloatArray) -> FloatArray:
+def _mark_pair(name: str, a: Any, b: Any) -> tuple[FloatArray, FloatArray]:
+    return mark_bad(a, name=f"{name}_a"), mark_bad(b, name=f"{name}_b")
+
+
+def mark_bad(image: FloatArray, *, name: str = "marked") -> FloatArray:
     """Return an image (height, width, 3) with all channels of a pixel NaN if one is NaN, infinite or negative.
 
-    The result is the image itself if it has no such pixel.
+    ``name`` is that of the result in recorded plans.
     """
-    # With a NaN both reductions return NaN, whose comparisons are False.
-    if float(image.min()) >= 0.0 and float(image.max()) < np.inf:
-        return image
-    (marked,) = engine.pixels(define_marked, {"image": image}, {})
-    return np.asarray(marked)
+    (marked,) = engine.pixels(define_marked, {"image": image}, {}, names=[name], text="mark bad pixels")
+    return marked
 
 
-def split_checkerboard(image: FloatArray) -> tuple[FloatArray, FloatArray]:
+def split_checkerboard(image: FloatArray, *, name: str = "colour") -> tuple[FloatArray, FloatArray]:
     """Return the two colours of a checkerboard: an image (height, width, 3) where column plus row is even, and odd.
 
-    All other pixels are NaN, and so are pixels that `mark_bad` marks.
+    All other pixels are NaN, and so are pixels that `mark_bad` marks. ``name`` begins the names of the results in
+    recorded plans.
     """
-    marked = mark_bad(image)
-    even, odd = (np.array(marked, np.float32) for _ in range(2))
-    for row in range(2):
-        even[row::2, 1 - row :: 2] = np.nan
-        odd[row::2, row::2] = np.nan
+    names, text = [f"{name}_even", f"{name}_odd"], "colours of a checkerboard"
+    even, odd = engine.pixels(define_colours, {"image": image}, {}, names=names, text=text)
     return even, odd
 
 
 def define_marked(grid: Grid) -> list[Vector]:
+    """Return an image, NaN where a pixel is bad; see `mark_bad`."""
     colour = grid.read("image")
     good = is_good(colour)
     return [[select_or_nan(good, value) for value in colour]]
+
+
+def define_colours(grid: Grid) -> list[Vector]:
+    """Return both colours of a checkerboard; see `split_checkerboard`."""
+    colour = grid.read("image")
+    good, is_even = is_good(colour), (grid.x + grid.y) % 2 == 0
+    return [[select_or_nan(good & mine, value) for value in colour] for mine in (is_even, ~is_even)]

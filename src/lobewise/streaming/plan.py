@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from lobewise.denoising.evidence import STRIP_ROWS
 from lobewise.denoising.inputs import Images, list_images
-from lobewise.denoising.planning.frame_plans import find_reach
+from lobewise.denoising.plan import find_reach
 from lobewise.filters.refinement.shape import MULTIPLE
 from lobewise.guides.negative import REACH as NEGATIVE_REACH
 from lobewise.guides.stand_ins import REACH as STAND_IN_REACH

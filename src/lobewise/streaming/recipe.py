@@ -29,22 +29,22 @@ from lobewise.denoising.bad_pixels import (
     require_some_good,
     sum_colors,
 )
+from lobewise.denoising.chain import Filtered, filter_rows
 from lobewise.denoising.combining import describe_method
 from lobewise.denoising.evidence import count_blurred, describe_blurred
 from lobewise.denoising.inputs import describe_lacks, list_images, list_unused
 from lobewise.denoising.light_loss import (
     MIN_SHARE_BOUNDED,
-    Gain,
+    Loss,
     Rows,
     describe_loss,
-    find_gain,
+    find_loss,
     find_share_missing,
     sum_light,
 )
 from lobewise.denoising.noisy import make_bounded_layers, measure_layer
 from lobewise.denoising.refining.unguided import LEFT_OUT, MIN_SHARE, count_isolated, judge_guides
 from lobewise.denoising.refining.whole_image import WholeImage, join_measured, measure_rows
-from lobewise.denoising.stages import Filtered, filter_frame
 from lobewise.filters.fireflies import REACH as FIREFLY_REACH
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.filters.noise_guides import find_level
@@ -188,7 +188,8 @@ def denoise_file(
         kept = KeptBands(waiting)
         bad_count = _filter(reader, kept, _Settings(chosen, below), whole, bands, tell, seen)
         with engine.on(chosen.device):
-            finish_bands(reader, kept, writer, Finisher(lambda: measure().mean_color), seen.find_gains())
+            losses = seen.find_losses()
+            finish_bands(reader, kept, writer, Finisher(lambda: measure().mean_color), [each.gain for each in losses])
         writer.finish(output, asdict(chosen))
     told = (*describe_lacks(probe, named), *describe_bad(bad_count, height * reader.shape[1]))
     told = (*told, *measure().notes) if guided else told
@@ -196,7 +197,7 @@ def denoise_file(
         shape=reader.shape,
         bands=len(bands),
         bad_pixel_count=bad_count,
-        energy_lost=seen.find_share_missing(),
+        energy_lost=find_share_missing(losses),
         settings=asdict(chosen),
         seconds=time.perf_counter() - start,
         notes=seen.list_notes(reader, share_bounded, told),
@@ -253,17 +254,10 @@ class _Seen:
             *describe_blurred(np.concatenate(self.blurred) if self.blurred else np.zeros((0, 2))),
         )
 
-    def join_missing(self) -> list[Rows]:
-        """Return the results of `sum_missing` of every layer for all rows; empty with the quality "fast"."""
-        return [np.concatenate(rows) for rows in zip(*self.missing, strict=True)]
-
-    def find_gains(self) -> list[Gain]:
-        """Return the gain of every layer."""
-        return [find_gain(rows, refined=self.refined) for rows in self.join_missing()]
-
-    def find_share_missing(self) -> float:
-        """Return the share of the light that is missing after sharing."""
-        return find_share_missing(self.join_missing(), self.find_gains())
+    def find_losses(self) -> list[Loss]:
+        """Return the light of every layer; empty with the quality "fast"."""
+        rows = [np.concatenate(each) for each in zip(*self.missing, strict=True)]
+        return [find_loss(each, refined=self.refined) for each in rows]
 
 
 def _measure(
@@ -355,8 +349,10 @@ def _filter_band(
     frame, below = split_negative(frame)
     if forgets(settings.above):
         reader.forget(reader.shape[0])
-    found = filter_frame(frame, settings.above, (), whole)
     bad = find_bad_pixels(frame)
+    with engine.on(settings.above.device):
+        found = filter_rows(frame, settings.above, (), bad, whole=whole)
+        _, holes = found.find_holes()
     takers = found.find_takers()
     seen.missing.append(found.sum_missing(takers, core))
     if seen.measures_light:
@@ -364,12 +360,14 @@ def _filter_band(
     if not get_quality(settings.above.quality).reads_halves:
         band = (rows[0] + core.start, rows[0] + core.stop)
         seen.blurred.append(count_blurred(frame, found.image, band, rows[0], reader.shape[0]))
-    images: dict[str, NDArray[Any]] = {"holes": found.find_holes(bad)[core], **_name_fields(found, core)}
+    images: dict[str, NDArray[Any]] = {"holes": holes[core], **_name_fields(found, core)}
     nothing = {f"below {field}": np.zeros_like(images[field]) for field in images if field != "holes"}
     if below is None:
         images |= nothing
     else:
-        fields = _name_fields(filter_frame(below, settings.below), core)
+        with engine.on(settings.below.device):
+            filtered = filter_rows(below, settings.below, (), find_bad_pixels(below))
+        fields = _name_fields(filtered, core)
         images |= {f"below {field}": image for field, image in fields.items()}
     images |= {f"taker{number}": taker[core] for number, taker in enumerate(takers)}
     return images, int(np.count_nonzero(bad[core]))

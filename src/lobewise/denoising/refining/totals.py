@@ -4,36 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from lobewise import engine
-from lobewise.chunks import cut_rows
 from lobewise.filters.compositing import average_emission
-from lobewise.filters.glue import define_composed
+from lobewise.filters.glue import define_composed, define_good, define_rest
 from lobewise.frame import FloatArray, Frame
 
 
 def find_rest(frame: Frame) -> FloatArray | None:
-    """Return what is in none of the parts of a frame (emission, background), finite and >= 0; None without parts."""
+    """Return what is in none of the parts of a frame (emission, background), finite and >= 0; None without parts.
+
+    A negative part is no light: subtracting it would add light that is not in the total.
+    """
     if frame.radiance.parts is None:
         return None
     noisy = [layer.radiance for layer in frame.layers] or frame.radiance.parts
-    rest, nothing = np.empty_like(frame.radiance.color), np.float32(0.0)
-    for chunk in cut_rows(*frame.shape):  # a chunk stays in the core's cache
-        here = rest[chunk]
-        with np.errstate(invalid="ignore", over="ignore"):  # bad pixels are infinite or NaN until the end
-            # A negative part is no light: subtracting it would add light that is not in the total.
-            np.subtract(frame.radiance.color[chunk], np.maximum(noisy[0][chunk], nothing), out=here)
-            for part in noisy[1:]:
-                here -= np.maximum(part[chunk], nothing)
-        np.fmax(here, nothing, out=here)
-        here += nothing  # -0 becomes 0
-        here[here > np.finfo(np.float32).max] = nothing
+    images = {"color": frame.radiance.color, **{f"noisy{number}": part for number, part in enumerate(noisy)}}
+    (rest,) = engine.pixels(define_rest, images, {}, names=["rest"], text="emission and background")
     return rest
 
 
-def find_averaged_rest(frame: Frame) -> FloatArray | None:
-    """Return what `find_rest` does, averaged with `GBuffer.mean_emission` where the frame has it."""
+def find_averaged_rest(frame: Frame, exact: FloatArray | None = None) -> FloatArray | None:
+    """Return what `find_rest` does, averaged with `GBuffer.mean_emission` where the frame has it.
+
+    ``exact`` is the light in no layer, (height, width, 3), if it is known apart.
+    """
+    if exact is not None:
+        text = "emission and background, which are not filtered"
+        (good,) = engine.pixels(define_good, {"image": exact}, {}, names=["rest"], text=text)
+        return good
     rest, emission = find_rest(frame), frame.gbuffer.mean_emission
     return rest if rest is None or emission is None else average_emission(rest, emission, frame.spp)
 

@@ -25,7 +25,7 @@ from lobewise.engine.memory import MemoryPlan, plan_memory
 from lobewise.engine.numbers import write_number
 from lobewise.engine.recorder import CompiledKernel
 from lobewise.exporting.folder import fill_template, read_template
-from lobewise.exporting.pipeline.recipes.constants import Constants, Setting, list_settings
+from lobewise.exporting.pipeline.constants import Constants, Setting, list_settings
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.filters.noise.detail import FEATURE_ROWS
 

@@ -11,7 +11,7 @@ import numpy as np
 from lobewise.camera import Camera
 from lobewise.denoising.recipe import check_frame, denoise_checked
 from lobewise.engine.graph import Graph
-from lobewise.exporting.pipeline.recipes.guides import Features, no_features
+from lobewise.exporting.pipeline.frame import Features, no_features
 from lobewise.exporting.pipeline.scene import CUT, HEIGHT, SPP, WIDTH, make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.frame import FloatArray, Frame, GBuffer, LobeKind, Radiance

@@ -15,8 +15,8 @@ from lobewise.exporting.folder import MARK, fill_template, open_folder, require_
 from lobewise.exporting.names import require_identifier
 from lobewise.exporting.pipeline.contents import describe_contents, write_readme
 from lobewise.exporting.pipeline.driver import Pipeline, write_driver, write_header
-from lobewise.exporting.pipeline.planning import make_pipeline
-from lobewise.exporting.pipeline.recipes.guides import Features, no_features
+from lobewise.exporting.pipeline.frame import Features, no_features
+from lobewise.exporting.pipeline.recording import make_pipeline
 from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, SPP, WIDTH, make_sample
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.exporting.plan import FilterPlan

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from lobewise import engine
 from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, select_or_nan
+from lobewise.engine.numbers import make_single
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS, demodulate
 from lobewise.frame import FloatArray
 
@@ -56,8 +57,9 @@ def find_squared_residual(
     array, shape (height, width, 3)
         NaN where the image is bad.
     """
-    (found,) = engine.pixels(_define_residual, {"image": image, "albedo": albedo, "mask": mask}, {}, shared)
-    return np.asarray(found)
+    images = {"image": image, "albedo": albedo, "mask": mask}
+    (found,) = engine.pixels(_define_residual, images, {}, shared, names=["residual"], text="squared residuals")
+    return found
 
 
 def _define_residual(grid: Grid, shared: bool) -> list[Vector]:
@@ -114,7 +116,9 @@ def split_samples(
         Offset under the logarithm, > 0.
     """
     images = {"image": image, "albedo": albedo, "mask": mask}
-    first, second = engine.pixels(_define_samples, images, {"dark": np.float32(dark)}, shared)
+    names, text = ["above", "below"], "samples apart by their noise"
+    numbers = {"dark": make_single(dark)}
+    first, second = engine.pixels(_define_samples, images, numbers, shared, names=names, text=text)
     return first, second
 
 
@@ -132,9 +136,9 @@ def _define_samples(grid: Grid, shared: bool) -> list[Vector]:
 
 
 def split_by_noise(
-    mean: FloatArray, residual: FloatArray, worth: FloatArray, dark: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return two images around a filtered image that differ like filtered halves of its samples.
+    mean: FloatArray, residual: FloatArray, support: FloatArray, dark: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return two images around a filtered image that differ like filtered halves of its samples, and their support.
 
     A quarter of the squared difference of their logarithms (`lobewise.filters.noise_guides`) is the variance of the
     mean. Their mean is the filtered image.
@@ -143,19 +147,24 @@ def split_by_noise(
     ----------
     mean, residual : array, shape (height, width, 3)
         The image and its squared residual, filtered by the same weights, over albedo.
-    worth : array, shape (height, width)
-        Effective number of samples of the mean.
+    support : array, shape (height, width, 2)
+        Weight sum, and twice the effective number of samples of the mean: the mean of two halves filtered by the same
+        weights is worth twice as many samples as this one image.
     dark : float
         Offset under the logarithm, > 0.
     """
-    images = {"mean": mean, "residual": residual, "worth": worth}
-    first, second = engine.pixels(_define_split, images, {"dark": np.float32(dark)})
-    return first, second
+    images = {"mean": mean, "residual": residual, "support": support}
+    names = ["above", "below", "support"]
+    first, second, halved = engine.pixels(_define_split, images, {"dark": make_single(dark)}, names=names)
+    return first, second, halved
 
 
 def _define_split(grid: Grid) -> list[Vector]:
+    """Return two images that differ by the noise, and their support; see `split_by_noise`."""
     (dark,) = grid.get("dark")
-    one, worth = hl.f32(1.0), hl.max(grid.read_one("worth"), hl.f32(1.0))
+    weight_sum, effective, *_ = grid.read("support")
+    half = hl.f32(0.5) * effective
+    one, worth = hl.f32(1.0), hl.max(half, hl.f32(1.0))
     above: list[hl.Expr] = []
     below: list[hl.Expr] = []
     for mean, residual in zip(grid.read("mean"), grid.read("residual"), strict=True):
@@ -166,4 +175,4 @@ def _define_split(grid: Grid) -> list[Vector]:
         apart = hl.min((double - one) / (double + one), mean / hl.max(offset, hl.f32(_MIN_LIGHT)))
         above.append(mean + apart * offset)
         below.append(hl.max(mean - apart * offset, hl.f32(0.0)))
-    return [above, below]
+    return [above, below, [weight_sum, half]]

@@ -182,31 +182,33 @@ static void measure_gain(
     const size_t pixels = (size_t)p->width * (size_t)p->height;
     const float *before = (const float *)noisy->host, *after = (const float *)filtered->host;
     const float *share = (const float *)taker->host;
-    double missing = 0.0, squared = 0.0, taking = 0.0, whole = 0.0, fireflies, known, shared, most, second;
+    double light = 0.0, missing = 0.0, squared = 0.0, taking = 0.0, whole = 0.0;
     size_t k;
     gain[0] = gain[1] = 0.0;
     for (k = 0; k < pixels; k++, before += 3, after += 3) {
         if (is_good_pixel(before) && is_good_pixel(after)) {
-            const double light = (double)after[0] + after[1] + after[2];
-            const double lost = (double)before[0] + before[1] + before[2] - light;
+            const double sum = (double)before[0] + before[1] + before[2], left = (double)after[0] + after[1] + after[2];
+            const double lost = sum - left;
+            light += sum;
             missing += lost;
             squared += lost * lost;
-            taking += light * share[k];
-            whole += share[k] > 0.0f ? light : 0.0;
+            taking += left * share[k];
+            whole += share[k] > 0.0f ? left : 0.0;
         }
     }
-    if (!(taking > 0.0 && squared > 0.0 && squared <= DBL_MAX) || missing == 0.0) {
-        return;
+    if (taking > 0.0 && squared > 0.0 && squared <= DBL_MAX && missing != 0.0) {
+        const double fireflies = fmax(missing * missing / squared, 1.0);
+        const double known = (1.0 - 1.0 / (fireflies * fireflies)) * fabs(missing);
+        const double shared = fmax(known, fmin(fabs(missing), ${max_shared_as_noise} * whole));
+        const double most = ${max_gain_per_firefly} * fireflies;
+        if (missing < 0.0) {
+            gain[1] = -fmin(fmin(shared / whole, most), ${max_fall});
+        } else {
+            gain[0] = fmin(fmin(shared / taking, most), ${max_takers_gain});
+            gain[1] = fmin(fmin((shared - gain[0] * taking) / whole, most), ${max_gain});
+        }
     }
-    fireflies = fmax(missing * missing / squared, 1.0);
-    known = (1.0 - 1.0 / (fireflies * fireflies)) * fabs(missing);
-    shared = fmax(known, fmin(fabs(missing), ${max_shared_as_noise} * whole));
-    most = ${max_gain_per_firefly} * fireflies;
-    if (missing < 0.0) {
-        gain[1] = -fmin(fmin(shared / whole, most), ${max_fall});
-        return;
-    }
-    gain[0] = fmin(fmin(shared / taking, most), ${max_takers_gain});
-    second = (shared - gain[0] * taking) / whole;
-    gain[1] = fmin(fmin(second, most), ${max_gain});
+    /* The light of the samples, and what is missing of it after sharing. */
+    gain[2] = light;
+    gain[3] = missing - (gain[0] * taking + gain[1] * whole);
 }

@@ -16,7 +16,7 @@ from lobewise.denoising.layers import find_surface
 from lobewise.engine.graph import Graph, Image
 from lobewise.engine.numbers import Number
 from lobewise.engine.recorder import Recorder
-from lobewise.exporting.pipeline.recipes.constants import Constants
+from lobewise.exporting.pipeline.constants import Constants
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.features import Feature
 from lobewise.filters.glue import define_bad, define_composed, define_mean
@@ -140,6 +140,21 @@ class GivenCamera:
         return self.constants.get_projection()
 
 
+@dataclass(frozen=True)
+class GivenHalf:
+    """One half of the samples of a pipeline's frame; stands where recipes read a `lobewise.Radiance`."""
+
+    guides: PipelineGuides
+    name: str
+
+    def __getattr__(self, part: str) -> Any:
+        """Return an image of radiance; None if the pipeline has no light of this name."""
+        if part != "color" and part not in self.guides.settings.layer_names:
+            return None
+        name = f"{self.name}_{part}"
+        return self.guides.give_light(name, describe_light(name))
+
+
 Features = Callable[[Any], Sequence[Feature]]
 """Returns more features of every layer from a frame, whose images may be recorded."""
 
@@ -171,6 +186,8 @@ class PipelineGuides:
     light: Any = None
     """The light of the samples, where it is not that of the caller."""
     lobe_tables = ()
+    noise_is_shared = False
+    spp = None
     shape = SIZE
     height, width = SIZE
     is_placed = True
@@ -298,15 +315,21 @@ class PipelineGuides:
         """Light that no surface scattered."""
         return self.gbuffer.emission  # type: ignore[no-any-return]
 
-    def give_halves(self, name: str) -> list[Image]:
-        """Return the images of both halves of the samples of some light."""
-        return [self.give_light(f"{half}_{name}", describe_light(f"{half}_{name}")) for half in HALVES]
+    @property
+    def half_a(self) -> GivenHalf | None:
+        """One half of the samples, with the quality "balanced"."""
+        return GivenHalf(self, HALVES[0]) if self.constants.guided else None
+
+    @property
+    def half_b(self) -> GivenHalf | None:
+        """The other half."""
+        return GivenHalf(self, HALVES[1]) if self.constants.guided else None
 
     def take_light(self, name: str, text: str) -> Image:
         """Return some light of all samples: an image of the caller, or the mean of two."""
-        if not self.constants.guided:
+        if self.half_a is None:
             return self.give_light(name, text)
-        halves = dict(zip("ab", self.give_halves(name), strict=True))
+        halves = {"a": getattr(self.half_a, name), "b": getattr(self.half_b, name)}
         return self._compute(define_mean, halves, name, f"{name} light of all samples")
 
     @property

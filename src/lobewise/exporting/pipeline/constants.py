@@ -13,6 +13,7 @@ import numpy as np
 
 from lobewise.camera import Camera
 from lobewise.denoising.automatic import (
+    AUTO_SIGMA,
     BETA_DIFFUSE,
     BETA_SPECULAR,
     GUIDED_TAU,
@@ -21,7 +22,6 @@ from lobewise.denoising.automatic import (
     choose_tau,
     expect_noise,
 )
-from lobewise.denoising.planning.layer_plans import AUTO_SIGMA
 from lobewise.engine.numbers import (
     Number,
     choose_given,

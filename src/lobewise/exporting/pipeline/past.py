@@ -8,7 +8,7 @@ from typing import Any
 
 from lobewise.engine.graph import Image
 from lobewise.engine.numbers import Condition
-from lobewise.exporting.pipeline.recipes.guides import SIZE, PipelineGuides
+from lobewise.exporting.pipeline.frame import SIZE, PipelineGuides
 from lobewise.filters.history.reprojection import ComparedPixels
 from lobewise.filters.history.sums import HISTORY_CHANNELS
 from lobewise.temporal.validation import ValidationFeatures

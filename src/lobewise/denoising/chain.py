@@ -1,0 +1,428 @@
+"""What happens to a frame, from top to bottom: filter its layers, refine, take back, keep light, fill, mix, pass on.
+
+`filter_rows` holds the steps that need only the surroundings of a pixel, so that bands of rows run them one by one.
+`filter_whole` adds those that need the whole image. `clean_frame` adds what other programs and further runs give.
+Exported pipelines are made of `filter_whole` (`lobewise.exporting.pipeline`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial, reduce
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise import engine
+from lobewise.backend.buffers import Image, device_scope
+from lobewise.denoising.also import (
+    Filter,
+    Passed,
+    filter_also,
+    filter_by_halves,
+    filter_by_layer,
+    has_passes,
+)
+from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, find_bad_pixels
+from lobewise.denoising.combining import choose_between, denoise_with_peer, share_out
+from lobewise.denoising.evidence import find_image_halves, find_share_lost, mix_noisy
+from lobewise.denoising.layers import Layer, find_support
+from lobewise.denoising.light_loss import (
+    Loss,
+    find_takers,
+    measure_gain,
+    measure_refined_gain,
+    share_light,
+    sum_missing,
+)
+from lobewise.denoising.noisy import NoisyLayer, join_halves, make_noisy_layers
+from lobewise.denoising.passes import filter_layer_halves
+from lobewise.denoising.plain import filter_by_guides
+from lobewise.denoising.refining.inputs import sum_light as sum_parts
+from lobewise.denoising.refining.lamps import find_edges, find_refined, find_shining, find_small
+from lobewise.denoising.refining.network import find_factor
+from lobewise.denoising.refining.totals import compose, find_averaged_rest, find_rest
+from lobewise.denoising.refining.unguided import MIN_SHARE, find_share_filtered, find_unguided_share, forget_guides
+from lobewise.denoising.refining.whole_image import WholeImage, measure_whole
+from lobewise.engine.numbers import choose_larger
+from lobewise.features import Feature
+from lobewise.filters.cross_filter import FilterOutput
+from lobewise.filters.fireflies import cut_samples
+from lobewise.filters.glue import define_checked
+from lobewise.filters.specks import Sharing, find_sharing
+from lobewise.frame import FloatArray, Frame, GBuffer
+from lobewise.settings import ResolvedSettings
+from lobewise.settings.choices import get_quality
+
+
+@dataclass(frozen=True, kw_only=True)
+class Filtered:
+    """The filtered layers of a frame.
+
+    Parameters
+    ----------
+    layers : sequence of Layer
+    parts : sequence of (height, width, 3)
+        The filtered radiance of every layer.
+    supports : sequence
+        How much each filter gathered; one support where it was joined.
+    image : (height, width, 3)
+        Sum of all parts and of the light that is in none of them; see `compose`.
+    bad : (height, width), bool
+        Pixels whose radiance is NaN, infinite or negative.
+    holes : (height, width), bool, optional
+        Pixels without a value, where they are known.
+    rest : (height, width, 3), optional
+        Light that is in no part, emission and background; None where light is not told apart.
+    noisy_rest : (height, width, 3), optional
+        The same before the network refined it.
+    sharing : Sharing, optional
+        How pixels shared this light with their neighbours; None where no lens blurs it.
+    noisy : sequence of (height, width, 3)
+        Samples of every layer without fireflies, radiance; empty with the quality "fast", which bounds none.
+    halves : sequence of NoisyLayer
+        The layers in two halves of their samples; empty with the quality "fast".
+    guides : sequence of sequence of images
+        The guides of every layer's passes, if light passes are filtered by them.
+    is_refined : bool
+        Whether the network refined the image.
+    uncounted : (height, width), bool, optional
+        Pixels that do not tell how much light the layers lost: there the network moved light between them and the rest.
+    taken_from : Filtered, optional
+        The layers before the noisy image was taken back.
+    share_taken : (height, width), optional
+        The share of the noisy image that was taken back.
+    losses : sequence of Loss
+        The light of every layer, and how much of it was shared out; empty before.
+    """
+
+    layers: Sequence[Layer]
+    parts: Sequence[FloatArray]
+    supports: Sequence[Any]
+    image: FloatArray
+    bad: NDArray[np.bool_]
+    holes: NDArray[np.bool_] | None = None
+    rest: FloatArray | None = None
+    noisy_rest: FloatArray | None = None
+    sharing: Sharing | None = None
+    noisy: Sequence[FloatArray] = ()
+    halves: Sequence[NoisyLayer] = ()
+    guides: Sequence[Sequence[Image]] = ()
+    is_refined: bool = False
+    uncounted: NDArray[np.bool_] | None = None
+    taken_from: Filtered | None = None
+    share_taken: FloatArray | None = None
+    losses: Sequence[Loss] = ()
+
+    @property
+    def levels(self) -> list[float]:
+        """Mean light of the samples of every layer, over the albedo; empty with the quality "fast"."""
+        return [each.level for each in self.halves]
+
+    @property
+    def tallies(self) -> list[NDArray[np.float64]]:
+        """Light that was taken from the fireflies of every layer, row by row; empty with the quality "fast"."""
+        return [each.bounded.tally for each in self.halves]
+
+    def find_support(self) -> tuple[FloatArray, FloatArray]:
+        """Return weight sum and effective samples of the least supported layer that reflects anything at a pixel."""
+        if len(self.supports) == 1:
+            return self.supports[0].weight_sum, self.supports[0].effective_samples
+        return find_support(self.layers, self.supports)
+
+    def find_takers(self) -> list[FloatArray]:
+        """Return the share of each pixel's light that takes part in sharing, for every layer; see `find_takers`."""
+        return [find_takers(*each) for each in zip(self.layers, self.parts, self.levels, strict=False)]
+
+    def sum_missing(self, takers: Sequence[FloatArray], rows: slice) -> list[NDArray[np.float64]]:
+        """Return the sums of `lobewise.denoising.light_loss.sum_missing` for every layer in some rows."""
+        layers = zip((layer.radiance for layer in self.layers), self.parts, takers, strict=False)
+        return [sum_missing(*each, rows, uncounted=self.uncounted) for each in layers]
+
+    def find_holes(self) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Return the image and its holes: pixels whose light is not finite, and bad ones that no layer reached."""
+        if self.holes is not None:
+            return self.image, self.holes
+        images = {f"support{number}": each.support for number, each in enumerate(self.supports)}
+        into = [engine.take("image", "height", "width", 3, text="the denoised frame", unit="any")]
+        images, text = {**images, "image": self.image, "bad": self.bad}, "the result, and its holes"
+        image, holes = engine.pixels(define_checked, images, {}, names=["", "holes"], into=into, text=text)
+        return image, holes
+
+
+def filter_rows(
+    frame: Frame,
+    settings: ResolvedSettings,
+    features: Sequence[Feature],
+    bad: NDArray[np.bool_],
+    *,
+    whole: WholeImage | None = None,
+    exact: FloatArray | None = None,
+) -> Filtered:
+    """Return the layers of a frame, or of a band of it, after the steps that need only the surroundings of a pixel.
+
+    Parameters
+    ----------
+    frame, settings
+    features : sequence of Feature
+        More features of every layer.
+    bad : (height, width), bool
+        Result of `find_bad_pixels`.
+    whole : WholeImage, optional
+        What was measured of the whole image, where the frame is a part of it.
+    exact : (height, width, 3), optional
+        The light in no layer, without noise; by default what the layers leave of all light.
+    """
+    quality = get_quality(settings.quality)
+    if not quality.reads_halves:
+        return filter_plain(frame, settings, features, bad, exact)
+    found = filter_halves(frame, settings, features, bad, whole, exact)
+    # A radius of 0 asks for no filter.
+    if quality.refines and settings.radius > 0:
+        found = refine(frame, found, whole)
+    # With halves the mixture takes back what they prove.
+    if not (settings.with_oidn and find_image_halves(frame) is not None):
+        found = take_back(frame, found)
+    return found
+
+
+def filter_whole(
+    frame: Frame,
+    settings: ResolvedSettings,
+    features: Sequence[Feature],
+    bad: NDArray[np.bool_],
+    *,
+    exact: FloatArray | None = None,
+) -> tuple[Filtered, Filtered]:
+    """Return the filtered layers of a whole frame; first as `filter_rows` has left them. Parameters as there."""
+    before = found = filter_rows(frame, settings, features, bad, exact=exact)
+    if get_quality(settings.quality).reads_halves:
+        found = keep_light(found)
+    with engine.part("fill holes"):
+        found = replace(found, image=fill_holes(*found.find_holes(), frame))
+    return before, found
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clean:
+    """A frame after everything that happens to it.
+
+    Parameters
+    ----------
+    before, found : Filtered
+        The layers before light was shared out, and at the end.
+    gains : sequence of arrays
+        Factors of the light that no surface scatters.
+    also : dict of str to (height, width, 3)
+        The filtered light passes.
+    """
+
+    before: Filtered
+    found: Filtered
+    gains: Sequence[FloatArray]
+    also: Mapping[str, FloatArray]
+
+
+def clean_frame(
+    frame: Frame,
+    settings: ResolvedSettings,
+    features: Sequence[Feature],
+    bad: NDArray[np.bool_],
+    seen: GBuffer | None = None,
+) -> Clean:
+    """Return a frame after everything that happens to it.
+
+    Parameters
+    ----------
+    frame, settings, features, bad
+        As of `filter_rows`.
+    seen : GBuffer, optional
+        The guides of the frame before any stood in for missing ones; by default all are the frame's own.
+    """
+    before, found = filter_whole(frame, settings, features, bad)
+    gains = find_gains(found)
+    # Only the features of the user tell what they compare.
+    if get_quality(settings.quality).refines and settings.radius > 0 and not features:
+        found, more = mix_unguided(frame, settings, found, seen or frame.gbuffer)
+        gains += more
+    if settings.with_oidn:
+        found, more = mix_peer(frame, found, seen)
+        gains += more
+    also = filter_passes(frame, settings, features, found) if has_passes(frame) else {}
+    return Clean(before=before, found=found, gains=gains, also=also)
+
+
+@device_scope()
+def filter_plain(
+    frame: Frame,
+    settings: ResolvedSettings,
+    features: Sequence[Feature],
+    bad: NDArray[np.bool_],
+    exact: FloatArray | None,
+) -> Filtered:
+    """Return the layers after one pass by their guides alone."""
+    found = filter_by_guides(frame, settings, features, bad, exact=exact)
+    support = FilterOutput(found.image, found.weight_sum, found.effective_samples)
+    return Filtered(
+        layers=found.layers, parts=found.parts, supports=[support], image=found.image, bad=bad, holes=found.holes
+    )
+
+
+@device_scope()
+def filter_halves(
+    frame: Frame,
+    settings: ResolvedSettings,
+    features: Sequence[Feature],
+    bad: NDArray[np.bool_],
+    whole: WholeImage | None,
+    exact: FloatArray | None,
+) -> Filtered:
+    """Return the layers after their passes over both halves of the samples."""
+    halves = make_noisy_layers(frame, settings, features, None if whole is None else whole.levels)
+    keep_guides = any(layer.parts for layer in frame.layers)
+    clean = [filter_layer_halves(frame, each, settings, keep_guides=keep_guides) for each in halves]
+    with engine.part("sum of the light"):
+        rest, blur, sharing = find_averaged_rest(frame, exact), frame.gbuffer.blur_radius, None
+        if rest is not None and blur is not None:
+            sharing = find_sharing(rest, blur, frame.spp)
+            rest = sharing.apply(rest)
+        parts = [each.image for each in clean]
+        return Filtered(
+            layers=[each.layer for each in halves],
+            parts=parts,
+            supports=clean,
+            image=compose(parts, rest),
+            bad=bad,
+            rest=rest,
+            noisy_rest=rest,
+            sharing=sharing,
+            noisy=[join_halves(each) for each in halves],
+            halves=halves,
+            guides=[each.guides for each in clean],
+        )
+
+
+def refine(frame: Frame, found: Filtered, whole: WholeImage | None) -> Filtered:
+    """Refine the image by the network, and scale the layers and the other light so that they still sum to it."""
+    whole = measure_whole(frame, found.levels) if whole is None else whole
+    surface, rest = np.logical_or.reduce([layer.mask for layer in found.layers]), found.rest
+    seen = edges = None
+    others: list[FloatArray] = []
+    if rest is not None:
+        shining = find_shining(rest, found.parts)
+        surface, seen, edges = surface & ~shining, ~find_small(shining)[..., None], find_edges(shining)
+        others = [np.where(seen, rest, np.float32(0.0))]
+    factor = find_factor(frame, [*found.noisy, *others], [*found.parts, *others], whole)
+    factor[~find_refined(surface)] = 1.0
+    with np.errstate(invalid="ignore", over="ignore"):  # bad pixels of a part stay bad
+        parts = [part * factor for part in found.parts]
+    if rest is not None and seen is not None:
+        rest = np.where(seen, rest * factor, rest)
+    image = compose(parts, rest)
+    return replace(found, parts=parts, rest=rest, image=image, is_refined=True, uncounted=edges)
+
+
+def take_back(frame: Frame, found: Filtered) -> Filtered:
+    """Take the noisy image back where it has less error than the filtered one."""
+    with engine.part("take the noisy image back"):
+        level, samples = reduce(choose_larger, found.levels), bound_samples(frame, found)
+        halves, shared = find_image_halves(frame), frame.noise_is_shared
+        share = find_share_lost(samples, found.image, level, halves=halves, shared=shared, refined=found.is_refined)
+        parts = [mix_noisy(*each, share) for each in zip(found.parts, found.noisy, strict=True)]
+        rest = found.rest
+        if rest is not None and found.noisy_rest is not None:
+            rest = mix_noisy(rest, found.noisy_rest, share)
+        image = compose(parts, rest)
+    return replace(found, parts=parts, rest=rest, image=image, taken_from=found, share_taken=share)
+
+
+def bound_samples(frame: Frame, found: Filtered) -> FloatArray:
+    """Return the samples of a frame without those that are too bright for any network; see `cut_samples`."""
+    return cut_samples(frame.radiance.color, compose(found.noisy, find_rest(frame)))
+
+
+def keep_light(found: Filtered) -> Filtered:
+    """Share the light that bounding took out over each layer, so that the layer sums to the light of its samples."""
+    with engine.part("share out the light of fireflies"):
+        takers, losses = found.find_takers(), []
+        for layer, part, taker in zip(found.layers, found.parts, takers, strict=True):
+            images, name = [layer.radiance, part, taker], f"gain_{layer.name}"
+            if found.is_refined:
+                loss = engine.total(measure_refined_gain, [*images, found.uncounted], name=name, count=4)
+            else:
+                loss = engine.total(measure_gain, images, name=name, count=4)
+            losses.append(Loss(*loss))
+        image, parts = share_light(found.image, found.parts, takers, [loss.gain for loss in losses])
+    return replace(found, image=image, parts=parts, losses=losses)
+
+
+def find_gains(found: Filtered) -> list[FloatArray]:
+    """Return the factors, (height, width, 1 or 3), by which the light outside of the layers was multiplied."""
+    if found.rest is None or found.noisy_rest is None or found.rest is found.noisy_rest:
+        return []
+    return [np.divide(found.rest, found.noisy_rest, out=np.ones_like(found.rest), where=found.noisy_rest > 0.0)]
+
+
+def mix_unguided(
+    frame: Frame, settings: ResolvedSettings, found: Filtered, seen: GBuffer
+) -> tuple[Filtered, list[FloatArray]]:
+    """Mix in the image of the color alone where guides are noise, and scale the parts so that they sum to the image."""
+    share = find_unguided_share(frame.radiance.color, seen)
+    if found.rest is not None:
+        share *= find_share_filtered(found.rest, found.image, frame.gbuffer.blur_radius)
+    if float(share.max()) < MIN_SHARE:
+        return found, []
+    bare, by_color = forget_guides(frame), replace(settings, similarity="normal", hit_distance=False)
+    _, alone = filter_whole(bare, by_color, (), find_bad_pixels(bare))
+    mixed = mix_noisy(found.image, alone.image, share)
+    image, parts, gain = share_out(mixed, found.image, found.parts)
+    return replace(found, image=image, parts=parts), [gain]
+
+
+def mix_peer(frame: Frame, found: Filtered, seen: GBuffer | None) -> tuple[Filtered, list[FloatArray]]:
+    """Mix in the image of Open Image Denoise and the noisy one, and scale the parts so that they sum to the image."""
+    samples = bound_samples(frame, found)
+    peer = denoise_with_peer(frame, samples, found.image, seen)
+    noisy = compose(found.noisy, found.noisy_rest)
+    mixed, share = choose_between(frame, samples, found.image, peer, noisy)
+    if found.share_taken is None:  # detail of one part is not spread over all
+        parts = [mix_noisy(*each, share) for each in zip(found.parts, found.noisy, strict=True)]
+        found = replace(
+            found, image=mix_noisy(found.image, noisy, share), parts=parts, taken_from=found, share_taken=share
+        )
+    image, parts, gain = share_out(mixed, found.image, found.parts)
+    return replace(found, image=image, parts=parts), [gain]
+
+
+def filter_passes(
+    frame: Frame, settings: ResolvedSettings, features: Sequence[Feature], found: Filtered
+) -> dict[str, FloatArray]:
+    """Return the images that belong to a layer or to the total, filtered by the same weights."""
+    before, share = found.taken_from, found.share_taken
+    refined = before if before is not None and before.is_refined else None
+    parts: Mapping[str, FloatArray] = {}
+    if refined is not None:
+        parts = {layer.name: part for layer, part in zip(refined.layers, refined.parts, strict=True)}
+    clean = name_layers(frame, found)
+    layers = {name: Passed(clean=image, before=parts.get(name), share=share) for name, image in clean.items()}
+    # What is not in the layers had no filter. Where there is none, all of a filled hole counts as scattered.
+    rest = find_rest(frame)
+    rest = np.zeros_like(found.image) if rest is None else rest
+    scattered = sum_parts(found.parts)
+    rest_after = np.where(rest > 0.0, np.maximum(found.image - scattered, np.float32(0.0)), np.float32(0.0))
+    whole = Passed(
+        clean=found.image - rest_after, before=None if refined is None else sum_parts(refined.parts), share=share
+    )
+    filters: dict[str, Filter] = {layer.name: partial(filter_by_layer, layer, settings) for layer in found.layers}
+    for noisy, guides, joined in zip(found.halves, found.guides, found.noisy, strict=False):
+        filters[noisy.name] = partial(filter_by_halves, frame, noisy, settings, guides, joined)
+    return filter_also(frame, settings, features, filters, layers, whole, (rest, rest_after))
+
+
+def name_layers(frame: Frame, found: Filtered) -> dict[str, FloatArray]:
+    """Return the filtered layers that the frame names itself, finite."""
+    if not frame.layers:
+        return {}
+    return {layer.name: blacken_bad(part) for layer, part in zip(found.layers, found.parts, strict=True)}

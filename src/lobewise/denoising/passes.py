@@ -1,0 +1,262 @@
+"""The passes of the qualities "balanced" and "high": both halves of a layer, filtered by lobes and by their noise.
+
+The noise of an image shows in two halves of its samples. A narrow pass over both halves gives a pilot, and the distance
+of the halves gives the pilot's noise. The wide pass that follows averages pixels whose lobes are alike *and* whose
+pilots are no further apart than their noise.
+Sources: Rousselle, Knaus and Zwicker 2012, "Adaptive Rendering with Non-Local Means Filtering" (two buffers); Schied et
+al. 2017, "Spatiotemporal Variance-Guided Filtering" (colour weights that follow the filtered variance); Tokuyoshi 2015
+(lobe weights).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from lobewise import engine
+from lobewise.backend.buffers import Image, download
+from lobewise.denoising.noisy import NoisyLayer, make_pass_features
+from lobewise.filters.compositing import composite_light
+from lobewise.filters.dual_buffer import DualBufferOutput, PassRequest, filter_dual_buffer
+from lobewise.filters.glue import define_lit, define_with_highlights
+from lobewise.filters.noise.residuals import split_by_noise, split_samples
+from lobewise.filters.noise_guides import MIN_VARIANCE, MIN_VARIANCE_WITHOUT_HALVES, find_log_offset, make_noise_guide
+from lobewise.frame import FloatArray, Frame
+from lobewise.settings import ResolvedSettings
+
+
+@dataclass(frozen=True)
+class Pass:
+    """One pass over the halves of a layer.
+
+    Parameters
+    ----------
+    radius : int
+        Taps from the centre to the edge of the kernel.
+    sigma : float
+        Standard deviation of the distance on the screen, pixels, and in the scene, pixel footprints, at radius 8.
+    noise : float
+        Number of variances by which a squared difference of the guide is divided. The first pass is guided by the
+        samples themselves. Its number is so large that noise is no difference, but a lamp in a mirror, which is far
+        brighter in both halves, stays where it is.
+    lobes : float
+        Exponent of the similarity of the lobes over that of the settings.
+    lobes_with_seen : float
+        The same where the frame tells what reflections show, which says more than the lobes do.
+    step : int
+        Pixels from tap to tap.
+    of_samples : bool
+        Whether the pass averages the samples. Else it averages what the pass before has averaged, so that the weights
+        that it gathers do not count samples.
+    """
+
+    radius: int
+    sigma: float
+    noise: float
+    lobes: float = 1.0
+    lobes_with_seen: float = 1.0
+    step: int = 1
+    of_samples: bool = True
+
+    @property
+    def reach(self) -> int:
+        """Pixels to the last tap."""
+        return self.radius * self.step
+
+    @property
+    def taps(self) -> int:
+        """Neighbours that the kernel reads for a pixel."""
+        return (2 * self.radius + 1) ** 2
+
+    @property
+    def text(self) -> str:
+        """Kernel, exponent and noise, in a few words."""
+        size = 2 * self.radius + 1
+        apart = f", taps {self.step} pixels apart" if self.step > 1 else ""
+        return f"{size}x{size} taps{apart}, lobes to the power {self.lobes:g}, {self.noise:g} variances"
+
+
+DIFFUSE_PASSES = (
+    Pass(3, 6.0, 40.0, lobes=4.0, lobes_with_seen=4.0),
+    Pass(6, 30.0, 12.0),
+    Pass(3, 30.0, 6.0, step=4, of_samples=False),
+)
+SPECULAR_PASSES = (
+    Pass(4, 6.0, 40.0, lobes=4.0, lobes_with_seen=4.0),
+    Pass(5, 22.0, 6.0, lobes_with_seen=0.5),
+    Pass(3, 30.0, 6.0, lobes=64.0, lobes_with_seen=64.0, step=4, of_samples=False),
+)
+"""Passes at radius 8. Tuned on the scenes that ``benchmarks/quality/measure.py`` calls train
+(docs/research/quality_trials.md). Diffuse light varies slowly: a second, sparse pass over the image of the first
+reaches as far as a dense kernel of three times the cost. Of reflections only the rough ones take part in the sparse
+pass: 4 pixels apart, the axes of sharp lobes are too different for so high a power."""
+
+
+def list_passes(radius: int, *, is_diffuse: bool, has_seen: bool = False) -> list[Pass]:
+    """Return the passes over a layer; ``radius`` is that of the settings, pixels."""
+    scale, found = radius / 8.0, []
+    for number, each in enumerate(DIFFUSE_PASSES if is_diffuse else SPECULAR_PASSES):
+        # A sparse pass averages the image of the pass before, and keeps its taps.
+        taps = round(each.radius * scale) if each.of_samples else min(each.radius, radius)
+        step = 1 if each.of_samples else max(round(each.step * scale), 1)
+        lobes = each.lobes_with_seen if has_seen and number > 0 else each.lobes
+        found.append(replace(each, radius=taps, step=step, lobes=lobes))
+    return found
+
+
+@dataclass(frozen=True)
+class CleanLayer:
+    """The result of a layer.
+
+    Parameters
+    ----------
+    image : (height, width, 3)
+        Filtered radiance, albedo included; the noisy radiance where nothing was gathered.
+    support : (height, width, 2)
+        See `lobewise.filters.dual_buffer.DualBufferOutput`.
+    guides : sequence of images
+        The guides of all passes.
+    """
+
+    image: FloatArray
+    support: FloatArray
+    guides: Sequence[Image] = ()
+
+    @property
+    def weight_sum(self) -> FloatArray:
+        """Sum of the weights of every pixel, (height, width)."""
+        return self.support[..., 0]
+
+    @property
+    def effective_samples(self) -> FloatArray:
+        """Number of equally weighted samples with the same variance, (height, width)."""
+        return self.support[..., 1]
+
+
+def filter_layer_halves(
+    frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings, *, keep_guides: bool = False
+) -> CleanLayer:
+    """Return a layer after its passes, each guided by what the pass before has found."""
+    light, support, guides = None, None, []
+    for number, each in enumerate(list_layer_passes(noisy, settings)):
+        with engine.part(f"{noisy.name}: {each.text}"):
+            guide = make_first_guide(noisy) if light is None else compare_halves(noisy, light.a, light.b)
+            light = run_pass(frame, noisy, settings, each, guide, light, is_pilot=number == 0)
+        if each.of_samples:
+            support = light.support
+        if keep_guides:
+            guides.append(guide)
+    assert light is not None
+    assert support is not None
+    with engine.part(f"{noisy.name}: albedo and coverage"):
+        image, supports = finish_layer(frame, noisy, (light.a, light.b), support)
+    return CleanLayer(image, supports, guides)
+
+
+def find_guides(frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings) -> list[Image]:
+    """Return the guides of all passes over a layer."""
+    guides, light = [], None
+    passes = list_layer_passes(noisy, settings)
+    for number, each in enumerate(passes):
+        guides.append(make_first_guide(noisy) if light is None else compare_halves(noisy, light.a, light.b))
+        if number + 1 < len(passes):
+            light = run_pass(frame, noisy, settings, each, guides[-1], light, is_pilot=number == 0)
+    return guides
+
+
+def run_last_passes(
+    frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings, guides: Sequence[Image]
+) -> DualBufferOutput:
+    """Return other samples of a layer, filtered by its passes and guides.
+
+    The last pass of samples averages them anew, so that the passes before it count by their guides alone.
+    """
+    passes = list_layer_passes(noisy, settings)
+    first = max(number for number, each in enumerate(passes) if each.of_samples)
+    light = None
+    for number in range(first, len(passes)):
+        light = run_pass(frame, noisy, settings, passes[number], guides[number], light, is_pilot=number == 0)
+    assert light is not None
+    return light
+
+
+def list_layer_passes(noisy: NoisyLayer, settings: ResolvedSettings) -> list[Pass]:
+    """Return the passes over a layer."""
+    return list_passes(settings.radius, is_diffuse=noisy.layer.is_diffuse, has_seen=bool(noisy.seen))
+
+
+def make_first_guide(noisy: NoisyLayer) -> Image:
+    """Return the guide that the samples of a layer give."""
+    layer = noisy.layer
+    if noisy.is_whole:
+        itself = PassRequest(halves=noisy.samples, mask=layer.mask, radius=0, albedo=layer.albedo)
+        found = filter_dual_buffer(itself, "light over albedo")
+        return compare_halves(noisy, found.a, found.b)
+    image, dark = download(noisy.samples[0]), find_log_offset(noisy.level)
+    halves = split_samples(image, layer.albedo, layer.mask, dark, shared=noisy.noise_is_shared)
+    return compare_halves(noisy, *halves)
+
+
+def compare_halves(noisy: NoisyLayer, a: Image, b: Image) -> Image:
+    """Return the guide of a pass from two images that are as far apart as their noise."""
+    floor = MIN_VARIANCE if noisy.is_whole else MIN_VARIANCE_WITHOUT_HALVES
+    return make_noise_guide(a, b, noisy.level, floor=floor)
+
+
+def run_pass(
+    frame: Frame,
+    noisy: NoisyLayer,
+    settings: ResolvedSettings,
+    each: Pass,
+    guide: Image,
+    before: DualBufferOutput | None,
+    *,
+    is_pilot: bool = False,
+) -> DualBufferOutput:
+    """Return both filtered halves of a layer, and their support; ``before`` is the output of the pass before."""
+    of_samples = each.of_samples or before is None
+    request = PassRequest(
+        halves=noisy.samples if before is None or each.of_samples else (before.a, before.b),
+        mask=noisy.layer.mask,
+        place=[*make_pass_features(frame, settings, each.sigma), *(() if is_pilot else noisy.seen)],
+        # So narrow a kernel as the pilot's needs no covariances.
+        lobes=noisy.pilot_features if is_pilot else noisy.layer.features,
+        exponent=each.lobes,
+        radius=each.radius,
+        step=each.step,
+        # An earlier pass has divided by the albedo.
+        albedo=noisy.layer.albedo if of_samples else None,
+        guide=guide,
+        noise=each.noise,
+    )
+    found = filter_dual_buffer(request, each.text)
+    if of_samples and not noisy.is_whole:
+        # The samples of an image without halves are the image and its squared residual.
+        images = download(found.a), download(found.b), download(found.support)
+        return DualBufferOutput(*split_by_noise(*images, find_log_offset(noisy.level)))
+    return found
+
+
+def finish_layer(
+    frame: Frame, noisy: NoisyLayer, light: Sequence[Image], support: Image
+) -> tuple[FloatArray, FloatArray]:
+    """Return the radiance of a layer from the light at pixel centres, over the pixels' area where it is known.
+
+    ``light`` is one image, or two halves. The support is returned as an array.
+    """
+    layer, supports = noisy.layer, download(support)
+    images = {"mask": layer.mask, "support": supports}
+    (lit,) = engine.pixels(define_lit, images, {}, names=[f"{layer.name}_lit"], text="pixels with light")
+    mean, coverage = layer.albedo, None if layer.albedo is None else frame.gbuffer.coverage
+    if coverage is not None:
+        means = {"diffuse": frame.gbuffer.mean_diffuse_albedo, "specular": frame.gbuffer.mean_specular_albedo}
+        # A layer that the frame names itself has its own albedo alone.
+        area = means.get(layer.name, mean if frame.layers else None)
+        mean, coverage = (mean, None) if area is None else (area, coverage)
+    image = composite_light(list(map(download, light)), lit, layer.radiance, mean, coverage)
+    if noisy.kept is not None:
+        images = {"image": image, "kept": noisy.kept, "lit": lit}
+        (image,) = engine.pixels(
+            define_with_highlights, images, {}, names=[f"{layer.name}_part"], text="add highlights"
+        )
+    return image, supports

@@ -1,0 +1,204 @@
+"""What will happen to a frame: its steps, how far they reach, and what they cost."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, is_dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lobewise.denoising.also import has_passes
+from lobewise.denoising.automatic import ask, needs_peer_alone, resolve_all
+from lobewise.denoising.combining import describe_peer_alone, name_method
+from lobewise.denoising.evidence import find_image_halves
+from lobewise.denoising.passes import Pass, list_passes
+from lobewise.denoising.refining.lamps import REACH as LAMPS_REACH
+from lobewise.filters.compositing import REACH as COVERAGE_REACH
+from lobewise.filters.fireflies import REACH as FIREFLY_REACH
+from lobewise.filters.forms import ATROUS_REACH, count_taps, describe_form
+from lobewise.filters.highlights import REACH as HIGHLIGHT_REACH
+from lobewise.filters.noise.detail import REACH as DETAIL_REACH
+from lobewise.filters.noise.residuals import REACH as RESIDUAL_REACH
+from lobewise.filters.noise_guides import BLUR_RADIUS as GUIDE_REACH
+from lobewise.filters.refinement.shape import REACH as REFINEMENT_REACH
+from lobewise.frame import Frame
+from lobewise.guides.lobe_fields import SPREAD_REACH
+from lobewise.peers import require_oidn
+from lobewise.settings import DenoiseSettings, ResolvedSettings
+from lobewise.settings.choices import get_quality
+
+GIB = float(2**30)
+MEASURED_RADIUS = 8
+"""Radius of the settings with which the times of the qualities were measured, pixels."""
+MEASURED_LAYERS = {"diffuse": True, "specular": False}
+"""Layers of the frame with which these times were measured, and whether each is diffuse."""
+SAMPLES_REACH = FIREFLY_REACH + HIGHLIGHT_REACH + RESIDUAL_REACH + SPREAD_REACH
+"""Reach of everything that happens to the samples and to the lobes before the first pass, pixels."""
+
+
+class Step(NamedTuple):
+    """A step of `lobewise.denoising.chain`: what it does, its reach in pixels, its taps for a pixel, and its parts."""
+
+    text: str
+    reach: int = 0
+    taps: int = 0
+    parts: tuple[str, ...] = ()
+
+
+def list_steps(
+    settings: ResolvedSettings, layers: Mapping[str, bool], *, has_seen: bool = False, halves: bool = True
+) -> tuple[list[Step], list[Step]]:
+    """Return the steps that need only the surroundings of a pixel, and those that need the whole image.
+
+    Parameters
+    ----------
+    settings : ResolvedSettings
+    layers : mapping of str to bool
+        The layers by name, and whether each is diffuse.
+    has_seen : bool
+        Whether the frame tells what surfaces its reflections show.
+    halves : bool
+        Whether the frame has both halves of its samples.
+    """
+    quality = get_quality(settings.quality)
+    refines = quality.refines and settings.radius > 0
+    if not quality.reads_halves:
+        reach = ATROUS_REACH if settings.form == "atrous" else settings.radius
+        taps, kernel = count_taps(settings.form, settings.radius), describe_form(settings.form, settings.radius)
+        parts = tuple(f"{name}: {kernel}" for name in layers)
+        near = [Step("filter every layer by its guides", reach, len(layers) * taps, parts)]
+    else:
+        passes = {
+            name: list_passes(settings.radius, is_diffuse=is_diffuse, has_seen=has_seen and not is_diffuse)
+            for name, is_diffuse in layers.items()
+        }
+        near = [
+            Step(
+                "filter both halves of every layer by its passes",
+                max(map(find_passes_reach, passes.values())),
+                sum(each.taps for every in passes.values() for each in every),
+                tuple(f"{name}: {each.text}" for name, every in passes.items() for each in every),
+            )
+        ]
+        if refines:
+            reach = REFINEMENT_REACH + LAMPS_REACH
+            near.append(Step("refine the image by the network that weighs neighbours", reach))
+        if not (settings.with_oidn and halves):
+            near.append(Step("take the noisy image back where the filter removed detail", DETAIL_REACH))
+    far = [Step("fill bad pixels that no layer reached from their neighbours")]
+    if quality.reads_halves:
+        far.insert(0, Step("share out the light that bounding took from fireflies"))
+    if refines:
+        far.append(Step("mix in an image filtered by its color alone where guides are noise"))
+    if settings.with_oidn:
+        far.append(Step("mix in the image of Open Image Denoise, pixel by pixel"))
+    return near, far
+
+
+def find_passes_reach(passes: list[Pass]) -> int:
+    """Return how far the passes over a layer reach, pixels.
+
+    The first pass reads the samples. Each pass is guided by what the pass before has found, and a sparse one averages
+    it, too.
+    """
+    return SAMPLES_REACH + sum(GUIDE_REACH + each.reach for each in passes) + COVERAGE_REACH
+
+
+def find_reach(settings: ResolvedSettings) -> int:
+    """Return from how many pixels away a pixel of the steps near it depends on anything, for any frame."""
+    near, _ = list_steps(settings, MEASURED_LAYERS)
+    return sum(step.reach for step in near)
+
+
+def foretell_method(frame: Frame, settings: DenoiseSettings, *, whole: bool = True) -> str:
+    """Return how `lobewise.denoise` would make the image of a frame, in a sentence without a full stop.
+
+    The frame was checked by `lobewise.guides.usable.check_guides`. ``whole`` says that it would not be filtered in
+    bands; in bands, ``frame`` may be some of its rows. The errors are those of `foretell`.
+    """
+    if whole and needs_peer_alone(settings):
+        return describe_peer_alone(frame)
+    return name_method(frame, settings, resolve_all(frame, ask(settings, {}, whole=whole)), whole=whole)
+
+
+def foretell(frame: Frame, settings: DenoiseSettings, *, height: int | None = None) -> list[str]:
+    """Return the lines of the plan by which `lobewise.denoise` would filter a frame: method, steps, memory and time.
+
+    Parameters
+    ----------
+    frame : Frame
+        A frame that `lobewise.guides.usable.check_guides` has seen. No pixel of it is filtered.
+    settings : DenoiseSettings
+        As of `lobewise.denoise`.
+    height : int, optional
+        Rows of the image, if `lobewise.denoise_file` filters it in bands and ``frame`` is only some of its rows.
+
+    Raises
+    ------
+    MissingChannelError, InputError, DeviceError
+        As `lobewise.denoise`, if the frame lacks a guide that the similarity needs, or a setting does not fit.
+    MissingDependencyError
+        If the settings ask for Open Image Denoise and it is not installed.
+    """
+    whole = height is None
+    chosen = resolve_all(frame, ask(settings, {}, whole=whole))
+    if chosen.with_oidn:
+        require_oidn()
+    near, far = list_frame_steps(frame, chosen)
+    rows, width = frame.shape
+    height = height or rows
+    held = count_bytes(frame) * height // rows
+    working = get_quality(chosen.quality).work_bytes_per_pixel * height * width
+    seconds = height * width / 1e6 * estimate_seconds_per_megapixel(near, chosen)
+    alone = ", without Open Image Denoise" if chosen.with_oidn else ""
+    bands = "" if whole else " Bands of rows take less."
+    return [
+        f"{width} x {height} pixels, by {name_method(frame, settings, chosen, whole=whole)}.",
+        *describe_steps(near, far),
+        f"Memory: about {(held + working) / GIB:.2g} GiB, {held / GIB:.2g} GiB of it for the frame.{bands}",
+        f"Time: about {seconds:.2g} s on two processor threads{alone}. The first run on a machine compiles kernels as "
+        "well.",
+    ]
+
+
+def list_frame_steps(frame: Frame, settings: ResolvedSettings) -> tuple[list[Step], list[Step]]:
+    """Return the steps of a frame; see `list_steps`."""
+    if frame.radiance.parts is None:
+        layers = {"color": False}
+    elif frame.layers:
+        layers = {layer.name: layer.is_diffuse for layer in frame.layers}
+    else:
+        layers = MEASURED_LAYERS
+    has_seen = frame.gbuffer.hit_albedo is not None and frame.gbuffer.hit_normal is not None
+    halves = find_image_halves(frame) is not None
+    near, far = list_steps(settings, layers, has_seen=has_seen and "color" not in layers, halves=halves)
+    if has_passes(frame):
+        far.append(Step("filter the light passes that belong to the layers by the same weights"))
+    return near, far
+
+
+def describe_steps(near: list[Step], far: list[Step]) -> Iterator[str]:
+    """Yield the lines of the printed plan."""
+    for number, step in enumerate([*near, *far], 1):
+        reach = f" (reaches {step.reach} pixels)" if step.reach else ""
+        yield f"{number}. {step.text}{reach}"
+        yield from (f"   {part}" for part in step.parts)
+
+
+def estimate_seconds_per_megapixel(near: list[Step], settings: ResolvedSettings) -> float:
+    """Return the time of steps on two threads: the measured time of their quality, in proportion to the taps."""
+    measured, _ = list_steps(replace(settings, radius=MEASURED_RADIUS, form="full"), MEASURED_LAYERS)
+    share = sum(step.taps for step in near) / sum(step.taps for step in measured)
+    return get_quality(settings.quality).seconds_per_megapixel * share
+
+
+def count_bytes(record: Any) -> int:
+    """Return the bytes of all arrays of a frame, of the records and collections in it."""
+    if isinstance(record, np.ndarray):
+        return record.nbytes
+    if isinstance(record, Mapping):
+        return sum(map(count_bytes, record.values()))
+    if isinstance(record, tuple):
+        return sum(map(count_bytes, record))
+    return sum(count_bytes(getattr(record, item.name)) for item in fields(record)) if is_dataclass(record) else 0

@@ -1,1 +1,0 @@
-"""The recipes of this package as steps of a pipeline."""

@@ -1,0 +1,144 @@
+"""Make the pipeline of some settings: call the library's recipe with a frame that has no values, and record it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, cast
+
+from lobewise import engine
+from lobewise.denoising.bad_pixels import fill_holes
+from lobewise.denoising.chain import filter_whole
+from lobewise.denoising.layers import split_lobes
+from lobewise.denoising.plain import add_up
+from lobewise.engine.graph import Graph
+from lobewise.engine.numbers import Number
+from lobewise.engine.recorder import Recorder
+from lobewise.exporting.pipeline.constants import Constants
+from lobewise.exporting.pipeline.driver import Pipeline
+from lobewise.exporting.pipeline.frame import SIZE, Features, PipelineGuides, no_features
+from lobewise.exporting.pipeline.past import make_past
+from lobewise.exporting.pipeline.settings import PipelineSettings
+from lobewise.exporting.targets import get_gpu_api, parse_target, refuse_target
+from lobewise.filters import glue
+from lobewise.filters.history.accumulation import KnownKernel
+from lobewise.settings import TemporalSettings
+from lobewise.settings.choices import get_quality
+from lobewise.temporal.past import HistoryReprojection
+from lobewise.temporal.recipe import Growth, join_history, make_named_layers
+from lobewise.temporal.validation import find_same_tau
+from lobewise.upsampling import join_sparse, tint_samples, upsample_by_guides
+
+
+def make_pipeline(
+    settings: PipelineSettings,
+    *,
+    target: str = "host",
+    name: str = "lobewise",
+    constants: Constants | None = None,
+    features: Features = no_features,
+) -> Pipeline:
+    """Return the pipeline of some settings; nothing is compiled yet.
+
+    Parameters
+    ----------
+    settings : PipelineSettings
+    target : str
+        A processor; see `lobewise.exporting.targets.parse_target`.
+    name : str
+        Beginning of the names of files and functions.
+    constants : Constants, optional
+        Others than those of the usual example values. The program does not depend on them.
+    features : callable
+        As of `lobewise.exporting.pipeline.writing.export_pipeline`.
+
+    Raises
+    ------
+    InputError, DeviceError
+        If the target cannot be used.
+    """
+    if get_gpu_api(target) is not None:
+        raise refuse_target(
+            target, "a graphics processor, which a pipeline does not run on: leave --plan out, or name a processor"
+        )
+    chosen = parse_target(target)
+    guided = get_quality(settings.plan).reads_halves
+    constants = constants or Constants(settings.upsample, settings.radius, guided)
+    graph = Graph(stage="guides")
+    guides = PipelineGuides(settings, graph, Recorder(graph, chosen, name), constants, features)
+    with engine.use(guides.kernels):
+        record_frame(guides)
+    read = {image.memory.name for operation in graph.operations for image in operation.reads}
+    unread = [before.name for _, before in graph.kept if before.name not in read]
+    assert not unread, f"no step reads what the frame before has left: {unread}"
+    kernels = guides.kernels
+    return Pipeline(settings, graph, constants, list(kernels.found.values()), kernels.lanes, name, chosen.to_string())
+
+
+def record_frame(guides: PipelineGuides) -> None:
+    """Call the recipe of a pipeline with its frame."""
+    settings, frame = guides.settings, cast(Any, guides)
+    if settings.history:
+        found = filter_over_time(guides)
+    elif guides.is_sparse:
+        found = upsample_by_guides(tint_samples(frame), guides.resolved, guides.features)
+    else:
+        exact = guides.emission if settings.emission else None
+        _, clean = filter_whole(frame, guides.resolved, guides.features, cast(Any, guides.bad), exact=cast(Any, exact))
+        give_parts(guides, clean.parts)
+        return
+    give_parts(guides, found.parts)
+    with engine.part("fill holes"):
+        fill_holes(found.image, found.holes, frame)
+
+
+def give_parts(guides: PipelineGuides, parts: Sequence[Any]) -> None:
+    """Give the light of each layer to callers that ask for it."""
+    names = guides.settings.layer_names
+    if len(names) == 1:
+        return
+    for name, part in zip(names, parts, strict=True):
+        text = f"the {name} light of the denoised frame, or NULL"
+        result = guides.graph.take(f"{name}_image", *SIZE, 3, text=text, unit="any")
+        with guides.graph.only_when(f"p->frame->{result.name}"), engine.part("results"):
+            text = f"{name} light for the caller"
+            engine.pixels(glue.define_good, {"image": part}, {}, into=[result], text=text)
+
+
+def filter_over_time(guides: PipelineGuides) -> Any:
+    """Return the layers of a frame, joined with their history, and their sum."""
+    resolved, whole = guides.resolved, cast(Any, guides)
+    if guides.is_sparse:
+        whole = tint_samples(whole)
+    how = find_growth(guides)
+    lobes = split_lobes(whole, guides.settings.similarity, resolved.tau, find_same_tau(whole, resolved))
+    layers = make_named_layers(whole, resolved, guides.features, lobes, how.own)
+    constants, past = guides.constants, cast(Any, make_past(guides))
+    names = {"beta": "history_beta", **{name: name for name in ("memory", "plane_sigma", "strictness", "cut_share")}}
+    numbers: Any = {name: constants.get(own) for name, own in names.items()}
+    temporal = replace(TemporalSettings(), **numbers)
+    masks = {name: layer.mask for name, layer in layers.items()}
+    history = HistoryReprojection(whole, resolved, temporal, past, masks, lobes)
+    outputs = []
+    for name, layer in layers.items():
+        sums = history.reproject(name)
+        with guides.graph.part(f"{name}: join with its history"):
+            outputs.append(join_history(whole, layer, resolved, sums, how))
+    with guides.graph.part("sum of the light"):
+        if guides.is_sparse:
+            return join_sparse(whole, list(layers.values()), outputs)
+        return add_up(whole, list(layers.values()), outputs, cast(Any, guides.bad))
+
+
+def find_growth(guides: PipelineGuides) -> Growth:
+    """Return how samples join a history.
+
+    The standard deviation on the screen of pixels that have a history follows their radius, unless the user sets that
+    of all pixels.
+    """
+    constants, sigma = guides.constants, guides.constants.screen_sigma
+    known = min(TemporalSettings.history_radius, constants.radius)
+    narrow = sigma * float(known) / float(constants.radius)
+    code = f"({constants.get('screen_sigma').code} > 0.0 || {known} == 0 ? {sigma.code} : {narrow.code})"
+    kernel = KnownKernel(known, sigma, Number(float(narrow) if known else float(sigma), code))
+    return Growth(constants.get("strictness"), constants.own_weight, kernel)
