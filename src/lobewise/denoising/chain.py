@@ -198,7 +198,7 @@ def filter_whole(
 ) -> tuple[Filtered, Filtered]:
     """Return the filtered layers of a whole frame; first as `filter_rows` has left them. Parameters as there."""
     before = found = filter_rows(frame, settings, features, bad, exact=exact)
-    if get_quality(settings.quality).reads_halves:
+    if found.halves:
         found = keep_light(found)
     with engine.part("fill holes"):
         found = replace(found, image=fill_holes(*found.find_holes(), frame))

@@ -57,8 +57,8 @@ MAX_FALL = 0.5
 """Largest share of its light that a layer loses where its filter added light."""
 ROWS_AT_ONCE = 128
 """Rows whose sums are computed together."""
-MISSING_ROWS_AT_ONCE = 8
-"""The same for the light of a layer, in 64 bits: few enough for a core's cache."""
+MISSING_PIXELS_AT_ONCE = 1 << 14
+"""Pixels of the rows of a layer whose light is summed together, in 64 bits: few enough for a core's cache."""
 
 Rows = NDArray[np.float64]
 
@@ -99,9 +99,9 @@ def sum_missing(
     ``uncounted``, (height, width), are left out.
     """
     first, stop, _ = rows.indices(len(part))
-    found = [np.zeros((0, 5))]
-    for top in range(first, stop, MISSING_ROWS_AT_ONCE):
-        block = slice(top, min(top + MISSING_ROWS_AT_ONCE, stop))
+    found, height = [np.zeros((0, 5))], max(MISSING_PIXELS_AT_ONCE // part.shape[1], 1)
+    for top in range(first, stop, height):
+        block = slice(top, min(top + height, stop))
         noisy, done, share = radiance[block], part[block], taker[block]
         good = find_good(noisy) & find_good(done)
         if uncounted is not None:

@@ -210,12 +210,12 @@ def describe_filtering(
 
     ``before`` are the layers before the light that bounding took was shared out.
     """
-    quality = get_quality(settings.quality)
-    notes: tuple[str, ...] = (FEATURES_SOFTENED,) if features and quality.refines and settings.radius > 0 else ()
+    is_softened = features and settings.radius > 0 and get_quality(settings.quality).refines
+    notes: tuple[str, ...] = (FEATURES_SOFTENED,) if is_softened else ()
     share_bounded = find_energy_lost(before.tallies)
     if share_bounded >= MIN_SHARE_BOUNDED:
         notes += describe_loss(sum_light(frame, before.image, before.bad), share_bounded)
-    if not quality.reads_halves:
+    if not before.halves:
         notes += describe_blurred(count_blurred(frame, before.image))
     return notes
 
