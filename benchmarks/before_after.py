@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.same_bits.frames import crop, enrich, load_bundled
+from benchmarks.same_bits.frames import crop, enrich, load_bundled, name_layers
 
 RESULTS = Path(__file__).parent / "results" / "before_after.json"
 LEAST_SECONDS = 0.1
@@ -50,6 +50,10 @@ def make_cases() -> dict[str, Callable[[], Any]]:
         add(f"upsampling {similarity}", lobewise.upsample, sparse, similarity=similarity)
     add("balanced, few guides", lobewise.denoise, bundled, quality="balanced")
     add("high", lobewise.denoise, rich, quality="high")
+    passes = rich.with_changes(also={"key": 0.6 * rich.radiance.color, "fill": 0.4 * rich.radiance.color})
+    for quality in ("fast", "balanced", "high"):
+        add(f"light passes {quality}", lobewise.denoise, passes, quality=quality)
+        add(f"layers and their parts {quality}", lobewise.denoise, name_layers(rich), quality=quality)
     add("fast full ggx, 256x256", lobewise.denoise, small, quality="fast")
     add("balanced, 256x256", lobewise.denoise, small, quality="balanced")
     for name, frame, changes in (
