@@ -14,7 +14,6 @@ from lobewise.exporting.pipeline.scene import make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.features.base import DeclaredFeature
 from lobewise.frame import FloatArray, Frame
-from lobewise.settings.choices import get_quality
 from lobewise.sparse_frame import AnyFrame
 from tests.exporting.here import Recorded
 
@@ -23,8 +22,8 @@ SIMILARITIES = ("normal", "sg", "asg", "ggx")
 
 def make_frames(settings: PipelineSettings, count: int) -> tuple[list[Frame], list[AnyFrame]]:
     """Return frames of the example, whole, and as the recipe reads them."""
-    halves = get_quality(settings.plan).reads_halves
-    whole = [prepare_frame(settings, make_frame(number, halves=halves)) for number in range(count)]
+    made = [make_frame(number, halves=settings.reads_halves) for number in range(count)]
+    whole = [prepare_frame(settings, frame) for frame in made]
     return whole, [make_sparse(settings, frame, number) for number, frame in enumerate(whole)]
 
 
@@ -96,6 +95,18 @@ def test_upsampling(scale: int, similarity: Any) -> None:
 @pytest.mark.parametrize("similarity", SIMILARITIES)
 def test_balanced(similarity: Any, layers: Any) -> None:
     check(PipelineSettings(plan="balanced", similarity=similarity, layers=layers, radius=2))
+
+
+@pytest.mark.sampled("named-halves", "apart-whole", "color-whole")
+@pytest.mark.parametrize("halves", [True, False], ids=["halves", "whole"])
+@pytest.mark.parametrize("layers", ["apart", "color", "named"])
+def test_balanced_with_other_light(layers: Any, halves: bool) -> None:
+    check(PipelineSettings(plan="balanced", similarity="ggx", layers=layers, radius=2, halves=halves))
+
+
+@pytest.mark.parametrize("halves", [True, False])
+def test_balanced_with_what_reflections_show(halves: bool) -> None:
+    check(PipelineSettings(plan="balanced", similarity="ggx", radius=2, seen=True, coverage=True, halves=halves))
 
 
 @pytest.mark.sampled("ggx-{'hit_distance': True}", "sg-{'upsample': 4}", "normal-{'motion': False}")

@@ -35,15 +35,26 @@ def cpp() -> str:
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("changes", [{}, {"layers": "color", "similarity": "normal"}], ids=["apart", "color"])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"layers": "color", "similarity": "normal"},
+        {"halves": False},
+        {"layers": "named"},
+        {"seen": True, "coverage": True},
+    ],
+    ids=["apart", "color", "whole", "named", "reflections"],
+)
 def test_cpp_agrees_with_python(changes: dict[str, Any], compiler: str, cpp: str, tmp_path: Path) -> None:
     folder = export(tmp_path / "out", **SETTINGS, **changes)
     assert max(run_example(folder, cpp)) <= 1e-5
     images = np.fromfile(folder / "output.raw", np.float32).reshape(FRAMES, HEIGHT, WIDTH, 3)
     assert (images.std(axis=(1, 2, 3)) > 0.05).all()
     names = {each["name"] for each in json.loads((folder / "lobewise-export.json").read_text())["inputs"]}
-    assert {"half_a_color", "half_b_color"} <= names
-    assert "color" not in names
+    halves = changes.get("halves", True)
+    assert ({"half_a_color", "half_b_color"} <= names) == halves
+    assert ("color" in names) != halves
 
 
 def test_every_stage_changes_the_example() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,19 +19,7 @@ OWN = ("similarity", "form", "radius", "lobes", "albedo", "anisotropic")
 """Settings of a single filter."""
 SHARED = ("similarity", "form", "radius", "anisotropic")
 """Settings of a filter that a pipeline has, too."""
-PIPELINE = (
-    "plan",
-    "history",
-    "upsample",
-    "motion",
-    "hit_distance",
-    "layers",
-    "emission",
-    "position",
-    "lobe_kind",
-    "coverage",
-    "rays",
-)
+PIPELINE = tuple(each.name for each in fields(PipelineSettings) if each.name not in SHARED)
 """Settings of a pipeline alone."""
 DEFAULT_NAME = "lobewise"
 USUAL = ("similarity", "form", "radius", "albedo", "plan", "history", "upsample")

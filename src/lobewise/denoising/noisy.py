@@ -95,7 +95,7 @@ def make_bounded_layers(frame: Frame, settings: ResolvedSettings) -> list[Bounde
     """Return the layers of a frame with both their halves."""
     found = []
     layers = make_lobe_layers(frame, settings, finest=True, spread=True)
-    halves = find_halves(frame, [layer.name for layer in layers])
+    halves = find_halves(frame, {layer.name: layer.radiance for layer in layers})
     for layer in layers:
         bounded = bound_fireflies(halves.images[layer.name], layer.albedo, layer.mask)
         found.append(
@@ -182,7 +182,7 @@ def join_halves(noisy: NoisyLayer) -> FloatArray:
 def _find_samples(each: BoundedLayer) -> tuple[Image, Image]:
     """Return a layer without halves, put together from the colours of its checkerboard, and its squared residual."""
     even, odd = map(download, each.halves)
-    (image,) = engine.pixels(define_joined_colours, {"a": even, "b": odd}, {}, names=["image"], text="samples")
+    (image,) = engine.pixels(define_joined_colours, {"a": even, "b": odd}, {}, names=["whole"], text="samples")
     return image, find_squared_residual(image, each.layer.albedo, each.layer.mask, shared=each.noise_is_shared)
 
 

@@ -200,6 +200,7 @@ class Graph:
     def take(self, name: str, *shape: Axis, text: str, unit: str = "") -> Image:
         """Return an image that the caller takes: a result."""
         self.results[name] = Image(self.name(name), shape, "float32", "given", text, unit)
+        assert self.results[name].name == name, f"another image has the name of the result {name}"
         return self.results[name]
 
     def keep(self, name: str, *shape: Axis, type: str = "float32") -> tuple[Image, Image]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,7 +29,7 @@ class Halves:
     origin: str
 
 
-def find_halves(frame: Frame, names: Sequence[str]) -> Halves:
+def find_halves(frame: Frame, lights: Mapping[str, FloatArray]) -> Halves:
     """Return two independent images of a frame: the halves of its samples, or else the colours of a checkerboard.
 
     The halves of the samples are used only if the frame has them for all of the layers: then all layers of a half come
@@ -40,20 +40,16 @@ def find_halves(frame: Frame, names: Sequence[str]) -> Halves:
     Parameters
     ----------
     frame : Frame
-    names : sequence of str
-        Names of layers: those that the frame names itself, or fields of `lobewise.Radiance`.
+    lights : mapping of str to (height, width, 3)
+        The radiance of layers by name: those that the frame names itself, or fields of `lobewise.Radiance`.
     """
     if frame.layers:
-        layers = {layer.name: layer for layer in frame.layers}
-        wanted = {name: (layers[name].half_a, layers[name].half_b) for name in names}
+        wanted = {layer.name: (layer.half_a, layer.half_b) for layer in frame.layers}
     else:
-        wanted = {name: (getattr(frame.half_a, name, None), getattr(frame.half_b, name, None)) for name in names}
+        wanted = {name: (getattr(frame.half_a, name, None), getattr(frame.half_b, name, None)) for name in lights}
     if all(half is not None for pair in wanted.values() for half in pair):
         return Halves({name: _mark_pair(name, *pair) for name, pair in wanted.items()}, "file")
-    whole = {layer.name: layer.radiance for layer in frame.layers} or {
-        name: getattr(frame.radiance, name) for name in names
-    }
-    return Halves({name: split_checkerboard(whole[name], name=name) for name in names}, "neighbours")
+    return Halves({name: split_checkerboard(light, name=name) for name, light in lights.items()}, "neighbours")
 
 
 def _mark_pair(name: str, a: Any, b: Any) -> tuple[FloatArray, FloatArray]:

@@ -56,6 +56,8 @@ GUIDES = {
     "emission": Guide(
         3, "light that no surface scattered, emission and background, at every pixel; it is not filtered", "any"
     ),
+    "hit_albedo": Guide(3, "albedo of the surface that reflected rays met; 0 for none", "0 to 1"),
+    "hit_normal": Guide(3, "unit normal of the surface that reflected rays met, in world space; 0 for none"),
     "diffuse_albedo": Guide(3, ALBEDO.format("diffuse"), "0 to 1"),
     "coverage": Guide(9, "shares of the pixel that the surfaces at the 3x3 pixel centres around it cover", "0 to 1"),
     **{
@@ -95,6 +97,8 @@ class GivenGuides:
             "lobe_kind": settings.lobe_kind,
             "hit_distance": settings.hit_distance,
             "emission": settings.emission or settings.upsample > 1,
+            "hit_albedo": settings.seen,
+            "hit_normal": settings.seen,
             "motion": settings.history and settings.motion,
             **dict.fromkeys(("coverage", "mean_diffuse_albedo", "mean_specular_albedo"), settings.coverage),
         }
@@ -248,9 +252,12 @@ class PipelineGuides:
             SimpleNamespace(
                 name=name,
                 radiance=self.take_light(name, describe_light(name)),
+                half_a=getattr(self.half_a, name, None),
+                half_b=getattr(self.half_b, name, None),
                 albedo=getattr(self.gbuffer, f"{name}_albedo"),
                 is_diffuse=name == "diffuse",
                 is_transmitted=name == "transmission",
+                parts={},
             )
             for name in self.settings.layer_names
         ]
@@ -317,13 +324,13 @@ class PipelineGuides:
 
     @property
     def half_a(self) -> GivenHalf | None:
-        """One half of the samples, with the quality "balanced"."""
-        return GivenHalf(self, HALVES[0]) if self.constants.guided else None
+        """One half of the samples, where they are given."""
+        return GivenHalf(self, HALVES[0]) if self.settings.reads_halves else None
 
     @property
     def half_b(self) -> GivenHalf | None:
         """The other half."""
-        return GivenHalf(self, HALVES[1]) if self.constants.guided else None
+        return GivenHalf(self, HALVES[1]) if self.settings.reads_halves else None
 
     def take_light(self, name: str, text: str) -> Image:
         """Return some light of all samples: an image of the caller, or the mean of two."""

@@ -23,7 +23,6 @@ from lobewise.exporting.targets import get_gpu_api, parse_target, refuse_target
 from lobewise.filters import glue
 from lobewise.filters.history.accumulation import KnownKernel
 from lobewise.settings import TemporalSettings
-from lobewise.settings.choices import get_quality
 from lobewise.temporal.past import HistoryReprojection
 from lobewise.temporal.recipe import Growth, join_history, make_named_layers
 from lobewise.temporal.validation import find_same_tau
@@ -62,8 +61,7 @@ def make_pipeline(
             target, "a graphics processor, which a pipeline does not run on: leave --plan out, or name a processor"
         )
     chosen = parse_target(target)
-    guided = get_quality(settings.plan).reads_halves
-    constants = constants or Constants(settings.upsample, settings.radius, guided)
+    constants = constants or Constants(settings.upsample, settings.radius, settings.is_guided)
     graph = Graph(stage="guides")
     guides = PipelineGuides(settings, graph, Recorder(graph, chosen, name), constants, features)
     with engine.use(guides.kernels):

@@ -59,8 +59,7 @@ class SampleFrame:
 
 def make_sample(settings: PipelineSettings, graph: Graph, features: Features = no_features) -> list[SampleFrame]:
     """Return the frames of the example, filtered by the recipe whose plan is exported."""
-    halves = get_quality(settings.plan).reads_halves
-    made = [make_frame(number, halves=halves) for number in range(FRAMES)]
+    made = [make_frame(number, halves=settings.reads_halves) for number in range(FRAMES)]
     frames = [make_sparse(settings, prepare_frame(settings, frame), number) for number, frame in enumerate(made)]
     results = run_recipe(settings, frames, features)
     return [
@@ -91,25 +90,43 @@ def prepare_frame(settings: PipelineSettings, frame: Frame) -> Frame:
     if settings.anisotropic:
         alpha, normal = (guides.require(name, "brushed surfaces") for name in ("alpha_u", "normal"))
         changes |= {"alpha_v": np.float32(0.5) * alpha, "tangent": np.cross(normal, np.array([0.3, 0.9, 0.1]))}
+    if settings.seen:
+        changes |= show_reflections(guides)
     if settings.coverage:
         changes |= cover_pixels(guides)
     if settings.lobe_kind:
         changes["lobe_kind"] = find_kinds(guides)
-    layers = name_layers(frame) if settings.layers == "named" else ()
-    return replace(frame, radiance=radiance, gbuffer=replace(guides, **changes), layers=layers)
+    frame = replace(frame, radiance=radiance, gbuffer=replace(guides, **changes))
+    return replace(frame, layers=name_layers(frame)) if settings.layers == "named" else frame
 
 
 def name_layers(frame: Frame) -> tuple[RadianceLayer, ...]:
     """Return the light of a frame in three layers: a part of its specular light counts as transmitted."""
-    assert frame.radiance.parts is not None
-    diffuse, specular = frame.radiance.parts
-    glossy = np.float32(0.75) * specular
+    lights = [split_specular(frame.radiance)]
+    if frame.half_a is not None and frame.half_b is not None:
+        lights += [split_specular(frame.half_a), split_specular(frame.half_b)]
+        # A pipeline is given halves, and computes their mean.
+        lights[0] = {name: np.float32(0.5) * lights[1][name] + np.float32(0.5) * lights[2][name] for name in lights[0]}
     albedos = {name: getattr(frame.gbuffer, f"{name}_albedo") for name in ("diffuse", "specular")}
-    lights = {"diffuse": diffuse, "glossy": glossy, "transmission": specular - glossy}
     return tuple(
-        RadianceLayer(name, name, light, albedos["diffuse" if name == "diffuse" else "specular"])
-        for name, light in lights.items()
+        RadianceLayer(
+            name,
+            name,
+            light,
+            albedos["diffuse" if name == "diffuse" else "specular"],
+            half_a=lights[1][name] if len(lights) > 1 else None,
+            half_b=lights[2][name] if len(lights) > 1 else None,
+        )
+        for name, light in lights[0].items()
     )
+
+
+def split_specular(radiance: Radiance) -> dict[str, FloatArray]:
+    """Return light in three layers, by name."""
+    assert radiance.parts is not None
+    diffuse, specular = radiance.parts
+    glossy = np.float32(0.75) * specular
+    return {"diffuse": diffuse, "glossy": glossy, "transmission": specular - glossy}
 
 
 def choose_light(settings: PipelineSettings, radiance: Radiance) -> Radiance:
@@ -140,6 +157,12 @@ def cover_pixels(guides: GBuffer) -> dict[str, FloatArray]:
         parts = [share[..., k : k + 1] * each for k, each in enumerate(near)]
         found[f"mean_{name}"] = np.sum(parts, axis=0).astype(np.float32)
     return found
+
+
+def show_reflections(guides: GBuffer) -> dict[str, FloatArray]:
+    """Return albedo and normal of the surfaces that reflections show: those of pixels some rows away."""
+    albedo, normal = (guides.require(name, "reflections") for name in ("diffuse_albedo", "normal"))
+    return {"hit_albedo": np.roll(albedo, 9, axis=0), "hit_normal": np.roll(normal, 9, axis=0)}
 
 
 def find_kinds(guides: GBuffer) -> FloatArray:
@@ -211,6 +234,7 @@ def collect_images(graph: Graph, frame: AnyFrame, emission: FloatArray | None = 
     named |= {"ray_weight": getattr(getattr(frame, "rays", None), "weight", None)}
     for layer in getattr(frame, "layers", ()):
         named |= {layer.name: layer.radiance, f"{layer.name}_albedo": layer.albedo}
+        named |= {f"half_a_{layer.name}": layer.half_a, f"half_b_{layer.name}": layer.half_b}
     found = {}
     for name in graph.given:
         image = named.get(name) if name in named else getattr(guides, name)

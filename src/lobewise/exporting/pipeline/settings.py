@@ -60,11 +60,22 @@ class PipelineSettings(Declared):
         ),
     ] = False
 
+    halves: Annotated[
+        bool,
+        Knob(
+            "With the plan balanced, whether two halves of the samples are given; else the noise is told by residuals "
+            "of one image."
+        ),
+    ] = True
+    seen: Annotated[
+        bool,
+        Knob("With the plan balanced, whether albedo and normal of the surfaces that reflections show are given."),
+    ] = False
     coverage: Annotated[
         bool,
         Knob(
-            "With upsampling, whether the shares of pixels that near surfaces cover and mean albedos are given: edges "
-            "of surfaces are smooth then."
+            "With upsampling or the plan balanced, whether the shares of pixels that near surfaces cover and mean "
+            "albedos are given: edges of surfaces are smooth then."
         ),
     ] = False
     rays: Annotated[
@@ -78,13 +89,13 @@ class PipelineSettings(Declared):
         super().__post_init__()
         if self.upsample > 1 and self.layers == "color":
             raise _refuse("layers", "one layer with upsampling", "give diffuse and specular light apart")
-        if self.layers == "named" and (self.history or self.upsample > 1 or get_quality(self.plan).reads_halves):
+        if self.layers == "named" and (self.history or self.upsample > 1):
             raise _refuse(
-                "layers", "named layers in more than one frame or pass", "choose the plan fast alone, or apart"
+                "layers", "named layers with a history or upsampling", "give diffuse and specular light apart"
             )
         if self.record.is_mixture:
             raise _refuse("similarity", self.similarity, "choose ggx, or export the filter alone, without --plan")
-        guided = get_quality(self.plan).reads_halves
+        guided = self.is_guided
         if guided and (self.history or self.upsample > 1):
             what = "history" if self.history else "upsampling"
             raise _refuse("plan", f"{self.plan} with {what}", f"choose the plan fast for {what}")
@@ -100,9 +111,18 @@ class PipelineSettings(Declared):
             raise _refuse("hit_distance", "a history with one layer", "give diffuse and specular light apart")
         if self.hit_distance and not self.history and not self.record.has_lobes:
             raise _refuse("hit_distance", f"{self.similarity} without a history", "choose a similarity of lobes")
-        for name in ("coverage", "rays"):
-            if getattr(self, name) and self.upsample == 1:
-                raise _refuse(name, "without upsampling", "add upsampling, or leave it out")
+        if self.rays and self.upsample == 1:
+            raise _refuse("rays", "without upsampling", "add upsampling, or leave it out")
+        if self.coverage and ((self.upsample == 1 and not guided) or self.layers == "named"):
+            raise _refuse(
+                "coverage",
+                "with named layers" if self.layers == "named" else "in one pass",
+                "add upsampling, choose the plan balanced, or leave it out",
+            )
+        if self.seen and (not guided or self.layers != "apart"):
+            raise _refuse("seen", "in one pass" if not guided else f"layers {self.layers!r}", "leave it out")
+        if not self.halves and not guided:
+            raise _refuse("halves", "in one pass, which reads none", "leave it out")
         if self.anisotropic and not self.record.has_covariance:
             raise _refuse("anisotropic", self.similarity, "choose asg or ggx")
 
@@ -115,6 +135,16 @@ class PipelineSettings(Declared):
     def layer_names(self) -> tuple[str, ...]:
         """Names of the layers."""
         return LAYERS[self.layers]
+
+    @property
+    def is_guided(self) -> bool:
+        """Whether the passes are guided by the noise."""
+        return get_quality(self.plan).reads_halves
+
+    @property
+    def reads_halves(self) -> bool:
+        """Whether two halves of the samples are given."""
+        return self.is_guided and self.halves
 
     @property
     def compares_hits(self) -> bool:
