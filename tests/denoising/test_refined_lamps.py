@@ -46,12 +46,12 @@ def test_a_lamp_at_the_border_of_the_image_is_as_large_as_it_goes_on() -> None:
 
 def test_two_pixels_on_both_sides_of_an_edge_are_refined() -> None:
     lamp = make_mask((slice(10, 30), slice(10, 30)))
-    inside = ~find_refined(~lamp)
+    inside = ~find_refined([~lamp])
     assert np.array_equal(inside, make_mask((slice(12, 28), slice(12, 28))))
     assert np.array_equal(find_edges(lamp), make_mask((slice(8, 32), slice(8, 32))))
 
 
-@pytest.mark.parametrize("pixels", [0, 1, 2, 3, 5, 9, 50])
+@pytest.mark.parametrize("pixels", [0, 1, 2, 9])
 def test_a_mask_grows_by_any_width(pixels: int, rng: np.random.Generator) -> None:
     mask = rng.random((23, 31)) < 0.01
     rows, columns = np.indices(mask.shape)

@@ -41,8 +41,7 @@ from lobewise.denoising.noisy import NoisyLayer, join_halves, make_noisy_layers
 from lobewise.denoising.passes import filter_layer_halves
 from lobewise.denoising.plain import filter_by_guides
 from lobewise.denoising.refining.inputs import sum_light as sum_parts
-from lobewise.denoising.refining.lamps import find_edges, find_refined, find_shining, find_small
-from lobewise.denoising.refining.network import find_factor
+from lobewise.denoising.refining.network import refine_light
 from lobewise.denoising.refining.totals import compose, find_averaged_rest, find_rest
 from lobewise.denoising.refining.unguided import MIN_SHARE, find_share_filtered, find_unguided_share, forget_guides
 from lobewise.denoising.refining.whole_image import WholeImage, measure_whole
@@ -306,21 +305,10 @@ def filter_halves(
 
 def refine(frame: Frame, found: Filtered, whole: WholeImage | None) -> Filtered:
     """Refine the image by the network, and scale the layers and the other light so that they still sum to it."""
-    whole = measure_whole(frame, found.levels) if whole is None else whole
-    surface, rest = np.logical_or.reduce([layer.mask for layer in found.layers]), found.rest
-    seen = edges = None
-    others: list[FloatArray] = []
-    if rest is not None:
-        shining = find_shining(rest, found.parts)
-        surface, seen, edges = surface & ~shining, ~find_small(shining)[..., None], find_edges(shining)
-        others = [np.where(seen, rest, np.float32(0.0))]
-    factor = find_factor(frame, [*found.noisy, *others], [*found.parts, *others], whole)
-    factor[~find_refined(surface)] = 1.0
-    with np.errstate(invalid="ignore", over="ignore"):  # bad pixels of a part stay bad
-        parts = [part * factor for part in found.parts]
-    if rest is not None and seen is not None:
-        rest = np.where(seen, rest * factor, rest)
-    image = compose(parts, rest)
+    with engine.part("refine by the network"):
+        whole = measure_whole(frame, found.levels) if whole is None else whole
+        parts, rest, edges = refine_light(frame, found.layers, found.noisy, found.parts, found.rest, whole)
+        image = compose(parts, rest)
     return replace(found, parts=parts, rest=rest, image=image, is_refined=True, uncounted=edges)
 
 

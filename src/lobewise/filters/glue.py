@@ -17,7 +17,7 @@ def define_bad(grid: Grid) -> list[Vector]:
     return [[hl.u8(~reduce(and_, (is_good(grid.read(name)) for name in grid.images)))]]
 
 
-def _read_parts(grid: Grid, prefix: str) -> list[Vector]:
+def read_parts(grid: Grid, prefix: str) -> list[Vector]:
     names = [f"{prefix}{number}" for number in range(len(grid.images))]
     return [grid.read_channels(name) for name in names if name in grid.images or f"{name}_channel0" in grid.images]
 
@@ -26,7 +26,7 @@ def read_rest(grid: Grid) -> Vector:
     """Return the light that is in none of the parts ``noisy0`` and so on of ``color``; see `find_rest`."""
     zero = hl.f32(0.0)
     rest = grid.read("color")
-    for part in _read_parts(grid, "noisy"):
+    for part in read_parts(grid, "noisy"):
         rest = [value - _clamp_light(light) for value, light in zip(rest, part, strict=True)]
     good = [(value > zero) & (value <= hl.f32(LARGEST_FLOAT)) for value in rest]
     return [hl.select(known, value, zero) for known, value in zip(good, rest, strict=True)]
@@ -42,7 +42,7 @@ def define_rest(grid: Grid) -> list[Vector]:
     return [read_rest(grid)]
 
 
-def _select_bits(condition: hl.Expr, first: hl.Expr, second: hl.Expr) -> hl.Expr:
+def select_bits(condition: hl.Expr, first: hl.Expr, second: hl.Expr) -> hl.Expr:
     """Return one of two float32 that may be NaN."""
     bits = [hl.reinterpret(hl.UInt(32), value) for value in (first, second)]
     return hl.reinterpret(hl.Float(32), hl.select(condition, *bits))
@@ -76,7 +76,7 @@ def keep_unfiltered(grid: Grid, number: int) -> Vector:
     noisy, lost = grid.read(f"noisy{number}"), grid.read_one(f"weight{number}") <= hl.f32(0.0)
     good = is_good(noisy)
     pairs = zip(noisy, grid.read_channels(f"image{number}"), strict=True)
-    return [_select_bits(lost, select_or_nan(good, raw), value) for raw, value in pairs]
+    return [select_bits(lost, select_or_nan(good, raw), value) for raw, value in pairs]
 
 
 def _add_colors(first: Vector, second: Vector) -> Vector:
@@ -118,7 +118,7 @@ def define_refilled(grid: Grid) -> list[Vector]:
     hole = grid.read_one("holes") != 0
     reached = hole & (grid.read_one("weight") > hl.f32(0.0))
     values = zip(grid.read("image"), grid.read("filled"), strict=True)
-    image = [_select_bits(reached, filled, value) for value, filled in values]
+    image = [select_bits(reached, filled, value) for value, filled in values]
     return [image, [hl.u8(hole & ~(grid.read_one("weight") > hl.f32(0.0)))]]
 
 
@@ -126,7 +126,7 @@ def define_patched(grid: Grid) -> list[Vector]:
     """Return an image with a colour in its holes."""
     hole = grid.read_one("holes") != 0
     pairs = zip(grid.read("image"), grid.get("mean"), strict=True)
-    return [[_select_bits(hole, mean, value) for value, mean in pairs]]
+    return [[select_bits(hole, mean, value) for value, mean in pairs]]
 
 
 def define_tinted(grid: Grid, most: float) -> list[Vector]:
@@ -183,7 +183,7 @@ def define_joined_halves(grid: Grid) -> list[Vector]:
 def define_joined_colours(grid: Grid) -> list[Vector]:
     """Return the image of both colours of a checkerboard, ``a`` and ``b``, and the light of highlights."""
     pairs = zip(grid.read("a"), grid.read("b"), strict=True)
-    joined = [_select_bits(_is_nan(even), odd, even) for even, odd in pairs]
+    joined = [select_bits(_is_nan(even), odd, even) for even, odd in pairs]
     if grid.has("kept"):
         joined = [value + more for value, more in zip(joined, grid.read("kept"), strict=True)]
     return [joined]
@@ -205,7 +205,7 @@ def define_near_hits(grid: Grid, most: float) -> list[Vector]:
     mirror = reduce(and_, (alpha <= hl.f32(most) for alpha in widths))
     own = grid.read("albedo"), grid.read("normal")
     return [
-        [_select_bits(mirror, value, mean) for value, mean in zip(*pair, strict=True)]
+        [select_bits(mirror, value, mean) for value, mean in zip(*pair, strict=True)]
         for pair in zip(own, (near, averages), strict=True)
     ]
 
@@ -219,12 +219,12 @@ def define_with_highlights(grid: Grid) -> list[Vector]:
     """Return an image plus the light of highlights where there is light."""
     lit = grid.read_one("lit") != 0
     pairs = zip(grid.read("image"), grid.read("kept"), strict=True)
-    return [[_select_bits(lit, value + more, value) for value, more in pairs]]
+    return [[select_bits(lit, value + more, value) for value, more in pairs]]
 
 
 def define_composed(grid: Grid) -> list[Vector]:
     """Return the sum of the parts ``part0`` and so on and of ``rest``; see `compose`."""
-    parts = _read_parts(grid, "part")
+    parts = read_parts(grid, "part")
     total = parts[0]
     for part in (*parts[1:], *([grid.read("rest")] if grid.has("rest") else [])):
         total = [value + more for value, more in zip(total, part, strict=True)]
@@ -263,7 +263,7 @@ def define_mixed(grid: Grid) -> list[Vector]:
     ]
     taken = share > hl.f32(0.0)
     pairs = zip(mixed, grid.read("part"), strict=True)
-    return [[_select_bits(is_finite(value) & taken, value, part) for value, part in pairs]]
+    return [[select_bits(is_finite(value) & taken, value, part) for value, part in pairs]]
 
 
 def define_takers(grid: Grid, most: float) -> list[Vector]:

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lobewise.denoising.bad_pixels import blacken_bad, find_good
-from lobewise.frame import FloatArray, Frame, GBuffer
+from lobewise import engine
+from lobewise.backend.pointwise import give_channels
+from lobewise.denoising.bad_pixels import blacken_bad
+from lobewise.filters.refinement.steps import define_inputs, define_known_lobes
+from lobewise.frame import FloatArray, Frame
 from lobewise.guides.lobe_fields import make_sg_field
-from lobewise.lobes.vectors import LUMINANCE
 
 MIN_ALBEDO_SUM = 1e-4
 """Sum of both luminances up to which no lobe has a share of the albedo."""
+MIN_SHARPNESS = 1e-6
+"""Smallest sharpness of a lobe."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +56,13 @@ class RefinementInputs:
     change: FloatArray | None = None
 
 
-def collect_inputs(frame: Frame, noisy: Sequence[FloatArray], parts: Sequence[FloatArray]) -> RefinementInputs:
+def collect_inputs(
+    frame: Frame,
+    noisy: Sequence[FloatArray],
+    parts: Sequence[FloatArray],
+    rest: FloatArray | None = None,
+    small: NDArray[np.bool_] | None = None,
+) -> RefinementInputs:
     """Return what the refining network reads.
 
     Parameters
@@ -60,24 +72,41 @@ def collect_inputs(frame: Frame, noisy: Sequence[FloatArray], parts: Sequence[Fl
     noisy, parts : sequence of arrays, shape (height, width, 3)
         Samples of every layer without fireflies, and the filtered layers. Values that are not finite count as no light
         of a filtered layer. Where the samples are not finite, the filtered light stands for them.
+    rest : array, shape (height, width, 3), optional
+        The light that no surface scatters.
+    small : bool array, shape (height, width), optional
+        Pixels of small lamps: their light is not in the inputs.
     """
-    guides = frame.gbuffer
-    filtered = sum_light(parts)
-    with np.errstate(invalid="ignore", over="ignore"):
-        samples: FloatArray = noisy[0] if len(noisy) == 1 else np.add.reduce(list(noisy), dtype=np.float32)
-    samples = np.where(find_good(samples)[..., None], np.maximum(samples, np.float32(0.0)), filtered)
-    diffuse = guides.diffuse_albedo if guides.mean_diffuse_albedo is None else guides.mean_diffuse_albedo
-    specular = guides.specular_albedo if guides.mean_specular_albedo is None else guides.mean_specular_albedo
-    return RefinementInputs(
-        noisy=samples,
-        filtered=filtered,
-        albedo=_sum_albedos(diffuse, specular),
-        normal=_replace_bad(guides.normal if guides.mean_normal is None else guides.mean_normal),
-        depth=_replace_bad(guides.depth),
-        roughness=_find_roughness(guides),
-        specular_share=_find_specular_share(diffuse, specular),
-        change=_find_change(frame),
-    )
+    guides, a, b = frame.gbuffer, frame.half_a, frame.half_b
+    halves = {} if a is None or b is None else {"half_a": a.color, "half_b": b.color}
+    images: dict[str, Any] = {
+        **{f"noisy{number}": image for number, image in enumerate(noisy)},
+        **{f"part{number}": image for number, image in enumerate(parts)},
+        "rest": rest,
+        "small": small,
+        "diffuse": guides.diffuse_albedo if guides.mean_diffuse_albedo is None else guides.mean_diffuse_albedo,
+        "specular": guides.specular_albedo if guides.mean_specular_albedo is None else guides.mean_specular_albedo,
+        "normal": guides.normal if guides.mean_normal is None else guides.mean_normal,
+        "depth": guides.depth,
+        "alpha_u": guides.alpha_u,
+        "alpha_v": guides.alpha_v,
+        **halves,
+    }
+
+    def knows(*names: str) -> bool:
+        return all(images.get(name) is not None for name in names)
+
+    told = {
+        "albedo": knows("diffuse") or knows("specular"),
+        "normal": knows("normal"),
+        "depth": knows("depth"),
+        "roughness": knows("alpha_u") or knows("alpha_v"),
+        "specular_share": knows("diffuse", "specular"),
+        "change": knows("half_a", "half_b"),
+    }
+    names, text = ["noisy", "filtered", *(name for name, known in told.items() if known)], "what the network reads"
+    found = engine.pixels(define_inputs, images, {}, MIN_ALBEDO_SUM, names=names, text=text)
+    return RefinementInputs(**dict(zip(names, found, strict=True)))
 
 
 def find_lobes(frame: Frame, tau: float) -> tuple[FloatArray | None, FloatArray | None]:
@@ -88,9 +117,10 @@ def find_lobes(frame: Frame, tau: float) -> tuple[FloatArray | None, FloatArray 
     if frame.camera is None or not frame.is_placed or frame.gbuffer.alpha_u is None:
         return None, None
     field = make_sg_field(frame.gbuffer, frame.camera, tau=tau, diffuse_fallback=False)
-    known = field.valid & np.isfinite(field.sharpness)
-    sharpness = np.where(known, np.log2(np.maximum(field.sharpness, np.float32(1e-6))), np.float32(0.0))
-    return np.where(known[..., None], field.axis, np.float32(0.0)), np.asarray(sharpness, dtype=np.float32)
+    images = {**give_channels("axis", field.axis), "sharpness": field.sharpness, "valid": field.valid}
+    names, text = ["lobe_axis", "lobe_sharpness"], "lobes that the network reads"
+    axis, sharpness = engine.pixels(define_known_lobes, images, {}, MIN_SHARPNESS, names=names, text=text)
+    return axis, sharpness
 
 
 def sum_light(parts: Sequence[FloatArray]) -> FloatArray:
@@ -99,39 +129,3 @@ def sum_light(parts: Sequence[FloatArray]) -> FloatArray:
     for part in parts[1:]:
         total = total + blacken_bad(part)
     return np.maximum(blacken_bad(total), np.float32(0.0))
-
-
-def _replace_bad(image: FloatArray | None) -> FloatArray | None:
-    return None if image is None else np.where(np.isfinite(image), image, np.float32(0.0))
-
-
-def _sum_albedos(diffuse: FloatArray | None, specular: FloatArray | None) -> FloatArray | None:
-    known = [albedo for albedo in (_replace_bad(diffuse), _replace_bad(specular)) if albedo is not None]
-    if not known:
-        return None
-    total = known[0] if len(known) == 1 else known[0] + known[1]
-    return np.clip(total, np.float32(0.0), np.float32(1.0))
-
-
-def _find_roughness(guides: GBuffer) -> FloatArray | None:
-    along, across = _replace_bad(guides.alpha_u), _replace_bad(guides.alpha_v)
-    if along is None or across is None:
-        return along if across is None else across
-    return np.asarray(np.sqrt(np.maximum(along * across, np.float32(0.0))), dtype=np.float32)
-
-
-def _find_specular_share(diffuse: FloatArray | None, specular: FloatArray | None) -> FloatArray | None:
-    diffuse, specular = _replace_bad(diffuse), _replace_bad(specular)
-    if diffuse is None or specular is None:
-        return None
-    weights = np.array(LUMINANCE, dtype=np.float32)
-    first, second = np.maximum(diffuse, np.float32(0.0)) @ weights, np.maximum(specular, np.float32(0.0)) @ weights
-    return np.asarray(second / np.maximum(first + second, np.float32(MIN_ALBEDO_SUM)), dtype=np.float32)
-
-
-def _find_change(frame: Frame) -> FloatArray | None:
-    if frame.half_a is None or frame.half_b is None:
-        return None
-    with np.errstate(invalid="ignore", over="ignore"):
-        change = np.abs(np.float32(0.5) * (frame.half_a.color - frame.half_b.color))
-    return blacken_bad(change)

@@ -11,7 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.denoising.refining.inputs import sum_light
+from lobewise import engine
+from lobewise.filters.refinement.steps import define_any, define_core, define_shining, define_widened
 from lobewise.frame import FloatArray
 
 EDGE_PIXELS = 2
@@ -27,7 +28,9 @@ Mask = NDArray[np.bool_]
 
 def find_shining(rest: FloatArray, parts: Sequence[FloatArray]) -> Mask:
     """Return which pixels have more light that no surface scatters than other light, (height, width)."""
-    return np.asarray(rest.sum(axis=-1) > sum_light(parts).sum(axis=-1))
+    images = {"rest": rest, **{f"part{number}": part for number, part in enumerate(parts)}}
+    (shining,) = engine.pixels(define_shining, images, {}, names=["shining"], text="pixels of lamps and sky")
+    return shining
 
 
 def find_small(shining: Mask) -> Mask:
@@ -35,7 +38,10 @@ def find_small(shining: Mask) -> Mask:
 
     The network takes so small a lamp for a firefly. Near a large lamp, single shining pixels are its noisy edge.
     """
-    return shining & ~widen_mask(~widen_mask(~shining, 1), 1 + NEAR_PIXELS)
+    (core,) = engine.pixels(define_core, {"mask": shining}, {}, names=["large_lamps"], text="inside of lamps")
+    images = {"shining": shining, "without": widen_mask(core, 1 + NEAR_PIXELS)}
+    (small,) = engine.pixels(define_any, images, {}, names=["small_lamps"], text="small lamps")
+    return small
 
 
 def find_edges(shining: Mask) -> Mask:
@@ -43,24 +49,19 @@ def find_edges(shining: Mask) -> Mask:
     return widen_mask(shining, EDGE_PIXELS)
 
 
-def find_refined(surface: Mask) -> Mask:
+def find_refined(masks: Sequence[Mask], shining: Mask | None = None) -> Mask:
     """Return which pixels are refined: those of surfaces, and those at most `EDGE_PIXELS` from a surface.
 
     The inside of a lamp, of a sky or of a photograph behind the scene has no noise. Its edge has, because samples of
-    the pixel hit the surface beside it.
+    the pixel hit the surface beside it. ``masks`` are those of the layers; shining pixels are no surfaces.
     """
+    images = {**{f"mask{number}": mask for number, mask in enumerate(masks)}, "without": shining}
+    (surface,) = engine.pixels(define_any, images, {}, names=["surfaces"], text="surfaces that do not shine")
     return widen_mask(surface, EDGE_PIXELS)
 
 
 def widen_mask(mask: Mask, pixels: int) -> Mask:
     """Return a mask that is so many pixels wider in all eight directions."""
-    for axis in (0, 1):
-        reached = 0
-        while reached < pixels:
-            # A mask that is wider by n pixels on both sides has no gap when it is moved by 2 n + 1.
-            step = min(2 * reached + 1, pixels - reached)
-            before, after = np.swapaxes(mask, 0, axis), np.swapaxes(mask.copy(), 0, axis)
-            after[step:] |= before[:-step]
-            after[:-step] |= before[step:]
-            mask, reached = np.swapaxes(after, 0, axis), reached + step
-    return mask
+    text = f"wider by {pixels} pixels"
+    (wide,) = engine.pixels(define_widened, {"mask": mask}, {}, pixels, names=["wide"], text=text)
+    return wide

@@ -5,12 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cache
 from importlib.resources import files
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from lobewise import engine
+from lobewise.denoising.layers import Layer
 from lobewise.denoising.refining.inputs import collect_inputs, find_lobes
+from lobewise.denoising.refining.lamps import find_edges, find_refined, find_shining, find_small
 from lobewise.denoising.refining.whole_image import WholeImage
 from lobewise.filters.refinement.run import pack_weights, refine_image
+from lobewise.filters.refinement.steps import define_refined
 from lobewise.frame import FloatArray, Frame
 
 WEIGHTS = "refinement.npz"
@@ -27,25 +33,63 @@ def load_weights() -> FloatArray:
         return pack_weights({name: arrays[name].astype(np.float32) for name in arrays.files})
 
 
-def find_factor(
-    frame: Frame, noisy: Sequence[FloatArray], parts: Sequence[FloatArray], whole: WholeImage
-) -> FloatArray:
-    """Return the refined light over the filtered light, (height, width, 3); 0 where the filtered light is black.
+class Refined(NamedTuple):
+    """The light of a frame after the network.
 
     Parameters
     ----------
-    frame, noisy, parts
-        As in `collect_inputs`; with the light that no surface scatters as the last of both, where there is any.
+    parts : sequence of (height, width, 3)
+    rest : (height, width, 3), optional
+        The light that no surface scatters.
+    edges : (height, width), bool, optional
+        Pixels near this light: there the network moved light between the layers and the rest.
+    """
+
+    parts: Sequence[FloatArray]
+    rest: FloatArray | None
+    edges: NDArray[np.bool_] | None
+
+
+def refine_light(
+    frame: Frame,
+    layers: Sequence[Layer],
+    noisy: Sequence[FloatArray],
+    parts: Sequence[FloatArray],
+    rest: FloatArray | None,
+    whole: WholeImage,
+) -> Refined:
+    """Return the filtered layers and the other light, scaled so that they sum to what the network makes of the sum.
+
+    Parameters
+    ----------
+    frame : Frame
+    layers, noisy, parts : sequences
+        The layers, their samples without fireflies, and what filters made of them.
+    rest : (height, width, 3), optional
+        The light that no surface scatters.
     whole : WholeImage
     """
-    inputs = collect_inputs(frame, noisy, parts)
+    shining = None if rest is None else find_shining(rest, parts)
+    small = None if shining is None else find_small(shining)
+    inputs = collect_inputs(frame, noisy, parts, rest, small)
     axis, sharpness = find_lobes(frame, whole.tau)
-    refined = refine_image(
+    image = refine_image(
         {**vars(inputs), "lobe_axis": axis, "lobe_sharpness": sharpness},
         load_weights(),
         brightness=whole.brightness,
         mean_log_depth=whole.mean_log_depth,
         shared=frame.noise_is_shared,
     )
-    lit = inputs.filtered > MAX_BLACK_RADIANCE
-    return np.divide(refined, inputs.filtered, out=np.zeros_like(inputs.filtered), where=lit)
+    images = {
+        "image": image,
+        "filtered": inputs.filtered,
+        "refined": find_refined([layer.mask for layer in layers], shining),
+        **{f"part{number}": part for number, part in enumerate(parts)},
+        "rest": rest,
+        "small": small,
+    }
+    names = [*(f"{layer.name}_refined" for layer in layers), *([] if rest is None else ["rest_refined"])]
+    text = "light as the network refined it"
+    found = engine.pixels(define_refined, images, {}, MAX_BLACK_RADIANCE, names=names, text=text)
+    edges = None if shining is None else find_edges(shining)
+    return Refined(found[: len(parts)], None if rest is None else found[-1], edges)
