@@ -42,6 +42,8 @@ PIPELINES: Mapping[str, dict[str, Any]] = {
     "upsample 4": {"upsample": 4, "radius": 5},
     "upsample 4, history": {"upsample": 4, "radius": 5, "history": True},
     "balanced": {"plan": "balanced"},
+    "balanced, without halves": {"plan": "balanced", "halves": False},
+    "high": {"plan": "high"},
 }
 
 

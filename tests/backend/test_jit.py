@@ -201,7 +201,7 @@ class TestSources:
         # By way of `expressions.log2`, and of classes above.
         assert {"lobewise.backend.expressions.LOG2_COEFFICIENTS", "lobewise.features.base.Feature"} < set(found)
         assert "lobewise.features.asg.AsgFeature" not in found
-        assert len(find_definitions(["lobewise.filters.forms"])) == 6
+        assert len(find_definitions(["lobewise.filters.forms"])) == 8
         assert not find_definitions(["numpy", "lobewise.nothing", "lobewise.frame.nothing"])
 
     @pytest.mark.parametrize("kernel", KERNELS)

@@ -20,7 +20,7 @@ from lobewise import engine
 from lobewise.backend.jit import Kernel, get_kernel, run_kernel
 from lobewise.camera import Camera
 from lobewise.denoising.automatic import estimate_spp
-from lobewise.engine.graph import Graph, Image
+from lobewise.engine.graph import Graph, Image, write_length
 from lobewise.engine.numbers import Condition, Number, round_single
 from lobewise.engine.recorder import Recorder
 from lobewise.exporting.pipeline.constants import Constants
@@ -125,6 +125,13 @@ class HereGraph(Graph):
         text = _NAME.sub(lambda found: repr(self.known[found[0]]), code)
         return float(eval(text.replace("(double)", "").replace("(float)", "F@"), {"__builtins__": {}}, C_NAMES))
 
+    def find_length(self, code: str) -> int:
+        """Return the value of an expression of C of whole numbers."""
+        known = {f"p->{name}": length for name, length in self.sizes.items()}
+        known |= dict(zip(("p->frame->row", "p->frame->column"), self.place, strict=True))
+        text = _NAME.sub(lambda found: str(known[found[0]]), code).replace("/", "//")
+        return int(eval(text, {"__builtins__": {}}))
+
     def run(
         self, function: str, images: Sequence[Image], numbers: Sequence[str], text: str, writes: Sequence[Image] = ()
     ) -> None:
@@ -182,6 +189,7 @@ class Here(Recorder):
         kernel: Any,
         arguments: Mapping[str, Any],
         *,
+        sizes: Mapping[str, Any] | None = None,
         names: Mapping[str, str] | None = None,
         into: Mapping[str, Image] | None = None,
         text: str,
@@ -194,19 +202,20 @@ class Here(Recorder):
         images = {name: value for name, value in given.items() if isinstance(value, Image)}
         outputs: dict[str, Image] = dict(into or {})
         axes: Any = kernel.find_axes(images)  # type: ignore[arg-type]
+        axes |= sizes or {}
         shapes = {each.name: tuple(axes.get(axis, axis) for axis in each.axes) for each in kernel.outputs}
         if not graph.is_on:
             made = {each.name: graph.hold_new(each.name, shapes[each.name], each.type) for each in kernel.outputs}
             return {**made, **outputs}
-        places = dict(zip(("p->frame->row", "p->frame->column"), graph.place, strict=True))
-        places |= {f"p->{name}": length for name, length in graph.sizes.items()}
         numbers: dict[str, float] = {}
         for name, value in given.items():
             if name not in images:
-                number = places[value] if value in places else graph.find(value)
-                numbers[name] = int(number) if wanted[name].type == "int32" else number
+                is_length = isinstance(value, str) and value.startswith(("p->", "(")) and wanted[name].type == "int32"
+                numbers[name] = graph.find_length(value) if is_length else graph.find(value)
+                numbers[name] = int(numbers[name]) if wanted[name].type == "int32" else numbers[name]
         arrays = {name: image.values for name, image in images.items()}  # type: ignore[attr-defined]
-        found = run_kernel(kernel, "cpu", arrays, **numbers)
+        lengths = {axis: graph.find_length(write_length(length)) for axis, length in (sizes or {}).items()}
+        found = run_kernel(kernel, "cpu", arrays, lengths, **numbers)
         for each in kernel.outputs:
             if each.name in outputs:
                 outputs[each.name].array[...] = found[each.name]  # type: ignore[attr-defined]

@@ -104,6 +104,13 @@ def test_balanced_with_other_light(layers: Any, halves: bool) -> None:
     check(PipelineSettings(plan="balanced", similarity="ggx", layers=layers, radius=2, halves=halves))
 
 
+@pytest.mark.sampled("apart-halves", "color-whole")
+@pytest.mark.parametrize("halves", [True, False], ids=["halves", "whole"])
+@pytest.mark.parametrize("layers", ["apart", "color", "named"])
+def test_high(layers: Any, halves: bool) -> None:
+    check(PipelineSettings(plan="high", similarity="ggx", layers=layers, radius=2, halves=halves))
+
+
 @pytest.mark.parametrize("halves", [True, False])
 def test_balanced_with_what_reflections_show(halves: bool) -> None:
     check(PipelineSettings(plan="balanced", similarity="ggx", radius=2, seen=True, coverage=True, halves=halves))

@@ -280,7 +280,9 @@ def test_list_prints_the_contents(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--plan", "high"], "what a pipeline can contain"),
+        (["--plan", "fast", "--no-halves"], "what a pipeline can contain"),
+        (["--plan", "balanced", "--seen", "--layers", "color"], "what a pipeline can contain"),
+        (["--plan", "fast", "--coverage"], "what a pipeline can contain"),
         (["--plan", "auto"], "what a pipeline can contain"),
         (["--plan", "fast", "--similarity", "sg_mixture"], "what a pipeline can contain"),
         (["--emission", "--layers", "color"], "what a pipeline can contain"),

@@ -43,11 +43,13 @@ def cpp() -> str:
         {"halves": False},
         {"layers": "named"},
         {"seen": True, "coverage": True},
+        {"plan": "high"},
+        {"plan": "high", "halves": False, "layers": "color"},
     ],
-    ids=["apart", "color", "whole", "named", "reflections"],
+    ids=["apart", "color", "whole", "named", "reflections", "high", "high-whole"],
 )
 def test_cpp_agrees_with_python(changes: dict[str, Any], compiler: str, cpp: str, tmp_path: Path) -> None:
-    folder = export(tmp_path / "out", **SETTINGS, **changes)
+    folder = export(tmp_path / "out", **{**SETTINGS, **changes})
     assert max(run_example(folder, cpp)) <= 1e-5
     images = np.fromfile(folder / "output.raw", np.float32).reshape(FRAMES, HEIGHT, WIDTH, 3)
     assert (images.std(axis=(1, 2, 3)) > 0.05).all()

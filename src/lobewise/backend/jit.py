@@ -17,7 +17,7 @@ from enum import Enum
 from functools import cache, partial
 from importlib.metadata import version
 from numbers import Integral
-from types import FunctionType
+from types import FunctionType, MappingProxyType
 from typing import Any
 
 from lobewise.backend.buffers import Image, lend, make_output
@@ -168,17 +168,29 @@ def _compile_or_load(device: str, key: Hashable, make: Callable[..., Any], *, st
     return _load(device, known and f"{known} {target}", target, make, len(_kernels))
 
 
-def run_kernel(kernel: Kernel, device: str, images: Mapping[str, Image], **numbers: float) -> dict[str, Image]:
+def run_kernel(
+    kernel: Kernel,
+    device: str,
+    images: Mapping[str, Image],
+    sizes: Mapping[str, int] = MappingProxyType({}),
+    into: Image | None = None,
+    /,
+    **numbers: float,
+) -> dict[str, Image]:
     """Run a kernel and return its outputs, in the order of its signature.
 
     Parameters
     ----------
     kernel : Kernel
-        Every named axis of its outputs must also be an axis of an input.
+        Every named axis of its outputs must also be an axis of an input, or one of ``sizes``.
     device : str
         Device of the kernel.
     images : mapping of str to Image
         Input images by name; see `lobewise.backend.buffers.take_image`.
+    sizes : mapping of str to int
+        Lengths of named axes that no input has.
+    into : Image, optional
+        Memory of the only output.
     **numbers
         Numbers by name.
 
@@ -189,12 +201,15 @@ def run_kernel(kernel: Kernel, device: str, images: Mapping[str, Image], **numbe
     DeviceError
         If the device fails or runs out of memory.
     """
-    sizes = kernel.find_axes(images)
+    axes = {**kernel.find_axes(images), **sizes}
     types = {each.name: each.type for each in kernel.outputs}
-    shapes = kernel.list_shapes(**sizes)
+    shapes = kernel.list_shapes(**axes)
     # Keep every buffer in a local name until the call has returned: Halide holds no reference.
     lent = {name: lend(image, device) for name, image in images.items()}
-    outputs = {name: make_output(shape, device, type=types[name]) for name, shape in shapes.items()}
+    if into is None:
+        outputs = {name: make_output(shape, device, type=types[name]) for name, shape in shapes.items()}
+    else:
+        outputs = {kernel.outputs[0].name: (lend(into, device), into)}
     kernel(**lent, **numbers, **{name: buffer for name, (buffer, _) in outputs.items()})
     return {name: image for name, (_, image) in outputs.items()}
 

@@ -33,7 +33,7 @@ from lobewise.denoising.light_loss import (
     Loss,
     find_takers,
     measure_gain,
-    measure_refined_gain,
+    measure_gain_outside,
     share_light,
     sum_missing,
 )
@@ -337,10 +337,11 @@ def keep_light(found: Filtered) -> Filtered:
         takers, losses = found.find_takers(), []
         for layer, part, taker in zip(found.layers, found.parts, takers, strict=True):
             images, name = [layer.radiance, part, taker], f"gain_{layer.name}"
-            if found.is_refined:
-                loss = engine.total(measure_refined_gain, [*images, found.uncounted], name=name, count=4)
+            numbers = [float(found.is_refined)]
+            if found.uncounted is None:
+                loss = engine.total(measure_gain, images, numbers, name=name, count=4)
             else:
-                loss = engine.total(measure_gain, images, name=name, count=4)
+                loss = engine.total(measure_gain_outside, [*images, found.uncounted], numbers, name=name, count=4)
             losses.append(Loss(*loss))
         image, parts = share_light(found.image, found.parts, takers, [loss.gain for loss in losses])
     return replace(found, image=image, parts=parts, losses=losses)

@@ -176,16 +176,16 @@ def find_loss(rows: Rows, *, refined: bool = False) -> Loss:
     return Loss(*gain, float(sums[0]), float(sums[1]) - gain.sum_light(rows))
 
 
-def measure_gain(radiance: FloatArray, part: FloatArray, taker: FloatArray) -> Loss:
+def measure_gain(radiance: FloatArray, part: FloatArray, taker: FloatArray, refined: float) -> Loss:
     """Return the gain of a layer, and the light that is missing with it, from the images of `sum_missing`."""
-    return find_loss(sum_missing(radiance, part, taker))
+    return find_loss(sum_missing(radiance, part, taker), refined=refined > 0.0)
 
 
-def measure_refined_gain(
-    radiance: FloatArray, part: FloatArray, taker: FloatArray, uncounted: NDArray[np.bool_] | None
+def measure_gain_outside(
+    radiance: FloatArray, part: FloatArray, taker: FloatArray, uncounted: NDArray[np.bool_], refined: float
 ) -> Loss:
-    """Return what `measure_gain` does, of a layer that the network refined."""
-    return find_loss(sum_missing(radiance, part, taker, uncounted=uncounted), refined=True)
+    """Return what `measure_gain` does, from the pixels outside of a mask."""
+    return find_loss(sum_missing(radiance, part, taker, uncounted=uncounted), refined=refined > 0.0)
 
 
 def brighten(image: FloatArray, part: FloatArray, taker: FloatArray, gain: Gain, *, name: str = "") -> FloatArray:

@@ -103,6 +103,8 @@ def kernel(
     numbers: Mapping[str, Any] | None = None,
     *,
     strict: bool = False,
+    sizes: Mapping[str, Any] | None = None,
+    into: Any = None,
     names: Mapping[str, str] | None = None,
     text: str = "",
 ) -> dict[str, Any]:
@@ -118,10 +120,18 @@ def kernel(
         Arguments by the names of the signature. Those that it does not have are left out.
     strict : bool
         Whether float operations keep their order.
+    sizes : mapping of str to length, optional
+        Axes of the outputs that no input has; see `halve` and `pad`.
+    into : image, optional
+        Memory for the only output. A recorded recipe shares memory out itself.
     names, text
         For recorded plans: names of the outputs, and what the call does.
     """
-    return dict(_current.engine.kernel(key, make, images, numbers or {}, names or {}, text, strict=strict))
+    engine = _current.engine
+    found: Any = engine.kernel(
+        key, make, images, numbers or {}, names or {}, text, strict=strict, sizes=sizes or {}, into=into
+    )
+    return dict(found)
 
 
 def planes(
@@ -171,6 +181,21 @@ def passes(
         Name of the result in recorded plans.
     """
     return dict(_current.engine.passes(passes, images, numbers, tiles, name))
+
+
+def hold(name: str, array: NDArray[np.float32]) -> Any:
+    """Return an array that is equal for all frames as an image; a recorded recipe has its values compiled in."""
+    return _current.engine.hold(name, array)
+
+
+def halve(length: Any) -> Any:
+    """Return half the length of an axis, rounded up."""
+    return _current.engine.halve(length)
+
+
+def pad(length: Any, multiple: int) -> Any:
+    """Return the length of an axis, rounded up to a multiple."""
+    return _current.engine.pad(length, multiple)
 
 
 def pick(image: Any, scale: int, place: tuple[Any, Any], *, stacked: bool = False) -> Any:

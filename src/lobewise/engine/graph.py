@@ -18,6 +18,26 @@ from numpy.typing import NDArray
 from lobewise.backend.signature import Axis, Parameter
 from lobewise.engine.numbers import write_number
 
+
+class Length(str):
+    """The length of an axis that follows from another one: a name, its expression of C, and its share of that axis."""
+
+    code: str
+    share: float
+
+    def __new__(cls, name: str, code: str, share: float) -> Length:
+        length = super().__new__(cls, name)
+        length.code, length.share = code, share
+        return length
+
+
+def write_length(length: Axis) -> str:
+    """Return the length of an axis as an expression of C."""
+    if isinstance(length, Length):
+        return length.code
+    return f"p->{length}" if isinstance(length, str) else str(length)
+
+
 SIZES = ("height", "width", "rows", "columns", "band")
 """Named axes: those of the image, those of the samples, which are the same unless samples are sparse, and the rows of a
 band."""
@@ -32,7 +52,7 @@ class Image:
     name : str
         Identifier, unique in the pipeline.
     shape : tuple
-        Axes in NumPy's order: a name of `SIZES`, or a length.
+        Axes in NumPy's order: a name of `SIZES`, a `Length`, or a number.
     type : str
         Name of the NumPy type.
     source : {"given", "made", "kept", "flat", "held"}
@@ -107,9 +127,14 @@ class Image:
 
     def count_bytes(self, share: float) -> float:
         """Return the bytes for a pixel of the image; ``share`` is the share of the pixels that have a sample."""
-        if self.flat is not None or "band" in self.shape or not {"width", "columns"}.intersection(map(str, self.shape)):
+        shares = [axis.share for axis in self.shape if isinstance(axis, Length)]
+        if (
+            self.flat is not None
+            or "band" in self.shape
+            or not (shares or {"width", "columns"}.intersection(self.shape))
+        ):
             return 0.0
-        size = float(self.channels * self.dtype.itemsize)
+        size = math.prod(shares) * float(self.channels * self.dtype.itemsize)
         return size * share if "rows" in self.shape or "columns" in self.shape else size
 
 

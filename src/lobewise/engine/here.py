@@ -112,9 +112,29 @@ class Here:
         text: str = "",
         *,
         strict: bool = False,
+        sizes: Mapping[str, int] | None = None,
+        into: Image | None = None,
     ) -> dict[str, Image]:
         """See `lobewise.engine.kernel`."""
-        return run_kernel(get_kernel(self.device, key, make, strict=strict), self.device, images, **numbers)
+        kernel = get_kernel(self.device, key, make, strict=strict)
+        return run_kernel(kernel, self.device, images, sizes or {}, into, **numbers)
+
+    @property
+    def lanes(self) -> int:
+        """Pixels of a vector of the processor; 0 for a graphics card."""
+        return count_host_lanes() if self.device == "cpu" else 0
+
+    def hold(self, name: str, array: FloatArray) -> FloatArray:
+        """See `lobewise.engine.hold`."""
+        return array
+
+    def halve(self, length: int) -> int:
+        """See `lobewise.engine.halve`."""
+        return (length + 1) // 2
+
+    def pad(self, length: int, multiple: int) -> int:
+        """See `lobewise.engine.pad`."""
+        return -(-length // multiple) * multiple
 
     def planes(
         self,

@@ -20,7 +20,7 @@ from lobewise.backend.jit import Scheduled, describe_kernel
 from lobewise.backend.objects import compile_object
 from lobewise.backend.pointwise import Definition, PointwiseKey, make_pointwise
 from lobewise.backend.signature import Axis, Parameter
-from lobewise.engine.graph import Graph, Image
+from lobewise.engine.graph import Graph, Image, Length, write_length
 from lobewise.engine.here import Pass
 from lobewise.engine.numbers import Condition, Number, write_number
 
@@ -118,6 +118,8 @@ class Recorder:
     """What the next frame reads, by name."""
     before: dict[str, Image] = field(default_factory=dict)
     """The same, as the frame before left it."""
+    known: dict[str, Image] = field(default_factory=dict)
+    """Images whose values are compiled in, by name."""
     totals: dict[str, str] = field(default_factory=dict)
     """Expressions of C of numbers of whole images, by name."""
 
@@ -146,6 +148,7 @@ class Recorder:
         kernel: CompiledKernel,
         arguments: Mapping[str, Any],
         *,
+        sizes: Mapping[str, Axis] | None = None,
         names: Mapping[str, str] | None = None,
         into: Mapping[str, Image] | None = None,
         text: str,
@@ -157,6 +160,8 @@ class Recorder:
         kernel : CompiledKernel
         arguments : mapping of str to Image, Number, float or str
             By parameter. Those that the kernel does not have are left out.
+        sizes : mapping of str to length, optional
+            Axes of outputs that no input has.
         names : mapping of str to str, optional
             Names for the output images that the call makes, by parameter.
         into : mapping of str to Image, optional
@@ -167,6 +172,7 @@ class Recorder:
         wanted = {each.name for each in kernel.parameters}
         given = {name: value for name, value in arguments.items() if name in wanted}
         axes = kernel.find_axes({name: value for name, value in given.items() if isinstance(value, Image)})
+        axes |= sizes or {}
         outputs: dict[str, Image] = dict(into or {})
         for each in kernel.parameters:
             if each.role == "output" and each.name not in outputs:
@@ -226,9 +232,28 @@ class Recorder:
         text: str,
         *,
         strict: bool = False,
+        sizes: Mapping[str, Axis] | None = None,
+        into: Image | None = None,
     ) -> dict[str, Image]:
         """See `lobewise.engine.kernel`."""
-        return self.call(self.get(key, make, strict=strict), {**images, **numbers}, names=names, text=text)
+        given = {name: write_length(value) if isinstance(value, str) else value for name, value in numbers.items()}
+        kernel = self.get(key, make, strict=strict)
+        return self.call(kernel, {**images, **given}, sizes=sizes, names=names, text=text)
+
+    def hold(self, name: str, array: NDArray[np.float32]) -> Image:
+        """See `lobewise.engine.hold`."""
+        if name not in self.known:
+            self.known[name] = self.graph.hold(name, array)
+        return self.known[name]
+
+    def halve(self, length: str) -> Length:
+        """See `lobewise.engine.halve`."""
+        return Length(f"{length}_half", f"(({write_length(length)} + 1) / 2)", 0.5 * getattr(length, "share", 1.0))
+
+    def pad(self, length: str, multiple: int) -> Length:
+        """See `lobewise.engine.pad`."""
+        code = f"(({write_length(length)} + {multiple - 1}) / {multiple} * {multiple})"
+        return Length(f"{length}_by_{multiple}", code, getattr(length, "share", 1.0))
 
     def planes(
         self,

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise import engine
 from lobewise.camera import Camera
 from lobewise.denoising.bad_pixels import find_good
-from lobewise.frame import Frame
+from lobewise.frame import FloatArray, Frame
 from lobewise.guides.lobe_fields import default_tau
 
 MIN_BRIGHTNESS = 1e-36
@@ -44,7 +45,23 @@ class WholeImage:
 
 def measure_whole(frame: Frame, levels: Sequence[float]) -> WholeImage:
     """Return what the network needs to know of a whole image."""
-    return join_measured(levels, measure_rows(frame), frame.camera, frame.height)
+    depth, camera = frame.gbuffer.depth, frame.camera
+    return WholeImage(
+        levels=levels,
+        brightness=engine.total(measure_brightness, [frame.radiance.color], name="brightness"),
+        mean_log_depth=0.0 if depth is None else engine.total(measure_log_depth, [depth], name="mean_log_depth"),
+        tau=0.0 if camera is None else default_tau(camera, frame.height),
+    )
+
+
+def measure_brightness(color: FloatArray) -> float:
+    """Return the brightness of an image: the squared mean of the root of its light."""
+    return _find_brightness(_sum_roots(color))
+
+
+def measure_log_depth(depth: FloatArray) -> float:
+    """Return the mean logarithm of the depth of surfaces."""
+    return _find_log_depth(_sum_logarithms(depth))
 
 
 def measure_rows(frame: Frame) -> Rows:
@@ -52,29 +69,44 @@ def measure_rows(frame: Frame) -> Rows:
 
     The sums of rows have the same bits however an image is cut into bands of rows.
     """
-    good = find_good(frame.radiance.color)
+    depth = frame.gbuffer.depth
+    logarithms = np.zeros((frame.height, 2)) if depth is None else _sum_logarithms(depth)
+    return np.concatenate([_sum_roots(frame.radiance.color), logarithms], axis=1)
+
+
+def _sum_roots(color: FloatArray) -> Rows:
+    height, width = color.shape[:2]
+    good = find_good(color)
     # The sum of three channels near the largest number would overflow.
-    light = np.where(good[..., None], frame.radiance.color, np.float32(0.0)).astype(np.float64).mean(axis=-1)
-    found = np.zeros((frame.height, 4))
+    light = np.where(good[..., None], color, np.float32(0.0)).astype(np.float64).mean(axis=-1)
     roots = np.sqrt(light)
-    if frame.width > 1:
+    if width > 1:
         # One firefly must not decide how bright the image is.
         roots = np.minimum(roots, MAX_RATIO_TO_NEXT * np.partition(roots, -2, axis=1)[:, -2:-1])
-    found[:, 0], found[:, 1] = roots.sum(axis=1, dtype=np.float64), frame.width
-    depth = frame.gbuffer.depth
-    if depth is not None:
-        seen = (depth > 0.0) & np.isfinite(depth)
-        found[:, 2] = np.log(np.where(seen, depth, np.float32(1.0))).sum(axis=1, dtype=np.float64)
-        found[:, 3] = np.count_nonzero(seen, axis=1)
-    return found
+    return np.stack([roots.sum(axis=1, dtype=np.float64), np.full(height, float(width))], axis=1)
+
+
+def _sum_logarithms(depth: FloatArray) -> Rows:
+    seen = (depth > 0.0) & np.isfinite(depth)
+    logarithms = np.log(np.where(seen, depth, np.float32(1.0))).sum(axis=1, dtype=np.float64)
+    return np.stack([logarithms, np.count_nonzero(seen, axis=1)], axis=1)
+
+
+def _find_brightness(rows: Rows) -> float:
+    roots, count = rows.sum(axis=0)
+    return float((roots / max(count, 1.0)) ** 2) + MIN_BRIGHTNESS
+
+
+def _find_log_depth(rows: Rows) -> float:
+    logarithms, seen = rows.sum(axis=0)
+    return float(logarithms / seen) if seen else 0.0
 
 
 def join_measured(levels: Sequence[float], rows: Rows, camera: Camera | None, height: int) -> WholeImage:
     """Return what was measured of a whole image from the results of `measure_rows` of all its rows."""
-    roots, count, logarithms, seen = rows.sum(axis=0)
     return WholeImage(
         levels=levels,
-        brightness=float((roots / max(count, 1.0)) ** 2) + MIN_BRIGHTNESS,
-        mean_log_depth=float(logarithms / seen) if seen else 0.0,
+        brightness=_find_brightness(rows[:, :2]),
+        mean_log_depth=_find_log_depth(rows[:, 2:]),
         tau=0.0 if camera is None else default_tau(camera, height),
     )

@@ -11,6 +11,11 @@ from lobewise.exporting.folder import fill_template
 from lobewise.exporting.pipeline.driver import Pipeline
 from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, SPP, WIDTH
 
+UNGUIDED = """
+Where guides are noise (out of focus, in fog, hair and grass), Python filters the color alone as well and mixes the
+result in. This pipeline does not: give it guides in focus.
+"""
+"""What the README of the plan high says."""
 HELD = "lobewise pipeline"
 """Value of the key "kind" in the JSON of a pipeline."""
 
@@ -112,4 +117,5 @@ def write_readme(pipeline: Pipeline, build: str) -> str:
         held=held,
         steps="\n".join(list_contents(pipeline)),
         history=fill_template("pipeline/history.md", name=name) if graph.kept else "",
+        limits=UNGUIDED if pipeline.settings.plan == "high" else "",
     )

@@ -17,10 +17,12 @@ from lobewise.denoising.light_loss import (
     MAX_FALL,
     MAX_GAIN,
     MAX_GAIN_PER_FIREFLY,
+    MAX_GAIN_REFINED,
     MAX_SHARED_AS_NOISE,
     MAX_TAKERS_GAIN,
 )
-from lobewise.engine.graph import Graph, Image, Operation
+from lobewise.denoising.refining.whole_image import MAX_RATIO_TO_NEXT, MIN_BRIGHTNESS
+from lobewise.engine.graph import Graph, Image, Length, Operation
 from lobewise.engine.memory import MemoryPlan, plan_memory
 from lobewise.engine.numbers import write_number
 from lobewise.engine.recorder import CompiledKernel
@@ -164,6 +166,8 @@ def write_driver(pipeline: Pipeline) -> str:
         infos="\n".join(_describe_image(pipeline, image) for image in pipeline.images),
         numbers="\n".join(f"        double {key};" for key in pipeline.constants.derived),
         reals="\n".join(f"    double {real};" for real in graph.reals),
+        lengths="".join(f", {_name_axis(each)} = {-6 - number}" for number, each in enumerate(_list_lengths(pipeline))),
+        cases="\n".join(f"    case {_name_axis(each)}: return {each.code};" for each in _list_lengths(pipeline)),
         held="\n".join(_write_held(*each) for each in graph.held.items()),
         prototypes="\n".join(map(_declare_kernel, pipeline.kernels)),
         routines=_list_routines(graph, name),
@@ -195,6 +199,16 @@ def write_driver(pipeline: Pipeline) -> str:
     )
 
 
+def _name_axis(axis: int | str) -> str:
+    """Return an axis as C knows it: a number, or the name of a length."""
+    return f"LENGTH_{axis}" if isinstance(axis, Length) else _AXES.get(str(axis), str(axis))
+
+
+def _list_lengths(pipeline: Pipeline) -> list[Length]:
+    """Return the lengths of axes that follow from others."""
+    return list(dict.fromkeys(axis for image in pipeline.images for axis in image.shape if isinstance(axis, Length)))
+
+
 def _list_places(pipeline: Pipeline) -> str:
     given = [*pipeline.graph.given, *pipeline.graph.results]
     kept = [image.name for pair in pipeline.graph.kept for image in pair]
@@ -215,7 +229,7 @@ def _write_held(name: str, values: NDArray[np.float32]) -> str:
 
 
 def _describe_image(pipeline: Pipeline, image: Image) -> str:
-    shape = ", ".join(_AXES.get(str(axis), str(axis)) for axis in image.shape)
+    shape = ", ".join(map(_name_axis, image.shape))
     numbers = (
         pipeline.get_place(image),
         int(image.type == "uint8"),
@@ -249,6 +263,9 @@ ROUTINE_NUMBERS = {
     "max_fall": MAX_FALL,
     "max_takers_gain": MAX_TAKERS_GAIN,
     "max_gain": MAX_GAIN,
+    "max_gain_refined": MAX_GAIN_REFINED,
+    "max_ratio_to_next": MAX_RATIO_TO_NEXT,
+    "min_brightness": MIN_BRIGHTNESS,
 }
 """Numbers of the recipe in the C functions of the driver."""
 

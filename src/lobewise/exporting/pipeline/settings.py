@@ -10,12 +10,12 @@ from lobewise.settings import LARGEST_RADIUS, Declared, Form, Knob, ResolvedSett
 from lobewise.settings import Similarity as SimilarityName
 from lobewise.settings.choices import MAX_SCALE_PIXELS, Similarity, get_quality, get_similarity
 
-PLANS = ("fast", "balanced")
+PLANS = ("fast", "balanced", "high")
 LAYERS = {"apart": ("diffuse", "specular"), "named": ("diffuse", "glossy", "transmission"), "color": ("color",)}
 """Names of the layers of each kind of light."""
 CONTENTS = (
-    "the plan fast, alone, with a history, with upsampling or both; the plan balanced; the similarities normal, sg, "
-    "asg and ggx; not Open Image Denoise, not the network of high, and nothing that is chosen for each frame"
+    "the plan fast, alone, with a history, with upsampling or both; the plans balanced and high; the similarities "
+    "normal, sg, asg and ggx; not Open Image Denoise, and nothing that is chosen for each frame"
 )
 """What a pipeline can contain, for messages."""
 
@@ -24,9 +24,7 @@ CONTENTS = (
 class PipelineSettings(Declared):
     """The settings of a pipeline that are fixed when it is compiled."""
 
-    plan: Annotated[str, Knob("Export a whole plan, by its quality, as a pipeline in C and C++: fast or balanced.")] = (
-        "fast"
-    )
+    plan: Annotated[str, Knob("Export a whole plan as a pipeline in C and C++: fast, balanced or high.")] = "fast"
     similarity: Annotated[SimilarityName, Knob("What two pixels must share to be averaged.")] = "ggx"
     form: Annotated[Form, Knob("Which neighbours count.")] = "full"
     radius: Annotated[
@@ -63,19 +61,19 @@ class PipelineSettings(Declared):
     halves: Annotated[
         bool,
         Knob(
-            "With the plan balanced, whether two halves of the samples are given; else the noise is told by residuals "
-            "of one image."
+            "With the plans balanced and high, whether two halves of the samples are given; else the noise is told by "
+            "residuals of one image."
         ),
     ] = True
     seen: Annotated[
         bool,
-        Knob("With the plan balanced, whether albedo and normal of the surfaces that reflections show are given."),
+        Knob("With the plans balanced and high, whether albedo and normal of reflected surfaces are given."),
     ] = False
     coverage: Annotated[
         bool,
         Knob(
-            "With upsampling or the plan balanced, whether the shares of pixels that near surfaces cover and mean "
-            "albedos are given: edges of surfaces are smooth then."
+            "With upsampling or the plans balanced and high, whether the shares of pixels that near surfaces cover "
+            "and mean albedos are given: edges of surfaces are smooth then."
         ),
     ] = False
     rays: Annotated[

@@ -7,14 +7,14 @@ weights that it predicts. Features, sums and vectors are images of (row, channel
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from lobewise import engine
-from lobewise.backend.buffers import Image, lend, make_output
+from lobewise.backend.buffers import Image
 from lobewise.backend.compiler import hl
-from lobewise.backend.jit import Scheduled, get_kernel
+from lobewise.backend.jit import Scheduled
 from lobewise.filters.cross_pass import COLORS
 from lobewise.filters.refinement.convolutions import Reading, make_convolution
 from lobewise.filters.refinement.pyramid import SUMS, make_averages, make_filter, make_sums
@@ -29,10 +29,10 @@ NEUTRAL = np.ones((1, 1, COLORS), np.float32)
 
 
 class Size(NamedTuple):
-    """Rows and columns of a level."""
+    """Rows and columns of a level: numbers, or names of axes where the recipe is recorded."""
 
-    height: int
-    width: int
+    height: Any
+    width: Any
 
 
 class Network:
@@ -46,11 +46,11 @@ class Network:
         Results of the kernel of planes: "planes", "light", "vectors", "tint".
     """
 
-    def __init__(self, weights: FloatArray, given: Mapping[str, Image]) -> None:
-        self._device, self._weights, self._given = engine.get_engine().device, weights, given
+    def __init__(self, weights: FloatArray, given: Mapping[str, Any]) -> None:
+        self._weights, self._given = engine.hold("refinement_weights", weights), given
         self._sizes = [Size(*given["tint"].shape[:2])]
         for _ in range(LEVELS - 1):
-            self._sizes.append(Size(*((length + 1) // 2 for length in self._sizes[-1])))
+            self._sizes.append(Size(*map(engine.halve, self._sizes[-1])))
         self._free: dict[tuple[int, ...], list[Image]] = {}
 
     def run(self) -> Image:
@@ -106,53 +106,56 @@ class Network:
             "channels_of_second": 0 if second is None else second.shape[1],
             "strip_rows": SMALL_STRIP_ROWS if level >= SMALL_LEVEL else STRIP_ROWS,
         }
-        images = {"first": first, "second": first if second is None else second}
-        return self._call(make_convolution, self._shape(level, layer.outputs), images, **numbers)
+        images = {"first": first, "second": first if second is None else second, "weights": self._weights}
+        return self._call(make_convolution, level, layer.outputs, images, numbers, f"layer {name}")
 
     def _weigh_light(self, features: Image) -> Image:
         """Return the sums of the finest level."""
-        images = {"features": features, "light": self._given["light"]}
-        return self._call(make_sums, self._shape(0, 2 * SUMS), images)
+        images = {"features": features, "light": self._given["light"], "weights": self._weights}
+        return self._call(make_sums, 0, 2 * SUMS, images, {}, "weighted light")
 
     def _average(self, source: Image, level: int) -> Image:
         """Return the sums or vectors of a level from those of the level below."""
-        shape, below = self._shape(level, source.shape[1]), self._sizes[level - 1]
-        return self._call(make_averages, shape, {"source": source}, source_width=below.width)
+        numbers = {"source_width": self._sizes[level - 1].width}
+        return self._call(make_averages, level, source.shape[1], {"source": source}, numbers, f"means of level {level}")
 
     def _filter(self, level: int, features: Image, sums: Image, vectors: Image, above: Image | None) -> Image:
         """Return the filtered light of a level, (height, width, 3); the finest is the refined image."""
+        neutral = engine.hold("neutral_tint", NEUTRAL)
         images = {
             "features": features,
             "sums": sums,
             "vectors": vectors,
-            "above": NEUTRAL if above is None else above,
-            "tint": NEUTRAL if level else self._given["tint"],
+            "above": neutral if above is None else above,
+            "tint": neutral if level else self._given["tint"],
+            "weights": self._weights,
         }
-        numbers = {"start": LAYERS[f"heads.{level}"].start, "width": self._sizes[level].width}
-        return self._call(
-            make_filter, (*self._sizes[level], COLORS), images, **numbers, has_above=int(above is not None)
-        )
-
-    def _shape(self, level: int, channels: int) -> tuple[int, ...]:
-        """Return the shape of an image of a level."""
-        height, width = self._sizes[level]
-        return height, channels, pad_columns(width, self._device)
+        numbers = {
+            "start": LAYERS[f"heads.{level}"].start,
+            "width": self._sizes[level].width,
+            "has_above": int(above is not None),
+        }
+        return self._call(make_filter, level, None, images, numbers, f"filter of level {level}")
 
     def _call(
         self,
         make: Callable[[hl.Target], Scheduled],
-        shape: tuple[int, ...],
+        level: int,
+        channels: int | None,
         images: Mapping[str, Image],
-        **numbers: int,
+        numbers: Mapping[str, Any],
+        text: str,
     ) -> Image:
-        """Return what a kernel writes."""
-        kernel = get_kernel(self._device, ("refinement", make.__name__), make)
+        """Return what a kernel writes: features of a level, or without ``channels`` its light."""
+        height, width = self._sizes[level]
+        sizes = {"height": height, "width": width}
+        if channels is not None:
+            sizes |= {"channels": channels, "columns": pad_columns(width)}
+        shape = height, *((width, COLORS) if channels is None else (channels, sizes["columns"]))
         free = self._free.get(shape)
-        out = free.pop() if free else make_output(shape, self._device)[1]
-        given = {**images, "weights": self._weights, kernel.outputs[0].name: out}
-        lent = {each.name: lend(given[each.name], self._device) for each in kernel.parameters if each.name in given}
-        kernel(**lent, **numbers)
-        return out
+        into, key = free.pop() if free else None, ("refinement", make.__name__)
+        (out,) = engine.kernel(key, make, images, numbers, sizes=sizes, into=into, text=text).values()
+        return out  # type: ignore[no-any-return]
 
     def _give_back(self, image: Image) -> None:
         """Let other layers write into an image that nobody reads any more."""

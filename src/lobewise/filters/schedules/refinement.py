@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from lobewise import engine
 from lobewise.backend.compiler import hl
-from lobewise.backend.devices import count_host_lanes
 from lobewise.filters.planes import PIXEL
 from lobewise.filters.schedules.blocks import ALIGNMENT, spread_channels, spread_pixels
 
@@ -74,10 +74,9 @@ class Filter(NamedTuple):
     out: Copy
 
 
-def pad_columns(width: int, device: str) -> int:
+def pad_columns(width: Any) -> Any:
     """Return the columns of an image of the network, so that kernels compute whole blocks of a row."""
-    multiple = VECTORS_ACROSS * count_host_lanes() if device == "cpu" else ALIGNMENT
-    return -(-width // multiple) * multiple
+    return engine.pad(width, VECTORS_ACROSS * engine.get_engine().lanes or ALIGNMENT)
 
 
 def schedule_convolution(

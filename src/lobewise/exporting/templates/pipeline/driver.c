@@ -14,7 +14,7 @@
 enum { MAX_SIZE = 32768, LEAST_WIDTH = ${least}, SCALE = ${scale}, BAND_ROWS = ${band_rows}, ALIGNMENT = 128, MARGIN = 256 };
 
 /* The axes of images: a length, or one of these. */
-enum { HEIGHT = -1, WIDTH = -2, ROWS = -3, COLUMNS = -4, BAND = -5 };
+enum { HEIGHT = -1, WIDTH = -2, ROWS = -3, COLUMNS = -4, BAND = -5${lengths} };
 
 /* Places in memory: shared by images that are not needed at once, the state, and memory of the caller. */
 enum {
@@ -170,6 +170,7 @@ static int find_length(const ${name}_pipeline *p, int axis)
     case ROWS: return p->rows;
     case COLUMNS: return p->columns;
     case BAND: return BAND_ROWS;
+${cases}
     default: return axis;
     }
 }

@@ -172,10 +172,47 @@ static void measure_level(
     *level = light / (count > 1.0 ? count : 1.0);
 }
 
-/* routine: measure_gain */
-static void measure_gain(
+/* routine: measure_brightness */
+static void measure_brightness(${name}_pipeline *p, const halide_buffer_t *color, double *brightness)
+{
+    /* The squared mean of the root of the light. One firefly of a row must not decide how bright the image is. */
+    const float *pixel = (const float *)color->host;
+    double sum = 0.0, mean;
+    int x, y;
+    for (y = 0; y < p->height; y++) {
+        double row = 0.0, first = 0.0, second = 0.0;
+        for (x = 0; x < p->width; x++, pixel += 3) {
+            const double root = is_good_pixel(pixel) ? sqrt(((double)pixel[0] + pixel[1] + pixel[2]) / 3.0) : 0.0;
+            second = root > first ? first : root > second ? root : second;
+            first = root > first ? root : first;
+            row += root;
+        }
+        sum += row - first + fmin(first, ${max_ratio_to_next} * second);
+    }
+    mean = sum / ((double)p->width * (double)p->height);
+    *brightness = mean * mean + ${min_brightness};
+}
+
+/* routine: measure_log_depth */
+static void measure_log_depth(${name}_pipeline *p, const halide_buffer_t *depth, double *mean)
+{
+    const float *values = (const float *)depth->host;
+    const size_t pixels = (size_t)p->width * (size_t)p->height;
+    double sum = 0.0, count = 0.0;
+    size_t k;
+    for (k = 0; k < pixels; k++) {
+        if (values[k] > 0.0f && values[k] <= FLT_MAX) {
+            sum += logf(values[k]);
+            count += 1.0;
+        }
+    }
+    *mean = count > 0.0 ? sum / count : 0.0;
+}
+
+/* routine: share_missing */
+static void share_missing(
     ${name}_pipeline *p, const halide_buffer_t *noisy, const halide_buffer_t *filtered, const halide_buffer_t *taker,
-    double *gain)
+    const halide_buffer_t *uncounted, int refined, double *gain)
 {
     /* How much of a layer's light is shared out, over the light that takes part and over all of it. The light that is
        missing is as sure as the equal fireflies are many that would explain it. */
@@ -186,7 +223,7 @@ static void measure_gain(
     size_t k;
     gain[0] = gain[1] = 0.0;
     for (k = 0; k < pixels; k++, before += 3, after += 3) {
-        if (is_good_pixel(before) && is_good_pixel(after)) {
+        if (is_good_pixel(before) && is_good_pixel(after) && !(uncounted && uncounted->host[k])) {
             const double sum = (double)before[0] + before[1] + before[2], left = (double)after[0] + after[1] + after[2];
             const double lost = sum - left;
             light += sum;
@@ -199,16 +236,35 @@ static void measure_gain(
     if (taking > 0.0 && squared > 0.0 && squared <= DBL_MAX && missing != 0.0) {
         const double fireflies = fmax(missing * missing / squared, 1.0);
         const double known = (1.0 - 1.0 / (fireflies * fireflies)) * fabs(missing);
-        const double shared = fmax(known, fmin(fabs(missing), ${max_shared_as_noise} * whole));
-        const double most = ${max_gain_per_firefly} * fireflies;
+        double shared = fmax(known, fmin(fabs(missing), ${max_shared_as_noise} * whole));
+        double most = ${max_gain_per_firefly} * fireflies;
         if (missing < 0.0) {
             gain[1] = -fmin(fmin(shared / whole, most), ${max_fall});
         } else {
+            const double first = refined ? fmin(fmin(shared / whole, most), ${max_gain_refined}) : 0.0;
+            shared -= first * whole;
+            most -= first;
             gain[0] = fmin(fmin(shared / taking, most), ${max_takers_gain});
-            gain[1] = fmin(fmin((shared - gain[0] * taking) / whole, most), ${max_gain});
+            gain[1] = first + fmin(fmin((shared - gain[0] * taking) / whole, most), ${max_gain});
         }
     }
     /* The light of the samples, and what is missing of it after sharing. */
     gain[2] = light;
     gain[3] = missing - (gain[0] * taking + gain[1] * whole);
+}
+
+/* routine: measure_gain */
+static void measure_gain(
+    ${name}_pipeline *p, const halide_buffer_t *noisy, const halide_buffer_t *filtered, const halide_buffer_t *taker,
+    double refined, double *gain)
+{
+    share_missing(p, noisy, filtered, taker, NULL, refined > 0.0, gain);
+}
+
+/* routine: measure_gain_outside */
+static void measure_gain_outside(
+    ${name}_pipeline *p, const halide_buffer_t *noisy, const halide_buffer_t *filtered, const halide_buffer_t *taker,
+    const halide_buffer_t *uncounted, double refined, double *gain)
+{
+    share_missing(p, noisy, filtered, taker, uncounted, refined > 0.0, gain);
 }
