@@ -157,9 +157,15 @@ static int failures;
 static void expect(lobewise_status found, lobewise_status wanted, const char *what) {
     if (found != wanted) { printf("%s: %s\\n", what, lobewise_explain(found)); failures++; }
 }
+static int stop(void *user, int done, int parts) {
+    int *calls = user;
+    if (done != *calls || parts != lobewise_stages) { failures++; }
+    return ++*calls == 2;
+}
 int main(void) {
     static float image[3 * 64 * 64], result[3 * 64 * 64];
-    lobewise_pipeline *p;
+    int calls = 0;
+    lobewise_pipeline *p, *other;
     lobewise_settings settings;
     lobewise_camera camera = {{0, 1, 4}, {0, 0, -1}, {0, 1, 0}, 0.8, 0, {0, 0}};
     lobewise_frame frame;
@@ -190,6 +196,15 @@ int main(void) {
     expect(lobewise_run(NULL, &camera, &frame), lobewise_no_image, "no pipeline");
     expect(lobewise_set_settings(p, &settings), lobewise_ok, "settings");
     expect(lobewise_run(p, &camera, &frame), lobewise_ok, "a black frame");
+    lobewise_set_progress(p, stop, &calls);
+    expect(lobewise_run(p, &camera, &frame), lobewise_cancelled, "a frame that is cancelled");
+    failures += calls != 2 || !strstr(lobewise_get_message(p), "cancelled");
+    lobewise_set_progress(p, NULL, NULL);
+    expect(lobewise_run(p, &camera, &frame), lobewise_ok, "a frame after one that was cancelled");
+    expect(lobewise_create_within(64, 64, lobewise_count_bytes(p) - 1, &other), lobewise_no_memory, "too little");
+    failures += other != NULL;
+    expect(lobewise_create_within(64, 64, lobewise_count_bytes(p), &other), lobewise_ok, "just enough memory");
+    lobewise_destroy(other);
     printf("%lu\\n", (unsigned long)lobewise_count_bytes(p));
     lobewise_reset(p);
     lobewise_destroy(p);

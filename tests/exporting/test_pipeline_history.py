@@ -17,7 +17,7 @@ from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.exporting.pipeline.writing import export_pipeline
 from lobewise.temporal import TemporalFilter
 from tests.exporting.conftest import find_program
-from tests.exporting.pipelines import LIBRARIES, build, export, run_example
+from tests.exporting.pipelines import LIBRARIES, STRICT, build, export, run_example
 
 SETTINGS: dict[str, Any] = {"radius": 2, "history": True, "hit_distance": True}
 
@@ -59,6 +59,28 @@ def test_cpp_follows_python(history: Path, cpp: str) -> None:
     changed = [float(np.abs(image - other).max()) for image, other in zip(made, alone, strict=True)]
     assert max(changed[0], changed[CUT]) < 1e-4
     assert min(changed[1:CUT]) > 0.05
+
+
+CANCELLED = """
+            int left = 3;
+            pipeline.on_progress([&left](int, int) { return left-- > 0; });
+            try {
+                pipeline.run(camera, frame);
+                return 2;
+            } catch (const lobewise::Error &problem) {
+                if (problem.status() != lobewise_cancelled) throw;
+            }
+            pipeline.on_progress(nullptr);
+            pipeline.run(camera, frame);
+"""
+
+
+def test_a_cancelled_frame_leaves_the_history_as_it_was(history: Path, cpp: str) -> None:
+    text = (history / "example.cpp").read_text()
+    (history / "cancelled.cpp").write_text(text.replace("            pipeline.run(camera, frame);\n", CANCELLED))
+    build(history, cpp, "-std=c++11", *STRICT, "cancelled.cpp", "liblobewise.a", "-o", "cancelled", *LIBRARIES)
+    done = subprocess.run(["./cancelled"], cwd=history, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 @pytest.mark.nightly

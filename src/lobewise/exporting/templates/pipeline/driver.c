@@ -70,6 +70,8 @@ ${reals}
     halide_dimension_t dims[IMAGES][4];
     halide_buffer_t images[IMAGES];
     double seconds[${name}_stages];
+    ${name}_progress progress;
+    void *user;
     char message[256];
 };
 
@@ -102,6 +104,7 @@ const char *${name}_explain(${name}_status status)
     case ${name}_bad_setting: return "a setting is out of range";
     case ${name}_bad_place: return "row and column of the shaded pixel must lie inside its block";
     case ${name}_failed: return "a kernel failed";
+    case ${name}_cancelled: return "the frame was cancelled";
     }
     return "unknown status";
 }
@@ -212,7 +215,7 @@ static void place_images(${name}_pipeline *p)
     }
 }
 
-static int allocate(${name}_pipeline *p)
+static int allocate(${name}_pipeline *p, size_t most)
 {
     size_t needed[PLACES] = {0};
     int image, place;
@@ -222,6 +225,9 @@ static int allocate(${name}_pipeline *p)
         needed[place] = bytes > needed[place] ? bytes : needed[place];
     }
     for (place = 0; place < FIRST_OUTSIDE; place++) {
+        p->bytes += needed[place] + ALIGNMENT + MARGIN;
+    }
+    for (place = 0; place < FIRST_OUTSIDE && p->bytes <= most; place++) {
         const size_t bytes = needed[place] + ALIGNMENT + MARGIN;
         char *memory = calloc(1, bytes);
         if (!memory) {
@@ -229,13 +235,17 @@ static int allocate(${name}_pipeline *p)
         }
         p->allocated[place] = memory;
         p->memory[place] = memory + (ALIGNMENT - (uintptr_t)memory % ALIGNMENT);
-        p->bytes += bytes;
     }
-    return 1;
+    return p->bytes <= most;
 }
 
 ${fill_floats}
 ${name}_status ${name}_create(int width, int height, ${name}_pipeline **pipeline)
+{
+    return ${name}_create_within(width, height, (size_t)-1, pipeline);
+}
+
+${name}_status ${name}_create_within(int width, int height, size_t most_bytes, ${name}_pipeline **pipeline)
 {
     ${name}_pipeline *p;
     if (!pipeline) {
@@ -256,7 +266,7 @@ ${name}_status ${name}_create(int width, int height, ${name}_pipeline **pipeline
     p->columns = (width + SCALE - 1) / SCALE;
     p->bytes = sizeof *p;
 ${defaults}
-    if (!allocate(p)) {
+    if (!allocate(p, most_bytes)) {
         ${name}_destroy(p);
         return ${name}_no_memory;
     }
@@ -277,6 +287,12 @@ void ${name}_destroy(${name}_pipeline *p)
 void ${name}_reset(${name}_pipeline *p)
 {
     p->has_past = 0;
+}
+
+void ${name}_set_progress(${name}_pipeline *p, ${name}_progress progress, void *user)
+{
+    p->progress = progress;
+    p->user = user;
 }
 
 void ${name}_get_settings(const ${name}_pipeline *p, ${name}_settings *settings)
@@ -369,6 +385,10 @@ ${forgetting}
     compute_numbers(p);
     for (k = 0; k < ${name}_stages && status == ${name}_ok; k++) {
         const clock_t start = clock();
+        if (p->progress && p->progress(p->user, k, ${name}_stages)) {
+            status = refuse(p, ${name}_cancelled, ${name}_explain(${name}_cancelled));
+            break;
+        }
         status = stages[k](p);
         p->seconds[k] = (double)(clock() - start) / CLOCKS_PER_SEC;
     }

@@ -17,7 +17,8 @@ typedef enum ${name}_status {
     ${name}_bad_camera = 4, /* a number is not finite, or up is parallel to forward */
     ${name}_bad_setting = 5, /* out of range */
     ${name}_bad_place = 6,  /* the shaded pixel is not inside its block */
-    ${name}_failed = 7      /* a kernel failed; the message says which */
+    ${name}_failed = 7,     /* a kernel failed; the message says which */
+    ${name}_cancelled = 8   /* the function of ${name}_set_progress asked for it */
 } ${name}_status;
 
 /* A pipeline: the steps of the plan, the images between them${history_word}. */
@@ -49,6 +50,8 @@ ${results}
 
 /* Makes a pipeline for images of ${least} x 1 to 32768 x 32768 pixels. Free it with ${name}_destroy. */
 ${name}_status ${name}_create(int width, int height, ${name}_pipeline **pipeline);
+/* The same, unless the pipeline would hold more bytes than most_bytes: ${name}_no_memory then. */
+${name}_status ${name}_create_within(int width, int height, size_t most_bytes, ${name}_pipeline **pipeline);
 void ${name}_destroy(${name}_pipeline *pipeline); /* NULL is allowed */
 
 /* The numbers of a pipeline; they stay until they are set again. */
@@ -57,6 +60,12 @@ ${name}_status ${name}_set_settings(${name}_pipeline *pipeline, const ${name}_se
 
 /* Denoises a frame. Several pipelines may run at once, each in one thread at a time. */
 ${name}_status ${name}_run(${name}_pipeline *pipeline, const ${name}_camera *camera, const ${name}_frame *frame);
+
+/* Before each part of a frame ${name}_run calls this function with the number of parts that are done and of all parts.
+   If it returns another value than 0, the frame is cancelled, and the pipeline is as it was before the frame. NULL for
+   no function. */
+typedef int (*${name}_progress)(void *user, int done, int parts);
+void ${name}_set_progress(${name}_pipeline *pipeline, ${name}_progress progress, void *user);
 
 /* Forgets all frames before: call it at a camera cut${reset_word}. */
 void ${name}_reset(${name}_pipeline *pipeline);

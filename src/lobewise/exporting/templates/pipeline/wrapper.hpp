@@ -2,9 +2,11 @@
 #ifndef ${guard}
 #define ${guard}
 
+#include <functional>
 #include <memory>
 #include <stdexcept>
 #include <string>
+#include <utility>
 
 #include "${name}.h"
 
@@ -27,9 +29,9 @@ private:
 /// Denoises the frames of one view. Owns all memory that it needs; may be moved, not copied.
 class Pipeline {
 public:
-    Pipeline(int width, int height) {
+    Pipeline(int width, int height, std::size_t most_bytes = static_cast<std::size_t>(-1)) {
         ${name}_pipeline *made = nullptr;
-        const ${name}_status status = ${name}_create(width, height, &made);
+        const ${name}_status status = ${name}_create_within(width, height, most_bytes, &made);
         if (status != ${name}_ok) {
             throw Error(status, ${name}_explain(status));
         }
@@ -45,6 +47,13 @@ public:
     void set(const Settings &settings) { check(${name}_set_settings(pipeline_.get(), &settings)); }
 
     void run(const Camera &camera, const Frame &frame) { check(${name}_run(pipeline_.get(), &camera, &frame)); }
+
+    /// Calls a function before each part of a frame, with the parts that are done and all parts. If it returns false,
+    /// the frame is cancelled: run throws an Error of the status ${name}_cancelled. The function must not throw.
+    void on_progress(std::function<bool(int, int)> progress) {
+        progress_.reset(new std::function<bool(int, int)>(std::move(progress)));
+        ${name}_set_progress(pipeline_.get(), *progress_ ? &tell : nullptr, progress_.get());
+    }
 
     void reset() noexcept { ${name}_reset(pipeline_.get()); }
 
@@ -63,7 +72,12 @@ private:
         }
     }
 
+    static int tell(void *user, int done, int parts) {
+        return !(*static_cast<std::function<bool(int, int)> *>(user))(done, parts);
+    }
+
     std::unique_ptr<${name}_pipeline, Destroy> pipeline_;
+    std::unique_ptr<std::function<bool(int, int)>> progress_;
 };
 
 } // namespace ${name}
