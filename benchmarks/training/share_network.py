@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.filters.mixing import Network
-from lobewise.filters.mixing_pass import LEAK
+from lobewise.filters.mixing import LEAK, Network
 from lobewise.metrics import EPSILON
 
 PIXELS = 8192
@@ -121,7 +120,7 @@ def soften(errors: Any, cap: float) -> Any:
 
 
 class ShareNetwork:
-    """The network of `lobewise.filters.noise.shares.find_shares` in PyTorch; the score of the image itself is 0."""
+    """The network of `lobewise.filters.mixing.find_shares` in PyTorch; the score of the image itself is 0."""
 
     def __init__(self, examples: Sequence[Examples]) -> None:
         import torch

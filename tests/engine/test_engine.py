@@ -16,9 +16,8 @@ from lobewise.engine.graph import Graph, Image
 from lobewise.engine.here import HERE, Here
 from lobewise.engine.numbers import Condition, Number, choose_larger, make_single, square_single
 from lobewise.engine.recorder import Recorder
-from lobewise.filters.mixing import Network
+from lobewise.filters.mixing import Network, find_shares, make_shares
 from lobewise.filters.noise.pooling import blur_image
-from lobewise.filters.noise.shares import find_shares, make_shares
 
 
 def define_sum(grid: Grid) -> list[Vector]:

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from lobewise.errors import InputError
-from lobewise.filters.mixing import Network
+from lobewise.filters.mixing import Network, find_shares
 from lobewise.filters.noise import detail
 from lobewise.filters.noise.detail import COUNT, FEATURES_PER_LEVEL, LEVELS, OFFSETS, REACH, find_detail
-from lobewise.filters.noise.shares import find_shares
 from lobewise.frame import FloatArray
 
 SIZE = 72

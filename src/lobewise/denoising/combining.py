@@ -20,11 +20,10 @@ from lobewise.denoising.automatic import explain_ours
 from lobewise.denoising.bad_pixels import find_good
 from lobewise.denoising.evidence import find_image_halves, find_share_proved, load_networks, mix_noisy
 from lobewise.denoising.refining.unguided import count_isolated, sees_fog
-from lobewise.filters.mixing import Network
+from lobewise.filters.mixing import Network, find_shares
 from lobewise.filters.noise.agreement import find_agreement
 from lobewise.filters.noise.albedo import clean_albedo
 from lobewise.filters.noise.detail import find_detail
-from lobewise.filters.noise.shares import find_shares
 from lobewise.filters.specks import MIN_BLUR_RADIUS
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.lobes.vectors import LUMINANCE

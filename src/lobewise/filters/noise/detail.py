@@ -25,7 +25,7 @@ from lobewise.backend.expressions import is_good
 from lobewise.backend.pointwise import Grid, Vector
 from lobewise.engine.numbers import choose_larger, choose_smaller, make_single
 from lobewise.filters.glue import define_channel
-from lobewise.filters.mixing import Network
+from lobewise.filters.mixing import Network, make_shares
 from lobewise.filters.noise.pooling import (
     DARK_SHARE,
     add_channels,
@@ -38,7 +38,6 @@ from lobewise.filters.noise.pooling import (
     take_logarithm,
 )
 from lobewise.filters.noise.pooling import REACH as POOLING_REACH
-from lobewise.filters.noise.shares import make_shares
 from lobewise.frame import FloatArray
 
 OFFSETS = (
