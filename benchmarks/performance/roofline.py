@@ -35,7 +35,7 @@ from lobewise.features.base import describe_structure
 from lobewise.filters.cross_pass import PassKey, Reads, Writes, make_pass
 from lobewise.filters.forms import Taps
 from lobewise.filters.schedules.cross_pass import schedule_pass
-from lobewise.filters.schedules.rows import count_lanes
+from lobewise.filters.scheduling import count_lanes
 
 NAMES = ("normal", "sg", "asg", "ggx", "sg_mixture, 3 coaxial")
 SIZE = 256

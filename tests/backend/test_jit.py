@@ -27,12 +27,11 @@ from lobewise.backend.signature import Parameter, Signature, check_call
 from lobewise.backend.sources import describe_definitions, find_definitions, take_apart
 from lobewise.errors import DeviceError
 from lobewise.features import GgxFeature, NormalFeature, ScreenFeature, SgMixtureFeature
-from lobewise.filters import cross_filter, fireflies
+from lobewise.filters import cross_filter, fireflies, scheduling
 from lobewise.filters.cross_pass import PassKey, Reads, Writes
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.filters.forms import Taps
 from lobewise.filters.history import reprojection, sums
-from lobewise.filters.schedules import rows
 from lobewise.guides import lobe_fields
 from lobewise.guides.surfaces import find_surface_pixels
 from tests.streaming.frames import make_scene
@@ -230,7 +229,7 @@ class TestSources:
             ("lobes", frame, "BECKMANN = 2", "BECKMANN = 7"),
             ("cross filter", expressions, "0.013534168", "0.013534169"),
             ("cross filter", settings, "MAX_LOBES = 4", "MAX_LOBES = 5"),
-            ("cross filter", rows, "STRIP_ROWS = 32", "STRIP_ROWS = 16"),
+            ("cross filter", scheduling, "STRIP_ROWS = 32", "STRIP_ROWS = 16"),
             ("fireflies", jit, "pipeline.compile_to_object(", "pipeline.compile_to_an_object("),
             ("fireflies", fireflies, "REACH = 6", "REACH = 5"),
             ("reprojection", sums, "faded.squared_weight * share", "faded.squared_weight"),

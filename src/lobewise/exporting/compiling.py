@@ -25,7 +25,7 @@ from lobewise.filters.cross_pass import PassInputs, PassKey, Reads, Writes, chai
 from lobewise.filters.forms import list_passes
 from lobewise.filters.planes import begin_at_zero
 from lobewise.filters.schedules.cross_pass import schedule_pass
-from lobewise.filters.schedules.rows import count_lanes
+from lobewise.filters.scheduling import count_lanes
 
 MIN_NUMBER = 1e-9
 """Smallest value that the compiled function accepts for a number, other than a coordinate of the camera."""

@@ -1,1 +1,1 @@
-"""The image filters as algorithms; `schedules` says how processors and graphics cards compute them."""
+"""The image filters: kernels, each with its algorithm and its schedules, and the functions that call them."""

@@ -21,7 +21,7 @@ from lobewise.features.base import Feature, describe_structure
 from lobewise.filters.cross_pass import COLORS, PassKey, Reads, Writes, chain_passes, make_pass
 from lobewise.filters.forms import ATROUS_RADIUS, Taps, list_passes
 from lobewise.filters.schedules.cross_pass import schedule_pass
-from lobewise.filters.schedules.rows import STRIP_ROWS, count_lanes
+from lobewise.filters.scheduling import STRIP_ROWS, count_lanes
 from lobewise.frame import FloatArray
 from lobewise.settings import FORMS
 

@@ -24,7 +24,7 @@ from lobewise.filters.dual_buffer_pass import (
     make_dual_buffer_pass,
 )
 from lobewise.filters.schedules.dual_buffer import schedule_dual_buffer
-from lobewise.filters.schedules.rows import count_lanes
+from lobewise.filters.scheduling import count_lanes
 from lobewise.frame import FloatArray
 
 

@@ -26,7 +26,7 @@ from lobewise.backend.pointwise import LARGEST_FLOAT, Grid, Vector, select_or_na
 from lobewise.backend.signature import Signature
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, demodulate, find_luminance
 from lobewise.filters.planes import C, X, Y
-from lobewise.filters.schedules.fireflies import FireflyFuncs, schedule_fireflies
+from lobewise.filters.scheduling import LINE, STRIP, STRIP_ROWS, schedule_stencil, spread_pixels
 from lobewise.frame import FloatArray
 
 REACH = 6
@@ -191,33 +191,39 @@ class Light(NamedTuple):
 
 def make_fireflies(tinted: bool, target: hl.Target) -> Scheduled:
     """Return the kernel. It writes the bounded halves, and for each row partial sums of `BoundedHalves.tally`."""
+    # Signature
     signature, lanes = Signature("fireflies"), target.natural_vector_size(hl.Float(32))
-    size = "height", "width"
     halves, albedo, mask = declare_halves(signature, tinted)
     for name in ("bounded_a", "bounded_b"):
-        signature.output(name, *size, 3)
+        signature.output(name, "height", "width", 3)
     for name in ("seen", "taken"):
         signature.output(name, "height", lanes)
+
+    # Algorithm
     light = define_light(halves, albedo, mask)
     both = define_both(light)
     crowds = _define_crowds(both)
     row = _define_row(crowds)
     factor = _define_factor(light, row)
-    energy, sums, tally, lane = _define_tally(light, factor, mask.width(), lanes)
+    energy, sums, tally = _define_tally(light, factor, mask.width(), lanes)
     out = _define_bounded(halves, factor)
-    funcs = FireflyFuncs(
-        light=light,
-        both=both,
-        crowds=crowds,
-        row=row,
-        factor=factor,
-        energy=energy,
-        sums=sums,
-        lane=lane,
-        out=out,
-        tally=tally,
-    )
-    schedule_fireflies(funcs, lanes, target)
+
+    # Schedule
+    # Measured (EPYC with AVX-512), 1920x1080, processor time of one thread: 26 ms, with albedo 32 ms. A kernel compiles
+    # in 0.7 s. Loops of their own for the borders save a twentieth of the time and compile in 1.3 s. The crowd of a
+    # window's row is computed once and serves all windows that contain the row.
+    stored = light, both, row, factor
+    schedule_stencil(out, 3, target, strips=[light, row], lines=[factor, energy], stored=stored)
+    lane, tail = tally.args()[0], hl.TailStrategy.GuardWithIf
+    tally.bound(lane, 0, lanes)
+    if target.has_gpu_feature():
+        sums.compute_at(tally, spread_pixels(tally, lane, Y))
+    else:
+        tally.vectorize(lane).split(Y, STRIP, LINE, STRIP_ROWS, tail).parallel(STRIP).never_partition_all()
+        tally.compute_with(out, LINE)
+        sums.compute_at(out, LINE).vectorize(lane).update().vectorize(lane)
+        for crowd in crowds:
+            crowd.compute_at(row, Y).vectorize(X, lanes).never_partition_all()
     return Scheduled([out, tally], signature)
 
 
@@ -320,10 +326,8 @@ def _define_factor(light: hl.Func, row: hl.Func) -> hl.Func:
     return factor
 
 
-def _define_tally(
-    light: hl.Func, factor: hl.Func, width: hl.Expr, lanes: int
-) -> tuple[hl.Func, hl.Func, hl.Func, hl.Var]:
-    """Return luminance before and taken away at every pixel, their partial sums along rows, the output, and its axis.
+def _define_tally(light: hl.Func, factor: hl.Func, width: hl.Expr, lanes: int) -> tuple[hl.Func, hl.Func, hl.Func]:
+    """Return luminance before and taken away at every pixel, their partial sums along rows, and the output.
 
     A row has as many partial sums as a vector has lanes.
     """
@@ -337,7 +341,7 @@ def _define_tally(
     there = steps.x * lanes + lane
     sums[lane, Y] = hl.Tuple([sums[lane, Y][k] + energy[there, Y][k] for k in range(2)])
     tally[lane, Y] = hl.Tuple([sums[lane, Y][k] for k in range(2)])
-    return energy, sums, tally, lane
+    return energy, sums, tally
 
 
 def _define_bounded(halves: Sequence[hl.ImageParam], factor: hl.Func) -> hl.Func:

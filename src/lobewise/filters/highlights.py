@@ -27,7 +27,7 @@ from lobewise.backend.pointwise import LARGEST_FLOAT
 from lobewise.backend.signature import Signature
 from lobewise.filters.fireflies import declare_halves, define_both, define_light, read_light, take_halves
 from lobewise.filters.planes import C, X, Y
-from lobewise.filters.schedules.highlights import HighlightFuncs, schedule_highlights
+from lobewise.filters.scheduling import schedule_stencil
 
 RING_RADIUS, SPOT_RADIUS = 6, 2
 """Radii in pixels: the surroundings of a pixel are the outer square without the inner one."""
@@ -125,10 +125,13 @@ def split_highlights(
 
 def make_highlights(tinted: bool, kinds: Kinds, target: hl.Target) -> Scheduled:
     """Return the kernel: it writes both halves without highlights, and the light of the highlights."""
-    signature, size = Signature("highlights"), ("height", "width")
+    # Signature
+    signature = Signature("highlights")
     halves, albedo, mask = declare_halves(signature, tinted)
     for name in ("rest_a", "rest_b", "kept"):
-        signature.output(name, *size, 3)
+        signature.output(name, "height", "width", 3)
+
+    # Algorithm
     light = define_light(halves, albedo, mask)
     both, least, agreed = define_both(light), _define_least(light), _define_agreed(light)
     rows = _define_rows(both)
@@ -137,19 +140,10 @@ def make_highlights(tinted: bool, kinds: Kinds, target: hl.Target) -> Scheduled:
     core = _define_core(least, blocks, level, agreed, kinds)
     share = _define_share(both, level, core)
     out = _define_split(halves, light, share)
-    funcs = HighlightFuncs(
-        light=light,
-        both=both,
-        least=least,
-        rows=rows,
-        level=level,
-        agreed=agreed,
-        blocks=blocks,
-        core=core,
-        share=share,
-        out=out,
-    )
-    schedule_highlights(funcs, target)
+
+    # Schedule
+    stored = light, agreed, rows, level, blocks, core
+    schedule_stencil(out, 3, target, strips=[*stored, both, least], lines=[share], stored=[*stored, share])
     return Scheduled([out], signature)
 
 

@@ -19,12 +19,7 @@ from lobewise.engine.numbers import choose_larger
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS, demodulate, find_luminance
 from lobewise.filters.dual_buffer_pass import GUIDE_CHANNELS
 from lobewise.filters.planes import C, X, Y
-from lobewise.filters.schedules.noise_guides import (
-    LightSumFuncs,
-    NoiseGuideFuncs,
-    schedule_light_sums,
-    schedule_noise_guide,
-)
+from lobewise.filters.scheduling import COLUMNS, ROWS, STRIP, count_lanes, keep_planes, keep_rows, schedule_stencil
 from lobewise.frame import FloatArray
 
 BLUR_RADIUS = 3
@@ -42,10 +37,13 @@ LOG_OFFSET_SHARE = 0.04
 
 def make_scheduled_noise_guide(target: hl.Target) -> Scheduled:
     """Return the kernel of `make_noise_guide`."""
+    # Signature
     signature = Signature("noise guide")
     halves = [signature.image(name, "height", "width", COLORS) for name in ("a", "b")]
     offset, floor = signature.number("offset"), signature.number("floor")
     signature.output("guide", "height", "width", GUIDE_CHANNELS)
+
+    # Algorithm
     width, height = halves[0].dim(1).extent(), halves[0].dim(2).extent()
     at = hl.clamp(X, 0, width - 1), hl.clamp(Y, 0, height - 1)
     logs, spread, rows, out = (hl.Func(name) for name in ("logs", "spread", "rows", "out"))
@@ -63,21 +61,30 @@ def make_scheduled_noise_guide(target: hl.Target) -> Scheduled:
     half = hl.f32(0.5)
     means = [half * (logs[X, k, Y] + logs[X, k + COLORS, Y]) for k in range(COLORS)]
     out[C, X, Y] = hl.mux(C, [*means, variance])
-    schedule_noise_guide(NoiseGuideFuncs(logs, spread, rows, out), target)
+
+    # Schedule
+    schedule_stencil(out, GUIDE_CHANNELS, target, strips=[rows], stored=[rows])
+    if target.has_gpu_feature():
+        keep_planes(logs, 2 * COLORS)
+    else:
+        keep_rows(logs.compute_at(out, STRIP), 2 * COLORS, count_lanes(target))
+        spread.compute_at(rows, Y).vectorize(X, count_lanes(target)).never_partition_all()
     return Scheduled([out], signature)
 
 
 def make_light_sums(tinted: bool, target: hl.Target) -> Scheduled:
     """Return the kernel of `measure_light`. It sums each row in a fixed number of parts, so the order never changes."""
+    # Signature
     signature, lanes = Signature("light sums"), target.natural_vector_size(hl.Float(32))
-    lane, y = hl.Var("lane"), Y
     images = [signature.image(name, "height", "width", COLORS) for name in ("a", "b", *["albedo"] * tinted)]
     mask = signature.image("mask", "height", "width", type=hl.UInt(8))
     signature.output("sums", "height", lanes)
-    width = mask.width()
+
+    # Algorithm
+    lane, width = hl.Var("lane"), mask.width()
     steps = hl.RDom([(0, (width + lanes - 1) // lanes)], "steps")
     x = steps.x * lanes + lane
-    at = hl.min(x, width - 1), y
+    at = hl.min(x, width - 1), Y
     total, count = hl.f32(0.0), hl.f32(0.0)
     for half in images[:2]:
         radiance, good = demodulate(half, images[2] if tinted else None, at, hl.f32(ALBEDO_FLOOR))
@@ -88,9 +95,19 @@ def make_light_sums(tinted: bool, target: hl.Target) -> Scheduled:
         count = count + hl.select(good, hl.f32(1.0), hl.f32(0.0))
     mean = total / hl.max(count, hl.f32(1.0))
     out = hl.Func("out")
-    out[lane, y] = hl.f32(0.0)
-    out[lane, y] = out[lane, y] + hl.select((x < width) & (mask[at] != 0), mean, hl.f32(0.0))
-    schedule_light_sums(LightSumFuncs(out, lane, steps), lanes, target)
+    out[lane, Y] = hl.f32(0.0)
+    out[lane, Y] = out[lane, Y] + hl.select((x < width) & (mask[at] != 0), mean, hl.f32(0.0))
+
+    # Schedule: rows in parallel, the partial sums of a row in a vector
+    out.bound(lane, 0, lanes)
+    if target.has_gpu_feature():
+        # A tile may have more columns than a vector has lanes: threads beyond the lanes write nothing.
+        names = [hl.Var(name) for name in ("column", "row", "thread_x", "thread_y")]
+        for stage in (out, out.update()):
+            stage.gpu_tile(lane, Y, *names, COLUMNS, ROWS, hl.TailStrategy.GuardWithIf)
+    else:
+        out.vectorize(lane).parallel(Y).never_partition_all()
+        out.update().reorder(lane, steps.x, Y).vectorize(lane).parallel(Y).never_partition_all()
     return Scheduled([out], signature)
 
 

@@ -36,7 +36,7 @@ from lobewise.filters.history.sums import (
     widen,
 )
 from lobewise.filters.schedules.accumulation import schedule_accumulation
-from lobewise.filters.schedules.rows import count_lanes
+from lobewise.filters.scheduling import count_lanes
 from lobewise.frame import FloatArray
 
 TRUST_RADIUS = 2

@@ -19,7 +19,7 @@ from lobewise.features.base import Feature, describe_structure
 from lobewise.filters.history.reprojection_pass import make_preparation, make_reprojection
 from lobewise.filters.history.sums import cut, join_channels, split_history, widen
 from lobewise.filters.schedules.reprojection import schedule_preparation, schedule_reprojection
-from lobewise.filters.schedules.rows import count_lanes
+from lobewise.filters.scheduling import count_lanes
 from lobewise.frame import FloatArray
 
 

@@ -23,7 +23,7 @@ from lobewise.backend.signature import Signature
 from lobewise.engine.here import HERE
 from lobewise.filters.cross_pass import COLORS, U, V
 from lobewise.filters.planes import C, X, Y
-from lobewise.filters.schedules.rows import STRIP_ROWS, keep_rows
+from lobewise.filters.scheduling import STRIP_ROWS, keep_rows
 from lobewise.frame import FloatArray
 
 RADIUS = 4

@@ -10,10 +10,9 @@ from lobewise.backend.compiler import hl
 from lobewise.backend.jit import Scheduled
 from lobewise.backend.signature import Signature
 from lobewise.filters.cross_pass import COLORS
-from lobewise.filters.planes import PIXEL, C, X, Y
-from lobewise.filters.refinement.shape import PLANES
-from lobewise.filters.schedules.blocks import spread_channels
-from lobewise.filters.schedules.rows import STRIP_ROWS
+from lobewise.filters.planes import C, X, Y
+from lobewise.filters.refinement.shape import PLANES, VECTORS
+from lobewise.filters.scheduling import schedule_stencil
 
 MIN_TINT = 0.1
 """Smallest albedo that light is divided by."""
@@ -48,6 +47,7 @@ class PlanesKey:
 
 def make_planes(key: PlanesKey, target: hl.Target) -> Scheduled:
     """Return the kernel."""
+    # Signature
     signature, size = Signature("refinement planes"), ("height", "width")
     noisy, filtered = (signature.image(name, *size, COLORS) for name in ("noisy", "filtered"))
     images = {
@@ -58,7 +58,11 @@ def make_planes(key: PlanesKey, target: hl.Target) -> Scheduled:
     brightness, mean_log_depth, shared = (
         signature.number(name) for name in ("brightness", "mean_log_depth", "noise_is_shared")
     )
+    for name, count in (("planes", PLANES), ("light", 2 * COLORS), ("vectors", VECTORS)):
+        signature.output(name, "height", count, "width")
+    signature.output("tint", *size, COLORS)
 
+    # Algorithm
     def read(name: str) -> list[hl.Expr]:
         channels = OPTIONAL[name]
         if name not in images:
@@ -93,18 +97,19 @@ def make_planes(key: PlanesKey, target: hl.Target) -> Scheduled:
         *flags,
         shared,
     ]
-    assert len(planes) == PLANES
     (sharpness,) = read("lobe_sharpness")
     length = hl.f32(LOBE_SCALE) * hl.pow(hl.f32(2.0), hl.f32(0.5) * (sharpness - hl.f32(1.0)))
     lobes = [*(length * value for value in read("lobe_axis")), hl.f32(LOBE_SCALE) * sharpness]
     vectors = [*(hl.f32(NORMAL_SCALE) * value for value in normal), hl.f32(DEPTH_SCALE) * log_depth, *lobes]
-    outputs = []
-    for name, values in (("planes", planes), ("light", [*before, *after]), ("vectors", vectors)):
-        signature.output(name, "height", len(values), "width")
-        outputs.append(_define_planes(name, values, target))
-    signature.output("tint", *size, COLORS)
-    outputs.append(_define_tint([brightness * each for each in tint], target))
-    return Scheduled(outputs, signature)
+    values = {"planes": planes, "light": [*before, *after], "vectors": vectors, "tint": [brightness * v for v in tint]}
+    outputs = {name: hl.Func(name) for name in values}
+    for name, out in outputs.items():
+        out[(C, X, Y) if name == "tint" else (X, C, Y)] = hl.mux(C, values[name])
+
+    # Schedule
+    for name, out in outputs.items():
+        schedule_stencil(out, len(values[name]), target)
+    return Scheduled(list(outputs.values()), signature)
 
 
 def _find_log_depth(depth: hl.Expr, mean: hl.Expr) -> hl.Expr:
@@ -112,29 +117,3 @@ def _find_log_depth(depth: hl.Expr, mean: hl.Expr) -> hl.Expr:
     bound = hl.f32(MAX_LOG_DEPTH)
     logarithm = hl.f32(math.log(2.0)) * expressions.log2(hl.max(depth, hl.f32(1e-20))) - mean
     return hl.select(depth > hl.f32(0.0), hl.clamp(logarithm, -bound, bound), bound)
-
-
-def _define_planes(name: str, values: list[hl.Expr], target: hl.Target) -> hl.Func:
-    x, y, c = PIXEL
-    out = hl.Func(name)
-    out[X, C, Y] = hl.mux(C, values)
-    if target.has_gpu_feature():
-        spread_channels(out, len(values), PIXEL)
-        return out
-    ys, yi = hl.Var("ys"), hl.Var("yi")
-    out.bound(c, 0, len(values)).split(y, ys, yi, STRIP_ROWS, hl.TailStrategy.GuardWithIf).reorder(c, x, yi, ys)
-    out.vectorize(x, target.natural_vector_size(hl.Float(32)), hl.TailStrategy.GuardWithIf).unroll(c).parallel(ys)
-    return out.never_partition_all()
-
-
-def _define_tint(values: list[hl.Expr], target: hl.Target) -> hl.Func:
-    x, y, c = PIXEL
-    out = hl.Func("tint")
-    out[C, X, Y] = hl.mux(C, values)
-    out.output_buffer().dim(1).set_stride(COLORS)
-    if target.has_gpu_feature():
-        spread_channels(out, COLORS, PIXEL)
-        return out
-    out.bound(c, 0, COLORS).reorder(c, x, y).unroll(c)
-    out.vectorize(x, target.natural_vector_size(hl.Float(32)), hl.TailStrategy.GuardWithIf).parallel(y)
-    return out.never_partition_all()

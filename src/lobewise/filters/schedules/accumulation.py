@@ -6,9 +6,8 @@ from lobewise.backend.compiler import hl
 from lobewise.filters.history.accumulation_stages import AccumulationFuncs
 from lobewise.filters.history.accumulation_taps import TapGrid
 from lobewise.filters.history.vectors import LANE, VECTOR
-from lobewise.filters.planes import PIXEL, C, X, Y
-from lobewise.filters.schedules.blocks import keep_planes, spread_pixels
-from lobewise.filters.schedules.rows import STRIP_ROWS, keep_rows
+from lobewise.filters.planes import C, X, Y
+from lobewise.filters.scheduling import STRIP_ROWS, keep_planes, keep_rows, spread_pixels
 
 TILE_ROWS, TILE_COLUMNS = 8, 256
 """Size of the tiles whose samples are repeated over the width of their blocks together, pixels."""
@@ -31,8 +30,8 @@ def _schedule_gpu(funcs: AccumulationFuncs) -> None:
     for func in funcs.pixels.once:
         func.compute_at(funcs.out, thread)
     if funcs.grid is not None:
-        keep_planes(funcs.grid.values, funcs.grid.value_count, PIXEL)
-        keep_planes(funcs.grid.own.planes, funcs.grid.own.plane_count, PIXEL)
+        keep_planes(funcs.grid.values, funcs.grid.value_count)
+        keep_planes(funcs.grid.own.planes, funcs.grid.own.plane_count)
 
 
 def _schedule_cpu(funcs: AccumulationFuncs, domain: hl.RDom) -> None:

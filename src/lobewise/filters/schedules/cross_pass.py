@@ -6,8 +6,7 @@ from lobewise.backend.compiler import hl
 from lobewise.filters.cross_pass import COLORS, PassFuncs, U, V, Writes
 from lobewise.filters.forms import Taps
 from lobewise.filters.planes import PIXEL
-from lobewise.filters.schedules.blocks import keep_planes, spread_channels
-from lobewise.filters.schedules.rows import STRIP_ROWS, fill_planes, fill_rows
+from lobewise.filters.scheduling import STRIP_ROWS, fill_planes, fill_rows, keep_planes, spread_channels
 from lobewise.settings import LARGEST_RADIUS
 
 
@@ -82,8 +81,8 @@ def _schedule_rows(funcs: PassFuncs, target: hl.Target) -> None:
 
 def _schedule_blocks(funcs: PassFuncs) -> None:
     """Give each pixel of the sums a thread. Keep planes and image in memory."""
-    thread = spread_channels(funcs.out, funcs.key.channels, PIXEL)
+    thread = spread_channels(funcs.out, funcs.key.channels)
     funcs.sums.compute_at(funcs.out, thread)
     funcs.row.compute_at(funcs.sums, funcs.outer.x)
-    keep_planes(funcs.image, funcs.key.channels, PIXEL)
-    keep_planes(funcs.planes.planes, funcs.planes.plane_count, PIXEL)
+    keep_planes(funcs.image, funcs.key.channels)
+    keep_planes(funcs.planes.planes, funcs.planes.plane_count)

@@ -6,8 +6,7 @@ from lobewise.backend.compiler import hl
 from lobewise.filters.cross_pass import COLORS, U, V
 from lobewise.filters.dual_buffer_pass import GUIDE_CHANNELS, PLANES, DualBufferFuncs
 from lobewise.filters.planes import PIXEL
-from lobewise.filters.schedules.blocks import keep_planes, spread_channels
-from lobewise.filters.schedules.rows import STRIP_ROWS, fill_planes, fill_rows
+from lobewise.filters.scheduling import STRIP_ROWS, fill_planes, fill_rows, keep_planes, spread_channels
 from lobewise.settings import LARGEST_RADIUS
 
 
@@ -55,12 +54,12 @@ def _schedule_blocks(funcs: DualBufferFuncs) -> None:
     """Give each pixel a thread, which computes both halves."""
     for buffer in funcs.out.output_buffers():
         buffer.dim(1).set_stride(COLORS)
-    thread = spread_channels(funcs.out, COLORS, PIXEL)
+    thread = spread_channels(funcs.out, COLORS)
     funcs.sums.compute_at(funcs.out, thread)
     funcs.row.compute_at(funcs.sums, funcs.down.x)
     for stage in funcs.stages:
         stage.compute_at(funcs.row, funcs.across.x)
-    keep_planes(funcs.images, PLANES, PIXEL)
-    keep_planes(funcs.guide, GUIDE_CHANNELS, PIXEL)
+    keep_planes(funcs.images, PLANES)
+    keep_planes(funcs.guide, GUIDE_CHANNELS)
     for planes in funcs.planes:
-        keep_planes(planes.planes, planes.plane_count, PIXEL)
+        keep_planes(planes.planes, planes.plane_count)

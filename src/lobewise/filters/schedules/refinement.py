@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from lobewise import engine
 from lobewise.backend.compiler import hl
 from lobewise.filters.planes import PIXEL
-from lobewise.filters.schedules.blocks import ALIGNMENT, spread_channels, spread_pixels
+from lobewise.filters.scheduling import ALIGNMENT, spread_channels, spread_pixels
 
 STRIP_ROWS = 8
 """Rows that a thread takes at a time."""
@@ -122,7 +122,7 @@ def schedule_sums(head: Head, light: Copy, out: Copy, target: hl.Target) -> None
     """Schedule the sums of the finest level; ``light`` is a copy of the light."""
     x, y, c = PIXEL
     if target.has_gpu_feature():
-        _keep_logits(head, out.func, spread_channels(out.func, out.channels, PIXEL))
+        _keep_logits(head, out.func, spread_channels(out.func, out.channels))
         return
     lanes = target.natural_vector_size(hl.Float(32))
     ys, loop = _spread_vectors(out, lanes, hl.TailStrategy.RoundUp)
@@ -194,7 +194,7 @@ def _filter_blocks(made: Filter) -> None:
     """Keep the sums of a pixel in one thread's registers."""
     _, _, c = PIXEL
     out = made.out.func
-    thread = spread_channels(out, made.out.channels, PIXEL)
+    thread = spread_channels(out, made.out.channels)
     _keep_logits(made.head, out, thread)
     made.exponents.func.compute_at(out, thread).bound(c, 0, made.exponents.channels).unroll(c)
     made.total.compute_at(out, thread)

@@ -6,8 +6,7 @@ from lobewise.backend.compiler import hl
 from lobewise.filters.history.reprojection_pass import PreparationFuncs, ReprojectionFuncs, VectorFuncs, WayFuncs
 from lobewise.filters.history.vectors import LANE, VECTOR
 from lobewise.filters.planes import X, Y
-from lobewise.filters.schedules.blocks import spread_pixels
-from lobewise.filters.schedules.rows import keep_rows
+from lobewise.filters.scheduling import keep_rows, spread_pixels
 
 ROWS_PER_TASK = 8
 """Rows that a thread takes at a time."""
