@@ -78,14 +78,14 @@ FILTERS = (
     ),
     Mutation(
         "the lowest row of a kernel's taps is left out",
-        "filters/cross_pass.py",
-        "outer = hl.RDom([(-reach, 2 * reach + 1)] if key",
-        "outer = hl.RDom([(-reach, 2 * reach)] if key",
+        "filters/weigh.py",
+        "outer = hl.RDom(span if self",
+        "outer = hl.RDom([(-self._reach, 2 * self._reach)] if self",
         ("filters/test_cross_filter.py", "filters/test_expected.py"),
     ),
     Mutation(
         "a half without samples becomes black instead of taking the other half",
-        "filters/dual_buffer_pass.py",
+        "filters/dual_buffer.py",
         "means[half][k], means[1 - half][k])",
         "means[half][k], means[half][k])",
         ("filters/test_dual_buffer.py", "denoising/test_quality_modes.py"),

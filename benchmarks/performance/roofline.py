@@ -34,8 +34,6 @@ from lobewise.bench.timing import time_best
 from lobewise.features.base import describe_structure
 from lobewise.filters.cross_pass import PassKey, Reads, Writes, make_pass
 from lobewise.filters.forms import Taps
-from lobewise.filters.schedules.cross_pass import schedule_pass
-from lobewise.filters.scheduling import count_lanes
 
 NAMES = ("normal", "sg", "asg", "ggx", "sg_mixture, 3 coaxial")
 SIZE = 256
@@ -111,11 +109,10 @@ def count_tap(name: str, lanes: int) -> dict[str, Any]:
     structure = tuple(describe_structure(feature) for feature in features)
     key = PassKey(Taps.SQUARE, structure, Reads.RADIANCE, Writes.PIXELS)
     target = make_target("cpu").with_feature(hl.TargetFeature.NoRuntime)
-    funcs = make_pass(key, features, lanes=count_lanes(target))
-    schedule_pass(funcs, target)
+    made = make_pass(key, features, target)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "kernel.s"
-        hl.Pipeline(funcs.out).compile_to_assembly(str(path), funcs.signature.arguments, "kernel", target)
+        hl.Pipeline(made.out).compile_to_assembly(str(path), made.signature.arguments, "kernel", target)
         loops = find_tap_loops(path.read_text())
     counts = Counter(line.split()[0] for loop in loops for line in loop)
     lines = [line for loop in loops for line in loop if not TINY.search(line.split()[0])]

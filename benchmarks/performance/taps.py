@@ -38,10 +38,11 @@ from lobewise.denoising.layers import Layer, make_layers
 from lobewise.features import Feature, ScreenFeature
 from lobewise.features.arrays import declare_features, declare_scalars, give_features, give_scalars
 from lobewise.filters.cross_filter import run_filter
-from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS, WEIGHT, demodulate, make_stage
+from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS, WEIGHT, demodulate
 from lobewise.filters.history.accumulation import SampleGrid
 from lobewise.filters.planes import Rows, make_guide_planes, make_image
 from lobewise.filters.scheduling import STRIP_ROWS, count_lanes, fill_planes, fill_rows
+from lobewise.filters.weigh import make_stage
 from lobewise.frame import FloatArray, Frame
 from lobewise.metrics import rel_mse
 from lobewise.render import load_scene, render_frame, render_reference

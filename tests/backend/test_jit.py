@@ -28,7 +28,7 @@ from lobewise.backend.sources import describe_definitions, find_definitions, tak
 from lobewise.errors import DeviceError
 from lobewise.features import GgxFeature, NormalFeature, ScreenFeature, SgMixtureFeature
 from lobewise.filters import cross_filter, fireflies, scheduling
-from lobewise.filters.cross_pass import PassKey, Reads, Writes
+from lobewise.filters.cross_pass import PassKey, Reads, Writes, make_pass
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.filters.forms import Taps
 from lobewise.filters.history import reprojection, sums
@@ -159,7 +159,7 @@ def find_definition(code: CodeType) -> str:
 
 
 KERNELS = {
-    "cross filter": list_definitions((PassKey, GgxFeature, SgMixtureFeature), cross_filter.make_scheduled_pass),
+    "cross filter": list_definitions((PassKey, GgxFeature, SgMixtureFeature), make_pass),
     "fireflies": list_definitions(("fireflies", True), fireflies.make_fireflies),
     "reprojection": list_definitions(("reprojection", GgxFeature), reprojection.make_scheduled_reprojection),
     "lobes": list_definitions((lobe_fields.define_lobes,), pointwise.make_pointwise),

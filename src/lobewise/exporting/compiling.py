@@ -24,8 +24,6 @@ from lobewise.features.base import describe_structure
 from lobewise.filters.cross_pass import PassInputs, PassKey, Reads, Writes, chain_passes, make_pass
 from lobewise.filters.forms import list_passes
 from lobewise.filters.planes import begin_at_zero
-from lobewise.filters.schedules.cross_pass import schedule_pass
-from lobewise.filters.scheduling import count_lanes
 
 MIN_NUMBER = 1e-9
 """Smallest value that the compiled function accepts for a number, other than a coordinate of the camera."""
@@ -159,11 +157,9 @@ def _define_filter(plan: FilterPlan, target: hl.Target) -> tuple[hl.Func, list[A
             step=hl.i32(step),
             scalars=scalars,
         )
-        funcs = make_pass(key, features, given, lanes=count_lanes(target))
+        (source,) = make_pass(key, features, target, given).out
         if key.writes is Writes.SUMS:
-            funcs.out.compute_root()
-        schedule_pass(funcs, target)
-        source = funcs.out
+            source.compute_root()
     inputs.constrain(source.output_buffer(), arguments[-1])
     return source, list(params.values())
 

@@ -12,16 +12,13 @@ from numpy.typing import NDArray
 
 from lobewise import engine
 from lobewise.backend.buffers import Image, device_scope, take_image, take_mask
-from lobewise.backend.compiler import hl
-from lobewise.backend.jit import Scheduled
 from lobewise.engine.here import MAX_VECTOR_PIXELS, Pass
 from lobewise.errors import require_choice
 from lobewise.features.arrays import give_features, give_scalars
 from lobewise.features.base import Feature, describe_structure
 from lobewise.filters.cross_pass import COLORS, PassKey, Reads, Writes, chain_passes, make_pass
 from lobewise.filters.forms import ATROUS_RADIUS, Taps, list_passes
-from lobewise.filters.schedules.cross_pass import schedule_pass
-from lobewise.filters.scheduling import STRIP_ROWS, count_lanes
+from lobewise.filters.scheduling import STRIP_ROWS
 from lobewise.frame import FloatArray
 from lobewise.settings import FORMS
 
@@ -123,7 +120,7 @@ def run_filter(
     )
     keys = chain_passes(whole, [each for each, _, _ in taps], mirror=on_processor)
     passes = [
-        Pass(key, partial(make_scheduled_pass, key, features), reach, step, describe_pass(each, reach, step))
+        Pass(key, partial(make_pass, key, features), reach, step, describe_pass(each, reach, step))
         for key, (each, reach, step) in zip(keys, taps, strict=True)
     ]
     tiles = _list_tiles(*size) if form == "separable" and isinstance(size[0], int) else []
@@ -151,10 +148,3 @@ def _list_tiles(height: int, width: int) -> list[tuple[slice, slice]]:
         for top in range(0, height, rows)
         for left in range(0, width, columns)
     ]
-
-
-def make_scheduled_pass(key: PassKey, features: Sequence[Feature], target: hl.Target) -> Scheduled:
-    """Return a pass, ready to be compiled."""
-    funcs = make_pass(key, features, lanes=count_lanes(target))
-    schedule_pass(funcs, target)
-    return Scheduled([funcs.out] if funcs.rest is None else [funcs.out, funcs.rest], funcs.signature)

@@ -1,4 +1,4 @@
-"""The cross-bilateral sum as a Halide algorithm, without a schedule.
+"""The kernel of a pass of the cross filter: the cross-bilateral sum.
 
 ``out_i = sum_j w(i, j) I_j / sum_j w(i, j)`` with ``w = prod_f similarity_f(i, j)``. One pass sums over the taps of
 one form; ``separable`` and ``atrous`` chain passes and pass on the undivided sums. Bad pixels, image borders and poorly
@@ -16,12 +16,15 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 from lobewise.backend import expressions
-from lobewise.backend.compiler import declare_vars, hl
+from lobewise.backend.compiler import hl
+from lobewise.backend.jit import Scheduled
 from lobewise.backend.signature import Signature
 from lobewise.features.arrays import declare_features, declare_scalars
-from lobewise.features.base import Feature, Stage
+from lobewise.features.base import Feature
 from lobewise.filters.forms import ATROUS_PROFILE, ATROUS_RADIUS, Taps
-from lobewise.filters.planes import C, GuidePlanes, Rows, X, Y, clamp_likely, make_guide_planes, make_image
+from lobewise.filters.planes import C, X, Y, clamp_likely
+from lobewise.filters.scheduling import count_lanes
+from lobewise.filters.weigh import TapSums, U, V
 from lobewise.lobes.vectors import LUMINANCE, dot
 from lobewise.settings import LARGEST_RADIUS
 
@@ -32,9 +35,6 @@ SQUARED_WEIGHT = 4
 
 ALBEDO_FLOOR = 1e-3
 """Albedo below which a pixel does not reveal the light that it receives; its weight is 0."""
-
-U, V = declare_vars("u", "v")
-"""Offset of a tap, in steps to the right and down."""
 
 
 class Reads(Enum):
@@ -123,44 +123,6 @@ class PassInputs:
     strictness: hl.ImageParam | None = None
 
 
-@dataclass(kw_only=True)
-class PassFuncs:
-    """The Halide functions of one pass, for its schedules."""
-
-    key: PassKey
-    signature: Signature
-    image: hl.Func
-    planes: GuidePlanes
-    """Guides and planes that taps read."""
-    rows: Rows | None
-    """Parts of rows that image and planes are computed in, on processors."""
-    stages: list[hl.Func]
-    weights: hl.Func | None
-    """Weights of a pixel with its right-hand neighbours, if the pass is mirrored."""
-    row: hl.Func
-    """Sums over one row of taps, or over the column of taps of a vertical pass."""
-    inner: hl.RDom
-    sums: hl.Func
-    outer: hl.RDom
-    out: hl.Func
-    rest: hl.Func | None
-    """Further outputs beside ``out``, one image each."""
-    finish: hl.Func | None
-    """The results that ``out`` and ``rest`` read."""
-
-
-def make_stage(stages: list[hl.Func], at: Sequence[hl.Var]) -> Stage:
-    """Return a `Stage` that computes a value of pixel and tap in a function of its own and adds it to ``stages``."""
-
-    def stage(value: hl.Expr) -> hl.Expr:
-        func = hl.Func(f"stage{len(stages)}")
-        func[tuple(at)] = value
-        stages.append(func)
-        return func[tuple(at)]
-
-    return stage
-
-
 def find_luminance(colour: Sequence[hl.Expr]) -> hl.Expr:
     return dot([hl.f32(share) for share in LUMINANCE], colour)
 
@@ -212,53 +174,40 @@ def declare_pass(signature: Signature, key: PassKey, features: Sequence[Feature]
 
 
 def make_pass(
-    key: PassKey, features: Sequence[Feature], inputs: PassInputs | None = None, *, lanes: int = 0
-) -> PassFuncs:
-    """Return the algorithm of one pass, for processors with vectors of ``lanes`` pixels; 0 lanes for graphics cards.
-
-    Without ``inputs`` they are the parameters of the pass's signature.
-    """
+    key: PassKey, features: Sequence[Feature], target: hl.Target, inputs: PassInputs | None = None
+) -> Scheduled:
+    """Return a pass; without ``inputs`` they are the parameters of its signature."""
+    # Signature
     signature = Signature("cross pass")
     inputs = inputs or declare_pass(signature, key, features)
-    reach = hl.i32(ATROUS_RADIUS) if key.taps is Taps.ATROUS else inputs.radius
-    spread: hl.Expr = inputs.step if key.taps is Taps.ATROUS else hl.i32(1)
-    is_column = key.taps is Taps.VERTICAL
-    rows = Rows(inputs.mask.width(), hl.i32(0) if is_column else spread * reach, lanes) if lanes else None
-    image = _read_image(key, inputs, rows)
-    planes = make_guide_planes("tap", inputs.mask, features, inputs.scalars, arrays=inputs.arrays, rows=rows)
-    stages = _compare(key, features, inputs, planes, spread)
-    weights = hl.Func("weights") if key.mirrored else None
-    if weights is None:
-        row, inner = _sum_row(key, image, stages[-1], reach, spread)
-    else:
-        # Weights of a pixel with its right-hand neighbours. Each weight serves both pixels of the pair.
-        weights[X, Y, U] = expressions.exp2(stages[-1][X, Y, U, 0])
-        row, inner = _sum_pairs(key, image, weights, reach)
-    # A vertical pass has its whole column of taps in ``row``.
-    outer = hl.RDom([(-reach, 2 * reach + 1)] if key.taps in (Taps.SQUARE, Taps.ATROUS) else [(0, 1)], "outer")
-    sums = hl.Func("sums")
-    sums[X, Y] = hl.Tuple([hl.f32(0.0)] * key.channels)
-    _add(sums, (X, Y), [row[X, Y, outer.x][k] for k in range(key.channels)])
-    out, rest, finish = _write(key, inputs, sums)
-    return PassFuncs(
-        key=key,
-        signature=signature,
-        image=image,
-        planes=planes,
-        rows=rows,
-        stages=stages,
-        weights=weights,
-        row=row,
-        inner=inner,
-        sums=sums,
-        outer=outer,
-        out=out,
-        rest=rest,
-        finish=finish,
-    )
+
+    # Algorithm
+    is_sparse = key.taps is Taps.ATROUS
+    reach, step = (hl.i32(ATROUS_RADIUS), inputs.step) if is_sparse else (inputs.radius, hl.i32(1))
+    taps = TapSums(inputs.mask, key.taps, reach, step, count_lanes(target))
+    image = _read_image(key, inputs, taps)
+    profile = _find_profile(U) + _find_profile(V) if is_sparse else None
+    log_weight = taps.compare("tap", features, inputs.scalars, inputs.arrays, profile)
+    if inputs.strictness is not None:
+        width, height = inputs.mask.width(), inputs.mask.height()
+        log_weight = log_weight * inputs.strictness[clamp_likely(X, width), hl.clamp(Y, 0, height - 1)]
+
+    def take(weight: hl.Expr, column: hl.Expr, line: hl.Expr) -> list[hl.Expr]:
+        # Radiance has weight 1 and squared weight 1: both read one plane.
+        single = key.reads is not Reads.SUMS
+        planes = [min(k, WEIGHT) if single and k < SUM_CHANNELS else k for k in range(key.channels)]
+        factors = [weight] * key.channels
+        factors[SQUARED_WEIGHT] = weight * weight
+        return [factor * image[column, k, line] for factor, k in zip(factors, planes, strict=True)]
+
+    out, *rest = _write(key, inputs, taps.add(log_weight, take, mirrored=key.mirrored))
+
+    # Schedule
+    taps.schedule(out, COLORS if rest else key.channels, *rest)
+    return Scheduled([out, *rest[:1]], signature)
 
 
-def _read_image(key: PassKey, inputs: PassInputs, rows: Rows | None) -> hl.Func:
+def _read_image(key: PassKey, inputs: PassInputs, taps: TapSums) -> hl.Func:
     """Return the summands of taps: radiance over albedo and weight 1, or sums as they are; all 0 for a bad pixel."""
 
     def take(at: tuple[hl.Expr, hl.Expr], usable: hl.Expr) -> hl.Expr:
@@ -272,96 +221,31 @@ def _read_image(key: PassKey, inputs: PassInputs, rows: Rows | None) -> hl.Func:
             values.append(luminance * luminance)
         return hl.select(good & usable, hl.mux(C, values), hl.f32(0.0))
 
-    return make_image("image", inputs.mask, rows, take)
+    return taps.read("image", key.channels, take)
 
 
-def _tap_profile(offset: hl.Expr) -> hl.Expr:
+def _find_profile(offset: hl.Expr) -> hl.Expr:
     """Return log2 of the B-spline weight at an offset from -2 to 2."""
     centre, near, far = (hl.f32(math.log2(weight)) for weight in ATROUS_PROFILE)
     distance = hl.abs(offset)
     return hl.select(distance == 0, centre, distance == 1, near, far)
 
 
-def _compare(
-    key: PassKey, features: Sequence[Feature], inputs: PassInputs, planes: GuidePlanes, spread: hl.Expr
-) -> list[hl.Func]:
-    """Return the stages of the logarithm of a tap's weight; the last one is the logarithm."""
-    stages: list[hl.Func] = []
-    stage = make_stage(stages, (X, Y, U, V))
-    offset = hl.f32(U * spread), hl.f32(V * spread)
-    exponent: hl.Expr = hl.f32(0.0)
-    if key.taps is Taps.ATROUS:
-        exponent = _tap_profile(U) + _tap_profile(V)
-    for feature, layout, own in zip(features, planes.layouts, inputs.scalars, strict=True):
-        i, j = planes.read(layout, X, Y), planes.read(layout, X + U * spread, Y + V * spread)
-        exponent = exponent + feature.log2_similarity(i, j, own, offset, stage)
-    if inputs.strictness is not None:
-        exponent = (
-            exponent * inputs.strictness[clamp_likely(X, inputs.mask.width()), hl.clamp(Y, 0, inputs.mask.height() - 1)]
-        )
-    log_weight = hl.Func("log_weight")
-    log_weight[X, Y, U, V] = exponent
-    return [*stages, log_weight]
-
-
-def _take(key: PassKey, image: hl.Func, weight: hl.Expr, column: hl.Expr, line: hl.Expr) -> list[hl.Expr]:
-    """Return the summand of a tap for every sum."""
-    # Radiance has weight 1 and squared weight 1: both read one plane.
-    single = key.reads is not Reads.SUMS
-    planes = [min(k, WEIGHT) if single and k < SUM_CHANNELS else k for k in range(key.channels)]
-    factors = [weight] * key.channels
-    factors[SQUARED_WEIGHT] = weight * weight
-    return [factor * image[column, k, line] for factor, k in zip(factors, planes, strict=True)]
-
-
-def _add(sums: hl.Func, at: tuple[hl.Expr, ...], values: Sequence[hl.Expr]) -> None:
-    sums[at] = hl.Tuple([sums[at][k] + value for k, value in enumerate(values)])
-
-
-def _sum_row(
-    key: PassKey, image: hl.Func, log_weight: hl.Func, reach: hl.Expr, spread: hl.Expr
-) -> tuple[hl.Func, hl.RDom]:
-    """Return the sums over a row of taps, or over the column of taps of a vertical pass, and the taps.
-
-    The function is separate so that its sums stay in registers.
-    """
-    inner = hl.RDom([(-reach, 2 * reach + 1)], "inner")
-    u, v = (V, inner.x) if key.taps is Taps.VERTICAL else (inner.x, V)
-    row = hl.Func("row")
-    row[X, Y, V] = hl.Tuple([hl.f32(0.0)] * key.channels)
-    weight = expressions.exp2(log_weight[X, Y, u, v])
-    _add(row, (X, Y, V), _take(key, image, weight, X + u * spread, Y + v * spread))
-    return row, inner
-
-
-def _sum_pairs(key: PassKey, image: hl.Func, weights: hl.Func, reach: hl.Expr) -> tuple[hl.Func, hl.RDom]:
-    """Return the sums over a row of taps, added in pairs left and right of the pixel, and the pairs' distances."""
-    inner = hl.RDom([(1, reach)], "inner")
-    row = hl.Func("row")
-    row[X, Y, V] = hl.Tuple(_take(key, image, weights[X, Y, 0], X, Y))
-    after = _take(key, image, weights[X, Y, inner.x], X + inner.x, Y)
-    before = _take(key, image, weights[X - inner.x, Y, inner.x], X - inner.x, Y)
-    _add(row, (X, Y, V), [p + q for p, q in zip(after, before, strict=True)])
-    return row, inner
-
-
-def _write(key: PassKey, inputs: PassInputs, sums: hl.Func) -> tuple[hl.Func, hl.Func | None, hl.Func | None]:
-    """Return the outputs of a pass, ``out``, ``rest`` and ``finish`` of `PassFuncs`."""
-    values = [sums[X, Y][k] for k in range(key.channels)]
-    out = hl.Func("out")
+def _write(key: PassKey, inputs: PassInputs, sums: Sequence[hl.Expr]) -> list[hl.Func]:
+    """Return the output of a pass; if it writes several images, then the radiance, the others, and what all read."""
+    out, rest, finish = (hl.Func(name) for name in ("out", "rest", "finish"))
     if key.writes is Writes.SUMS:
-        out[X, C, Y] = hl.mux(C, values)
-        return out, None, None
-    alive = (inputs.mask[X, Y] != 0) & (values[WEIGHT] > hl.f32(0.0))
-    results = _divide(key, inputs, values)
+        out[X, C, Y] = hl.mux(C, sums)
+        return [out]
+    alive = (inputs.mask[X, Y] != 0) & (sums[WEIGHT] > hl.f32(0.0))
+    results = _divide(key, inputs, sums)
     if key.writes is Writes.PIXELS:
         out[C, X, Y] = hl.select(alive, hl.mux(C, results), hl.f32(0.0))
-        return out, None, None
-    finish, rest = hl.Func("finish"), hl.Func("rest")
+        return [out]
     finish[X, Y] = hl.Tuple([hl.select(alive, value, hl.f32(0.0)) for value in results])
     out[C, X, Y] = hl.mux(C, [finish[X, Y][k] for k in range(COLORS)])
     rest[X, Y] = hl.Tuple([finish[X, Y][k] for k in range(COLORS, len(results))])
-    return out, rest, finish
+    return [out, rest, finish]
 
 
 def _divide(key: PassKey, inputs: PassInputs, sums: Sequence[hl.Expr]) -> list[hl.Expr]:

@@ -1,8 +1,20 @@
-"""The dual-buffer filter: two halves of the samples, filtered by the same weights."""
+"""The dual-buffer filter: the cross-bilateral sum over two halves of the samples, both with the same weights.
+
+For both halves X, ``out_X(i) = sum_j w(i, j) I_X(j) / sum_j w(i, j)``, ``w = a_j place lobes^p exp(-E)``. a_j is
+the luminance of the albedo, so that the mean is the ratio of reflected radiance to albedo. ``place`` and ``lobes`` are
+the products of the similarities of two groups of features. E is the distance of the two pixels in a guide, an image
+that was filtered before. The difference of the filtered halves then shows their noise.
+
+The distance in the guide is equation 2 of Rousselle, Knaus and Zwicker 2012, "Adaptive Rendering with Non-Local Means
+Filtering": squared differences minus the part that noise explains, over the noise. Departs: compares pixels instead of
+patches, because the guide is a filtered image; uses one guide for both halves instead of each half's for the other,
+because a filtered pilot hardly depends on the noise of a single pixel, and one weight is less work than two
+(docs/research/quality_trials.md).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -11,21 +23,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise import engine
+from lobewise.backend import expressions
 from lobewise.backend.buffers import Image, returns_host_images, take_channel, take_image, take_mask
 from lobewise.backend.compiler import hl
+from lobewise.backend.expressions import LOG2_E
 from lobewise.backend.jit import Scheduled
-from lobewise.features.arrays import give_features, give_scalars
+from lobewise.backend.signature import Signature
+from lobewise.features.arrays import declare_features, declare_scalars, give_features, give_scalars
 from lobewise.features.base import Feature, describe_structure
-from lobewise.filters.cross_pass import COLORS
-from lobewise.filters.dual_buffer_pass import (
-    GUIDE_CHANNELS,
-    DualBufferKey,
-    Groups,
-    make_dual_buffer_pass,
-)
-from lobewise.filters.schedules.dual_buffer import schedule_dual_buffer
+from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS, demodulate, find_luminance
+from lobewise.filters.forms import Taps
+from lobewise.filters.planes import C, X, Y
 from lobewise.filters.scheduling import count_lanes
+from lobewise.filters.weigh import TapSums, U, V
 from lobewise.frame import FloatArray
+from lobewise.settings import LARGEST_RADIUS
+
+HALVES = 2
+GUIDE_CHANNELS = COLORS + 1
+"""Channels of a guide: three colours and their variance."""
+SUMS = COLORS + 2
+"""Sums of one half: weighted radiance, weight, squared weight."""
+PLANES = HALVES * (COLORS + 1)
+"""Planes of the images that taps read: the summands and the weight of each half."""
+NOISE_FLOOR = 1e-4
+"""Added to the variance that squared differences are divided by."""
+
+
+@dataclass(frozen=True)
+class DualBufferKey:
+    """Everything that changes the code of a dual-buffer pass."""
+
+    groups: tuple[tuple[Hashable, ...], ...]
+    """Structures of the features of `PassRequest.groups`."""
+    guided: bool
 
 
 class DualBufferOutput(NamedTuple):
@@ -56,7 +87,7 @@ class DualBufferOutput(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class PassRequest:
-    """Everything that one dual-buffer pass reads; see `lobewise.filters.dual_buffer_pass`.
+    """Everything that one dual-buffer pass reads; see this module.
 
     Parameters
     ----------
@@ -95,14 +126,14 @@ class PassRequest:
         return self.mask.shape[0], self.mask.shape[1]
 
     @property
-    def groups(self) -> Groups:
-        """The features by group."""
-        return Groups(self.place, self.lobes)
+    def groups(self) -> dict[str, Sequence[Feature]]:
+        """The features by group. The similarity of the lobes alone has an exponent."""
+        return {"place": self.place, "lobes": self.lobes}
 
     def make_key(self) -> DualBufferKey:
         """Return what the code of the pass depends on."""
         return DualBufferKey(
-            groups=tuple(tuple(describe_structure(feature) for feature in features) for features in self.groups),
+            groups=tuple(tuple(map(describe_structure, features)) for features in self.groups.values()),
             guided=self.guide is not None,
         )
 
@@ -117,7 +148,7 @@ class PassRequest:
             images["albedo"] = take_image("albedo", self.albedo, (*self.size, COLORS))
         if self.guide is not None:
             images["guide"] = take_image("guide", self.guide, (*self.size, GUIDE_CHANNELS))
-        for features in self.groups._asdict().items():
+        for features in self.groups.items():
             images |= give_features(*features, self.size)
         return images
 
@@ -130,7 +161,7 @@ class PassRequest:
             "noise": self.noise,
             "exponent": self.exponent,
         }
-        for name, features in self.groups._asdict().items():
+        for name, features in self.groups.items():
             numbers |= give_scalars(features, name)
         return numbers
 
@@ -139,13 +170,129 @@ class PassRequest:
 def filter_dual_buffer(request: PassRequest, text: str = "") -> DualBufferOutput:
     """Filter two halves of the samples by the same weights; ``text`` says in recorded plans what the pass does."""
     key = request.make_key()
-    make = partial(make_scheduled_dual_buffer, key, request.groups)
+    make = partial(make_dual_buffer, key, request.groups)
     written = engine.kernel(key, make, request.collect_images(), request.collect_numbers(), text=text)
     return DualBufferOutput(written["a"], written["b"], written["support"])
 
 
-def make_scheduled_dual_buffer(key: DualBufferKey, groups: Groups, target: hl.Target) -> Scheduled:
-    """Return a dual-buffer pass, ready to be compiled."""
-    funcs = make_dual_buffer_pass(key, groups, lanes=count_lanes(target))
-    schedule_dual_buffer(funcs, target)
-    return Scheduled([funcs.out], funcs.signature)
+class HalfSums(NamedTuple):
+    """The sums over the taps of a pixel, of one half."""
+
+    red: hl.Expr
+    green: hl.Expr
+    blue: hl.Expr
+    weight: hl.Expr
+    squared_weight: hl.Expr
+
+
+def make_dual_buffer(key: DualBufferKey, groups: Mapping[str, Sequence[Feature]], target: hl.Target) -> Scheduled:
+    """Return a dual-buffer pass."""
+    # Signature
+    signature, size = Signature("dual buffer"), ("height", "width")
+    tints, divided = signature.image("albedo", *size, COLORS), signature.count("divided", most=1)
+    halves = [signature.image(name, *size, COLORS) for name in ("half_a", "half_b")]
+    mask = signature.image("mask", *size, type=hl.UInt(8))
+    arrays = [declare_features(signature, name, features, *size) for name, features in groups.items()]
+    scalars = [declare_scalars(signature, features, name) for name, features in groups.items()]
+    radius, step = signature.count("radius", most=LARGEST_RADIUS), signature.count("step", 1)
+    given = signature.image("guide", *size, GUIDE_CHANNELS) if key.guided else None
+    noise, exponent = signature.number("noise"), signature.number("exponent")
+    for name in ("a", "b", "support"):
+        signature.output(name, *size, COLORS)
+
+    # Algorithm
+    albedo, out = hl.Func("albedo_or_one"), hl.Func("out")
+    albedo[C, X, Y] = hl.select(divided != 0, tints[C, X, Y], hl.f32(1.0))
+    taps = TapSums(mask, Taps.SQUARE, radius, step, count_lanes(target))
+    images = taps.read("images", PLANES, lambda at, usable: hl.mux(C, _read_halves(halves, albedo, at, usable)))
+    place, lobes = (taps.compare(*each) for each in zip(groups, groups.values(), scalars, arrays, strict=True))
+    log_weight = place + exponent * lobes
+    if given is not None:
+        guide = taps.read("guide", GUIDE_CHANNELS, lambda at, _: given[C, at[0], at[1]])
+        log_weight = log_weight - taps.stage(_find_distance(guide, step, noise))
+
+    def take(weight: hl.Expr, column: hl.Expr, line: hl.Expr) -> list[hl.Expr]:
+        taken: list[hl.Expr] = []
+        for first in range(0, PLANES, COLORS + 1):
+            counted = weight * images[column, first + COLORS, line]
+            taken += [*(weight * images[column, first + k, line] for k in range(COLORS)), counted, counted * counted]
+        return taken
+
+    sums = taps.add(log_weight, take)
+    found = _find_means([HalfSums(*sums[:SUMS]), HalfSums(*sums[SUMS:])], _find_share(albedo, (X, Y)))
+    out[C, X, Y] = hl.Tuple([hl.select(mask[X, Y] != 0, hl.mux(C, image), hl.f32(0.0)) for image in found])
+
+    # Schedule
+    taps.schedule(out, COLORS)
+    return Scheduled([out], signature)
+
+
+def _read_halves(
+    halves: Sequence[hl.ImageParam], albedo: hl.Func, at: tuple[hl.Expr, hl.Expr], usable: hl.Expr
+) -> list[hl.Expr]:
+    """Return the planes of each half: radiance over albedo times the albedo's luminance, and the luminance as weight.
+
+    All are 0 for a bad pixel.
+    """
+    values: list[hl.Expr] = []
+    for half in halves:
+        radiance, good = demodulate(half, albedo, at, hl.f32(ALBEDO_FLOOR))
+        share = _find_share(albedo, at)
+        radiance = _fill_unknown(radiance, [albedo[k, at[0], at[1]] for k in range(COLORS)])
+        values += [hl.select(good & usable, value * share, hl.f32(0.0)) for value in (*radiance, hl.f32(1.0))]
+    return values
+
+
+def _find_distance(guide: hl.Func, step: hl.Expr, noise: hl.Expr) -> hl.Expr:
+    """Return the distance of a pixel and a tap in the guide: beyond noise, in units of noise, times log2(e).
+
+    ``noise`` is the factor of the variance.
+    """
+    there = X + U * step, Y + V * step
+    own_noise, other_noise = (guide[at[0], COLORS, at[1]] for at in ((X, Y), there))
+    explained = hl.f32(COLORS) * (own_noise + hl.min(own_noise, other_noise))
+    scale = hl.f32(LOG2_E / COLORS) / (hl.f32(NOISE_FLOOR) + noise * (own_noise + other_noise))
+    changes = [guide[X, k, Y] - guide[there[0], k, there[1]] for k in range(COLORS)]
+    squares = sum((change * change for change in changes), hl.f32(0.0))
+    return hl.max(squares - explained, hl.f32(0.0)) * scale
+
+
+def _fill_unknown(light: Sequence[hl.Expr], tints: Sequence[hl.Expr]) -> list[hl.Expr]:
+    """Return light whose channels with an albedo of almost 0 are replaced by the mean of the other channels."""
+    known = [tint > hl.f32(ALBEDO_FLOOR) for tint in tints]
+    count = sum((hl.f32(each) for each in known), hl.f32(0.0))
+    told = [hl.select(each, value, hl.f32(0.0)) for each, value in zip(known, light, strict=True)]
+    mean = sum(told, hl.f32(0.0)) / hl.max(count, hl.f32(1.0))
+    return [hl.select(each, value, mean) for each, value in zip(known, light, strict=True)]
+
+
+def _find_share(albedo: hl.Func, at: tuple[hl.Expr, hl.Expr]) -> hl.Expr:
+    """Return the luminance of the albedo at a pixel; bad channels count as 0."""
+    tints = [albedo[k, at[0], at[1]] for k in range(COLORS)]
+    return find_luminance([hl.select(expressions.is_bad(tint), hl.f32(0.0), tint) for tint in tints])
+
+
+def _find_means(halves: Sequence[HalfSums], share: hl.Expr) -> list[list[hl.Expr]]:
+    """Return the output images. A half whose weights are all 0 takes the mean of the other half."""
+    zero, one = hl.f32(0.0), hl.f32(1.0)
+    totals = [half.weight for half in halves]
+    means = [[hl.select(half.weight > zero, value / half.weight, zero) for value in half[:COLORS]] for half in halves]
+    # If the squares underflow before the sum does, one far tap dominates, which is one sample.
+    spreads = [
+        hl.select(
+            (half.weight > zero) & (half.squared_weight > zero),
+            half.squared_weight / (half.weight * half.weight),
+            one,
+        )
+        for half in halves
+    ]
+    found = [
+        [hl.select(totals[half] > zero, means[half][k], means[1 - half][k]) for k in range(COLORS)]
+        for half in range(HALVES)
+    ]
+    weight = hl.f32(0.5) * (totals[0] + totals[1]) / hl.max(share, hl.f32(ALBEDO_FLOOR))
+    # If one half is empty, both means are the other half's. The empty half has the larger spread.
+    some, both = (totals[0] > zero) | (totals[1] > zero), (totals[0] > zero) & (totals[1] > zero)
+    alone = hl.select(some, one / hl.min(spreads[0], spreads[1]), zero)
+    worth = hl.select(both, hl.f32(4.0) / (spreads[0] + spreads[1]), alone)
+    return [*found, [weight, worth, zero]]

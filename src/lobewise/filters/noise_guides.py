@@ -17,7 +17,7 @@ from lobewise.backend.pointwise import LARGEST_FLOAT
 from lobewise.backend.signature import Signature
 from lobewise.engine.numbers import choose_larger
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS, demodulate, find_luminance
-from lobewise.filters.dual_buffer_pass import GUIDE_CHANNELS
+from lobewise.filters.dual_buffer import GUIDE_CHANNELS
 from lobewise.filters.planes import C, X, Y
 from lobewise.filters.scheduling import COLUMNS, ROWS, STRIP, count_lanes, keep_planes, keep_rows, schedule_stencil
 from lobewise.frame import FloatArray

@@ -12,9 +12,9 @@ from lobewise.backend.compiler import declare_vars, hl
 from lobewise.backend.signature import Signature
 from lobewise.features.arrays import declare_features, declare_scalars
 from lobewise.features.base import Feature, Stage
-from lobewise.filters.cross_pass import make_stage
 from lobewise.filters.history.vectors import Pixels, Place
 from lobewise.filters.planes import C, GuidePlanes, X, Y, make_guide_planes
+from lobewise.filters.weigh import make_stage
 
 U, V = declare_vars("u", "v")
 """Offset of a tap, samples across and down."""

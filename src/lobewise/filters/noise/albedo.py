@@ -21,9 +21,10 @@ from lobewise.backend.expressions import LOG2_E
 from lobewise.backend.jit import Scheduled
 from lobewise.backend.signature import Signature
 from lobewise.engine.here import HERE
-from lobewise.filters.cross_pass import COLORS, U, V
+from lobewise.filters.cross_pass import COLORS
 from lobewise.filters.planes import C, X, Y
 from lobewise.filters.scheduling import STRIP_ROWS, keep_rows
+from lobewise.filters.weigh import U, V
 from lobewise.frame import FloatArray
 
 RADIUS = 4
