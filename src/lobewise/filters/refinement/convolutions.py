@@ -6,21 +6,25 @@ read as `Reading` says. Outside the image every input is 0.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import IntEnum
 from functools import reduce
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from lobewise import engine
 from lobewise.backend.compiler import hl
 from lobewise.backend.jit import Scheduled
 from lobewise.backend.signature import Signature
 from lobewise.filters.planes import C, X, Y, clamp_likely
 from lobewise.filters.refinement.shape import BLOCK, WEIGHT_ROWS
-from lobewise.filters.schedules.refinement import Convolution, Copy, schedule_convolution
+from lobewise.filters.scheduling import ALIGNMENT, count_lanes, spread_pixels
 
 LEAK = 0.1
 """Slope of the activation below 0 (leaky ReLU)."""
 MAX_SIDE = 3
 """Largest side of the square of taps, pixels."""
+VECTORS_ACROSS = 3
+"""Vectors of columns whose sums a thread of a processor keeps in registers."""
 
 
 class Reading(IntEnum):
@@ -48,6 +52,7 @@ def make_convolution(target: hl.Target) -> Scheduled:
 
     Its images may have more columns than the level. What stands there means nothing.
     """
+    # Signature
     signature = Signature("convolution of the refining network")
     first = signature.image("first", "first_height", "first_channels", "first_columns")
     second = signature.image("second", "second_height", "second_channels", "second_columns")
@@ -58,14 +63,15 @@ def make_convolution(target: hl.Target) -> Scheduled:
     taken = signature.count("channels_of_second")
     strip = signature.count("strip_rows", 1)
     signature.output("out", "height", "channels", "columns")
-    size = Size(height, width)
-    own = first.dim(1).extent()
-    inputs = (
-        Copy(_read_first(first, reading, first_width, size), hl.select(reading == Reading.BLOCKS.value, 4 * own, own)),
-        Copy(surround(second, size, "second_near"), taken),
-    )
-    sums, out, before, domains = hl.Func("sums"), hl.Func("out"), hl.i32(0), []
-    row = start + C // BLOCK * (1 + side * side * (inputs[0].channels + inputs[1].channels))
+
+    # Algorithm
+    size, own = Size(height, width), first.dim(1).extent()
+    inputs = [
+        (_read_first(first, reading, first_width, size), hl.select(reading == Reading.BLOCKS.value, 4 * own, own)),
+        (surround(second, size, "second_near"), taken),
+    ]
+    sums, out, before = hl.Func("sums"), hl.Func("out"), hl.i32(0)
+    row = start + C // BLOCK * (1 + side * side * (inputs[0][1] + inputs[1][1]))
     sums[X, C, Y] = weights[C % BLOCK, row]
     for number, (source, channels) in enumerate(inputs):
         taps = hl.RDom([(0, side), (0, side), (0, channels)], f"taps{number}")
@@ -73,11 +79,59 @@ def make_convolution(target: hl.Target) -> Scheduled:
         near = source[X + taps.x - side // 2, taps.z, Y + taps.y - side // 2]
         sums[X, C, Y] = sums[X, C, Y] + weights[C % BLOCK, row + 1 + place] * near
         before = channels
-        domains.append(taps)
     out[X, C, Y] = hl.max(sums[X, C, Y], hl.f32(LEAK) * sums[X, C, Y])
-    cases = [reading == each.value for each in Reading if each is not Reading.BLOCKS]
-    schedule_convolution(Convolution(inputs, tuple(domains), sums, out), strip, cases, BLOCK, target)
+
+    # Schedule
+    chosen = [reading == each.value for each in Reading if each is not Reading.BLOCKS]
+    if target.has_gpu_feature():
+        _spread(out, sums, chosen)
+    else:
+        _vectorize(out, sums, inputs, strip, target)
+        for case in chosen:
+            inputs[0][0].specialize(case)
     return Scheduled([out], signature)
+
+
+def _vectorize(
+    out: hl.Func, sums: hl.Func, inputs: Sequence[tuple[hl.Func, hl.Expr]], strip: hl.Expr, target: hl.Target
+) -> None:
+    """Run strips of rows in parallel. Keep the sums of some vectors and channels in a thread's registers."""
+    lanes, whole = count_lanes(target), hl.TailStrategy.RoundUp
+    # There are 16 or 32 registers.
+    together = 8 if target.arch == hl.TargetArch.ARM or lanes > 8 else 4
+    ys, yi, xo, xi, co, ci = (hl.Var(name) for name in ("ys", "yi", "xo", "xi", "co", "ci"))
+    out.split(Y, ys, yi, strip, hl.TailStrategy.GuardWithIf).split(X, xo, xi, lanes * VECTORS_ACROSS, whole)
+    out.split(C, co, ci, together, whole).reorder(xi, ci, co, xo, yi, ys)
+    out.vectorize(xi, lanes).unroll(xi).unroll(ci).parallel(ys).never_partition_all()
+    sums.compute_at(out, co).reorder_storage(X, C, Y).reorder(X, C, Y).never_partition_all()
+    for stage in (sums, *(sums.update(number) for number in range(len(inputs)))):
+        stage.vectorize(X, lanes).unroll(X).unroll(C)
+    for number, (source, channels) in enumerate(inputs):
+        sums.update(number).reorder(X, C, *sums.rvars(number), Y)
+        keep_copy(source, channels, (out, ys), lanes)
+
+
+def keep_copy(func: hl.Func, channels: int | hl.Expr, at: tuple[hl.Func, hl.Var], lanes: int) -> None:
+    """Compute what taps read in a loop of a function, plane by plane in each row."""
+    func.compute_at(*at).reorder_storage(X, C, Y).reorder(X, C, Y)
+    func.bound(C, 0, channels).vectorize(X, lanes).never_partition([Y, C])
+
+
+def _spread(out: hl.Func, sums: hl.Func, cases: Sequence[hl.Expr]) -> None:
+    """On graphics cards keep the sums of a block of channels of a pixel in one thread's registers."""
+    co, ci = hl.Var("co"), hl.Var("ci")
+    out.split(C, co, ci, BLOCK, hl.TailStrategy.RoundUp).reorder(ci, X, Y, co).unroll(ci)
+    sums.compute_at(out, spread_pixels(out, X, Y)).unroll(C)
+    out.gpu_blocks(co)
+    for number in range(sums.num_update_definitions()):
+        sums.update(number).reorder(C, *sums.rvars(number), X, Y).unroll(C)
+    for case in cases:
+        out.specialize(case)
+
+
+def pad_columns(width: Any) -> Any:
+    """Return the columns of an image of the network, so that kernels compute whole blocks of a row."""
+    return engine.pad(width, VECTORS_ACROSS * engine.get_engine().lanes or ALIGNMENT)
 
 
 def surround(source: hl.ImageParam, size: Size, name: str) -> hl.Func:

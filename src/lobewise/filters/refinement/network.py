@@ -16,10 +16,9 @@ from lobewise.backend.buffers import Image
 from lobewise.backend.compiler import hl
 from lobewise.backend.jit import Scheduled
 from lobewise.filters.cross_pass import COLORS
-from lobewise.filters.refinement.convolutions import Reading, make_convolution
-from lobewise.filters.refinement.pyramid import SUMS, make_averages, make_filter, make_sums
+from lobewise.filters.refinement.convolutions import Reading, make_convolution, pad_columns
+from lobewise.filters.refinement.pyramid import STRIP_ROWS, SUMS, make_averages, make_filter, make_sums
 from lobewise.filters.refinement.shape import LAYERS, LEVELS
-from lobewise.filters.schedules.refinement import STRIP_ROWS, pad_columns
 from lobewise.frame import FloatArray
 
 SMALL_LEVEL, SMALL_STRIP_ROWS = 3, 2

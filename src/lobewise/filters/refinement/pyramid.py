@@ -19,7 +19,7 @@ from lobewise.backend.pointwise import LARGEST_FLOAT
 from lobewise.backend.signature import Signature
 from lobewise.filters.cross_pass import COLORS
 from lobewise.filters.planes import C, X, Y, clamp_likely
-from lobewise.filters.refinement.convolutions import Size, surround
+from lobewise.filters.refinement.convolutions import Size, keep_copy, surround
 from lobewise.filters.refinement.shape import (
     BLOCK,
     COARSE_SIDE,
@@ -32,14 +32,7 @@ from lobewise.filters.refinement.shape import (
     VECTORS,
     WEIGHT_ROWS,
 )
-from lobewise.filters.schedules.refinement import (
-    Copy,
-    Filter,
-    Head,
-    schedule_averages,
-    schedule_filter,
-    schedule_sums,
-)
+from lobewise.filters.scheduling import count_lanes, spread_channels, spread_pixels
 
 MAX_LOGIT = 20.0
 """Bound of the natural logarithm of a learned weight, on both sides."""
@@ -51,34 +44,51 @@ SOURCE_BIAS = 2.0
 """Added before the logistic function, so that an untrained source weight is near 1."""
 SUMS = COLORS + 1
 """Weighted light and weight of the noisy image; the filtered image has as many."""
+STRIP_ROWS, LOGITS_TOGETHER = 8, 8
+"""Rows that a thread of a processor takes at a time, and logits of one vector whose sums it keeps in registers."""
 
 
 def make_sums(target: hl.Target) -> Scheduled:
     """Return the kernel of the finest level's sums: weighted light and weight of the noisy image, then the filtered."""
+    # Signature
     signature = Signature("sums of the refining network")
     features = signature.image("features", "height", UNITS[0], "columns")
     light = signature.image("light", "height", 2 * COLORS, "width")
     weights = signature.image("weights", WEIGHT_ROWS, BLOCK)
     signature.output("sums", "height", 2 * SUMS, "columns")
-    head = _define_head(features, weights, hl.i32(LAYERS["heads.0"].start))
+
+    # Algorithm
+    logits = _define_logits(features, weights, hl.i32(LAYERS["heads.0"].start))
     given, sums = hl.Func("light_near"), hl.Func("sums")
     given[X, C, Y] = light[clamp_likely(X, light.dim(0).extent()), C, Y]
     values: list[hl.Expr] = []
     for number in range(2):
-        logit = head.sums[X, HEAD.sources + number, Y] + hl.f32(SOURCE_BIAS)
+        logit = logits[X, HEAD.sources + number, Y] + hl.f32(SOURCE_BIAS)
         weight = hl.f32(MIN_SOURCE) + _find_logistic(logit)
         values += [weight * given[X, COLORS * number + k, Y] for k in range(COLORS)] + [weight]
     sums[X, C, Y] = hl.mux(C, values)
-    schedule_sums(head, Copy(given, 2 * COLORS), Copy(sums, 2 * SUMS), target)
+
+    # Schedule
+    if target.has_gpu_feature():
+        _spread_logits(logits, sums, spread_channels(sums, 2 * SUMS))
+    else:
+        lanes = count_lanes(target)
+        strip, vector = _spread_vectors(sums, 2 * SUMS, lanes, hl.TailStrategy.RoundUp)
+        logits.compute_at(sums, vector).reorder_storage(X, C, Y).reorder(X, C, Y).vectorize(X, lanes).unroll(C)
+        logits.update().reorder(X, C, *logits.rvars(), Y).vectorize(X, lanes).unroll(C)
+        keep_copy(given, 2 * COLORS, (sums, strip), lanes)
     return Scheduled([sums], signature)
 
 
 def make_averages(target: hl.Target) -> Scheduled:
     """Return the kernel of the next level's sums or vectors: means of four pixels; pixels outside count 0."""
+    # Signature
     signature = Signature("averages of the refining network")
     source = signature.image("source", "source_height", "channels", "source_columns")
     source_width = signature.count("source_width", 1)
     signature.output("averages", "height", "channels", "columns")
+
+    # Algorithm
     averages, total, height = hl.Func("averages"), hl.f32(0.0), source.dim(2).extent()
     for down in range(2):
         for across in range(2):
@@ -86,12 +96,20 @@ def make_averages(target: hl.Target) -> Scheduled:
             value = source[hl.min(hl.likely(x), source_width - 1), C, hl.min(y, height - 1)]
             total = total + hl.select((x < source_width) & (y < height), value, hl.f32(0.0))
     averages[X, C, Y] = hl.f32(0.25) * total
-    schedule_averages(averages, target)
+
+    # Schedule
+    if target.has_gpu_feature():
+        spread_pixels(averages.reorder(X, Y, C), X, Y)
+        averages.gpu_blocks(C)
+    else:
+        averages.reorder(X, C, Y).vectorize(X, count_lanes(target), hl.TailStrategy.RoundUp).parallel(Y)
+        averages.never_partition([Y, C])
     return Scheduled([averages], signature)
 
 
 def make_filter(target: hl.Target) -> Scheduled:
     """Return the kernel that filters a level. ``has_above`` is 1 if there is a level above, else 0."""
+    # Signature
     signature = Signature("filter of the refining network")
     features = signature.image("features", "height", "units", "columns")
     sums = signature.image("sums", "height", 2 * SUMS, "sums_columns")
@@ -102,30 +120,64 @@ def make_filter(target: hl.Target) -> Scheduled:
     start, width = signature.count("start", 0, WEIGHT_ROWS - 1), signature.count("width", 1)
     has_above = signature.count("has_above", 0, 1)
     signature.output("filtered", "height", "width", COLORS)
+
+    # Algorithm
     size = Size(features.dim(2).extent(), width)
-    head = _define_head(features, weights, start)
+    logits = _define_logits(features, weights, start)
     light, compared = surround(sums, size, "sums_near"), surround(vectors, size, "vectors_near")
-    larger, tinted = _enlarge_above(above, has_above), hl.Func("tint_near")
+    larger, tinted, out = _enlarge_above(above, has_above), hl.Func("tint_near"), hl.Func("filtered")
     tinted[X, C, Y] = tint[C, clamp_likely(X, tint.dim(1).extent()), hl.min(Y, tint.dim(2).extent() - 1)]
-    exponents = _define_exponents(head.sums)
-    total, taps = _define_total(head.sums, exponents, light, compared, larger)
-    out = hl.Func("filtered")
+    exponents = _define_exponents(logits)
+    total = _define_total(logits, exponents, light, compared, larger)
     mean = hl.mux(C, [total[X, Y][k] / total[X, Y][COLORS] for k in range(COLORS)])
     out[C, X, Y] = hl.min(mean * tinted[X, C, Y], hl.f32(LARGEST_FLOAT))
-    near = (Copy(light, 2 * SUMS), Copy(compared, VECTORS), Copy(larger, SUMS), Copy(tinted, COLORS))
-    groups = Copy(exponents, len(GROUPS))
-    schedule_filter(Filter(head, near, groups, total, taps, Copy(out, COLORS)), target)
+
+    # Schedule
+    exponents.bound(C, 0, len(GROUPS))
+    if target.has_gpu_feature():
+        thread = spread_channels(out, COLORS)
+        _spread_logits(logits, out, thread)
+        exponents.compute_at(out, thread).unroll(C)
+        total.compute_at(out, thread)
+        return Scheduled([out], signature)
+    lanes = count_lanes(target)
+    strip, vector = _spread_vectors(out, COLORS, lanes, hl.TailStrategy.GuardWithIf)
+    co, ci = hl.Var("co"), hl.Var("ci")
+    for stage in (logits.compute_at(out, vector).reorder_storage(X, C, Y), logits.update()):
+        stage.split(C, co, ci, LOGITS_TOGETHER).vectorize(X, lanes).unroll(ci)
+    logits.reorder(X, ci, co, Y)
+    logits.update().reorder(X, ci, *logits.rvars(), co, Y)
+    exponents.compute_at(out, vector).reorder_storage(X, C, Y).reorder(C, X, Y).vectorize(X, lanes).unroll(C)
+    total.compute_at(out, vector).vectorize(X, lanes)
+    for number in range(total.num_update_definitions()):
+        total.update(number).reorder(X, *total.rvars(number), Y).vectorize(X, lanes)
+    for func, channels in ((light, 2 * SUMS), (compared, VECTORS), (larger, SUMS), (tinted, COLORS)):
+        keep_copy(func, channels, (out, strip), lanes)
     return Scheduled([out], signature)
 
 
-def _define_head(features: hl.ImageParam, weights: hl.ImageParam, start: hl.Expr) -> Head:
-    """Return the logits; ``start`` is the first row of their weights."""
+def _spread_vectors(out: hl.Func, channels: int, lanes: int, tail: hl.TailStrategy) -> tuple[hl.Var, hl.Var]:
+    """Run strips of rows in parallel, and all channels of a vector together. Return both loops."""
+    ys, yi, xo, xi = (hl.Var(name) for name in ("ys", "yi", "xo", "xi"))
+    out.bound(C, 0, channels).split(Y, ys, yi, STRIP_ROWS, hl.TailStrategy.GuardWithIf)
+    out.split(X, xo, xi, lanes, tail).reorder(C, xi, xo, yi, ys)
+    out.vectorize(xi).unroll(C).parallel(ys).never_partition_all()
+    return ys, xo
+
+
+def _spread_logits(logits: hl.Func, out: hl.Func, thread: hl.Var) -> None:
+    """On graphics cards compute the logits of a pixel in its thread."""
+    logits.compute_at(out, thread).update().reorder(C, *logits.rvars(), X, Y)
+
+
+def _define_logits(features: hl.ImageParam, weights: hl.ImageParam, start: hl.Expr) -> hl.Func:
+    """Return the convolution that gives the logits of a pixel; ``start`` is the first row of its weights."""
     channels, sums = features.dim(1).extent(), hl.Func("logits")
     row = start + C // BLOCK * (1 + channels)
     taps = hl.RDom([(0, channels)], "units")
     sums[X, C, Y] = weights[C % BLOCK, row]
     sums[X, C, Y] = sums[X, C, Y] + weights[C % BLOCK, row + 1 + taps.x] * features[X, taps.x, Y]
-    return Head(sums, taps)
+    return sums
 
 
 def _find_logistic(value: hl.Expr) -> hl.Expr:
@@ -135,11 +187,9 @@ def _find_logistic(value: hl.Expr) -> hl.Expr:
     return hl.select(value >= hl.f32(0.0), high, small * high)
 
 
-def _define_total(
-    logits: hl.Func, exponents: hl.Func, light: hl.Func, compared: hl.Func, larger: hl.Func
-) -> tuple[hl.Func, list[hl.RDom]]:
-    """Return the sums of weighted light and weight over all taps, and the domain of each kind of tap."""
-    total, domains = hl.Func("total"), []
+def _define_total(logits: hl.Func, exponents: hl.Func, light: hl.Func, compared: hl.Func, larger: hl.Func) -> hl.Func:
+    """Return the sums of weighted light and weight over all taps."""
+    total = hl.Func("total")
     total[X, Y] = hl.Tuple([hl.f32(0.0)] * SUMS)
     for number, (side, first) in enumerate(((NOISY_SIDE, HEAD.noisy), (FILTERED_SIDE, HEAD.filtered))):
         taps = hl.RDom([(0, side), (0, side)], f"taps{number}")
@@ -147,13 +197,12 @@ def _define_total(
         distance = _find_distance(exponents, compared, (x, y))
         weight = _find_weight(logits[X, first + taps.y * side + taps.x, Y], distance)
         _add(total, [weight * light[x, SUMS * number + k, y] for k in range(SUMS)])
-        domains.append(taps)
     taps = hl.RDom([(0, COARSE_SIDE), (0, COARSE_SIDE)], "taps_above")
     # The pixels around a pixel's parent are two columns or rows apart in the enlarged level.
     x, y = X + 2 * (taps.x - 1), Y + 2 * (taps.y - 1)
     weight = _find_weight(logits[X, HEAD.coarse + taps.y * COARSE_SIDE + taps.x, Y], hl.f32(0.0))
     _add(total, [weight * larger[x, k, y] for k in range(SUMS)])
-    return total, [*domains, taps]
+    return total
 
 
 def _add(total: hl.Func, terms: list[hl.Expr]) -> None:
