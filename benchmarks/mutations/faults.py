@@ -131,8 +131,8 @@ DENOISING = (
     Mutation(
         "a light group that is not finite at a pixel stays so",
         "filters/glue.py",
-        "_select_bits(is_finite(value) & taken, value, part)",
-        "_select_bits(taken, value, part)",
+        "select_bits(is_finite(value) & taken, value, part)",
+        "select_bits(taken, value, part)",
         ("denoising/test_also.py",),
     ),
     Mutation(
@@ -279,8 +279,8 @@ EXPORTING = (
     Mutation(
         "exported pipelines forget the light of highlights",
         "filters/glue.py",
-        "_select_bits(lit, value + more, value)",
-        "_select_bits(lit, value, value)",
+        "select_bits(lit, value + more, value)",
+        "select_bits(lit, value, value)",
         ("exporting/test_pipeline_balanced.py", "exporting/test_pipeline.py"),
     ),
 )

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lobewise
-from lobewise.denoising import evidence, stages
+from lobewise.denoising import chain, evidence
 from lobewise.denoising.evidence import (
     STRIP_ROWS,
     count_blurred,
@@ -142,7 +142,7 @@ def test_a_texture_that_no_guide_tells_comes_back(
     assert rel_mse(lobewise.denoise(frame, quality=quality).image, truth) < most * noise
     if (quality, pattern) == ("high", "stripes"):
         return  # the refining network keeps stripes itself
-    monkeypatch.setattr(stages, "find_share_lost", lambda samples, *_, **__: np.zeros(samples.shape[:2], np.float32))
+    monkeypatch.setattr(chain, "find_share_lost", lambda samples, *_, **__: np.zeros(samples.shape[:2], np.float32))
     assert rel_mse(lobewise.denoise(frame, quality=quality).image, truth) > 3.0 * noise
 
 
