@@ -40,12 +40,12 @@ def test_other_images_are_filtered_by_the_guides_of_the_layer() -> None:
     settings = resolve(frame, similarity="normal")
     for noisy in make_noisy_layers(frame, settings, ()):
         clean = filter_layer_halves(frame, noisy, settings, keep_guides=True)
-        guides = find_guides(frame, noisy, settings)
+        guides = find_guides(noisy, settings)
         assert len(guides) == len(list_layer_passes(noisy, settings))
         for kept, found in zip(clean.guides, guides, strict=True):
             np.testing.assert_array_equal(download(kept), download(found))
         # The layer's own halves come out as the layer did.
-        output = run_last_passes(frame, noisy, settings, guides)
+        output = run_last_passes(noisy, settings, guides)
         image, _ = finish_layer(frame, noisy, (output.a, output.b), output.support)
         np.testing.assert_allclose(image, clean.image, rtol=1e-5)
 

@@ -107,7 +107,7 @@ def _make_filters(frame: Frame, settings: ResolvedSettings, features: Sequence[F
         return [partial(filter_by_layer, each, settings) for each in layers]
     found: list[Filter] = []
     for each in make_noisy_layers(frame, settings, features):
-        guides = find_guides(frame, each, settings)
+        guides = find_guides(each, settings)
         found.append(partial(filter_by_halves, frame, each, settings, guides, join_halves(each)))
     return found
 
@@ -178,7 +178,7 @@ def filter_by_halves(
         halves = [mark_bad(image) for image in rest]
         # Both images are samples of every pixel, even where the layer itself has no halves.
         both = replace(noisy, samples=(halves[0], halves[-1]), is_whole=True)
-        output = run_last_passes(frame, both, settings, guides)
+        output = run_last_passes(both, settings, guides)
         for image, highlight, light in zip(pair, kept, (output.a, output.b), strict=False):
             mine = replace(both, layer=replace(noisy.layer, radiance=image), kept=highlight)
             found.append((finish_layer(frame, mine, (light,), output.support)[0], image))

@@ -106,9 +106,11 @@ def _name_similarity(settings: ResolvedSettings) -> str:
     return f"similarity {settings.similarity!r}"
 
 
-def make_position_features(frame: AnyFrame, settings: ResolvedSettings) -> list[Feature]:
+def make_position_features(frame: AnyFrame, settings: ResolvedSettings) -> list[ScreenFeature | PositionFeature]:
     """Return the features that compare places: on the screen, and in the scene where the frame tells them."""
-    features: list[Feature] = [] if settings.form == "atrous" else [ScreenFeature(settings.screen_sigma)]
+    features: list[ScreenFeature | PositionFeature] = []
+    if settings.form != "atrous":
+        features.append(ScreenFeature(settings.screen_sigma))
     if frame.camera is not None and frame.gbuffer.is_placed:
         place, depth = find_places(frame.gbuffer, frame.camera)
         pixel_angle = frame.camera.get_pixel_angle(frame.height)

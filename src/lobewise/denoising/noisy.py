@@ -13,7 +13,7 @@ from lobewise.backend.buffers import Image, download
 from lobewise.denoising.automatic import AUTO_SIGMA
 from lobewise.denoising.layers import Layer, compare_specular, make_lobe_layers, make_position_features
 from lobewise.engine.numbers import choose_larger
-from lobewise.features import Feature, SeenFeature
+from lobewise.features import Feature, PositionFeature, ScreenFeature, SeenFeature
 from lobewise.filters.dual_buffer import PassRequest, filter_dual_buffer
 from lobewise.filters.fireflies import BoundedHalves, bound_fireflies
 from lobewise.filters.glue import define_joined_colours, define_joined_halves, define_near_hits, define_shifted
@@ -24,7 +24,6 @@ from lobewise.frame import FloatArray, Frame
 from lobewise.guides.halves import find_halves
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_similarity
-from lobewise.sparse_frame import AnyFrame
 
 SEEN_RADIUS, SEEN_SIGMA = 1, 3.0
 """Kernel that averages the guides of reflected surfaces: radius and standard deviation, pixels."""
@@ -33,6 +32,10 @@ SEEN_ALBEDO, SEEN_NORMAL = 8.0, 2.0
 MAX_MIRROR_ALPHA = 0.01
 """Roughness alpha up to which a lobe counts as a mirror: all samples of a pixel hit one surface
 (docs/research/quality_trials.md)."""
+
+
+Places = Sequence[ScreenFeature | PositionFeature]
+"""Features of place."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,6 +75,8 @@ class NoisyLayer(BoundedLayer):
 
     Parameters
     ----------
+    places : sequence of Feature
+        Where pixels are, on the screen and in the scene.
     pilot_features : tuple of Feature
         What the pilot compares: a single lobe instead of a covariance, which tells as much to so narrow a pass.
     seen : tuple of Feature
@@ -84,6 +89,7 @@ class NoisyLayer(BoundedLayer):
         Light of highlights. No sample holds it; it is added to the result.
     """
 
+    places: Places
     pilot_features: tuple[Feature, ...]
     seen: tuple[Feature, ...]
     level: float
@@ -135,7 +141,7 @@ def make_noisy_layers(
     levels : sequence of float, optional
         Levels of the layers of the whole image, where the frame is a part of it.
     """
-    found = []
+    found, places = [], make_position_features(frame, settings)
     bounded = make_bounded_layers(frame, settings)
     for number, bright in enumerate(bounded):
         level = levels[number] if levels is not None else find_layer_level(bright)
@@ -160,8 +166,9 @@ def make_noisy_layers(
                 bounded=each.bounded,
                 is_whole=each.is_whole,
                 noise_is_shared=each.noise_is_shared,
+                places=places,
                 pilot_features=(*pilot, *extra),
-                seen=find_seen(frame, layer.mask, settings) if is_specular else (),
+                seen=find_seen(frame, layer.mask, scale_places(places, settings, SEEN_SIGMA)) if is_specular else (),
                 level=level,
                 samples=each.halves if each.is_whole else _find_samples(each),
                 kept=engine.some(download(kept)),
@@ -186,7 +193,7 @@ def _find_samples(each: BoundedLayer) -> tuple[Image, Image]:
     return image, find_squared_residual(image, each.layer.albedo, each.layer.mask, shared=each.noise_is_shared)
 
 
-def find_seen(frame: Frame, mask: NDArray[np.bool_], settings: ResolvedSettings) -> tuple[Feature, ...]:
+def find_seen(frame: Frame, mask: NDArray[np.bool_], place: Sequence[Feature]) -> tuple[Feature, ...]:
     """Return the feature that compares the surfaces that reflections show; nothing where the frame does not tell them.
 
     The surfaces that few samples hit are as noisy as the radiance, so their guides are averaged over near pixels.
@@ -198,7 +205,6 @@ def find_seen(frame: Frame, mask: NDArray[np.bool_], settings: ResolvedSettings)
         return ()
     # A pass takes no negative values: shift the normals, and shift them back below.
     (shifted,) = engine.pixels(define_shifted, {"normal": normal}, {}, names=["shifted_hits"])
-    place = make_pass_features(frame, settings, SEEN_SIGMA)
     request = PassRequest(halves=(albedo, shifted), mask=mask, place=place, radius=SEEN_RADIUS)
     mean = filter_dual_buffer(request)
     widths = {"alpha_u": frame.gbuffer.alpha_u, "alpha_v": frame.gbuffer.alpha_v}
@@ -208,11 +214,11 @@ def find_seen(frame: Frame, mask: NDArray[np.bool_], settings: ResolvedSettings)
     return (SeenFeature(near_albedo, near_normal, albedo_sharpness=SEEN_ALBEDO, normal_sharpness=SEEN_NORMAL),)
 
 
-def make_pass_features(frame: AnyFrame, settings: ResolvedSettings, sigma: float) -> list[Feature]:
-    """Return the features of place of a pass.
+def scale_places(places: Places, settings: ResolvedSettings, sigma: float) -> list[Feature]:
+    """Return the features of place of a pass from those of `make_position_features`.
 
     ``sigma`` is the standard deviation of the distance at radius 8 of the settings, pixels and footprints.
     """
     screen = choose_larger(sigma * settings.screen_sigma / AUTO_SIGMA, 0.5)
     position = screen * settings.position_sigma / DenoiseSettings.position_sigma
-    return make_position_features(frame, replace(settings, screen_sigma=screen, position_sigma=position))
+    return [replace(each, sigma=screen if isinstance(each, ScreenFeature) else position) for each in places]

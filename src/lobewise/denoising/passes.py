@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 from lobewise import engine
 from lobewise.backend.buffers import Image, download
-from lobewise.denoising.noisy import NoisyLayer, make_pass_features
+from lobewise.denoising.noisy import NoisyLayer, scale_places
 from lobewise.filters.compositing import composite_light
 from lobewise.filters.dual_buffer import DualBufferOutput, PassRequest, filter_dual_buffer
 from lobewise.filters.glue import define_lit, define_with_highlights
@@ -141,7 +141,7 @@ def filter_layer_halves(
     for number, each in enumerate(list_layer_passes(noisy, settings)):
         with engine.part(f"{noisy.name}: {each.text}"):
             guide = make_first_guide(noisy) if light is None else compare_halves(noisy, light.a, light.b)
-            light = run_pass(frame, noisy, settings, each, guide, light, is_pilot=number == 0)
+            light = run_pass(noisy, settings, each, guide, light, is_pilot=number == 0)
         if each.of_samples:
             support = light.support
         if keep_guides:
@@ -153,20 +153,18 @@ def filter_layer_halves(
     return CleanLayer(image, supports, guides)
 
 
-def find_guides(frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings) -> list[Image]:
+def find_guides(noisy: NoisyLayer, settings: ResolvedSettings) -> list[Image]:
     """Return the guides of all passes over a layer."""
     guides, light = [], None
     passes = list_layer_passes(noisy, settings)
     for number, each in enumerate(passes):
         guides.append(make_first_guide(noisy) if light is None else compare_halves(noisy, light.a, light.b))
         if number + 1 < len(passes):
-            light = run_pass(frame, noisy, settings, each, guides[-1], light, is_pilot=number == 0)
+            light = run_pass(noisy, settings, each, guides[-1], light, is_pilot=number == 0)
     return guides
 
 
-def run_last_passes(
-    frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings, guides: Sequence[Image]
-) -> DualBufferOutput:
+def run_last_passes(noisy: NoisyLayer, settings: ResolvedSettings, guides: Sequence[Image]) -> DualBufferOutput:
     """Return other samples of a layer, filtered by its passes and guides.
 
     The last pass of samples averages them anew, so that the passes before it count by their guides alone.
@@ -175,7 +173,7 @@ def run_last_passes(
     first = max(number for number, each in enumerate(passes) if each.of_samples)
     light = None
     for number in range(first, len(passes)):
-        light = run_pass(frame, noisy, settings, passes[number], guides[number], light, is_pilot=number == 0)
+        light = run_pass(noisy, settings, passes[number], guides[number], light, is_pilot=number == 0)
     assert light is not None
     return light
 
@@ -204,7 +202,6 @@ def compare_halves(noisy: NoisyLayer, a: Image, b: Image) -> Image:
 
 
 def run_pass(
-    frame: Frame,
     noisy: NoisyLayer,
     settings: ResolvedSettings,
     each: Pass,
@@ -218,7 +215,7 @@ def run_pass(
     request = PassRequest(
         halves=noisy.samples if before is None or each.of_samples else (before.a, before.b),
         mask=noisy.layer.mask,
-        place=[*make_pass_features(frame, settings, each.sigma), *(() if is_pilot else noisy.seen)],
+        place=[*scale_places(noisy.places, settings, each.sigma), *(() if is_pilot else noisy.seen)],
         # So narrow a kernel as the pilot's needs no covariances.
         lobes=noisy.pilot_features if is_pilot else noisy.layer.features,
         exponent=each.lobes,
