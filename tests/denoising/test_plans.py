@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lobewise.backend.buffers import download
 from lobewise.denoising import denoise
+from lobewise.denoising.also import bound_parts
 from lobewise.denoising.automatic import ask, resolve_all
-from lobewise.denoising.noisy import find_layer_level, make_bounded_layers, make_noisy_layers, measure_layer
-from lobewise.denoising.passes import (
-    filter_layer_halves,
-    find_guides,
-    finish_layer,
-    list_layer_passes,
-    run_last_passes,
+from lobewise.denoising.noisy import (
+    find_layer_level,
+    join_halves,
+    make_bounded_layers,
+    make_noisy_layers,
+    measure_layer,
 )
+from lobewise.denoising.passes import filter_layer_halves
 from lobewise.denoising.plan import count_bytes, estimate_seconds_per_megapixel, find_reach, foretell, list_frame_steps
 from lobewise.filters.noise_guides import find_level
 from lobewise.frame import Frame
@@ -35,19 +35,20 @@ def test_the_level_of_a_layer_is_that_of_its_rows() -> None:
         assert level == find_level(measure_layer(layer)) > 0.0
 
 
-def test_other_images_are_filtered_by_the_guides_of_the_layer() -> None:
+@pytest.mark.parametrize("count", [1, 2, 3, 7])
+def test_other_images_are_filtered_by_the_weights_of_the_layer(count: int) -> None:
     frame = make_frame()
     settings = resolve(frame, similarity="normal")
     for noisy in make_noisy_layers(frame, settings, ()):
-        clean = filter_layer_halves(frame, noisy, settings, keep_guides=True)
-        guides = find_guides(noisy, settings)
-        assert len(guides) == len(list_layer_passes(noisy, settings))
-        for kept, found in zip(clean.guides, guides, strict=True):
-            np.testing.assert_array_equal(download(kept), download(found))
-        # The layer's own halves come out as the layer did.
-        output = run_last_passes(noisy, settings, guides)
-        image, _ = finish_layer(frame, noisy, (output.a, output.b), output.support)
-        np.testing.assert_allclose(image, clean.image, rtol=1e-5)
+        joined = join_halves(noisy)
+        shares = np.linspace(0.1, 1.0, count, dtype=np.float32)
+        others = bound_parts(noisy, joined, [share * joined for share in shares])
+        clean = filter_layer_halves(frame, noisy, settings, others)
+        np.testing.assert_allclose(clean.image, filter_layer_halves(frame, noisy, settings).image, rtol=1e-5)
+        assert len(clean.others) == count
+        # The mean of filtered halves is the filtered mean.
+        for share, image in zip(shares, clean.others, strict=True):
+            np.testing.assert_allclose(image.image, share * clean.image, rtol=1e-4)
 
 
 @pytest.mark.parametrize("quality", LIBRARY)

@@ -9,18 +9,17 @@ are those of the layer. So an image stays black where it has no light, whatever 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from lobewise.backend.buffers import Image, device_scope
+from lobewise.backend.buffers import device_scope
 from lobewise.denoising.bad_pixels import blacken_bad
 from lobewise.denoising.evidence import mix_noisy
 from lobewise.denoising.layers import Layer, filter_layer, make_layers
 from lobewise.denoising.noisy import NoisyLayer, join_halves, make_noisy_layers
-from lobewise.denoising.passes import find_guides, finish_layer, run_last_passes
+from lobewise.denoising.passes import FilteredOther, OtherImage, filter_layer_halves
 from lobewise.features import Feature
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.guides.halves import mark_bad
@@ -58,7 +57,7 @@ def filter_also(
     frame: Frame,
     settings: ResolvedSettings,
     features: Sequence[Feature],
-    filters: Mapping[str, Filter],
+    found: Mapping[str, Sequence[FilteredOther]],
     layers: Mapping[str, Passed],
     whole: Passed,
     rest: tuple[FloatArray, FloatArray],
@@ -69,61 +68,81 @@ def filter_also(
     ----------
     frame, settings, features
         As they were filtered.
-    filters : mapping of str to Filter
-        What filters images by the weights of the layers that the frame names.
+    found : mapping of str to sequence of FilteredOther
+        The images of `list_parts`, filtered by the weights of their layer, by the layer's name.
     layers : mapping of str to Passed
-        What happened to these layers.
+        What happened to the layers that the frame names.
     whole : Passed
         What happened to the light that surfaces scatter, in total.
     rest : pair of (height, width, 3)
         The other light of the total, emission and background, before and after.
     """
-    found: dict[str, FloatArray] = {}
+    clean: dict[str, FloatArray] = {}
     for layer in frame.layers:
         if layer.parts:
-            filtered = _filter_parts(layer.radiance, filters[layer.name], layer.parts, layers[layer.name])
-            found |= {f"{layer.name}/{part}": each for part, each in filtered.items()}
+            filtered = _finish_parts(layer.parts, found[layer.name], layers[layer.name])
+            clean |= {f"{layer.name}/{part}": each for part, each in filtered.items()}
     if frame.also:
         before, after = rest
         share = _find_share(before, frame.radiance.color)
         with np.errstate(invalid="ignore"):  # bad pixels stay bad
             scattered = {name: image - share * image for name, image in frame.also.items()}
         total = frame.with_changes(layers=(), radiance=Radiance(frame.radiance.color - before))
-        (run,) = _make_filters(total, settings, features)
-        filtered = _filter_parts(total.radiance.color, run, scattered, whole)
+        images = list_parts(total.radiance.color, scattered)
+        filtered = _finish_parts(scattered, _filter_by_total(total, settings, features, images), whole)
         exact = share * _divide(after, before)
-        found |= {name: image + exact * blacken_bad(frame.also[name]) for name, image in filtered.items()}
-    return found
+        clean |= {name: image + exact * blacken_bad(frame.also[name]) for name, image in filtered.items()}
+    return clean
 
 
-Filter = Callable[[Sequence[FloatArray]], list[tuple[FloatArray, FloatArray]]]
-"""Runs images through the weights of a layer: returns each filtered, and its samples without fireflies."""
-
-
-def _make_filters(frame: Frame, settings: ResolvedSettings, features: Sequence[Feature]) -> list[Filter]:
-    """Return for every layer of a frame what filters images by its weights."""
-    if not get_quality(settings.quality).reads_halves:
-        layers = make_layers(frame, settings, features, finest=True)
-        return [partial(filter_by_layer, each, settings) for each in layers]
-    found: list[Filter] = []
-    for each in make_noisy_layers(frame, settings, features):
-        guides = find_guides(each, settings)
-        found.append(partial(filter_by_halves, frame, each, settings, guides, join_halves(each)))
-    return found
-
-
-def _filter_parts(
-    radiance: FloatArray, run: Filter, parts: Mapping[str, FloatArray], layer: Passed
-) -> dict[str, FloatArray]:
-    """Return images that belong to a layer, filtered by its weights and brought to its result."""
+def list_parts(radiance: FloatArray, parts: Mapping[str, FloatArray]) -> list[FloatArray]:
+    """Return the images that are filtered for the parts of a layer: with the layer where they do not sum to it."""
     images = list(parts.values())
-    whole = _is_sum(radiance, images)
-    filtered = [(blacken_bad(each), noisy) for each, noisy in run(images if whole else [*images, radiance])]
-    base = _sum_whole([each for each, _ in filtered], whole)
+    return images if _is_sum(radiance, images) else [*images, radiance]
+
+
+def filter_plain_parts(layer: Layer, settings: ResolvedSettings, images: Sequence[FloatArray]) -> list[FilteredOther]:
+    """Return images after the filter of a layer by its guides alone."""
+    found = []
+    for image in images:
+        output = filter_layer(layer, settings, image)
+        lost = (output.weight_sum <= 0.0)[..., None]
+        found.append(FilteredOther(np.where(lost, blacken_bad(image), output.image), image))
+    return found
+
+
+def bound_parts(noisy: NoisyLayer, joined: FloatArray, images: Sequence[FloatArray]) -> list[OtherImage]:
+    """Return images as the passes over a layer take them, without fireflies; ``joined`` is that of `join_halves`."""
+    highlights = None if noisy.kept is None or not images else _find_share(noisy.kept, joined)
+    found = []
+    for image in images:
+        bounded = _bound_part(image, joined)
+        kept = None if highlights is None else bounded * highlights
+        found.append(OtherImage(bounded, mark_bad(bounded if kept is None else bounded - kept), kept))
+    return found
+
+
+def _filter_by_total(
+    frame: Frame, settings: ResolvedSettings, features: Sequence[Feature], images: Sequence[FloatArray]
+) -> Sequence[FilteredOther]:
+    """Return images after the filter of a frame whose light is one layer."""
+    if not get_quality(settings.quality).reads_halves:
+        (layer,) = make_layers(frame, settings, features, finest=True)
+        return filter_plain_parts(layer, settings, images)
+    (noisy,) = make_noisy_layers(frame, settings, features)
+    return filter_layer_halves(frame, noisy, settings, bound_parts(noisy, join_halves(noisy), images)).others
+
+
+def _finish_parts(
+    parts: Mapping[str, FloatArray], filtered: Sequence[FilteredOther], layer: Passed
+) -> dict[str, FloatArray]:
+    """Return filtered parts of a layer, brought to the layer's result; the last of more images is the layer itself."""
+    whole, good = len(filtered) == len(parts), [blacken_bad(each.image) for each in filtered]
+    base = _sum_whole(good, whole)
     factor = np.float32(1.0) if layer.before is None else _divide(layer.before, base)
-    refined = [each * factor for each, _ in filtered]
+    refined = [each * factor for each in good]
     if layer.share is not None:
-        refined = [mix_noisy(each, own, layer.share) for each, (_, own) in zip(refined, filtered, strict=True)]
+        refined = [mix_noisy(each, own.samples, layer.share) for each, own in zip(refined, filtered, strict=True)]
     ratio = _divide(layer.clean, _sum_whole(refined, whole))
     return {part: np.asarray(each * ratio) for part, each in zip(parts, refined, strict=False)}
 
@@ -142,47 +161,6 @@ def _is_sum(image: FloatArray, parts: Sequence[FloatArray]) -> bool:
     with np.errstate(invalid="ignore", over="ignore"):
         apart = np.abs(np.sum(parts, axis=0, dtype=np.float32) - image)
         return not bool((apart > np.float32(2e-3) * np.abs(image)).any())
-
-
-def filter_by_layer(
-    layer: Layer, settings: ResolvedSettings, images: Sequence[FloatArray]
-) -> list[tuple[FloatArray, FloatArray]]:
-    """Return images after the filter of a layer by its guides."""
-    found = []
-    for image in images:
-        output = filter_layer(layer, settings, image)
-        lost = (output.weight_sum <= 0.0)[..., None]
-        found.append((np.where(lost, blacken_bad(image), output.image), image))
-    return found
-
-
-def filter_by_halves(
-    frame: Frame,
-    noisy: NoisyLayer,
-    settings: ResolvedSettings,
-    guides: Sequence[Image],
-    joined: FloatArray,
-    images: Sequence[FloatArray],
-) -> list[tuple[FloatArray, FloatArray]]:
-    """Return images after the passes of a layer with its guides; two at a time take the places of its halves.
-
-    ``joined`` is the result of `join_halves`.
-    """
-    highlights = None if noisy.kept is None else _find_share(noisy.kept, joined)
-    bounded = [_bound_part(image, joined) for image in images]
-    found: list[tuple[FloatArray, FloatArray]] = []
-    for start in range(0, len(images), 2):
-        pair = bounded[start : start + 2]
-        kept = [None if highlights is None else image * highlights for image in pair]
-        rest = [image if light is None else image - light for image, light in zip(pair, kept, strict=True)]
-        halves = [mark_bad(image) for image in rest]
-        # Both images are samples of every pixel, even where the layer itself has no halves.
-        both = replace(noisy, samples=(halves[0], halves[-1]), is_whole=True)
-        output = run_last_passes(both, settings, guides)
-        for image, highlight, light in zip(pair, kept, (output.a, output.b), strict=False):
-            mine = replace(both, layer=replace(noisy.layer, radiance=image), kept=highlight)
-            found.append((finish_layer(frame, mine, (light,), output.support)[0], image))
-    return found
 
 
 def _bound_part(image: FloatArray, bounded: FloatArray) -> FloatArray:

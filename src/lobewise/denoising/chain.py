@@ -8,22 +8,22 @@ Exported pipelines are made of `filter_whole` (`lobewise.exporting.pipeline`).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial, reduce
+from dataclasses import dataclass, field, replace
+from functools import reduce
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lobewise import engine
-from lobewise.backend.buffers import Image, device_scope
+from lobewise.backend.buffers import device_scope
 from lobewise.denoising.also import (
-    Filter,
     Passed,
+    bound_parts,
     filter_also,
-    filter_by_halves,
-    filter_by_layer,
+    filter_plain_parts,
     has_passes,
+    list_parts,
 )
 from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, find_bad_pixels
 from lobewise.denoising.combining import choose_between, denoise_with_peer, share_out
@@ -38,7 +38,7 @@ from lobewise.denoising.light_loss import (
     sum_missing,
 )
 from lobewise.denoising.noisy import NoisyLayer, join_halves, make_noisy_layers
-from lobewise.denoising.passes import filter_layer_halves
+from lobewise.denoising.passes import FilteredOther, filter_layer_halves
 from lobewise.denoising.plain import filter_by_guides
 from lobewise.denoising.refining.inputs import sum_light as sum_parts
 from lobewise.denoising.refining.network import refine_light
@@ -83,8 +83,8 @@ class Filtered:
         Samples of every layer without fireflies, radiance; empty with the quality "fast", which bounds none.
     halves : sequence of NoisyLayer
         The layers in two halves of their samples; empty with the quality "fast".
-    guides : sequence of sequence of images
-        The guides of every layer's passes, if light passes are filtered by them.
+    others : mapping of str to sequence of FilteredOther
+        Images that belong to a layer, filtered in its passes, by the layer's name.
     is_refined : bool
         Whether the network refined the image.
     uncounted : (height, width), bool, optional
@@ -108,7 +108,7 @@ class Filtered:
     sharing: Sharing | None = None
     noisy: Sequence[FloatArray] = ()
     halves: Sequence[NoisyLayer] = ()
-    guides: Sequence[Sequence[Image]] = ()
+    others: Mapping[str, Sequence[FilteredOther]] = field(default_factory=dict)
     is_refined: bool = False
     uncounted: NDArray[np.bool_] | None = None
     taken_from: Filtered | None = None
@@ -280,8 +280,12 @@ def filter_halves(
 ) -> Filtered:
     """Return the layers after their passes over both halves of the samples."""
     halves = make_noisy_layers(frame, settings, features, None if whole is None else whole.levels)
-    keep_guides = any(layer.parts for layer in frame.layers)
-    clean = [filter_layer_halves(frame, each, settings, keep_guides=keep_guides) for each in halves]
+    noisy = [join_halves(each) for each in halves]
+    parts_of = {layer.name: list_parts(layer.radiance, layer.parts) for layer in frame.layers if layer.parts}
+    clean = []
+    for each, joined in zip(halves, noisy, strict=True):
+        others = bound_parts(each, joined, parts_of.get(each.name, ()))
+        clean.append(filter_layer_halves(frame, each, settings, others))
     with engine.part("sum of the light"):
         rest, blur, sharing = find_averaged_rest(frame, exact), frame.gbuffer.blur_radius, None
         if rest is not None and blur is not None:
@@ -297,9 +301,9 @@ def filter_halves(
             rest=rest,
             noisy_rest=rest,
             sharing=sharing,
-            noisy=[join_halves(each) for each in halves],
+            noisy=noisy,
             halves=halves,
-            guides=[each.guides for each in clean],
+            others={each.name: layer.others for each, layer in zip(halves, clean, strict=True)},
         )
 
 
@@ -404,10 +408,15 @@ def filter_passes(
     whole = Passed(
         clean=found.image - rest_after, before=None if refined is None else sum_parts(refined.parts), share=share
     )
-    filters: dict[str, Filter] = {layer.name: partial(filter_by_layer, layer, settings) for layer in found.layers}
-    for noisy, guides, joined in zip(found.halves, found.guides, found.noisy, strict=False):
-        filters[noisy.name] = partial(filter_by_halves, frame, noisy, settings, guides, joined)
-    return filter_also(frame, settings, features, filters, layers, whole, (rest, rest_after))
+    others = found.others
+    if not found.halves:
+        own = {layer.name: layer for layer in found.layers}
+        others = {
+            layer.name: filter_plain_parts(own[layer.name], settings, list_parts(layer.radiance, layer.parts))
+            for layer in frame.layers
+            if layer.parts
+        }
+    return filter_also(frame, settings, features, others, layers, whole, (rest, rest_after))
 
 
 def name_layers(frame: Frame, found: Filtered) -> dict[str, FloatArray]:

@@ -12,12 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from lobewise import engine
 from lobewise.backend.buffers import Image, download
 from lobewise.denoising.noisy import NoisyLayer, scale_places
 from lobewise.filters.compositing import composite_light
-from lobewise.filters.dual_buffer import DualBufferOutput, PassRequest, filter_dual_buffer
+from lobewise.filters.dual_buffer import HALVES, MORE_AT_ONCE, DualBufferOutput, PassRequest, filter_dual_buffer
 from lobewise.filters.glue import define_lit, define_with_highlights
 from lobewise.filters.noise.residuals import split_by_noise, split_samples
 from lobewise.filters.noise_guides import MIN_VARIANCE, MIN_VARIANCE_WITHOUT_HALVES, find_log_offset, make_noise_guide
@@ -104,6 +105,20 @@ def list_passes(radius: int, *, is_diffuse: bool, has_seen: bool = False) -> lis
     return found
 
 
+class FilteredOther(NamedTuple):
+    """An image that was filtered by the weights of a layer.
+
+    Parameters
+    ----------
+    image : (height, width, 3)
+    samples : (height, width, 3)
+        Its samples, without fireflies.
+    """
+
+    image: FloatArray
+    samples: FloatArray
+
+
 @dataclass(frozen=True)
 class CleanLayer:
     """The result of a layer.
@@ -114,13 +129,13 @@ class CleanLayer:
         Filtered radiance, albedo included; the noisy radiance where nothing was gathered.
     support : (height, width, 2)
         See `lobewise.filters.dual_buffer.DualBufferOutput`.
-    guides : sequence of images
-        The guides of all passes.
+    others : sequence of FilteredOther
+        Other images, filtered by the same weights.
     """
 
     image: FloatArray
     support: FloatArray
-    guides: Sequence[Image] = ()
+    others: Sequence[FilteredOther] = ()
 
     @property
     def weight_sum(self) -> FloatArray:
@@ -133,49 +148,76 @@ class CleanLayer:
         return self.support[..., 1]
 
 
+@dataclass(frozen=True)
+class OtherImage:
+    """An image that is filtered by the weights of a layer.
+
+    Parameters
+    ----------
+    radiance : (height, width, 3)
+        What stays where nothing is gathered.
+    samples : (height, width, 3)
+        What the passes average: without the light of highlights, and NaN where a pixel is bad.
+    kept : (height, width, 3), optional
+        The light of highlights, which is added to the result.
+    """
+
+    radiance: FloatArray
+    samples: Image
+    kept: FloatArray | None = None
+
+
 def filter_layer_halves(
-    frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings, *, keep_guides: bool = False
+    frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings, others: Sequence[OtherImage] = ()
 ) -> CleanLayer:
-    """Return a layer after its passes, each guided by what the pass before has found."""
+    """Return a layer after its passes, each guided by what the pass before has found.
+
+    ``others`` are averaged in the same passes: the last one that averages samples, and those after it. What does not
+    fit is averaged in further passes by the same guides.
+    """
+    passes = list_layer_passes(noisy, settings)
+    last = max(number for number, each in enumerate(passes) if each.of_samples)
+    own, rest = others[:MORE_AT_ONCE], others[MORE_AT_ONCE:]
     light, support, guides = None, None, []
-    for number, each in enumerate(list_layer_passes(noisy, settings)):
+    for number, each in enumerate(passes):
         with engine.part(f"{noisy.name}: {each.text}"):
             guide = make_first_guide(noisy) if light is None else compare_halves(noisy, light.a, light.b)
-            light = run_pass(noisy, settings, each, guide, light, is_pilot=number == 0)
+            more = [image.samples for image in own] if number == last else [] if light is None else light.more
+            light = run_pass(noisy, settings, each, guide, light, more, is_pilot=number == 0)
         if each.of_samples:
             support = light.support
-        if keep_guides:
+        if rest and number >= last:
             guides.append(guide)
     assert light is not None
     assert support is not None
     with engine.part(f"{noisy.name}: albedo and coverage"):
         image, supports = finish_layer(frame, noisy, (light.a, light.b), support)
-    return CleanLayer(image, supports, guides)
+    filtered = [*light.more[: len(own)]]
+    for start in range(0, len(rest), HALVES + MORE_AT_ONCE):
+        filtered += filter_others(noisy, settings, rest[start : start + HALVES + MORE_AT_ONCE], passes[last:], guides)
+    clean = []
+    for other, mean in zip(others, filtered, strict=True):
+        mine = replace(noisy, layer=replace(noisy.layer, radiance=other.radiance), kept=other.kept)
+        clean.append(FilteredOther(finish_layer(frame, mine, [mean], support)[0], other.radiance))
+    return CleanLayer(image, supports, clean)
 
 
-def find_guides(noisy: NoisyLayer, settings: ResolvedSettings) -> list[Image]:
-    """Return the guides of all passes over a layer."""
-    guides, light = [], None
-    passes = list_layer_passes(noisy, settings)
-    for number, each in enumerate(passes):
-        guides.append(make_first_guide(noisy) if light is None else compare_halves(noisy, light.a, light.b))
-        if number + 1 < len(passes):
-            light = run_pass(noisy, settings, each, guides[-1], light, is_pilot=number == 0)
-    return guides
-
-
-def run_last_passes(noisy: NoisyLayer, settings: ResolvedSettings, guides: Sequence[Image]) -> DualBufferOutput:
-    """Return other samples of a layer, filtered by its passes and guides.
-
-    The last pass of samples averages them anew, so that the passes before it count by their guides alone.
-    """
-    passes = list_layer_passes(noisy, settings)
-    first = max(number for number, each in enumerate(passes) if each.of_samples)
-    light = None
-    for number in range(first, len(passes)):
-        light = run_pass(noisy, settings, passes[number], guides[number], light, is_pilot=number == 0)
+def filter_others(
+    noisy: NoisyLayer,
+    settings: ResolvedSettings,
+    others: Sequence[OtherImage],
+    passes: Sequence[Pass],
+    guides: Sequence[Image],
+) -> list[Image]:
+    """Return up to four images after the last passes over a layer; two of them take the places of its halves."""
+    # Every pixel has samples of all of them, even where the layer itself has no halves.
+    samples = [each.samples for each in others]
+    pair, more = (samples[0], samples[min(1, len(samples) - 1)]), samples[HALVES:]
+    both, light = replace(noisy, samples=pair, is_whole=True), None
+    for each, guide in zip(passes, guides, strict=True):
+        light = run_pass(both, settings, each, guide, light, more if light is None else light.more)
     assert light is not None
-    return light
+    return [light.a, light.b, *light.more][: len(others)]
 
 
 def list_layer_passes(noisy: NoisyLayer, settings: ResolvedSettings) -> list[Pass]:
@@ -207,10 +249,14 @@ def run_pass(
     each: Pass,
     guide: Image,
     before: DualBufferOutput | None,
+    more: Sequence[Image] = (),
     *,
     is_pilot: bool = False,
 ) -> DualBufferOutput:
-    """Return both filtered halves of a layer, and their support; ``before`` is the output of the pass before."""
+    """Return both filtered halves of a layer, their support, and ``more`` images.
+
+    ``before`` is the output of the pass before.
+    """
     of_samples = each.of_samples or before is None
     request = PassRequest(
         halves=noisy.samples if before is None or each.of_samples else (before.a, before.b),
@@ -225,12 +271,14 @@ def run_pass(
         albedo=noisy.layer.albedo if of_samples else None,
         guide=guide,
         noise=each.noise,
+        # One image more than needed costs less than another kernel.
+        more=[*more, *more[-1:]] if len(more) % MORE_AT_ONCE else more,
     )
     found = filter_dual_buffer(request, each.text)
     if of_samples and not noisy.is_whole:
         # The samples of an image without halves are the image and its squared residual.
         images = download(found.a), download(found.b), download(found.support)
-        return DualBufferOutput(*split_by_noise(*images, find_log_offset(noisy.level)))
+        return DualBufferOutput(*split_by_noise(*images, find_log_offset(noisy.level)), found.more)
     return found
 
 

@@ -44,8 +44,8 @@ GUIDE_CHANNELS = COLORS + 1
 """Channels of a guide: three colours and their variance."""
 SUMS = COLORS + 2
 """Sums of one half: weighted radiance, weight, squared weight."""
-PLANES = HALVES * (COLORS + 1)
-"""Planes of the images that taps read: the summands and the weight of each half."""
+MORE_AT_ONCE = 2
+"""Further images that a pass averages by the same weights: the sums of more do not fit a processor's registers."""
 NOISE_FLOOR = 1e-4
 """Added to the variance that squared differences are divided by."""
 
@@ -57,6 +57,7 @@ class DualBufferKey:
     groups: tuple[tuple[Hashable, ...], ...]
     """Structures of the features of `PassRequest.groups`."""
     guided: bool
+    more: int = 0
 
 
 class DualBufferOutput(NamedTuple):
@@ -68,11 +69,14 @@ class DualBufferOutput(NamedTuple):
         The filtered halves, divided by the albedo; 0 where no tap of either half had any weight.
     support : (height, width, 2)
         The weight sum and the effective samples of every pixel.
+    more : sequence of (height, width, 3)
+        The further images, filtered; 0 where no tap had any weight.
     """
 
     a: Image
     b: Image
     support: Image
+    more: Sequence[Image] = ()
 
     @property
     def weight_sum(self) -> Image:
@@ -107,6 +111,8 @@ class PassRequest:
         Colours and their variance (`lobewise.filters.noise_guides`).
     noise : float
         Number of variances by which a squared difference of the guide is divided, > 0.
+    more : sequence of arrays, shape (height, width, 3)
+        None, or `MORE_AT_ONCE` further images that are averaged by the same weights.
     """
 
     halves: tuple[Image, Image]
@@ -119,6 +125,7 @@ class PassRequest:
     albedo: FloatArray | None = None
     guide: Image | None = None
     noise: float = 1.0
+    more: Sequence[Image] = ()
 
     @property
     def size(self) -> tuple[int, int]:
@@ -135,6 +142,7 @@ class PassRequest:
         return DualBufferKey(
             groups=tuple(tuple(map(describe_structure, features)) for features in self.groups.values()),
             guided=self.guide is not None,
+            more=len(self.more),
         )
 
     def collect_images(self) -> dict[str, Image]:
@@ -142,6 +150,8 @@ class PassRequest:
         images: dict[str, Image] = {"mask": take_mask(self.mask)}
         for name, half in zip(("half_a", "half_b"), self.halves, strict=True):
             images[name] = take_image("half", half, (*self.size, COLORS))
+        for number, image in enumerate(self.more):
+            images[f"more{number}"] = take_image("image", image, (*self.size, COLORS))
         # Without an albedo the kernel takes any image and does not use it.
         images["albedo"] = images["half_a"]
         if self.albedo is not None:
@@ -172,7 +182,8 @@ def filter_dual_buffer(request: PassRequest, text: str = "") -> DualBufferOutput
     key = request.make_key()
     make = partial(make_dual_buffer, key, request.groups)
     written = engine.kernel(key, make, request.collect_images(), request.collect_numbers(), text=text)
-    return DualBufferOutput(written["a"], written["b"], written["support"])
+    more = [written[f"filtered{number}"] for number in range(key.more)]
+    return DualBufferOutput(written["a"], written["b"], written["support"], more)
 
 
 class HalfSums(NamedTuple):
@@ -190,21 +201,24 @@ def make_dual_buffer(key: DualBufferKey, groups: Mapping[str, Sequence[Feature]]
     # Signature
     signature, size = Signature("dual buffer"), ("height", "width")
     tints, divided = signature.image("albedo", *size, COLORS), signature.count("divided", most=1)
-    halves = [signature.image(name, *size, COLORS) for name in ("half_a", "half_b")]
+    names = ["half_a", "half_b", *(f"more{number}" for number in range(key.more))]
+    averaged = [signature.image(name, *size, COLORS) for name in names]
     mask = signature.image("mask", *size, type=hl.UInt(8))
     arrays = [declare_features(signature, name, features, *size) for name, features in groups.items()]
     scalars = [declare_scalars(signature, features, name) for name, features in groups.items()]
     radius, step = signature.count("radius", most=LARGEST_RADIUS), signature.count("step", 1)
     given = signature.image("guide", *size, GUIDE_CHANNELS) if key.guided else None
     noise, exponent = signature.number("noise"), signature.number("exponent")
-    for name in ("a", "b", "support"):
+    for name in ("a", "b", "support", *(f"filtered{number}" for number in range(key.more))):
         signature.output(name, *size, COLORS)
 
     # Algorithm
     albedo, out = hl.Func("albedo_or_one"), hl.Func("out")
     albedo[C, X, Y] = hl.select(divided != 0, tints[C, X, Y], hl.f32(1.0))
     taps = TapSums(mask, Taps.SQUARE, radius, step, count_lanes(target))
-    images = taps.read("images", PLANES, lambda at, usable: hl.mux(C, _read_halves(halves, albedo, at, usable)))
+    # The summands and the weight of each image.
+    planes = len(averaged) * (COLORS + 1)
+    images = taps.read("images", planes, lambda at, usable: hl.mux(C, _read_images(averaged, albedo, at, usable)))
     place, lobes = (taps.compare(*each) for each in zip(groups, groups.values(), scalars, arrays, strict=True))
     log_weight = place + exponent * lobes
     if given is not None:
@@ -213,13 +227,17 @@ def make_dual_buffer(key: DualBufferKey, groups: Mapping[str, Sequence[Feature]]
 
     def take(weight: hl.Expr, column: hl.Expr, line: hl.Expr) -> list[hl.Expr]:
         taken: list[hl.Expr] = []
-        for first in range(0, PLANES, COLORS + 1):
+        for first in range(0, planes, COLORS + 1):
             counted = weight * images[column, first + COLORS, line]
-            taken += [*(weight * images[column, first + k, line] for k in range(COLORS)), counted, counted * counted]
+            taken += [*(weight * images[column, first + k, line] for k in range(COLORS)), counted]
+            taken += [counted * counted] if first < HALVES * (COLORS + 1) else []
         return taken
 
     sums = taps.add(log_weight, take)
-    found = _find_means([HalfSums(*sums[:SUMS]), HalfSums(*sums[SUMS:])], _find_share(albedo, (X, Y)))
+    found = _find_means([HalfSums(*sums[:SUMS]), HalfSums(*sums[SUMS : 2 * SUMS])], _find_share(albedo, (X, Y)))
+    for first in range(HALVES * SUMS, len(sums), COLORS + 1):
+        *colour, total = sums[first : first + COLORS + 1]
+        found.append([hl.select(total > hl.f32(0.0), value / total, hl.f32(0.0)) for value in colour])
     out[C, X, Y] = hl.Tuple([hl.select(mask[X, Y] != 0, hl.mux(C, image), hl.f32(0.0)) for image in found])
 
     # Schedule
@@ -227,16 +245,16 @@ def make_dual_buffer(key: DualBufferKey, groups: Mapping[str, Sequence[Feature]]
     return Scheduled([out], signature)
 
 
-def _read_halves(
-    halves: Sequence[hl.ImageParam], albedo: hl.Func, at: tuple[hl.Expr, hl.Expr], usable: hl.Expr
+def _read_images(
+    images: Sequence[hl.ImageParam], albedo: hl.Func, at: tuple[hl.Expr, hl.Expr], usable: hl.Expr
 ) -> list[hl.Expr]:
-    """Return the planes of each half: radiance over albedo times the albedo's luminance, and the luminance as weight.
+    """Return the planes of each image: radiance over albedo times the albedo's luminance, and the luminance as weight.
 
     All are 0 for a bad pixel.
     """
     values: list[hl.Expr] = []
-    for half in halves:
-        radiance, good = demodulate(half, albedo, at, hl.f32(ALBEDO_FLOOR))
+    for image in images:
+        radiance, good = demodulate(image, albedo, at, hl.f32(ALBEDO_FLOOR))
         share = _find_share(albedo, at)
         radiance = _fill_unknown(radiance, [albedo[k, at[0], at[1]] for k in range(COLORS)])
         values += [hl.select(good & usable, value * share, hl.f32(0.0)) for value in (*radiance, hl.f32(1.0))]
