@@ -46,8 +46,6 @@ def describe_ways() -> str:
     frame = make_scene(SHAPE)
     history = lobewise.TemporalFilter(device="cpu")
     ways = {
-        "fast": lambda: lobewise.denoise(frame, quality="fast", device="cpu"),
-        "balanced": lambda: lobewise.denoise(frame, quality="balanced", device="cpu"),
         "high": lambda: lobewise.denoise(frame, quality="high", device="cpu"),
         "a history": lambda: history.add(frame),
     }
