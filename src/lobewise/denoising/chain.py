@@ -28,7 +28,7 @@ from lobewise.denoising.also import (
 from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, find_bad_pixels
 from lobewise.denoising.combining import choose_between, denoise_with_peer, share_out
 from lobewise.denoising.evidence import find_image_halves, find_share_lost, mix_noisy
-from lobewise.denoising.layers import Layer, find_support
+from lobewise.denoising.layers import Layer
 from lobewise.denoising.light_loss import (
     Loss,
     find_takers,
@@ -49,7 +49,7 @@ from lobewise.engine.numbers import choose_larger
 from lobewise.features import Feature
 from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.fireflies import cut_samples
-from lobewise.filters.glue import define_checked
+from lobewise.filters.glue import define_checked, define_support
 from lobewise.filters.specks import Sharing, find_sharing
 from lobewise.frame import FloatArray, Frame, GBuffer
 from lobewise.settings import ResolvedSettings
@@ -129,7 +129,11 @@ class Filtered:
         """Return weight sum and effective samples of the least supported layer that reflects anything at a pixel."""
         if len(self.supports) == 1:
             return self.supports[0].weight_sum, self.supports[0].effective_samples
-        return find_support(self.layers, self.supports)
+        images: dict[str, Any] = {}
+        for number, (layer, each) in enumerate(zip(self.layers, self.supports, strict=True)):
+            images |= {f"support{number}": each.support, f"mask{number}": layer.mask, f"albedo{number}": layer.albedo}
+        weight_sum, effective = engine.pixels(define_support, images, {}, len(self.layers))
+        return weight_sum, effective
 
     def find_takers(self) -> list[FloatArray]:
         """Return the share of each pixel's light that takes part in sharing, for every layer; see `find_takers`."""

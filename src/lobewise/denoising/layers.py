@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol, cast
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,18 +54,6 @@ MIN_WHOLE_ALBEDO = 10.0 * ALBEDO_FLOOR
 """Albedo below which light that is not split by lobe is not divided by it."""
 MIN_HIT_DISTANCE = 2.0
 """Smallest hit distance, pixel footprints: nearer hits count as this far."""
-
-
-class Support(Protocol):
-    """What the filter of a layer gathered at every pixel: two images (height, width)."""
-
-    @property
-    def weight_sum(self) -> FloatArray:
-        """Sum of the weights."""
-
-    @property
-    def effective_samples(self) -> FloatArray:
-        """Number of equally weighted samples with the same variance."""
 
 
 @dataclass(frozen=True)
@@ -389,27 +377,3 @@ def describe_exact_light(frame: SparseFrame) -> tuple[str, ...]:
             "left out: without mean_emission, light beside diffuse and specular is interpolated."
         )
     return tuple(notes)
-
-
-def find_support(layers: Sequence[Layer], outputs: Sequence[Support]) -> tuple[FloatArray, FloatArray]:
-    """Return weight sum and effective samples of the least supported layer that reflects anything at a pixel.
-
-    Where a surface reflects by no layer's lobe (a light, the background) those of the first layer count.
-    """
-    total, effective = outputs[0].weight_sum, outputs[0].effective_samples
-    known = _find_reflecting(layers[0])
-    for layer, output in zip(layers[1:], outputs[1:], strict=True):
-        here = _find_reflecting(layer)
-        weaker = here & (~known | (output.weight_sum < total))
-        total = np.where(weaker, output.weight_sum, total)
-        effective = np.where(weaker, output.effective_samples, effective)
-        known = known | here
-    return total, effective
-
-
-def _find_reflecting(layer: Layer) -> Mask:
-    """Return where a layer's lobe reflects more than `ALBEDO_FLOOR` of the light; everywhere without albedo."""
-    if layer.albedo is None:
-        return layer.mask
-    above = layer.albedo > ALBEDO_FLOOR
-    return np.asarray(layer.mask & (above[..., 0] | above[..., 1] | above[..., 2]))

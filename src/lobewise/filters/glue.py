@@ -83,18 +83,26 @@ def _add_colors(first: Vector, second: Vector) -> Vector:
     return [a + b for a, b in zip(first, second, strict=True)]
 
 
-def find_support(grid: Grid, weights: Sequence[hl.Expr]) -> list[hl.Expr]:
+def define_support(grid: Grid, count: int) -> list[Vector]:
+    """Return weight sum and effective samples of the least supported of ``count`` layers; see `find_support`."""
+    supports = [grid.read(f"support{number}") for number in range(count)]
+    weights, samples = ([support[k] for support in supports] for k in range(2))
+    return [[value] for value in find_support(grid, weights, samples)]
+
+
+def find_support(grid: Grid, weights: Sequence[hl.Expr], samples: Sequence[hl.Expr] | None = None) -> list[hl.Expr]:
     """Return weight sum and effective samples of the least supported layer that reflects anything at a pixel.
 
     Where no layer's lobe reflects (a light, the background) those of the first layer count.
     """
-    total, effective = weights[0], grid.read_one("effective0")
+    samples = samples or [grid.read_one(f"effective{number}") for number in range(len(weights))]
+    total, effective = weights[0], samples[0]
     known = _is_reflecting(grid, 0)
     for number, weight in enumerate(weights[1:], 1):
         here = _is_reflecting(grid, number)
         weaker = here & (~known | (weight < total))
         total = hl.select(weaker, weight, total)
-        effective = hl.select(weaker, grid.read_one(f"effective{number}"), effective)
+        effective = hl.select(weaker, samples[number], effective)
         known = known | here
     return [total, effective]
 

@@ -23,13 +23,12 @@ from lobewise.denoising.bad_pixels import (
 )
 from lobewise.denoising.layers import (
     Layer,
-    Support,
     describe_exact_light,
     make_layers,
     make_rest_layers,
     split_lobes,
 )
-from lobewise.denoising.plain import add_up
+from lobewise.denoising.plain import FilteredSum, add_up
 from lobewise.denoising.recipe import filter_below
 from lobewise.denoising.refining.totals import find_averaged_rest
 from lobewise.engine.numbers import choose_larger, choose_smaller
@@ -37,7 +36,7 @@ from lobewise.errors import InputError, require_choice, require_kind
 from lobewise.features import Feature
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.filters.history.accumulation import AccumulatedOutput, KnownKernel, SampleGrid
-from lobewise.filters.history.joining import find_reflecting
+from lobewise.filters.history.joining import JoinedLayers, find_reflecting
 from lobewise.filters.history.sums import add_to_sums, split_sums
 from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.guides.lobe_fields import SplitField
@@ -307,7 +306,7 @@ class TemporalFilter:
         bad: NDArray[np.bool_],
         share: float,
     ) -> Result:
-        support: Support
+        support: FilteredSum | JoinedLayers
         if isinstance(frame, SparseFrame):
             variances = [output.variance for output in outputs.values()]
             joined = support = join_sparse(frame, list(layers.values()), list(outputs.values()), variances)
