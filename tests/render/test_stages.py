@@ -129,6 +129,43 @@ def test_a_mirror_shows_the_sky_as_direct_light(make_furnace: Callable[..., Any]
     assert np.allclose(light.diffuse, 0.0)
 
 
+@pytest.mark.parametrize("count", [1, 6])
+def test_only_rays_that_may_meet_a_lamp_are_traced(mi: Any, monkeypatch: pytest.MonkeyPatch, count: int) -> None:
+    scene = mi.load_dict(make_mirror_room(mi, count))
+    wise = Stages(scene)
+    monkeypatch.setattr("lobewise.render.stages.list_lamps", lambda _: None)
+    thorough = Stages(scene)
+    lamp = mi.traverse(scene)
+    there = mi.Transform4f().translate([-1.5, 0.5, 0.0]) @ lamp["lamp0.to_world"]
+    for move in (None, there):
+        if move is not None:
+            lamp["lamp0.to_world"] = move
+            lamp.update()
+        found = []
+        for stages in (wise, thorough):
+            stages.place_camera(stages.start_camera, SIZE, SIZE)
+            found.append(shade_direct(stages, 3).specular)
+        assert found[0].max() > 1.0
+        assert np.array_equal(*found)
+
+
+def make_mirror_room(mi: Any, lamps: int) -> dict[str, Any]:
+    """Return a floor that is nearly a mirror, under small lamps in a row."""
+    at = mi.ScalarTransform4f
+    film = {"type": "hdrfilm", "width": SIZE, "height": SIZE}
+    eye = at().look_at([0.0, 2.0, 5.0], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+    floor = {"type": "roughconductor", "alpha": 0.05}
+    room: dict[str, Any] = {
+        "type": "scene",
+        "sensor": {"type": "perspective", "fov": 60.0, "to_world": eye, "film": film},
+        "floor": {"type": "rectangle", "to_world": at().rotate([1, 0, 0], -90).scale(4), "bsdf": floor},
+    }
+    for k in range(lamps):
+        place = at().translate([k - 0.5 * (lamps - 1), 1.5, 0.0]).rotate([1, 0, 0], 90).scale(0.3)
+        room[f"lamp{k}"] = {"type": "rectangle", "to_world": place, "emitter": {"type": "area", "radiance": 6.0}}
+    return room
+
+
 @pytest.mark.nightly
 def test_path_light_is_the_renderers_indirect_light(stages: Stages, showroom: Any) -> None:
     stages.place_camera(stages.start_camera, SIZE, SIZE)

@@ -22,7 +22,7 @@ from lobewise.render.gbuffer import Moves, add_motion, find_guides
 from lobewise.render.integrators import check_scene, find_lens_light, find_own_light, find_path_depth
 from lobewise.render.materials.bsdfs import list_lobe_tables, read_scene_materials
 from lobewise.render.own_light import forget_lobes, make_pinhole_sensor
-from lobewise.render.tracing.direct import find_shifts, shade_direct
+from lobewise.render.tracing.direct import Boxes, find_lamp_boxes, find_shifts, list_lamps, shade_direct
 from lobewise.render.tracing.own_samples import OwnLight, sample_own
 from lobewise.render.tracing.points import Indirect, IndirectMethod, assign_to_lobes, find_points
 from lobewise.render.tracing.rays import make_opaque
@@ -149,6 +149,7 @@ class Stages:
         self.start_size = get_image_size(scene)
         self.materials = read_scene_materials(scene)
         self.lobe_tables = list_lobe_tables(self.materials)
+        self._lamps = list_lamps(scene)
         self._looks_through = any(material.can_be_transparent for material in self.materials.values())
         # Dr.Jit does not find all arrays of an orthographic sensor.
         self._records = not is_flat(scene)
@@ -177,8 +178,9 @@ class Stages:
         dr.eval(pixel)
         eye = [dr.opaque(mi.Float, float(value)) for value in camera.position]
         shifts = [dr.opaque(mi.Float, value) for value in find_shifts(seed)]
+        boxes = find_lamp_boxes(self.scene, self._lamps)
         with use_sensor(self._sensor):
-            flat = self._first(pixel, *_make_opaque_size(width, height), *eye, *shifts)
+            flat = self._first(pixel, *_make_opaque_size(width, height), *eye, boxes, *shifts)
         images = [
             values.reshape((height, width) if count == 1 else (height, width, count))
             for count, values in zip((*_GUIDES.values(), 3, 3, 3), flat, strict=True)
@@ -287,7 +289,9 @@ class Stages:
         guides = find_guides(self.scene, points, mi.Point3f(x, y, z))
         return [guides[name] for name in ("depth", "shape", "seen_shape")]
 
-    def _trace_first(self, pixel: Any, width: Any, height: Any, x: Any, y: Any, z: Any, *shifts: Any) -> list[Any]:
+    def _trace_first(
+        self, pixel: Any, width: Any, height: Any, x: Any, y: Any, z: Any, boxes: Boxes | None, *shifts: Any
+    ) -> list[Any]:
         points = find_points(self.scene, self.materials, pixel, (width, height))
         guides = find_guides(self.scene, points, mi.Point3f(x, y, z))
         inverse = guides["mirror_inverse"]
@@ -295,7 +299,7 @@ class Stages:
         guides["hit_distance"] = dr.select(inverse > 0, dr.rcp(inverse), missed)
         if self.own_light is not None:
             guides |= forget_lobes(guides, points)
-        light = shade_direct(self.scene, self.materials, points, width, shifts)
+        light = shade_direct(self.scene, self.materials, points, width, shifts, boxes)
         scattered = (light.diffuse, light.specular)
         if self.max_depth < 2:
             scattered = (dr.zeros(mi.Color3f, dr.width(pixel)),) * 2

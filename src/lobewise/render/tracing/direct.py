@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
+from operator import or_
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from lobewise.frame import LobeKind
 from lobewise.render.bridge import dr, follow, mi, starts_as
@@ -25,9 +30,17 @@ MIN_LIGHT_SHARE = 1.0 / 1024.0
 MAX_NARROW_ALPHA = 0.3
 """Alpha below which a lobe is also sampled by the BSDF. For wider lobes light samples are enough."""
 
+MAX_BOXES = 4
+"""Number of boxes around lamps that each BSDF sample is tested against. More lamps share one box."""
+BOX_MARGIN = 1e-4
+"""Distance of a box from its lamp, over the largest coordinate of the scene: rounding must not miss a lamp."""
+
 # Roberts 2018, "The unreasonable effectiveness of quasirandom sequences": 1/g and 1/g^2, g the plastic number.
 _STEP_X, _STEP_Y = 0.7548776662466927, 0.5698402909980532
 _FRAME_STEPS = (0.6180339887498949, 0.41421356237309515)
+
+Boxes = list[tuple[Any, Any]]
+"""The lower and the upper corner of each box (Dr.Jit arrays)."""
 
 
 @dataclass
@@ -65,15 +78,49 @@ class _Layers:
     specular: Any = starts_as("Color3f")
 
 
+def list_lamps(scene: Any) -> list[Any] | None:
+    """Return the shapes whose light a ray may meet; None if the scene has a sky, which rays meet in all directions."""
+    return None if scene.environment() is not None else [shape for shape in scene.shapes() if shape.is_emitter()]
+
+
+def find_lamp_boxes(scene: Any, lamps: Sequence[Any] | None) -> Boxes | None:
+    """Return opaque boxes around the lamps of `list_lamps`, where they are now; None if there is a sky."""
+    if lamps is None:
+        return None
+    corners = [np.array([list(each.bbox().min), list(each.bbox().max)]) for each in lamps]
+    if len(corners) > MAX_BOXES:
+        corners = [np.stack([np.min(corners, axis=(0, 1)), np.max(corners, axis=(0, 1))])]
+    around = scene.bbox()
+    margin = BOX_MARGIN * max(map(abs, (*around.min, *around.max)))
+
+    def give(corner: NDArray[np.float64]) -> Any:
+        return mi.Point3f(*(dr.opaque(mi.Float, float(value)) for value in corner))
+
+    return [(give(low - margin), give(high + margin)) for low, high in corners]
+
+
+def _may_meet_lamp(ray: Any, boxes: Boxes | None) -> Any:
+    """Return whether rays hit a box around a lamp; True if there is a sky."""
+    if boxes is None:
+        return mi.Bool(True)
+    hits = (mi.BoundingBox3f(*corners).ray_intersect(ray) for corners in boxes)
+    return reduce(or_, (hit & (end >= 0) for hit, _, end in hits), mi.Bool(False))
+
+
 def shade_direct(
-    scene: Any, materials: dict[int, Material], points: Points, width: Any, shifts: Sequence[Any]
+    scene: Any,
+    materials: dict[int, Material],
+    points: Points,
+    width: Any,
+    shifts: Sequence[Any],
+    boxes: Boxes | None,
 ) -> Direct:
     """Return the direct light on first surfaces, one light sample per pixel, not evaluated yet.
 
     The 4x4 pixels of a block draw 16 well distributed samples. All blocks draw the same, so that a filter of this size
     averages stratified noise (interleaved sampling: Keller and Heidrich 2001). A surface with a narrow lobe, or under a
     sky, also traces one ray sampled from the BSDF. The power heuristic weighs both samples (Veach 1997). ``width`` is
-    the opaque width of the image; ``shifts`` are those of `find_shifts`.
+    the opaque width of the image; ``shifts`` are those of `find_shifts`, ``boxes`` those of `find_lamp_boxes`.
 
     Where surfaces let light pass (masks, panes), all surfaces on the camera's ray are lit, each as strongly as those in
     front of it let its light through.
@@ -82,14 +129,14 @@ def shade_direct(
     bsdf_point = _draw(points.pixel, width, shifts[2], shifts[3])
     numbers = _Numbers(light_point, bsdf_point, _fract(bsdf_point.x * 16.0 + bsdf_point.y))
     if not any(material.can_be_transparent for material in materials.values()):
-        return _shade_surface(scene, materials, points.si, points.bsdf, points.surface, points.active, numbers)
+        return _shade_surface(scene, materials, points.si, points.bsdf, points.surface, points.active, numbers, boxes)
 
     def shade_layer(state: _Layers) -> None:
         si = scene.ray_intersect(state.ray, state.active)
         found = state.active & si.is_valid()
         bsdf = si.bsdf(state.ray)
         surface = dispatch_surface(materials, bsdf, si, found)
-        light = _shade_surface(scene, materials, si, bsdf, surface, found, numbers)
+        light = _shade_surface(scene, materials, si, bsdf, surface, found, numbers, boxes)
         state.emitted += dr.select(state.active, state.light * light.emitted, 0.0)
         state.diffuse += dr.select(found, state.light * light.diffuse, 0.0)
         state.specular += dr.select(found, state.light * light.specular, 0.0)
@@ -103,7 +150,14 @@ def shade_direct(
 
 
 def _shade_surface(
-    scene: Any, materials: dict[int, Material], si: Any, bsdf: Any, surface: Surface, active: Any, numbers: _Numbers
+    scene: Any,
+    materials: dict[int, Material],
+    si: Any,
+    bsdf: Any,
+    surface: Surface,
+    active: Any,
+    numbers: _Numbers,
+    boxes: Boxes | None,
 ) -> Direct:
     """Return the light of one surface per lane. Light that passes the surface unscattered does not count."""
     lit = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
@@ -121,8 +175,10 @@ def _shade_surface(
     share = dispatch_share(materials, bsdf, si, found.to_light, found.lit)
     diffuse, specular = seen * share, seen * (1.0 - share)
 
-    following = shiny & (dr.max(found.factor) > 0) & ~found.is_null
-    emission, weight = meet_emitter(scene, scene.ray_intersect(found.ray, following), found.vertex, following)
+    ray = found.ray
+    # Most reflections miss the lamps: their rays need not be traced.
+    following = shiny & (dr.max(found.factor) > 0) & ~found.is_null & _may_meet_lamp(ray, boxes)
+    emission, weight = meet_emitter(scene, scene.ray_intersect(ray, following), found.vertex, following)
     hit_share = dispatch_share(materials, bsdf, si, found.chosen.wo, following & ~found.is_delta)
     hit_share = dr.select(found.is_delta, 0.0, hit_share)
     found_light = dr.select(following, found.factor * emission * weight, 0.0)

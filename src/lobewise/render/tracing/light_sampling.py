@@ -31,8 +31,8 @@ class Scattering:
     """Scattering at a hit: a light sample, and a BSDF sample along which the path goes on.
 
     Light from the sampled light is ``value * radiance * weight`` where ``lit``: ``f cos`` towards ``to_light`` (local),
-    radiance over density, and the weight of multiple importance sampling. ``chosen`` is the BSDF sample, and ``factor``
-    multiplies the path's throughput.
+    radiance over density, and the weight of multiple importance sampling. ``lit`` is false where the light is hidden or
+    the product is 0. ``chosen`` is the BSDF sample, and ``factor`` multiplies the path's throughput.
     """
 
     si: Any
@@ -89,9 +89,12 @@ def scatter(
     light_point, choice, point = numbers
     to_light, radiance, density, only = mi.Vector3f(0, 0, 1), mi.Color3f(0), mi.Float(0), mi.Bool(True)
     if light_point is not None:
-        light, radiance = scene.sample_emitter_direction(si, light_point, True, lit)
-        lit &= light.pdf != 0
+        light, radiance = scene.sample_emitter_direction(si, light_point, False, lit)
         to_light, density, only = si.to_local(light.d), light.pdf, light.delta | alone
     value, pdf, chosen, factor = bsdf.eval_pdf_sample(mi.BSDFContext(), si, to_light, choice, point, active)
+    if light_point is not None:
+        # A light below the horizon, or of whose light the BSDF scatters none, needs no shadow ray.
+        lit &= (light.pdf != 0) & dr.any(value * radiance != 0)
+        lit &= ~scene.ray_test(si.spawn_ray_to(light.p), lit)
     weight = dr.select(only, 1.0, weigh(density, pdf))
     return Scattering(si, lit, to_light, value, radiance, weight, chosen, factor)
