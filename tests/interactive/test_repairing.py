@@ -20,18 +20,18 @@ NOISY, CALM = 1.0, float(MIN_PATHS_FOR_INTERPOLATION)
 
 
 def run(worth: float, **settings: Any) -> tuple[Any, Any, list[tuple[int, int]], Any, Any]:
-    """Return result before, result after, the number and the part of every call, the new samples, and the history."""
+    """Return result before, result after, pixels and parts of every call, the new samples, and the history."""
     frame, truth = make_clean_frame()
     sparse, temporal, calls = make_sparse(frame, 4), TemporalFilter(), []
     before = temporal.add(sparse)
 
-    def shade_part(rows: Any, columns: Any, part: int) -> Radiance:
-        calls.append((len(rows), part))
-        color = (1.0 + part) * truth[rows, columns][:, None]
+    def shade(rows: Any, columns: Any, parts: int) -> Radiance:
+        calls.append((len(rows), parts))
+        color = np.arange(1.0, 1.0 + parts)[:, None] * truth[rows, columns][:, None]
         return Radiance(color, np.zeros_like(color), color)
 
     asked = InteractiveSettings(adaptive=0.05, **settings)
-    after, again = repair(before, sparse, asked, worth, temporal, shade_part)
+    after, again = repair(before, sparse, asked, worth, temporal, shade)
     return before, after, calls, again, temporal
 
 
@@ -47,7 +47,7 @@ def run(worth: float, **settings: Any) -> tuple[Any, Any, list[tuple[int, int]],
 def test_parts_share_the_budget(worth: float, settings: dict[str, Any], parts: int) -> None:
     before, after, calls, again, _ = run(worth, **settings)
     count = int(0.05 / parts * before.weight_sum.size)
-    assert calls == [(count, part) for part in range(parts)]
+    assert calls == [(count, parts)]
     assert after.settings["recomputed"] == count
     rows, columns, light = again
     assert light.shape == (count, parts, 3)

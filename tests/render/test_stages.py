@@ -189,10 +189,12 @@ def test_what_a_pixel_gets_does_not_depend_on_the_others(stages: Stages) -> None
     part = stages.shade_indirect(method, rows[some], columns[some], 2, 7)
     again = stages.shade_indirect(method, rows, columns, 2, 7)
     other = stages.shade_indirect(method, rows, columns, 2, 8)
-    for whole, few, same, different in zip(everything, part, again, other, strict=True):
+    both = stages.shade_indirect(method, rows, columns, 2, 7, 8)
+    for whole, few, same, different, pair in zip(everything, part, again, other, both, strict=True):
         assert np.array_equal(whole[some], few)
         assert np.array_equal(whole, same)
         assert not np.array_equal(whole, different)
+        assert np.array_equal(pair, np.stack([whole, different], axis=1).reshape(pair.shape))
 
 
 @pytest.mark.nightly

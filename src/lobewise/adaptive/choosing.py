@@ -80,10 +80,10 @@ def _find_uncertain(result: Result, frame: AnyFrame, count: int, least: float) -
     noise = {"variance": result.variance, "effective_samples": result.effective_samples}
     expected = expect_error(result.image, exact=find_exact_light(frame), **noise)
     # Pixels without support come first, those of the lowest weight before others.
-    lacking = result.weight_sum < least
-    order = np.where(lacking, expected.max(initial=0.0) * (2.0 - result.weight_sum / max(least, 1e-30)) + 1.0, expected)
-    order[~find_surface(frame)] = -1.0
-    order = np.where(order > 0.0, order, 0.0).ravel()
+    surface = find_surface(frame)
+    order = np.where(surface, expected, np.float32(0.0)).ravel()
+    lacking = np.flatnonzero((result.weight_sum < least) & surface)
+    order[lacking] = expected.max(initial=0.0) * (2.0 - result.weight_sum.ravel()[lacking] / max(least, 1e-30)) + 1.0
     if count < np.count_nonzero(order):
         limit = np.partition(order, order.size - count)[order.size - count] if count else np.inf
         # Pixels of equal rank are taken by place, so that every machine chooses the same pixels.

@@ -15,6 +15,7 @@ from lobewise.adaptive.merging import (
     DARK_LIGHT,
     bound_light,
     bound_parts,
+    find_variance,
     join_parts,
     merge_by_variance,
     merge_by_weight,
@@ -179,15 +180,14 @@ def _merge_parts(
     ``old`` is the old light and its support, 0 to 1. ``around`` filters the new light. Errors of light below ``dark``
     are not relative.
     """
-    _, variance = join_parts(shaded)
     filtered, worth, near = None, np.full(len(shaded.color), samples, np.float32), old[0]
     if around is not None:
-        near, _ = around(join_parts(bound_parts(shaded, dark))[0], samples)
-    mean, _ = join_parts(bound_parts(shaded, dark, near))
+        near, _ = around(join_parts(bound_parts(shaded, dark)), samples)
+    mean = join_parts(bound_parts(shaded, dark, near))
     if around is not None:
         filtered, worth = around(mean, samples)
         filtered = _drop_emission(filtered, exact)
-    merged = merge_by_variance(*old, _drop_emission(mean, exact), variance, filtered, dark)
+    merged = merge_by_variance(*old, _drop_emission(mean, exact), find_variance(shaded), filtered, dark)
     return merged, bound_light(merged, filtered or old[0]), worth
 
 

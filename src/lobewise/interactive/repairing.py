@@ -27,7 +27,7 @@ def repair(
     settings: InteractiveSettings,
     worth: float,
     history: TemporalFilter | None,
-    shade_part: Callable[[NDArray[np.intp], NDArray[np.intp], int], Radiance],
+    shade: Callable[[NDArray[np.intp], NDArray[np.intp], int], Radiance],
 ) -> tuple[Result, Again | None]:
     """Return the result of a frame with its least supported pixels shaded again, and the new samples.
 
@@ -39,31 +39,29 @@ def repair(
         Paths that the samples of a shaded pixel are worth, > 0.
     history : TemporalFilter, optional
         What made the result; the new samples enter it.
-    shade_part : callable
-        Takes rows, columns and the number of the part, and returns the radiance of these pixels, (count, 1).
+    shade : callable
+        Takes rows, columns and the number of parts, and returns the radiance of these pixels, (count, parts).
     """
     is_noisy = worth < MIN_PATHS_FOR_INTERPOLATION
     parts = settings.adaptive_parts if settings.adaptive_parts != "auto" else NOISY_PARTS if is_noisy else 1
     again: list[Again] = []
 
-    def shade(rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Radiance:
-        shaded = [shade_part(rows, columns, part) for part in range(parts)]
-        names = shaded[0].names
-        joined = {name: np.concatenate([getattr(part, name) for part in shaded], axis=1) for name in names}
-        again.append((rows, columns, joined["color"]))
+    def shade_again(rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Radiance:
+        shaded = shade(rows, columns, parts)
+        again.append((rows, columns, shaded.color))
         if history is not None and parts == 1:
             # A noisy sample counts little in this frame; over time it counts fully.
-            history.add_samples(rows, columns, shaded[0], np.ones(rows.size, np.float32))
-        return Radiance(**joined)
+            history.add_samples(rows, columns, shaded, np.ones(rows.size, np.float32))
+        return shaded
 
     budget = settings.adaptive / parts
     if parts > 1:
         mended = recompute(
-            result, shade, samples=float(parts), frame=sparse, budget=budget, filter_new=False, history=history
+            result, shade_again, samples=float(parts), frame=sparse, budget=budget, filter_new=False, history=history
         )
     else:
         # Only the sum is shown, so diffuse and specular light need no repair.
         whole = replace(result, diffuse=None, specular=None)
         samples = min(1.0, worth / MIN_PATHS_FOR_INTERPOLATION)
-        mended = recompute(whole, shade, frame=sparse, budget=budget, filter_new=False, samples=samples)
+        mended = recompute(whole, shade_again, frame=sparse, budget=budget, filter_new=False, samples=samples)
     return mended, again[0] if again else None

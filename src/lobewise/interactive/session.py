@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lobewise.backend.buffers import MemoryPool
 from lobewise.camera import Camera
 from lobewise.errors import InputError, name_value
 from lobewise.filters.history.light import LightPast
@@ -21,7 +22,7 @@ from lobewise.interactive.changes import SceneChanges, Seen
 from lobewise.interactive.direct_filter import settle_direct
 from lobewise.interactive.filter_choice import FilterChoice
 from lobewise.interactive.frames import STAGES, InteractiveFrame, watch
-from lobewise.interactive.gradients import Pixels, Shaded, find_changes, follows_hits, relight
+from lobewise.interactive.gradients import Shaded, find_changes, follows_hits, relight
 from lobewise.interactive.lens import LensMean
 from lobewise.interactive.methods import Methods
 from lobewise.interactive.repairing import repair
@@ -60,6 +61,8 @@ class _Chain:
     """Frames so far."""
     resting: Resting = field(default_factory=Resting)
     lens: LensMean = field(default_factory=LensMean)
+    memory: MemoryPool = field(default_factory=MemoryPool)
+    """The memory of direct light."""
     direct: LightPast | None = None
     """The direct light of the last frame, if nothing but the camera moved since."""
 
@@ -302,13 +305,14 @@ class Session:
         with watch(seconds, "adaptive"):
             if settings.adaptive > 0.0 and settings.scale > 1:
                 result, again = self._repair(chain, shared, method, result, sparse)
-        with watch(seconds, "composite"):
+        with watch(seconds, "composite"), chain.memory.use():
             new = shared.direct
             # The mean over the frames since the camera stands still.
             mean = DirectLight(*chain.resting.add_direct([new.emitted, new.diffuse, new.specular]))
             direct, chain.direct = settle_direct(mean, shared.hits, settings, chain.direct, chain.resting.frames)
             indirect = chain.resting.add_indirect(result.image, sparse, again)
-            image = direct.total + indirect
+            image = direct.total
+            image += indirect
             if self._stages.has_lens and chain.resting.frames > 1:
                 image = chain.lens.add(image, self._stages, shared.hits, settings, chain.number, shared.seed)
         seconds["total"] = math.fsum(seconds[name] for name in STAGES)
@@ -353,16 +357,13 @@ class Session:
         self._stages.place_camera(former.camera, *self._size)
         method = self._methods.get(chain.settings.method)
         rows, columns = former.depth.shape
-        radiance = self._shade(method, former.pixels, former.spp, former.seed, (rows, columns))
+        light = self._stages.shade_indirect(method, *former.pixels, former.spp, former.seed)
+        radiance = make_radiance(method, light, (rows, columns))
         depth, shapes = self._stages.find_surfaces(*former.pixels, former.camera)
         shapes = np.concatenate([shapes.reshape(-1, rows, columns), former.shapes])
         moved = self._changes.find_moved(seen, shapes) if follows_hits(chain.chosen.similarity) else None
         size = self._size[1], self._size[0]
         relight(chain.temporal, find_changes(former, radiance, depth.reshape(rows, columns), size, moved))
-
-    def _shade(self, method: Any, pixels: Pixels, samples: int, seed: int, shape: tuple[int, int]) -> Radiance:
-        """Return the indirect light of some pixels as an image of the shape ``shape``."""
-        return make_radiance(method, self._stages.shade_indirect(method, *pixels, samples, seed), shape)
 
     def _upsample(self, chain: _Chain, sparse: SparseFrame) -> Result:
         settings = chain.settings
@@ -379,9 +380,10 @@ class Session:
         settings, spp = chain.settings, chain.settings.spp
         history = chain.temporal if settings.temporal and settings.similarity != UNFILTERED else None
 
-        def shade_part(rows: NDArray[np.intp], columns: NDArray[np.intp], part: int) -> Radiance:
+        def shade(rows: NDArray[np.intp], columns: NDArray[np.intp], parts: int) -> Radiance:
             # Draw other samples than those of the frame, and others for each part.
-            seed = ((shared.seed ^ (1 << 31)) + part * PART_STEP) % (1 << 32)
-            return self._shade(method, (rows, columns), spp, seed, (rows.size, 1))
+            seeds = [((shared.seed ^ (1 << 31)) + part * PART_STEP) % (1 << 32) for part in range(parts)]
+            light = self._stages.shade_indirect(method, rows, columns, spp, *seeds)
+            return make_radiance(method, light, (rows.size, parts))
 
-        return repair(result, sparse, settings, spp * method.worth, history, shade_part)
+        return repair(result, sparse, settings, spp * method.worth, history, shade)

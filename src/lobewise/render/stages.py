@@ -54,7 +54,9 @@ class DirectLight:
     @property
     def total(self) -> FloatArray:
         """The sum of the three."""
-        return self.emitted + self.diffuse + self.specular
+        total = self.emitted + self.diffuse
+        total += self.specular
+        return total
 
     def make_black(self) -> DirectLight:
         """Return no light at as many pixels."""
@@ -203,13 +205,15 @@ class Stages:
         return replace(hits, gbuffer=add_motion(self.scene, guides, hits.shape, seen, (hits.camera, previous), moves))
 
     def shade_indirect(
-        self, method: IndirectMethod, rows: NDArray[np.intp], columns: NDArray[np.intp], samples: int, seed: int
+        self, method: IndirectMethod, rows: NDArray[np.intp], columns: NDArray[np.intp], samples: int, *seeds: int
     ) -> IndirectLight:
-        """Return the indirect light of some pixels."""
+        """Return the indirect light of some pixels, each shaded once with each seed: pixel by pixel, seeds in turn."""
         width, height = self._get_size()
         if isinstance(method, OwnLight):
+            pixel = _number_pixels(rows, columns, width)
             with use_sensor(self._sensor):
-                color = method.sample(_number_pixels(rows, columns, width), samples, seed)
+                parts = [method.sample(pixel, samples, seed) for seed in seeds]
+            color = np.stack(parts, axis=1).reshape(-1, 3)
             return IndirectLight(color, np.zeros_like(color), np.zeros(len(color), np.float32))
         known = self._indirect.get(method.name)
         if known is None or known[0] is not method:
@@ -229,10 +233,12 @@ class Stages:
 
             frozen = Frozen(shade, lambda: (self.scene, self._sensor, method.state), records=self._records)
             known = self._indirect[method.name] = method, frozen
-        pixel = _number_pixels(rows, columns, width)
+        # A seed for each lane: one recording serves any number of seeds.
+        pixel = _number_pixels(rows.repeat(len(seeds)), columns.repeat(len(seeds)), width)
+        seed = take_numbers(mi.UInt32, np.tile(np.array(seeds, np.uint32), rows.size))
         size = _make_opaque_size(width, height)
         with use_sensor(self._sensor):
-            found = known[1](pixel, *size, make_opaque(samples), make_opaque(seed))
+            found = known[1](pixel, *size, make_opaque(samples), seed)
         shapes = (-1, 3), (-1, 3), (-1,), (-1, 3), (-1,)
         return IndirectLight(*(values.reshape(shape) for values, shape in zip(found, shapes, strict=False)))
 
