@@ -130,6 +130,14 @@ def _number_pixels(rows: NDArray[np.intp], columns: NDArray[np.intp], width: int
     return take_numbers(mi.UInt32, rows * width + columns)
 
 
+def _interleave(target: Any, pixel: Any, image: Any) -> Any:
+    """Write the channels of pixels beside each other, as NumPy takes them. `Frozen` would copy the image for that."""
+    for channel in range(3):
+        at = 3 * pixel + channel
+        dr.scatter(target, dr.detach(image[channel]), at, mode=dr.ReduceMode.NoConflicts)
+    return target
+
+
 class Stages:
     """The renderer of one scene, for many frames and sizes. It moves the scene's sensor.
 
@@ -181,11 +189,13 @@ class Stages:
         eye = [dr.opaque(mi.Float, float(value)) for value in camera.position]
         shifts = [dr.opaque(mi.Float, value) for value in find_shifts(seed)]
         boxes = find_lamp_boxes(self.scene, self._lamps)
+        counts = (*_GUIDES.values(), 3, 3, 3)
+        targets = [dr.empty(mi.Float, 3 * width * height) for count in counts if count == 3]
         with use_sensor(self._sensor):
-            flat = self._first(pixel, *_make_opaque_size(width, height), *eye, boxes, *shifts)
+            flat = self._first(targets, pixel, *_make_opaque_size(width, height), *eye, boxes, *shifts)
         images = [
             values.reshape((height, width) if count == 1 else (height, width, count))
-            for count, values in zip((*_GUIDES.values(), 3, 3, 3), flat, strict=True)
+            for count, values in zip(counts, flat, strict=True)
         ]
         guides = dict(zip(_GUIDES, images, strict=False))
         shape, seen_shape = guides.pop("shape"), guides.pop("seen_shape")
@@ -296,7 +306,16 @@ class Stages:
         return [guides[name] for name in ("depth", "shape", "seen_shape")]
 
     def _trace_first(
-        self, pixel: Any, width: Any, height: Any, x: Any, y: Any, z: Any, boxes: Boxes | None, *shifts: Any
+        self,
+        targets: list[Any],
+        pixel: Any,
+        width: Any,
+        height: Any,
+        x: Any,
+        y: Any,
+        z: Any,
+        boxes: Boxes | None,
+        *shifts: Any,
     ) -> list[Any]:
         points = find_points(self.scene, self.materials, pixel, (width, height))
         guides = find_guides(self.scene, points, mi.Point3f(x, y, z))
@@ -309,4 +328,6 @@ class Stages:
         scattered = (light.diffuse, light.specular)
         if self.max_depth < 2:
             scattered = (dr.zeros(mi.Color3f, dr.width(pixel)),) * 2
-        return [*(guides[name] for name in _GUIDES), light.emitted, *scattered]
+        images = [*(guides[name] for name in _GUIDES), light.emitted, *scattered]
+        vectors = iter(targets)
+        return [_interleave(next(vectors), pixel, image) if dr.depth_v(image) > 1 else image for image in images]
