@@ -56,6 +56,7 @@ class _Path:
 
     ray: Any
     rng: Any
+    hit: Any
     active: Any = starts_as("Bool", True)
     throughput: Any = starts_as("Color3f", 1)
     share: Any = starts_as("Color3f")
@@ -70,16 +71,25 @@ class _Path:
 
 
 def trace_path(
-    scene: Any, materials: dict[int, Material], ray: Any, rng: Any, settings: PathSettings, max_depth: Any
+    scene: Any,
+    materials: dict[int, Material],
+    ray: Any,
+    rng: Any,
+    settings: PathSettings,
+    max_depth: Any,
+    hit: Any = None,
 ) -> Sample:
     """Trace one path per lane, with next-event estimation and multiple importance sampling at every vertex.
+
+    ``hit`` is the preliminary hit of the ray, if it is known.
 
     Sampling, weights and depths are those of Mitsuba's ``path`` integrator.
     Departs: contributions are split by the lobe of the first scattering. A sample's weight is ``f / p`` of all lobes
     together, so each contribution is split by the shares of the lobes in ``f``, not by the sampled lobe.
     """
     bounces = _Bounces(scene, materials, settings, max_depth)
-    start = _Path(ray, rng, sample=make_sample(settings.rays))
+    hit = scene.ray_intersect_preliminary(ray) if hit is None else hit
+    start = _Path(ray, rng, hit, sample=make_sample(settings.rays))
     sample: Sample = follow(start, bounces.take, "bounces").sample
     return sample
 
@@ -94,9 +104,9 @@ class _Bounces:
     max_depth: Any
 
     def take(self, path: _Path) -> None:
-        """Go to the next hit, gather light there, and sample the next direction."""
+        """Gather light at the hit, sample the next direction, and go to the next hit."""
         settings = self.settings
-        si = self.scene.ray_intersect(path.ray)
+        si = path.hit.compute_surface_interaction(path.ray)
         if settings.guides:
             self._count_hit(path, si)
         if settings.radiance:
@@ -115,6 +125,7 @@ class _Bounces:
         self._go_on(path, found, going, seen)
         if seen is not None and settings.surfaces:
             self._add_seen(path, si, seen)
+        path.hit = self.scene.ray_intersect_preliminary(path.ray, False, path.active)
 
     def _count_hit(self, path: _Path, si: Any) -> None:
         """Add 1/t and position/t of the hit of the first specular reflection. A miss adds 0, as at infinity."""
@@ -314,7 +325,7 @@ class PathLight:
 
         def take(index: Any) -> tuple[Any, ...]:
             rng = make_rng(points.pixel, index, seed_value)
-            found = trace_path(self._scene, self._materials, points.ray, rng, settings, max_depth)
+            found = trace_path(self._scene, self._materials, points.ray, rng, settings, max_depth, points.hit)
             assert found.ray is not None
             # Radiance that passes a boundary is divided by the square of the index, and the albedo is not.
             known = (albedo > 0) & (dr.squared_norm(found.ray.direction) > 0)

@@ -28,7 +28,8 @@ class Points:
     """The first surfaces at the centres of some pixels, one pixel per lane (Dr.Jit arrays; a PyTree).
 
     ``pixel`` is the row-major number of the pixel, and ``ray`` goes through its centre. ``active`` tells whether the
-    ray hits a surface; ``si``, ``bsdf`` and ``surface`` describe the first one that is more opaque than not.
+    ray hits a surface; ``si``, ``bsdf`` and ``surface`` describe the first one that is more opaque than not. ``hit`` is
+    the preliminary hit of the ray; None where the first surface may be transparent.
     """
 
     pixel: Any
@@ -37,6 +38,7 @@ class Points:
     bsdf: Any
     surface: Surface
     active: Any
+    hit: Any = None
 
 
 @dataclass
@@ -139,21 +141,27 @@ class _Layers:
 def find_first_opaque(scene: Any, materials: dict[int, Material], ray: Any) -> tuple[Any, Surface]:
     """Return the first hit that is more opaque than not, and its guides."""
 
-    def look(ray: Any, active: Any) -> tuple[Any, Surface]:
-        si = scene.ray_intersect(ray, active)
-        return si, dispatch_surface(materials, si.bsdf(ray), si, active & si.is_valid())
-
-    if not any(material.can_be_transparent for material in materials.values()):
-        return look(ray, mi.Bool(True))
-
     def pass_through(state: _Layers) -> None:
-        state.si, state.surface = look(state.ray, state.active)
+        state.si = scene.ray_intersect(state.ray, state.active)
+        state.surface = _describe(materials, state.ray, state.si, state.active)
         state.ray = state.si.spawn_ray(state.ray.d)
         state.count += 1
         state.active = state.si.is_valid() & (state.surface.opacity < MIN_SURFACE_OPACITY) & (state.count < MAX_LAYERS)
 
-    end = follow(_Layers(ray), pass_through, "layers")
-    return end.si, end.surface
+    if can_be_transparent(materials):
+        end = follow(_Layers(ray), pass_through, "layers")
+        return end.si, end.surface
+    si = scene.ray_intersect(ray)
+    return si, _describe(materials, ray, si, mi.Bool(True))
+
+
+def _describe(materials: dict[int, Material], ray: Any, si: Any, active: Any) -> Surface:
+    return dispatch_surface(materials, si.bsdf(ray), si, active & si.is_valid())
+
+
+def can_be_transparent(materials: dict[int, Material]) -> bool:
+    """Return whether any of the materials may let light pass."""
+    return any(material.can_be_transparent for material in materials.values())
 
 
 def find_points(scene: Any, materials: dict[int, Material], pixel: Any, size: tuple[Any, Any]) -> Points:
@@ -162,5 +170,9 @@ def find_points(scene: Any, materials: dict[int, Material], pixel: Any, size: tu
     ``size`` is width and height of the image, opaque, so that kernels are not compiled for each size.
     """
     ray = make_ray(scene, pixel, size, mi.Point2f(0.5))
-    si, surface = find_first_opaque(scene, materials, ray)
-    return Points(pixel, ray, si, si.bsdf(), surface, si.is_valid())
+    if can_be_transparent(materials):
+        si, surface = find_first_opaque(scene, materials, ray)
+        return Points(pixel, ray, si, si.bsdf(), surface, si.is_valid())
+    hit = scene.ray_intersect_preliminary(ray)
+    si = hit.compute_surface_interaction(ray)
+    return Points(pixel, ray, si, si.bsdf(), _describe(materials, ray, si, mi.Bool(True)), si.is_valid(), hit)
