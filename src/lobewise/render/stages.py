@@ -24,7 +24,13 @@ from lobewise.render.materials.bsdfs import list_lobe_tables, read_scene_materia
 from lobewise.render.own_light import forget_lobes, make_pinhole_sensor
 from lobewise.render.tracing.direct import Boxes, find_lamp_boxes, find_shifts, list_lamps, shade_direct
 from lobewise.render.tracing.own_samples import OwnLight, sample_own
-from lobewise.render.tracing.points import Indirect, IndirectMethod, assign_to_lobes, find_points
+from lobewise.render.tracing.points import (
+    Indirect,
+    IndirectMethod,
+    assign_to_lobes,
+    can_be_transparent,
+    find_points,
+)
 from lobewise.render.tracing.rays import make_opaque
 
 
@@ -160,7 +166,7 @@ class Stages:
         self.materials = read_scene_materials(scene)
         self.lobe_tables = list_lobe_tables(self.materials)
         self._lamps = list_lamps(scene)
-        self._looks_through = any(material.can_be_transparent for material in self.materials.values())
+        self._looks_through = can_be_transparent(self.materials)
         # Dr.Jit does not find all arrays of an orthographic sensor.
         self._records = not is_flat(scene)
         self._first = Frozen(self._trace_first, lambda: (scene, self._sensor), records=self._records)

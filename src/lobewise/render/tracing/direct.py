@@ -17,7 +17,7 @@ from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import dispatch_share, dispatch_surface, dispatch_transmission
 from lobewise.render.materials.surface import Surface
 from lobewise.render.tracing.light_sampling import meet_emitter, scatter
-from lobewise.render.tracing.points import MAX_LAYERS, Points, assign_to_lobes
+from lobewise.render.tracing.points import MAX_LAYERS, Points, assign_to_lobes, can_be_transparent
 from lobewise.render.tracing.rays import hides_emitters
 from lobewise.sparse_frame import list_places
 
@@ -78,6 +78,15 @@ class _Layers:
     specular: Any = starts_as("Color3f")
 
 
+@dataclass
+class _Met:
+    """The light of lamps that BSDF samples meet."""
+
+    active: Any
+    diffuse: Any = starts_as("Color3f")
+    specular: Any = starts_as("Color3f")
+
+
 def list_lamps(scene: Any) -> list[Any] | None:
     """Return the shapes whose light a ray may meet; None if the scene has a sky, which rays meet in all directions."""
     return None if scene.environment() is not None else [shape for shape in scene.shapes() if shape.is_emitter()]
@@ -128,7 +137,7 @@ def shade_direct(
     light_point = _draw(points.pixel, width, shifts[0], shifts[1])
     bsdf_point = _draw(points.pixel, width, shifts[2], shifts[3])
     numbers = _Numbers(light_point, bsdf_point, _fract(bsdf_point.x * 16.0 + bsdf_point.y))
-    if not any(material.can_be_transparent for material in materials.values()):
+    if not can_be_transparent(materials):
         return _shade_surface(scene, materials, points.si, points.bsdf, points.surface, points.active, numbers, boxes)
 
     def shade_layer(state: _Layers) -> None:
@@ -176,20 +185,26 @@ def _shade_surface(
     diffuse, specular = seen * share, seen * (1.0 - share)
 
     ray = found.ray
-    # Most reflections miss the lamps: their rays need not be traced.
     following = shiny & (dr.max(found.factor) > 0) & ~found.is_null & _may_meet_lamp(ray, boxes)
-    emission, weight = meet_emitter(scene, scene.ray_intersect(ray, following), found.vertex, following)
-    hit_share = dispatch_share(materials, bsdf, si, found.chosen.wo, following & ~found.is_delta)
-    hit_share = dr.select(found.is_delta, 0.0, hit_share)
-    found_light = dr.select(following, found.factor * emission * weight, 0.0)
+
+    def meet(state: _Met) -> None:
+        emission, weight = meet_emitter(scene, scene.ray_intersect(ray, state.active), found.vertex, state.active)
+        hit_share = dispatch_share(materials, bsdf, si, found.chosen.wo, state.active & ~found.is_delta)
+        hit_share = dr.select(found.is_delta, 0.0, hit_share)
+        light = found.factor * emission * weight
+        state.diffuse, state.specular = light * hit_share, light * (1.0 - hit_share)
+        state.active = mi.Bool(False)
+
+    # Most reflections miss the lamps. A loop that ends at once skips vectors of them, where a mask would compute them.
+    met = follow(_Met(following), meet, "lamps")
 
     emitted = si.emitter(scene).eval(si, mi.Bool(True))
     if hides_emitters(scene):
         emitted = dr.select(si.is_valid(), emitted, 0.0)
     return Direct(
         emitted=emitted,
-        diffuse=diffuse + found_light * hit_share,
-        specular=specular + found_light * (1.0 - hit_share),
+        diffuse=diffuse + met.diffuse,
+        specular=specular + met.specular,
     )
 
 
