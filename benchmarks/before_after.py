@@ -15,7 +15,8 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,8 @@ import numpy as np
 from benchmarks.same_bits.frames import crop, enrich, load_bundled, name_layers
 
 RESULTS = Path(__file__).parent / "results" / "before_after.json"
+FIRST_FRAMES, ORBIT_FRAMES = 4, 20
+"""Frames of the interactive chain before its first timed run, and on the part of the orbit that lies in the room."""
 LEAST_SECONDS = 0.1
 """A run repeats a case until it has taken so much processor time."""
 
@@ -64,7 +67,33 @@ def make_cases() -> dict[str, Callable[[], Any]]:
         history = lobewise.TemporalFilter(device="cpu", **changes)
         history.add(frame)
         cases[name] = lambda history=history, frame=frame: history.add(frame)
+    cases["interactive frame, 1024x1024"] = make_interactive()
     return cases
+
+
+def make_interactive() -> Callable[[], Any]:
+    """Return what renders the next frame of the interactive chain by paths, to and fro on an orbit."""
+    from lobewise.bench.interactive import DEGREES_PER_FRAME
+
+    frames: Iterator[Any] | None = None
+
+    def run() -> Any:
+        nonlocal frames
+        if frames is None:
+            # The scene takes seconds, so it waits for the first run.
+            from lobewise.interactive import InteractiveSettings, Session
+            from lobewise.render import find_orbit_centre, load_mitsuba, make_orbit
+
+            load_mitsuba("cpu")
+            session = Session("showroom", width=1024, height=1024)
+            path = make_orbit(session.camera, find_orbit_centre(session.scene), ORBIT_FRAMES, DEGREES_PER_FRAME)
+            # No camera twice in turn: while it stands still, more pixels are shaded.
+            frames = session.frames(cycle([*path, *path[-2:0:-1]]), InteractiveSettings(method="paths"))
+            for _ in range(FIRST_FRAMES):  # they compile kernels, or have a shorter history
+                next(frames)
+        return next(frames)
+
+    return run
 
 
 def serve() -> None:
