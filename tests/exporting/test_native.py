@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lobewise import engine
 from lobewise.backend.devices import list_devices
 from lobewise.cli.main import run
 from lobewise.errors import DeviceError, FileError, InputError
@@ -21,7 +20,6 @@ from lobewise.exporting.native import export_library
 from lobewise.exporting.plan import FilterPlan
 from lobewise.exporting.sample import make_sample
 from lobewise.exporting.targets import parse_target
-from lobewise.guides.mixture_fields import define_mixture, make_mixture_field
 
 WARNINGS = ["-std=c99", "-O1", "-Wall", "-Wextra", "-pedantic", "-Werror"]
 QUICK = FilterPlan("sg", "separable", 3)
@@ -268,33 +266,6 @@ def test_folder_is_written_whole_or_not_at_all(quick: Path, tmp_path: Path, monk
         "own",
         "own/thesis.tex",
     ]
-
-
-def test_mixture_kernel_is_the_mixture_field() -> None:
-    from lobewise.frame import GBuffer
-    from lobewise.io import read_frame
-
-    rng = np.random.default_rng(7)
-    shape, tau = (40, 48), 0.01
-    camera = read_frame(Path(__file__).parents[2] / "src" / "lobewise" / "data" / "sample.exr").camera
-    assert camera is not None
-    images = {
-        "normal": rng.normal(size=(*shape, 3)).astype(np.float32),
-        "position": rng.normal(size=(*shape, 3)).astype(np.float32),
-        "depth": rng.uniform(0.5, 1.0, shape).astype(np.float32),
-        "alpha_u": np.clip(rng.uniform(-0.1, 1.1, shape), 0.0, 1.0).astype(np.float32),
-    }
-    images["normal"][3, 4] = 0.0
-    images["alpha_u"][5, 6] = np.nan
-    numbers = {"eye": camera.position.astype(np.float32), "noise": np.float32(tau) ** 2}
-    for lobes in (2, 3, 4):
-        valid, axis, sharpness, amplitude = engine.pixels(define_mixture, images, numbers, lobes)
-        expected = make_mixture_field(GBuffer(**images), camera, tau=tau, lobes=lobes)
-        np.testing.assert_array_equal(valid, expected.valid)
-        np.testing.assert_allclose(axis, expected.axis, atol=3e-5)
-        several = (*shape, lobes)
-        np.testing.assert_allclose(sharpness.reshape(several), expected.sharpness, rtol=3e-4)
-        np.testing.assert_allclose(amplitude.reshape(several), expected.amplitude, rtol=5e-4)
 
 
 @pytest.mark.nightly

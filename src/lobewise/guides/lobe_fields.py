@@ -242,6 +242,7 @@ def make_split_field(gbuffer: GBuffer, camera: Camera, taus: Sequence[float]) ->
     for tau in taus:
         check_lobe_guides(gbuffer, "ggx", tau)
     images, numbers = collect_guides(gbuffer, camera, 0.0, "ggx")
+    numbers["diffuse_fallback"] = np.float32(1.0)
     noises = {f"noise{k}": square_single(tau) for k, tau in enumerate(taus)}
     names = ["has_lobe", "surface", "specular_mask", *(f"{axis}_{each}" for axis in ("axis", "turn") for each in "xyz")]
     names += [f"{size}{k}" for k in range(len(taus)) for size in ("large", "small")]
@@ -256,7 +257,7 @@ def make_split_field(gbuffer: GBuffer, camera: Camera, taus: Sequence[float]) ->
 
 def define_split_lobes(grid: Grid, count: int) -> list[Vector]:
     """Return validity, surface, mask, axis, t, and both eigenvalues for each of ``count`` band-limits."""
-    which, axis, shape = _find_lobes(grid, "ggx", hl.Expr(True))
+    which, axis, shape = find_lobe(grid, "ggx")
     which, *lobe = grid.share([which, *axis, *shape])
     axis, covariance, determinant = lobe[:3], lobe[3:9], lobe[9]
     large, t = split_covariance(HALIDE, axis, covariance)
@@ -334,8 +335,7 @@ def collect_guides(
 
 def define_lobes(grid: Grid, similarity: str) -> list[Vector]:
     """Return validity, surface, mask, axis and shape: the sharpness, or the covariance and its determinant."""
-    fallback = grid.get("diffuse_fallback")[0] != 0 if "diffuse_fallback" in grid.numbers else hl.Expr(False)
-    which, axis, shape = _find_lobes(grid, similarity, fallback)
+    which, axis, shape = find_lobe(grid, similarity)
     return [*_find_masks(grid, which), axis, *([shape[:6], shape[6:]] if len(shape) > 1 else [shape])]
 
 
@@ -345,8 +345,13 @@ def _find_masks(grid: Grid, which: hl.Expr) -> list[Vector]:
     return [[hl.u8(lobe)], [hl.u8(surface)], [hl.u8(surface & lobe)]]
 
 
-def _find_lobes(grid: Grid, similarity: str, fallback: hl.Expr) -> tuple[hl.Expr, list[hl.Expr], list[hl.Expr]]:
-    """Return the kind of a pixel's lobe, its axis and its shape."""
+def find_lobe(grid: Grid, similarity: str) -> tuple[hl.Expr, list[hl.Expr], list[hl.Expr]]:
+    """Return the kind of a pixel's lobe, its axis and its shape.
+
+    The shape is the sharpness, or the covariance and its determinant. That of a GGX mixture is the variance without the
+    band-limit, and the product of both alphas.
+    """
+    fallback = grid.get("diffuse_fallback")[0] != 0 if "diffuse_fallback" in grid.numbers else hl.Expr(False)
     normal, view, cosine, surface = _find_directions(grid)
     kind = grid.read_one("kind") if grid.has("kind") else None
     alphas, known = read_alphas(grid, kind)
@@ -356,10 +361,11 @@ def _find_lobes(grid: Grid, similarity: str, fallback: hl.Expr) -> tuple[hl.Expr
         neutral = [0.0] * 6 + [1.0]
         finite = is_finite(axis[0] + axis[1] + axis[2] + shape[-1])
     else:
-        (noise,) = grid.get("noise")
+        noise = hl.f32(0.0) if record.is_mixture else grid.get("noise")[0]
         variance = find_ggx_variance(HALIDE, cosine, alphas, noise)
-        axis, shape = reflect(normal, view, cosine), [1.0 / variance]
-        neutral = [1.0]
+        axis = reflect(normal, view, cosine)
+        shape = [variance, alphas[0] * alphas[1]] if record.is_mixture else [1.0 / variance]
+        neutral = [1.0] * len(shape)
         finite = is_finite(axis[0] + axis[1] + axis[2] + variance)
     specular = surface & known & finite
     lambert = hl.Expr(False)
@@ -375,7 +381,7 @@ def _find_lobes(grid: Grid, similarity: str, fallback: hl.Expr) -> tuple[hl.Expr
     def choose(value: hl.Expr, diffuse: hl.Expr, harmless: float) -> hl.Expr:
         return hl.select(which == SPECULAR_LOBE, value, which == LAMBERT_LOBE, diffuse, hl.f32(harmless))
 
-    flat: list[hl.Expr] = [hl.f32(LAMBERT_SIMILARITY_SHARPNESS)]
+    flat = [hl.f32(LAMBERT_SIMILARITY_SHARPNESS)] * len(shape)
     if record.has_covariance:
         variance = hl.f32(1.0 / LAMBERT_SIMILARITY_SHARPNESS)
         flat = [*find_round_covariance(variance, normal), variance * variance]

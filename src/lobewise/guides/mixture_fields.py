@@ -2,28 +2,33 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
+from itertools import zip_longest
+from operator import or_
 from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise import engine
 from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import HALIDE
-from lobewise.backend.pointwise import Grid, Vector
+from lobewise.backend.pointwise import Grid, Vector, give_channels, is_finite
 from lobewise.camera import Camera
 from lobewise.chunks import Chunk, run_chunks
 from lobewise.errors import InputError
-from lobewise.fitting.arrays import Array, normalize
+from lobewise.fitting.arrays import normalize
 from lobewise.fitting.table import evaluate_table
 from lobewise.frame import FloatArray, GBuffer, LobeKind
-from lobewise.guides.lobe_fields import SgField, define_lobes, make_sg_field
+from lobewise.guides.lobe_fields import LAMBERT_LOBE, NO_LOBE, check_lobe_guides, collect_guides, find_lobe
+from lobewise.guides.surfaces import find_surface_pixels
 from lobewise.lobe_table import LobeTable
-from lobewise.lobes.gaussian import integrate_gaussian
+from lobewise.lobes.gaussian import LAMBERT_SIMILARITY_SHARPNESS, integrate_gaussian
 from lobewise.lobes.mixture import LAMBERT_AMPLITUDE, LAMBERT_SHARPNESS, spread_ggx_mixture
-from lobewise.lobes.numbers import NUMPY_SINGLE
-from lobewise.lobes.vectors import LUMINANCE
+from lobewise.lobes.vectors import dot, find_luminance, scale
 from lobewise.settings import MAX_LOBES
 
 
@@ -90,35 +95,21 @@ def make_mixture_field(
         If ``tau`` or ``lobes`` is out of range.
     """
     tables = tuple(lobe_tables) if gbuffer.material is not None else ()
-    diffuse_lobes = int(diffuse and gbuffer.diffuse_albedo is not None)
-    count = _count_lobes(lobes, tables, diffuse, diffuse_lobes)
-    single = make_sg_field(gbuffer, camera, tau=tau, diffuse_fallback=not diffuse)
-    height, width = single.valid.shape
-    field = MixtureField(
-        valid=np.empty((height, width), np.bool_),
-        axis=np.zeros((height, width, 3 * count if tables or diffuse_lobes else 3), np.float32),
-        sharpness=np.ones((height, width, count), np.float32),
-        amplitude=np.zeros((height, width, count), np.float32),
-    )
-    rays = camera.make_ray_directions(width, height) if tables and gbuffer.position is None else None
-    builder = _Builder(gbuffer, camera.position.astype(np.float32), rays, np.float32(tau * tau), lobes, single, field)
-
-    def fill(chunk: Chunk) -> None:
-        with np.errstate(all="ignore"):  # pixels without a surface may overflow; `finish` replaces their values
-            builder.fill_parametric(chunk)
-            for number, table in enumerate(tables):
-                builder.fill_table(chunk, number, table)
-            valid = single.valid[chunk]
-            if diffuse_lobes:
-                valid = valid | builder.fill_diffuse(chunk)
-            builder.finish(chunk, valid)
-
-    run_chunks(fill, height, width)
-    return field
+    albedo = gbuffer.diffuse_albedo if diffuse else None
+    _check_count(lobes, tables, diffuse, int(albedo is not None))
+    check_lobe_guides(gbuffer, "sg_mixture", tau)
+    images, numbers = collect_guides(gbuffer, camera, tau, "sg_mixture")
+    images |= {"specular_albedo": gbuffer.specular_albedo, "diffuse_albedo": albedo}
+    if tables:
+        images |= give_channels("table", _read_tables(gbuffer, camera, tables))
+    numbers["diffuse_fallback"] = np.float32(not diffuse)
+    names, text = ["has_lobe", "axis", "sharpness", "amplitude"], "lobes of the similarity sg_mixture"
+    valid, axis, *shapes = engine.pixels(define_mixture, images, numbers, lobes, names=names, text=text)
+    return MixtureField(valid, axis, *(image if image.ndim == 3 else image[..., None] for image in shapes))
 
 
-def _count_lobes(lobes: int, tables: Sequence[LobeTable], diffuse: bool, diffuse_lobes: int) -> int:
-    """Return the largest number of lobes that a pixel can have."""
+def _check_count(lobes: int, tables: Sequence[LobeTable], diffuse: bool, diffuse_lobes: int) -> None:
+    """Raise an error if a pixel can have too many lobes."""
 
     def complain(expected: str, got: str, action: str) -> NoReturn:
         raise InputError("lobes of a mixture", expected=expected, got=got, action=action)
@@ -137,127 +128,102 @@ def _count_lobes(lobes: int, tables: Sequence[LobeTable], diffuse: bool, diffuse
             str(count),
             "fit the materials with fewer lobes, or render diffuse and specular radiance apart",
         )
-    return count
 
 
-def _sum_luminance(albedo: FloatArray) -> Array:
-    return np.asarray(sum(weight * albedo[..., k] for k, weight in enumerate(LUMINANCE)), dtype=np.float32)
+def _read_tables(gbuffer: GBuffer, camera: Camera, tables: Sequence[LobeTable]) -> list[FloatArray]:
+    """Return planes, five for each lobe of a table: the axis, the sharpness without band-limit, and the amplitude.
+
+    All five are 0 where a pixel has fewer lobes, or shows no material with a table.
+    """
+    material, normal, position = gbuffer.material, gbuffer.normal, gbuffer.position
+    assert material is not None and normal is not None
+    height, width = material.shape
+    planes = np.zeros((max(table.lobe_count for table in tables), 5, height, width), np.float32)
+    surface, eye = find_surface_pixels(gbuffer, (height, width)), camera.position.astype(np.float32)
+    rays = camera.make_ray_directions(width, height)
+
+    def fill(chunk: Chunk) -> None:
+        for number, table in enumerate(tables, 1):
+            here = surface[chunk] & (material[chunk] == number)
+            if not here.any():
+                continue
+            view = -rays[chunk][here] if position is None else normalize(eye - position[chunk][here])
+            tangent = None if gbuffer.tangent is None or table.is_isotropic else gbuffer.tangent[chunk][here]
+            found = evaluate_table(table, normalize(normal[chunk][here]), view, tangent)
+            # The isotropic Gaussian with the area of the anisotropic one has twice the mean sharpness (geometric).
+            sharpness = 2.0 * np.sqrt(found.sharpness[..., 0] * found.sharpness[..., 1])
+            for k in range(table.lobe_count):
+                values = *np.moveaxis(found.axis[:, k], -1, 0), sharpness[:, k], found.amplitude[:, k]
+                for plane, value in zip(planes[k], values, strict=True):
+                    plane[chunk][here] = value
+
+    run_chunks(fill, height, width)
+    return list(planes.reshape(-1, height, width))
 
 
-@dataclass(frozen=True)
-class _Builder:
-    """Fills the arrays of a MixtureField chunk by chunk."""
-
-    gbuffer: GBuffer
-    eye: FloatArray
-    rays: FloatArray | None
-    """Unit directions in which the pixels look; only if there are lobe tables and no positions."""
-    noise: np.float32
-    """Variance that the band-limit adds to every lobe, square radians."""
-    lobes: int
-    single: SgField
-    field: MixtureField
-
-    def fill_parametric(self, chunk: Chunk) -> None:
-        """Fill in the GGX mixture about the axis of the single lobe. The variance of the single lobe is its area."""
-        single, gbuffer, field = self.single, self.gbuffer, self.field
-        assert gbuffer.alpha_u is not None
-        area = np.maximum(np.float32(1.0) / single.sharpness[chunk] - self.noise, np.float32(0.0))
-        alpha_v = gbuffer.alpha_u if gbuffer.alpha_v is None else gbuffer.alpha_v
-        square = np.clip(gbuffer.alpha_u[chunk] * alpha_v[chunk], np.float32(0.0), np.float32(1.0))
-        albedo = np.ones_like(square)
-        if gbuffer.specular_albedo is not None:
-            albedo = _sum_luminance(gbuffer.specular_albedo[chunk])
-        found = spread_ggx_mixture(NUMPY_SINGLE, area, square, albedo, lobes=self.lobes, noise=self.noise)
-        for k, (sharpness, amplitude) in enumerate(zip(*found, strict=True)):
-            field.sharpness[chunk][..., k], field.amplitude[chunk][..., k] = sharpness, amplitude
-        for k in range(0, min(3 * self.lobes, field.axis.shape[2]), 3):
-            field.axis[chunk][..., k : k + 3] = single.axis[chunk]
-        if gbuffer.lobe_kind is None:
-            return
-        kind = gbuffer.lobe_kind[chunk]
-        # The lobes of Beckmann surfaces and mirrors, and the diffuse lobe, are a single Gaussian already.
-        alone = kind != LobeKind.GGX
-        if alone.any():
-            sharpness = single.sharpness[chunk][alone]
-            weight = np.where(kind[alone] == LobeKind.NONE, np.float32(1.0), albedo[alone])
-            field.sharpness[chunk][..., 0][alone] = sharpness
-            field.amplitude[chunk][..., 0][alone] = weight / integrate_gaussian(NUMPY_SINGLE, sharpness)
-            field.amplitude[chunk][..., 1 : self.lobes][alone] = 0.0
-
-    def fill_table(self, chunk: Chunk, number: int, table: LobeTable) -> None:
-        """Replace the lobes of the pixels that show the material of the table."""
-        gbuffer, field = self.gbuffer, self.field
-        assert gbuffer.material is not None and gbuffer.normal is not None
-        here = self.single.valid[chunk] & (gbuffer.material[chunk] == number + 1)
-        if not here.any():
-            return
-        normal = normalize(gbuffer.normal[chunk][here])
-        if gbuffer.position is not None:
-            view = normalize(self.eye - gbuffer.position[chunk][here])
-        else:
-            assert self.rays is not None
-            view = -self.rays[chunk][here]
-        tangent = None
-        if not table.is_isotropic:
-            assert gbuffer.tangent is not None
-            tangent = gbuffer.tangent[chunk][here]
-        found = evaluate_table(table, normal, view, tangent)
-        # Use the isotropic Gaussian with the area of the anisotropic one: twice the geometric mean of the sharpnesses.
-        sharpness = 2.0 * np.sqrt(found.sharpness[..., 0] * found.sharpness[..., 1])
-        limited = sharpness / (1.0 + self.noise * sharpness)
-        count = sharpness.shape[-1]
-        axis = np.zeros((len(normal), field.axis.shape[2]), np.float32)
-        axis[:, : 3 * count] = found.axis.reshape(len(normal), -1)
-        both = np.ones((2, len(normal), field.sharpness.shape[2]), np.float32)
-        both[0, :, :count] = limited
-        both[1] = 0.0
-        both[1, :, :count] = found.amplitude * limited / sharpness
-        field.axis[chunk][here], field.sharpness[chunk][here], field.amplitude[chunk][here] = axis, both[0], both[1]
-
-    def fill_diffuse(self, chunk: Chunk) -> NDArray[np.bool_]:
-        """Put the diffuse lobe last and return where there is one. A pixel without specular lobe has it alone."""
-        gbuffer, field = self.gbuffer, self.field
-        assert gbuffer.diffuse_albedo is not None and gbuffer.normal is not None
-        albedo = _sum_luminance(gbuffer.diffuse_albedo[chunk])
-        x, y, z = (gbuffer.normal[chunk][..., k] for k in range(3))
-        square = x * x + y * y + z * z
-        there = (albedo > 0.0) & (albedo < np.inf) & (square > 1e-6) & (square < np.inf)
-        inverse = np.float32(1.0) / np.sqrt(square)
-        for k, component in enumerate((x, y, z)):
-            field.axis[chunk][..., -3 + k] = np.where(there, component * inverse, 0.0)
-        field.sharpness[chunk][..., -1] = LAMBERT_SHARPNESS
-        field.amplitude[chunk][..., -1] = np.where(there, albedo * np.float32(LAMBERT_AMPLITUDE / np.pi), 0.0)
-        none = ~self.single.valid[chunk]
-        if none.any():
-            field.axis[chunk][..., :-3][none] = 0.0
-            field.sharpness[chunk][..., :-1][none] = 1.0
-            field.amplitude[chunk][..., :-1][none] = 0.0
-        return np.asarray(there)
-
-    def finish(self, chunk: Chunk, valid: NDArray[np.bool_]) -> None:
-        """Write the mask, and neutral values where there is no lobe."""
-        field = self.field
-        field.valid[chunk] = valid & np.isfinite(field.axis[chunk].sum(-1) + field.amplitude[chunk].sum(-1))
-        none = ~field.valid[chunk]
-        for values, harmless in ((field.axis, 0.0), (field.sharpness, 1.0), (field.amplitude, 0.0)):
-            values[chunk][none] = harmless
+ABSENT = (0.0, 0.0, 0.0, 1.0, 0.0)
+"""A lobe that a pixel does not have: axis, sharpness and amplitude."""
 
 
 def define_mixture(grid: Grid, lobes: int) -> list[Vector]:
-    """Return validity, axis, sharpnesses and amplitudes of GGX surfaces of albedo 1, for exported filters.
+    """Return validity, axes, sharpnesses and amplitudes; a GGX surface has ``lobes`` lobes.
 
-    The area of the mixture is the variance of the single lobe without its band-limit.
+    All lobes of a pixel have one axis, unless there are tables or diffuse lobes. Without an image the albedo is 1.
     """
-    valid, _, _, axis, (single,) = define_lobes(grid, "sg")
-    (noise,) = grid.get("noise")
-    area = hl.max(1.0 / single - noise, hl.f32(0.0))
-    alpha = hl.clamp(grid.read_one("alpha_u"), hl.f32(0.0), hl.f32(1.0))
-    sharpness, amplitude = spread_ggx_mixture(HALIDE, area, alpha * alpha, 1.0, lobes=lobes, noise=noise)
-    there = valid[0] != 0
-    return [
-        valid,
-        axis,
-        [hl.select(there, value, hl.f32(1.0)) for value in sharpness],
-        [hl.select(there, value, hl.f32(0.0)) for value in amplitude],
+    which, mixture = _find_specular(grid, lobes)
+    there = [which != NO_LOBE] * len(mixture)
+    if grid.has("diffuse_albedo"):
+        diffuse, is_lit = _find_diffuse(grid)
+        mixture, there = [*mixture, diffuse], [*there, is_lit]
+    zero = hl.f32(0.0)
+    sums = [hl.select(has, x + y + z + value, zero) for has, (x, y, z, _, value) in zip(there, mixture, strict=True)]
+    finite = is_finite(sum(sums[1:], sums[0]))
+    kept = [
+        hl.select(has & finite, value, hl.f32(absent))
+        for has, lobe in zip(there, mixture, strict=True)
+        for value, absent in zip(lobe, ABSENT, strict=True)
     ]
+    valid, *kept = grid.share([hl.u8(finite & reduce(or_, there)), *kept])
+    each = [kept[k : k + 5] for k in range(0, len(kept), 5)]
+    own_axes = each if grid.has("diffuse_albedo") or grid.has("table_channel0") else each[:1]
+    axes = [value for lobe in own_axes for value in lobe[:3]]
+    return [[valid], axes, [lobe[3] for lobe in each], [lobe[4] for lobe in each]]
+
+
+def _find_specular(grid: Grid, lobes: int) -> tuple[hl.Expr, list[Vector]]:
+    """Return the kind of a pixel's lobe (see `find_lobe`) and its lobes: axis, sharpness and amplitude."""
+    which, axis, (area, alpha_square) = find_lobe(grid, "sg_mixture")
+    (noise,) = grid.get("noise")
+    albedo = find_luminance(HALIDE, grid.read("specular_albedo")) if grid.has("specular_albedo") else hl.f32(1.0)
+    sharpness, amplitude = spread_ggx_mixture(HALIDE, area, alpha_square, albedo, lobes=lobes, noise=noise)
+    if grid.has("kind"):
+        # The lobes of Beckmann surfaces and mirrors, and the diffuse lobe, are a single Gaussian already.
+        alone, is_lambert = grid.read_one("kind") != hl.f32(LobeKind.GGX), which == LAMBERT_LOBE
+        single = hl.select(is_lambert, hl.f32(LAMBERT_SIMILARITY_SHARPNESS), 1.0 / (area + noise))
+        peak = hl.select(is_lambert, hl.f32(1.0), albedo) / integrate_gaussian(HALIDE, single)
+        sharpness[0] = hl.select(alone, single, sharpness[0])
+        amplitude = [hl.select(alone, hl.f32(0.0) if k else peak, amplitude[k]) for k in range(lobes)]
+    mixture: list[Vector] = [[*axis, *shape] for shape in zip(sharpness, amplitude, strict=True)]
+    if not grid.has("table_channel0"):
+        return which, mixture
+    planes = grid.read_channels("table")
+    is_measured, absent = planes[3] > hl.f32(0.0), [hl.f32(value) for value in ABSENT]
+    measured = [_limit_band(planes[k : k + 5], noise) for k in range(0, len(planes), 5)]
+    pairs = zip_longest(measured, mixture, fillvalue=absent)
+    return which, [[hl.select(is_measured, a, b) for a, b in zip(*pair, strict=True)] for pair in pairs]
+
+
+def _limit_band(lobe: Vector, noise: hl.Expr) -> Vector:
+    """Return a lobe of a table with the variance ``noise`` more; its integral does not change."""
+    *axis, sharpness, amplitude = lobe
+    factor = 1.0 / (1.0 + noise * sharpness)
+    return [*axis, hl.select(sharpness > hl.f32(0.0), sharpness * factor, hl.f32(1.0)), amplitude * factor]
+
+
+def _find_diffuse(grid: Grid) -> tuple[Vector, hl.Expr]:
+    """Return the diffuse lobe of a pixel, and whether the surface reflects diffuse light."""
+    normal, tint = grid.read("normal"), find_luminance(HALIDE, grid.read("diffuse_albedo"))
+    square = dot(normal, normal)
+    is_lit = (tint > hl.f32(0.0)) & is_finite(tint) & (square > hl.f32(1e-6)) & is_finite(square)
+    axis = scale(normal, 1.0 / hl.sqrt(square))
+    return [*axis, hl.f32(LAMBERT_SHARPNESS), tint * hl.f32(LAMBERT_AMPLITUDE / math.pi)], is_lit

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from lobewise.lobes.numbers import Namespace
+
 Vector = Sequence[Any]
 """The components of a vector: three, or the six ``xx, xy, xz, yy, yz, zz`` of a symmetric matrix."""
 LUMINANCE = (0.2126, 0.7152, 0.0722)
@@ -30,6 +32,11 @@ def cross(a: Vector, b: Vector) -> list[Any]:
 def scale(vector: Vector, factor: Any) -> list[Any]:
     """Return every component times ``factor``."""
     return [component * factor for component in vector]
+
+
+def find_luminance(xp: Namespace, colour: Vector) -> Any:
+    """Return the luminance of linear red, green and blue."""
+    return dot([xp.number(share) for share in LUMINANCE], colour)
 
 
 def combine(*terms: tuple[Any, Vector]) -> list[Any]:
