@@ -28,8 +28,9 @@ from lobewise.denoising.bad_pixels import find_good
 from lobewise.denoising.layers import Layer
 from lobewise.engine.numbers import make_single
 from lobewise.filters.glue import define_brightened, define_takers
-from lobewise.filters.noise.residuals import DIFFERENCES, SHARED_NOISE_VARIANCE, SHARED_STEP
+from lobewise.filters.noise.residuals import SHARED_NOISE_VARIANCE, SHARED_STEP, find_residual
 from lobewise.frame import FloatArray, Frame
+from lobewise.lobes.numbers import NUMPY
 
 MIN_SHARE_BOUNDED = 1e-3
 """Share of the light that bounding took from fireflies. Below it, fireflies are not the cause of a change."""
@@ -290,9 +291,10 @@ def _find_squared_residual(light: NDArray[np.float64], step: int) -> NDArray[np.
     height, width = light.shape
     around = np.pad(light, step, mode="edge")
     has_bad = bool(np.isnan(light).any())
-    total = np.zeros_like(light)
-    for row, down in enumerate(DIFFERENCES):
-        for column, across in enumerate(DIFFERENCES):
-            there = around[row * step : row * step + height, column * step : column * step + width]
-            total += down * across / 6.0 * (np.where(np.isnan(there), light, there) if has_bad else there)
-    return total * total
+
+    def take(dx: int, dy: int) -> list[NDArray[np.float64]]:
+        there = around[step + dy : step + dy + height, step + dx : step + dx + width]
+        return [np.where(np.isnan(there), light, there) if has_bad else there]
+
+    (residual,) = find_residual(NUMPY, take, step)
+    return np.asarray(residual * residual)

@@ -40,6 +40,6 @@ def find_luminance(xp: Namespace, colour: Vector) -> Any:
 
 
 def combine(*terms: tuple[Any, Vector]) -> list[Any]:
-    """Return the sum of 3-vectors, each times its weight."""
+    """Return the sum of vectors, each times its weight."""
     (first, vector), *others = terms
-    return [sum((weight * more[k] for weight, more in others), first * vector[k]) for k in range(3)]
+    return [sum((weight * more[k] for weight, more in others), first * vector[k]) for k in range(len(vector))]

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from functools import reduce
+from operator import and_
 
 import numpy as np
 
 from lobewise import engine
 from lobewise.backend import expressions
 from lobewise.backend.compiler import hl
-from lobewise.backend.expressions import is_good
+from lobewise.backend.expressions import HALIDE, is_good
 from lobewise.backend.pointwise import Grid, Vector
-from lobewise.filters.noise.residuals import DIFFERENCES, SHARED_NOISE_VARIANCE
+from lobewise.filters.noise.residuals import SHARED_NOISE_VARIANCE, find_residual
 from lobewise.frame import FloatArray
 
 BLUR_WEIGHTS = (0.0625, 0.25, 0.375, 0.25, 0.0625)
@@ -116,14 +118,10 @@ def square_residual(grid: Grid, name: str) -> tuple[list[hl.Expr], hl.Expr]:
     noisy, filtered = grid.read("noisy", *at), grid.read(name, *at)
     read = grid.keep([p - q for p, q in zip(noisy, filtered, strict=True)])
     read_good = grid.keep([hl.cast(hl.UInt(8), is_good(noisy) & is_good(filtered))])
-    totals, good = [hl.f32(0.0)] * 3, hl.cast(hl.Bool(), True)
-    for row, down in enumerate(DIFFERENCES):
-        for column, across in enumerate(DIFFERENCES):
-            near = grid.x + RESIDUAL_STEP * (column - 1), grid.y + RESIDUAL_STEP * (row - 1)
-            good = good & (read_good(*near)[0] != hl.u8(0))
-            share = hl.f32(down * across / 6.0)
-            totals = [total + share * value for total, value in zip(totals, read(*near), strict=True)]
-    return [total * total for total in totals], good
+    steps = (-RESIDUAL_STEP, 0, RESIDUAL_STEP)
+    good = reduce(and_, (read_good(grid.x + i, grid.y + j)[0] != hl.u8(0) for j in steps for i in steps))
+    residual = find_residual(HALIDE, lambda dx, dy: read(grid.x + dx, grid.y + dy), RESIDUAL_STEP)
+    return [value * value for value in residual], good
 
 
 def _mirror(place: hl.Expr, size: hl.Expr) -> hl.Expr:

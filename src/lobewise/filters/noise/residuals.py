@@ -9,16 +9,20 @@ the variance of the samples of the pass; over the number of samples it is the va
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lobewise import engine
 from lobewise.backend.compiler import hl
+from lobewise.backend.expressions import HALIDE
 from lobewise.backend.pointwise import Grid, Vector, select_or_nan
 from lobewise.engine.numbers import make_single
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS, demodulate
 from lobewise.frame import FloatArray
+from lobewise.lobes.numbers import Namespace
+from lobewise.lobes.vectors import combine
 
 REACH = SHARED_STEP = 2
 """Pixels between the taps of a residual if neighbours share their noise, otherwise 1; and the farthest pixel read."""
@@ -31,6 +35,15 @@ that dominate the mean of a few squares. Tuned on ``showroom`` and ``parlour`` (
 DIFFERENCES = (1.0, -2.0, 1.0)
 """Weights of a second difference."""
 _MIN_LIGHT = 1e-12
+
+
+def find_residual(xp: Namespace, take: Callable[[int, int], Vector], step: int) -> list[Any]:
+    """Return the residual of each channel; its variance is that of the noise.
+
+    ``take`` returns the channels so many columns and rows from the pixel, or what stands in for them.
+    """
+    places = list(enumerate(DIFFERENCES, -1))
+    return combine(*((xp.number(q * p / 6.0), take(step * x, step * y)) for y, q in places for x, p in places))
 
 
 def find_squared_residual(
@@ -83,21 +96,14 @@ def _find_residual(
     read = grid.keep([convert(value) for value in light])
     read_good = grid.keep([hl.cast(hl.UInt(8), there & (known != 0))])
 
-    def take(dx: int, dy: int) -> tuple[list[hl.Expr], hl.Expr]:
-        near = grid.x + dx, grid.y + dy
-        return read(*near), read_good(*near)[0] != hl.u8(0)
+    own, good = read(grid.x, grid.y), read_good(grid.x, grid.y)[0] != hl.u8(0)
 
-    own, good = take(0, 0)
-    totals: list[hl.Expr] = [hl.f32(0.0)] * COLORS
-    for row, down in enumerate(DIFFERENCES):
-        for column, across in enumerate(DIFFERENCES):
-            light, there = take(step * (column - 1), step * (row - 1))
-            share = hl.f32(down * across / 6.0)
-            totals = [
-                total + share * hl.select(there, value, mine)
-                for total, value, mine in zip(totals, light, own, strict=True)
-            ]
-    return totals, own, good
+    def take(dx: int, dy: int) -> list[hl.Expr]:
+        near = grid.x + dx, grid.y + dy
+        there = read_good(*near)[0] != hl.u8(0)
+        return [hl.select(there, value, mine) for value, mine in zip(read(*near), own, strict=True)]
+
+    return find_residual(HALIDE, take, step), own, good
 
 
 def split_samples(
