@@ -99,6 +99,16 @@ class Grid:
 
         return read
 
+    def average(self, values: Vector, radius: int) -> list[hl.Expr]:
+        """Return means over a square around the pixel of ``values``, which are those of a pixel at `inside`."""
+        reach, read = range(-radius, radius + 1), self.keep(values)
+        # Sum columns first: a column of the square serves all squares that it lies in.
+        columns = [read(self.x, self.y + down) for down in reach]
+        column = self.keep([sum(parts[1:], parts[0]) for parts in zip(*columns, strict=True)])
+        squares = [column(self.x + across, self.y) for across in reach]
+        share = hl.f32(1.0 / len(reach) ** 2)
+        return [sum(parts[1:], parts[0]) * share for parts in zip(*squares, strict=True)]
+
 
 def give_channels(name: str, image: Any) -> dict[str, Any]:
     """Return an image (height, width, channels) by name, its channels apart if they lie one after the other in memory.

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from lobewise.chunks import Chunk, run_chunks
 from lobewise.filters.compositing import UNKNOWN_SPP
 from lobewise.frame import FloatArray
+from lobewise.guides.squares import find_largest, sum_square
 from lobewise.lobes.vectors import LUMINANCE
 
 MIN_BLUR_RADIUS = 1.5
@@ -85,7 +86,7 @@ def find_sharing(light: FloatArray, blur_radius: FloatArray, spp: int | None) ->
     """
     turns = count_turns(light, blur_radius, spp)
     blurred = np.isfinite(blur_radius) & (blur_radius >= MIN_BLUR_RADIUS)
-    near = _find_largest(blurred.astype(np.float32), RIM) > 0.0
+    near = find_largest(blurred, RIM)
     near &= ~(blur_radius < MIN_BLUR_RADIUS)
     return Sharing(turns, _find_gain(exchange(light, turns) @ np.array(LUMINANCE, np.float32), near))
 
@@ -95,7 +96,7 @@ def exchange(light: FloatArray, turns: NDArray[np.int64]) -> FloatArray:
     shared = light
     for turn in range(int(turns.max(initial=0))):
         shares = (turns > turn).astype(np.float32)[..., None]
-        given = _sum_around(shares * shared) - _sum_around(shares) * shared
+        given = sum_square(shares * shared, 1) - sum_square(shares, 1) * shared
         shared = shared + shares * given * np.float32(1.0 / 9.0)
     return shared
 
@@ -117,7 +118,7 @@ def count_turns(light: FloatArray, blur_radius: FloatArray, spp: int | None) -> 
 def _find_sharing(bright: FloatArray) -> NDArray[np.bool_]:
     """Return which pixels share, (height, width), by their luminance: those that are bright, or amid bright ones."""
     height, width = bright.shape
-    padded, least = np.pad(bright, VIEW_RADIUS), BRIGHT_SHARE * _find_largest(bright, BRIGHT_RADIUS)
+    padded, least = np.pad(bright, VIEW_RADIUS), BRIGHT_SHARE * find_largest(bright, BRIGHT_RADIUS)
     found, views = np.empty((height, width), np.bool_), _list_views()
 
     def find(chunk: Chunk) -> None:
@@ -153,10 +154,10 @@ def _find_gain(bright: FloatArray, near: NDArray[np.bool_]) -> FloatArray:
     bound = _find_bound(bright)
     kept = np.where(near, np.minimum(bright, bound), bright)
     takes = np.where(near, kept, np.float32(0.0))
-    taken = _sum_around(takes, SPREAD_RADIUS)
+    taken = sum_square(takes, SPREAD_RADIUS)
     share = np.minimum(np.divide(bright - kept, taken, out=np.zeros_like(bright), where=taken > 0.0), MAX_GAIN)
-    total = bright - share * taken + takes * _sum_around(share, SPREAD_RADIUS)
-    return np.divide(total, bright, out=gain, where=bright > 0.0)
+    total = bright - share * taken + takes * sum_square(share, SPREAD_RADIUS)
+    return np.asarray(np.divide(total, bright, out=gain, where=bright > 0.0))
 
 
 def _find_bound(bright: FloatArray) -> FloatArray:
@@ -169,19 +170,3 @@ def _find_bound(bright: FloatArray) -> FloatArray:
         for place in range(RANK):
             best[place], value = np.maximum(best[place], value), np.minimum(best[place], value)
     return best[-1]
-
-
-def _find_largest(image: FloatArray, radius: int) -> FloatArray:
-    """Return the largest value within ``radius`` rows and columns."""
-    for axis in (0, 1):
-        padded = np.pad(image, [(radius, radius) if each == axis else (0, 0) for each in (0, 1)])
-        image = np.lib.stride_tricks.sliding_window_view(padded, 2 * radius + 1, axis=axis).max(axis=-1)
-    return image
-
-
-def _sum_around(image: FloatArray, radius: int = 1) -> FloatArray:
-    """Return the sums over squares of ``2 * radius + 1`` pixels, 0 beyond the borders."""
-    height, width = image.shape[:2]
-    padded = np.pad(image, [(radius, radius)] * 2 + [(0, 0)] * (image.ndim - 2))
-    rows = sum((padded[y : y + height] for y in range(1, 2 * radius + 1)), padded[:height])
-    return np.asarray(sum((rows[:, x : x + width] for x in range(1, 2 * radius + 1)), rows[:, :width]))

@@ -8,12 +8,12 @@ alike, while neighbouring pixels of noisy light differ. So lamps are found in th
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.frame import FloatArray, Frame
+from lobewise.guides.squares import average_square, find_largest
 
 MAX_DIFFERENCE = 0.03
 """Largest difference between alike neighbours, in every colour, relative to the brighter one."""
@@ -111,7 +111,7 @@ def _find_edges(color: FloatArray, lamps: Mask) -> Mask:
     Radiance is compared, without division: coverage mixes radiance, and the albedo of a lamp says nothing of its light.
     """
     radiance = color.mean(axis=-1)
-    brightest = _find_maximum(np.where(lamps, radiance, np.float32(0.0)), EDGE_WIDTH)
+    brightest = find_largest(np.where(lamps, radiance, np.float32(0.0)), EDGE_WIDTH)
     return np.asarray((brightest > 0.0) & (radiance <= MAX_EDGE_EXCESS * brightest) & ~lamps)
 
 
@@ -134,24 +134,3 @@ def _outshine(bright: FloatArray, around: FloatArray, candidates: Mask, factor: 
         share = average_square((around < LEVEL_RATIO**each / factor).astype(np.float32), COMPARED_RADIUS)
         found |= candidates & (level == each) & (share >= MIN_DARKER_SHARE)
     return found
-
-
-def _find_maximum(image: FloatArray, radius: int) -> FloatArray:
-    """Return the maximum over a square around each pixel of an image that is nowhere negative."""
-    height, width = image.shape
-    padded, steps = np.pad(image, radius), range(2 * radius + 1)
-    rows = reduce(np.maximum, (padded[i : i + height] for i in steps))
-    return np.asarray(reduce(np.maximum, (rows[:, i : i + width] for i in steps)))
-
-
-def average_square(image: FloatArray, radius: int) -> FloatArray:
-    """Return the mean over a square around each pixel; at borders, over the part inside the image."""
-    result = image.astype(np.float64)
-    for axis in (0, 1):
-        length = result.shape[axis]
-        sums = np.concatenate([np.zeros_like(np.take(result, [0], axis)), np.cumsum(result, axis=axis)], axis=axis)
-        place = np.arange(length)
-        low, high = np.maximum(place - radius, 0), np.minimum(place + radius + 1, length)
-        count = (high - low).reshape((-1, 1) if axis == 0 else (1, -1))
-        result = (np.take(sums, high, axis) - np.take(sums, low, axis)) / count
-    return np.asarray(result, dtype=np.float32)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray, Frame, GBuffer
 from lobewise.guides.lamps import describe_lamps, keep_lamps
+from lobewise.guides.squares import count_neighbours
 from lobewise.guides.surfaces import find_surface_pixels, put_backdrop
 from lobewise.sparse_frame import AnyFrame
 
@@ -109,23 +110,17 @@ def _find_unknown(frame: Frame, known: NDArray[np.bool_]) -> NDArray[np.bool_] |
     unknown = ~known & lit
     if not unknown.any():
         return None
-    dark = ~known & ~_has_any(frame.radiance.color != 0.0) & (_count_neighbours(lit) >= MIN_LIT_NEIGHBOURS)
+    dark = ~known & ~_has_any(frame.radiance.color != 0.0) & (count_neighbours(lit, 1) >= MIN_LIT_NEIGHBOURS)
     # Samples that saw a surface behind the fog left its albedo.
     albedos = [layer.albedo for layer in frame.layers] or [frame.gbuffer.diffuse_albedo, frame.gbuffer.specular_albedo]
     seen = [_has_any(albedo > 0.0) for albedo in albedos if albedo is not None]
-    foggy = _count_neighbours(unknown) >= MIN_UNKNOWN_NEIGHBOURS
+    foggy = count_neighbours(unknown, 1) >= MIN_UNKNOWN_NEIGHBOURS
     return np.asarray(unknown | (dark & np.logical_or.reduce([foggy, *seen])))
 
 
 def _has_any(truth: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return whether any of three channels is true. NumPy's reductions over an axis of three are far slower."""
     return np.asarray(truth[..., 0] | truth[..., 1] | truth[..., 2])
-
-
-def _count_neighbours(mask: NDArray[np.bool_]) -> NDArray[np.intp]:
-    wide = np.pad(mask.astype(np.intp), 1)
-    rows = wide[:-2] + wide[1:-1] + wide[2:]
-    return np.asarray(rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:] - mask)
 
 
 def _cut_shifted(shape: tuple[int, int], down: int, right: int) -> tuple[slice, slice]:

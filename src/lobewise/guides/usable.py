@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from lobewise.backend.prebuilt import has_kernels
 from lobewise.frame import FloatArray, Frame, GBuffer
+from lobewise.guides.squares import count_neighbours
 from lobewise.guides.stand_ins import stand_in_normals, stand_in_surfaces
 from lobewise.guides.surfaces import find_surface_pixels
 from lobewise.guides.survey import GuideSurvey
@@ -218,19 +219,10 @@ def _list_odd_normals(frame: AnyFrame, rows: slice) -> Iterator[Unusable]:
         return
     lost = _find_lost(frame, guides.depth)
     if lost.any():
-        alone = (lost & (_count_neighbours(lost) <= MAX_NEIGHBOURS_WITHOUT_NORMAL))[rows]
+        alone = (lost & (count_neighbours(lost, NEIGHBOURS_RADIUS) <= MAX_NEIGHBOURS_WITHOUT_NORMAL))[rows]
         length = np.abs(guides.normal[rows]).max(axis=-1)
         yield Unusable("normal", "of length 0 on a surface", _count(alone & (length == 0.0)), "they are not filtered")
         yield Unusable("normal", "not finite", _count(lost[rows] & ~np.isfinite(length)), "they are not filtered")
-
-
-def _count_neighbours(mask: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Return how many neighbours of each pixel lie in a mask."""
-    padded = np.pad(mask.astype(np.intp), NEIGHBOURS_RADIUS)
-    height, width = mask.shape
-    shifts = range(2 * NEIGHBOURS_RADIUS + 1)
-    square = [padded[down : down + height, right : right + width] for down in shifts for right in shifts]
-    return np.asarray(np.sum(square, axis=0) - mask, np.intp)
 
 
 def _is_long(normal: FloatArray | None) -> bool:

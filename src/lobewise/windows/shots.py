@@ -15,6 +15,7 @@ from lobewise.filters.windows.edges import find_edges
 from lobewise.frame import FloatArray, Frame, Result
 from lobewise.guides.places import estimate_curvature, find_surface_places
 from lobewise.guides.screen_hits import find_screen_hits
+from lobewise.guides.squares import find_largest
 from lobewise.guides.usable import CheckedGuides
 from lobewise.settings import DenoiseSettings, Similarity, TemporalSettings
 from lobewise.temporal.validation import Guides, ValidationFeatures, make_validation_features
@@ -77,7 +78,7 @@ class Shot:
         distance = np.where(distance < MAX_STEP_SHARE * max(self.frame.shape), distance, np.float32(0.0))
         # At edges renderers average the motion of both surfaces, which is that of none: ask the pixels inside of them.
         edge, _, _ = self.edges
-        inside = spread_largest(np.where(edge, np.float32(-1.0), distance), EDGE_REACH_PIXELS)
+        inside = find_largest(np.where(edge, np.float32(-1.0), distance), EDGE_REACH_PIXELS)
         return np.where(edge & (inside >= 0.0), inside, distance)
 
     @cached_property
@@ -149,16 +150,6 @@ class Shot:
         """Edges between surfaces of which one moves by itself, (height, width): there the background changes."""
         edge, _, _ = self.edges
         return np.asarray(edge & (self.own_motion > MIN_PASSING_PIXELS))
-
-
-def spread_largest(image: FloatArray, reach: int) -> FloatArray:
-    """Return the largest value of an image, (height, width), in the square of ``reach`` pixels around each pixel."""
-    for axis in (0, 1):
-        widths = [(reach, reach) if each == axis else (0, 0) for each in (0, 1)]
-        wide = np.pad(image, widths, mode="edge")
-        size = image.shape[axis]
-        image = np.maximum.reduce([np.take(wide, range(k, k + size), axis) for k in range(2 * reach + 1)])
-    return image
 
 
 def extrapolate_camera(camera: Camera, following: Camera) -> Camera:

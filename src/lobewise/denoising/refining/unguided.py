@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from lobewise.denoising.refining.whole_image import Rows
 from lobewise.filters.specks import MIN_BLUR_RADIUS
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
-from lobewise.guides.lamps import average_square
+from lobewise.guides.squares import average_square
 from lobewise.guides.surfaces import find_surface_pixels
 from lobewise.lobes.vectors import LUMINANCE
 

@@ -159,14 +159,7 @@ def _find_lengths(grid: Grid, old: Vector, turn: hl.Expr) -> list[hl.Expr]:
 def _find_bounds(grid: Grid) -> list[tuple[hl.Expr, hl.Expr]]:
     """Return the least and the largest mean of each light that this frame's light around the pixel allows."""
     values = grid.read("now", *grid.inside)[:DIFFUSE_FRAMES]
-    read = grid.keep([*values, *(value * value for value in values)])
-    reach = range(-RADIUS_PIXELS, RADIUS_PIXELS + 1)
-    # Sum columns first: a column of the square serves all squares that it lies in.
-    columns = [read(grid.x, grid.y + down) for down in reach]
-    column = grid.keep([sum(parts[1:], parts[0]) for parts in zip(*columns, strict=True)])
-    squares = [column(grid.x + across, grid.y) for across in reach]
-    share = hl.f32(1.0 / len(reach) ** 2)
-    sums = [sum(parts[1:], parts[0]) * share for parts in zip(*squares, strict=True)]
+    sums = grid.average([*values, *(value * value for value in values)], RADIUS_PIXELS)
     bounds = []
     for mean, square, most in zip(sums[:2], sums[2:], (DIFFUSE_SPREAD, SPECULAR_SPREAD), strict=True):
         spread = hl.f32(most) * hl.sqrt(hl.max(square - mean * mean, hl.f32(0.0)))

@@ -64,14 +64,7 @@ def _define_expected(grid: Grid) -> list[Vector]:
     (level,) = grid.get("level")
     inverse = hl.f32(1.0) / level
     logarithm = hl.log(grid.read("light", *grid.inside)[0] * inverse + hl.f32(DARK_LEVEL))
-    read = grid.keep([logarithm, logarithm * logarithm])
-    reach = range(-CONTRAST_RADIUS_PIXELS, CONTRAST_RADIUS_PIXELS + 1)
-    # Sum columns first: a column of the square serves all squares that it lies in.
-    columns = [read(grid.x, grid.y + down) for down in reach]
-    column = grid.keep([sum((each[k] for each in columns[1:]), columns[0][k]) for k in range(2)])
-    parts = [column(grid.x + across, grid.y) for across in reach]
-    share = hl.f32(1.0 / len(reach) ** 2)
-    mean, square = (sum((each[k] for each in parts[1:]), parts[0][k]) * share for k in range(2))
+    mean, square = grid.average([logarithm, logarithm * logarithm], CONTRAST_RADIUS_PIXELS)
     contrast = hl.max(square - mean * mean, hl.f32(0.0))
     if grid.has("variance"):
         relative = grid.read_one("light") * inverse

@@ -1,0 +1,52 @@
+"""Sums, means and maxima over a square around each pixel, in NumPy. Of a pixel at a border, the square is cut off."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import reduce
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.frame import FloatArray
+
+Array = TypeVar("Array", bound=NDArray[Any])
+
+
+def find_largest(image: Array, radius: int) -> Array:
+    """Return the maximum over the square from ``radius`` pixels before each pixel to ``radius`` pixels after it."""
+    found: Array = _join(image, radius, np.maximum, "edge")
+    return found
+
+
+def sum_square(image: Array, radius: int) -> Array:
+    """Return the sum over the same square."""
+    found: Array = _join(image, radius, np.add, "constant")
+    return found
+
+
+def count_neighbours(mask: NDArray[np.bool_], radius: int) -> NDArray[np.intp]:
+    """Return how many other pixels of the same square lie in a mask."""
+    return sum_square(mask.astype(np.intp), radius) - mask
+
+
+def _join(image: Array, radius: int, join: Callable[[Any, Any], Any], border: Any) -> Any:
+    height, width = image.shape[:2]
+    around = np.pad(image, [(radius, radius)] * 2 + [(0, 0)] * (image.ndim - 2), mode=border)
+    steps = range(2 * radius + 1)
+    rows = reduce(join, (around[down : down + height] for down in steps))
+    return reduce(join, (rows[:, right : right + width] for right in steps))
+
+
+def average_square(image: FloatArray, radius: int) -> FloatArray:
+    """Return the mean over the same square. It takes no longer if the square is large."""
+    result = image.astype(np.float64)
+    for axis in (0, 1):
+        length = result.shape[axis]
+        sums = np.concatenate([np.zeros_like(np.take(result, [0], axis)), np.cumsum(result, axis=axis)], axis=axis)
+        place = np.arange(length)
+        low, high = np.maximum(place - radius, 0), np.minimum(place + radius + 1, length)
+        count = (high - low).reshape((-1, 1) if axis == 0 else (1, -1))
+        result = (np.take(sums, high, axis) - np.take(sums, low, axis)) / count
+    return np.asarray(result, dtype=np.float32)
