@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lobewise.denoising.bad_pixels import find_good
 from lobewise.frame import FloatArray, Radiance
-from lobewise.lobes.vectors import LUMINANCE
+from lobewise.lobes.vectors import find_image_luminance
 
 MIN_PRIOR_ERROR = 0.05
 """Relative squared error that the mean of the old and the filtered radiance of a pixel has at least."""
@@ -47,14 +47,14 @@ def bound_parts(shaded: Radiance, dark: float, near: Radiance | None = None) -> 
 
     ``near`` is the light around each pixel, (count, 1), if it is known. No part is bounded to less than ``dark``.
     """
-    light, least = _find_luminance(shaded.color), np.float32(0.0)
+    light, least = find_image_luminance(shaded.color)[..., None], np.float32(0.0)
     good = np.isfinite(light) & (light >= least)
     light, count = np.where(good, light, least), good.sum(axis=1, keepdims=True)
     most = (light.sum(axis=1, keepdims=True) - light) / np.maximum(count - 1, 1).astype(np.float32)
     if near is None:
         most *= np.float32(FIRST_PART_RATIO)
     else:
-        most = np.float32(MAX_PART_RATIO) * np.fmax(most, _find_luminance(near.color))
+        most = np.float32(MAX_PART_RATIO) * np.fmax(most, find_image_luminance(near.color)[..., None])
     share = np.minimum((most + np.float32(dark)) / np.maximum(light, np.float32(1e-30)), np.float32(1.0))
     return Radiance(**{name: share * getattr(shaded, name) for name in _list_shared(shaded)})
 
@@ -111,8 +111,8 @@ def merge_by_variance(
         prior[name] = second + old_share * (first - second)
         apart[name] = np.float32(0.5) * (first - second)
     least = MIN_PRIOR_ERROR if filtered is not None else SINGLE_PRIOR_ERROR
-    relative = np.float32(least) * _find_luminance(prior["color"]) ** 2
-    error = np.maximum(relative, _find_luminance(apart["color"]) ** 2) + np.float32(dark**2 + 1e-30)
+    relative = np.float32(least) * find_image_luminance(prior["color"])[..., None] ** 2
+    error = np.maximum(relative, find_image_luminance(apart["color"])[..., None] ** 2) + np.float32(dark**2 + 1e-30)
     share = error / (error + variance)
     known = find_good(mean.color)[..., None]
     own = {name: np.where(known, getattr(mean, name), prior[name]) for name in names}
@@ -124,15 +124,10 @@ def bound_light(light: Radiance, other: Radiance) -> Radiance:
     bounded = {}
     for name in _list_shared(light, other):
         value = getattr(light, name)
-        own, most = (np.maximum(_find_luminance(each), 0.0) for each in (value, getattr(other, name)))
+        own, most = (np.maximum(find_image_luminance(each)[..., None], 0.0) for each in (value, getattr(other, name)))
         share = np.minimum(np.float32(MAX_KEPT_RATIO) * most / np.maximum(own, 1e-30), np.float32(1.0))
         bounded[name] = value * share
     return Radiance(**bounded)
-
-
-def _find_luminance(light: FloatArray) -> FloatArray:
-    """Return the luminance of light (..., 3), of shape (..., 1)."""
-    return np.asarray(light @ np.array(LUMINANCE, np.float32))[..., None]
 
 
 def _list_shared(*lights: Radiance) -> list[str]:

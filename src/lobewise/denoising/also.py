@@ -23,7 +23,7 @@ from lobewise.denoising.passes import FilteredOther, OtherImage, filter_layer_ha
 from lobewise.features import Feature
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.guides.halves import mark_bad
-from lobewise.lobes.vectors import LUMINANCE
+from lobewise.lobes.vectors import find_image_luminance
 from lobewise.settings import ResolvedSettings
 from lobewise.settings.choices import get_quality
 
@@ -168,9 +168,8 @@ def _bound_part(image: FloatArray, bounded: FloatArray) -> FloatArray:
 
     A part without a firefly keeps its light where the layer has one: the share that was cut off belongs to others.
     """
-    weights = np.array(LUMINANCE, np.float32)
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        scale = np.minimum((bounded @ weights) / (image @ weights), np.float32(1.0))
+        scale = np.minimum(find_image_luminance(bounded) / find_image_luminance(image), np.float32(1.0))
     return np.asarray(image * np.where(np.isnan(scale), np.float32(1.0), scale)[..., None])
 
 

@@ -26,7 +26,7 @@ from lobewise.filters.noise.albedo import clean_albedo
 from lobewise.filters.noise.detail import find_detail
 from lobewise.filters.specks import MIN_BLUR_RADIUS
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
-from lobewise.lobes.vectors import LUMINANCE
+from lobewise.lobes.vectors import find_image_luminance
 from lobewise.peers import denoise_oidn, has_clean_guides, name_oidn_guides
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_similarity
@@ -327,13 +327,12 @@ def average_alike(guided: FloatArray, unguided: FloatArray, most: float = UNGUID
     most : float
         Share of ``unguided`` where it equals ``guided``.
     """
-    luminance = np.array(LUMINANCE, dtype=np.float32)
     floor = np.float32(DARK_SHARE * find_level(guided))
     mixed = np.empty_like(guided)
     for rows in cut_rows(*guided.shape[:2]):  # a chunk stays in the core's cache
         change = unguided[rows] - guided[rows]
-        unit = np.maximum(guided[rows] @ luminance + floor, np.float32(MAX_BLACK_RADIANCE))
-        apart = (change @ luminance) / (np.float32(HALF_SHARE_DIFFERENCE) * unit)
+        unit = np.maximum(find_image_luminance(guided[rows]) + floor, np.float32(MAX_BLACK_RADIANCE))
+        apart = find_image_luminance(change) / (np.float32(HALF_SHARE_DIFFERENCE) * unit)
         with np.errstate(over="ignore"):  # an infinite difference has no share
             share = np.float32(most) / (np.float32(1.0) + apart * apart)
         mixed[rows] = guided[rows] + share[..., None] * change
@@ -342,4 +341,4 @@ def average_alike(guided: FloatArray, unguided: FloatArray, most: float = UNGUID
 
 def find_level(image: FloatArray) -> float:
     """Return the mean luminance."""
-    return float(np.mean(image @ np.array(LUMINANCE, dtype=np.float32), dtype=np.float64))
+    return float(np.mean(find_image_luminance(image), dtype=np.float64))

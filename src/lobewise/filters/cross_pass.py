@@ -25,7 +25,7 @@ from lobewise.filters.forms import ATROUS_PROFILE, ATROUS_RADIUS, Taps
 from lobewise.filters.planes import C, X, Y, clamp_likely
 from lobewise.filters.scheduling import count_lanes
 from lobewise.filters.weigh import TapSums, U, V
-from lobewise.lobes.vectors import LUMINANCE, dot
+from lobewise.lobes import vectors
 from lobewise.settings import LARGEST_RADIUS
 
 COLORS = 3
@@ -124,7 +124,7 @@ class PassInputs:
 
 
 def find_luminance(colour: Sequence[hl.Expr]) -> hl.Expr:
-    return dot([hl.f32(share) for share in LUMINANCE], colour)
+    return vectors.find_luminance(expressions.HALIDE, colour)
 
 
 def demodulate(

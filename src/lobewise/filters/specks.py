@@ -26,7 +26,7 @@ from lobewise.chunks import Chunk, run_chunks
 from lobewise.filters.compositing import UNKNOWN_SPP
 from lobewise.frame import FloatArray
 from lobewise.guides.squares import find_largest, sum_square
-from lobewise.lobes.vectors import LUMINANCE
+from lobewise.lobes.vectors import find_image_luminance
 
 MIN_BLUR_RADIUS = 1.5
 """Radius, pixels, from which a pixel counts as out of focus."""
@@ -88,7 +88,7 @@ def find_sharing(light: FloatArray, blur_radius: FloatArray, spp: int | None) ->
     blurred = np.isfinite(blur_radius) & (blur_radius >= MIN_BLUR_RADIUS)
     near = find_largest(blurred, RIM)
     near &= ~(blur_radius < MIN_BLUR_RADIUS)
-    return Sharing(turns, _find_gain(exchange(light, turns) @ np.array(LUMINANCE, np.float32), near))
+    return Sharing(turns, _find_gain(find_image_luminance(exchange(light, turns)), near))
 
 
 def exchange(light: FloatArray, turns: NDArray[np.int64]) -> FloatArray:
@@ -110,7 +110,7 @@ def count_turns(light: FloatArray, blur_radius: FloatArray, spp: int | None) -> 
     radius = np.where(known, blur_radius, np.float32(0.0)).astype(np.float64)
     turns = np.minimum(TURNS * np.cbrt(radius / (spp or UNKNOWN_SPP)) ** 2, MAX_TURNS).astype(np.int64)
     if turns.any():
-        bright = np.where(turns > 0, light @ np.array(LUMINANCE, np.float32), np.float32(0.0))
+        bright = np.where(turns > 0, find_image_luminance(light), np.float32(0.0))
         turns[~_find_sharing(bright)] = 0
     return turns
 

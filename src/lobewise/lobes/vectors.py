@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lobewise.lobes.numbers import Namespace
 
 Vector = Sequence[Any]
@@ -37,6 +40,11 @@ def scale(vector: Vector, factor: Any) -> list[Any]:
 def find_luminance(xp: Namespace, colour: Vector) -> Any:
     """Return the luminance of linear red, green and blue."""
     return dot([xp.number(share) for share in LUMINANCE], colour)
+
+
+def find_image_luminance(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the luminance, shape (...), of an image in NumPy, linear, shape (..., 3)."""
+    return np.asarray(image @ np.array(LUMINANCE, np.float32))
 
 
 def combine(*terms: tuple[Any, Vector]) -> list[Any]:

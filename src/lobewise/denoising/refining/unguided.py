@@ -20,7 +20,7 @@ from lobewise.filters.specks import MIN_BLUR_RADIUS
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.guides.squares import average_square
 from lobewise.guides.surfaces import find_surface_pixels
-from lobewise.lobes.vectors import LUMINANCE
+from lobewise.lobes.vectors import find_image_luminance
 
 Mask = NDArray[np.bool_]
 
@@ -81,8 +81,8 @@ def find_share_filtered(rest: FloatArray, image: FloatArray, blur_radius: FloatA
     blur_radius : (height, width), optional
         As `lobewise.GBuffer.blur_radius`. Where the lens blurs, or nobody knows, all light counts as filtered.
     """
-    luminance = np.array(LUMINANCE, np.float32)
-    exact = (rest @ luminance) / np.maximum(image @ luminance, np.float32(np.finfo(np.float32).tiny))
+    tiny = np.float32(np.finfo(np.float32).tiny)
+    exact = np.divide(find_image_luminance(rest), np.maximum(find_image_luminance(image), tiny))
     share = np.float32(1.0) - np.clip(exact, np.float32(0.0), np.float32(1.0))
     return share if blur_radius is None else np.where(blur_radius < MIN_BLUR_RADIUS, share, np.float32(1.0))
 
@@ -136,7 +136,7 @@ def _find_isolated(color: FloatArray, guides: GBuffer) -> _Isolated:
         if surface.all():
             nothing = np.zeros(shape, np.bool_)
             return _Isolated(surface, told, noisy, nothing, nothing)
-        light = color @ np.array(LUMINANCE, np.float32)
+        light = find_image_luminance(color)
         others = _find_odd(light[..., None], ~surface, MIN_RELATIVE_DIFFERENCE**2, is_relative=True)
     return _Isolated(surface, told, noisy, *others)
 

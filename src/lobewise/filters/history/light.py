@@ -14,13 +14,14 @@ import numpy as np
 
 from lobewise import engine
 from lobewise.backend.compiler import hl
+from lobewise.backend.expressions import HALIDE
 from lobewise.backend.pointwise import Grid, Vector, is_finite
 from lobewise.camera import Camera
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.frame import FloatArray, GBuffer
 from lobewise.guides.places import find_surface_places
 from lobewise.guides.surfaces import is_surface_depth
-from lobewise.lobes.vectors import LUMINANCE, dot, subtract
+from lobewise.lobes.vectors import dot, find_luminance, subtract
 
 MAX_FRAMES = 8.0
 """Frames in the longest mean."""
@@ -90,7 +91,7 @@ def _define_light(grid: Grid) -> list[Vector]:
     """Return a past of one frame; light that is not finite counts as 0."""
     luminances = []
     for name in ("diffuse", "specular"):
-        both = [dot(grid.read(each), [hl.f32(part) for part in LUMINANCE]) for each in (name, f"{name}_albedo")]
+        both = [find_luminance(HALIDE, grid.read(each)) for each in (name, f"{name}_albedo")]
         ratio = both[0] / hl.max(both[1], hl.f32(ALBEDO_FLOOR))
         luminances.append(hl.select(is_finite(ratio), ratio, hl.f32(0.0)))
     view = subtract(grid.read("position"), grid.get("eye"))

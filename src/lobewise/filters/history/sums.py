@@ -10,7 +10,7 @@ from lobewise.backend.buffers import HostImage
 from lobewise.backend.devices import count_host_lanes
 from lobewise.errors import InputError
 from lobewise.frame import FloatArray
-from lobewise.lobes.vectors import LUMINANCE
+from lobewise.lobes.vectors import find_image_luminance
 
 
 class Sums(NamedTuple):
@@ -75,7 +75,7 @@ def add_to_sums(
     light = np.where(good[:, None], light, np.float32(0.0))
     weight = np.where(good, weight, np.float32(0.0))
     unit = np.maximum(history[(*where, Sums._fields.index("frames"))], np.float32(1.0)) ** np.float32(growth)
-    luminance = light @ np.array(LUMINANCE, np.float32)
+    luminance = find_image_luminance(light)
     total = weight * unit
     added = [*(total * light[:, k] for k in range(3)), total, total * unit, total * luminance**2]
     for channel, value in enumerate(added):
