@@ -37,7 +37,31 @@ class GgxPlanes(NamedTuple):
     hit: HitPlanes | None
 
 
-class GgxFeature(CovarianceFeature):
+class _GgxSimilarity(LobeFeature):
+    """The comparison of two GGX lobes, which `GgxFeature` documents."""
+
+    name = "ggx"
+
+    def get_parameters(self) -> tuple[float, ...]:
+        return (GGX_UNIT * self.beta,)
+
+    def log2_similarity(self, i: GgxPlanes, j: GgxPlanes, parameters: Vector, offset: Offset, stage: Stage) -> hl.Expr:
+        d, square, _ = find_step(i, j)
+        on_i, on_j, both = dot(d, i.t), dot(d, j.t), dot(i.t, j.t)
+        quadratic = (i.large + j.large) * square - (on_i * on_i + on_j * on_j)
+        invariant = (i.large + j.small) * (j.large + i.small) - both * both
+        # sqrt(P) is at least the mean of both s (Minkowski's inequality), but rounding may take it lower.
+        mean = i.root + j.root
+        invariant = hl.max(invariant, mean * mean)
+        # At the bound the similarity is below 1e-9; larger quotients would make the tail overflow.
+        tail = hl.f32(1.0) + hl.f32(0.25) * hl.min(quadratic / invariant, hl.f32(4e4))
+        for _ in range(TAIL_SQUARINGS):
+            tail = tail * tail
+        areas = invariant * hl.sqrt(invariant) / mean
+        return i.numerator + j.numerator - parameters[0] * log2(stage(tail * areas))
+
+
+class GgxFeature(_GgxSimilarity, CovarianceFeature):
     """Overlap of two GGX lobes by their covariances across the lobe axis.
 
     With ``s = 2 sqrt(det)`` and ``q = Q / P``, the invariants of `CovarianceFeature`, the similarity is
@@ -63,19 +87,11 @@ class GgxFeature(CovarianceFeature):
         Compare footprints on what the lobes hit instead of directions; see `lobewise.lobes.hits`.
     """
 
-    name = "ggx"
-
-    def get_parameters(self) -> tuple[float, ...]:
-        return (GGX_UNIT * self.beta,)
-
     def prepare(self, inputs: Vector, parameters: Vector) -> GgxPlanes:
         axis, covariance, determinant, *hit = self.split(inputs)
         large, t = split_covariance(HALIDE, axis, covariance)
         small = determinant / hl.max(large, hl.f32(1e-30))
         return _make_planes((axis, large, small, t), hl.sqrt(determinant), parameters, hit)
-
-    def log2_similarity(self, i: GgxPlanes, j: GgxPlanes, parameters: Vector, offset: Offset, stage: Stage) -> hl.Expr:
-        return _compare(i, j, parameters, stage)
 
 
 class SplitLobe(NamedTuple):
@@ -95,7 +111,7 @@ class SplitLobe(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SplitGgxFeature(LobeFeature):
+class SplitGgxFeature(_GgxSimilarity):
     """The similarity of `GgxFeature`, from covariances that were split beforehand: kernels need not split them again.
 
     Parameters
@@ -107,14 +123,10 @@ class SplitGgxFeature(LobeFeature):
         As for `GgxFeature`.
     """
 
-    name = "ggx"
     harmless = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0)
     lobe: SplitLobe
     beta: float
     hits: HitField | None = None
-
-    def get_parameters(self) -> tuple[float, ...]:
-        return (GGX_UNIT * self.beta,)
 
     def prepare(self, inputs: Vector, parameters: Vector) -> GgxPlanes:
         parts = self.split(inputs)
@@ -123,28 +135,8 @@ class SplitGgxFeature(LobeFeature):
         root = hl.sqrt(lobe.large * lobe.small)
         return _make_planes((axis, lobe.large, lobe.small, t), root, parameters, hit)
 
-    def log2_similarity(self, i: GgxPlanes, j: GgxPlanes, parameters: Vector, offset: Offset, stage: Stage) -> hl.Expr:
-        return _compare(i, j, parameters, stage)
-
 
 def _make_planes(lobe: tuple[Vector, Any, Any, Vector], root: hl.Expr, parameters: Vector, hit: Vector) -> GgxPlanes:
     # The logarithm of s_i s_j is a sum: compute its terms once per pixel.
     numerator = parameters[0] * log2(root + root)
     return GgxPlanes(*lobe, root, numerator, HitPlanes(*hit) if hit else None)
-
-
-def _compare(i: GgxPlanes, j: GgxPlanes, parameters: Vector, stage: Stage) -> hl.Expr:
-    """Return the base-2 logarithm of the similarity of two lobes."""
-    d, square, _ = find_step(i, j)
-    on_i, on_j, both = dot(d, i.t), dot(d, j.t), dot(i.t, j.t)
-    quadratic = (i.large + j.large) * square - (on_i * on_i + on_j * on_j)
-    invariant = (i.large + j.small) * (j.large + i.small) - both * both
-    # sqrt(P) is at least the mean of both s (Minkowski's inequality), but rounding may take it lower.
-    mean = i.root + j.root
-    invariant = hl.max(invariant, mean * mean)
-    # At the bound the similarity is below 1e-9; larger quotients would make the tail overflow.
-    tail = hl.f32(1.0) + hl.f32(0.25) * hl.min(quadratic / invariant, hl.f32(4e4))
-    for _ in range(TAIL_SQUARINGS):
-        tail = tail * tail
-    areas = invariant * hl.sqrt(invariant) / mean
-    return i.numerator + j.numerator - parameters[0] * log2(stage(tail * areas))
