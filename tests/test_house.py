@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
@@ -248,6 +249,36 @@ def test_files_are_short_and_say_what_they_are() -> None:
             if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
                 lines = count_code_lines(node, text.splitlines())
                 assert lines <= MAX_CODE_LINES_OF_FUNCTION, f"{path}: {node.name}"
+
+
+HEADING = re.compile(r"\s*# (Signature|Algorithm|Schedule)(?=\W|$)")
+"""The headings of a kernel, each on a line of its own above its part."""
+DIRECTIVES = re.compile(r"\.(compute_at|compute_root|vectorize|parallel|gpu_tile|gpu_blocks|hoist_storage)\(")
+"""What says how a function is computed."""
+SHARED_SCHEDULES = "scheduling.py"
+"""The file of what schedules have in common."""
+
+
+def list_misplaced_schedules(text: str) -> list[str]:
+    """Return the lines of a file that schedule a function and do not stand below the heading of a schedule."""
+    found, heading = [], ""
+    for line in text.splitlines():
+        named = HEADING.match(line)
+        heading = named[1] if named else heading
+        if DIRECTIVES.search(line) and heading != "Schedule":
+            found.append(line.strip())
+    return found
+
+
+def test_a_kernel_is_one_file_with_its_schedule_under_a_heading() -> None:
+    text = "f[x] = 1\n# Schedule\nf.parallel(y)\n# Algorithm\ng.vectorize(x)\n"
+    assert list_misplaced_schedules(text) == ["g.vectorize(x)"]
+    texts = {path: path.read_text() for path in (SOURCE / "filters").rglob("*.py") if path.name != SHARED_SCHEDULES}
+    assert {path: found for path, text in texts.items() if (found := list_misplaced_schedules(text))} == {}
+    for path, text in texts.items():
+        if 'Signature("' in text:
+            headings = {named[1] for line in text.splitlines() if (named := HEADING.match(line))}
+            assert headings == {"Signature", "Algorithm", "Schedule"}, path
 
 
 def list_compared_names(nodes: Iterable[ast.AST], names: set[str]) -> list[str]:

@@ -31,7 +31,8 @@ from lobewise.filters import cross_filter, fireflies, scheduling
 from lobewise.filters.cross_pass import PassKey, Reads, Writes, make_pass
 from lobewise.filters.fireflies import find_energy_lost
 from lobewise.filters.forms import Taps
-from lobewise.filters.history import reprojection, sums
+from lobewise.filters.history import sums
+from lobewise.filters.history.reprojection_pass import make_reprojection
 from lobewise.guides import lobe_fields
 from lobewise.guides.surfaces import find_surface_pixels
 from tests.streaming.frames import make_scene
@@ -161,7 +162,7 @@ def find_definition(code: CodeType) -> str:
 KERNELS = {
     "cross filter": list_definitions((PassKey, GgxFeature, SgMixtureFeature), make_pass),
     "fireflies": list_definitions(("fireflies", True), fireflies.make_fireflies),
-    "reprojection": list_definitions(("reprojection", GgxFeature), reprojection.make_scheduled_reprojection),
+    "reprojection": list_definitions(("reprojection", GgxFeature), make_reprojection),
     "lobes": list_definitions((lobe_fields.define_lobes,), pointwise.make_pointwise),
 }
 """What some kernels are made from."""

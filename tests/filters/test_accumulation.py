@@ -14,10 +14,10 @@ from lobewise.backend.jit import count_compiled_kernels
 from lobewise.errors import InputError
 from lobewise.filters.cross_filter import run_filter
 from lobewise.filters.history.accumulation import AccumulatedOutput, KnownKernel, SampleGrid
-from lobewise.filters.history.accumulation_pass import MIN_KNOWN_FRAMES
-from lobewise.filters.history.accumulation_stages import (
+from lobewise.filters.history.accumulation_pass import (
     FULL_TRUST_ERRORS,
     IGNORED_DIFFERENCE,
+    MIN_KNOWN_FRAMES,
     MIN_WEIGHT,
     NO_TRUST_ERRORS,
 )

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lobewise.denoising.bad_pixels import find_good
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
-from lobewise.filters.history.accumulation_stages import MIN_WEIGHT
+from lobewise.filters.history.accumulation_pass import MIN_WEIGHT
 from lobewise.filters.history.sums import HISTORY_CHANNELS
 from lobewise.frame import FloatArray
 from lobewise.lobes.vectors import LUMINANCE

@@ -16,10 +16,10 @@ from lobewise.features.normal import LAMBERT_COEFFICIENTS
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.filters.forms import ATROUS_PROFILE
 from lobewise.filters.history.accumulation import TRUST_RADIUS
-from lobewise.filters.history.accumulation_pass import MIN_KNOWN_FRAMES
-from lobewise.filters.history.accumulation_stages import (
+from lobewise.filters.history.accumulation_pass import (
     FULL_TRUST_ERRORS,
     IGNORED_DIFFERENCE,
+    MIN_KNOWN_FRAMES,
     MIN_WEIGHT,
     NO_TRUST_ERRORS,
 )

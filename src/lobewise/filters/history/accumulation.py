@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from lobewise import engine
 from lobewise.backend.buffers import HostImage, device_scope, download, take_dense, take_image, take_mask
-from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import LOG2_E
 from lobewise.backend.jit import Scheduled
 from lobewise.errors import InputError
@@ -25,7 +24,6 @@ from lobewise.filters.history.accumulation_pass import (
     make_narrowing,
     make_trust,
 )
-from lobewise.filters.history.accumulation_stages import AccumulationFuncs
 from lobewise.filters.history.sums import (
     HISTORY_CHANNELS,
     Sums,
@@ -35,8 +33,6 @@ from lobewise.filters.history.sums import (
     take_planes,
     widen,
 )
-from lobewise.filters.schedules.accumulation import schedule_accumulation
-from lobewise.filters.scheduling import count_lanes
 from lobewise.frame import FloatArray
 
 TRUST_RADIUS = 2
@@ -331,7 +327,7 @@ class SampleGrid:
         images: Mapping[str, HostImage],
         numbers: Mapping[str, float],
         size: tuple[int, int],
-        make: Callable[..., AccumulationFuncs],
+        make: Callable[..., Scheduled],
         *options: Any,
         text: str,
         keeps: bool = False,
@@ -342,21 +338,11 @@ class SampleGrid:
         With ``keeps`` the first of them are the sums that the next frame reads.
         """
         told = (tuple(map(describe_structure, each)) if isinstance(each, tuple) else each for each in options)
-        scheduled = partial(make_scheduled_accumulation, make, options)
         keep = f"{self.name}_sums" if keeps else ""
         found = engine.planes(
-            (make, *told), scheduled, images, numbers, strict=strict, name=self.name, keep=keep, text=text
+            (make, *told), partial(make, *options), images, numbers, strict=strict, name=self.name, keep=keep, text=text
         )
         return cut(found, size[1])
-
-
-def make_scheduled_accumulation(
-    make: Callable[..., AccumulationFuncs], options: tuple[Any, ...], target: hl.Target
-) -> Scheduled:
-    """Return a pass, ready to be compiled."""
-    funcs = make(*options, max(count_lanes(target), 1))
-    schedule_accumulation(funcs)
-    return Scheduled([funcs.out], funcs.signature)
 
 
 def _split_output(accumulated: Any) -> AccumulatedOutput:

@@ -11,10 +11,10 @@ from typing import Any
 from lobewise.backend.compiler import declare_vars, hl
 from lobewise.backend.signature import Signature
 from lobewise.features.arrays import declare_features, declare_scalars
-from lobewise.features.base import Feature, Stage
-from lobewise.filters.history.vectors import Pixels, Place
-from lobewise.filters.planes import C, GuidePlanes, X, Y, make_guide_planes
-from lobewise.filters.weigh import make_stage
+from lobewise.features.base import Feature
+from lobewise.filters.history.vectors import LANE, VECTOR, Pixels, Place
+from lobewise.filters.planes import C, X, Y, make_guide_planes
+from lobewise.filters.scheduling import keep_planes, keep_rows
 
 U, V = declare_vars("u", "v")
 """Offset of a tap, samples across and down."""
@@ -42,34 +42,6 @@ class Taps:
         for offset in (domain.x, domain.y):
             domain.where((offset >= -self.reach) & (offset <= self.reach))
         return domain
-
-
-@dataclass(kw_only=True)
-class TapGrid:
-    """The functions that taps read of samples and pixels, and the logarithms of their weights."""
-
-    tap_mask: hl.ImageParam
-    mask: hl.ImageParam
-    wide: hl.Func
-    """Planes and values of shaded pixels, repeated over the width of their blocks."""
-    values: hl.Func
-    value_count: int
-    taps: GuidePlanes
-    """Guides and planes of the shaded pixels."""
-    own: GuidePlanes
-    """Guides and planes of all pixels."""
-    log_weight: hl.Func
-    weighed: hl.RDom | None
-    """Domain of the logarithms; None where each is computed where it is read."""
-    stages: list[hl.Func]
-    factor: hl.Func | None
-    """Product of the features' factors, which no power changes; None if no feature has one."""
-    multiplied: hl.RDom | None
-    """Domain of the factor; None where each is computed where it is read."""
-    pixels: Pixels
-    blocks: Blocks
-    read: Callable[[hl.Expr, hl.Expr], list[hl.Expr]]
-    """Returns the values of the tap at an offset in samples."""
 
 
 def declare_count(signature: Signature, name: str, least: int = 0) -> hl.Param:
@@ -115,19 +87,13 @@ class Blocks:
         return across, down
 
 
-def make_tap_grid(
-    signature: Signature,
-    features: Sequence[Feature],
-    grids: tuple[hl.ImageParam, Pixels, Blocks],
-    needed: Taps,
-    take: Callable[[Place, hl.Expr], Sequence[hl.Expr]],
-) -> TapGrid:
-    """Declare the guides of shaded pixels and of all pixels, and define the functions that taps read.
+class TapGrid:
+    """What taps read of samples and pixels, the logarithms of their weights, and the sums over them.
 
     Parameters
     ----------
     signature, features
-        Of the kernel.
+        Of the kernel. The guides of shaded pixels and of all pixels are declared in the signature.
     grids : tuple
         Mask of all pixels, the pixels, and their blocks.
     needed : Taps
@@ -135,89 +101,117 @@ def make_tap_grid(
     take : callable
         Returns the values of a sample, beside the planes of its features.
     """
-    mask, pixels, blocks = grids
-    tap_mask = signature.image("tap_mask", "rows", "columns", type=hl.UInt(8))
-    tap_arrays = declare_features(signature, "tap", features, "rows", "columns")
-    arrays = declare_features(signature, "own", features, "height", "width")
-    scalars = declare_scalars(signature, features)
-    taps = make_guide_planes("tap", tap_mask, features, scalars, arrays=tap_arrays)
-    own = make_guide_planes("own", mask, features, scalars, inside=True, arrays=arrays)
-    values, wide, value_count = _define_values(tap_mask, taps, blocks, take)
-    here = pixels.place
 
-    def read_planes(u: hl.Expr, v: hl.Expr, start: int, stop: int) -> list[hl.Expr]:
-        return [wide[here[0] + u * blocks.factor, k, blocks.block[1] + v] for k in range(start, stop)]
+    def __init__(
+        self,
+        signature: Signature,
+        features: Sequence[Feature],
+        grids: tuple[hl.ImageParam, Pixels, Blocks],
+        needed: Taps,
+        take: Callable[[Place, hl.Expr], Sequence[hl.Expr]],
+    ) -> None:
+        mask, self.pixels, self.blocks = grids
+        tap_mask = signature.image("tap_mask", "rows", "columns", type=hl.UInt(8))
+        tap_arrays = declare_features(signature, "tap", features, "rows", "columns")
+        arrays = declare_features(signature, "own", features, "height", "width")
+        scalars = declare_scalars(signature, features)
+        self._taps = make_guide_planes("tap", tap_mask, features, scalars, arrays=tap_arrays)
+        self._own = make_guide_planes("own", mask, features, scalars, inside=True, arrays=arrays)
+        self._define_values(tap_mask, take)
+        self._sums: list[tuple[hl.Func, hl.Func]] = []
+        here = self.pixels.place
 
-    def pair(u: hl.Expr, v: hl.Expr) -> list[tuple[Any, Any]]:
-        there = read_planes(u, v, 0, taps.plane_count)
-        return [(own.read(layout, *here), layout.read(there.__getitem__)) for layout in taps.layouts]
+        def pair(u: hl.Expr, v: hl.Expr) -> list[tuple[Any, Any]]:
+            there = self._read_planes(u, v, 0, self._taps.plane_count)
+            return [(self._own.read(layout, *here), layout.read(there.__getitem__)) for layout in self._taps.layouts]
 
-    stages = list[hl.Func]()
-    stage = make_stage(stages, (*pixels.at, U, V)) if pixels.lanes == 1 else (lambda value: value)
-    log_weight, weighed = _define_taps(
-        "log_weight",
-        pixels,
-        needed,
-        lambda u, v: _compare(features, pair(u, v), scalars, blocks.find_offset(u, v), stage),
-    )
-    factor, multiplied = None, None
-    if any(feature.has_factor for feature in features):
-        factor, multiplied = _define_taps(
-            "factor", pixels, needed, lambda u, v: _multiply(features, pair(u, v), scalars)
-        )
+        def compare(u: hl.Expr, v: hl.Expr) -> hl.Expr:
+            return _compare(features, pair(u, v), scalars, self.blocks.find_offset(u, v))
 
-    def read(u: hl.Expr, v: hl.Expr) -> list[hl.Expr]:
-        return read_planes(u, v, taps.plane_count, value_count)
+        self.log_weight = self._define_taps("log_weight", needed, compare)
+        self.factor: hl.Func | None = None
+        """Product of the features' factors, which no power changes; None if no feature has one."""
+        if any(feature.has_factor for feature in features):
+            self.factor = self._define_taps("factor", needed, lambda u, v: _multiply(features, pair(u, v), scalars))
 
-    return TapGrid(
-        tap_mask=tap_mask,
-        mask=mask,
-        wide=wide,
-        values=values,
-        value_count=value_count,
-        taps=taps,
-        own=own,
-        log_weight=log_weight,
-        weighed=weighed,
-        stages=stages,
-        factor=factor,
-        multiplied=multiplied,
-        pixels=pixels,
-        blocks=blocks,
-        read=read,
-    )
+    def _define_values(self, tap_mask: hl.ImageParam, take: Callable[[Place, hl.Expr], Sequence[hl.Expr]]) -> None:
+        """Define the values of shaded pixels by their own column, then repeated over the width of their blocks."""
+        taps, columns, rows = self._taps, tap_mask.width(), tap_mask.height()
+        at = hl.clamp(X, 0, columns - 1), hl.clamp(Y, 0, rows - 1)
+        usable = (X >= 0) & (columns > X) & (Y >= 0) & (rows > Y) & (tap_mask[at] != 0)
+        planes = [] if taps.planes is None else [taps.planes[X, k, Y] for k in range(taps.plane_count)]
+        given = [*planes, *take(at, usable)]
+        self._value_count, self._values, self._wide = len(given), hl.Func("tap_values"), hl.Func("wide")
+        self._values[X, C, Y] = hl.mux(C, given)
+        self._wide[X, C, Y] = self._values[self.blocks.find(X), C, Y]
 
+    def _read_planes(self, u: hl.Expr, v: hl.Expr, start: int, stop: int) -> list[hl.Expr]:
+        column, row = self.pixels.place[0] + u * self.blocks.factor, self.blocks.block[1] + v
+        return [self._wide[column, k, row] for k in range(start, stop)]
 
-def _define_values(
-    tap_mask: hl.ImageParam,
-    taps: GuidePlanes,
-    blocks: Blocks,
-    take: Callable[[Place, hl.Expr], Sequence[hl.Expr]],
-) -> tuple[hl.Func, hl.Func, int]:
-    """Return the values of shaded pixels by their own column, then by the column of all pixels; and their number."""
-    columns, rows = tap_mask.width(), tap_mask.height()
-    at = hl.clamp(X, 0, columns - 1), hl.clamp(Y, 0, rows - 1)
-    usable = (X >= 0) & (columns > X) & (Y >= 0) & (rows > Y) & (tap_mask[at] != 0)
-    planes = [] if taps.planes is None else [taps.planes[X, k, Y] for k in range(taps.plane_count)]
-    given = [*planes, *take(at, usable)]
-    values, wide = hl.Func("tap_values"), hl.Func("wide")
-    values[X, C, Y] = hl.mux(C, given)
-    wide[X, C, Y] = values[blocks.find(X), C, Y]
-    return values, wide, len(given)
+    def read(self, u: hl.Expr, v: hl.Expr) -> list[hl.Expr]:
+        """Return the values of the tap at an offset in samples."""
+        return self._read_planes(u, v, self._taps.plane_count, self._value_count)
 
+    def _define_taps(self, name: str, taps: Taps, compute: Callable[[hl.Expr, hl.Expr], hl.Expr]) -> hl.Func:
+        """Return a function of pixels and taps. Without vectors each value is computed where it is read."""
+        func, at = hl.Func(name), self.pixels.at
+        if self.pixels.lanes == 1:
+            func[(*at, U, V)] = compute(U, V)
+            return func
+        domain = taps.make(f"{name}_taps")
+        func[(*at, U, V)] = hl.undef(hl.Float(32))
+        func[(*at, domain.x, domain.y)] = compute(domain.x, domain.y)
+        return func
 
-def _define_taps(
-    name: str, pixels: Pixels, needed: Taps, compute: Callable[[hl.Expr, hl.Expr], hl.Expr]
-) -> tuple[hl.Func, hl.RDom | None]:
-    """Return a function of pixels and taps, and its domain of taps; None where each is computed where it is read."""
-    func = hl.Func(name)
-    if pixels.lanes == 1:
-        func[(*pixels.at, U, V)] = compute(U, V)
-        return func, None
-    domain = needed.make(f"{name}_taps")
-    func[(*pixels.at, U, V)] = hl.undef(hl.Float(32))
-    func[(*pixels.at, domain.x, domain.y)] = compute(domain.x, domain.y)
-    return func, domain
+    def add(
+        self,
+        name: str,
+        taps: Taps,
+        weigh: Callable[[hl.Expr, hl.Expr], hl.Expr],
+        take: Callable[[hl.Expr, list[hl.Expr]], Sequence[hl.Expr]],
+    ) -> list[hl.Expr]:
+        """Return the sums over taps of ``take(weight, values)``; ``weigh`` returns the weight of an offset."""
+        # The weights are a function of their own, because each of the sums would compute them again.
+        at, weights, func = self.pixels.at, self._define_taps(f"{name}_weights", taps, weigh), hl.Func(name)
+        domain = taps.make(f"{name}_taps")
+        taken = take(weights[(*at, domain.x, domain.y)], self.read(domain.x, domain.y))
+        func[at] = hl.Tuple([hl.f32(0.0)] * len(taken))
+        func[at] = hl.Tuple([func[at][k] + value for k, value in enumerate(taken)])
+        self._sums.append((func, weights))
+        return [func[at][k] for k in range(len(taken))]
+
+    # Schedule
+
+    def spread(self, out: hl.Func, thread: hl.Var) -> None:
+        """On graphics cards sum in the thread of a pixel. Keep planes of samples and of all pixels in memory."""
+        for func, weights in self._sums:
+            func.compute_at(out, thread)
+            weights.compute_at(func, func.rvars()[0])
+        keep_planes(self._values, self._value_count)
+        keep_planes(self._own.planes, self._own.plane_count)
+
+    def vectorize(self, out: hl.Func, vector: hl.Var, tile: hl.RVar, strip: hl.Var) -> None:
+        """On processors keep the log-weights of a vector's taps in cache; they serve both trust and samples.
+
+        A row of samples is repeated over the width of its blocks once per tile, so that the taps of a vector of pixels
+        are plain loads at any scale.
+        """
+        lanes = self.pixels.lanes
+        logs = [self.log_weight] if self.factor is None else [self.log_weight, self.factor]
+        for func in (*logs, *(each for pair in self._sums for each in pair)):
+            func.compute_at(out, vector).bound(LANE, 0, lanes).vectorize(LANE)
+            func.update().reorder(LANE, *func.rvars(), VECTOR, Y).vectorize(LANE)
+        for func in (*logs, *(weights for _, weights in self._sums)):
+            func.hoist_storage(out, strip)
+        for func, count in ((self._own.planes, self._own.plane_count), (self._own.guides, self._own.guide_count)):
+            if func is not None:
+                keep_rows(func.compute_at(out, vector), count, lanes)
+        self._wide.compute_at(out, tile).reorder_storage(X, C, Y).align_storage(X, lanes)
+        self._wide.reorder(X, C, Y).vectorize(X, lanes).never_partition_all()
+        keep_rows(self._values.compute_at(out, tile), self._value_count, lanes)
+        if self._taps.guides is not None:
+            keep_rows(self._taps.guides.compute_at(self._values, X), self._taps.guide_count, lanes)
 
 
 def _multiply(
@@ -237,10 +231,9 @@ def _compare(
     pairs: Sequence[tuple[Any, Any]],
     scalars: Sequence[Sequence[hl.Expr]],
     offset: tuple[hl.Expr, hl.Expr],
-    stage: Stage,
 ) -> hl.Expr:
     """Return the base-2 logarithm of the similarity of a pixel and a tap, given each feature's planes of both."""
     exponent: hl.Expr = hl.f32(0.0)
     for feature, (i, j), parameters in zip(features, pairs, scalars, strict=True):
-        exponent = exponent + feature.log2_similarity(i, j, parameters, offset, stage)
+        exponent = exponent + feature.log2_similarity(i, j, parameters, offset, lambda value: value)
     return exponent

@@ -12,14 +12,10 @@ from numpy.typing import NDArray
 
 from lobewise import engine
 from lobewise.backend.buffers import HostImage, device_scope, download, take_image, take_mask
-from lobewise.backend.compiler import hl
-from lobewise.backend.jit import Scheduled
 from lobewise.features.arrays import give_features, give_scalars
 from lobewise.features.base import Feature, describe_structure
 from lobewise.filters.history.reprojection_pass import make_preparation, make_reprojection
 from lobewise.filters.history.sums import cut, join_channels, split_history, widen
-from lobewise.filters.schedules.reprojection import schedule_preparation, schedule_reprojection
-from lobewise.filters.scheduling import count_lanes
 from lobewise.frame import FloatArray
 
 
@@ -69,7 +65,7 @@ def prepare_pixels(mask: NDArray[np.bool_], features: Sequence[Feature], name: s
     held = {each: download(image) for each, image in give_features("own", features, shape).items()}
     arrays = {each: widen(image) for each, image in held.items()}
     key = "preparation", *map(describe_structure, features)
-    make = partial(make_scheduled_preparation, features)
+    make = partial(make_preparation, features)
     images: dict[str, Any] = {"mask": wide, **arrays}
     planes: Any = engine.get_engine().host.planes(
         key,
@@ -127,22 +123,7 @@ def reproject(
         images |= {"planes": now.planes, "planes_before": before.planes}
     numbers = {"memory": memory, "rows": before.shape[0], "columns": before.shape[1], **give_scalars(now.features)}
     key = "reprojection", virtual_from, *map(describe_structure, now.features)
-    make = partial(make_scheduled_reprojection, now.features, virtual_from)
+    make = partial(make_reprojection, now.features, virtual_from)
     planes = engine.planes(key, make, images, numbers, name=name, text=f"history of {name} light")
     found: FloatArray = join_channels(cut(planes, size[1]))
     return found
-
-
-def make_scheduled_preparation(features: Sequence[Feature], target: hl.Target) -> Scheduled:
-    """Return the kernel of `prepare_pixels`, ready to be compiled."""
-    funcs = make_preparation(features)
-    schedule_preparation(funcs, int(target.natural_vector_size(hl.Float(32))))
-    return Scheduled([funcs.out], funcs.signature)
-
-
-def make_scheduled_reprojection(features: Sequence[Feature], virtual_from: int | None, target: hl.Target) -> Scheduled:
-    """Return the kernel of `reproject`, ready to be compiled."""
-    lanes = max(count_lanes(target), 1)
-    funcs = make_reprojection(features, virtual_from, lanes)
-    schedule_reprojection(funcs)
-    return Scheduled([funcs.out], funcs.signature)

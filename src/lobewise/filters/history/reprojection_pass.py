@@ -23,13 +23,15 @@ from typing import Any
 
 from lobewise.backend import expressions
 from lobewise.backend.compiler import declare_vars, hl
+from lobewise.backend.jit import Scheduled
 from lobewise.backend.pointwise import is_finite
 from lobewise.backend.signature import Signature
 from lobewise.features.arrays import declare_features, declare_scalars
 from lobewise.features.base import Feature
 from lobewise.filters.history.sums import HISTORY_CHANNELS, Sums
 from lobewise.filters.history.vectors import LANE, VECTOR, Pixels, Place
-from lobewise.filters.planes import GuidePlanes, Layout, X, Y, count_inputs, make_guide_planes, prepare_planes
+from lobewise.filters.planes import Layout, X, Y, count_inputs, make_guide_planes, prepare_planes
+from lobewise.filters.scheduling import count_lanes, keep_rows, spread_pixels
 
 AGREEMENT = HISTORY_CHANNELS
 """Channel of the agreement, after the sums."""
@@ -49,20 +51,13 @@ U, V = declare_vars("u", "v")
 """Column and row among the four pixels of a place."""
 TAPS = ((0, 0), (1, 0), (0, 1), (1, 1))
 """The four pixels of a place."""
+ROWS_PER_TASK = 8
+"""Rows that a thread of a processor takes at a time."""
 
 
-@dataclass
-class PreparationFuncs:
-    """The Halide functions that compute planes, for their schedules."""
-
-    out: hl.Func
-    signature: Signature
-    own: GuidePlanes
-
-
-@dataclass
-class VectorFuncs:
-    """The Halide functions that cut vectors into runs."""
+@dataclass(frozen=True)
+class Runs:
+    """The functions that cut vectors into runs."""
 
     code: hl.Func
     """Number of stray pixels, plus `NEAR` times the number of pixels whose place is near the image."""
@@ -74,35 +69,20 @@ class VectorFuncs:
     """Number of pixels whose run cannot be loaded as a vector inside the image."""
     way: hl.Func
     """One of `NOWHERE`, `IN_RUNS`, `APART`."""
-    lanes: list[hl.RDom]
-    """Domains of the updates of code, run, starts and outside."""
 
 
 @dataclass
-class WayFuncs:
-    """The Halide functions of one place of each pixel."""
+class Way:
+    """The functions of one place of each pixel."""
 
     spots: hl.Func
     """Column and row of the place's first pixel, and the fractions beyond it."""
     sums: hl.Func
-    judged: VectorFuncs | None = None
+    """Of the histories; an update for each of ``agrees`` that adds nothing where the vector is loaded another way."""
+    runs: Runs | None = None
     """How the pixels of a vector moved; None where each pixel has a thread."""
-    domains: list[hl.RDom] = field(default_factory=list)
-    """Domain of each update of the sums. A domain is empty where the vector is loaded another way."""
     agrees: list[hl.Func] = field(default_factory=list)
-    """Similarity to each of the four pixels, 0 where a pixel has no history; one for each domain."""
-
-
-@dataclass
-class ReprojectionFuncs:
-    """The Halide functions of a reprojection, for its schedules."""
-
-    out: hl.Func
-    signature: Signature
-    pixels: Pixels
-    domain: hl.RDom | None
-    """Domain of the output, by lane and vector; None where each pixel has a thread."""
-    ways: list[WayFuncs]
+    """Similarity to each of the four pixels, 0 where a pixel has no history."""
 
 
 def _lay_out(features: Sequence[Feature]) -> tuple[list[hl.Expr], list[Layout]]:
@@ -112,20 +92,30 @@ def _lay_out(features: Sequence[Feature]) -> tuple[list[hl.Expr], list[Layout]]:
     return prepare_planes(features, scalars, neutral)
 
 
-def make_preparation(features: Sequence[Feature]) -> PreparationFuncs:
-    """Return the kernel that computes the planes of every pixel; ``features`` have at least one array."""
+def make_preparation(features: Sequence[Feature], target: hl.Target) -> Scheduled:
+    """Return the kernel that computes the planes of every pixel, for processors; a feature has an array."""
+    # Signature
     signature = Signature("preparation")
     mask = signature.image("mask", "height", "width", type=hl.UInt(8))
     arrays = declare_features(signature, "own", features, "height", "width")
     scalars = declare_scalars(signature, features)
-    own = make_guide_planes("own", mask, features, scalars, arrays, inside=True)
-    out = hl.Func("out")
+
+    # Algorithm
+    own, out = make_guide_planes("own", mask, features, scalars, arrays, inside=True), hl.Func("out")
     planes = own.planes
     assert planes is not None and sum(count_inputs(features)) > 0
     out[X, Y] = hl.Tuple([planes[X, k, Y] for k in range(own.plane_count)])
     for k in range(own.plane_count):
         signature.output(f"plane{k}", "height", "width")
-    return PreparationFuncs(out, signature, own)
+
+    # Schedule: rows in parallel, columns in vectors
+    xi, xo, lanes = hl.Var("xi"), hl.Var("xo"), int(target.natural_vector_size(hl.Float(32)))
+    out.split(X, xo, xi, lanes, hl.TailStrategy.ShiftInwards).reorder(xi, xo, Y).vectorize(xi)
+    out.parallel(Y, ROWS_PER_TASK, hl.TailStrategy.GuardWithIf).never_partition_all()
+    for func, channels in ((own.guides, own.guide_count), (planes, own.plane_count)):
+        if func is not None:
+            keep_rows(func.compute_at(out, xo), channels, lanes)
+    return Scheduled([out], signature)
 
 
 class _Frames:
@@ -170,7 +160,7 @@ class _Frames:
         return [self.past[(*at, k)] for k in range(HISTORY_CHANNELS)]
 
 
-def make_reprojection(features: Sequence[Feature], virtual_from: int | None, lanes: int) -> ReprojectionFuncs:
+def make_reprojection(features: Sequence[Feature], virtual_from: int | None, target: hl.Target) -> Scheduled:
     """Return the kernel that gathers histories.
 
     A place is the column and row of a pixel in the frame before, pixel centres at whole numbers. All images must be at
@@ -182,20 +172,60 @@ def make_reprojection(features: Sequence[Feature], virtual_from: int | None, lan
         Features whose planes are compared.
     virtual_from : int, optional
         Index of the first feature that is compared at a second place, if there is one.
-    lanes : int
-        Pixels of a vector; 1 for devices on which each pixel has a thread.
+    target : halide.Target
     """
+    # Signature
     frames = _Frames(features, 1 if virtual_from is None else 2)
-    pixels = Pixels(frames.mask.width(), lanes)
+
+    # Algorithm
+    pixels = Pixels(frames.mask.width(), max(count_lanes(target), 1))
     starts = [0] if virtual_from is None else [0, virtual_from]
     ways = [
         _make_way(frames, place, start, pixels, name)
         for place, start, name in zip(frames.places, starts, ("surface", "virtual"), strict=False)
     ]
     mixed, agreement = _mix([[way.sums[pixels.at][k] for k in range(len(REPROJECTED))] for way in ways])
-    pixels.keep("found", *mixed.fade(frames.memory), agreement)
-    out, domain = pixels.write(pixels.once[-1], len(REPROJECTED))
-    return ReprojectionFuncs(out, frames.signature, pixels, domain, ways)
+    out = pixels.write(*mixed.fade(frames.memory), agreement)
+
+    # Schedule
+    if pixels.lanes == 1:
+        _spread(out, pixels, ways)
+    else:
+        _vectorize(out, pixels, ways)
+    return Scheduled([out], frames.signature)
+
+
+def _spread(out: hl.Func, pixels: Pixels, ways: Sequence[Way]) -> None:
+    """On graphics cards give each pixel a thread, which gathers the four pixels of each place."""
+    thread = spread_pixels(out, X, Y)
+    for func in (*pixels.once, *(each for way in ways for each in (way.sums, way.spots, *way.agrees))):
+        func.compute_at(out, thread)
+
+
+def _vectorize(out: hl.Func, pixels: Pixels, ways: Sequence[Way]) -> None:
+    """Run rows in parallel and columns in vectors. Every value of a vector stays in registers or the nearest cache."""
+    lane, vector = out.rvars()
+    # No two vectors of a row differ where they overlap.
+    update = out.update().reorder(lane, vector, Y).allow_race_conditions().vectorize(lane)
+    update.parallel(Y, ROWS_PER_TASK, hl.TailStrategy.GuardWithIf).never_partition_all()
+
+    def keep(func: hl.Func) -> hl.Func:
+        return func.compute_at(out, vector).bound(LANE, 0, pixels.lanes).vectorize(LANE)
+
+    for func in (*pixels.once, *(each for way in ways for each in (way.spots, way.sums))):
+        keep(func)
+    for way in ways:
+        for number, agrees in enumerate(way.agrees):
+            keep(agrees).update().vectorize(LANE)
+            way.sums.update(number).reorder(LANE, *way.sums.rvars(number), VECTOR, Y).vectorize(LANE)
+        if way.runs is None:
+            continue
+        for func in (way.runs.code, way.runs.outside):
+            func.compute_at(out, vector).update().atomic().vectorize(func.rvars()[0])
+        for func in (way.runs.run, way.runs.starts):
+            # Each pixel needs the one before it.
+            keep(func).update().unscheduled()
+        way.runs.way.compute_at(out, vector)
 
 
 def _find_spot(raw: hl.Expr, length: hl.Expr, usable: hl.Expr) -> tuple[hl.Expr, hl.Expr]:
@@ -212,7 +242,7 @@ def _find_spot(raw: hl.Expr, length: hl.Expr, usable: hl.Expr) -> tuple[hl.Expr,
     return hl.i32(first), value - first
 
 
-def _make_way(frames: _Frames, place: hl.ImageParam, start: int, pixels: Pixels, name: str) -> WayFuncs:
+def _make_way(frames: _Frames, place: hl.ImageParam, start: int, pixels: Pixels, name: str) -> Way:
     """Return the sums at one place of each pixel, by the features from ``start`` on."""
     at, own, lanes = pixels.at, pixels.place, pixels.lanes
     spots = hl.Func(f"{name}_spots")
@@ -221,18 +251,18 @@ def _make_way(frames: _Frames, place: hl.ImageParam, start: int, pixels: Pixels,
     spots[at] = hl.Tuple([value for k in range(2) for value in _find_spot(place[(k, *own)], extents[k], usable)])
     sums = hl.Func(f"{name}_sums")
     sums[at] = hl.Tuple([hl.f32(0.0)] * len(REPROJECTED))
-    way = WayFuncs(spots, sums)
+    way = Way(spots, sums)
     if lanes > 1:
-        way.judged = _judge_vectors(frames, spots, lanes, name)
+        way.runs = _cut_vectors(frames, spots, lanes, name)
         _add_runs(frames, way, (start, own), lanes, name)
     _add_apart(frames, way, (start, own), name)
     return way
 
 
-def _add_runs(frames: _Frames, way: WayFuncs, compared: tuple[int, Place], lanes: int, name: str) -> None:
+def _add_runs(frames: _Frames, way: Way, compared: tuple[int, Place], lanes: int, name: str) -> None:
     """Add the pixels of vectors that are loaded run by run to the sums."""
     at = LANE, VECTOR, Y
-    judged = way.judged
+    judged = way.runs
     assert judged is not None
     runs = hl.RDom([(0, lanes)], f"{name}_runs")
     # The test stands outside the arithmetic, so that a vector is loaded in one way only.
@@ -251,16 +281,15 @@ def _add_runs(frames: _Frames, way: WayFuncs, compared: tuple[int, Place], lanes
     similar = [hl.select(here, agrees[at][k], hl.f32(0.0)) for k in range(len(TAPS))]
     _add_taps(frames, way, similar, there)
     way.agrees.append(agrees)
-    way.domains.append(runs)
 
 
-def _add_apart(frames: _Frames, way: WayFuncs, compared: tuple[int, Place], name: str) -> None:
+def _add_apart(frames: _Frames, way: Way, compared: tuple[int, Place], name: str) -> None:
     """Add the pixels that are loaded one by one to the sums."""
     at = LANE, VECTOR, Y
     # One entry, 0, so that the update has a condition.
     once = hl.RDom([(0, 1)], f"{name}_once")
-    if way.judged is not None:
-        once.where(way.judged.way[VECTOR, Y] + once.x == APART)
+    if way.runs is not None:
+        once.where(way.runs.way[VECTOR, Y] + once.x == APART)
     width, height = frames.mask_before.width(), frames.mask_before.height()
     spot = way.spots[at]
 
@@ -278,10 +307,9 @@ def _add_apart(frames: _Frames, way: WayFuncs, compared: tuple[int, Place], name
     agrees[(*at, U, V)] = _compare_tap(frames, *compared, *find(U, V))
     _add_taps(frames, way, [agrees[(*at, *tap)] for tap in TAPS], [find(*tap)[0] for tap in TAPS])
     way.agrees.append(agrees)
-    way.domains.append(once)
 
 
-def _judge_vectors(frames: _Frames, spots: hl.Func, lanes: int, name: str) -> VectorFuncs:
+def _cut_vectors(frames: _Frames, spots: hl.Func, lanes: int, name: str) -> Runs:
     """Return the functions that cut vectors into runs."""
     at = VECTOR, Y
     domains = [
@@ -322,7 +350,7 @@ def _judge_vectors(frames: _Frames, spots: hl.Func, lanes: int, name: str) -> Ve
     outside[at] = 0
     outside[at] = outside[at] + hl.select(fits | (mine[0] < 0), 0, 1)
     way[at] = hl.select(code[at] < NEAR, NOWHERE, outside[at] == 0, IN_RUNS, APART)
-    return VectorFuncs(code, run, starts, outside, way, domains)
+    return Runs(code, run, starts, outside, way)
 
 
 def _is_near(spot: Sequence[hl.Expr]) -> hl.Expr:
@@ -339,7 +367,7 @@ def _compare_tap(frames: _Frames, start: int, own: Place, there: Place, inside: 
     return hl.select(usable, frames.compare(start, own, there), hl.f32(0.0))
 
 
-def _add_taps(frames: _Frames, way: WayFuncs, similar: Sequence[hl.Expr], there: Sequence[Place]) -> None:
+def _add_taps(frames: _Frames, way: Way, similar: Sequence[hl.Expr], there: Sequence[Place]) -> None:
     """Add the weighted histories of the four pixels of a place to the sums, with the weights."""
     at = LANE, VECTOR, Y
     zero, one = hl.f32(0.0), hl.f32(1.0)

@@ -31,8 +31,8 @@ class Pixels:
     lanes: int
     once: list[hl.Func] = field(default_factory=list)
     """The functions computed once per pixel, each after those that it reads."""
-    judged: list[tuple[hl.Func, hl.RDom]] = field(default_factory=list)
-    """The functions computed once per vector, each after those that it reads, and the domains over its lanes."""
+    judged: list[hl.Func] = field(default_factory=list)
+    """The functions computed once per vector from those of its lanes, each after those that it reads."""
 
     @property
     def at(self) -> tuple[hl.Var, hl.Var, hl.Var]:
@@ -51,11 +51,11 @@ class Pixels:
         return hl.min(vector * self.lanes, self.width - self.lanes) + lane
 
     def keep(self, name: str, *values: hl.Expr) -> list[hl.Expr]:
-        """Compute two or more values once per pixel. Expressions that repeat them would compile slowly."""
+        """Compute values once per pixel. Expressions that repeat them would compile slowly."""
         func = hl.Func(name)
         func[self.at] = hl.Tuple(list(values))
         self.once.append(func)
-        return [func[self.at][k] for k in range(len(values))]
+        return _read(func, self.at)
 
     def find_largest(self, name: str, value: hl.Func, least: int) -> hl.Expr:
         """Return the largest value of a vector's pixels, int32, or ``least``; the value itself without vectors."""
@@ -65,17 +65,23 @@ class Pixels:
         func = hl.Func(name)
         func[VECTOR, Y] = least
         func[VECTOR, Y] = hl.max(func[VECTOR, Y], value[domain.x, VECTOR, Y])
-        self.judged.append((func, domain))
+        self.judged.append(func)
         return func[VECTOR, Y]
 
-    def write(self, values: hl.Func, count: int) -> tuple[hl.Func, hl.RDom | None]:
-        """Return a function of column and row with the ``count`` values of a function of pixels, and its domain."""
-        out = hl.Func("out")
+    def write(self, *values: hl.Expr) -> hl.Func:
+        """Return a function of column and row with values of a pixel; with vectors its update has the pixels."""
+        self.keep("result", *values)
+        out, result = hl.Func("out"), self.once[-1]
         if self.lanes == 1:
-            out[X, Y] = hl.Tuple([values[0, X, Y][k] for k in range(count)])
-            return out, None
+            out[X, Y] = hl.Tuple(_read(result, (0, X, Y)))
+            return out
         domain = hl.RDom([(0, self.lanes), (0, (self.width + (self.lanes - 1)) / self.lanes)], "pixels")
-        out[X, Y] = hl.Tuple([hl.undef(hl.Float(32))] * count)
-        found = values[domain.x, domain.y, Y]
-        out[self.find_column(domain.x, domain.y), Y] = hl.Tuple([found[k] for k in range(count)])
-        return out, domain
+        out[X, Y] = hl.Tuple([hl.undef(hl.Float(32))] * len(values))
+        out[self.find_column(domain.x, domain.y), Y] = hl.Tuple(_read(result, (domain.x, domain.y, Y)))
+        return out
+
+
+def _read(func: hl.Func, at: tuple[hl.Expr, ...]) -> list[hl.Expr]:
+    """Return the values of a function at a place."""
+    count = func.outputs()
+    return [func[at][k] for k in range(count)] if count > 1 else [hl.Expr(func[at])]

@@ -78,9 +78,12 @@ class _Noise(NamedTuple):
 
 def make_cleaning(target: hl.Target) -> Scheduled:
     """Return the kernel of `clean_albedo`."""
+    # Signature
     signature, size = Signature("albedo noise"), ("height", "width", COLORS)
     images = [signature.image(name, *size) for name in ("albedo", "normal")]
     signature.output("clean", *size)
+
+    # Algorithm
     width, height = images[0].dim(1).extent(), images[0].dim(2).extent()
     at = hl.clamp(X, 0, width - 1), hl.clamp(Y, 0, height - 1)
     planes = hl.Func("planes")
@@ -103,6 +106,7 @@ def make_cleaning(target: hl.Target) -> Scheduled:
     sums[X, C, Y] += weight[X, Y, taps.x, taps.y] * summed
     out[C, X, Y] = hl.mux(C, [sums[X, k, Y] / sums[X, COLORS, Y] for k in range(COLORS)])
 
+    # Schedule
     # Tiles run in parallel, and their planes and sums stay in the second-level cache. The weights of a row of taps stay
     # in the first.
     lanes, tail = target.natural_vector_size(hl.Float(32)), hl.TailStrategy.GuardWithIf

@@ -1,1 +1,0 @@
-"""Schedules of the kernels: how they are computed on processors and on graphics cards."""
