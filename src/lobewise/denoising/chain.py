@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise import engine
-from lobewise.backend.buffers import device_scope
+from lobewise.backend.buffers import device_scope, download
 from lobewise.denoising.also import (
     Passed,
     bound_parts,
@@ -37,7 +37,7 @@ from lobewise.denoising.light_loss import (
     share_light,
     sum_missing,
 )
-from lobewise.denoising.noisy import NoisyLayer, join_halves, make_noisy_layers
+from lobewise.denoising.noisy import join_halves, make_noisy_layers
 from lobewise.denoising.passes import FilteredOther, filter_layer_halves
 from lobewise.denoising.plain import filter_by_guides
 from lobewise.denoising.refining.inputs import sum_light as sum_parts
@@ -48,7 +48,7 @@ from lobewise.denoising.refining.whole_image import WholeImage, measure_whole
 from lobewise.engine.numbers import choose_larger
 from lobewise.features import Feature
 from lobewise.filters.cross_filter import FilterOutput
-from lobewise.filters.fireflies import cut_samples
+from lobewise.filters.fireflies import count_light, cut_samples
 from lobewise.filters.glue import define_checked, define_support
 from lobewise.filters.specks import Sharing, find_sharing
 from lobewise.frame import FloatArray, Frame, GBuffer
@@ -81,8 +81,10 @@ class Filtered:
         How pixels shared this light with their neighbours; None where no lens blurs it.
     noisy : sequence of (height, width, 3)
         Samples of every layer without fireflies, radiance; empty with the quality "fast", which bounds none.
-    halves : sequence of NoisyLayer
-        The layers in two halves of their samples; empty with the quality "fast".
+    levels : sequence of float
+        Mean light of the samples of every layer, over the albedo; empty with the quality "fast".
+    sums : sequence
+        Light of every layer's rows before its fireflies were bounded, and light taken away; see `BoundedHalves`.
     others : mapping of str to sequence of FilteredOther
         Images that belong to a layer, filtered in its passes, by the layer's name.
     is_refined : bool
@@ -107,7 +109,8 @@ class Filtered:
     noisy_rest: FloatArray | None = None
     sharing: Sharing | None = None
     noisy: Sequence[FloatArray] = ()
-    halves: Sequence[NoisyLayer] = ()
+    levels: Sequence[float] = ()
+    sums: Sequence[tuple[FloatArray, ...]] = ()
     others: Mapping[str, Sequence[FilteredOther]] = field(default_factory=dict)
     is_refined: bool = False
     uncounted: NDArray[np.bool_] | None = None
@@ -116,14 +119,9 @@ class Filtered:
     losses: Sequence[Loss] = ()
 
     @property
-    def levels(self) -> list[float]:
-        """Mean light of the samples of every layer, over the albedo; empty with the quality "fast"."""
-        return [each.level for each in self.halves]
-
-    @property
     def tallies(self) -> list[NDArray[np.float64]]:
         """Light that was taken from the fireflies of every layer, row by row; empty with the quality "fast"."""
-        return [each.bounded.tally for each in self.halves]
+        return [count_light(each) for each in self.sums]
 
     def find_support(self) -> tuple[FloatArray, FloatArray]:
         """Return weight sum and effective samples of the least supported layer that reflects anything at a pixel."""
@@ -201,7 +199,7 @@ def filter_whole(
 ) -> tuple[Filtered, Filtered]:
     """Return the filtered layers of a whole frame; first as `filter_rows` has left them. Parameters as there."""
     before = found = filter_rows(frame, settings, features, bad, exact=exact)
-    if found.halves:
+    if found.levels:
         found = keep_light(found)
     with engine.part("fill holes"):
         found = replace(found, image=fill_holes(*found.find_holes(), frame))
@@ -306,7 +304,9 @@ def filter_halves(
             noisy_rest=rest,
             sharing=sharing,
             noisy=noisy,
-            halves=halves,
+            levels=[each.level for each in halves],
+            # On a device these images end with their scope.
+            sums=[tuple(map(download, each.bounded.sums)) for each in halves],
             others={each.name: layer.others for each, layer in zip(halves, clean, strict=True)},
         )
 
@@ -413,7 +413,7 @@ def filter_passes(
         clean=found.image - rest_after, before=None if refined is None else sum_parts(refined.parts), share=share
     )
     others = found.others
-    if not found.halves:
+    if not found.levels:
         own = {layer.name: layer for layer in found.layers}
         others = {
             layer.name: filter_plain_parts(own[layer.name], settings, list_parts(layer.radiance, layer.parts))

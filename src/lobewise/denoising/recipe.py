@@ -215,7 +215,7 @@ def describe_filtering(
     share_bounded = find_energy_lost(before.tallies)
     if share_bounded >= MIN_SHARE_BOUNDED:
         notes += describe_loss(sum_light(frame, before.image, before.bad), share_bounded)
-    if not before.halves:
+    if not before.levels:
         notes += describe_blurred(count_blurred(frame, before.image))
     return notes
 

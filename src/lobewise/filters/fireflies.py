@@ -45,6 +45,11 @@ UNCOUNTED = -1.0
 """Luminance that marks a bad or masked pixel."""
 
 
+def count_light(sums: Sequence[Image]) -> NDArray[np.float64]:
+    """Return the luminance of every row before bounding, and luminance taken away, (height, 2)."""
+    return np.stack([download(rows).sum(axis=1, dtype=np.float64) for rows in sums], axis=1)
+
+
 class BoundedHalves(NamedTuple):
     """The result of `bound_fireflies`.
 
@@ -63,7 +68,7 @@ class BoundedHalves(NamedTuple):
     @property
     def tally(self) -> NDArray[np.float64]:
         """Luminance of every row before bounding, and luminance taken away, (height, 2)."""
-        return np.stack([download(rows).sum(axis=1, dtype=np.float64) for rows in self.sums], axis=1)
+        return count_light(self.sums)
 
     @property
     def energy_lost(self) -> float:
