@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lobewise.denoising.layers import Layer, find_support
+from lobewise import engine
+from lobewise.denoising.layers import Layer
+from lobewise.filters.cross_pass import ALBEDO_FLOOR
+from lobewise.filters.glue import define_support
 from lobewise.filters.history.accumulation import AccumulatedOutput
 from lobewise.filters.history.joining import find_reflecting, join_layers
 from lobewise.frame import FloatArray
@@ -33,6 +36,32 @@ def add(images: list[FloatArray]) -> FloatArray:
     for image in images[1:]:
         total = total + image
     return total
+
+
+def find_support(layers: list[Layer], outputs: list[AccumulatedOutput]) -> tuple[FloatArray, FloatArray]:
+    """Return weight and samples of the least supported layer that reflects, pixel by pixel; else those of the first."""
+    found = np.zeros((2, *SHAPE), np.float32)
+    for at in np.ndindex(*SHAPE):
+        known = [
+            (output.weight_sum[at], output.effective_samples[at])
+            for layer, output in zip(layers, outputs, strict=True)
+            if layer.mask[at] and layer.albedo is not None and layer.albedo[at].max() > ALBEDO_FLOOR
+        ]
+        first = outputs[0].weight_sum[at], outputs[0].effective_samples[at]
+        found[(slice(None), *at)] = min(known, key=lambda each: each[0], default=first)
+    return found[0], found[1]
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_support_is_that_of_the_least_supported_layer(count: int) -> None:
+    outputs, layers = [make_output(k) for k in range(count)], [make_layer(10 + k) for k in range(count)]
+    images = {}
+    for k, (layer, output) in enumerate(zip(layers, outputs, strict=True)):
+        support = np.stack([output.weight_sum, output.effective_samples], axis=-1)
+        images |= {f"support{k}": support, f"mask{k}": layer.mask, f"albedo{k}": layer.albedo}
+    found = engine.pixels(define_support, images, {}, count)
+    for image, expected in zip(found, find_support(layers, outputs), strict=True):
+        np.testing.assert_array_equal(image, expected)
 
 
 @pytest.mark.parametrize("count", [1, 2, 4])
