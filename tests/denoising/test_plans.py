@@ -51,6 +51,18 @@ def test_other_images_are_filtered_by_the_weights_of_the_layer(count: int) -> No
             np.testing.assert_allclose(image.image, share * clean.image, rtol=1e-4)
 
 
+def test_an_image_without_a_good_pixel_takes_no_light_of_others() -> None:
+    frame = make_frame()
+    settings = resolve(frame, similarity="normal")
+    for noisy in make_noisy_layers(frame, settings, ()):
+        joined = join_halves(noisy)
+        images = [joined] * 6
+        images[1] = images[3] = np.full_like(joined, np.nan)
+        clean = filter_layer_halves(frame, noisy, settings, bound_parts(noisy, joined, images))
+        for number, other in enumerate(clean.others):
+            assert bool(np.nan_to_num(other.image).any()) == (number not in (1, 3))
+
+
 @pytest.mark.parametrize("quality", LIBRARY)
 def test_a_printed_plan_names_every_step(quality: str) -> None:
     lines = foretell(make_frame(), DenoiseSettings(quality=quality, with_oidn=False))  # type: ignore[arg-type]

@@ -293,10 +293,27 @@ def test_list_prints_the_contents(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize(
+    "settings",
+    [
+        {"history": True, "hit_distance": True},
+        {"upsample": 2, "coverage": True, "rays": True},
+        {"plan": "balanced", "hit_guides": True, "coverage": True},
+        {"plan": "high", "halves": False, "layers": "named"},
+    ],
+    ids=str,
+)
+def test_every_step_says_what_it_does(settings: dict[str, Any]) -> None:
+    for _, operations in make_pipeline(PipelineSettings(**settings)).stages:
+        for each in operations:
+            assert each.text, each.function
+            assert "`" not in each.text
+
+
+@pytest.mark.parametrize(
     ("words", "said"),
     [
         (["--plan", "fast", "--no-halves"], "what a pipeline can contain"),
-        (["--plan", "balanced", "--seen", "--layers", "color"], "what a pipeline can contain"),
+        (["--plan", "balanced", "--hit-guides", "--layers", "color"], "what a pipeline can contain"),
         (["--plan", "fast", "--coverage"], "what a pipeline can contain"),
         (["--plan", "auto"], "what a pipeline can contain"),
         (["--plan", "fast", "--similarity", "sg_mixture"], "what a pipeline can contain"),

@@ -42,7 +42,7 @@ def cpp() -> str:
         {"layers": "color", "similarity": "normal"},
         {"halves": False},
         {"layers": "named"},
-        {"seen": True, "coverage": True},
+        {"hit_guides": True, "coverage": True},
         {"plan": "high"},
         {"plan": "high", "halves": False, "layers": "color"},
     ],

@@ -178,14 +178,20 @@ def find_loss(rows: Rows, *, refined: bool = False) -> Loss:
 
 
 def measure_gain(radiance: FloatArray, part: FloatArray, taker: FloatArray, refined: float) -> Loss:
-    """Return the gain of a layer, and the light that is missing with it, from the images of `sum_missing`."""
+    """Return the gain of a layer, and the light that is missing with it.
+
+    The images are those of `sum_missing`; ``refined`` is above 0 if the network refined the layer.
+    """
     return find_loss(sum_missing(radiance, part, taker), refined=refined > 0.0)
 
 
 def measure_gain_outside(
     radiance: FloatArray, part: FloatArray, taker: FloatArray, uncounted: NDArray[np.bool_], refined: float
 ) -> Loss:
-    """Return what `measure_gain` does, from the pixels outside of a mask."""
+    """Return the gain of a layer, and the light that is missing with it, from pixels outside of a mask.
+
+    Parameters are those of `measure_gain`; ``uncounted`` is the mask, (height, width).
+    """
     return find_loss(sum_missing(radiance, part, taker, uncounted=uncounted), refined=refined > 0.0)
 
 

@@ -204,13 +204,14 @@ def find_seen(frame: Frame, mask: NDArray[np.bool_], place: Sequence[Feature]) -
     if albedo is None or normal is None:
         return ()
     # A pass takes no negative values: shift the normals, and shift them back below.
-    (shifted,) = engine.pixels(define_shifted, {"normal": normal}, {}, names=["shifted_hits"])
+    text = "normals of reflected surfaces, brought from [-1, 1] to [0, 1]"
+    (shifted,) = engine.pixels(define_shifted, {"normal": normal}, {}, names=["shifted_hits"], text=text)
     request = PassRequest(halves=(albedo, shifted), mask=mask, place=place, radius=SEEN_RADIUS)
-    mean = filter_dual_buffer(request)
+    mean = filter_dual_buffer(request, "average the guides of reflected surfaces")
     widths = {"alpha_u": frame.gbuffer.alpha_u, "alpha_v": frame.gbuffer.alpha_v}
     images = {"albedo": albedo, "normal": normal, "near": download(mean.a), "shifted": download(mean.b), **widths}
-    names = ["near_hit_albedo", "near_hit_normal"]
-    near_albedo, near_normal = engine.pixels(define_near_hits, images, {}, MAX_MIRROR_ALPHA, names=names)
+    names, text = ["near_hit_albedo", "near_hit_normal"], "guides of reflected surfaces; mirrors keep their own"
+    near_albedo, near_normal = engine.pixels(define_near_hits, images, {}, MAX_MIRROR_ALPHA, names=names, text=text)
     return (SeenFeature(near_albedo, near_normal, albedo_sharpness=SEEN_ALBEDO, normal_sharpness=SEEN_NORMAL),)
 
 

@@ -18,7 +18,7 @@ from lobewise import engine
 from lobewise.backend.buffers import Image, download
 from lobewise.denoising.noisy import NoisyLayer, scale_places
 from lobewise.filters.compositing import composite_light
-from lobewise.filters.dual_buffer import HALVES, MORE_AT_ONCE, DualBufferOutput, PassRequest, filter_dual_buffer
+from lobewise.filters.dual_buffer import MORE_AT_ONCE, DualBufferOutput, PassRequest, filter_dual_buffer
 from lobewise.filters.glue import define_lit, define_with_highlights
 from lobewise.filters.noise.residuals import split_by_noise, split_samples
 from lobewise.filters.noise_guides import MIN_VARIANCE, MIN_VARIANCE_WITHOUT_HALVES, find_log_offset, make_noise_guide
@@ -193,8 +193,8 @@ def filter_layer_halves(
     with engine.part(f"{noisy.name}: albedo and coverage"):
         image, supports = finish_layer(frame, noisy, (light.a, light.b), support)
     filtered = [*light.more[: len(own)]]
-    for start in range(0, len(rest), HALVES + MORE_AT_ONCE):
-        filtered += filter_others(noisy, settings, rest[start : start + HALVES + MORE_AT_ONCE], passes[last:], guides)
+    for start in range(0, len(rest), 1 + MORE_AT_ONCE):
+        filtered += filter_others(noisy, settings, rest[start : start + 1 + MORE_AT_ONCE], passes[last:], guides)
     clean = []
     for other, mean in zip(others, filtered, strict=True):
         mine = replace(noisy, layer=replace(noisy.layer, radiance=other.radiance), kept=other.kept)
@@ -209,15 +209,14 @@ def filter_others(
     passes: Sequence[Pass],
     guides: Sequence[Image],
 ) -> list[Image]:
-    """Return up to four images after the last passes over a layer; two of them take the places of its halves."""
-    # Every pixel has samples of all of them, even where the layer itself has no halves.
-    samples = [each.samples for each in others]
-    pair, more = (samples[0], samples[min(1, len(samples) - 1)]), samples[HALVES:]
-    both, light = replace(noisy, samples=pair, is_whole=True), None
+    """Return up to ``1 + MORE_AT_ONCE`` images after the last passes over a layer."""
+    # One image takes the places of both halves: a half without a good tap takes the light of the other half.
+    first, *more = (each.samples for each in others)
+    both, light = replace(noisy, samples=(first, first), is_whole=True), None
     for each, guide in zip(passes, guides, strict=True):
         light = run_pass(both, settings, each, guide, light, more if light is None else light.more)
     assert light is not None
-    return [light.a, light.b, *light.more][: len(others)]
+    return [light.a, *light.more][: len(others)]
 
 
 def list_layer_passes(noisy: NoisyLayer, settings: ResolvedSettings) -> list[Pass]:

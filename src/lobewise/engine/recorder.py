@@ -329,10 +329,12 @@ class Recorder:
         name = name or measure.__name__
         if name not in self.totals:
             self.totals[name] = self.graph.add_real(name, count)
-        text = (measure.__doc__ or name).partition("\n")[0].removeprefix("Return ").removesuffix(".")
         real = self.totals[name]
         self.graph.run(
-            measure.__name__, images, [*map(write_number, numbers), f"&{real}" if count == 1 else real], text
+            measure.__name__,
+            images,
+            [*map(write_number, numbers), f"&{real}" if count == 1 else real],
+            describe(measure),
         )
         if count == 1:
             return Number(1.0, real)
@@ -445,7 +447,7 @@ class Recorder:
 
 def describe(define: Definition) -> str:
     """Return what a definition computes, by the first sentence of its docstring."""
-    first = (define.__doc__ or define.__name__).partition("\n")[0]
+    first = (define.__doc__ or define.__name__).partition("\n")[0].partition("; see ")[0]
     return first.removeprefix("Return ").removesuffix(".")
 
 

@@ -149,7 +149,7 @@ def _count_light(sums: Image, mask: NDArray[np.bool_]) -> NDArray[np.float64]:
 
 
 def measure_level(sums: Image, mask: NDArray[np.bool_]) -> float:
-    """Return the mean light of a layer from the sums of `add_light`; 0 if no pixel counts."""
+    """Return the mean light of a layer; see `add_light`, which makes the sums. It is 0 if no pixel counts."""
     return find_level(_count_light(sums, mask))
 
 

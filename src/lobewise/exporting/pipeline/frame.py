@@ -97,8 +97,8 @@ class GivenGuides:
             "lobe_kind": settings.lobe_kind,
             "hit_distance": settings.hit_distance,
             "emission": settings.emission or settings.upsample > 1,
-            "hit_albedo": settings.seen,
-            "hit_normal": settings.seen,
+            "hit_albedo": settings.hit_guides,
+            "hit_normal": settings.hit_guides,
             "motion": settings.history and settings.motion,
             **dict.fromkeys(("coverage", "mean_diffuse_albedo", "mean_specular_albedo"), settings.coverage),
         }

@@ -90,7 +90,7 @@ def prepare_frame(settings: PipelineSettings, frame: Frame) -> Frame:
     if settings.anisotropic:
         alpha, normal = (guides.require(name, "brushed surfaces") for name in ("alpha_u", "normal"))
         changes |= {"alpha_v": np.float32(0.5) * alpha, "tangent": np.cross(normal, np.array([0.3, 0.9, 0.1]))}
-    if settings.seen:
+    if settings.hit_guides:
         changes |= show_reflections(guides)
     if settings.coverage:
         changes |= cover_pixels(guides)

@@ -65,7 +65,7 @@ class PipelineSettings(Declared):
             "residuals of one image."
         ),
     ] = True
-    seen: Annotated[
+    hit_guides: Annotated[
         bool,
         Knob("With the plans balanced and high, whether albedo and normal of reflected surfaces are given."),
     ] = False
@@ -117,8 +117,8 @@ class PipelineSettings(Declared):
                 "with named layers" if self.layers == "named" else "in one pass",
                 "add upsampling, choose the plan balanced, or leave it out",
             )
-        if self.seen and (not guided or self.layers != "apart"):
-            raise _refuse("seen", "in one pass" if not guided else f"layers {self.layers!r}", "leave it out")
+        if self.hit_guides and (not guided or self.layers != "apart"):
+            raise _refuse("hit_guides", "in one pass" if not guided else f"layers {self.layers!r}", "leave it out")
         if not self.halves and not guided:
             raise _refuse("halves", "in one pass, which reads none", "leave it out")
         if self.anisotropic and not self.record.has_covariance:

@@ -98,4 +98,6 @@ def refine_image(
         lent[name] = take_image(name, there[name], (*size, channels) if channels else size)
     key = PlanesKey(known)
     numbers = {"brightness": brightness, "mean_log_depth": mean_log_depth, "noise_is_shared": float(shared)}
-    return Network(weights, engine.kernel(key, partial(make_planes, key), lent, numbers)).run()
+    return Network(
+        weights, engine.kernel(key, partial(make_planes, key), lent, numbers, text="planes of the network")
+    ).run()
