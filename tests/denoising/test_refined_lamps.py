@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
+from lobewise import engine
+from lobewise.denoising.layers import Layer
+from lobewise.denoising.refining.inputs import collect_inputs
 from lobewise.denoising.refining.lamps import (
     NEAR_PIXELS,
     find_edges,
@@ -13,6 +18,11 @@ from lobewise.denoising.refining.lamps import (
     find_small,
     widen_mask,
 )
+from lobewise.denoising.refining.network import refine_light
+from lobewise.denoising.refining.whole_image import WholeImage
+from lobewise.filters.glue import define_near_hits
+from lobewise.filters.refinement.steps import define_refined
+from lobewise.frame import Frame, Radiance
 
 
 def make_mask(*places: tuple[slice | int, slice | int]) -> np.ndarray:
@@ -57,3 +67,47 @@ def test_a_mask_grows_by_any_width(pixels: int, rng: np.random.Generator) -> Non
     rows, columns = np.indices(mask.shape)
     near = [np.maximum(abs(rows - y), abs(columns - x)) <= pixels for y, x in np.argwhere(mask)]
     assert np.array_equal(widen_mask(mask, pixels), np.logical_or.reduce(near))
+
+
+def test_the_network_does_not_see_small_lamps() -> None:
+    light, rest = np.full((8, 8, 3), 0.5, np.float32), np.full((8, 8, 3), 2.0, np.float32)
+    small = np.zeros((8, 8), bool)
+    small[3, 4] = True
+    inputs = collect_inputs(Frame(Radiance(light + rest)), [light], [light], rest, small)
+    for image in (inputs.noisy, inputs.filtered):
+        np.testing.assert_array_equal(image, np.where(small[..., None], light, light + rest))
+
+
+def test_lamps_are_scaled_but_for_small_ones_and_their_inside() -> None:
+    shape = (3, 4, 3)
+    part, rest, filtered = (np.full(shape, value, np.float32) for value in (0.5, 2.0, 2.5))
+    refined, small = np.ones((3, 4), bool), np.zeros((3, 4), bool)
+    refined[0], small[1], filtered[2, 3] = False, True, 0.0
+    images = {"image": 3.0 * filtered, "filtered": filtered, "refined": refined, "part0": part, "rest": rest}
+    found = engine.pixels(define_refined, {**images, "small": small}, {}, 1e-36)
+    factor = np.where(refined, 3.0, 1.0)
+    factor[2, 3] = 0.0
+    np.testing.assert_array_equal(found[0], part * factor[..., None])
+    np.testing.assert_array_equal(found[1], rest * np.where(small, 1.0, factor)[..., None])
+
+
+def test_edges_of_lamps_tell_no_loss_of_light(make_frame: Callable[..., Frame]) -> None:
+    frame = make_frame(height=24, width=32)
+    assert frame.radiance.parts is not None
+    mask, rest = np.ones(frame.shape, bool), np.zeros((*frame.shape, 3), np.float32)
+    rest[4:12, 4:12] = 100.0
+    layers = [Layer(part, None, mask, ()) for part in frame.radiance.parts]
+    whole = WholeImage(levels=(1.0, 1.0), brightness=1.0, mean_log_depth=0.0, tau=0.01)
+    found = refine_light(frame, layers, frame.radiance.parts, frame.radiance.parts, rest, whole)
+    assert found.edges is not None
+    np.testing.assert_array_equal(found.edges, find_edges(rest[..., 0] > 0.0))
+    assert refine_light(frame, layers, frame.radiance.parts, frame.radiance.parts, None, whole).edges is None
+
+
+def test_mirrors_keep_the_guides_of_the_surfaces_that_they_show(rng: np.random.Generator) -> None:
+    own, near = rng.random((2, 2, 4, 3)).astype(np.float32)
+    images = {"albedo": own, "normal": own, "near": near, "shifted": 0.5 + 0.5 * near}
+    alpha = np.array([[0.0, 0.01, 0.02, 1.0]] * 2, np.float32)
+    for widths, expected in (({}, near), ({"alpha_u": alpha}, np.where(alpha[..., None] <= 0.01, own, near))):
+        for image in engine.pixels(define_near_hits, {**images, **widths}, {}, 0.01):
+            np.testing.assert_allclose(image, expected, atol=1e-6)
