@@ -69,6 +69,13 @@ def test_a_mask_grows_by_any_width(pixels: int, rng: np.random.Generator) -> Non
     assert np.array_equal(widen_mask(mask, pixels), np.logical_or.reduce(near))
 
 
+@pytest.mark.parametrize("place", [(0, 19), (39, 0), (1, 38)])
+def test_a_mask_at_the_border_grows_without_gaps(place: tuple[int, int]) -> None:
+    rows, columns = np.indices((40, 40))
+    near = np.maximum(abs(rows - place[0]), abs(columns - place[1])) <= 9
+    assert np.array_equal(widen_mask(make_mask(place), 9), near)
+
+
 def test_the_network_does_not_see_small_lamps() -> None:
     light, rest = np.full((8, 8, 3), 0.5, np.float32), np.full((8, 8, 3), 2.0, np.float32)
     small = np.zeros((8, 8), bool)
