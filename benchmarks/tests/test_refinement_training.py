@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from benchmarks.training import refinement_frames
-from benchmarks.training.frames import make_half
+from benchmarks.training.frames import is_validation, make_half
 from benchmarks.training.refinement_frames import name_file, parse_file_name, write_arrays
 from lobewise.denoising.refining.network import load_weights
 from lobewise.errors import InputError
@@ -41,6 +41,7 @@ def write_frame(folder: Path, seed: int, guides: str = "all", side: int = 32) ->
     known = {**images, "lobe": lobe, "rest": 0.1 * reference, "reference": 1.1 * reference, "peer": 1.2 * reference}
     if guides == "color":
         known = {name: known[name] for name in ("noisy", "filtered", "reference", "peer")}
+    known["shared"] = np.float32(1.0)
     write_arrays(folder / name_file(seed, 4, guides), {name: make_half(image) for name, image in known.items()})
 
 
@@ -112,12 +113,48 @@ def test_errors_count_for_every_crop_alike(program: Any, torch: Any) -> None:
     reference, found, before = torch.ones(2, 3, 16, 16), torch.ones(2, 3, 16, 16), torch.ones(2, 3, 16, 16)
     found[0], before[0] = 2.0, 3.0
     find_loss = program.refinement.find_loss
-    few = find_loss(found, before, reference)
+    few = find_loss(found, before, before, reference)
     found[1], before[1] = 1.02, 1.02
-    assert find_loss(found, before, reference) > few
+    many = find_loss(found, before, before, reference)
+    assert many > few
     better = found.clone()
     better[1] = 1.0
-    assert find_loss(better, before, reference) < find_loss(found, before, reference)
+    assert find_loss(better, before, before, reference) < many
+
+
+def test_errors_above_those_of_the_noisy_crop_count_more(program: Any, torch: Any) -> None:
+    reference, found, before = (
+        torch.ones(1, 3, 16, 16),
+        torch.full((1, 3, 16, 16), 1.1),
+        torch.full((1, 3, 16, 16), 1.2),
+    )
+    find_loss = program.refinement.find_loss
+    assert find_loss(found, reference + 0.01, before, reference) > find_loss(found, before, before, reference)
+
+
+def test_sums_of_taps_have_the_gradients_of_their_definition(torch: Any, program: Any) -> None:
+    model = program.refinement_model
+    sums = torch.rand(1, 2, 5, 6, dtype=torch.float64, requires_grad=True)
+    weights = torch.rand(1, 9, 5, 6, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(model.gather, (sums, weights))
+    coarse = torch.rand(1, 9, 10, 12, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(model.gather_coarse, (sums, coarse))
+
+
+def test_every_fifth_shot_of_blender_is_kept_aside() -> None:
+    aside = [seed for seed in range(10) if is_validation(refinement_frames.number_shot(f"glass_{seed}"))]
+    assert aside == [4, 9]
+
+
+def test_shots_for_validation_are_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("fog_1", "glass_1"):
+        (tmp_path / name).mkdir()
+        for file in ("shot.json", "4.exr", "reference_1.exr", "reference_2.exr", "reference_3.exr"):
+            (tmp_path / name / file).touch()
+    converted: list[str] = []
+    monkeypatch.setattr(refinement_frames, "convert_shot", lambda _, scene: converted.append(scene.name))
+    refinement_frames.main(["--cache", str(tmp_path / "frames"), "--shots", str(tmp_path)])
+    assert converted == ["glass_1"]
 
 
 def test_exported_weights_may_be_a_mean_of_old_and_new(program: Any, torch: Any, tmp_path: Path) -> None:

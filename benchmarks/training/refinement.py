@@ -58,7 +58,10 @@ CHECKPOINT_MINUTES, VALIDATION_MINUTES = 5.0, 20.0
 STEPS_BETWEEN_REPORTS = 200
 MAX_JUDGED = 24
 """Frames of each set of guides that are judged."""
-SHARES = {"all": 0.25, "unsplit": 0.08, "passes": 0.2, "plain": 0.27, "color": 0.15, DRAWN: 0.05}
+SHARES = {
+    "all": 0.13, "unsplit": 0.04, "passes": 0.1, "plain": 0.13, "color": 0.08, DRAWN: 0.05,
+    "cycles_all": 0.2, "cycles_passes": 0.04, "cycles_plain": 0.14, "cycles_color": 0.09,
+}  # fmt: skip
 """How often each set of guides is trained."""
 
 Errors = dict[str, dict[str, float]]
@@ -75,13 +78,13 @@ class State:
     minutes: float = 0.0
 
 
-def find_loss(found: Tensor, before: Tensor, reference: Tensor) -> Tensor:
-    """Return how far refined crops are from their references, over how far they were before.
+def find_loss(found: Tensor, noisy: Tensor, before: Tensor, reference: Tensor) -> Tensor:
+    """Return how far refined crops are from their references, over how far they were before: noisy, or filtered.
 
     So a crop of many samples, whose errors are small, counts as much as one of few samples.
     """
     with torch.no_grad():
-        level = find_crop_losses(before, reference)
+        level = torch.minimum(find_crop_losses(noisy, reference), find_crop_losses(before, reference))
     return (find_crop_losses(found, reference) * (TYPICAL_LOSS / (MIN_LOSS_BEFORE + level))).mean()
 
 
@@ -203,7 +206,7 @@ def take_step(state: State, shown: dict[str, list[Path]], rate: float, *, seed: 
     for group in state.optimiser.param_groups:
         group["lr"] = rate
     images = crops.images
-    loss = find_loss(state.network(crops), images["filtered"], images["reference"])
+    loss = find_loss(state.network(crops), images["noisy"], images["filtered"], images["reference"])
     state.optimiser.zero_grad()
     state.steps += 1
     loss.backward()

@@ -72,8 +72,11 @@ def read_frame(path: Path) -> Stored:
     assert told is not None
     with np.load(path) as arrays:
         images = {}
+        shared = bool(arrays["shared"])
         for name in arrays.files:
             each = arrays[name]
+            if not each.shape:
+                continue
             images[name] = each[None] if each.ndim == 2 else np.ascontiguousarray(np.moveaxis(each, -1, 0))
     if "rest" in images:
         # The network reads all light; files have the light of lamps and of the sky apart.
@@ -81,16 +84,7 @@ def read_frame(path: Path) -> Stored:
         images |= {name: make_half(images[name] + rest) for name in ("noisy", "filtered")}
     noisy = images["noisy"].astype(np.float32)
     depth = images["depth"].astype(np.float32) if "depth" in images else None
-    return Stored(
-        images, find_brightness(noisy), find_mean_log_depth(depth), is_shared(told[0], told[1]), told[2], told[1]
-    )
-
-
-def is_shared(seed: int, spp: int) -> bool:
-    """Return whether pixels of a frame share samples; see `refinement_frames.vary_frame`."""
-    from benchmarks.training.refinement_frames import SALT, SHARED_SHARE
-
-    return spp > 0 and bool(np.random.default_rng([SALT, seed, spp]).random() < SHARED_SHARE)
+    return Stored(images, find_brightness(noisy), find_mean_log_depth(depth), shared, told[2], told[1])
 
 
 def cut(stored: Stored, top: int, left: int, rows: int, columns: int) -> dict[str, Array]:

@@ -2,12 +2,14 @@
 
     python -m benchmarks.training.refinement_frames --cache DIR --count 300 --size 256
     python -m benchmarks.training.refinement_frames --cache DIR --drawn 300
+    python -m benchmarks.training.refinement_frames --cache DIR --shots FOLDER
 
 Each seed from 1 is a random scene of `benchmarks.training.kinds`. It gives two or three frames of 1 to 64 samples per
 pixel, and each frame one file for every set of guides that a user may have. A file holds what
 `lobewise.denoising.refining.inputs` reads after the quality "balanced", and the reference. ``--drawn`` makes frames of
-drawn textures instead (`benchmarks.training.textures`). What is there already is not made again, so that the program
-may be stopped at any time and continues where it stopped.
+drawn textures instead (`benchmarks.training.textures`), and ``--shots`` reads frames of Blender that
+`benchmarks/foreign/factory` rendered, but for the kinds for validation. What is there already is not made again, so
+that the program may be stopped at any time and continues where it stopped.
 """
 
 from __future__ import annotations
@@ -24,6 +26,8 @@ from typing import Any
 
 import numpy as np
 
+import lobewise
+from benchmarks.foreign.factory.kinds import ORDER, TRAINING
 from benchmarks.training.frames import Half, is_validation, make_half, open_cache
 from benchmarks.training.rendering import (
     choose_reference_spp,
@@ -33,13 +37,19 @@ from benchmarks.training.rendering import (
     find_exposure,
     limit_threads,
 )
-from benchmarks.users.guides import reduce_frame
+from benchmarks.users.guides import reduce_frame, sum_albedos
+from benchmarks.users.scenes import Scene, find_shots
 from lobewise.denoising.refining.inputs import RefinementInputs, collect_inputs
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.guides.lobe_fields import default_tau, make_sg_field
 
 GUIDE_SETS = ("all", "unsplit", "passes", "plain", "color")
 """Sets of guides. "unsplit" has all guides beside one image of all light; the others are those of the users' bench."""
+CYCLES_SETS = {f"cycles_{guides}": guides for guides in ("all", "passes", "plain", "color")}
+"""Sets of the frames of Blender Cycles, by their name in files."""
+FIRST_SHOT_SEED, SEEDS_OF_A_KIND = 200_001, 1000
+"""Seed of the first shot of Blender, and how many seeds a kind of shots has. Of the shots of a kind the fifth, the
+tenth and so on are kept aside."""
 DRAWN = "drawn"
 SHARED_SHARE = 0.35
 """Share of the frames whose neighbouring pixels share samples, as with the pixel filters of most renderers."""
@@ -133,14 +143,15 @@ def find_lobes(frame: Frame) -> FloatArray | None:
     return np.concatenate([field.axis, sharpness[..., None]], axis=-1, dtype=np.float32)
 
 
-def make_arrays(frame: Frame, reference: FloatArray, *, with_peer: bool) -> dict[str, Half]:
-    """Return what a file holds."""
+def make_arrays(frame: Frame, reference: FloatArray, peer: Frame | None = None) -> dict[str, Half]:
+    """Return what a file holds; the result of Open Image Denoise where its frame is given."""
     from lobewise.peers import denoise_oidn
 
     images = filter_frame(frame) | {"reference": reference}
-    if with_peer:
-        images["peer"] = denoise_oidn(frame)[0]
-    return {name: make_half(image) for name, image in images.items()}
+    if peer is not None:
+        images["peer"] = denoise_oidn(peer)[0]
+    arrays = {name: make_half(image) for name, image in images.items()}
+    return arrays | {"shared": make_half(np.float32(frame.noise_is_shared))}
 
 
 def list_missing(folder: Path, seed: int) -> list[int]:
@@ -176,7 +187,7 @@ def render_scene(folder: Path, seed: int, size: int) -> list[int]:
         if reference is None:
             reference = clean_reference(np.float32(factor) * color, frame)
         for guides, each, target in vary_frame(frame, reference, seed):
-            arrays = make_arrays(each, target, with_peer=is_validation(seed))
+            arrays = make_arrays(each, target, each if is_validation(seed) else None)
             write_arrays(folder / name_file(seed, count, guides), arrays)
     return missing
 
@@ -189,8 +200,38 @@ def draw_texture(folder: Path, seed: int, size: int) -> bool:
     if path.exists():
         return False
     frame, truth = draw_frame(seed, size)
-    write_arrays(path, make_arrays(frame, truth, with_peer=False))
+    write_arrays(path, make_arrays(frame, truth))
     return True
+
+
+def number_shot(name: str) -> int:
+    """Return the seed of the files of a shot, from its folder's name, as "glass_3"."""
+    kind, _, seed = name.rpartition("_")
+    return FIRST_SHOT_SEED + SEEDS_OF_A_KIND * ORDER.index(kind) + int(seed)
+
+
+def convert_shot(folder: Path, scene: Scene) -> list[int]:
+    """Write the files that the folder lacks of a shot of Blender; return the samples per pixel of the frames."""
+    seed, last = number_shot(scene.name), tuple(CYCLES_SETS)[-1]
+    first, *others = scene.references
+    spp_of_reference = lobewise.read_frame(first, light_passes=False).spp
+    assert spp_of_reference is not None
+    scene = replace(scene, frames={spp_of_reference: first, **scene.frames})
+    missing = [spp for spp in scene.frames if not (folder / name_file(seed, spp, last)).exists()]
+    for spp in missing:
+        frame = scene.read(spp)
+        peer = scene.read_peer(spp, frame)
+        assert peer is not None
+        # One of the references is a frame of many samples as well: the others are its reference.
+        paths = others if scene.frames[spp] == first else scene.references
+        lights = [lobewise.read_frame(path, light_passes=False).radiance.color for path in paths]
+        reference = clean_reference(np.mean(lights, axis=0, dtype=np.float32), peer)
+        for name, guides in CYCLES_SETS.items():
+            reduced = reduce_frame(frame, guides, sum_albedos(peer))
+            if reduced is not None:
+                arrays = make_arrays(reduced, reference, peer if is_validation(seed) else None)
+                write_arrays(folder / name_file(seed, spp, name), arrays)
+    return missing
 
 
 def main(words: list[str] | None = None) -> None:
@@ -200,6 +241,7 @@ def main(words: list[str] | None = None) -> None:
     parser.add_argument("--first", type=int, default=1, help="seed of the first scene, from 1")
     parser.add_argument("--count", type=int, default=0, help="how many scenes")
     parser.add_argument("--drawn", type=int, default=0, help="how many frames of drawn textures")
+    parser.add_argument("--shots", type=Path, help="folder of the factory's shots of Blender")
     parser.add_argument("--size", type=int, default=256, help="pixels a side")
     parser.add_argument("--threads", type=int, default=1, help="threads that render and clean")
     arguments = parser.parse_args(words)
@@ -214,6 +256,11 @@ def main(words: list[str] | None = None) -> None:
         seeds = range(FIRST_SEED, FIRST_SEED + arguments.drawn)
         count = sum(draw_texture(folder, seed, arguments.size) for seed in seeds)
         print(f"{count} frames drawn, {time.perf_counter() - start:.1f} s", flush=True)
+    shots = find_shots(arguments.shots) if arguments.shots else []
+    for scene in (each for each in shots if each.name.rpartition("_")[0] in TRAINING):
+        start = time.perf_counter()
+        if done := convert_shot(folder, scene):
+            print(f"{scene.name}: {', '.join(map(str, done))} spp, {time.perf_counter() - start:.1f} s", flush=True)
     for seed in range(arguments.first, arguments.first + arguments.count):
         start = time.perf_counter()
         done = render_scene(folder, seed, arguments.size)

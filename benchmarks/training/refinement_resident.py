@@ -211,7 +211,7 @@ class ResidentTrainer:
         network, average = self.state.network, self.state.average
         batch = draw_resident(self.frames, self.batch, self.crop)
         images = batch.images
-        loss = find_loss(network(batch), images["filtered"], images["reference"])
+        loss = find_loss(network(batch), images["noisy"], images["filtered"], images["reference"])
         self.optimiser.zero_grad(set_to_none=True)
         loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), MAX_GRADIENT, foreach=True)

@@ -82,7 +82,7 @@ class Scene:
 def find_scenes(folder: Path, foreign: Path | None = None) -> list[Scene]:
     """Return the scenes whose references are there: those of `benchmarks.users.render` and of `benchmarks/foreign`."""
     found = [scene for group in (INTERIORS, OWN) for scene in _find_ours(folder / group)]
-    found += _find_factory(foreign / FACTORY.name) if foreign else []
+    found += find_shots(foreign / FACTORY.name) if foreign else []
     for renderer in FOREIGN if foreign else ():
         assert foreign is not None
         place = foreign / renderer.name
@@ -93,7 +93,8 @@ def find_scenes(folder: Path, foreign: Path | None = None) -> list[Scene]:
     return sorted(found, key=lambda scene: GROUPS.index(scene.group))
 
 
-def _find_factory(folder: Path) -> list[Scene]:
+def find_shots(folder: Path) -> list[Scene]:
+    """Return the complete shots in a folder of `benchmarks/foreign/factory`."""
     found = []
     for shot in sorted(folder.glob("*/shot.json")):
         references = tuple(shot.with_name(f"{REFERENCE}_{part}.exr") for part in FACTORY_REFERENCES)
