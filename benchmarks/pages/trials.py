@@ -107,11 +107,16 @@ def make_refinement_figures(trials: dict[str, Any]) -> dict[str, str]:
     longer = trials["longer training"]["errors"]
     guides = list(next(iter(longer.values())))
     trained = [[name, *(f"{row[each]:.3f}" for each in guides)] for name, row in longer.items()]
+    less = [
+        [name, *(f"{row[key]:.2f}" if key in row else "" for key in ("shots", "largest", "interiors", "built-in"))]
+        for name, row in trials["less work"]["rows"].items()
+    ]
     facts = {"Training steps of each network": trials["steps"], "Training files": trials["frames"]}
     return {
         "similarities-run": list_facts(facts),
         "similarities": make_table(["guides", "`balanced`", "with similarities", "without"], rows),
         "light": make_table(["guides", "light before", *ways], shared),
         "longer": make_table(["weights", *guides], trained),
+        "less": make_table(["`high`", "shots of Blender", "largest", "public interiors", "built-in scenes"], less),
         "time": make_table(["method", "seconds"], [[name, f"{value:.1f}"] for name, value in seconds.items()]),
     }

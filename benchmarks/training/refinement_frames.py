@@ -6,8 +6,8 @@
 
 Each seed from 1 is a random scene of `benchmarks.training.kinds`. It gives two or three frames of 1 to 64 samples per
 pixel, and each frame one file for every set of guides that a user may have. A file holds what
-`lobewise.denoising.refining.inputs` reads after the quality "balanced", and the reference. ``--drawn`` makes frames of
-drawn textures instead (`benchmarks.training.textures`), and ``--shots`` reads frames of Blender that
+`lobewise.denoising.refining.inputs` reads after the passes of "balanced", and the reference. ``--drawn`` makes
+frames of drawn textures instead (`benchmarks.training.textures`), and ``--shots`` reads frames of Blender that
 `benchmarks/foreign/factory` rendered, but for the kinds for validation. What is there already is not made again, so
 that the program may be stopped at any time and continues where it stopped.
 """
@@ -119,14 +119,13 @@ def filter_frame(frame: Frame) -> dict[str, FloatArray]:
     """Return what the refining network reads, and the light that is in no layer, by name."""
     from lobewise.denoising.automatic import resolve_all
     from lobewise.denoising.bad_pixels import find_bad_pixels
-    from lobewise.denoising.chain import filter_rows
+    from lobewise.denoising.chain import filter_halves
     from lobewise.guides.usable import check_guides
     from lobewise.settings import DenoiseSettings
 
     settings = resolve_all(frame, DenoiseSettings(quality="balanced", with_oidn=False))
     frame = check_guides(frame).frame
-    found = filter_rows(frame, settings, (), find_bad_pixels(frame)).taken_from
-    assert found is not None
+    found = filter_halves(frame, settings, (), find_bad_pixels(frame), None, None)
     inputs = collect_inputs(frame, found.noisy, found.parts)
     images = {each.name: getattr(inputs, each.name) for each in fields(RefinementInputs)}
     images |= {"rest": found.rest, "lobe": find_lobes(frame)}
