@@ -161,6 +161,8 @@ class Operation:
         Whether it is given the box of its images that a C function has found.
     in_band : bool
         Whether it runs for bands of rows, one after the other. The box is the band then.
+    on_device : bool
+        Whether it runs on the graphics processor of the target.
     """
 
     function: str
@@ -173,6 +175,7 @@ class Operation:
     stage: str = ""
     in_box: bool = False
     in_band: bool = False
+    on_device: bool = False
 
 
 @dataclass
@@ -284,7 +287,15 @@ class Graph:
         self.held[image.name] = np.ascontiguousarray(values, np.float32)
         return image
 
-    def call(self, function: str, arguments: Mapping[str, Any], parameters: Sequence[Parameter], text: str) -> None:
+    def call(
+        self,
+        function: str,
+        arguments: Mapping[str, Any],
+        parameters: Sequence[Parameter],
+        text: str,
+        *,
+        on_device: bool = False,
+    ) -> None:
         """Add a call of a kernel, after comparing the arguments with its parameters."""
         sizes: dict[str, Axis] = {}
         given: list[tuple[str, Image | str]] = []
@@ -304,9 +315,8 @@ class Graph:
         writes = tuple(image for name, image in images if roles[name] == "output")
         overlap = {image.name for image in reads} & {image.name for image in writes}
         assert not overlap, f"{function} reads what it writes: {overlap}"
-        self.operations.append(
-            Operation(function, given, reads, writes, text, self.when, True, self.stage, self.in_box, self.in_band)
-        )
+        where = self.stage, self.in_box, self.in_band, on_device
+        self.operations.append(Operation(function, given, reads, writes, text, self.when, True, *where))
 
     def run(
         self, function: str, images: Sequence[Image], numbers: Sequence[str], text: str, writes: Sequence[Image] = ()

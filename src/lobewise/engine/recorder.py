@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -85,8 +85,14 @@ def _compile_object(pipeline: hl.Pipeline, given: list[Any], symbol: str, target
     pipeline.compile_to_object(path, given, symbol, target)
 
 
-def make_kernel_target(target: hl.Target, *, strict: bool = False) -> hl.Target:
+GRAPHICS = ("CUDA", "Vulkan", "OpenCL", "D3D12Compute", "Metal", "WebGPU")
+"""Features of targets that have a graphics processor."""
+
+
+def make_kernel_target(target: hl.Target, *, strict: bool = False, on_processor: bool = True) -> hl.Target:
     """Return the target of single kernels: without checks of buffers, which the driver makes, and without runtime."""
+    for name in GRAPHICS if on_processor else ():
+        target = target.without_feature(getattr(hl.TargetFeature, name))
     names = ["NoAsserts", "NoBoundsQuery", "NoRuntime", *(["StrictFloat"] if strict else [])]
     for name in names:
         target = target.with_feature(getattr(hl.TargetFeature, name))
@@ -101,15 +107,18 @@ class Recorder:
     ----------
     graph : Graph
     target : halide.Target
-        A processor.
     prefix : str
         Beginning of the names of functions.
+    on : str
+        Where kernels run: "cpu", or a graphics API of the target. What is computed pixel by pixel, or in a box of the
+        image, runs on the processor.
     """
 
     graph: Graph
     target: hl.Target
     prefix: str
-    found: dict[tuple[Hashable, bool], CompiledKernel] = field(default_factory=dict)
+    on: str = "cpu"
+    found: dict[tuple[Hashable, bool, bool], CompiledKernel] = field(default_factory=dict)
     computed: dict[Hashable, tuple[Image, ...]] = field(default_factory=dict)
     """What `pixels` has computed, by definition, images and numbers."""
     picked: dict[str, Image] = field(default_factory=dict)
@@ -125,23 +134,22 @@ class Recorder:
 
     @property
     def lanes(self) -> int:
-        """Pixels of a vector of the target."""
-        return int(self.target.natural_vector_size(hl.Float(32)))
+        """Pixels of a vector of the target; 0 for a graphics processor."""
+        return int(self.target.natural_vector_size(hl.Float(32))) if self.device == "cpu" else 0
 
     def get(self, key: Hashable, make: Callable[[hl.Target], Scheduled], *, strict: bool = False) -> CompiledKernel:
         """Return the kernel of a key."""
-        if (key, strict) not in self.found:
-            target = make_kernel_target(self.target, strict=strict)
+        place = key, strict, self.device == "cpu"
+        if place not in self.found:
+            target = make_kernel_target(self.target, strict=strict, on_processor=place[2])
             signature = make(target).signature
             known = describe_kernel(key, make)
             told = known and f"{known} {target.to_string()}"
             digest = hashlib.sha256((told or str(len(self.found))).encode()).hexdigest()[:10]
             words = "".join(letter if letter.isalnum() else "_" for letter in signature.name)
             symbol = f"{self.prefix}_{words}_{digest}"
-            self.found[key, strict] = CompiledKernel(
-                symbol, signature.name, tuple(signature.parameters), target, make, told
-            )
-        return self.found[key, strict]
+            self.found[place] = CompiledKernel(symbol, signature.name, tuple(signature.parameters), target, make, told)
+        return self.found[place]
 
     def call(
         self,
@@ -179,13 +187,14 @@ class Recorder:
                 shape = [axes.get(axis, axis) if isinstance(axis, str) else axis for axis in each.axes]
                 name = (names or {}).get(each.name, f"{kernel.name.replace(' ', '_')}_{each.name}")
                 outputs[each.name] = self.graph.make(name, *shape, type=each.type)
-        self.graph.call(kernel.symbol, {**given, **outputs}, kernel.parameters, text)
+        on_device = kernel.target.has_gpu_feature()
+        self.graph.call(kernel.symbol, {**given, **outputs}, kernel.parameters, text, on_device=on_device)
         return outputs
 
     @property
     def device(self) -> str:
-        """A processor: pipelines run there."""
-        return "cpu"
+        """Where the next kernel runs."""
+        return "cpu" if self.graph.in_box else self.on
 
     def pixels(
         self,
@@ -212,7 +221,7 @@ class Recorder:
             tuple((name, len(each), not _is_single(each)) for name, each in vectors.items()),
             narrow=False,
         )
-        kernel = self.get(key, partial(make_pointwise, key), strict=True)
+        kernel = self.host.get(key, partial(make_pointwise, key), strict=True)
         named = {f"{name}_{k}": value for name, vector in vectors.items() for k, value in enumerate(vector)}
         wanted = {f"out{number}": name for number, name in enumerate(names)}
         written = {f"out{number}": image for number, image in enumerate(into) if image is not None}
@@ -375,7 +384,7 @@ class Recorder:
         texts: tuple[str, str],
     ) -> Image:
         """See `lobewise.engine.chain`."""
-        kernel, size = self.get(key, make), ("height", "width")
+        kernel, size = self.host.get(key, make), ("height", "width")
         (out,) = (each for each in kernel.parameters if each.role == "output")
         held = {each: self.graph.hold(f"{out.name}_{each}", array) for each, array in arrays.items()}
         between = self.graph.make(name, "band", size[1], channels)
@@ -433,8 +442,8 @@ class Recorder:
 
     @property
     def host(self) -> Recorder:
-        """The engine that runs calls on the processor: a recorded recipe runs there."""
-        return self
+        """The engine that records calls for the processor."""
+        return replace(self, on="cpu")
 
     def part(self, name: str) -> AbstractContextManager[None]:
         """See `lobewise.engine.part`."""

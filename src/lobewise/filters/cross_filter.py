@@ -18,6 +18,7 @@ from lobewise.features.arrays import give_features, give_scalars
 from lobewise.features.base import Feature, describe_structure
 from lobewise.filters.cross_pass import COLORS, PassKey, Reads, Writes, chain_passes, make_pass
 from lobewise.filters.forms import ATROUS_RADIUS, Taps, list_passes
+from lobewise.filters.glue import define_apart
 from lobewise.filters.scheduling import STRIP_ROWS
 from lobewise.frame import FloatArray
 from lobewise.settings import FORMS
@@ -46,13 +47,6 @@ class FilterOutput:
     weight_sum: FloatArray
     effective_samples: FloatArray
     moment: FloatArray | None = None
-
-
-def _split_output(pixels: FloatArray) -> FilterOutput:
-    """Return the output of a last pass, (height, width, channels), split into its channels."""
-    parts = slice(0, COLORS), *range(COLORS, pixels.shape[2])
-    image, *rest = (np.ascontiguousarray(pixels[..., part]) for part in parts)
-    return FilterOutput(image, *rest)
 
 
 @device_scope()
@@ -125,7 +119,10 @@ def run_filter(
     ]
     tiles = _list_tiles(*size) if form == "separable" and isinstance(size[0], int) else []
     found = engine.passes(passes, images, give_scalars(features), tiles=tiles, name=name)
-    return FilterOutput(**found) if on_processor else _split_output(found["pixels"])
+    if on_processor:
+        return FilterOutput(**found)
+    names = name, *(f"{name}_{each}" for each in ("weight_sum", "effective_samples", "moment"))
+    return FilterOutput(*engine.pixels(define_apart, found, {}, names=names, text="what the filter found"))
 
 
 def describe_pass(taps: Taps, radius: int, step: int) -> str:

@@ -9,12 +9,18 @@ from operator import and_, or_
 from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import is_good
 from lobewise.backend.pointwise import LARGEST_FLOAT, Grid, Vector, is_finite, select_or_nan
-from lobewise.filters.cross_pass import ALBEDO_FLOOR
+from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS
 
 
 def define_bad(grid: Grid) -> list[Vector]:
     """Return where a pixel of any image is NaN, infinite or negative; see `find_bad_pixels`."""
     return [[hl.u8(~reduce(and_, (is_good(grid.read(name)) for name in grid.images)))]]
+
+
+def define_apart(grid: Grid) -> list[Vector]:
+    """Return the light of ``pixels``, and the numbers beside it, each as an image."""
+    values = grid.read("pixels")
+    return [values[:COLORS], *([value] for value in values[COLORS:])]
 
 
 def read_parts(grid: Grid, prefix: str) -> list[Vector]:

@@ -6,10 +6,12 @@ from collections.abc import Iterator
 from typing import Any
 
 import lobewise
+from lobewise.backend.devices import VULKAN_BLOCK, VULKAN_MULTIPLE
 from lobewise.engine.graph import Image
 from lobewise.exporting.folder import fill_template
-from lobewise.exporting.pipeline.driver import Pipeline
+from lobewise.exporting.pipeline.pipeline import Pipeline
 from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, SPP, WIDTH
+from lobewise.exporting.targets import GPU_APIS
 
 UNGUIDED = """
 Where guides are noise (out of focus, in fog, hair and grass), Python filters the color alone as well and mixes the
@@ -117,5 +119,16 @@ def write_readme(pipeline: Pipeline, build: str) -> str:
         held=held,
         steps="\n".join(list_contents(pipeline)),
         history=fill_template("pipeline/history.md", name=name) if graph.kept else "",
+        device=describe_device(pipeline),
         limits=UNGUIDED if pipeline.settings.plan == "high" else "",
     )
+
+
+def describe_device(pipeline: Pipeline) -> str:
+    """Return what the README of a pipeline says of the device of its target; nothing for a processor."""
+    if pipeline.api is None:
+        return ""
+    text = fill_template("pipeline/device.md", name=pipeline.name, api=GPU_APIS[pipeline.api])
+    if pipeline.api == "vulkan":
+        text += fill_template("pipeline/vulkan.md", block=VULKAN_BLOCK, multiple=VULKAN_MULTIPLE)
+    return text

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from itertools import groupby
 from string import Template
 
@@ -23,86 +20,16 @@ from lobewise.denoising.light_loss import (
 )
 from lobewise.denoising.refining.whole_image import MAX_RATIO_TO_NEXT, MIN_BRIGHTNESS
 from lobewise.engine.graph import Graph, Image, Length, Operation
-from lobewise.engine.memory import MemoryPlan, plan_memory
 from lobewise.engine.numbers import write_number
 from lobewise.engine.recorder import CompiledKernel
 from lobewise.exporting.folder import fill_template, read_template
-from lobewise.exporting.pipeline.constants import Constants, Setting, list_settings
-from lobewise.exporting.pipeline.settings import PipelineSettings
+from lobewise.exporting.pipeline.device import write_copies, write_device, write_swapping_blocks
+from lobewise.exporting.pipeline.pipeline import Pipeline
 from lobewise.filters.noise.detail import FEATURE_ROWS
 
 _AXES = {"height": "HEIGHT", "width": "WIDTH", "rows": "ROWS", "columns": "COLUMNS", "band": "BAND"}
 _TYPES = {"float32": "float", "int32": "int32_t", "float64": "double"}
 _MARK = re.compile(r"^/\* routine: (\w+) \*/\n", flags=re.M)
-
-
-@dataclass(frozen=True)
-class Pipeline:
-    """Everything that the files of an exported pipeline are made from.
-
-    Parameters
-    ----------
-    settings : PipelineSettings
-    graph : Graph
-    constants : Constants
-    kernels : sequence of CompiledKernel
-    lanes : int
-        Pixels of a vector of the target.
-    name : str
-        Beginning of the names of files and functions.
-    target : str
-        Halide's full name of the target.
-    """
-
-    settings: PipelineSettings
-    graph: Graph
-    constants: Constants
-    kernels: Sequence[CompiledKernel]
-    lanes: int
-    name: str
-    target: str
-
-    @cached_property
-    def memory(self) -> MemoryPlan:
-        """Where images lie."""
-        return plan_memory(self.graph, 1.0 / self.settings.upsample**2)
-
-    @cached_property
-    def images(self) -> list[Image]:
-        """Every image, in the order of the table in C."""
-        return self.graph.list_images()
-
-    @cached_property
-    def stages(self) -> list[tuple[str, list[Operation]]]:
-        """Steps by the part of the plan that they belong to."""
-        return [(name, list(each)) for name, each in groupby(self.graph.operations, key=lambda each: each.stage)]
-
-    @property
-    def least_width(self) -> int:
-        """Smallest width of images, pixels: more than a vector of the target."""
-        return (self.lanes + 1) * self.settings.upsample
-
-    @property
-    def title(self) -> str:
-        """The pipeline in half a line."""
-        words = [f"lobewise pipeline, plan {self.settings.plan}", self.settings.similarity]
-        words += ["history"] if self.settings.history else []
-        words += [f"one pixel of {self.settings.upsample}x{self.settings.upsample} shaded"] * (
-            self.settings.upsample > 1
-        )
-        return ", ".join(words)
-
-    @property
-    def user_settings(self) -> Sequence[Setting]:
-        """The numbers that a user sets."""
-        return list_settings(history=self.settings.history)
-
-    def get_place(self, image: Image) -> str:
-        """Return the name in C of the memory of an image."""
-        memory = image.memory
-        if memory.source == "made":
-            return f"PLACE_{self.memory.slots[memory.name]}"
-        return f"{memory.source.upper()}_{memory.name}"
 
 
 def write_header(pipeline: Pipeline) -> str:
@@ -176,6 +103,7 @@ def write_driver(pipeline: Pipeline) -> str:
             for image in graph.flats.values()
             if image.flat != 0.0
         ),
+        **write_device(pipeline),
         crop=fill_template("pipeline/crop.c", name=name) if any(each.in_box for each in graph.operations) else "",
         fill_floats=fill_template("pipeline/fill_floats.c", name=name)
         if any(image.flat for image in graph.flats.values())
@@ -189,7 +117,7 @@ def write_driver(pipeline: Pipeline) -> str:
         derived="\n".join(
             f"    p->numbers.{key} = {write_number(value)};" for key, value in pipeline.constants.derived.items()
         ),
-        stages="\n\n".join(_write_stage(name, *each) for each in enumerate(pipeline.stages)),
+        stages="\n\n".join(_write_stage(pipeline, *each) for each in enumerate(pipeline.stages)),
         stage_table="\n".join(f"        run_stage_{number}," for number in range(len(pipeline.stages))),
         stage_names="\n".join(f'    "{stage}",' for stage, _ in pipeline.stages),
         checks=_write_checks(pipeline),
@@ -236,7 +164,7 @@ def _describe_image(pipeline: Pipeline, image: Image) -> str:
         image.ndim,
         f"{{{shape}}}",
         image.plane,
-        image.still,
+        -1 if pipeline.api else image.still,
     )
     return f"    {{{', '.join(map(str, numbers))}}}, /* {image.name} */"
 
@@ -283,8 +211,8 @@ def _list_routines(graph: Graph, name: str) -> str:
     return Template(text).substitute(name=name, **ROUTINE_NUMBERS)
 
 
-def _write_stage(name: str, number: int, stage: tuple[str, list[Operation]]) -> str:
-    title, operations = stage
+def _write_stage(pipeline: Pipeline, number: int, stage: tuple[str, list[Operation]]) -> str:
+    name, (title, operations) = pipeline.name, stage
     lines = [
         f"/* {title} */",
         f"static {name}_status run_stage_{number}({name}_pipeline *p)",
@@ -293,12 +221,12 @@ def _write_stage(name: str, number: int, stage: tuple[str, list[Operation]]) -> 
         "    int code = 0;",
     ]
     for in_band, group in groupby(operations, key=lambda each: each.in_band):
-        written = [line for operation in group for line in _write_operation(operation)]
+        written = [line for operation in group for line in _write_operation(pipeline, operation)]
         lines += [*BAND_LOOP, *(f"    {line}" for line in written), "    }"] if in_band else written
     return "\n".join([*lines, "    (void)i;", f"    return code ? {name}_failed : {name}_ok;", "}"])
 
 
-def _write_operation(operation: Operation) -> list[str]:
+def _write_operation(pipeline: Pipeline, operation: Operation) -> list[str]:
     cropped: list[str] = []
     arguments: list[str] = []
     for _, value in operation.arguments:
@@ -311,11 +239,14 @@ def _write_operation(operation: Operation) -> list[str]:
     lines = []
     if cropped:
         lines = [f"halide_dimension_t dims[{len(cropped)}][4];", f"halide_buffer_t parts[{len(cropped)}];", *cropped]
+    opened = min(len(lines), 2)
     if operation.is_kernel:
         lines.append(f"code = {operation.function}({', '.join(arguments)});")
         lines += ["if (code) {", f'    return fail(p, "{operation.function}", code);', "}"]
     else:
         lines.append(f"{operation.function}({', '.join(['p', *arguments])});")
+    before, after = write_copies(pipeline, operation)
+    lines = [*lines[:opened], *before, *lines[opened:], *after]
     note = f"    /* {operation.text} */"
     if operation.when or cropped:
         opening = f"    if ({operation.when}) {{" if operation.when else "    {"
@@ -357,6 +288,8 @@ def _write_given(pipeline: Pipeline) -> str:
         # Kernels do not write to it; Halide's buffers have no other kind of pointer.
         lines.append(f"    memcpy(&p->memory[GIVEN_{each}], &frame->{each}, sizeof(void *));")
     lines += [f"    p->memory[GIVEN_{each}] = frame->{each};" for each in pipeline.graph.results]
+    places = set(pipeline.blocks.values())
+    lines += [f"    mark_host(p, GIVEN_{each});" for each in pipeline.graph.given if f"GIVEN_{each}" in places]
     for each in pipeline.graph.held:
         lines += [
             "    {",
@@ -374,6 +307,8 @@ def _write_forgetting(pipeline: Pipeline) -> str:
         bytes_each = "1" if before.type == "uint8" else "4"
         sizes = " * ".join(f"(size_t)find_length(p, {_AXES.get(str(axis), str(axis))})" for axis in before.shape)
         lines.append(f"        memset(p->memory[KEPT_{before.name}], 0, {bytes_each} * {sizes});")
+        if f"KEPT_{before.name}" in pipeline.blocks.values():
+            lines.append(f"        mark_host(p, KEPT_{before.name});")
     return "\n".join(lines)
 
 
@@ -388,4 +323,5 @@ def _write_swapping(pipeline: Pipeline) -> str:
             f"            p->memory[KEPT_{before.name}] = written;",
             "        }",
         ]
+        lines += write_swapping_blocks(pipeline, f"KEPT_{written.name}", f"KEPT_{before.name}")
     return "\n".join(lines)

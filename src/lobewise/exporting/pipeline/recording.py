@@ -15,11 +15,11 @@ from lobewise.engine.graph import Graph
 from lobewise.engine.numbers import Number
 from lobewise.engine.recorder import Recorder
 from lobewise.exporting.pipeline.constants import Constants
-from lobewise.exporting.pipeline.driver import Pipeline
 from lobewise.exporting.pipeline.frame import SIZE, Features, PipelineGuides, no_features
 from lobewise.exporting.pipeline.past import make_past
+from lobewise.exporting.pipeline.pipeline import Pipeline
 from lobewise.exporting.pipeline.settings import PipelineSettings
-from lobewise.exporting.targets import get_gpu_api, parse_target, refuse_target
+from lobewise.exporting.targets import get_gpu_api, parse_target
 from lobewise.filters import glue
 from lobewise.filters.history.accumulation import KnownKernel
 from lobewise.settings import TemporalSettings
@@ -43,7 +43,7 @@ def make_pipeline(
     ----------
     settings : PipelineSettings
     target : str
-        A processor; see `lobewise.exporting.targets.parse_target`.
+        See `lobewise.exporting.targets.parse_target`.
     name : str
         Beginning of the names of files and functions.
     constants : Constants, optional
@@ -56,21 +56,18 @@ def make_pipeline(
     InputError, DeviceError
         If the target cannot be used.
     """
-    if get_gpu_api(target) is not None:
-        raise refuse_target(
-            target, "a graphics processor, which a pipeline does not run on: leave --plan out, or name a processor"
-        )
-    chosen = parse_target(target)
+    chosen, on = parse_target(target), get_gpu_api(target) or "cpu"
     constants = constants or Constants(settings.upsample, settings.radius, settings.is_guided)
     graph = Graph(stage="guides")
-    guides = PipelineGuides(settings, graph, Recorder(graph, chosen, name), constants, features)
+    guides = PipelineGuides(settings, graph, Recorder(graph, chosen, name, on), constants, features)
     with engine.use(guides.kernels):
         record_frame(guides)
     read = {image.memory.name for operation in graph.operations for image in operation.reads}
     unread = [before.name for _, before in graph.kept if before.name not in read]
     assert not unread, f"no step reads what the frame before has left: {unread}"
     kernels = guides.kernels
-    return Pipeline(settings, graph, constants, list(kernels.found.values()), kernels.lanes, name, chosen.to_string())
+    lanes = kernels.host.lanes
+    return Pipeline(settings, graph, constants, list(kernels.found.values()), lanes, name, chosen.to_string())
 
 
 def record_frame(guides: PipelineGuides) -> None:

@@ -14,8 +14,9 @@ from lobewise.exporting.example import choose_bound
 from lobewise.exporting.folder import MARK, fill_template, open_folder, require_folder
 from lobewise.exporting.names import require_identifier
 from lobewise.exporting.pipeline.contents import describe_contents, write_readme
-from lobewise.exporting.pipeline.driver import Pipeline, write_driver, write_header
+from lobewise.exporting.pipeline.driver import write_driver, write_header
 from lobewise.exporting.pipeline.frame import Features, no_features
+from lobewise.exporting.pipeline.pipeline import Pipeline
 from lobewise.exporting.pipeline.recording import make_pipeline
 from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, SPP, WIDTH, make_sample
 from lobewise.exporting.pipeline.settings import PipelineSettings
@@ -24,6 +25,8 @@ from lobewise.exporting.targets import get_runtime_headers, parse_target
 from lobewise.io.files import PathLike
 
 Place = Callable[[str], Path]
+LIBRARIES = ("-lpthread", "-ldl", "-lm")
+"""Libraries of the system that Halide's runtime calls."""
 
 
 def export_pipeline(
@@ -43,7 +46,7 @@ def export_pipeline(
         The folder, new or empty.
     settings : PipelineSettings
     target : str
-        A processor from `lobewise.exporting.names.TARGETS`, or another one that Halide knows.
+        A name from `lobewise.exporting.names.TARGETS`, or another target that Halide knows.
     name : str
         Prefix of files and functions: an identifier of C.
     force : bool
@@ -104,7 +107,7 @@ def write_texts(pipeline: Pipeline) -> dict[str, str]:
     """Return the text files of an export by name."""
     name, version = pipeline.name, lobewise.__version__
     objects = ['    "$' + f'{{_{name}_folder}}/kernels/{each}"' for each in name_objects(pipeline)]
-    root = "${pcfiledir}"
+    root, more = "${pcfiledir}", list_link_options(pipeline)
     return {
         f"{name}.h": write_header(pipeline),
         f"{name}.c": write_driver(pipeline),
@@ -117,6 +120,7 @@ def write_texts(pipeline: Pipeline) -> dict[str, str]:
             name=name,
             objects="\n".join(objects),
             cmake_file="${CMAKE_CURRENT_LIST_FILE}",
+            more=f"\ntarget_link_options({name} PUBLIC {' '.join(more)})" if more else "",
         ),
         f"{name}ConfigVersion.cmake": fill_template("pipeline/version.cmake", name=name, version=version),
         "CMakeLists.txt": fill_template("pipeline/CMakeLists.txt", name=name),
@@ -128,9 +132,17 @@ def write_texts(pipeline: Pipeline) -> dict[str, str]:
             root=root,
             include="${includedir}",
             link="${libdir}",
+            more="".join(f" {each}" for each in more),
         ),
         MARK: json.dumps(describe_contents(pipeline), indent=1) + "\n",
     }
+
+
+def list_link_options(pipeline: Pipeline) -> list[str]:
+    """Return what a program that contains the pipeline is linked with because of its device."""
+    if pipeline.api == "metal":
+        return ["-Wl,-framework,Metal", "-Wl,-framework,Foundation"]
+    return ["-sUSE_WEBGPU", "-sASYNCIFY"] if pipeline.api == "webgpu" and "wasm" in pipeline.target else []
 
 
 def write_example(pipeline: Pipeline) -> str:
@@ -177,7 +189,7 @@ def build_libraries(pipeline: Pipeline, place: Place) -> bool:
     commands = [
         [compiler, "-std=c99", "-O2", "-fPIC", "-c", f"{name}.c", "-o", f"{name}.o"],
         [archiver, "rcs", f"lib{name}.a", f"{name}.o", *kernels],
-        [compiler, "-shared", f"{name}.o", *kernels, "-o", shared, "-lpthread", "-ldl", "-lm"],
+        [compiler, "-shared", f"{name}.o", *kernels, "-o", shared, *LIBRARIES, *list_link_options(pipeline)],
     ]
     for command in commands:
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
@@ -194,4 +206,5 @@ def describe_build(pipeline: Pipeline, built: bool) -> str:
     name = pipeline.name
     if not built:
         return "cmake -B build && cmake --build build && build/example"
-    return f"c++ -std=c++11 example.cpp lib{name}.a -o example -lpthread -ldl -lm && ./example"
+    words = " ".join((*LIBRARIES, *list_link_options(pipeline)))
+    return f"c++ -std=c++11 example.cpp lib{name}.a -o example {words} && ./example"

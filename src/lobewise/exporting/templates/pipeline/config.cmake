@@ -12,7 +12,7 @@ set_target_properties(${name} PROPERTIES C_STANDARD 99 POSITION_INDEPENDENT_CODE
 target_include_directories(${name} PUBLIC "$${_${name}_folder}")
 target_link_libraries(${name} PUBLIC
 ${objects}
-    Threads::Threads $${CMAKE_DL_LIBS})
+    Threads::Threads $${CMAKE_DL_LIBS})${more}
 if(UNIX)
     target_link_libraries(${name} PUBLIC m)
 endif()

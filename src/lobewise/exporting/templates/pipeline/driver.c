@@ -27,6 +27,7 @@ ${images}
     IMAGES
 };
 
+${declare}
 struct image_info {
     int place;
     int is_bytes;
@@ -69,6 +70,7 @@ ${reals}
     void *memory[PLACES];
     halide_dimension_t dims[IMAGES][4];
     halide_buffer_t images[IMAGES];
+${blocks}
     double seconds[${name}_stages];
     ${name}_progress progress;
     void *user;
@@ -105,6 +107,7 @@ const char *${name}_explain(${name}_status status)
     case ${name}_bad_place: return "row and column of the shaded pixel must lie inside its block";
     case ${name}_failed: return "a kernel failed";
     case ${name}_cancelled: return "the frame was cancelled";
+    case ${name}_no_device: return "the device of the target cannot be used, or has not enough memory";
     }
     return "unknown status";
 }
@@ -205,6 +208,7 @@ static size_t describe_image(${name}_pipeline *p, int image)
 }
 
 ${crop}
+${device}
 static void place_images(${name}_pipeline *p)
 {
     int image;
@@ -212,6 +216,7 @@ static void place_images(${name}_pipeline *p)
         const size_t bytes = describe_image(p, image);
         char *memory = p->memory[INFO[image].place];
         p->images[image].host = memory ? (uint8_t *)memory + bytes * (size_t)INFO[image].plane : NULL;
+${keep_size}
     }
 }
 
@@ -270,6 +275,7 @@ ${defaults}
         ${name}_destroy(p);
         return ${name}_no_memory;
     }
+${take_blocks}
 ${flats}
     *pipeline = p;
     return ${name}_ok;
@@ -278,6 +284,7 @@ ${flats}
 void ${name}_destroy(${name}_pipeline *p)
 {
     int place;
+${free_blocks}
     for (place = 0; p && place < PLACES; place++) {
         free(p->allocated[place]);
     }
@@ -392,6 +399,7 @@ ${forgetting}
         status = stages[k](p);
         p->seconds[k] = (double)(clock() - start) / CLOCKS_PER_SEC;
     }
+${finish}
     p->frame = NULL;
     if (status == ${name}_ok) {
         p->view_before = p->view;

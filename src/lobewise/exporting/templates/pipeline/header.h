@@ -18,7 +18,8 @@ typedef enum ${name}_status {
     ${name}_bad_setting = 5, /* out of range */
     ${name}_bad_place = 6,  /* the shaded pixel is not inside its block */
     ${name}_failed = 7,     /* a kernel failed; the message says which */
-    ${name}_cancelled = 8   /* the function of ${name}_set_progress asked for it */
+    ${name}_cancelled = 8,  /* the function of ${name}_set_progress asked for it */
+    ${name}_no_device = 9   /* the graphics processor of the target cannot be used, or has not enough memory */
 } ${name}_status;
 
 /* A pipeline: the steps of the plan, the images between them${history_word}. */
@@ -74,7 +75,7 @@ void ${name}_reset(${name}_pipeline *pipeline);
 const char *${name}_get_message(const ${name}_pipeline *pipeline);
 const char *${name}_explain(${name}_status status);
 
-/* Bytes that a pipeline holds. */
+/* Bytes that a pipeline holds, those on a device included. */
 size_t ${name}_count_bytes(const ${name}_pipeline *pipeline);
 
 /* The parts of the last frame: processor time of each, all threads together. NULL from part ${name}_stages on. */
