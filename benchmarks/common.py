@@ -15,6 +15,8 @@ from lobewise.io.exr import read_frame, read_image, write_frame, write_image
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
 FRAMES = ROOT / "benchmarks" / "frames"
+SAMPLE = FRAMES / "sample.exr"
+"""A part of a frame, black outside; made by `benchmarks/pictures/sample.py`."""
 SHOWROOM, SHOWROOM_REFERENCE = FRAMES / "showroom-4spp.exr", FRAMES / "showroom-reference.exr"
 """A frame of 512x512 pixels with 4 samples per pixel, and its reference."""
 

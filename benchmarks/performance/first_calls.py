@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.common import RESULTS, ROOT, describe_machine, write_json
+from benchmarks.common import RESULTS, ROOT, SAMPLE, describe_machine, write_json
 
 RESULT = RESULTS / "first_calls.json"
 CALLS = {
@@ -33,7 +33,6 @@ CALLS = {
 PROGRAM = """
 import json, os, sys
 import lobewise
-from importlib.resources import files
 from lobewise.backend import jit
 
 def measure():
@@ -50,7 +49,7 @@ def compile_timed(*given):
     return found
 
 jit.compile_kernel = compile_timed
-frame = lobewise.read_frame(str(files("lobewise") / "data" / "sample.exr"))
+frame = lobewise.read_frame("SAMPLE")
 start = measure()
 CALL
 print(json.dumps({"call_seconds": round(measure() - start, 2), "kernels": compiled}))
@@ -67,7 +66,7 @@ def measure_call(call: str, checkout: Path) -> dict[str, Any]:
             "HL_NUM_THREADS": "1",
             "OMP_NUM_THREADS": "1",
         }
-        command = [sys.executable, "-c", PROGRAM.replace("CALL", call)]
+        command = [sys.executable, "-c", PROGRAM.replace("CALL", call).replace("SAMPLE", str(SAMPLE))]
         done = subprocess.run(command, capture_output=True, text=True, env=environment, check=True)
     found = json.loads(done.stdout.splitlines()[-1])
     seconds = round(sum(each for _, each in found["kernels"]), 2)

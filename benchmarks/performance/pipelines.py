@@ -26,7 +26,6 @@ from lobewise.exporting.pipeline.sample import collect_images, get_place, make_s
 from lobewise.exporting.pipeline.scene import CUT, SPP, make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.exporting.pipeline.writing import export_pipeline
-from lobewise.settings.choices import get_quality
 
 RESULT = RESULTS / "pipelines.json"
 SIZE = (540, 960)
@@ -108,7 +107,7 @@ def measure(settings: PipelineSettings, size: tuple[int, int], folder: Path) -> 
     told = json.loads((folder / "lobewise-export.json").read_text())
     graph, library = make_pipeline(settings).graph, Library(folder, size)
     image, runs = np.empty((*size, 3), np.float32), []
-    halves = get_quality(settings.plan).reads_halves
+    halves = settings.quality.reads_halves
     for number in (k for _ in range(REPEATS) for k in range(CUT)):
         whole = prepare_frame(settings, make_frame(number, size=size, halves=halves))
         frame = make_sparse(settings, whole, number)

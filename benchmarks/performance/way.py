@@ -14,13 +14,12 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from importlib.resources import files
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
 import lobewise
-from benchmarks.common import RESULTS, write_json
+from benchmarks.common import RESULTS, SAMPLE, write_json
 
 SOURCE = Path(lobewise.__file__).parent
 
@@ -45,7 +44,7 @@ def trace_calls() -> Iterator[list[tuple[str, str]]]:
 
 def list_recipes() -> dict[str, Callable[[], Any]]:
     """Return the recipes by name, each as a call on the bundled frame."""
-    frame = lobewise.read_frame(Path(str(files("lobewise") / "data" / "sample.exr")))
+    frame = lobewise.read_frame(SAMPLE)
     sparse, history = lobewise.make_sparse(frame, 4), lobewise.TemporalFilter(device="cpu")
     return {
         "fast": lambda: lobewise.denoise(frame, quality="fast", device="cpu"),

@@ -29,7 +29,6 @@ from lobewise.exporting.pipeline.recording import record_frame
 from lobewise.exporting.pipeline.sample import collect_images
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.frame import FloatArray
-from lobewise.settings.choices import get_quality
 from lobewise.sparse_frame import AnyFrame, SparseFrame
 
 _NAME = re.compile(r"p->[\w>.\[\]-]+")
@@ -257,8 +256,9 @@ class Recorded:
     def run(self, frame: AnyFrame, emission: FloatArray | None = None) -> FloatArray:
         """Return the image that the recorded recipe makes of a frame; ``emission`` as of `collect_images`."""
         settings, (height, width) = self.settings, frame.gbuffer.shape or frame.shape
-        guided = get_quality(settings.plan).reads_halves
-        numbers = Numbers(settings.upsample, settings.radius, guided, camera=frame.require_camera("a recipe"))
+        numbers = Numbers(
+            settings.upsample, settings.radius, settings.is_guided, camera=frame.require_camera("a recipe")
+        )
         numbers.size, numbers.spp, numbers.before = (height, width), estimate_spp(frame), self.camera
         rows, columns = frame.radiance.color.shape[:2]
         sizes = {"height": height, "width": width, "rows": rows, "columns": columns, "band": height}

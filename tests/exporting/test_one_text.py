@@ -37,10 +37,22 @@ def check(settings: PipelineSettings, count: int = 1, features: Features = no_fe
 
 @pytest.mark.sampled("full-ggx-apart", "separable-sg-color", "atrous-asg-apart", "full-normal-color")
 @pytest.mark.parametrize("layers", ["apart", "color"])
-@pytest.mark.parametrize("similarity", SIMILARITIES)
+@pytest.mark.parametrize("similarity", [*SIMILARITIES, "sg_mixture"])
 @pytest.mark.parametrize("form", ["full", "separable", "atrous"])
 def test_fast(form: str, similarity: Any, layers: Any) -> None:
     check(PipelineSettings(form=form, similarity=similarity, layers=layers, radius=2))
+
+
+@pytest.mark.sampled("atrous-diffuse", "full-sg_mixture", "separable-ggx")
+@pytest.mark.parametrize("similarity", [*SIMILARITIES, "sg_mixture", "diffuse"])
+@pytest.mark.parametrize("form", ["full", "separable", "atrous"])
+def test_a_single_filter(form: Any, similarity: Any) -> None:
+    check(PipelineSettings(plan="filter", form=form, similarity=similarity, radius=2, albedo=form != "full"))
+
+
+@pytest.mark.parametrize("plan", ["filter", "fast"])
+def test_guides_of_a_single_filter(plan: Any) -> None:
+    check(PipelineSettings(plan=plan, radius=2, anisotropic=True, lobe_kind=True, hit_distance=True, position=True))
 
 
 @pytest.mark.sampled("full-ggx", "separable-sg")

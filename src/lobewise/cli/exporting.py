@@ -11,29 +11,17 @@ import typer
 from lobewise.cli.options.spreading import with_settings
 from lobewise.cli.terminal.help import FILTER_DETAILS
 from lobewise.errors import InputError
-from lobewise.exporting.names import CHAINS, SHADER_LANGUAGES, TARGETS, WEB, ExportSettings
+from lobewise.exporting.names import CHAINS, SHADER_LANGUAGES, TARGETS, WEB
 from lobewise.exporting.pipeline.settings import PipelineSettings
-from lobewise.settings import list_knobs
 
-OWN = ("similarity", "form", "radius", "lobes", "albedo", "anisotropic")
-"""Settings of a single filter."""
-SHARED = ("similarity", "form", "radius", "anisotropic")
-"""Settings of a filter that a pipeline has, too."""
-PIPELINE = tuple(each.name for each in fields(PipelineSettings) if each.name not in SHARED)
-"""Settings of a pipeline alone."""
+PIPELINE = tuple(each.name for each in fields(PipelineSettings))
+"""Settings of a pipeline, which a single filter is, too."""
 DEFAULT_NAME = "lobewise"
 USUAL = ("similarity", "form", "radius", "albedo", "plan", "history", "upsample")
 """Settings that the short help shows."""
 
 
-@with_settings(
-    {**list_knobs(PipelineSettings), **list_knobs(ExportSettings)},
-    *OWN,
-    *PIPELINE,
-    only_given=True,
-    group=FILTER_DETAILS,
-    usual=USUAL,
-)
+@with_settings(PipelineSettings, *PIPELINE, only_given=True, group=FILTER_DETAILS, usual=USUAL, plan="filter")
 def export(
     settings: dict[str, Any],
     output: Annotated[
@@ -69,7 +57,7 @@ def export(
         raise InputError(
             "--chain",
             expected=f"a target of {', '.join(SHADER_LANGUAGES)} beside it",
-            got=f"the target {target}, whose library has one function",
+            got=f"the target {target}, which has no passes",
             action="leave --chain out, or choose a shader language",
         )
     if list_contents:
@@ -81,10 +69,8 @@ def export(
         _export_shaders(output, target, chain, settings, name, force)
     elif target == WEB:
         _export_page(output, chain, settings, name, force)
-    elif any(each in settings for each in PIPELINE):
-        _export_pipeline(output, settings, target=target, name=name or DEFAULT_NAME, force=force)
     else:
-        _export_filter(output, settings, target=target, name=name or DEFAULT_NAME, force=force)
+        _export_pipeline(output, settings, target=target, name=name or DEFAULT_NAME, force=force)
 
 
 def _print_contents(
@@ -120,16 +106,6 @@ def _print_contents(
         lines = list_contents(make_pipeline(_choose_pipeline(settings), target=target, name=name or DEFAULT_NAME))
     for line in lines:
         print_line(line)
-
-
-def _export_filter(output: Path, settings: dict[str, Any], *, target: str, name: str, force: bool) -> None:
-    """Write a single filter."""
-    from lobewise.cli.output import print_line
-    from lobewise.exporting.native import export_library
-    from lobewise.exporting.plan import FilterPlan
-
-    command = export_library(output, FilterPlan(**settings), target=target, name=name, force=force)
-    print_line(f"Wrote {output}; README.md describes the files. In that folder: {command}")
 
 
 def _export_page(output: Path, chain: str | None, settings: dict[str, Any], name: str | None, force: bool) -> None:
@@ -190,11 +166,8 @@ def _name_option(setting: str) -> str:
 
 
 def _choose_pipeline(settings: dict[str, Any]) -> PipelineSettings:
-    """Return the settings of a pipeline. Refuse those that a single filter alone has."""
-    if alone := [each for each in settings if each not in (*SHARED, *PIPELINE)]:
-        raise InputError(
-            f"--{alone[0]}", expected="settings of a pipeline", got="one of a single filter", action="leave it out"
-        )
+    """Return the settings of a pipeline."""
+    settings = {"plan": "filter", **settings}
     if settings.get("upsample", 1) > 1:
         # The radius counts samples.
         from lobewise.upsampling import DEFAULT_RADIUS
@@ -204,7 +177,7 @@ def _choose_pipeline(settings: dict[str, Any]) -> PipelineSettings:
 
 
 def _export_pipeline(output: Path, settings: dict[str, Any], *, target: str, name: str, force: bool) -> None:
-    """Write a pipeline."""
+    """Write a single filter or a whole plan."""
     from lobewise.cli.output import print_line
     from lobewise.exporting.pipeline.writing import export_pipeline
 

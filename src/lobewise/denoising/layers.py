@@ -27,7 +27,7 @@ from lobewise.features import (
 )
 from lobewise.filters.cross_filter import FilterOutput, run_filter
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
-from lobewise.filters.glue import define_whole_albedo
+from lobewise.filters.glue import define_both, define_whole_albedo
 from lobewise.frame import FloatArray, GBuffer
 from lobewise.guides.lobe_fields import (
     SgField,
@@ -208,7 +208,9 @@ def _compare_mixtures(frame: AnyFrame, settings: ResolvedSettings, apart: bool) 
     )
     feature = SgMixtureFeature(mixture.axis, mixture.sharpness, mixture.amplitude, settings.beta)
     surface = find_surface(frame)
-    return Compared((feature,), surface & mixture.valid, surface)
+    images = {"surface": surface, "valid": mixture.valid}
+    (mask,) = engine.pixels(define_both, images, {}, names=["specular_mask"], text="surfaces with a lobe")
+    return Compared((feature,), mask, surface)
 
 
 def find_surface(frame: AnyFrame) -> Mask:

@@ -14,6 +14,7 @@ from lobewise.errors import FileError
 from lobewise.io.files import PathLike, refusing
 from lobewise.io.replacing import name_temporary
 
+DOCS = "https://github.com/lobewise/lobewise/blob/main/docs/export.md"
 MARK = "lobewise-export.json"
 """The file that marks a folder as an earlier export."""
 

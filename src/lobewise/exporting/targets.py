@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from lobewise.backend.compiler import hl
@@ -67,6 +70,16 @@ def refuse_target(text: str, reason: str) -> DeviceError:
         got=reason,
         action="choose one of those that lobewise export --help lists",
     )
+
+
+@contextmanager
+def refusing_target(text: str) -> Iterator[None]:
+    """Raise DeviceError with the compiler's reason where it cannot compile for a target."""
+    try:
+        yield
+    except hl.HalideError as problem:
+        reason = re.sub(r"\s+", " ", str(problem).removeprefix("Error: ")).strip().rstrip(".!")
+        raise refuse_target(text, reason[:1].lower() + reason[1:200]) from problem
 
 
 def get_gpu_api(target: str) -> str | None:

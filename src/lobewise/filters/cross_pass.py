@@ -106,9 +106,9 @@ def chain_passes(whole: PassKey, taps: Sequence[Taps], *, mirror: bool) -> list[
 
 @dataclass(frozen=True)
 class PassInputs:
-    """The inputs of a pass. A caller may give its own, to name the arguments or to chain passes in one kernel."""
+    """The inputs of a pass."""
 
-    source: hl.ImageParam | hl.Func
+    source: hl.ImageParam
     """Radiance (c, x, y), or sums (x, c, y)."""
     albedo: hl.ImageParam | None
     mask: hl.ImageParam
@@ -173,13 +173,11 @@ def declare_pass(signature: Signature, key: PassKey, features: Sequence[Feature]
     return inputs
 
 
-def make_pass(
-    key: PassKey, features: Sequence[Feature], target: hl.Target, inputs: PassInputs | None = None
-) -> Scheduled:
-    """Return a pass; without ``inputs`` they are the parameters of its signature."""
+def make_pass(key: PassKey, features: Sequence[Feature], target: hl.Target) -> Scheduled:
+    """Return a pass."""
     # Signature
     signature = Signature("cross pass")
-    inputs = inputs or declare_pass(signature, key, features)
+    inputs = declare_pass(signature, key, features)
 
     # Algorithm
     is_sparse = key.taps is Taps.ATROUS

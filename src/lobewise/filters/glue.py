@@ -17,6 +17,11 @@ def define_bad(grid: Grid) -> list[Vector]:
     return [[hl.u8(~reduce(and_, (is_good(grid.read(name)) for name in grid.images)))]]
 
 
+def define_both(grid: Grid) -> list[Vector]:
+    """Return where all masks hold."""
+    return [[hl.u8(reduce(and_, (grid.read_one(name) != 0 for name in grid.images)))]]
+
+
 def define_apart(grid: Grid) -> list[Vector]:
     """Return the light of ``pixels``, and the numbers beside it, each as an image."""
     values = grid.read("pixels")

@@ -54,12 +54,6 @@ def _rebuild(like: Any, values: Iterator[hl.Expr]) -> Any:
     return type(like)(*parts) if hasattr(like, "_fields") else parts
 
 
-def begin_at_zero(image: hl.ImageParam) -> None:
-    """Tell the compiler that an image's coordinates begin at 0."""
-    for axis in range(image.dimensions()):
-        image.dim(axis).set_min(0)
-
-
 def count_inputs(features: Sequence[Feature]) -> list[int]:
     """Return the number of channels of each array of all features."""
     return [count for feature in features for count in count_channels(feature)]

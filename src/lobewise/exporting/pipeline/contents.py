@@ -8,7 +8,7 @@ from typing import Any
 import lobewise
 from lobewise.backend.devices import VULKAN_BLOCK, VULKAN_MULTIPLE
 from lobewise.engine.graph import Image
-from lobewise.exporting.folder import fill_template
+from lobewise.exporting.folder import DOCS, fill_template
 from lobewise.exporting.pipeline.pipeline import Pipeline
 from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, SPP, WIDTH
 from lobewise.exporting.targets import GPU_APIS
@@ -18,6 +18,12 @@ Where guides are noise (out of focus, in fog, hair and grass), Python filters th
 result in. This pipeline does not: give it guides in focus.
 """
 """What the README of the plan high says."""
+REACHES = {
+    "full": "all pixels j within the radius, in a square",
+    "separable": "a row and then a column of pixels j within the radius",
+    "atrous": "five 5x5 passes whose steps double; they reach 62 pixels",
+}
+"""The neighbours of each form."""
 HELD = "lobewise pipeline"
 """Value of the key "kind" in the JSON of a pipeline."""
 
@@ -120,8 +126,16 @@ def write_readme(pipeline: Pipeline, build: str) -> str:
         steps="\n".join(list_contents(pipeline)),
         history=fill_template("pipeline/history.md", name=name) if graph.kept else "",
         device=describe_device(pipeline),
-        limits=UNGUIDED if pipeline.settings.plan == "high" else "",
+        limits=describe_limits(pipeline),
+        docs=DOCS,
     )
+
+
+def describe_limits(pipeline: Pipeline) -> str:
+    """Return what a single filter computes, or what a plan leaves out."""
+    if pipeline.settings.is_filter:
+        return fill_template("pipeline/filter.md", reach=REACHES[pipeline.settings.form])
+    return UNGUIDED if pipeline.settings.plan == "high" else ""
 
 
 def describe_device(pipeline: Pipeline) -> str:

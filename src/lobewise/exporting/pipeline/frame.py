@@ -100,6 +100,7 @@ class GivenGuides:
             "hit_albedo": settings.hit_guides,
             "hit_normal": settings.hit_guides,
             "motion": settings.history and settings.motion,
+            "specular_albedo": not settings.is_filter,
             **dict.fromkeys(("coverage", "mean_diffuse_albedo", "mean_specular_albedo"), settings.coverage),
         }
         if name == "mean_emission" and settings.upsample > 1:

@@ -64,11 +64,14 @@ class Pipeline:
     @property
     def title(self) -> str:
         """The pipeline in half a line."""
-        words = [f"lobewise pipeline, plan {self.settings.plan}", self.settings.similarity]
-        words += ["history"] if self.settings.history else []
-        words += [f"one pixel of {self.settings.upsample}x{self.settings.upsample} shaded"] * (
-            self.settings.upsample > 1
-        )
+        settings = self.settings
+        lobes = f" of {settings.lobes}" if settings.record.is_mixture else ""
+        if settings.is_filter:
+            reach = "" if settings.form == "atrous" else f", radius {settings.radius}"
+            return f"lobewise filter, {settings.similarity}{lobes}, {settings.form}{reach}"
+        words = [f"lobewise pipeline, plan {settings.plan}", f"{settings.similarity}{lobes}"]
+        words += ["history"] if settings.history else []
+        words += [f"one pixel of {settings.upsample}x{settings.upsample} shaded"] * (settings.upsample > 1)
         return ", ".join(words)
 
     @property

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any, cast
 
@@ -14,6 +15,7 @@ from lobewise.denoising.plain import add_up
 from lobewise.engine.graph import Graph
 from lobewise.engine.numbers import Number
 from lobewise.engine.recorder import Recorder
+from lobewise.exporting.pipeline.alone import filter_alone
 from lobewise.exporting.pipeline.constants import Constants
 from lobewise.exporting.pipeline.frame import SIZE, Features, PipelineGuides, no_features
 from lobewise.exporting.pipeline.past import make_past
@@ -73,6 +75,9 @@ def make_pipeline(
 def record_frame(guides: PipelineGuides) -> None:
     """Call the recipe of a pipeline with its frame."""
     settings, frame = guides.settings, cast(Any, guides)
+    if settings.is_filter:
+        record_filter(guides)
+        return
     if settings.history:
         found = filter_over_time(guides)
     elif guides.is_sparse:
@@ -85,6 +90,26 @@ def record_frame(guides: PipelineGuides) -> None:
     give_parts(guides, found.parts)
     with engine.part("fill holes"):
         fill_holes(found.image, found.holes, frame)
+
+
+def record_filter(guides: PipelineGuides) -> None:
+    """Call the recipe of a single filter, and give its caller what it finds."""
+    settings, graph = guides.settings, guides.graph
+    text = "noisy linear radiance"
+    light: Any = graph.give("radiance", *SIZE, 3, text=text, unit="any")
+    text = "albedo of the radiance: it is divided by it, and multiplied afterwards; a black pixel has no weight"
+    albedo: Any = graph.give("albedo", *SIZE, 3, text=text, unit="0 to 1") if settings.albedo else None
+    found = filter_alone(cast(Any, guides), settings, guides.resolved, guides.features, light, albedo)
+    made: Any = {
+        "image": (found.image, "the filtered radiance; 0 where no pixel counts"),
+        "weight_sum": (found.weight_sum, "the sum of the weights, or NULL"),
+        "effective_samples": (found.effective_samples, "(sum w)^2 / sum w^2 of the weights w, or NULL"),
+    }
+    with engine.part("results"):
+        for name, (image, text) in made.items():
+            result = graph.take(name, *image.shape, text=text, unit="any" if name == "image" else "")
+            with nullcontext() if name == "image" else graph.only_when(f"p->frame->{name}"):
+                graph.run("copy_image", [image, result], [], f"{name.replace('_', ' ')} for the caller", [result])
 
 
 def give_parts(guides: PipelineGuides, parts: Sequence[Any]) -> None:

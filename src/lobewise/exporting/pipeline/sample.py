@@ -9,16 +9,17 @@ from typing import Any
 import numpy as np
 
 from lobewise.camera import Camera
+from lobewise.denoising.automatic import resolve_settings
 from lobewise.denoising.recipe import check_frame, denoise_checked
 from lobewise.engine.graph import Graph
+from lobewise.exporting.pipeline.alone import filter_alone
 from lobewise.exporting.pipeline.frame import Features, no_features
 from lobewise.exporting.pipeline.scene import CUT, HEIGHT, SPP, WIDTH, make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.frame import FloatArray, Frame, GBuffer, LobeKind, Radiance
 from lobewise.guides.surfaces import find_places
 from lobewise.radiance import RadianceLayer
-from lobewise.settings import DenoiseSettings
-from lobewise.settings.choices import get_quality
+from lobewise.settings import DenoiseSettings, ResolvedSettings
 from lobewise.sparse_frame import AnyFrame, Rays, SparseFrame
 from lobewise.temporal import TemporalFilter
 from lobewise.upsampling import upsample
@@ -96,6 +97,11 @@ def prepare_frame(settings: PipelineSettings, frame: Frame) -> Frame:
         changes |= cover_pixels(guides)
     if settings.lobe_kind:
         changes["lobe_kind"] = find_kinds(guides)
+    if settings.is_filter:
+        # The filter has one light and one albedo.
+        kind = "specular" if settings.record.has_lobes else "diffuse"
+        radiance = Radiance(getattr(radiance, kind))
+        changes |= {"diffuse_albedo": getattr(guides, f"{kind}_albedo"), "specular_albedo": None}
     frame = replace(frame, radiance=radiance, gbuffer=replace(guides, **changes))
     return replace(frame, layers=name_layers(frame)) if settings.layers == "named" else frame
 
@@ -196,8 +202,9 @@ def get_place(frame: AnyFrame) -> tuple[int, int]:
 def make_settings(settings: PipelineSettings) -> DenoiseSettings:
     """Return the settings by which the recipe of this package does what a pipeline does."""
     return DenoiseSettings(
-        quality=get_quality(settings.plan).name,
-        similarity=settings.similarity,
+        quality=settings.quality.name,
+        similarity=settings.record.name,
+        lobes=settings.lobes,
         form=settings.form,
         radius=settings.radius,
         device="cpu",
@@ -211,6 +218,8 @@ def run_recipe(
 ) -> list[FloatArray]:
     """Return what Python makes of frames, one after the other."""
     wanted = make_settings(settings)
+    if settings.is_filter:
+        return [run_filter(settings, frame, resolve_settings(frame, wanted), features) for frame in frames]
     if settings.history:
         over_time = TemporalFilter(wanted)
         return [over_time.add(frame, features=features(frame)).image for frame in frames]
@@ -222,6 +231,15 @@ def run_recipe(
     ]
 
 
+def run_filter(
+    settings: PipelineSettings, frame: AnyFrame, resolved: ResolvedSettings, features: Features
+) -> FloatArray:
+    """Return what the single filter makes of a frame."""
+    assert isinstance(frame, Frame)
+    albedo = frame.gbuffer.diffuse_albedo if settings.albedo else None
+    return filter_alone(frame, settings, resolved, features(frame), frame.radiance.color, albedo).image
+
+
 def collect_images(graph: Graph, frame: AnyFrame, emission: FloatArray | None = None) -> dict[str, FloatArray]:
     """Return the images that a pipeline is given, by name; ``emission`` that of a frame that does not tell it."""
     guides, radiance = frame.gbuffer, frame.radiance
@@ -229,6 +247,7 @@ def collect_images(graph: Graph, frame: AnyFrame, emission: FloatArray | None = 
     for half in ("half_a", "half_b"):
         light = getattr(frame, half, None)
         named |= {f"{half}_{part}": getattr(light, part, None) for part in ("color", "diffuse", "specular")}
+    named |= {"radiance": radiance.color, "albedo": guides.diffuse_albedo}
     named |= {"emission": guides.mean_emission if emission is None else emission}
     named |= {} if guides.alpha_v is not None else {"alpha": guides.alpha_u}
     named |= {"ray_weight": getattr(getattr(frame, "rays", None), "weight", None)}

@@ -6,16 +6,17 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from lobewise.errors import InputError
-from lobewise.settings import LARGEST_RADIUS, Declared, Form, Knob, ResolvedSettings, document
+from lobewise.settings import LARGEST_RADIUS, MAX_LOBES, Declared, Form, Knob, ResolvedSettings, document
 from lobewise.settings import Similarity as SimilarityName
-from lobewise.settings.choices import MAX_SCALE_PIXELS, Similarity, get_quality, get_similarity
+from lobewise.settings.choices import MAX_SCALE_PIXELS, Quality, Similarity, get_quality, get_similarity
 
-PLANS = ("fast", "balanced", "high")
 LAYERS = {"apart": ("diffuse", "specular"), "named": ("diffuse", "glossy", "transmission"), "color": ("color",)}
 """Names of the layers of each kind of light."""
+GUIDES_OF_FILTER = ("position", "anisotropic", "lobe_kind", "hit_distance")
+"""Settings of guides that a single filter has."""
 CONTENTS = (
-    "the plan fast, alone, with a history, with upsampling or both; the plans balanced and high; the similarities "
-    "normal, sg, asg and ggx; not Open Image Denoise, and nothing that is chosen for each frame"
+    "the plan filter, for one light; the plan fast, alone, with a history, with upsampling or both; the plans balanced "
+    "and high; not Open Image Denoise, and nothing that is chosen for each frame"
 )
 """What a pipeline can contain, for messages."""
 
@@ -24,12 +25,35 @@ CONTENTS = (
 class PipelineSettings(Declared):
     """The settings of a pipeline that are fixed when it is compiled."""
 
-    plan: Annotated[str, Knob("Export a whole plan as a pipeline in C and C++: fast, balanced or high.")] = "fast"
-    similarity: Annotated[SimilarityName, Knob("What two pixels must share to be averaged.")] = "ggx"
+    plan: Annotated[
+        Literal["filter", "fast", "balanced", "high"],
+        Knob('What is exported: a single "filter", or a whole plan: "fast", "balanced" or "high".'),
+    ] = "fast"
+    similarity: Annotated[
+        SimilarityName | Literal["diffuse"],
+        Knob('What two pixels must share to be averaged; "diffuse" with the plan filter.'),
+    ] = "ggx"
     form: Annotated[Form, Knob("Which neighbours count.")] = "full"
     radius: Annotated[
-        int, Knob("Pixels (samples, with upsampling) from the centre to the edge of the kernel.", high=LARGEST_RADIUS)
+        int,
+        Knob(
+            'Pixels (samples, with upsampling) from the centre to the edge of the kernel; "atrous" does not use it.',
+            high=LARGEST_RADIUS,
+            usual="8 is usual",
+        ),
     ] = 8
+    lobes: Annotated[
+        int,
+        Knob(
+            'With "sg_mixture": spherical Gaussians of a pixel.',
+            low=2,
+            high=MAX_LOBES,
+            usual="3 stand for GGX within 1 %, and one is similarity 'sg'",
+        ),
+    ] = 3
+    albedo: Annotated[
+        bool, Knob("With the plan filter, whether the radiance is divided by an albedo before and multiplied after.")
+    ] = True
     history: Annotated[bool, Knob("Whether frames are joined with those before them.")] = False
     upsample: Annotated[
         int, Knob("Distance of shaded pixels, pixels: one pixel of a block is shaded.", low=1, high=MAX_SCALE_PIXELS)
@@ -48,7 +72,13 @@ class PipelineSettings(Declared):
         True
     )
     position: Annotated[bool, Knob("Whether positions are given beside depths; else the camera tells them.")] = False
-    anisotropic: Annotated[bool, Knob("Whether lobes come from two roughnesses and a tangent.")] = False
+    anisotropic: Annotated[
+        bool,
+        Knob(
+            'With "asg" and "ggx": lobes from two roughnesses and a tangent instead of one roughness.',
+            opposite="isotropic",
+        ),
+    ] = False
     lobe_kind: Annotated[bool, Knob("Whether an image tells the kind of each pixel's lobe.")] = False
     hit_distance: Annotated[
         bool,
@@ -82,8 +112,6 @@ class PipelineSettings(Declared):
     ] = False
 
     def __post_init__(self) -> None:
-        if self.plan not in PLANS:
-            raise _refuse("plan", self.plan, "choose fast")
         super().__post_init__()
         if self.upsample > 1 and self.layers == "color":
             raise _refuse("layers", "one layer with upsampling", "give diffuse and specular light apart")
@@ -91,13 +119,20 @@ class PipelineSettings(Declared):
             raise _refuse(
                 "layers", "named layers with a history or upsampling", "give diffuse and specular light apart"
             )
-        if self.record.is_mixture:
-            raise _refuse("similarity", self.similarity, "choose ggx, or export the filter alone, without --plan")
+        if self.is_filter:
+            self._check_filter()
+        elif self.similarity == "diffuse" or not self.albedo:
+            what, got = ("similarity", "diffuse") if self.similarity == "diffuse" else ("albedo", "light without one")
+            raise _refuse(what, f"{got} in the plan {self.plan}", "choose the plan filter")
+        if self.record.is_mixture and (self.history or self.hit_distance):
+            raise _refuse(
+                "similarity", f"{self.similarity} with {'history' if self.history else 'hit distances'}", "choose ggx"
+            )
         guided = self.is_guided
         if guided and (self.history or self.upsample > 1):
             what = "history" if self.history else "upsampling"
             raise _refuse("plan", f"{self.plan} with {what}", f"choose the plan fast for {what}")
-        if self.form not in get_quality(self.plan).forms or (self.upsample > 1 and self.form != "full"):
+        if self.form not in self.quality.forms or (self.upsample > 1 and self.form != "full"):
             raise _refuse("form", self.form, "leave it out")
         if self.emission and (self.upsample > 1 or self.layers == "color"):
             raise _refuse(
@@ -124,20 +159,38 @@ class PipelineSettings(Declared):
         if self.anisotropic and not self.record.has_covariance:
             raise _refuse("anisotropic", self.similarity, "choose asg or ggx")
 
+    def _check_filter(self) -> None:
+        """Refuse what a single filter does not have."""
+        usual = PipelineSettings()
+        only = ("plan", "similarity", "form", "radius", "lobes", "albedo", *GUIDES_OF_FILTER)
+        for each in vars(self).keys() - set(only):
+            if getattr(self, each) != getattr(usual, each):
+                raise _refuse(each, f"{each} with the plan filter", "choose the plan fast, or leave it out")
+
+    @property
+    def is_filter(self) -> bool:
+        """Whether it is a single filter."""
+        return self.plan == "filter"
+
+    @property
+    def quality(self) -> Quality:
+        """The record of the quality whose recipe is exported; a filter is a step of the quality "fast"."""
+        return get_quality("fast" if self.is_filter else self.plan)
+
     @property
     def record(self) -> Similarity:
-        """The record of the similarity."""
-        return get_similarity(self.similarity)
+        """The record of the similarity; "diffuse" reads what "normal" reads."""
+        return get_similarity("normal" if self.similarity == "diffuse" else self.similarity)
 
     @property
     def layer_names(self) -> tuple[str, ...]:
         """Names of the layers."""
-        return LAYERS[self.layers]
+        return ("light",) if self.is_filter else LAYERS[self.layers]
 
     @property
     def is_guided(self) -> bool:
         """Whether the passes are guided by the noise."""
-        return get_quality(self.plan).reads_halves
+        return self.quality.reads_halves
 
     @property
     def reads_halves(self) -> bool:
@@ -152,8 +205,9 @@ class PipelineSettings(Declared):
     def resolve(self) -> ResolvedSettings:
         """Return the settings of the recipe whose plan is exported; a pipeline computes their numbers itself."""
         return ResolvedSettings(
-            quality=get_quality(self.plan).name,
-            similarity=self.similarity,
+            quality=self.quality.name,
+            similarity=self.record.name,
+            lobes=self.lobes,
             form=self.form,
             radius=self.radius,
             beta=1.0,

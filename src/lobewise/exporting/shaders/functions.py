@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from lobewise.errors import require_choice
-from lobewise.exporting.folder import MARK, open_folder
+from lobewise.exporting.folder import DOCS, MARK, open_folder
 from lobewise.exporting.names import SHADER_LANGUAGES
 from lobewise.exporting.shaders.declarations import list_constants, read_template
 from lobewise.exporting.shaders.language import translate_text
@@ -40,7 +40,6 @@ def export_shader(output: PathLike, language: str, *, force: bool = False) -> No
     import json
 
     import lobewise
-    from lobewise.exporting.readme import DOCS
 
     text = make_shader(language)
     version = lobewise.__version__

@@ -11,9 +11,8 @@ from typing import Any
 import lobewise
 from lobewise.denoising.automatic import resolve_settings
 from lobewise.errors import FileError
-from lobewise.exporting.folder import MARK, open_folder
+from lobewise.exporting.folder import DOCS, MARK, open_folder
 from lobewise.exporting.names import WEB
-from lobewise.exporting.readme import DOCS
 from lobewise.exporting.shaders.bundle import read_frames
 from lobewise.exporting.shaders.chains import make_chain
 from lobewise.exporting.shaders.constants import compute_constants, pack_constants

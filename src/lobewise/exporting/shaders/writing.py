@@ -7,9 +7,8 @@ from typing import Any
 
 import lobewise
 from lobewise.errors import require_choice
-from lobewise.exporting.folder import MARK, open_folder
+from lobewise.exporting.folder import DOCS, MARK, open_folder
 from lobewise.exporting.names import SHADER_LANGUAGES
-from lobewise.exporting.readme import DOCS
 from lobewise.exporting.shaders.chains import make_chain
 from lobewise.exporting.shaders.declarations import read_template
 from lobewise.exporting.shaders.language import lay_out

@@ -31,7 +31,7 @@ double compare(const std::vector<float> &found, const std::vector<float> &expect
             difference /= std::fabs(static_cast<double>(expected[k]));
         }
         if (!(difference <= largest)) {
-            largest = difference;
+            largest = std::isnan(difference) ? HUGE_VAL : difference;
         }
     }
     return largest;

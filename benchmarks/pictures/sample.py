@@ -1,22 +1,20 @@
-"""Makes ``src/lobewise/data/sample.exr``, the small frame of exports, from the frame of the repository.
+"""Makes ``benchmarks/frames/sample.exr`` from the frame of the repository: ``python -m benchmarks.pictures.sample``.
 
-``python -m releasing.sample``. All but the part that exports use is black, so that the file is small; size and camera
-are those of the whole frame.
+All but a small part is black, so that the file is small; size and camera are those of the whole frame.
 """
 
 from __future__ import annotations
 
 from dataclasses import fields, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import lobewise
-from benchmarks.common import SHOWROOM
-from lobewise.exporting.sample import COLUMNS, ROWS
+from benchmarks.common import SAMPLE, SHOWROOM
 
-DATA = Path(lobewise.__file__).parent / "data"
+ROWS, COLUMNS = slice(256, 320), slice(304, 400)
+"""Part of the frame: spheres and floor of many roughnesses, and some pixels without a specular lobe."""
 
 
 def blacken_outside(images: Any) -> Any:
@@ -40,7 +38,7 @@ def main() -> None:
         half_b=None,
         variance=None,
     )
-    lobewise.write_frame(str(DATA / "sample.exr"), part)
+    lobewise.write_frame(SAMPLE, part)
 
 
 if __name__ == "__main__":
