@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +23,13 @@ from lobewise.exporting.pipeline.recording import make_pipeline
 from lobewise.exporting.pipeline.sample import collect_images, make_settings, prepare_frame
 from lobewise.exporting.pipeline.scene import SPP, make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
-from lobewise.exporting.pipeline.writing import MAX_DIFFERENCE, choose_bound, compile_kernels, export_pipeline
+from lobewise.exporting.pipeline.writing import (
+    MAX_DIFFERENCE,
+    choose_bound,
+    compile_kernels,
+    export_pipeline,
+    write_texts,
+)
 from lobewise.exporting.targets import parse_target
 from tests.exporting.conftest import find_program, lack
 from tests.exporting.pipelines import run_example
@@ -164,6 +171,17 @@ def test_a_filter_runs_on_a_device(tmp_path: Path, compiler: str, monkeypatch: p
     export_pipeline(tmp_path / "export", replace(QUICK, similarity="normal", radius=1), target="host-vulkan")
     # Another arithmetic, but not another filter.
     assert 0.0 < max(run_example(tmp_path / "export", find_program("g++", "g++"))) < 1e-3
+    nowhere = {**os.environ, "VK_DRIVER_FILES": "/none", "VK_ICD_FILENAMES": "/none"}
+    done = subprocess.run(["./example"], cwd=tmp_path / "export", env=nowhere, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert "the device of the target cannot be used" in done.stderr
+
+
+def test_programs_are_linked_with_what_a_device_needs() -> None:
+    texts = write_texts(make_pipeline(QUICK, target="arm-64-osx-metal"))
+    for name in ("lobewiseConfig.cmake", "lobewise.pc"):
+        assert "-Wl,-framework,Metal" in texts[name]
+        assert "Metal" not in write_texts(make_pipeline(QUICK))[name]
 
 
 MARKS = {

@@ -16,11 +16,12 @@ def write_device(pipeline: Pipeline) -> dict[str, str]:
     if pipeline.api is None:
         return dict.fromkeys(("device", "blocks", "keep_size", "take_blocks", "free_blocks", "finish", "declare"), "")
     parts = sum(each.startswith("PLACES") for each in set(blocks.values()))
-    configure = ""
+    configure = vulkan = ""
     if pipeline.api == "vulkan":
         mark = ";" if "windows" in pipeline.target else ":"
         words = mark.join(map(str, (0, VULKAN_BLOCK, 0, 0, VULKAN_MULTIPLE)))
-        configure = f'    halide_vulkan_set_alloc_config("{words}");'
+        configure = f'    is_there = has_vulkan();\n    halide_vulkan_set_alloc_config("{words}");'
+        vulkan = fill_template("pipeline/vulkan.c")
     device = fill_template(
         "pipeline/device.c",
         name=name,
@@ -37,7 +38,6 @@ def write_device(pipeline: Pipeline) -> dict[str, str]:
         "declare": "\n".join(
             [
                 f"extern const struct halide_device_interface_t *halide_{pipeline.api}_device_interface(void);",
-                *(["extern void halide_vulkan_set_alloc_config(const char *config);"] if configure else []),
                 f"enum {{ BLOCKS = PLACES + {parts} }};",
                 "",
                 "/* Memory on the device, as numbers of 32 bits. */",
@@ -47,7 +47,7 @@ def write_device(pipeline: Pipeline) -> dict[str, str]:
                 "};",
             ]
         ),
-        "device": device,
+        "device": vulkan + device,
         "blocks": "    size_t sizes[IMAGES];\n    struct block blocks[BLOCKS];",
         "keep_size": "        p->sizes[image] = bytes;",
         "take_blocks": "\n".join(

@@ -6,10 +6,10 @@ ${image_blocks}
 
 static int copy_down(${name}_pipeline *p, int block)
 {
-    halide_buffer_t *bytes = &p->blocks[block].words;
-    const int is_newer = bytes->device && (bytes->flags & halide_buffer_flag_device_dirty);
-    bytes->dim = &p->blocks[block].dim;
-    return is_newer ? halide_copy_to_host(NULL, bytes) : 0;
+    halide_buffer_t *words = &p->blocks[block].words;
+    const int is_newer = words->device && (words->flags & halide_buffer_flag_device_dirty);
+    words->dim = &p->blocks[block].dim;
+    return is_newer ? halide_copy_to_host(NULL, words) : 0;
 }
 
 /* Makes the block of an image describe the image's memory. */
