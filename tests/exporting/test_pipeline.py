@@ -23,7 +23,6 @@ from lobewise.exporting.pipeline.recording import make_pipeline
 from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, WIDTH, collect_images, prepare_frame, run_recipe
 from lobewise.exporting.pipeline.scene import SPP, make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
-from lobewise.exporting.pipeline.writing import compile_kernels
 from lobewise.guides.lobe_fields import default_tau
 from tests.exporting.conftest import find_program
 from tests.exporting.pipelines import LIBRARIES, STRICT, build, export, run_example
@@ -265,24 +264,6 @@ def test_a_change_of_the_plan_changes_the_export() -> None:
 )
 def test_what_frames_have_besides_has_the_bits_of_python(settings: dict[str, Any], cpp: str, tmp_path: Path) -> None:
     assert max(run_example(export(tmp_path / "out", radius=2, **settings), cpp)) == 0.0
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize(
-    ("target", "magic"),
-    [
-        ("x86-64-linux", b"\x7fELF"),
-        ("arm-64-osx", b"\xcf\xfa\xed\xfe"),
-        ("x86-64-windows-avx2-fma", b"\x64\x86"),
-        ("wasm-32-wasmrt-wasm_simd128", b"\0asm"),
-    ],
-)
-def test_other_processors_are_compiled_for(target: str, magic: bytes) -> None:
-    pipeline = make_pipeline(PipelineSettings(radius=1, similarity="normal"), target=target)
-    objects = dict(compile_kernels(pipeline, target))
-    assert len(objects) == len(pipeline.kernels) + 1
-    assert all(content.startswith(magic) for content in objects.values())
-    assert all(kernel.symbol.encode() in b"".join(objects.values()) for kernel in pipeline.kernels)
 
 
 def test_list_prints_the_contents(capsys: pytest.CaptureFixture[str]) -> None:
