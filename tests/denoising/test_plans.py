@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from lobewise.denoising import denoise
-from lobewise.denoising.also import bound_parts
+from lobewise.denoising.also import bound_parts, filter_plain_layer
 from lobewise.denoising.automatic import ask, resolve_all
+from lobewise.denoising.layers import make_layers
 from lobewise.denoising.noisy import (
     find_layer_level,
     join_halves,
@@ -49,6 +50,20 @@ def test_other_images_are_filtered_by_the_weights_of_the_layer(count: int) -> No
         # The mean of filtered halves is the filtered mean.
         for share, image in zip(shares, clean.others, strict=True):
             np.testing.assert_allclose(image.image, share * clean.image, rtol=1e-4)
+
+
+@pytest.mark.parametrize("count", [1, 5, 6])
+def test_other_images_are_filtered_by_the_guides_of_the_layer(count: int) -> None:
+    frame = make_frame()
+    settings = resolve(frame, quality="fast", similarity="normal")
+    for layer in make_layers(frame, settings, finest=True):
+        shares = np.linspace(0.1, 1.0, count, dtype=np.float32)
+        output, others = filter_plain_layer(layer, settings, [share * layer.radiance for share in shares])
+        assert len(others) == count
+        there = output.weight_sum > 0.0
+        for share, other in zip(shares, others, strict=True):
+            np.testing.assert_allclose(other.image[there], share * output.image[there], rtol=1e-4)
+            np.testing.assert_array_equal(other.image[~there], share * layer.radiance[~there])
 
 
 def test_an_image_without_a_good_pixel_takes_no_light_of_others() -> None:

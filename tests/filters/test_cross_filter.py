@@ -228,6 +228,29 @@ def test_constant_stays_constant_however_strict(form: str) -> None:
     np.testing.assert_allclose(out.moment, float(np.dot(LUMINANCE, radiance[0, 0])) ** 2, rtol=3e-6)
 
 
+@pytest.mark.sampled("cpu-full")
+@pytest.mark.parametrize("form", EVERY_FORM)
+def test_further_images_are_filtered_as_if_alone(form: str) -> None:
+    """Each has bad pixels of its own, and one has no good pixel."""
+    shape = (23, 30)
+    rng = np.random.default_rng(4)
+    features, mask = make_features(PLACE, shape), rng.random(shape) > 0.1
+    options: dict[str, Any] = {"form": form, "radius": RADIUS, "moment": True}
+    options["albedo"] = rng.uniform(0.1, 1.0, (*shape, 3)).astype(np.float32)
+    images = [(rng.random((*shape, 3)) * (number + 1)).astype(np.float32) for number in range(3)]
+    for number, image in enumerate(images):
+        image[rng.random(shape) < (0.0, 0.1, 1.0)[number]] = (0.0, np.inf, np.nan)[number]
+    out = run_filter(make_radiance(shape), mask, features, more=images, **options)
+    alone = run_filter(make_radiance(shape), mask, features, **options)
+    for name in ("image", "weight_sum", "effective_samples", "moment"):
+        np.testing.assert_allclose(getattr(out, name), getattr(alone, name), rtol=1e-5)
+    for image, found in zip(images, out.more, strict=True):
+        expected = run_filter(image, mask, features, **options)
+        np.testing.assert_allclose(found, expected.image, rtol=1e-5)
+    assert out.more[1].any()
+    assert not out.more[2].any()
+
+
 @pytest.mark.parametrize("form", EVERY_FORM)
 def test_large_strictness_leaves_the_own_sample(form: str) -> None:
     shape = (33, 20)

@@ -10,7 +10,7 @@ are those of the layer. So an image stays black where it has no light, whatever 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +21,8 @@ from lobewise.denoising.layers import Layer, filter_layer, make_layers
 from lobewise.denoising.noisy import NoisyLayer, join_halves, make_noisy_layers
 from lobewise.denoising.passes import FilteredOther, OtherImage, filter_layer_halves
 from lobewise.features import Feature
+from lobewise.filters.cross_filter import FilterOutput
+from lobewise.filters.dual_buffer import MORE_AT_ONCE
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.guides.halves import mark_bad
 from lobewise.lobes.vectors import find_image_luminance
@@ -95,20 +97,28 @@ def filter_also(
     return clean
 
 
+def list_layer_parts(frame: Frame) -> dict[str, list[FloatArray]]:
+    """Return the images of `list_parts` by the names of the frame's layers."""
+    return {layer.name: list_parts(layer.radiance, layer.parts) for layer in frame.layers if layer.parts}
+
+
 def list_parts(radiance: FloatArray, parts: Mapping[str, FloatArray]) -> list[FloatArray]:
     """Return the images that are filtered for the parts of a layer: with the layer where they do not sum to it."""
     images = list(parts.values())
     return images if _is_sum(radiance, images) else [*images, radiance]
 
 
-def filter_plain_parts(layer: Layer, settings: ResolvedSettings, images: Sequence[FloatArray]) -> list[FilteredOther]:
-    """Return images after the filter of a layer by its guides alone."""
-    found = []
-    for image in images:
-        output = filter_layer(layer, settings, image)
-        lost = (output.weight_sum <= 0.0)[..., None]
-        found.append(FilteredOther(np.where(lost, blacken_bad(image), output.image), image))
-    return found
+def filter_plain_layer(
+    layer: Layer, settings: ResolvedSettings, images: Sequence[FloatArray]
+) -> tuple[FilterOutput, list[FilteredOther]]:
+    """Return a layer after the filter by its guides alone, and further images after the same filter."""
+    output = filter_layer(layer, settings, images[:MORE_AT_ONCE])
+    found, lost = list(output.more), (output.weight_sum <= 0.0)[..., None]
+    if rest := images[MORE_AT_ONCE:]:
+        further, others = filter_plain_layer(replace(layer, radiance=rest[0]), settings, rest[1:])
+        found += [further.image, *(each.image for each in others)]
+    pairs = zip(found, images, strict=True)
+    return output, [FilteredOther(np.where(lost, blacken_bad(own), image), own) for image, own in pairs]
 
 
 def bound_parts(noisy: NoisyLayer, joined: FloatArray, images: Sequence[FloatArray]) -> list[OtherImage]:
@@ -128,7 +138,7 @@ def _filter_by_total(
     """Return images after the filter of a frame whose light is one layer."""
     if not get_quality(settings.quality).reads_halves:
         (layer,) = make_layers(frame, settings, features, finest=True)
-        return filter_plain_parts(layer, settings, images)
+        return filter_plain_layer(layer, settings, images)[1]
     (noisy,) = make_noisy_layers(frame, settings, features)
     return filter_layer_halves(frame, noisy, settings, bound_parts(noisy, join_halves(noisy), images)).others
 

@@ -21,14 +21,14 @@ from lobewise.denoising.also import (
     Passed,
     bound_parts,
     filter_also,
-    filter_plain_parts,
+    filter_plain_layer,
     has_passes,
-    list_parts,
+    list_layer_parts,
 )
 from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, find_bad_pixels
 from lobewise.denoising.combining import choose_between, denoise_with_peer, share_out
 from lobewise.denoising.evidence import find_image_halves, find_share_lost, mix_noisy
-from lobewise.denoising.layers import Layer
+from lobewise.denoising.layers import Layer, make_layers
 from lobewise.denoising.light_loss import (
     Loss,
     find_takers,
@@ -39,7 +39,7 @@ from lobewise.denoising.light_loss import (
 )
 from lobewise.denoising.noisy import join_halves, make_noisy_layers
 from lobewise.denoising.passes import FilteredOther, filter_layer_halves
-from lobewise.denoising.plain import filter_by_guides
+from lobewise.denoising.plain import add_up
 from lobewise.denoising.refining.inputs import sum_light as sum_parts
 from lobewise.denoising.refining.network import refine_light
 from lobewise.denoising.refining.totals import compose, find_averaged_rest, find_rest
@@ -49,6 +49,7 @@ from lobewise.engine.numbers import choose_larger
 from lobewise.features import Feature
 from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.fireflies import count_light, cut_samples
+from lobewise.filters.forms import describe_form
 from lobewise.filters.glue import define_checked, define_support
 from lobewise.filters.specks import Sharing, find_sharing
 from lobewise.frame import FloatArray, Frame, GBuffer
@@ -263,11 +264,31 @@ def filter_plain(
     bad: NDArray[np.bool_],
     exact: FloatArray | None,
 ) -> Filtered:
-    """Return the layers after one pass by their guides alone."""
-    found = filter_by_guides(frame, settings, features, bad, exact=exact)
-    support = FilterOutput(found.image, found.weight_sum, found.effective_samples)
+    """Return the layers after one pass by their guides alone.
+
+    Source: Tokuyoshi 2015, "Specular Lobe-Aware Filtering and Upsampling for Interactive Indirect Illumination".
+    """
+    # Each layer is one light: its albedo divides it, and its features compare its pixels.
+    layers, parts, outputs, others = (
+        make_layers(frame, settings, features, finest=True),
+        list_layer_parts(frame),
+        [],
+        {},
+    )
+    for layer in layers:
+        with engine.part(f"{layer.name}: {describe_form(settings.form, settings.radius)}"):
+            output, others[layer.name] = filter_plain_layer(layer, settings, parts.get(layer.name, ()))
+        outputs.append(output)
+    with engine.part("sum of the light"):
+        total = add_up(frame, layers, outputs, bad, exact)
     return Filtered(
-        layers=found.layers, parts=found.parts, supports=[support], image=found.image, bad=bad, holes=found.holes
+        layers=layers,
+        parts=total.parts,
+        supports=[FilterOutput(total.image, total.weight_sum, total.effective_samples)],
+        image=total.image,
+        bad=bad,
+        holes=total.holes,
+        others=others,
     )
 
 
@@ -283,7 +304,7 @@ def filter_halves(
     """Return the layers after their passes over both halves of the samples."""
     halves = make_noisy_layers(frame, settings, features, None if whole is None else whole.levels)
     noisy = [join_halves(each) for each in halves]
-    parts_of = {layer.name: list_parts(layer.radiance, layer.parts) for layer in frame.layers if layer.parts}
+    parts_of = list_layer_parts(frame)
     clean = []
     for each, joined in zip(halves, noisy, strict=True):
         others = bound_parts(each, joined, parts_of.get(each.name, ()))
@@ -412,15 +433,7 @@ def filter_passes(
     whole = Passed(
         clean=found.image - rest_after, before=None if refined is None else sum_parts(refined.parts), share=share
     )
-    others = found.others
-    if not found.levels:
-        own = {layer.name: layer for layer in found.layers}
-        others = {
-            layer.name: filter_plain_parts(own[layer.name], settings, list_parts(layer.radiance, layer.parts))
-            for layer in frame.layers
-            if layer.parts
-        }
-    return filter_also(frame, settings, features, others, layers, whole, (rest, rest_after))
+    return filter_also(frame, settings, features, found.others, layers, whole, (rest, rest_after))
 
 
 def name_layers(frame: Frame, found: Filtered) -> dict[str, FloatArray]:

@@ -282,15 +282,16 @@ def make_lobe_layers(
     return layers
 
 
-def filter_layer(layer: Layer, settings: ResolvedSettings, image: FloatArray | None = None) -> FilterOutput:
-    """Return an image that belongs to a layer, by default its radiance, after one pass by the layer's features."""
+def filter_layer(layer: Layer, settings: ResolvedSettings, more: Sequence[FloatArray] = ()) -> FilterOutput:
+    """Return a layer after one pass by its features; ``more`` are images that are averaged by the same weights."""
     return run_filter(
-        layer.radiance if image is None else image,
+        layer.radiance,
         layer.mask,
         layer.features,
         form=settings.form,
         radius=settings.radius,
         albedo=layer.albedo,
+        more=more,
         name=f"{layer.name}_filtered",
     )
 

@@ -270,8 +270,8 @@ def run_pass(
         albedo=noisy.layer.albedo if of_samples else None,
         guide=guide,
         noise=each.noise,
-        # One image more than needed costs less than another kernel.
-        more=[*more, *more[-1:]] if len(more) % MORE_AT_ONCE else more,
+        # One image more than needed saves users the time to compile a kernel for every number of images.
+        more=[*more, *more[-1:]] if len(more) % 2 else more,
     )
     found = filter_dual_buffer(request, each.text)
     if of_samples and not noisy.is_whole:

@@ -1,4 +1,4 @@
-"""The recipe of the quality "fast": the paper's filter, once for every layer, by the guides alone."""
+"""The sum of layers that were filtered by their guides alone, as the quality "fast" and histories do."""
 
 from __future__ import annotations
 
@@ -10,13 +10,10 @@ from numpy.typing import NDArray
 
 from lobewise import engine
 from lobewise.backend.pointwise import give_channels
-from lobewise.denoising.layers import Layer, filter_layer, make_layers
-from lobewise.features import Feature
+from lobewise.denoising.layers import Layer
 from lobewise.filters.cross_filter import FilterOutput
-from lobewise.filters.forms import describe_form
 from lobewise.filters.glue import define_filtered_sum
 from lobewise.frame import FloatArray, Frame
-from lobewise.settings import ResolvedSettings
 
 
 class FilteredSum(NamedTuple):
@@ -45,38 +42,6 @@ class FilteredSum(NamedTuple):
     effective_samples: FloatArray
 
 
-def filter_by_guides(
-    frame: Frame,
-    settings: ResolvedSettings,
-    features: Sequence[Feature],
-    bad: NDArray[np.bool_],
-    *,
-    exact: FloatArray | None = None,
-) -> FilteredSum:
-    """Return the layers of a frame after one pass by their guides, and their sum.
-
-    Source: Tokuyoshi 2015, "Specular Lobe-Aware Filtering and Upsampling for Interactive Indirect Illumination".
-
-    Parameters
-    ----------
-    frame, settings
-    features : sequence of Feature
-        More features of every layer.
-    bad : (height, width), bool
-        Pixels whose radiance is NaN, infinite or negative.
-    exact : (height, width, 3), optional
-        The light in no layer, without noise; by default what the layers leave of all light.
-    """
-    # Each layer is one light: its albedo divides it, and its features compare its pixels.
-    layers = make_layers(frame, settings, features, finest=True)
-    outputs = []
-    for layer in layers:
-        with engine.part(f"{layer.name}: {describe_form(settings.form, settings.radius)}"):
-            outputs.append(filter_layer(layer, settings))
-    with engine.part("sum of the light"):
-        return add_up(frame, layers, outputs, bad, exact)
-
-
 def add_up(
     frame: Frame,
     layers: Sequence[Layer],
@@ -84,7 +49,18 @@ def add_up(
     bad: NDArray[np.bool_],
     exact: FloatArray | None = None,
 ) -> FilteredSum:
-    """Return the sum of filtered layers, in one pass over memory; parameters as of `filter_by_guides`."""
+    """Return the sum of filtered layers, in one pass over memory.
+
+    Parameters
+    ----------
+    frame : Frame
+    layers, outputs : sequences
+        The layers, and what the filter made of them.
+    bad : (height, width), bool
+        Pixels whose radiance is NaN, infinite or negative.
+    exact : (height, width, 3), optional
+        The light in no layer, without noise; by default what the layers leave of all light.
+    """
     images: dict[str, Any] = {"bad": bad}
     for number, (layer, output) in enumerate(zip(layers, outputs, strict=True)):
         images |= {f"noisy{number}": layer.radiance, f"weight{number}": output.weight_sum}

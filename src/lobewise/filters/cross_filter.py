@@ -41,12 +41,15 @@ class FilterOutput:
         Sum of the weights; ``(sum w)^2 / sum w^2``.
     moment : (height, width), optional
         Weighted mean of the squared luminance of radiance over albedo.
+    more : sequence of (height, width, 3)
+        Further images, filtered by the same weights; 0 where none of their good pixels has any weight.
     """
 
     image: FloatArray
     weight_sum: FloatArray
     effective_samples: FloatArray
     moment: FloatArray | None = None
+    more: Sequence[FloatArray] = ()
 
 
 @device_scope()
@@ -61,6 +64,7 @@ def run_filter(
     modulate: bool = True,
     moment: bool = False,
     strictness: FloatArray | None = None,
+    more: Sequence[FloatArray] = (),
     name: str = "filtered",
 ) -> FilterOutput:
     """Run the cross filter.
@@ -85,6 +89,8 @@ def run_filter(
         Whether to average the squared luminance as well.
     strictness : array, shape (height, width), optional
         Power to which each pixel raises the weights of its taps, > 0.
+    more : sequence of array, shape (height, width, 3)
+        Further images that are filtered by the same weights.
     name : str
         Name of the result in recorded plans.
 
@@ -99,6 +105,8 @@ def run_filter(
     images |= give_features("tap", features, size)
     if albedo is not None:
         images["albedo"] = take_image("albedo", albedo, (*size, COLORS))
+    for number, image in enumerate(more):
+        images[f"more{number}"] = take_image("image", image, (*size, COLORS))
     if strictness is not None:
         images["strictness"] = take_image("strictness", strictness, size)
     on_processor = engine.get_engine().device == "cpu"
@@ -111,6 +119,7 @@ def run_filter(
         modulate=albedo is not None and modulate,
         moment=moment,
         strict=strictness is not None,
+        more=len(more),
     )
     keys = chain_passes(whole, [each for each, _, _ in taps], mirror=on_processor)
     passes = [
@@ -119,10 +128,13 @@ def run_filter(
     ]
     tiles = _list_tiles(*size) if form == "separable" and isinstance(size[0], int) else []
     found = engine.passes(passes, images, give_scalars(features), tiles=tiles, name=name)
-    if on_processor:
-        return FilterOutput(**found)
-    names = name, *(f"{name}_{each}" for each in ("weight_sum", "effective_samples", "moment"))
-    return FilterOutput(*engine.pixels(define_apart, found, {}, names=names, text="what the filter found"))
+    if not on_processor:
+        beside = ["weight_sum", "effective_samples", *(["moment"] if moment else [])]
+        names = [name, *(f"{name}_{each}" for each in [*beside, *(f"more{number}" for number in range(len(more)))])]
+        text = "what the filter found"
+        image, *others = engine.pixels(define_apart, found, {}, len(more), names=names, text=text)
+        return FilterOutput(image, *others[: len(beside)], more=others[len(beside) :])
+    return FilterOutput(more=[found.pop(f"filtered{number}") for number in range(len(more))], **found)
 
 
 def describe_pass(taps: Taps, radius: int, step: int) -> str:

@@ -5,7 +5,8 @@ one form; ``separable`` and ``atrous`` chain passes and pass on the undivided su
 supported rows are then weighted correctly, a constant stays the constant, and tests can read the weight sum.
 
 Channels of undivided sums: 0-2 the weighted radiance, 3 the weight sum, 4 the sum of squared weights, and optionally
-5 the weighted squared luminance.
+5 the weighted squared luminance. Further images that are averaged by the same weights have four channels each: the
+weighted radiance and the sum of the weights of their own good pixels.
 """
 
 from __future__ import annotations
@@ -52,9 +53,9 @@ class Writes(Enum):
 
     SUMS = "sums"
     PIXELS = "pixels"
-    """One image with the channels radiance, weight sum, effective samples, and optionally moment."""
+    """One image with the channels radiance, weight sum, effective samples, optionally moment, and further images."""
     IMAGES = "images"
-    """Radiance, weight sum, effective samples and moment, each as an image of its own."""
+    """Radiance, further images, weight sum, effective samples and moment, each as an image of its own."""
 
 
 @dataclass(frozen=True)
@@ -73,11 +74,18 @@ class PassKey:
     """Raise the weights of each centre's taps to the centre's power."""
     mirrored: bool = False
     """Compute each weight of two pixels of a row once, for both: only horizontal taps, not with ``strict``."""
+    more: int = 0
+    """Further images that are averaged by the same weights."""
+
+    @property
+    def own_channels(self) -> int:
+        """Number of channels of the sums without those of further images."""
+        return SUM_CHANNELS + self.moment
 
     @property
     def channels(self) -> int:
         """Number of channels of the sums."""
-        return SUM_CHANNELS + self.moment
+        return self.own_channels + self.more * (COLORS + 1)
 
     @property
     def reads_albedo(self) -> bool:
@@ -121,6 +129,8 @@ class PassInputs:
     scalars: list[list[hl.Expr]]
     """The parameters of every feature."""
     strictness: hl.ImageParam | None = None
+    more: Sequence[hl.ImageParam] = ()
+    """Further images, as ``source`` is; none where it holds sums."""
 
 
 def find_luminance(colour: Sequence[hl.Expr]) -> hl.Expr:
@@ -161,14 +171,19 @@ def declare_pass(signature: Signature, key: PassKey, features: Sequence[Feature]
         step=signature.count("step", 1),
         scalars=declare_scalars(signature, features),
         strictness=signature.image("strictness", *size) if key.strict else None,
+        more=[
+            signature.image(f"more{number}", *size, COLORS)
+            for number in range(key.more if key.reads is not Reads.SUMS else 0)
+        ],
     )
     if key.writes is Writes.SUMS:
         signature.output("sums", "height", key.channels, "width")
     elif key.writes is Writes.PIXELS:
-        signature.output("pixels", *size, key.channels)
+        signature.output("pixels", *size, key.own_channels + key.more * COLORS)
     else:
-        signature.output("image", *size, COLORS)
-        for name in ("weight_sum", "effective_samples", "moment")[: key.channels - COLORS]:
+        for name in ("image", *(f"filtered{number}" for number in range(key.more))):
+            signature.output(name, *size, COLORS)
+        for name in ("weight_sum", "effective_samples", "moment")[: key.own_channels - COLORS]:
             signature.output(name, *size)
     return inputs
 
@@ -201,7 +216,8 @@ def make_pass(key: PassKey, features: Sequence[Feature], target: hl.Target) -> S
     out, *rest = _write(key, inputs, taps.add(log_weight, take, mirrored=key.mirrored))
 
     # Schedule
-    taps.schedule(out, COLORS if rest else key.channels, *rest)
+    pixels = key.own_channels + key.more * COLORS if key.writes is Writes.PIXELS else key.channels
+    taps.schedule(out, COLORS if rest else pixels, *rest)
     return Scheduled([out, *rest[:1]], signature)
 
 
@@ -217,7 +233,13 @@ def _read_image(key: PassKey, inputs: PassInputs, taps: TapSums) -> hl.Func:
         if key.moment:
             luminance = find_luminance(radiance)
             values.append(luminance * luminance)
-        return hl.select(good & usable, hl.mux(C, values), hl.f32(0.0))
+        if not key.more:
+            return hl.select(good & usable, hl.mux(C, values), hl.f32(0.0))
+        values = [hl.select(good, value, hl.f32(0.0)) for value in values]
+        for image in inputs.more:
+            radiance, good = demodulate(image, albedo, at, hl.f32(ALBEDO_FLOOR))
+            values += [hl.select(good, value, hl.f32(0.0)) for value in (*radiance, hl.f32(1.0))]
+        return hl.select(usable, hl.mux(C, values), hl.f32(0.0))
 
     return taps.read("image", key.channels, take)
 
@@ -241,20 +263,31 @@ def _write(key: PassKey, inputs: PassInputs, sums: Sequence[hl.Expr]) -> list[hl
         out[C, X, Y] = hl.select(alive, hl.mux(C, results), hl.f32(0.0))
         return [out]
     finish[X, Y] = hl.Tuple([hl.select(alive, value, hl.f32(0.0)) for value in results])
-    out[C, X, Y] = hl.mux(C, [finish[X, Y][k] for k in range(COLORS)])
-    rest[X, Y] = hl.Tuple([finish[X, Y][k] for k in range(COLORS, len(results))])
+    firsts = [0, *range(key.own_channels, len(results), COLORS)]
+    images = [hl.mux(C, [finish[X, Y][first + k] for k in range(COLORS)]) for first in firsts]
+    out[C, X, Y] = hl.Tuple(images) if key.more else images[0]
+    rest[X, Y] = hl.Tuple([finish[X, Y][k] for k in range(COLORS, key.own_channels)])
     return [out, rest, finish]
 
 
 def _divide(key: PassKey, inputs: PassInputs, sums: Sequence[hl.Expr]) -> list[hl.Expr]:
-    """Return a pixel's radiance, weight sum, effective samples and, if it was summed, moment."""
+    """Return a pixel's radiance, weight sum, effective samples, moment if it was summed, and further images."""
     weight = sums[WEIGHT]
-    mean = [value / weight for value in sums[:COLORS]]
+    tints: list[hl.Expr] | None = None
     if key.modulate and inputs.albedo is not None:
         tints = [inputs.albedo[k, X, Y] for k in range(COLORS)]
-        mean = [value * hl.select(expressions.is_bad(t), hl.f32(0.0), t) for value, t in zip(mean, tints, strict=True)]
-    effective = count_samples(weight, sums[SQUARED_WEIGHT])
-    return [*mean, weight, effective, *(value / weight for value in sums[SUM_CHANNELS:])]
+        tints = [hl.select(expressions.is_bad(tint), hl.f32(0.0), tint) for tint in tints]
+
+    def divide(values: Sequence[hl.Expr], total: hl.Expr) -> list[hl.Expr]:
+        mean = [value / total for value in values]
+        return mean if tints is None else [value * tint for value, tint in zip(mean, tints, strict=True)]
+
+    effective, own = count_samples(weight, sums[SQUARED_WEIGHT]), key.own_channels
+    found = [*divide(sums[:COLORS], weight), weight, effective, *(value / weight for value in sums[SUM_CHANNELS:own])]
+    for first in range(own, len(sums), COLORS + 1):
+        *values, total = sums[first : first + COLORS + 1]
+        found += [hl.select(total > hl.f32(0.0), value, hl.f32(0.0)) for value in divide(values, total)]
+    return found
 
 
 def count_samples(total: hl.Expr, squares: hl.Expr) -> hl.Expr:

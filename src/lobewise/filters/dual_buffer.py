@@ -44,7 +44,7 @@ GUIDE_CHANNELS = COLORS + 1
 """Channels of a guide: three colours and their variance."""
 SUMS = COLORS + 2
 """Sums of one half: weighted radiance, weight, squared weight."""
-MORE_AT_ONCE = 2
+MORE_AT_ONCE = 4
 """Further images that a pass averages by the same weights: the sums of more do not fit a processor's registers."""
 NOISE_FLOOR = 1e-4
 """Added to the variance that squared differences are divided by."""
@@ -112,7 +112,7 @@ class PassRequest:
     noise : float
         Number of variances by which a squared difference of the guide is divided, > 0.
     more : sequence of arrays, shape (height, width, 3)
-        None, or `MORE_AT_ONCE` further images that are averaged by the same weights.
+        Up to `MORE_AT_ONCE` further images that are averaged by the same weights.
     """
 
     halves: tuple[Image, Image]

@@ -22,10 +22,12 @@ def define_both(grid: Grid) -> list[Vector]:
     return [[hl.u8(reduce(and_, (grid.read_one(name) != 0 for name in grid.images)))]]
 
 
-def define_apart(grid: Grid) -> list[Vector]:
-    """Return the light of ``pixels``, and the numbers beside it, each as an image."""
+def define_apart(grid: Grid, more: int) -> list[Vector]:
+    """Return the light of ``pixels``, the numbers beside it, and the light of ``more`` images, each as an image."""
     values = grid.read("pixels")
-    return [values[:COLORS], *([value] for value in values[COLORS:])]
+    own = len(values) - more * COLORS
+    lights = (values[first : first + COLORS] for first in range(own, len(values), COLORS))
+    return [values[:COLORS], *([value] for value in values[COLORS:own]), *lights]
 
 
 def read_parts(grid: Grid, prefix: str) -> list[Vector]:

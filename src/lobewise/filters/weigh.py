@@ -170,7 +170,7 @@ class TapSums:
                 buffer.dim(1).set_stride(channels)
         if rest is not None and finish is not None:
             # Tell the compiler that all outputs have one size; otherwise it emits every loop three times.
-            whole, beside = out.output_buffer(), rest.output_buffers()[0]
+            whole, beside = out.output_buffers()[0], rest.output_buffers()[0]
             for axis in (0, 1):
                 beside.dim(axis).set_bounds(whole.dim(axis + 1).min(), whole.dim(axis + 1).extent())
             rest.compute_with(out, xv)

@@ -46,7 +46,7 @@ def filter_direct(light: DirectLight, hits: FirstHits, settings: DenoiseSettings
     parts = []
     for layer in make_layers(frame, chosen):
         with engine.on(chosen.device):
-            output = filter_layer(layer, chosen, layer.radiance)
+            output = filter_layer(layer, chosen)
         clean = output.image
         # Keep the light of pixels that match no pixel of their kernel.
         unmatched = (output.weight_sum <= 0.0) & (layer.radiance[..., 1] > 0.0)
