@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from lobewise.features import Feature
-from lobewise.filters.history.reprojection import prepare_pixels, reproject
+from lobewise.filters.history.reprojection import IMAGES_AT_ONCE, prepare_pixels, reproject, reproject_images
 from lobewise.filters.history.reprojection_pass import AGREEMENT, SNAP_PIXELS
 from lobewise.filters.history.sums import HISTORY_CHANNELS
 from lobewise.frame import FloatArray
@@ -95,6 +95,24 @@ def check_definition(kinds: tuple[str, ...], shape: tuple[int, int]) -> None:
 @given(kinds=st.sampled_from([(), ("sg",)]), shape=SIZES)
 def test_agrees_with_oracle(kinds: tuple[str, ...], shape: tuple[int, int]) -> None:
     check_definition(kinds, shape)
+
+
+@pytest.mark.sampled("cpu-5", "vulkan-2")
+@pytest.mark.parametrize("count", [2, IMAGES_AT_ONCE + 1])
+def test_images_are_gathered_like_the_light_of_a_history(count: int) -> None:
+    shape = (9, 40)
+    places, features = make_places(shape), make_pair(("normal",), shape)
+    masks = make_random_mask(shape, 1), make_random_mask(shape, 2)
+    before, now = (prepare_pixels(mask, each) for mask, each in zip(masks, features, strict=True))
+    images = [make_past(shape, seed)[..., :3] for seed in range(count)]
+    found, agreement = reproject_images(images, places, before, now)
+    past = np.zeros((*shape, HISTORY_CHANNELS), np.float32)
+    expected = reproject(past, places, before, now)
+    np.testing.assert_allclose(agreement, expected[..., AGREEMENT], rtol=1e-6)
+    assert len(found) == count
+    for image, gathered in zip(images, found, strict=True):
+        past[..., :3] = image
+        np.testing.assert_allclose(gathered, reproject(past, places, before, now)[..., :3], rtol=1e-6)
 
 
 @pytest.mark.nightly

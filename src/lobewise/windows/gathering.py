@@ -7,9 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from lobewise.filters.history.reprojection import reproject
-from lobewise.filters.history.reprojection_pass import AGREEMENT
-from lobewise.filters.history.sums import HISTORY_CHANNELS, Sums
+from lobewise.filters.history.reprojection import reproject_images
 from lobewise.filters.windows.sampling import sample_cubic
 from lobewise.frame import FloatArray
 from lobewise.guides.places import make_grid
@@ -27,9 +25,6 @@ SHARP_AGREEMENT = 0.8
 """Agreement above which a reflection is interpolated: half a pixel would show on a sharp one."""
 SURFACE = "rest"
 """Kind of light whose features compare place and normal alone."""
-_FIRST = tuple(Sums._fields.index(name) for name in ("red", "green", "blue"))
-_SECOND = tuple(Sums._fields.index(name) for name in ("weight", "moment", "frames"))
-"""Channels of a history that `reproject` reads alike: two images are gathered at once."""
 
 
 class Neighbour:
@@ -52,8 +47,7 @@ class Neighbour:
     def surface_agreement(self) -> FloatArray:
         """How well the surfaces match, (height, width), 0 to 1."""
         black = np.zeros((*self._shot.frame.shape, 3), np.float32)
-        _, agreement = self._gather([black], SURFACE)
-        return agreement
+        return self._gather([black], SURFACE)[1]
 
     @cached_property
     def front_places(self) -> FloatArray:
@@ -144,19 +138,11 @@ class Neighbour:
             places = np.where(known[..., None], np.float32(np.nan), places)
             virtual = np.rint(self.reflections), len(now.surface) - 1
         places = np.rint(places)
-        found: list[FloatArray] = []
-        agreement = np.zeros(self._shot.frame.shape, np.float32)
-        for start in range(0, len(images), 2):
-            past = np.zeros((*agreement.shape, HISTORY_CHANNELS), np.float32)
-            for channels, image in zip((_FIRST, _SECOND), images[start : start + 2], strict=False):
-                past[..., channels] = image
-            gathered = reproject(past, places, before.pixels, now.pixels, virtual=virtual, memory=1.0)
-            agreement = np.clip(gathered[..., AGREEMENT], np.float32(0.0), np.float32(1.0))
-            seen = agreement > MIN_AGREEMENT
-            inverse = np.divide(np.float32(1.0), gathered[..., AGREEMENT], out=np.zeros_like(agreement), where=seen)
-            for channels, _ in zip((_FIRST, _SECOND), images[start : start + 2], strict=False):
-                found.append(gathered[..., channels] * inverse[..., None])
-        return found, np.where(agreement > MIN_AGREEMENT, agreement, np.float32(0.0))
+        sums, weight = reproject_images(images, places, before.pixels, now.pixels, virtual=virtual)
+        agreement = np.clip(weight, np.float32(0.0), np.float32(1.0))
+        seen = agreement > MIN_AGREEMENT
+        inverse = np.divide(np.float32(1.0), weight, out=np.zeros_like(agreement), where=seen)
+        return [each * inverse[..., None] for each in sums], np.where(seen, agreement, np.float32(0.0))
 
     def _sharpen(
         self, images: Sequence[FloatArray], found: Sequence[FloatArray], agreement: FloatArray

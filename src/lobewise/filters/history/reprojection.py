@@ -1,4 +1,4 @@
-"""Reproject the history of a frame; `reprojection_pass` describes the algorithm."""
+"""Reproject the history or the images of a frame; `reprojection_pass` describes the algorithm."""
 
 from __future__ import annotations
 
@@ -15,8 +15,11 @@ from lobewise.backend.buffers import HostImage, device_scope, download, take_ima
 from lobewise.features.arrays import give_features, give_scalars
 from lobewise.features.base import Feature, describe_structure
 from lobewise.filters.history.reprojection_pass import make_preparation, make_reprojection
-from lobewise.filters.history.sums import cut, join_channels, split_history, widen
+from lobewise.filters.history.sums import Sums, cut, join_channels, split_history, widen
 from lobewise.frame import FloatArray
+
+IMAGES_AT_ONCE = 4
+"""Images that one kernel gathers."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -114,16 +117,66 @@ def reproject(
     array, shape (height, width, 8)
         The sums, and the agreement, 0 to 1 (up to the error of `exp2`).
     """
+    held = split_history(past, before.shape)
+    found: FloatArray = join_channels(_gather(held, Sums._fields, places, before, now, virtual, memory, name))
+    return found
+
+
+@device_scope()
+def reproject_images(
+    images: Sequence[FloatArray],
+    places: FloatArray,
+    before: ComparedPixels,
+    now: ComparedPixels,
+    *,
+    virtual: tuple[FloatArray, int] | None = None,
+) -> tuple[list[FloatArray], FloatArray]:
+    """Gather images of another frame from the places of every pixel, and the agreement.
+
+    Parameters
+    ----------
+    images : sequence of array, shape (height, width, 3)
+        At least one; finite, >= 0.
+    places, before, now, virtual
+        As of `reproject`.
+
+    Returns
+    -------
+    list of array, shape (height, width, 3)
+        Sums over the pixels around the places, each times its weight.
+    array, shape (height, width)
+        The agreement, which is the sum of the weights, 0 to 1 (up to the error of `exp2`).
+    """
+    found: list[FloatArray] = []
+    for start in range(0, len(images), IMAGES_AT_ONCE):
+        some = [take_image("image", image, (*before.shape, 3)) for image in images[start : start + IMAGES_AT_ONCE]]
+        names = [f"image{number}_{letter}" for number in range(len(some)) for letter in "rgb"]
+        held = np.stack([widen(image)[..., channel] for image in some for channel in range(3)])
+        planes = _gather(held, names, places, before, now, virtual, 1.0, "images")
+        found += [join_channels(planes[first : first + 3]) for first in range(0, len(names), 3)]
+    return found, planes[-1]
+
+
+def _gather(
+    past: FloatArray,
+    names: Sequence[str],
+    places: FloatArray,
+    before: ComparedPixels,
+    now: ComparedPixels,
+    virtual: tuple[FloatArray, int] | None,
+    memory: float,
+    name: str,
+) -> Any:
+    """Return planes of the frame before at the places of each pixel, and the agreement, planes first."""
     size = now.shape
     virtual_from = None if virtual is None else virtual[1]
     ways = {"places": places} if virtual is None else {"places": places, "virtual_places": virtual[0]}
     images: dict[str, HostImage] = {name: widen(take_image(name, way, (*size, 2))) for name, way in ways.items()}
-    images |= {"past": split_history(past, before.shape), "mask": now.mask, "mask_before": before.mask}
+    images |= {"past": past, "mask": now.mask, "mask_before": before.mask}
     if now.planes is not None and before.planes is not None:
         images |= {"planes": now.planes, "planes_before": before.planes}
     numbers = {"memory": memory, "rows": before.shape[0], "columns": before.shape[1], **give_scalars(now.features)}
-    key = "reprojection", virtual_from, *map(describe_structure, now.features)
-    make = partial(make_reprojection, now.features, virtual_from)
+    key = "reprojection", virtual_from, tuple(names), *map(describe_structure, now.features)
+    make = partial(make_reprojection, now.features, virtual_from, names)
     planes = engine.planes(key, make, images, numbers, name=name, text=f"history of {name} light")
-    found: FloatArray = join_channels(cut(planes, size[1]))
-    return found
+    return cut(planes, size[1])

@@ -1,11 +1,11 @@
-"""The kernels that reproject a history: they find a pixel's place in the frame before, and gather the sums there.
+"""The kernels that reproject: they find a pixel's place in the frame before, and gather its planes there.
 
 ``out_i = sum_k b_k v(i, k) past_k`` (``v^2`` for squared weights) over the four pixels k of the frame before around the
 place that pixel i came from. b are the bilinear weights, v is the product of the features' similarities between pixel i
 of this frame and pixel k of the frame before.
 
-The sums are described in `lobewise.filters.history.sums`. The output has one more channel, ``a = sum_k b_k v(i, k)``,
-the agreement of the place, 0 to 1 (up to the error of `exp2`).
+The planes are the channels of images, or the sums of a history (`lobewise.filters.history.sums`). The output has one
+more plane, ``a = sum_k b_k v(i, k)``, the agreement of the place, 0 to 1 (up to the error of `exp2`).
 
 A pixel may come from two places, that of its surface and that of its reflection. Their sums are mixed by ``a^2``, so
 that the place with more agreement counts more. Then all weights are multiplied by the memory.
@@ -28,15 +28,15 @@ from lobewise.backend.pointwise import is_finite
 from lobewise.backend.signature import Signature
 from lobewise.features.arrays import declare_features, declare_scalars
 from lobewise.features.base import Feature
-from lobewise.filters.history.sums import HISTORY_CHANNELS, Sums
+from lobewise.filters.history.sums import HISTORY_CHANNELS
 from lobewise.filters.history.vectors import LANE, VECTOR, Pixels, Place
 from lobewise.filters.planes import Layout, X, Y, count_inputs, make_guide_planes, prepare_planes
 from lobewise.filters.scheduling import count_lanes, keep_rows, spread_pixels
 
 AGREEMENT = HISTORY_CHANNELS
-"""Channel of the agreement, after the sums."""
-REPROJECTED = (*Sums._fields, "agreement")
-"""The output planes of a reprojection."""
+"""Channel of the agreement, after the sums of a history."""
+SQUARED_WEIGHT = "squared_weight"
+"""Name of the plane that counts by the square of the similarity and of the memory."""
 
 SNAP_PIXELS = 2e-3
 """Distance from a pixel's centre within which a place is moved to the centre, pixels: rounding must not blur."""
@@ -78,7 +78,7 @@ class Way:
     spots: hl.Func
     """Column and row of the place's first pixel, and the fractions beyond it."""
     sums: hl.Func
-    """Of the histories; an update for each of ``agrees`` that adds nothing where the vector is loaded another way."""
+    """Of the planes; an update for each of ``agrees`` that adds nothing where the vector is loaded another way."""
     runs: Runs | None = None
     """How the pixels of a vector moved; None where each pixel has a thread."""
     agrees: list[hl.Func] = field(default_factory=list)
@@ -121,14 +121,15 @@ def make_preparation(features: Sequence[Feature], target: hl.Target) -> Schedule
 class _Frames:
     """The parameters of a reprojection: images of both frames, and the size of the frame before."""
 
-    def __init__(self, features: Sequence[Feature], way_count: int) -> None:
+    def __init__(self, features: Sequence[Feature], way_count: int, past: Sequence[str]) -> None:
         self.signature = signature = Signature("reprojection")
         names = ("places", "virtual_places")[:way_count]
         self.places = [signature.image(name, "height", "width", 2) for name in names]
         self.mask = signature.image("mask", "height", "width", type=hl.UInt(8))
         # Planes lie one after the other in memory.
         before = "height_before", "width_before"
-        self.past = signature.image("past", HISTORY_CHANNELS, *before)
+        self.names = past
+        self.past = signature.image("past", len(past), *before)
         self.mask_before = signature.image("mask_before", *before, type=hl.UInt(8))
         neutral, self.layouts = _lay_out(features)
         self.planes: Any = None
@@ -140,7 +141,7 @@ class _Frames:
         self.scalars = declare_scalars(signature, features)
         self.memory = signature.number("memory")
         self.columns, self.rows = (signature.count(name, 1) for name in ("columns", "rows"))
-        for name in REPROJECTED:
+        for name in (*past, "agreement"):
             signature.output(name, "height", "width")
 
     def compare(self, first: int, here: Place, there: Place) -> hl.Expr:
@@ -156,12 +157,19 @@ class _Frames:
         return expressions.exp2(exponent)
 
     def read_past(self, at: Place) -> list[hl.Expr]:
-        """Return the sums of a pixel of the frame before."""
-        return [self.past[(*at, k)] for k in range(HISTORY_CHANNELS)]
+        """Return the planes of a pixel of the frame before."""
+        return [self.past[(*at, k)] for k in range(len(self.names))]
+
+    def scale_squared(self, values: Sequence[hl.Expr], factor: hl.Expr) -> list[hl.Expr]:
+        """Return a value of each plane, times ``factor`` for squared weights."""
+        pairs = zip(self.names, values, strict=True)
+        return [value * factor if name == SQUARED_WEIGHT else value for name, value in pairs]
 
 
-def make_reprojection(features: Sequence[Feature], virtual_from: int | None, target: hl.Target) -> Scheduled:
-    """Return the kernel that gathers histories.
+def make_reprojection(
+    features: Sequence[Feature], virtual_from: int | None, past: Sequence[str], target: hl.Target
+) -> Scheduled:
+    """Return the kernel that gathers the planes of a frame before.
 
     A place is the column and row of a pixel in the frame before, pixel centres at whole numbers. All images must be at
     least as wide as a vector.
@@ -172,10 +180,12 @@ def make_reprojection(features: Sequence[Feature], virtual_from: int | None, tar
         Features whose planes are compared.
     virtual_from : int, optional
         Index of the first feature that is compared at a second place, if there is one.
+    past : sequence of str
+        Names of the planes.
     target : halide.Target
     """
     # Signature
-    frames = _Frames(features, 1 if virtual_from is None else 2)
+    frames = _Frames(features, 1 if virtual_from is None else 2, past)
 
     # Algorithm
     pixels = Pixels(frames.mask.width(), max(count_lanes(target), 1))
@@ -184,8 +194,9 @@ def make_reprojection(features: Sequence[Feature], virtual_from: int | None, tar
         _make_way(frames, place, start, pixels, name)
         for place, start, name in zip(frames.places, starts, ("surface", "virtual"), strict=False)
     ]
-    mixed, agreement = _mix([[way.sums[pixels.at][k] for k in range(len(REPROJECTED))] for way in ways])
-    out = pixels.write(*mixed.fade(frames.memory), agreement)
+    *mixed, agreement = _mix([[way.sums[pixels.at][k] for k in range(len(past) + 1)] for way in ways])
+    faded = frames.scale_squared([value * frames.memory for value in mixed], frames.memory)
+    out = pixels.write(*faded, agreement)
 
     # Schedule
     if pixels.lanes == 1:
@@ -250,7 +261,7 @@ def _make_way(frames: _Frames, place: hl.ImageParam, start: int, pixels: Pixels,
     usable = frames.mask[own] != 0
     spots[at] = hl.Tuple([value for k in range(2) for value in _find_spot(place[(k, *own)], extents[k], usable)])
     sums = hl.Func(f"{name}_sums")
-    sums[at] = hl.Tuple([hl.f32(0.0)] * len(REPROJECTED))
+    sums[at] = hl.Tuple([hl.f32(0.0)] * (len(frames.names) + 1))
     way = Way(spots, sums)
     if lanes > 1:
         way.runs = _cut_vectors(frames, spots, lanes, name)
@@ -359,36 +370,36 @@ def _is_near(spot: Sequence[hl.Expr]) -> hl.Expr:
 
 
 def _compare_tap(frames: _Frames, start: int, own: Place, there: Place, inside: hl.Expr) -> hl.Expr:
-    """Return the similarity to a pixel of the frame before; 0 if that pixel has no meaning or no history."""
+    """Return the similarity to a pixel of the frame before; 0 if that pixel has no meaning or a plane is no number."""
     held = frames.read_past(there)
-    # Drop a history that is not a number: it would spread by a pixel with every frame, even with weight 0.
     usable = inside & (frames.mask_before[there] != 0)
+    # A history that is not a number would spread by a pixel with every frame, even with weight 0.
     usable = usable & ~expressions.is_bad(sum(held[1:], held[0]))
     return hl.select(usable, frames.compare(start, own, there), hl.f32(0.0))
 
 
 def _add_taps(frames: _Frames, way: Way, similar: Sequence[hl.Expr], there: Sequence[Place]) -> None:
-    """Add the weighted histories of the four pixels of a place to the sums, with the weights."""
+    """Add the weighted planes of the four pixels of a place to the sums, with the weights."""
     at = LANE, VECTOR, Y
     zero, one = hl.f32(0.0), hl.f32(1.0)
     _, right, _, down = (way.spots[at][k] for k in range(4))
-    totals = [way.sums[at][k] for k in range(len(REPROJECTED))]
+    totals = [way.sums[at][k] for k in range(len(frames.names) + 1)]
     for agrees, (u, v), place in zip(similar, TAPS, there, strict=True):
         weight = (right if u else one - right) * (down if v else one - down) * agrees
-        factors = Sums(*[weight] * HISTORY_CHANNELS)._replace(squared_weight=weight * agrees)
-        # A history that is not a number has similarity 0.
+        factors = frames.scale_squared([weight] * len(frames.names), agrees)
+        # A pixel with a plane that is not a number has similarity 0.
         pairs = zip(factors, frames.read_past(place), strict=True)
         taken = [*(hl.select(agrees > zero, factor * value, zero) for factor, value in pairs), weight]
         totals = [total + value for total, value in zip(totals, taken, strict=True)]
     way.sums[at] = hl.Tuple(totals)
 
 
-def _mix(ways: Sequence[Sequence[hl.Expr]]) -> tuple[Sums, hl.Expr]:
-    """Return the sums and the agreement, mixed if there are two places."""
+def _mix(ways: Sequence[Sequence[hl.Expr]]) -> list[hl.Expr]:
+    """Return the planes and the agreement, mixed if there are two places."""
     found = list(ways[0])
     if len(ways) > 1:
         other = ways[1]
-        square, other_square = (each[AGREEMENT] * each[AGREEMENT] for each in (found, other))
+        square, other_square = (each[-1] * each[-1] for each in (found, other))
         share = other_square / hl.max(square + other_square, hl.f32(1e-12))
         found = [value + share * (second - value) for value, second in zip(found, other, strict=True)]
-    return Sums(*found[:AGREEMENT]), found[AGREEMENT]
+    return found
