@@ -84,7 +84,7 @@ def choose_between(frame: Frame, samples: FloatArray, ours: FloatArray, peer: Fl
     noisy : (height, width, 3)
         The noisy image without fireflies. Our image replaces its bad pixels.
     """
-    if not can_mix(frame):
+    if not name_oidn_guides(frame):
         return Mixture(peer, np.zeros(frame.shape, np.float32))
     halves = find_image_halves(frame)
     shares = find_mixture(
@@ -154,11 +154,6 @@ def see_mixture(
     agreement = find_agreement(peer, ours, noisy, halves=halves, level=level, shared=shared)
     for rows, detail in find_detail(peer, noisy, halves=halves, level=level, shared=shared):
         yield rows, np.concatenate([agreement[rows], detail], axis=-1)
-
-
-def can_mix(frame: Frame) -> bool:
-    """Return whether `choose_between` mixes our image into the peer's."""
-    return bool(name_oidn_guides(frame))
 
 
 def name_method(

@@ -242,7 +242,7 @@ def sum_light(frame: Frame, image: FloatArray, bad: NDArray[np.bool_], rows: sli
         the squared residuals are scaled accordingly.
     """
     first, stop, _ = rows.indices(frame.height)
-    color, step = frame.radiance.color, _get_step(frame)
+    color, step = frame.radiance.color, SHARED_STEP if frame.noise_is_shared else 1
     found: list[list[np.float64]] = []
     # Sum block by block: a whole image in 64 bits takes as much memory as its filter.
     for top in range(first, stop, ROWS_AT_ONCE):
@@ -285,11 +285,6 @@ def describe_loss(rows: Rows, share_bounded: float) -> tuple[str, ...]:
 
 def _add_channels(image: FloatArray) -> NDArray[np.float64]:
     return image[..., 0].astype(np.float64) + image[..., 1] + image[..., 2]
-
-
-def _get_step(frame: Frame) -> int:
-    """Return the distance of the neighbours that a residual reads, pixels."""
-    return SHARED_STEP if frame.noise_is_shared else 1
 
 
 def _find_squared_residual(light: NDArray[np.float64], step: int) -> NDArray[np.float64]:

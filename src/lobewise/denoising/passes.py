@@ -175,7 +175,7 @@ def filter_layer_halves(
     ``others`` are averaged in the same passes: the last one that averages samples, and those after it. What does not
     fit is averaged in further passes by the same guides.
     """
-    passes = list_layer_passes(noisy, settings)
+    passes = list_passes(settings.radius, is_diffuse=noisy.layer.is_diffuse, has_seen=bool(noisy.seen))
     last = max(number for number, each in enumerate(passes) if each.of_samples)
     own, rest = others[:MORE_AT_ONCE], others[MORE_AT_ONCE:]
     light, support, guides = None, None, []
@@ -217,11 +217,6 @@ def filter_others(
         light = run_pass(both, settings, each, guide, light, more if light is None else light.more)
     assert light is not None
     return [light.a, *light.more][: len(others)]
-
-
-def list_layer_passes(noisy: NoisyLayer, settings: ResolvedSettings) -> list[Pass]:
-    """Return the passes over a layer."""
-    return list_passes(settings.radius, is_diffuse=noisy.layer.is_diffuse, has_seen=bool(noisy.seen))
 
 
 def make_first_guide(noisy: NoisyLayer) -> Image:

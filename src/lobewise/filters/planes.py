@@ -14,7 +14,7 @@ from typing import Any
 from lobewise.backend.compiler import declare_vars, hl
 from lobewise.features.base import Feature, Pixel, count_channels
 
-PIXEL = X, Y, C = declare_vars("x", "y", "c")
+X, Y, C = declare_vars("x", "y", "c")
 """Column, row and channel of the functions of all kernels."""
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from lobewise import engine
 from lobewise.backend.expressions import is_good
@@ -48,12 +47,12 @@ def find_halves(frame: Frame, lights: Mapping[str, FloatArray]) -> Halves:
     else:
         wanted = {name: (getattr(frame.half_a, name, None), getattr(frame.half_b, name, None)) for name in lights}
     if all(half is not None for pair in wanted.values() for half in pair):
-        return Halves({name: _mark_pair(name, *pair) for name, pair in wanted.items()}, "file")
+        pairs = {
+            name: (mark_bad(a, name=f"{name}_a"), mark_bad(b, name=f"{name}_b"))  # type: ignore[arg-type]
+            for name, (a, b) in wanted.items()
+        }
+        return Halves(pairs, "file")
     return Halves({name: split_checkerboard(light, name=name) for name, light in lights.items()}, "neighbours")
-
-
-def _mark_pair(name: str, a: Any, b: Any) -> tuple[FloatArray, FloatArray]:
-    return mark_bad(a, name=f"{name}_a"), mark_bad(b, name=f"{name}_b")
 
 
 def mark_bad(image: FloatArray, *, name: str = "marked") -> FloatArray:

@@ -87,8 +87,8 @@ def find_surface_places(
 
 def define_surface_places(grid: Grid) -> list[Vector]:
     there = is_surface_depth(grid.read_one("depth"))
-    steps = zip(subtract([hl.f64(p) for p in grid.read("position")], grid.get("before")), _ray(grid), strict=True)
-    place, known = project_step(grid, [hl.select(there, step, ray) for step, ray in steps])
+    step, ray = subtract([hl.f64(p) for p in grid.read("position")], grid.get("before")), make_ray(grid, hl.Float(64))
+    place, known = project_step(grid, [hl.select(there, *pair) for pair in zip(step, ray, strict=True)])
     own = [hl.f32(grid.x), hl.f32(grid.y)]
     # A point that lay behind the camera moves by twice the size of the image.
     outside = [start + hl.f32(2 * extent) for start, extent in zip(own, grid.size, strict=True)]
@@ -99,10 +99,6 @@ def define_surface_places(grid: Grid) -> list[Vector]:
     besides = subtract(moved, place)
     distance = hl.sqrt(besides[0] * besides[0] + besides[1] * besides[1])
     return [moved, [hl.select(is_finite(distance), distance, hl.f32(0.0))]]
-
-
-def _ray(grid: Grid) -> list[hl.Expr]:
-    return make_ray(grid, hl.Float(64))
 
 
 def estimate_curvature(position: FloatArray, normal: FloatArray) -> FloatArray:
