@@ -188,6 +188,6 @@ def define_composite(grid: Grid) -> list[Vector]:
     raw = grid.read("radiance")
     good = ~(expressions.is_bad(raw[0]) | expressions.is_bad(raw[1]) | expressions.is_bad(raw[2]))
     # Select bits, because the kept radiance may be NaN.
-    kept = [hl.reinterpret(hl.UInt(32), select_or_nan(good, value)) for value in raw]
-    found = [hl.reinterpret(hl.UInt(32), value * tint) for value, tint in zip(light, tints, strict=True)]
-    return [[hl.reinterpret(hl.Float(32), hl.select(known, a, b)) for a, b in zip(found, kept, strict=True)]]
+    raw_bits = [hl.reinterpret(hl.UInt(32), select_or_nan(good, value)) for value in raw]
+    mixed_bits = [hl.reinterpret(hl.UInt(32), value * tint) for value, tint in zip(light, tints, strict=True)]
+    return [[hl.reinterpret(hl.Float(32), hl.select(known, a, b)) for a, b in zip(mixed_bits, raw_bits, strict=True)]]

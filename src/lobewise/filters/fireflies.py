@@ -302,12 +302,12 @@ def _define_row(crowds: Sequence[hl.Func]) -> hl.Func:
 
     def gather(start: int, length: int) -> list[Crowd]:
         """Return disjoint crowds that cover ``length`` pixels of the row from x + ``start`` on."""
-        found: list[Crowd] = []
+        read_crowds: list[Crowd] = []
         for power in range(len(crowds) - 1, -1, -1):
             if length >> power & 1:
-                found.append(_read_crowd(crowds[power], X + start, Y))
+                read_crowds.append(_read_crowd(crowds[power], X + start, Y))
                 start += 1 << power
-        return found
+        return read_crowds
 
     row = hl.Func("row")
     whole, beside = gather(-REACH, 2 * REACH + 1), [*gather(-REACH, REACH), *gather(1, REACH)]
@@ -355,8 +355,8 @@ def _define_bounded(halves: Sequence[hl.ImageParam], factor: hl.Func) -> hl.Func
     colours = []
     for number, half in enumerate(halves):
         value, scale = half[C, X, Y], factor[X, Y][number]
-        kept = hl.reinterpret(hl.UInt(32), value)
+        unscaled = hl.reinterpret(hl.UInt(32), value)
         scaled = hl.reinterpret(hl.UInt(32), value * scale)
-        colours.append(hl.reinterpret(hl.Float(32), hl.select(scale < hl.f32(1.0), scaled, kept)))
+        colours.append(hl.reinterpret(hl.Float(32), hl.select(scale < hl.f32(1.0), scaled, unscaled)))
     out[C, X, Y] = hl.Tuple(colours)
     return out

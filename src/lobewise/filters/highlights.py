@@ -180,8 +180,8 @@ def _define_rows(both: hl.Func) -> hl.Func:
         return sum((hl.max(value, zero) for value in values), zero), sum(counts, zero)
 
     light, count = add(beside)
-    more, others = add(middle)
-    rows[X, Y] = hl.Tuple([light + more, count + others, light, count])
+    middle_light, middle_count = add(middle)
+    rows[X, Y] = hl.Tuple([light + middle_light, count + middle_count, light, count])
     return rows
 
 

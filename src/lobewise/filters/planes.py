@@ -71,11 +71,11 @@ def prepare_planes(
     """Return the planes of a pixel, from its input channels, and the layout of each feature in them."""
     values: list[hl.Expr] = []
     layouts: list[Layout] = []
-    given = 0
+    first = 0
     for feature, own in zip(features, scalars, strict=True):
         count = sum(count_channels(feature))
-        prepared = feature.prepare(channels[given : given + count], own) if count else []
-        given += count
+        prepared = feature.prepare(channels[first : first + count], own) if count else []
+        first += count
         layouts.append(Layout(prepared, len(values)))
         values.extend(flatten(prepared))
     return values, layouts

@@ -96,8 +96,8 @@ def exchange(light: FloatArray, turns: NDArray[np.int64]) -> FloatArray:
     shared = light
     for turn in range(int(turns.max(initial=0))):
         shares = (turns > turn).astype(np.float32)[..., None]
-        given = sum_square(shares * shared, 1) - sum_square(shares, 1) * shared
-        shared = shared + shares * given * np.float32(1.0 / 9.0)
+        exchanged = sum_square(shares * shared, 1) - sum_square(shares, 1) * shared
+        shared = shared + shares * exchanged * np.float32(1.0 / 9.0)
     return shared
 
 
@@ -119,7 +119,7 @@ def _find_sharing(bright: FloatArray) -> NDArray[np.bool_]:
     """Return which pixels share, (height, width), by their luminance: those that are bright, or amid bright ones."""
     height, width = bright.shape
     padded, least = np.pad(bright, VIEW_RADIUS), BRIGHT_SHARE * find_largest(bright, BRIGHT_RADIUS)
-    found, views = np.empty((height, width), np.bool_), _list_views()
+    sharing, views = np.empty((height, width), np.bool_), _list_views()
 
     def find(chunk: Chunk) -> None:
         rows, columns = chunk
@@ -127,10 +127,10 @@ def _find_sharing(bright: FloatArray) -> NDArray[np.bool_]:
         for (y, x), sides in views.items():
             there = padded[rows.start + y : rows.stop + y, columns.start + x : columns.stop + x]
             seen |= (there >= floor).view(np.uint8) * sides
-        found[chunk] = (floor > 0.0) & ((bright[chunk] >= floor) | (seen == np.uint8((1 << DIRECTIONS) - 1)))
+        sharing[chunk] = (floor > 0.0) & ((bright[chunk] >= floor) | (seen == np.uint8((1 << DIRECTIONS) - 1)))
 
     run_chunks(find, height, width)
-    return found
+    return sharing
 
 
 def _list_views() -> dict[tuple[int, int], np.uint8]:
@@ -152,10 +152,10 @@ def _find_gain(bright: FloatArray, near: NDArray[np.bool_]) -> FloatArray:
     if not near.any():
         return gain
     bound = _find_bound(bright)
-    kept = np.where(near, np.minimum(bright, bound), bright)
-    takes = np.where(near, kept, np.float32(0.0))
+    bounded = np.where(near, np.minimum(bright, bound), bright)
+    takes = np.where(near, bounded, np.float32(0.0))
     taken = sum_square(takes, SPREAD_RADIUS)
-    share = np.minimum(np.divide(bright - kept, taken, out=np.zeros_like(bright), where=taken > 0.0), MAX_GAIN)
+    share = np.minimum(np.divide(bright - bounded, taken, out=np.zeros_like(bright), where=taken > 0.0), MAX_GAIN)
     total = bright - share * taken + takes * sum_square(share, SPREAD_RADIUS)
     return np.asarray(np.divide(total, bright, out=gain, where=bright > 0.0))
 

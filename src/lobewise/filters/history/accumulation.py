@@ -214,10 +214,10 @@ class SampleGrid:
             radii = {"known_radius": known.radius, "known_precision": known.precision}
         options = self._list_options(weights)
         text = f"{self.name} light at every pixel"
-        found = self._run(
+        planes = self._run(
             images, {**numbers, **radii}, self.shape, make_accumulation, *options, text=text, keeps=history is not None
         )
-        return _split_output(found)
+        return _split_output(planes)
 
     @device_scope()
     def accumulate_filtered(
@@ -239,7 +239,7 @@ class SampleGrid:
         if history is not None and trust is not None:
             share, unit = self._narrow(history, trust, growth)
         albedo = self._whole.get("own_albedo")
-        found = run_filter(
+        filtered = run_filter(
             self._take_samples(samples),
             self._mask,
             self._features,
@@ -251,17 +251,17 @@ class SampleGrid:
             strictness=unit,
             name=f"{self.name}_filtered",
         )
-        assert found.moment is not None
-        given = {
+        assert filtered.moment is not None
+        sources = {
             "samples": self._take_samples(samples),
-            "mean": found.image,
-            "total": found.weight_sum,
-            "effective": found.effective_samples,
-            "mean_square": found.moment,
+            "mean": filtered.image,
+            "total": filtered.weight_sum,
+            "effective": filtered.effective_samples,
+            "mean_square": filtered.moment,
             "share": share,
             "unit": unit,
         }
-        images = {each: widen(image) for each, image in given.items()}
+        images = {each: widen(image) for each, image in sources.items()}
         images |= {"history": self._take_history(history), "own_mask": self._whole["own_mask"]}
         images |= {} if albedo is None else {"own_albedo": albedo}
         # Strict order of floats: the sums come from several passes, and must not differ more than the passes do.
@@ -337,12 +337,19 @@ class SampleGrid:
 
         With ``keeps`` the first of them are the sums that the next frame reads.
         """
-        told = (tuple(map(describe_structure, each)) if isinstance(each, tuple) else each for each in options)
+        structures = (tuple(map(describe_structure, each)) if isinstance(each, tuple) else each for each in options)
         keep = f"{self.name}_sums" if keeps else ""
-        found = engine.planes(
-            (make, *told), partial(make, *options), images, numbers, strict=strict, name=self.name, keep=keep, text=text
+        planes = engine.planes(
+            (make, *structures),
+            partial(make, *options),
+            images,
+            numbers,
+            strict=strict,
+            name=self.name,
+            keep=keep,
+            text=text,
         )
-        return cut(found, size[1])
+        return cut(planes, size[1])
 
 
 def _split_output(accumulated: Any) -> AccumulatedOutput:

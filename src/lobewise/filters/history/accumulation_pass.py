@@ -139,15 +139,15 @@ def make_accumulation(features: Sequence[Feature], tinted: bool, weighed: bool, 
     grid = TapGrid(signature, features, (mask, pixels, blocks), needed, take)
     share = gather_trust(grid, Taps(trust_reach, trust_radius))
     faded = before.fade(share)
-    unit, *kept = pixels.keep("unit", find_unit(faded.frames, growth), *faded)
+    unit, *faded_sums = pixels.keep("unit", find_unit(faded.frames, growth), *faded)
     precision = hl.select(is_known, known_precision, zero)
     known = KnownPixel(reach[pixels.at], precision)
-    found = gather_samples(grid, Taps(widest, radius), unit, known)
+    gathered = gather_samples(grid, Taps(widest, radius), unit, known)
 
     shaded = (shift[0] == 0) & (shift[1] == 0) & (block[0] < columns) & (block[1] < rows)
-    given = SampleImages(samples, albedo, weights)
-    more = weigh_own_sample(pixels, given, nearest, shaded & usable, (own, own - one), unit)
-    results = accumulate(pixels, Sums(*kept), weigh_gathered(found, unit, usable), more, unit, albedo)
+    sample_images = SampleImages(samples, albedo, weights)
+    own_sums = weigh_own_sample(pixels, sample_images, nearest, shaded & usable, (own, own - one), unit)
+    results = accumulate(pixels, Sums(*faded_sums), weigh_gathered(gathered, unit, usable), own_sums, unit, albedo)
     return _finish(signature, pixels, dict(zip(ACCUMULATED, results, strict=True)), grid)
 
 
@@ -169,9 +169,9 @@ def make_narrowing(features: Sequence[Feature], target: hl.Target) -> Scheduled:
     taps = Taps(radius, radius)
     grid = TapGrid(signature, features, (mask, pixels, Blocks(signature, pixels)), taps, take)
     share = gather_trust(grid, taps)
-    kept = frames[pixels.place] * share
+    faded_frames = frames[pixels.place] * share
     # Use the exact square root for the usual growth 0.5: the filter's results must not depend on an estimate of `pow`.
-    unit = hl.select(growth == hl.f32(0.5), hl.sqrt(kept + hl.f32(1.0)), find_unit(kept, growth))
+    unit = hl.select(growth == hl.f32(0.5), hl.sqrt(faded_frames + hl.f32(1.0)), find_unit(faded_frames, growth))
     return _finish(signature, pixels, dict(zip(NARROWED, (share, unit), strict=True)), grid)
 
 
@@ -191,11 +191,11 @@ def make_filtered_accumulation(tinted: bool, target: hl.Target) -> Scheduled:
     pixels = _make_pixels(mask, target)
     at = pixels.place
     total, effective, moment, share, unit = (image[at] for image in images)
-    found = Gathered([mean[(k, *at)] for k in range(3)], moment, total, effective, are_means=True)
+    gathered = Gathered([mean[(k, *at)] for k in range(3)], moment, total, effective, are_means=True)
     usable = mask[at] != 0
-    more = weigh_own_sample(pixels, SampleImages(samples, albedo), at, usable, (own, bonus), unit)
-    kept = read_history(history, at).fade(share)
-    results = accumulate(pixels, kept, weigh_gathered(found, unit, usable), more, unit, albedo)
+    own_sums = weigh_own_sample(pixels, SampleImages(samples, albedo), at, usable, (own, bonus), unit)
+    faded = read_history(history, at).fade(share)
+    results = accumulate(pixels, faded, weigh_gathered(gathered, unit, usable), own_sums, unit, albedo)
     return _finish(signature, pixels, dict(zip(ACCUMULATED, results, strict=True)))
 
 
@@ -207,7 +207,7 @@ def make_trust(features: Sequence[Feature], tinted: bool, weighed: bool, target:
     """
     # Signature
     signature = Signature("trust")
-    given = SampleImages(*_declare_samples(signature, tinted, weighed))
+    sample_images = SampleImages(*_declare_samples(signature, tinted, weighed))
     history = signature.image("history", HISTORY_CHANNELS, "rows", "columns")
     radius, own = declare_count(signature, "trust_radius"), signature.number("own")
     mask = declare_mask(signature)
@@ -217,7 +217,7 @@ def make_trust(features: Sequence[Feature], tinted: bool, weighed: bool, target:
     zero, one = hl.f32(0.0), hl.f32(1.0)
 
     def take(at: Place, usable: hl.Expr) -> list[hl.Expr]:
-        light, weight, good = given.read(at, hl.f32(ALBEDO_FLOOR) / own)
+        light, weight, good = sample_images.read(at, hl.f32(ALBEDO_FLOOR) / own)
         past = read_history(history, at)
         # Ignore a history without own samples of the pixel: it is blurred, and samples without noise would reject it.
         known = good & usable & (past.weight > hl.f32(0.5) * own)
@@ -268,8 +268,8 @@ def gather_trust(grid: TapGrid, taps: Taps) -> hl.Expr:
     def take(weight: hl.Expr, tap: list[hl.Expr]) -> list[hl.Expr]:
         return [weight * value for value in tap[-len(Trust._fields) :]]
 
-    trust, told = grid.add("trusted", taps, partial(_weigh_tap, grid), take)
-    return hl.select(told > hl.f32(0.0), trust / told, hl.f32(1.0))
+    trust, total = grid.add("trusted", taps, partial(_weigh_tap, grid), take)
+    return hl.select(total > hl.f32(0.0), trust / total, hl.f32(1.0))
 
 
 def find_unit(frames: hl.Expr, growth: hl.Expr) -> hl.Expr:
@@ -332,8 +332,8 @@ def compare_with_history(grid: TapGrid, taps: Taps, usable: hl.Expr) -> hl.Expr:
     *_, known, red, green, blue = grid.read(hl.i32(0), hl.i32(0))
     excess: hl.Expr = zero
     for k, old in enumerate((red, green, blue)):
-        found = Gathered(parts[k::3], zero, total, count_samples(total, squares), are_means=False)
-        mean, effective, _ = summarize(weigh_gathered(found, one, usable))
+        gathered = Gathered(parts[k::3], zero, total, count_samples(total, squares), are_means=False)
+        mean, effective, _ = summarize(weigh_gathered(gathered, one, usable))
         above, below, square, count = grid.pixels.keep(f"mean{k}", *mean, effective)
         step = hl.abs(above - below)
         error = hl.sqrt(hl.max(square - step * step, zero) / (count - one))
@@ -345,17 +345,17 @@ def compare_with_history(grid: TapGrid, taps: Taps, usable: hl.Expr) -> hl.Expr:
     return hl.clamp(hl.strict_float(share), zero, one)
 
 
-def weigh_gathered(found: Gathered, unit: hl.Expr, usable: hl.Expr) -> Sums:
+def weigh_gathered(gathered: Gathered, unit: hl.Expr, usable: hl.Expr) -> Sums:
     """Return this frame's contribution to the history as sums in which a full match has weight ``unit``."""
     zero, one = hl.f32(0.0), hl.f32(1.0)
-    weight = found.total * unit
+    weight = gathered.total * unit
     alive = usable & (weight > zero)
     weight = hl.max(weight, hl.f32(MIN_WEIGHT))
     # Strict: rearranged, a product of two small numbers would come first and underflow.
-    scale = weight if found.are_means else hl.strict_float(weight / found.total)
-    light = [value * scale for value in found.light]
-    squares = weight * weight / hl.max(found.effective, one)
-    new = Sums._make([*light, weight, squares, found.moment * scale, one])
+    scale = weight if gathered.are_means else hl.strict_float(weight / gathered.total)
+    light = [value * scale for value in gathered.light]
+    squares = weight * weight / hl.max(gathered.effective, one)
+    new = Sums._make([*light, weight, squares, gathered.moment * scale, one])
     return Sums(*(hl.select(alive, value, zero) for value in new))
 
 
@@ -380,7 +380,7 @@ class SampleImages:
 
 def weigh_own_sample(
     pixels: Pixels,
-    given: SampleImages,
+    sample_images: SampleImages,
     at: Place,
     usable: hl.Expr,
     counts: tuple[hl.Expr, hl.Expr],
@@ -393,20 +393,22 @@ def weigh_own_sample(
     """
     zero = hl.f32(0.0)
     own, bonus = counts
-    light, weight, good = given.read(at, hl.f32(ALBEDO_FLOOR) / own, pixels.place)
-    more = bonus * unit * weight
-    good = good & usable & (more > zero)
-    more, *light = pixels.keep("sample", *(hl.select(good, value, zero) for value in (more, *light)))
+    light, weight, good = sample_images.read(at, hl.f32(ALBEDO_FLOOR) / own, pixels.place)
+    own_weight = bonus * unit * weight
+    good = good & usable & (own_weight > zero)
+    own_weight, *light = pixels.keep("sample", *(hl.select(good, value, zero) for value in (own_weight, *light)))
     luminance = find_luminance(light)
-    weighted = [more * value for value in light]
-    return Sums._make([*weighted, more, more * (more + unit + unit), more * luminance * luminance, zero])
+    weighted = [own_weight * value for value in light]
+    return Sums._make(
+        [*weighted, own_weight, own_weight * (own_weight + unit + unit), own_weight * luminance * luminance, zero]
+    )
 
 
 def accumulate(
-    pixels: Pixels, kept: Sums, new: Sums, bonus: Sums, unit: hl.Expr, albedo: hl.ImageParam | None
+    pixels: Pixels, history: Sums, new: Sums, bonus: Sums, unit: hl.Expr, albedo: hl.ImageParam | None
 ) -> list[hl.Expr]:
     """Return the sums of history, frame and own sample, and their `Summary`, times the albedo if there is one."""
-    sums = Sums(*pixels.keep("joined", *(p + q + r for p, q, r in zip(kept, new, bonus, strict=True))))
+    sums = Sums(*pixels.keep("joined", *(p + q + r for p, q, r in zip(history, new, bonus, strict=True))))
     mean, effective, variance = summarize(sums)
     if albedo is not None:
         tints = [albedo[(k, *pixels.place)] for k in range(3)]

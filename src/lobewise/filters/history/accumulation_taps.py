@@ -8,16 +8,14 @@ from functools import reduce
 from operator import mul
 from typing import Any
 
-from lobewise.backend.compiler import declare_vars, hl
+from lobewise.backend.compiler import hl
 from lobewise.backend.signature import Signature
 from lobewise.features.arrays import declare_features, declare_scalars
 from lobewise.features.base import Feature
 from lobewise.filters.history.vectors import LANE, VECTOR, Pixels, Place
 from lobewise.filters.planes import C, X, Y, make_guide_planes
 from lobewise.filters.scheduling import keep_planes, keep_rows
-
-U, V = declare_vars("u", "v")
-"""Offset of a tap, samples across and down."""
+from lobewise.filters.weigh import U, V
 
 
 @dataclass(frozen=True)
@@ -140,9 +138,9 @@ class TapGrid:
         at = hl.clamp(X, 0, columns - 1), hl.clamp(Y, 0, rows - 1)
         usable = (X >= 0) & (columns > X) & (Y >= 0) & (rows > Y) & (tap_mask[at] != 0)
         planes = [] if taps.planes is None else [taps.planes[X, k, Y] for k in range(taps.plane_count)]
-        given = [*planes, *take(at, usable)]
-        self._value_count, self._values, self._wide = len(given), hl.Func("tap_values"), hl.Func("wide")
-        self._values[X, C, Y] = hl.mux(C, given)
+        values = [*planes, *take(at, usable)]
+        self._value_count, self._values, self._wide = len(values), hl.Func("tap_values"), hl.Func("wide")
+        self._values[X, C, Y] = hl.mux(C, values)
         self._wide[X, C, Y] = self._values[self.blocks.find(X), C, Y]
 
     def _read_planes(self, u: hl.Expr, v: hl.Expr, start: int, stop: int) -> list[hl.Expr]:

@@ -82,7 +82,7 @@ def join_layers(
     for number, (mask, albedo) in enumerate(lobes):
         images |= {f"effective{number}": outputs[number].effective_samples}
         images |= {f"mask{number}": mask, f"albedo{number}": albedo}
-    image, holes, weight_sum, effective, *more = engine.pixels(
+    image, holes, weight_sum, effective, *radiances = engine.pixels(
         define_joined,
         images,
         {},
@@ -100,8 +100,8 @@ def join_layers(
         into=[engine.take("image", "height", "width", COLORS, text="the denoised frame", unit="any")],
         text="the sum of all light, and its holes",
     )
-    variance = more.pop(0) if variances else None
-    return JoinedLayers(image, tuple(more), weight_sum, effective, variance, holes)
+    variance = radiances.pop(0) if variances else None
+    return JoinedLayers(image, tuple(radiances), weight_sum, effective, variance, holes)
 
 
 def find_reflecting(mask: NDArray[np.bool_], albedo: FloatArray | None, floor: float) -> NDArray[np.bool_]:
@@ -109,8 +109,10 @@ def find_reflecting(mask: NDArray[np.bool_], albedo: FloatArray | None, floor: f
     if albedo is None:
         return mask
     images, text = {"mask": mask, "albedo": albedo}, "pixels that reflect light"
-    (found,) = engine.pixels(define_reflecting, images, {"floor": make_single(floor)}, names=["reflecting"], text=text)
-    return found
+    (reflecting,) = engine.pixels(
+        define_reflecting, images, {"floor": make_single(floor)}, names=["reflecting"], text=text
+    )
+    return reflecting
 
 
 def define_reflecting(grid: Grid) -> list[Vector]:
@@ -125,7 +127,7 @@ def define_joined(grid: Grid, layers: int, lobes: int, is_black_beside: bool) ->
     if grid.has("exact"):
         exact = grid.read("exact")
         good = expressions.is_good(exact)
-        total = [value + hl.select(good, more, zero) for value, more in zip(total, exact, strict=True)]
+        total = [value + hl.select(good, light, zero) for value, light in zip(total, exact, strict=True)]
     weights = [grid.read_one(f"weight{number}") for number in range(layers)]
     supported = reduce(or_, (weight > zero for weight in weights))
     if is_black_beside:

@@ -18,6 +18,7 @@ from lobewise.backend.expressions import HALIDE
 from lobewise.backend.pointwise import Grid, Vector, is_finite
 from lobewise.camera import Camera
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
+from lobewise.filters.history.reprojection_pass import TAPS
 from lobewise.frame import FloatArray, GBuffer
 from lobewise.guides.places import find_surface_places
 from lobewise.guides.surfaces import is_surface_depth
@@ -36,8 +37,6 @@ MAX_DEPTH_CHANGE = 0.02
 MAX_RATIO = 100.0
 """Largest factor by which light is made brighter."""
 LIGHTS = ("diffuse", "specular")
-TAPS = ((0, 0), (1, 0), (0, 1), (1, 1))
-"""The four pixels around a place."""
 DIFFUSE, SPECULAR, DIFFUSE_FRAMES, SPECULAR_FRAMES, DISTANCE = range(5)
 """Channels of a past: mean luminances of light over albedo, their numbers of frames, distance from the camera (0 if
 none)."""
@@ -142,9 +141,9 @@ def _gather_old(grid: Grid, view: Vector, distance: hl.Expr) -> list[hl.Expr]:
         weight = hl.select(same, weight, hl.f32(0.0))
         total = total + weight
         sums = [value + weight * old for value, old in zip(sums, means, strict=True)]
-    found = total > hl.f32(1e-3)
+    known = total > hl.f32(1e-3)
     old = [value / hl.max(total, hl.f32(1e-3)) for value in sums]
-    old[DIFFUSE_FRAMES:] = [hl.select(found, value, hl.f32(0.0)) for value in old[DIFFUSE_FRAMES:]]
+    old[DIFFUSE_FRAMES:] = [hl.select(known, value, hl.f32(0.0)) for value in old[DIFFUSE_FRAMES:]]
     moved = subtract([value / distance for value in view], [value / expected for value in old_view])
     return grid.share([*old, hl.sqrt(dot(moved, moved))])
 

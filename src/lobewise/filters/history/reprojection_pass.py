@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from lobewise.backend import expressions
-from lobewise.backend.compiler import declare_vars, hl
+from lobewise.backend.compiler import hl
 from lobewise.backend.jit import Scheduled
 from lobewise.backend.pointwise import is_finite
 from lobewise.backend.signature import Signature
@@ -32,6 +32,7 @@ from lobewise.filters.history.sums import HISTORY_CHANNELS
 from lobewise.filters.history.vectors import LANE, VECTOR, Pixels, Place
 from lobewise.filters.planes import Layout, X, Y, count_inputs, make_guide_planes, prepare_planes
 from lobewise.filters.scheduling import count_lanes, keep_rows, spread_pixels
+from lobewise.filters.weigh import U, V
 
 AGREEMENT = HISTORY_CHANNELS
 """Channel of the agreement, after the sums of a history."""
@@ -47,8 +48,6 @@ NEAR = 1 << 8
 NOWHERE, IN_RUNS, APART = range(3)
 """No pixel of a vector has a place near the image; the pixels are loaded as vectors, run by run, or one by one."""
 
-U, V = declare_vars("u", "v")
-"""Column and row among the four pixels of a place."""
 TAPS = ((0, 0), (1, 0), (0, 1), (1, 1))
 """The four pixels of a place."""
 ROWS_PER_TASK = 8

@@ -15,6 +15,7 @@ from lobewise.backend.expressions import is_good
 from lobewise.backend.pointwise import Grid, Vector
 from lobewise.filters.noise.pooling import (
     DARK_SHARE,
+    MIN_RELATIVE_SQUARE,
     add_channels,
     average_light,
     blur_image,
@@ -31,8 +32,6 @@ LEVELS = (0, 2, 3)
 FEATURES_PER_LEVEL = 7
 COUNT = FEATURES_PER_LEVEL * len(LEVELS) + 3
 """Features of a pixel."""
-MIN_RELATIVE_SQUARE = 1e-8
-"""Smallest square over the squared local luminance that a logarithm distinguishes."""
 MAX_STANDARD_ERRORS = 6.0
 """Largest certainty of a step, standard errors."""
 MAX_RELATIVE_SQUARE = 1e6
@@ -74,8 +73,8 @@ def find_agreement(
     InputError
         If the images differ in size.
     """
-    told, factor = gather_noise(halves, None, shared=shared)
-    images = {"one": one, "other": other, "noisy": noisy, **told}
+    noise_images, factor = gather_noise(halves, None, shared=shared)
+    images = {"one": one, "other": other, "noisy": noisy, **noise_images}
     floor = np.float32(min(max((DARK_SHARE * level) ** 2, 1e-24), 1e30))
     sums, light = engine.pixels(_define_sums, images, {"floor": floor})
     held: dict[str, FloatArray | None] = {"light": light}
@@ -89,8 +88,8 @@ def find_agreement(
         "level": np.float32(max(level, 1e-12)),
         "flags": np.array([halves is not None, shared], np.float32),
     }
-    (found,) = engine.pixels(_define_features, held, numbers)
-    return np.asarray(found)
+    (features,) = engine.pixels(_define_features, held, numbers)
+    return np.asarray(features)
 
 
 def _define_sums(grid: Grid) -> list[Vector]:

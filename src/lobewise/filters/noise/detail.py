@@ -28,6 +28,7 @@ from lobewise.filters.glue import define_channel
 from lobewise.filters.mixing import Network, make_shares
 from lobewise.filters.noise.pooling import (
     DARK_SHARE,
+    MIN_RELATIVE_SQUARE,
     add_channels,
     average_light,
     blur_image,
@@ -60,9 +61,8 @@ MAX_RELATIVE_DIFFERENCE = 1e3
 """Largest difference over the local luminance: a few pixels must not dominate their neighbourhood."""
 MAX_STANDARD_ERRORS = 8.0
 """Largest certainty of a mean, standard errors."""
-MIN_RELATIVE_SQUARE, MIN_RATIO, MIN_RELATIVE_LIGHT = 1e-8, 1e-3, 1e-4
-"""Smallest arguments of logarithms: a square over squared local luminance, a ratio of squares, a luminance over the
-image's."""
+MIN_RATIO, MIN_RELATIVE_LIGHT = 1e-3, 1e-4
+"""Smallest arguments of logarithms: a ratio of squares, a luminance over the image's."""
 BAND_ROWS, FEATURE_ROWS = 256, 64
 """Rows whose neighbourhoods are averaged at once, and rows whose features are held in memory at once."""
 
@@ -116,8 +116,8 @@ def find_detail(
         for start in range(top, bottom, FEATURE_ROWS):
             rows = slice(start, min(start + FEATURE_ROWS, bottom))
             inside = slice(rows.start - first, rows.stop - first)
-            (found,) = engine.pixels(define_features, {name: each[inside] for name, each in pooled.items()}, numbers)
-            yield rows, np.asarray(found)
+            (features,) = engine.pixels(define_features, {name: each[inside] for name, each in pooled.items()}, numbers)
+            yield rows, np.asarray(features)
 
 
 def predict_shares(
@@ -165,7 +165,7 @@ def _take_arguments(
     filtered: FloatArray, noisy: FloatArray, halves: tuple[FloatArray, FloatArray] | None, level: float, *, shared: bool
 ) -> tuple[dict[str, FloatArray], dict[str, Any], Any]:
     """Return the images that features are computed from, the numbers of `define_features`, and the floor of light."""
-    told, factor = gather_noise(halves, None, shared=shared)
+    noise_images, factor = gather_noise(halves, None, shared=shared)
     level = choose_smaller(choose_larger(level, 1e-12), 1e12)
     numbers = {
         "counts": np.array([count_weights(number) for number in LEVELS], np.float32),
@@ -173,7 +173,7 @@ def _take_arguments(
         "level": make_single(level),
         "flags": np.array([halves is not None, shared], np.float32),
     }
-    images = {"filtered": filtered, "noisy": noisy, **told}
+    images = {"filtered": filtered, "noisy": noisy, **noise_images}
     floor = make_single(choose_larger((DARK_SHARE * level) ** 2, 1e-24))
     return {name: each for name, each in images.items() if each is not None}, numbers, floor
 

@@ -115,7 +115,7 @@ def count_certain(
     """
     noise = gather_noise(None, variance, shared=shared)
     sums, factor = _find_excess(filtered, noisy, noise, np.float32(floor), by_darker=True)
-    found, sizes = np.zeros(noisy.shape[:2], np.bool_), np.ones(noisy.shape[:2], np.float32)
+    certain_pixels, sizes = np.zeros(noisy.shape[:2], np.bool_), np.ones(noisy.shape[:2], np.float32)
     block = 1
     for size in COUNTED_BLOCKS:
         # Each block is the sum of smaller ones.
@@ -126,8 +126,8 @@ def count_certain(
         excess, square, own = (sums[..., k] / sizes for k in range(3))
         certain = excess - np.sqrt(MARGIN_STANDARD_ERRORS**2 * factor / sizes * square) > own
         height, width = noisy.shape[:2]
-        found |= certain.repeat(size, axis=0)[:height].repeat(size, axis=1)[:, :width]
-    return int(np.count_nonzero(found))
+        certain_pixels |= certain.repeat(size, axis=0)[:height].repeat(size, axis=1)[:, :width]
+    return int(np.count_nonzero(certain_pixels))
 
 
 def _find_excess(
@@ -139,8 +139,8 @@ def _find_excess(
     by_darker: bool,
 ) -> tuple[FloatArray, float]:
     """Return excess, squared excess and variance of every pixel, and the factor of squared margins."""
-    told, factor = noise
-    images = {"filtered": filtered, "noisy": noisy, **told}
+    noise_images, factor = noise
+    images = {"filtered": filtered, "noisy": noisy, **noise_images}
     (sums,) = engine.pixels(define_excess, images, {"floor": floor}, by_darker, names=["excess"])
     return sums, factor
 

@@ -28,6 +28,8 @@ DARK_SHARE = 0.03
 they divide by."""
 REACH: int = max(RESIDUAL_STEP, len(BLUR_WEIGHTS) // 2)
 """Distance of the farthest pixel that a residual or the local light reads, rows or columns."""
+MIN_RELATIVE_SQUARE = 1e-8
+"""Smallest square over the squared local luminance that a logarithm distinguishes."""
 
 
 def gather_noise(
@@ -63,9 +65,9 @@ def estimate_noise(grid: Grid, name: str) -> tuple[list[hl.Expr], hl.Expr]:
         return squares, is_good(a) & is_good(b)
     squares, good = square_residual(grid, name)
     if grid.has("variance"):
-        told = grid.read("variance")
-        good = good & is_good(told)
-        squares = [hl.max(p, q) for p, q in zip(squares, told, strict=True)]
+        variance = grid.read("variance")
+        good = good & is_good(variance)
+        squares = [hl.max(p, q) for p, q in zip(squares, variance, strict=True)]
     return squares, good
 
 

@@ -71,8 +71,8 @@ def find_squared_residual(
         NaN where the image is bad.
     """
     images = {"image": image, "albedo": albedo, "mask": mask}
-    (found,) = engine.pixels(_define_residual, images, {}, shared, names=["residual"], text="squared residuals")
-    return found
+    (residual,) = engine.pixels(_define_residual, images, {}, shared, names=["residual"], text="squared residuals")
+    return residual
 
 
 def _define_residual(grid: Grid, shared: bool) -> list[Vector]:

@@ -136,9 +136,9 @@ def pad_columns(width: Any) -> Any:
 
 def surround(source: hl.ImageParam, size: Size, name: str) -> hl.Func:
     """Return a function that is 0 outside the image."""
-    found = hl.Func(name)
-    found[X, C, Y] = keep_inside(source[clamp_likely(X, size.width), C, hl.clamp(Y, 0, size.height - 1)], size)
-    return found
+    near = hl.Func(name)
+    near[X, C, Y] = keep_inside(source[clamp_likely(X, size.width), C, hl.clamp(Y, 0, size.height - 1)], size)
+    return near
 
 
 def keep_inside(value: hl.Expr, size: Size) -> hl.Expr:
@@ -161,8 +161,8 @@ def _read_first(source: hl.ImageParam, reading: hl.Param, source_width: hl.Expr,
     block = hl.select((column < source_width) & (line < rows), read(column, C // 4, line), hl.f32(0.0))
     values = {Reading.SAME: source[x, C, y], Reading.ENLARGED: source[x // 2, C, y // 2], Reading.HALVED: largest}
     chosen = block
-    for each, value in values.items():
-        chosen = hl.select(reading == each.value, value, chosen)
-    found = hl.Func("first_near")
-    found[X, C, Y] = keep_inside(chosen, size)
-    return found
+    for way, value in values.items():
+        chosen = hl.select(reading == way.value, value, chosen)
+    near = hl.Func("first_near")
+    near[X, C, Y] = keep_inside(chosen, size)
+    return near

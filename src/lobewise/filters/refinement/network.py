@@ -41,13 +41,13 @@ class Network:
     ----------
     weights : array
         Result of `lobewise.filters.refinement.run.pack_weights`.
-    given : mapping of str to Image
+    images : mapping of str to Image
         Results of the kernel of planes: "planes", "light", "vectors", "tint".
     """
 
-    def __init__(self, weights: FloatArray, given: Mapping[str, Any]) -> None:
-        self._weights, self._given = engine.hold("refinement_weights", weights), given
-        self._sizes = [Size(*given["tint"].shape[:2])]
+    def __init__(self, weights: FloatArray, images: Mapping[str, Any]) -> None:
+        self._weights, self._images = engine.hold("refinement_weights", weights), images
+        self._sizes = [Size(*images["tint"].shape[:2])]
         for _ in range(LEVELS - 1):
             self._sizes.append(Size(*map(engine.halve, self._sizes[-1])))
         self._free: dict[tuple[int, ...], list[Image]] = {}
@@ -57,37 +57,37 @@ class Network:
         features = self._find_features()
         # Memory that the filters do not need again.
         self._free.clear()
-        sums, vectors = [self._weigh_light(features[0])], [self._given["vectors"]]
+        sums, vectors = [self._weigh_light(features[0])], [self._images["vectors"]]
         for level in range(1, LEVELS):
             sums.append(self._average(sums[-1], level))
             vectors.append(self._average(vectors[-1], level))
-        found = self._filter(LEVELS - 1, features[-1], sums[-1], vectors[-1], None)
+        filtered = self._filter(LEVELS - 1, features[-1], sums[-1], vectors[-1], None)
         for level in reversed(range(LEVELS - 1)):
-            found = self._filter(level, features[level], sums[level], vectors[level], found)
-        return found
+            filtered = self._filter(level, features[level], sums[level], vectors[level], filtered)
+        return filtered
 
     def _find_features(self) -> list[Image]:
         """Return the features of each level."""
-        planes, kept = self._given["planes"], {}
+        planes, skipped = self._images["planes"], {}
         last = self._convolve("stem", 1, planes, reading=Reading.BLOCKS)
         for level in range(1, LEVELS):
             reading = Reading.HALVED if level > 1 else Reading.SAME
             joined = self._convolve(f"down.{level - 1}.0", level, last, reading=reading)
             if level == 1:
                 self._give_back(last)
-            last = kept[level] = self._convolve(f"down.{level - 1}.1", level, joined)
+            last = skipped[level] = self._convolve(f"down.{level - 1}.1", level, joined)
             self._give_back(joined)
-        found = [last]
+        features = [last]
         for level in reversed(range(1, LEVELS - 1)):
-            joined = self._convolve(f"up.{level - 1}.0", level, found[0], kept[level], reading=Reading.ENLARGED)
-            self._give_back(kept[level])
-            found.insert(0, self._convolve(f"up.{level - 1}.1", level, joined))
+            joined = self._convolve(f"up.{level - 1}.0", level, features[0], skipped[level], reading=Reading.ENLARGED)
+            self._give_back(skipped[level])
+            features.insert(0, self._convolve(f"up.{level - 1}.1", level, joined))
             self._give_back(joined)
-        squeezed = self._convolve("squeeze", 1, found[0])
+        squeezed = self._convolve("squeeze", 1, features[0])
         # The finest level's images are the largest, and of another size.
         self._free.clear()
         joined = self._convolve("fine.0", 0, squeezed, planes, reading=Reading.ENLARGED)
-        return [self._convolve("fine.1", 0, joined), *found]
+        return [self._convolve("fine.1", 0, joined), *features]
 
     def _convolve(
         self, name: str, level: int, first: Image, second: Image | None = None, reading: Reading = Reading.SAME
@@ -110,7 +110,7 @@ class Network:
 
     def _weigh_light(self, features: Image) -> Image:
         """Return the sums of the finest level."""
-        images = {"features": features, "light": self._given["light"], "weights": self._weights}
+        images = {"features": features, "light": self._images["light"], "weights": self._weights}
         return self._call(make_sums, 0, 2 * SUMS, images, {}, "weighted light")
 
     def _average(self, source: Image, level: int) -> Image:
@@ -126,7 +126,7 @@ class Network:
             "sums": sums,
             "vectors": vectors,
             "above": neutral if above is None else above,
-            "tint": neutral if level else self._given["tint"],
+            "tint": neutral if level else self._images["tint"],
             "weights": self._weights,
         }
         numbers = {

@@ -59,13 +59,13 @@ def make_sums(target: hl.Target) -> Scheduled:
 
     # Algorithm
     logits = _define_logits(features, weights, hl.i32(LAYERS["heads.0"].start))
-    given, sums = hl.Func("light_near"), hl.Func("sums")
-    given[X, C, Y] = light[clamp_likely(X, light.dim(0).extent()), C, Y]
+    light_near, sums = hl.Func("light_near"), hl.Func("sums")
+    light_near[X, C, Y] = light[clamp_likely(X, light.dim(0).extent()), C, Y]
     values: list[hl.Expr] = []
     for number in range(2):
         logit = logits[X, HEAD.sources + number, Y] + hl.f32(SOURCE_BIAS)
         weight = hl.f32(MIN_SOURCE) + _find_logistic(logit)
-        values += [weight * given[X, COLORS * number + k, Y] for k in range(COLORS)] + [weight]
+        values += [weight * light_near[X, COLORS * number + k, Y] for k in range(COLORS)] + [weight]
     sums[X, C, Y] = hl.mux(C, values)
 
     # Schedule
@@ -76,7 +76,7 @@ def make_sums(target: hl.Target) -> Scheduled:
         strip, vector = _spread_vectors(sums, 2 * SUMS, lanes, hl.TailStrategy.RoundUp)
         logits.compute_at(sums, vector).reorder_storage(X, C, Y).reorder(X, C, Y).vectorize(X, lanes).unroll(C)
         logits.update().reorder(X, C, *logits.rvars(), Y).vectorize(X, lanes).unroll(C)
-        keep_copy(given, 2 * COLORS, (sums, strip), lanes)
+        keep_copy(light_near, 2 * COLORS, (sums, strip), lanes)
     return Scheduled([sums], signature)
 
 
@@ -216,11 +216,11 @@ def _find_weight(logit: hl.Expr, distance: hl.Expr) -> hl.Expr:
 
 
 def _define_exponents(logits: hl.Func) -> hl.Func:
-    found = hl.Func("exponents")
+    exponents = hl.Func("exponents")
     bounded = hl.min(hl.f32(2.0) * logits[X, HEAD.exponents + C, Y] - hl.f32(1.0), hl.f32(MAX_LOG_EXPONENT))
     shifted = expressions.exp2(hl.f32(expressions.LOG2_E) * (bounded - hl.f32(MAX_LOG_EXPONENT)))
-    found[X, C, Y] = hl.f32(math.exp(MAX_LOG_EXPONENT)) * shifted
-    return found
+    exponents[X, C, Y] = hl.f32(math.exp(MAX_LOG_EXPONENT)) * shifted
+    return exponents
 
 
 def _find_distance(exponents: hl.Func, vectors: hl.Func, at: tuple[hl.Expr, hl.Expr]) -> hl.Expr:
@@ -235,10 +235,10 @@ def _find_distance(exponents: hl.Func, vectors: hl.Func, at: tuple[hl.Expr, hl.E
 
 def _enlarge_above(above: hl.ImageParam, has_above: hl.Expr) -> hl.Func:
     """Return the light of the level above at every pixel, and 1 as its weight; 0 outside that level."""
-    found, width, height = hl.Func("above_near"), above.dim(1).extent(), above.dim(2).extent()
+    near, width, height = hl.Func("above_near"), above.dim(1).extent(), above.dim(2).extent()
     # Halide's division rounds down, so that columns left of the image have a parent left of the level above.
     x, y = X // 2, Y // 2
     inside = (x >= 0) & (x < width) & (y >= 0) & (y < height) & (has_above > 0)
     values = [above[k, clamp_likely(x, width), hl.clamp(y, 0, height - 1)] for k in range(COLORS)]
-    found[X, C, Y] = hl.select(inside, hl.mux(C, [*values, hl.f32(1.0)]), hl.f32(0.0))
-    return found
+    near[X, C, Y] = hl.select(inside, hl.mux(C, [*values, hl.f32(1.0)]), hl.f32(0.0))
+    return near

@@ -85,13 +85,13 @@ class LayerShape:
 
 def list_layers() -> dict[str, LayerShape]:
     """Return all layers by name, in the order of the array that kernels read."""
-    found: dict[str, LayerShape] = {}
+    layers: dict[str, LayerShape] = {}
     start = 0
     for name, inputs, outputs, side in _list_sizes():
         padded = HEAD_OUTPUTS if name.startswith("heads") else outputs
-        found[name] = LayerShape(name, inputs, outputs, side, padded, start)
-        start = found[name].stop
-    return found
+        layers[name] = LayerShape(name, inputs, outputs, side, padded, start)
+        start = layers[name].stop
+    return layers
 
 
 def _list_sizes() -> Iterator[tuple[str, int, int, int]]:
@@ -129,12 +129,12 @@ def find_reach() -> int:
     for level in reversed(range(LEVELS - 1)):
         # Two convolutions, and what the level above is wider.
         features += 3 * 2**level
-    found = 0
+    reach = 0
     for level in reversed(range(LEVELS)):
         own = NOISY_SIDE // 2 * 2**level + features
-        above = found + 2 ** (level + 1) + 2**level if level < LEVELS - 1 else 0
-        found = max(own, above)
-    return found
+        above = reach + 2 ** (level + 1) + 2**level if level < LEVELS - 1 else 0
+        reach = max(own, above)
+    return reach
 
 
 REACH = find_reach()

@@ -53,24 +53,24 @@ def define_inputs(grid: Grid, least: float) -> list[Vector]:
     filtered, samples = _sum_good(parts), reduce(_add, noisy)
     good = is_good(samples)
     pairs = zip(samples, filtered, strict=True)
-    found: list[Vector] = [[hl.select(good, hl.max(value, zero), other) for value, other in pairs], filtered]
+    planes: list[Vector] = [[hl.select(good, hl.max(value, zero), other) for value, other in pairs], filtered]
     albedos = [_read_finite(grid, name) for name in ("diffuse", "specular") if grid.has(name)]
     if albedos:
-        found.append([hl.clamp(value, zero, hl.f32(1.0)) for value in reduce(_add, albedos)])
+        planes.append([hl.clamp(value, zero, hl.f32(1.0)) for value in reduce(_add, albedos)])
     if grid.has("normal"):
-        found.append(_read_finite(grid, "normal"))
+        planes.append(_read_finite(grid, "normal"))
     if grid.has("depth"):
-        found.append(_read_finite(grid, "depth"))
+        planes.append(_read_finite(grid, "depth"))
     widths = [_read_finite(grid, name)[0] for name in ("alpha_u", "alpha_v") if grid.has(name)]
     if widths:
-        found.append(widths if len(widths) == 1 else [hl.sqrt(hl.max(widths[0] * widths[1], zero))])
+        planes.append(widths if len(widths) == 1 else [hl.sqrt(hl.max(widths[0] * widths[1], zero))])
     if len(albedos) == 2:
         first, second = (_find_luminance([hl.max(value, zero) for value in albedo]) for albedo in albedos)
-        found.append([second / hl.max(first + second, hl.f32(least))])
+        planes.append([second / hl.max(first + second, hl.f32(least))])
     if grid.has("half_a", "half_b"):
         pairs = zip(grid.read("half_a"), grid.read("half_b"), strict=True)
-        found.append(_blacken([hl.abs(hl.f32(0.5) * (a - b)) for a, b in pairs]))
-    return found
+        planes.append(_blacken([hl.abs(hl.f32(0.5) * (a - b)) for a, b in pairs]))
+    return planes
 
 
 def _find_luminance(colour: Vector) -> hl.Expr:
@@ -100,14 +100,14 @@ def define_refined(grid: Grid, most: float) -> list[Vector]:
         lit = before > hl.f32(most)
         factor = hl.select(lit, after / hl.select(lit, before, hl.f32(1.0)), hl.f32(0.0))
         factors.append(hl.select(changed, factor, hl.f32(1.0)))
-    found: list[Vector] = [
+    refined: list[Vector] = [
         [value * factor for value, factor in zip(part, factors, strict=True)] for part in read_parts(grid, "part")
     ]
     if grid.has("rest"):
         seen, rest = grid.read_one("small") == 0, grid.read("rest")
         pairs = zip(rest, factors, strict=True)
-        found.append([select_bits(seen, value * factor, value) for value, factor in pairs])
-    return found
+        refined.append([select_bits(seen, value * factor, value) for value, factor in pairs])
+    return refined
 
 
 def define_shining(grid: Grid) -> list[Vector]:

@@ -23,8 +23,8 @@ def follow_back(places: FloatArray, motion: FloatArray) -> FloatArray:
     motion : array, shape (height, width, 2)
         Motion of that frame, see `lobewise.GBuffer`. The pixel nearest to a place tells its motion.
     """
-    (found,) = engine.pixels(_define_back, {"places": places, "motion": motion}, {})
-    return np.asarray(found)
+    (followed,) = engine.pixels(_define_back, {"places": places, "motion": motion}, {})
+    return np.asarray(followed)
 
 
 def follow_on(places: FloatArray, guess: FloatArray, motion: FloatArray) -> FloatArray:
@@ -42,8 +42,8 @@ def follow_on(places: FloatArray, guess: FloatArray, motion: FloatArray) -> Floa
     motion : array, shape (height, width, 2)
         Motion of the *next* frame, see `lobewise.GBuffer`.
     """
-    (found,) = engine.pixels(_define_on, {"places": places, "guess": guess, "motion": motion}, {})
-    return np.asarray(found)
+    (followed,) = engine.pixels(_define_on, {"places": places, "guess": guess, "motion": motion}, {})
+    return np.asarray(followed)
 
 
 def _read_near(grid: Grid, place: Vector) -> list[hl.Expr]:

@@ -43,9 +43,9 @@ def sample_cubic(image: FloatArray, places: FloatArray) -> tuple[FloatArray, NDA
 
 def _define_sample(grid: Grid) -> list[Vector]:
     width, height = grid.size
-    found = [_find_start(value, extent) for value, extent in zip(grid.read("places"), (width, height), strict=True)]
-    inside = found[0][2] & found[1][2]
-    (column, across, _), (row, down, _) = found
+    starts = [_find_start(value, extent) for value, extent in zip(grid.read("places"), (width, height), strict=True)]
+    inside = starts[0][2] & starts[1][2]
+    (column, across, _), (row, down, _) = starts
     totals: list[hl.Expr] = []
     for j, vertical in enumerate(_weigh_taps(down)):
         y = hl.clamp(row + (j - 1), 0, height - 1)

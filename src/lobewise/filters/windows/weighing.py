@@ -100,12 +100,12 @@ def find_relative_bias(own: FloatArray, other: FloatArray, agreement: FloatArray
     """
     images = {"own": own, "other": other, "agreement": agreement}
     sums, squares = engine.pixels(_define_differences, images, {"floor": _find_floor(own)})
-    found = np.zeros(agreement.shape, np.float32)
+    bias = np.zeros(agreement.shape, np.float32)
     for level in range(LEVELS):
         sums, squares = (blur_image(image, 2**level) for image in (sums, squares))
-        images = {"sums": sums, "squares": squares, "before": found}
-        (found,) = engine.pixels(_define_relative, images, {"count": np.float32(count_weights(level))})
-    return found
+        images = {"sums": sums, "squares": squares, "before": bias}
+        (bias,) = engine.pixels(_define_relative, images, {"count": np.float32(count_weights(level))})
+    return bias
 
 
 def _define_differences(grid: Grid) -> list[Vector]:
