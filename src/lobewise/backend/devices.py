@@ -63,17 +63,17 @@ def list_devices() -> list[Device]:
     """Return all devices that this version has schedules for, whether they can be used here or not."""
     target = _name_host()
     described = f"{target.partition('-')[0]}, {count_host_lanes()} lanes of float32: {target}"
-    found = [Device("cpu", True, described)]
+    listed = [Device("cpu", True, described)]
     for name in DEVICES[1:]:
         if not has_compiler():
-            found.append(Device(name, False, "needs Halide: pip install 'lobewise[jit]'"))
+            listed.append(Device(name, False, "needs Halide: pip install 'lobewise[jit]'"))
             continue
         try:
             seen = _find(name)
-            found.append(Device(name, True, seen.name, seen.is_software))
+            listed.append(Device(name, True, seen.name, seen.is_software))
         except _NoDeviceError as problem:
-            found.append(Device(name, False, str(problem)))
-    return found
+            listed.append(Device(name, False, str(problem)))
+    return listed
 
 
 def choose_device(name: str) -> str:
@@ -140,10 +140,10 @@ def _probe(name: str) -> _Found | str:
 
 def _find(name: str) -> _Found:
     """Return the description of a device; the driver is asked once per process."""
-    found = _probe(name)
-    if isinstance(found, str):
-        raise _NoDeviceError(found)
-    return found
+    probed = _probe(name)
+    if isinstance(probed, str):
+        raise _NoDeviceError(probed)
+    return probed
 
 
 def _load(names: tuple[str, ...], missing: str) -> ctypes.CDLL:
@@ -221,8 +221,8 @@ def _find_cuda() -> _Found:
     if library.cuInit(0) != 0 or library.cuDeviceGetCount(ctypes.byref(count)) != 0 or count.value == 0:
         raise _NoDeviceError("no CUDA device")
     # As Halide chooses: the last one, unless its environment variable names another.
-    asked = os.environ.get("HL_GPU_DEVICE", "")
-    library.cuDeviceGet(ctypes.byref(handle), int(asked) if asked.isdigit() else count.value - 1)
+    visible = os.environ.get("HL_GPU_DEVICE", "")
+    library.cuDeviceGet(ctypes.byref(handle), int(visible) if visible.isdigit() else count.value - 1)
     text = ctypes.create_string_buffer(256)
     library.cuDeviceGetName(text, len(text), handle)
     numbers = [ctypes.c_int(), ctypes.c_int()]

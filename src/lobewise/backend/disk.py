@@ -62,11 +62,11 @@ def _find_user_folder() -> Path | None:
         folder = "Library/Caches" if sys.platform == "darwin" else ".cache"
         return Path(home, folder, "lobewise")
     try:
-        found = platformdirs.user_cache_path("lobewise", appauthor=False)
+        cache_folder = platformdirs.user_cache_path("lobewise", appauthor=False)
     except RuntimeError:
         # The home is not an absolute path.
         return None
-    return found if found.is_absolute() else None
+    return cache_folder if cache_folder.is_absolute() else None
 
 
 def find_trusted_folder() -> Path | None:
@@ -106,8 +106,8 @@ def fetch_object(
             if head["digest"] == _digest(known, head["told"], content) and is_object(content, symbol):
                 os.utime(path)
                 return content, head["told"]
-    content, told = make()
-    head = {"digest": _digest(known, told, content), "told": told}
+    content, facts = make()
+    head = {"digest": _digest(known, facts, content), "told": facts}
     problem = write_whole(path, json.dumps(head).encode() + b"\n" + content)
     if problem:
         _warn(
@@ -116,12 +116,12 @@ def fetch_object(
         )
     else:
         _remove_old(folder)
-    return content, told
+    return content, facts
 
 
-def _digest(known: str, told: dict[str, Any], content: bytes) -> str:
+def _digest(known: str, facts: dict[str, Any], content: bytes) -> str:
     """Return a checksum of a file's contents and of its key, so that a file renamed to another key is refused."""
-    head = json.dumps([known, told, hashlib.sha256(content).hexdigest()], sort_keys=True)
+    head = json.dumps([known, facts, hashlib.sha256(content).hexdigest()], sort_keys=True)
     return hashlib.sha256(head.encode()).hexdigest()
 
 

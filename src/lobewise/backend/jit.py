@@ -245,19 +245,19 @@ _OWN_PART = f"{__name__}.{compile_kernel.__name__}"
 
 def describe_kernel(key: Hashable, make: Callable[..., Any]) -> str | None:
     """Return a text that identifies a kernel's code in all processes; None if a part is not of this package."""
-    told = describe_key(key)
+    described = describe_key(key)
     names = list_definitions(key, make)
-    if told is None or not _are_own(names):
+    if described is None or not _are_own(names):
         return None
-    return f"{version('halide')} {_describe_definitions(names)} {told}"
+    return f"{version('halide')} {_describe_definitions(names)} {described}"
 
 
 def identify_kernel(key: Hashable, make: Callable[..., Any], *, strict: bool) -> str | None:
     """Return a name that a kernel has among all of one version of this package; None if a part is not of it."""
-    told = describe_key(key)
-    if told is None or not _are_own(list_definitions(key, make)):
+    described = describe_key(key)
+    if described is None or not _are_own(list_definitions(key, make)):
         return None
-    return hashlib.sha256(f"{_name_maker(make)} {told} {strict}".encode()).hexdigest()[:24]
+    return hashlib.sha256(f"{_name_maker(make)} {described} {strict}".encode()).hexdigest()[:24]
 
 
 def _are_own(names: Iterable[str]) -> bool:
@@ -313,5 +313,5 @@ def describe_key(key: Any) -> str | None:
         parts = [type(key), *(getattr(key, each.name) for each in fields(key))]
     else:
         return None
-    told = [describe_key(part) for part in parts]
-    return None if None in told else f"({', '.join(map(str, told))})"
+    described = [describe_key(part) for part in parts]
+    return None if None in described else f"({', '.join(map(str, described))})"

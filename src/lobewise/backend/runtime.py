@@ -65,10 +65,10 @@ class Runtime:
         Each file has its own engine. It calls the runtime's functions by their addresses, so it may lie anywhere in
         memory. Within one engine a file must lie within 2 GiB of the runtime.
         """
-        for told in set(_RUNTIME_NAMES.findall(content)):
+        for symbol in set(_RUNTIME_NAMES.findall(content)):
             # Kernels may also mention names of the runtimes of other devices.
             with suppress(LookupError):
-                load_llvm().add_symbol(told.decode(), self.find(told.decode()))
+                load_llvm().add_symbol(symbol.decode(), self.find(symbol.decode()))
         engine = _load_object(content)
         self._loaded.append(engine)
         return _find_function(engine, name)

@@ -133,18 +133,18 @@ class Signature:
     ) -> None:
         """Declare an output image, in the order of the kernel's output functions."""
         kind = _name_type(hl.Float(32) if type is None else type)
-        found = _find_strides(axes) if strides is None else strides
-        self._written.append(Parameter(name, "output", kind, tuple(axes), tuple(found)))
+        entries = _find_strides(axes) if strides is None else strides
+        self._written.append(Parameter(name, "output", kind, tuple(axes), tuple(entries)))
 
 
 def _find_strides(axes: Sequence[Axis]) -> list[int | None]:
     """Return the default strides: entries of the last axis are adjacent, and so are pixels if it holds channels."""
-    found: list[int | None] = [None] * len(axes)
+    strides: list[int | None] = [None] * len(axes)
     if axes:
-        found[-1] = 1
+        strides[-1] = 1
     if len(axes) > 1 and isinstance(axes[-1], int):
-        found[-2] = axes[-1]
-    return found
+        strides[-2] = axes[-1]
+    return strides
 
 
 def _name_type(kind: hl.Type) -> str:
@@ -158,27 +158,27 @@ def unpack_parameters(packed: Sequence[Sequence[Any]]) -> list[Parameter]:
     return [Parameter(name, role, kind, *map(tuple, rest)) for name, role, kind, *rest in packed]
 
 
-def check_call(kernel: str, parameters: Sequence[Parameter], given: Mapping[str, Any]) -> None:
+def check_call(kernel: str, parameters: Sequence[Parameter], arguments: Mapping[str, Any]) -> None:
     """Raise TypeError unless a call gives every parameter with the type, size and layout that the kernel expects.
 
     An output may be a part of the kernel's image, with a first row or column other than 0: it must lie inside.
     """
-    names = [each.name for each in parameters]
-    missing = [name for name in names if name not in given]
-    unknown = [name for name in given if name not in names]
+    names = [parameter.name for parameter in parameters]
+    missing = [name for name in names if name not in arguments]
+    unknown = [name for name in arguments if name not in names]
     if missing or unknown:
-        told = [f"lacks {', '.join(missing)}"] * bool(missing) + [f"has no {', '.join(unknown)}"] * bool(unknown)
-        raise TypeError(f"a call of the kernel {kernel!r} {' and '.join(told)}")
+        complaints = [f"lacks {', '.join(missing)}"] * bool(missing) + [f"has no {', '.join(unknown)}"] * bool(unknown)
+        raise TypeError(f"a call of the kernel {kernel!r} {' and '.join(complaints)}")
     sizes: dict[str, tuple[int, str]] = {}
-    for each in sorted(parameters, key=lambda each: ("input", "output", "number").index(each.role)):
-        value = given[each.name]
+    for parameter in sorted(parameters, key=lambda parameter: ("input", "output", "number").index(parameter.role)):
+        value = arguments[parameter.name]
         array = getattr(value, "array", None)
-        if each.role == "number":
-            if array is not None or not _is_number(each, value):
-                raise _refuse(kernel, each, "an image" if array is not None else value, sizes)
-        elif array is None or not _fits(each, value, sizes):
+        if parameter.role == "number":
+            if array is not None or not _is_number(parameter, value):
+                raise _refuse(kernel, parameter, "an image" if array is not None else value, sizes)
+        elif array is None or not _fits(parameter, value, sizes):
             got = value if array is None else f"{array.dtype} {array.shape}, strides {array.strides}"
-            raise _refuse(kernel, each, got, sizes)
+            raise _refuse(kernel, parameter, got, sizes)
 
 
 def _is_number(parameter: Parameter, value: Any) -> bool:
@@ -207,8 +207,10 @@ def _fits(parameter: Parameter, memory: Memory, sizes: dict[str, tuple[int, str]
 
 
 def _refuse(kernel: str, parameter: Parameter, got: Any, sizes: Mapping[str, tuple[int, str]]) -> TypeError:
-    told = [f"{axis} is {sizes[axis][0]} in {sizes[axis][1]}" for axis in map(str, parameter.axes) if axis in sizes]
-    beside = f" ({', '.join(told)})" if told else ""
+    other_sizes = [
+        f"{axis} is {sizes[axis][0]} in {sizes[axis][1]}" for axis in map(str, parameter.axes) if axis in sizes
+    ]
+    beside = f" ({', '.join(other_sizes)})" if other_sizes else ""
     kind = f"({', '.join(map(str, parameter.axes))}), strides {parameter.strides}" if parameter.axes else "number"
     if parameter.bounds:
         kind += f" from {parameter.bounds[0]} to {parameter.bounds[1]}"

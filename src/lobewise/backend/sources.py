@@ -51,27 +51,27 @@ def describe_definitions(names: Iterable[str]) -> str:
 
     The name of a module stands for all its definitions.
     """
-    told = (f"{name} {digest}" for name, digests in sorted(find_definitions(names).items()) for digest in digests)
-    return hashlib.sha256("\n".join(told).encode()).hexdigest()
+    lines = (f"{name} {digest}" for name, digests in sorted(find_definitions(names).items()) for digest in digests)
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 
 def find_definitions(names: Iterable[str]) -> dict[str, list[str]]:
     """Return the digests of definitions and of all that they refer to, by their full names."""
-    found: dict[str, list[str]] = {}
+    digests: dict[str, list[str]] = {}
     waiting = list(names)
-    kept = _open_kept(find_trusted_folder())
+    sources = _open_kept(find_trusted_folder())
     while waiting:
-        for module, name, source in _resolve(waiting.pop(), kept):
+        for module, name, source in _resolve(waiting.pop(), sources):
             full_name = f"{module}.{name}"
-            if full_name not in found:
+            if full_name not in digests:
                 statements = source.definitions[name]
-                found[full_name] = [digest for digest, _ in statements]
+                digests[full_name] = [digest for digest, _ in statements]
                 waiting += [each for _, reads in statements for read in reads for each in _locate(module, source, read)]
-    kept.write()
-    return found
+    sources.write()
+    return digests
 
 
-def _resolve(full_name: str, kept: _Kept) -> Iterator[tuple[str, str, Source]]:
+def _resolve(full_name: str, sources: _Kept) -> Iterator[tuple[str, str, Source]]:
     """Yield module, name and source of the definitions that a full name means; nothing for names of no module."""
     module, rest = full_name, ""
     while (path := _find_file(module)) is None:
@@ -79,22 +79,22 @@ def _resolve(full_name: str, kept: _Kept) -> Iterator[tuple[str, str, Source]]:
         rest = f"{last}.{rest}" if rest else last
         if not module:
             return
-    source = kept.fetch(path)
+    source = sources.fetch(path)
     if full_name == module:
         for name in [*source.definitions, *source.imports]:
-            yield from _resolve(f"{module}.{name}", kept)
+            yield from _resolve(f"{module}.{name}", sources)
     first, _, beyond = rest.partition(".")
     if first in source.definitions:
         yield module, first, source
     for target in source.imports.get(first, []):
-        yield from _resolve(f"{target}.{beyond}" if beyond else target, kept)
+        yield from _resolve(f"{target}.{beyond}" if beyond else target, sources)
 
 
 def _locate(module: str, source: Source, read: str) -> list[str]:
     """Return the full names that a dotted name may mean in the code of a module."""
     first, _, beyond = read.partition(".")
-    found = [f"{target}.{beyond}" if beyond else target for target in source.imports.get(first, [])]
-    return [*found, f"{module}.{first}"] if first in source.definitions else found
+    targets = [f"{target}.{beyond}" if beyond else target for target in source.imports.get(first, [])]
+    return [*targets, f"{module}.{first}"] if first in source.definitions else targets
 
 
 def take_apart(text: str) -> Source:
@@ -188,7 +188,7 @@ class _Kept:
             # A file that cannot be trusted or read is written anew.
             with suppress(OSError, ValueError, TypeError, AttributeError, RecursionError):
                 text, _ = read_trusted(self._path, MAX_FILE_BYTES)
-                self._known = {key: _check_source(*told) for key, told in json.loads(text).items()}
+                self._known = {key: _check_source(*source) for key, source in json.loads(text).items()}
 
     def fetch(self, path: Path) -> Source:
         """Return the module of a file."""
@@ -203,8 +203,8 @@ class _Kept:
         """Write the file if a module was taken apart. Without a folder, or if writing fails, nothing is remembered."""
         if self._changed and self._path is not None:
             newest = dict(list(self._known.items())[-_MAX_KEPT_MODULES:])
-            told = {key: [source.definitions, source.imports] for key, source in newest.items()}
-            write_whole(self._path, json.dumps(told).encode())
+            written = {key: [source.definitions, source.imports] for key, source in newest.items()}
+            write_whole(self._path, json.dumps(written).encode())
             self._changed = False
 
 
@@ -213,7 +213,7 @@ _open_kept = cache(_Kept)
 
 def _check_source(definitions: Any, imports: Any) -> Source:
     """Return a module as it was kept; raise ValueError if the file holds anything else."""
-    statements = [each for name, told in definitions.items() for each in told]
+    statements = [each for name, parts in definitions.items() for each in parts]
     if not all(isinstance(digest, str) and _are_texts(reads) for digest, reads in statements):
         raise ValueError(statements)
     if not all(map(_are_texts, imports.values())):

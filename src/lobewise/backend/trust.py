@@ -23,31 +23,31 @@ def find_folder_problem(folder: Path) -> str:
     if os.name != "posix":
         return ""
     real = Path(os.path.realpath(folder))
-    for each in (real, *real.parents):
+    for part in (real, *real.parents):
         try:
-            found = each.lstat()
+            status = part.lstat()
         except FileNotFoundError:
             continue
         except OSError as problem:
-            return f"{str(each)!r} cannot be examined ({problem.strerror})"
-        if not stat.S_ISDIR(found.st_mode):
-            return f"{str(each)!r} is not a folder"
-        told = find_problem(found)
-        is_sticky = each != real and bool(found.st_mode & stat.S_ISVTX) and _is_own(found)
-        if told and not is_sticky:
-            return f"{str(each)!r} {told}"
+            return f"{str(part)!r} cannot be examined ({problem.strerror})"
+        if not stat.S_ISDIR(status.st_mode):
+            return f"{str(part)!r} is not a folder"
+        problem_of_part = find_problem(status)
+        is_sticky = part != real and bool(status.st_mode & stat.S_ISVTX) and _is_own(status)
+        if problem_of_part and not is_sticky:
+            return f"{str(part)!r} {problem_of_part}"
     return ""
 
 
-def find_problem(found: os.stat_result) -> str:
+def find_problem(status: os.stat_result) -> str:
     """Return why a file or folder of this status cannot be trusted, or an empty text."""
     if os.name != "posix":
         return ""
-    if not _is_own(found):
-        return f"belongs to another user (number {found.st_uid})"
-    if found.st_mode & WRITABLE_BY_OTHERS:
+    if not _is_own(status):
+        return f"belongs to another user (number {status.st_uid})"
+    if status.st_mode & WRITABLE_BY_OTHERS:
         return "can be written by every user"
-    if found.st_mode & WRITABLE_BY_GROUP and not _is_private_group(found.st_gid):
+    if status.st_mode & WRITABLE_BY_GROUP and not _is_private_group(status.st_gid):
         return "can be written by a group of users"
     return ""
 
@@ -65,15 +65,15 @@ def read_trusted(path: Path, limit: int) -> tuple[bytes, str]:
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     descriptor = os.open(path, flags)
     with os.fdopen(descriptor, "rb") as file:
-        found = os.fstat(file.fileno())
-        if not stat.S_ISREG(found.st_mode) or found.st_size > limit:
+        status = os.fstat(file.fileno())
+        if not stat.S_ISREG(status.st_mode) or status.st_size > limit:
             raise OSError(f"{path} is no file of at most {limit} bytes")
-        problem = find_problem(found)
+        problem = find_problem(status)
         return (b"", problem) if problem else (file.read(limit + 1), "")
 
 
-def _is_own(found: os.stat_result) -> bool:
-    return found.st_uid in (0, os.geteuid())
+def _is_own(status: os.stat_result) -> bool:
+    return status.st_uid in (0, os.geteuid())
 
 
 def _is_private_group(group: int) -> bool:
@@ -82,7 +82,7 @@ def _is_private_group(group: int) -> bool:
     import pwd
 
     try:
-        user, found = pwd.getpwuid(os.geteuid()), grp.getgrgid(group)
+        user, group_entry = pwd.getpwuid(os.geteuid()), grp.getgrgid(group)
     except KeyError:
         return False
-    return user.pw_gid == group and user.pw_name == found.gr_name and set(found.gr_mem) <= {user.pw_name}
+    return user.pw_gid == group and user.pw_name == group_entry.gr_name and set(group_entry.gr_mem) <= {user.pw_name}

@@ -92,8 +92,8 @@ def pixels(
     InputError
         If the images differ in size.
     """
-    found: Any = _current.engine.pixels(define, images, numbers, options, names, into, text)
-    return tuple(found)
+    outputs: Any = _current.engine.pixels(define, images, numbers, options, names, into, text)
+    return tuple(outputs)
 
 
 def kernel(
@@ -128,10 +128,10 @@ def kernel(
         For recorded plans: names of the outputs, and what the call does.
     """
     engine = _current.engine
-    found: Any = engine.kernel(
+    outputs: Any = engine.kernel(
         key, make, images, numbers or {}, names or {}, text, strict=strict, sizes=sizes or {}, into=into
     )
-    return dict(found)
+    return dict(outputs)
 
 
 def planes(
@@ -275,8 +275,8 @@ def in_bands(
     of as many rows. ``finish`` takes these images, cut to the band, and returns an image. A recorded recipe gathers the
     whole image at once.
     """
-    given = {name: image for name, image in images.items() if image is not None}
-    return _current.engine.in_bands(gather, finish, given, rows, reach)
+    present = {name: image for name, image in images.items() if image is not None}
+    return _current.engine.in_bands(gather, finish, present, rows, reach)
 
 
 def chain(

@@ -230,12 +230,12 @@ class Here:
         reach: int,
     ) -> HostImage:
         """See `lobewise.engine.in_bands`."""
-        height, found = len(next(iter(images.values()))), []
+        height, bands = len(next(iter(images.values()))), []
         for top in range(0, height, rows):
             first, bottom = max(top - reach, 0), min(top + rows, height)
             gathered = gather({name: image[first : bottom + reach] for name, image in images.items()})
-            found.append(finish({name: image[top - first : bottom - first] for name, image in gathered.items()}))
-        return np.concatenate(found)
+            bands.append(finish({name: image[top - first : bottom - first] for name, image in gathered.items()}))
+        return np.concatenate(bands)
 
     def chain(
         self,
@@ -251,13 +251,13 @@ class Here:
         texts: tuple[str, str],
     ) -> HostImage:
         """See `lobewise.engine.chain`."""
-        height, found = len(next(iter(images.values()))), []
+        height, parts = len(next(iter(images.values()))), []
         for top in range(0, height, rows):
             part = {each: image[top : top + rows] for each, image in images.items()}
             (between,) = self.pixels(define, part, numbers)
             (result,) = self.host.kernel(key, make, {name: between, **arrays}, {}).values()
-            found.append(np.asarray(result))
-        return np.concatenate(found)
+            parts.append(np.asarray(result))
+        return np.concatenate(parts)
 
     def compare(self, first: float, sign: str, second: float) -> bool:
         """See `lobewise.engine.compare`."""

@@ -43,14 +43,14 @@ def plan_memory(graph: Graph, share: float) -> MemoryPlan:
     sizes: list[float] = []
     free_from: list[int] = []
     slots: dict[str, int] = {}
-    for image, (first, last) in sorted(spans.items(), key=lambda each: each[1][0]):
+    for image, (first, last) in sorted(spans.items(), key=lambda span: span[1][0]):
         need = image.count_bytes(share)
         free = [slot for slot, start in enumerate(free_from) if start <= first]
         fitting = [slot for slot in free if sizes[slot] >= need]
         if fitting:
-            slot = min(fitting, key=lambda each: sizes[each])
+            slot = min(fitting, key=lambda span: sizes[span])
         elif free:
-            slot = max(free, key=lambda each: sizes[each])
+            slot = max(free, key=lambda span: sizes[span])
             sizes[slot] = need
         else:
             slot = len(sizes)
@@ -58,8 +58,8 @@ def plan_memory(graph: Graph, share: float) -> MemoryPlan:
             free_from.append(0)
         free_from[slot] = last + 1
         slots[image.name] = slot
-    kept = sum(each.count_bytes(share) for pair in graph.kept for each in pair)
-    return MemoryPlan(slots, len(sizes), sum(sizes), kept)
+    state_bytes = sum(span.count_bytes(share) for pair in graph.kept for span in pair)
+    return MemoryPlan(slots, len(sizes), sum(sizes), state_bytes)
 
 
 def find_spans(graph: Graph) -> dict[Image, tuple[int, int]]:

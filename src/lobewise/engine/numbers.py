@@ -147,7 +147,7 @@ def square_single(value: float) -> Any:
     return Number(float(single * single), f"(double)((float){value.code} * (float){value.code})", is_single=True)
 
 
-def choose_given(given: Number, automatic: float) -> Number:
+def choose_given(setting: Number, automatic: float) -> Number:
     """Return a setting where the user of the pipeline gave one (it is above 0), else its automatic value."""
-    value = float(given) if given > 0.0 else float(automatic)
-    return Number(value, f"({given.code} > 0.0 ? {given.code} : {write_number(automatic)})")
+    value = float(setting) if setting > 0.0 else float(automatic)
+    return Number(value, f"({setting.code} > 0.0 ? {setting.code} : {write_number(automatic)})")

@@ -43,15 +43,15 @@ def find_halves(frame: Frame, lights: Mapping[str, FloatArray]) -> Halves:
         The radiance of layers by name: those that the frame names itself, or fields of `lobewise.Radiance`.
     """
     if frame.layers:
-        wanted = {layer.name: (layer.half_a, layer.half_b) for layer in frame.layers}
+        pairs = {layer.name: (layer.half_a, layer.half_b) for layer in frame.layers}
     else:
-        wanted = {name: (getattr(frame.half_a, name, None), getattr(frame.half_b, name, None)) for name in lights}
-    if all(half is not None for pair in wanted.values() for half in pair):
-        pairs = {
+        pairs = {name: (getattr(frame.half_a, name, None), getattr(frame.half_b, name, None)) for name in lights}
+    if all(half is not None for pair in pairs.values() for half in pair):
+        good = {
             name: (mark_bad(a, name=f"{name}_a"), mark_bad(b, name=f"{name}_b"))  # type: ignore[arg-type]
-            for name, (a, b) in wanted.items()
+            for name, (a, b) in pairs.items()
         }
-        return Halves(pairs, "file")
+        return Halves(good, "file")
     return Halves({name: split_checkerboard(light, name=name) for name, light in lights.items()}, "neighbours")
 
 

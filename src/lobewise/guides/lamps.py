@@ -69,8 +69,8 @@ def keep_lamps(frame: Frame) -> tuple[Frame, int]:
 
 def describe_lamps(count: int) -> tuple[str, ...]:
     """Return the sentence on the pixels that `keep_lamps` found, if there are any."""
-    told = f"{count} pixels show lamps, or something as bright and without noise, and pass as they are."
-    return (told,) if count else ()
+    sentence = f"{count} pixels show lamps, or something as bright and without noise, and pass as they are."
+    return (sentence,) if count else ()
 
 
 def lift_albedo(albedo: FloatArray) -> FloatArray:
@@ -128,9 +128,9 @@ def _find_smooth(light: FloatArray) -> Mask:
 
 def _outshine(bright: FloatArray, around: FloatArray, candidates: Mask, factor: float) -> Mask:
     """Return which candidates are ``factor`` times as bright as enough of the means around them."""
-    found = np.zeros_like(candidates)
+    outshining = np.zeros_like(candidates)
     level = np.floor(np.log(np.maximum(bright, 1e-30)) / np.log(LEVEL_RATIO)).astype(int)
-    for each in np.unique(level[candidates]):
-        share = average_square((around < LEVEL_RATIO**each / factor).astype(np.float32), COMPARED_RADIUS)
-        found |= candidates & (level == each) & (share >= MIN_DARKER_SHARE)
-    return found
+    for candidate_level in np.unique(level[candidates]):
+        share = average_square((around < LEVEL_RATIO**candidate_level / factor).astype(np.float32), COMPARED_RADIUS)
+        outshining |= candidates & (level == candidate_level) & (share >= MIN_DARKER_SHARE)
+    return outshining

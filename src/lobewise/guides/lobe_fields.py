@@ -174,8 +174,8 @@ def spread_lobes(field: Field) -> Field:
     shapes = {name: getattr(field, name) for name in SHAPES[type(field)]}
     images = {"valid": field.valid, "axis": field.axis, **shapes}
     names = [f"wide_{name}" for name in shapes]
-    found = engine.pixels(define_spread, images, {}, names=names, text="lobes of pixel areas")
-    return replace(field, **dict(zip(shapes, found, strict=True)))
+    spread = engine.pixels(define_spread, images, {}, names=names, text="lobes of pixel areas")
+    return replace(field, **dict(zip(shapes, spread, strict=True)))
 
 
 SHAPES: dict[type, tuple[str, ...]] = {SgField: ("sharpness",), CovarianceField: ("covariance", "determinant")}
@@ -374,8 +374,8 @@ def find_lobe(grid: Grid, similarity: str) -> tuple[hl.Expr, list[hl.Expr], list
         lambert = surface & (kind == hl.f32(LobeKind.NONE)) & fallback
     # Store the choice and the lobe once per row: otherwise each output would compute them again from all guides.
     which = hl.select(specular, hl.u8(SPECULAR_LOBE), lambert, hl.u8(LAMBERT_LOBE), hl.u8(NO_LOBE))
-    which, *kept = grid.share([which, *axis, *shape])
-    axis, shape = kept[:3], kept[3:]
+    which, *shared = grid.share([which, *axis, *shape])
+    axis, shape = shared[:3], shared[3:]
     grid.is_shared = True
 
     def choose(value: hl.Expr, diffuse: hl.Expr, harmless: float) -> hl.Expr:

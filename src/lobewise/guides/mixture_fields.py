@@ -149,11 +149,11 @@ def _read_tables(gbuffer: GBuffer, camera: Camera, tables: Sequence[LobeTable]) 
                 continue
             view = -rays[chunk][here] if position is None else normalize(eye - position[chunk][here])
             tangent = None if gbuffer.tangent is None or table.is_isotropic else gbuffer.tangent[chunk][here]
-            found = evaluate_table(table, normalize(normal[chunk][here]), view, tangent)
+            mixture = evaluate_table(table, normalize(normal[chunk][here]), view, tangent)
             # The isotropic Gaussian with the area of the anisotropic one has twice the mean sharpness (geometric).
-            sharpness = 2.0 * np.sqrt(found.sharpness[..., 0] * found.sharpness[..., 1])
+            sharpness = 2.0 * np.sqrt(mixture.sharpness[..., 0] * mixture.sharpness[..., 1])
             for k in range(table.lobe_count):
-                values = *np.moveaxis(found.axis[:, k], -1, 0), sharpness[:, k], found.amplitude[:, k]
+                values = *np.moveaxis(mixture.axis[:, k], -1, 0), sharpness[:, k], mixture.amplitude[:, k]
                 for plane, value in zip(planes[k], values, strict=True):
                     plane[chunk][here] = value
 
@@ -178,16 +178,16 @@ def define_mixture(grid: Grid, lobes: int) -> list[Vector]:
     zero = hl.f32(0.0)
     sums = [hl.select(has, x + y + z + value, zero) for has, (x, y, z, _, value) in zip(there, mixture, strict=True)]
     finite = is_finite(sum(sums[1:], sums[0]))
-    kept = [
+    values = [
         hl.select(has & finite, value, hl.f32(absent))
         for has, lobe in zip(there, mixture, strict=True)
         for value, absent in zip(lobe, ABSENT, strict=True)
     ]
-    valid, *kept = grid.share([hl.u8(finite & reduce(or_, there)), *kept])
-    each = [kept[k : k + 5] for k in range(0, len(kept), 5)]
-    own_axes = each if grid.has("diffuse_albedo") or grid.has("table_channel0") else each[:1]
+    valid, *values = grid.share([hl.u8(finite & reduce(or_, there)), *values])
+    lobe_values = [values[k : k + 5] for k in range(0, len(values), 5)]
+    own_axes = lobe_values if grid.has("diffuse_albedo") or grid.has("table_channel0") else lobe_values[:1]
     axes = [value for lobe in own_axes for value in lobe[:3]]
-    return [[valid], axes, [lobe[3] for lobe in each], [lobe[4] for lobe in each]]
+    return [[valid], axes, [lobe[3] for lobe in lobe_values], [lobe[4] for lobe in lobe_values]]
 
 
 def _find_specular(grid: Grid, lobes: int) -> tuple[hl.Expr, list[Vector]]:

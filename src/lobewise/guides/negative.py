@@ -109,26 +109,26 @@ def _split_image(image: FloatArray, below: Sequence[FloatArray] = ()) -> Split:
 
 
 def _split_all(images: Mapping[str, FloatArray]) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
-    found = {name: _split_image(image) for name, image in images.items()}
-    return {name: above for name, (above, _) in found.items()}, {name: below for name, (_, below) in found.items()}
+    splits = {name: _split_image(image) for name, image in images.items()}
+    return {name: above for name, (above, _) in splits.items()}, {name: below for name, (_, below) in splits.items()}
 
 
 def _split_radiance(
     radiance: Radiance, halves: Sequence[Radiance] = (), layers: Sequence[tuple[RadianceLayer, RadianceLayer]] = ()
 ) -> tuple[Radiance, Radiance]:
     """Return radiance without light below 0, and this light: the total has that of its parts, so that sums hold."""
-    found: dict[str, Split] = {}
+    splits: dict[str, Split] = {}
     for name in (name for name in _PARTS if getattr(radiance, name) is not None):
         below = [getattr(half, name) for half in halves if getattr(half, name) is not None]
         mine = [layer.radiance for _, layer in layers if layer.is_diffuse == (name == "diffuse")]
         if name in _PARTS[:2] and mine:
             below = [reduce(np.add, mine)]
-        found[name] = _split_image(getattr(radiance, name), below)
+        splits[name] = _split_image(getattr(radiance, name), below)
     if radiance.parts is None:
-        found["color"] = _split_image(radiance.color, [half.color for half in halves])
+        splits["color"] = _split_image(radiance.color, [half.color for half in halves])
     else:
-        found["color"] = _split_image(radiance.color, [found["diffuse"][1] + found["specular"][1]])
-    first, second = ({name: pair[side] for name, pair in found.items()} for side in (0, 1))
+        splits["color"] = _split_image(radiance.color, [splits["diffuse"][1] + splits["specular"][1]])
+    first, second = ({name: pair[side] for name, pair in splits.items()} for side in (0, 1))
     return Radiance(**first), Radiance(**second)
 
 

@@ -120,12 +120,12 @@ def _advance(grid: Grid, state: Vector) -> list[hl.Expr]:
     # Nothing lies in front of the background.
     behind = hl.select(is_surface_depth(depth), hl.sqrt(dot(away, away)) - depth, hl.f32(-1e30))
     runs = length > zero
-    found = runs & seen & (behind > zero) & (behind < hl.f32(MAX_BEHIND) * step)
+    hits = runs & seen & (behind > zero) & (behind < hl.f32(MAX_BEHIND) * step)
     before = hl.select(gap > hl.f32(-1e29), hl.min(gap, zero), -step)
     share = hl.clamp(-before / hl.max(behind - before, hl.f32(1e-12)), zero, one)
-    stops = found | ~seen
+    stops = hits | ~seen
     return [
-        hl.select(found, length + share * step, hit),
+        hl.select(hits, length + share * step, hit),
         hl.select(seen, behind, hl.f32(-1.0)),
         hl.select(runs & ~stops, ahead, hl.f32(-1.0)),
     ]

@@ -16,14 +16,14 @@ Array = TypeVar("Array", bound=NDArray[Any])
 
 def find_largest(image: Array, radius: int) -> Array:
     """Return the maximum over the square from ``radius`` pixels before each pixel to ``radius`` pixels after it."""
-    found: Array = _join(image, radius, np.maximum, "edge")
-    return found
+    largest: Array = _join(image, radius, np.maximum, "edge")
+    return largest
 
 
 def sum_square(image: Array, radius: int) -> Array:
     """Return the sum over the same square."""
-    found: Array = _join(image, radius, np.add, "constant")
-    return found
+    sums: Array = _join(image, radius, np.add, "constant")
+    return sums
 
 
 def count_neighbours(mask: NDArray[np.bool_], radius: int) -> NDArray[np.intp]:

@@ -54,17 +54,17 @@ def stand_in_normals(frame: FrameT) -> tuple[FrameT, tuple[str, ...]]:
     if guides.normal is not None:
         return frame, ()
     if camera is not None and guides.is_placed:
-        normal, told = compute_surface_normals(_find_positions(guides, camera, frame.shape), camera), FROM_PLACES
+        normal, note = compute_surface_normals(_find_positions(guides, camera, frame.shape), camera), FROM_PLACES
     else:
         normal = np.zeros((*frame.shape, 3), np.float32)
         normal[..., 2] = 1.0
         albedos = (guides.diffuse_albedo, guides.specular_albedo)
-        told = IMAGE_ALONE if frame.radiance.parts is None and not any(a is not None for a in albedos) else ALIKE
+        note = IMAGE_ALONE if frame.radiance.parts is None and not any(a is not None for a in albedos) else ALIKE
     filled = replace(frame, gbuffer=replace(guides, normal=normal))
     if not isinstance(filled, Frame):
-        return filled, (told,)
-    kept, count = keep_lamps(filled)
-    return replace(filled, gbuffer=kept.gbuffer), (told, *describe_lamps(count))
+        return filled, (note,)
+    with_lamps, count = keep_lamps(filled)
+    return replace(filled, gbuffer=with_lamps.gbuffer), (note, *describe_lamps(count))
 
 
 def stand_in_surfaces(frame: FrameT) -> tuple[FrameT, tuple[str, ...]]:
@@ -98,9 +98,9 @@ def stand_in_surfaces(frame: FrameT) -> tuple[FrameT, tuple[str, ...]]:
         if "depth" in guides:
             guides["depth"] = np.where(left, far, guides["depth"])
     share = float(np.mean(unknown))
-    told = f"{100.0 * share:.2g} % of the pixels have scattered light but no surface, as in fog: near ones stand in."
+    note = f"{100.0 * share:.2g} % of the pixels have scattered light but no surface, as in fog: near ones stand in."
     filled = replace(frame, gbuffer=replace(frame.gbuffer, **guides))
-    return filled, (told,) if share >= MIN_SHARE_NAMED else ()
+    return filled, (note,) if share >= MIN_SHARE_NAMED else ()
 
 
 def _find_unknown(frame: Frame, known: NDArray[np.bool_]) -> NDArray[np.bool_] | None:

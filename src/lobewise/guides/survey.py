@@ -106,11 +106,11 @@ class GuideSurvey:
     def empty(self) -> tuple[str, ...]:
         """Names of the guides that hold nothing."""
         zero = {name for name, look in self._looks.items() if look.is_zero}
-        found = [name for name in self._looks if name in zero and self._looks[name].has_light]
+        names = [name for name in self._looks if name in zero and self._looks[name].has_light]
         if not self._is_apart and any(name in self._looks and name not in zero for name in LOBE_ALBEDOS):
             # Of two albedos of one light, one may be black, as in a scene of metals.
-            found = [name for name in found if name.removeprefix("mean_") not in LOBE_ALBEDOS]
-        return tuple(found)
+            names = [name for name in names if name.removeprefix("mean_") not in LOBE_ALBEDOS]
+        return tuple(names)
 
     @property
     def is_encoded(self) -> bool:
@@ -191,17 +191,17 @@ def _list_lights(frame: AnyFrame) -> Iterator[tuple[str, Sequence[FloatArray]]]:
         yield _name_layer(layer.name), [layer.radiance]
 
 
-def _add_normals(found: _Encoding, normal: FloatArray) -> None:
+def _add_normals(encoding: _Encoding, normal: FloatArray) -> None:
     """Add the normals of a band. Pixels that are black, or the gray that encodes 0, show no surface."""
     for part in (normal[::STRIDE, ::STRIDE], normal):
         if not (part.min() >= -MAX_ROUNDING_ERROR and part.max() <= 1.0 + MAX_ROUNDING_ERROR):
-            found.is_possible = False
+            encoding.is_possible = False
             return
     decoded = 2.0 * normal.astype(np.float64) - 1.0
     there = (normal != 0.0).any(axis=-1) & ~(np.abs(decoded) < 0.02).all(axis=-1)
-    found.count += int(np.count_nonzero(there))
-    found.plain += _count_unit(normal[there])
-    found.decoded += _count_unit(decoded[there])
+    encoding.count += int(np.count_nonzero(there))
+    encoding.plain += _count_unit(normal[there])
+    encoding.decoded += _count_unit(decoded[there])
 
 
 def _count_unit(normals: FloatArray) -> int:

@@ -98,10 +98,10 @@ def check_guides(frame: FrameT) -> CheckedGuides[FrameT]:
         unusable = tuple(map(str, find_unusable(frame)))
         frame = bound_guides(frame)
     seen = frame.gbuffer
-    frame, told = stand_in_normals(frame)
-    frame, more = stand_in_surfaces(frame)
+    frame, normal_notes = stand_in_normals(frame)
+    frame, surface_notes = stand_in_surfaces(frame)
     idle = tuple(survey.list_idle())
-    return CheckedGuides(frame, (*idle, *survey.list_notes(), *unusable, *told, *more), idle, seen)
+    return CheckedGuides(frame, (*idle, *survey.list_notes(), *unusable, *normal_notes, *surface_notes), idle, seen)
 
 
 def has_unusable(frame: AnyFrame) -> bool:
@@ -137,12 +137,12 @@ def find_unusable(frame: AnyFrame, rows: slice = slice(None)) -> list[Unusable]:
     return [each for each in _list_unusable(frame, rows) if each.count]
 
 
-def join_unusable(found: Sequence[Unusable]) -> list[Unusable]:
+def join_unusable(parts: Sequence[Unusable]) -> list[Unusable]:
     """Return findings from several bands of an image with the counts of equal findings summed up."""
     sums: dict[tuple[str, str], Unusable] = {}
-    for each in found:
-        key = each.name, each.what
-        sums[key] = replace(each, count=each.count + (sums[key].count if key in sums else 0))
+    for part in parts:
+        key = part.name, part.what
+        sums[key] = replace(part, count=part.count + (sums[key].count if key in sums else 0))
     return list(sums.values())
 
 

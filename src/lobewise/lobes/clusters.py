@@ -147,7 +147,7 @@ def evaluate_lobe(xp: Namespace, offset: tuple[Any, Any], lobe: Vector, light: V
     """
     exponents, weights = GGX_MIXTURES[GGX_SHARES]
     total = sum(weight / exponent for weight, exponent in zip(weights, exponents, strict=True))
-    found: Any = 0.0
+    value: Any = 0.0
     for number, (exponent, weight) in enumerate(zip(exponents, weights, strict=True)):
         narrower = xp.where(beckmann, 1.0, xp.number(1.0 / exponent))
         share = xp.where(beckmann, 1.0 if number == 0 else 0.0, xp.number(weight / exponent / total))
@@ -155,8 +155,8 @@ def evaluate_lobe(xp: Namespace, offset: tuple[Any, Any], lobe: Vector, light: V
         determinant = _find_determinant(xp, xx, xy, yy)
         x, y = offset
         square = (x * x * yy - 2.0 * (x * y) * xy + y * y * xx) / determinant
-        found = found + share * _exp(xp, -0.5 * square) / (xp.number(2.0 * math.pi) * xp.sqrt(determinant))
-    return found
+        value = value + share * _exp(xp, -0.5 * square) / (xp.number(2.0 * math.pi) * xp.sqrt(determinant))
+    return value
 
 
 def bound_lobe(xp: Namespace, offset: tuple[Any, Any], lobe: Vector, variance: Any) -> Any:

@@ -115,8 +115,8 @@ def _look(gbuffer: GBuffer, camera: Camera, name: str) -> _View:
     else:
         assert gbuffer.position is not None
         # Files without depths store the position 0 for the background.
-        found = gbuffer.position.any(axis=-1)
-        depth = np.where(found, np.linalg.norm(gbuffer.position - camera.position, axis=-1), 0.0).astype(np.float32)
+        surface = gbuffer.position.any(axis=-1)
+        depth = np.where(surface, np.linalg.norm(gbuffer.position - camera.position, axis=-1), 0.0).astype(np.float32)
     position = gbuffer.position if gbuffer.position is not None else camera.make_positions(depth)
     # Replace values of the background that are not finite.
     depth = np.where(np.isfinite(depth) & np.isfinite(position).all(axis=-1), depth, np.float32(0))

@@ -12,9 +12,9 @@ from lobewise.settings import DenoiseSettings
 from lobewise.streaming.plan import MEASURED_ROWS, cut_bands
 
 
-def require_bands(source: PathLike, asked: DenoiseSettings, rows: int | None, memory: float) -> None:
+def require_bands(source: PathLike, settings: DenoiseSettings, rows: int | None, memory: float) -> None:
     """Raise InputError if a file cannot be denoised in bands with these arguments of `denoise_file`."""
-    if asked.asks_for_oidn:
+    if settings.asks_for_oidn:
         raise InputError(
             "with_oidn",
             expected="False for bands, because Open Image Denoise sees whole images",

@@ -15,13 +15,13 @@ from lobewise.streaming.kept import KeptBands
 
 
 def finish_bands(
-    reader: BandReader, kept: KeptBands, writer: BandWriter, finisher: Finisher, gains: Sequence[Gain]
+    reader: BandReader, held: KeptBands, writer: BandWriter, finisher: Finisher, gains: Sequence[Gain]
 ) -> None:
     """Add the gain of every layer to the bands, fill their holes and hand them to the writer."""
     height, _ = reader.shape
     reader.forget(height)
     row = 0
-    for images in kept.read():
+    for images in held.read():
         holes, row = images.pop("holes"), row + len(images["color"])
         takers = [images.pop(f"taker{number}") for number in range(len(gains))]
         names = ("diffuse", "specular") if "diffuse" in images else ("color",)

@@ -35,10 +35,10 @@ class KeptBands:
     def read(self) -> Iterator[dict[str, NDArray[Any]]]:
         """Return the images of one band after the other."""
         for places in self._bands:
-            found = {}
+            images = {}
             for name, place in places.items():
                 self._file.seek(place.start)
                 image = np.empty(place.shape, place.dtype)
                 self._file.readinto(image.data.cast("B"))  # type: ignore[attr-defined]
-                found[name] = image
-            yield found
+                images[name] = image
+            yield images

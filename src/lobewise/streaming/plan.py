@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from lobewise.denoising.evidence import STRIP_ROWS
 from lobewise.denoising.inputs import Images, list_images
-from lobewise.denoising.plan import find_reach
+from lobewise.denoising.plan import GIB, find_reach
 from lobewise.filters.refinement.shape import MULTIPLE
 from lobewise.guides.negative import REACH as NEGATIVE_REACH
 from lobewise.guides.stand_ins import REACH as STAND_IN_REACH
@@ -15,7 +15,6 @@ from lobewise.io.exr.bands import BandReader
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_quality
 
-GIB = float(2**30)
 DEFAULT_MEMORY = 3.0
 """Memory that a band may take, GiB; program and kernels take more."""
 MAX_WHOLE_GIB = 4.0

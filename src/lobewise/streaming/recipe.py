@@ -185,14 +185,14 @@ def denoise_file(
         whole = measure().whole if guided else None
         share_bounded = find_energy_lost(measure().tallies) if guided else 0.0
         seen = _Seen(survey, share_bounded >= MIN_SHARE_BOUNDED, get_quality(chosen.quality).refines)
-        kept = KeptBands(waiting)
-        bad_count = _filter(reader, kept, _Settings(chosen, below), whole, bands, tell, seen)
+        held = KeptBands(waiting)
+        bad_count = _filter(reader, held, _Settings(chosen, below), whole, bands, tell, seen)
         with engine.on(chosen.device):
             losses = seen.find_losses()
-            finish_bands(reader, kept, writer, Finisher(lambda: measure().mean_color), [each.gain for each in losses])
+            finish_bands(reader, held, writer, Finisher(lambda: measure().mean_color), [each.gain for each in losses])
         writer.finish(output, asdict(chosen))
-    told = (*describe_lacks(probe, named), *describe_bad(bad_count, height * reader.shape[1]))
-    told = (*told, *measure().notes) if guided else told
+    notes = (*describe_lacks(probe, named), *describe_bad(bad_count, height * reader.shape[1]))
+    notes = (*notes, *measure().notes) if guided else notes
     return DenoisedFile(
         shape=reader.shape,
         bands=len(bands),
@@ -200,7 +200,7 @@ def denoise_file(
         energy_lost=find_share_missing(losses),
         settings=asdict(chosen),
         seconds=time.perf_counter() - start,
-        notes=seen.list_notes(reader, share_bounded, told),
+        notes=seen.list_notes(reader, share_bounded, notes),
         unused=list_unused(survey.apply(BandReader(source, lobe_tables=lobe_tables).read_frame(0, 1)), chosen),
         method=describe_method(chosen, ("normal",), why_ours=explain_ours(named, whole=False)),
     )
@@ -305,7 +305,7 @@ def _measure(
 
 def _filter(
     reader: BandReader,
-    kept: KeptBands,
+    held: KeptBands,
     settings: _Settings,
     whole: WholeImage | None,
     bands: Bands,
@@ -320,7 +320,7 @@ def _filter(
         top, bottom = widen(band, reach, height)
         core = slice(band[0] - top, band[1] - top)
         images, bad = _filter_band(reader, settings, whole, (top, bottom), core, seen)
-        kept.add(images)
+        held.add(images)
         bad_count += bad
         del images
         if number + 1 < len(bands):
@@ -351,16 +351,16 @@ def _filter_band(
         reader.forget(reader.shape[0])
     bad = find_bad_pixels(frame)
     with engine.on(settings.above.device):
-        found = filter_rows(frame, settings.above, (), bad, whole=whole)
-        _, holes = found.find_holes()
-    takers = found.find_takers()
-    seen.missing.append(found.sum_missing(takers, core))
+        band_result = filter_rows(frame, settings.above, (), bad, whole=whole)
+        _, holes = band_result.find_holes()
+    takers = band_result.find_takers()
+    seen.missing.append(band_result.sum_missing(takers, core))
     if seen.measures_light:
-        seen.light.append(sum_light(frame, found.image, bad, core))
+        seen.light.append(sum_light(frame, band_result.image, bad, core))
     if not get_quality(settings.above.quality).reads_halves:
         band = (rows[0] + core.start, rows[0] + core.stop)
-        seen.blurred.append(count_blurred(frame, found.image, band, rows[0], reader.shape[0]))
-    images: dict[str, NDArray[Any]] = {"holes": holes[core], **_name_fields(found, core)}
+        seen.blurred.append(count_blurred(frame, band_result.image, band, rows[0], reader.shape[0]))
+    images: dict[str, NDArray[Any]] = {"holes": holes[core], **_name_fields(band_result, core)}
     nothing = {f"below {field}": np.zeros_like(images[field]) for field in images if field != "holes"}
     if below is None:
         images |= nothing
@@ -373,11 +373,11 @@ def _filter_band(
     return images, int(np.count_nonzero(bad[core]))
 
 
-def _name_fields(found: Filtered, core: slice) -> dict[str, FloatArray]:
+def _name_fields(filtered: Filtered, core: slice) -> dict[str, FloatArray]:
     """Return the rows of ``core`` of the filtered images by their fields."""
-    images = {"color": found.image[core]}
-    if len(found.parts) == 2:
+    images = {"color": filtered.image[core]}
+    if len(filtered.parts) == 2:
         images |= {
-            field: blacken_bad(part[core]) for field, part in zip(("diffuse", "specular"), found.parts, strict=True)
+            field: blacken_bad(part[core]) for field, part in zip(("diffuse", "specular"), filtered.parts, strict=True)
         }
     return images
