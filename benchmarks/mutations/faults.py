@@ -193,7 +193,7 @@ INTERCHANGE = (
     Mutation(
         "light that a renderer stores without its colour stays without it",
         "interchange/lighting.py",
-        "factor = albedo if each.rule.times_albedo else None",
+        "factor = albedo if layer_pass.rule.times_albedo else None",
         "factor = None",
         ("interchange/test_replacing.py", "interchange/test_summary.py"),
     ),
@@ -327,8 +327,8 @@ FRONTENDS = (
     Mutation(
         "a farm takes a frame of other settings for done",
         "farm/ledger.py",
-        'and found.get("proof") == proof',
-        'and isinstance(found.get("proof"), str)',
+        'and record.get("proof") == proof',
+        'and isinstance(record.get("proof"), str)',
         ("farm/test_ledger.py",),
     ),
     Mutation(

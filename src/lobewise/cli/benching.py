@@ -58,27 +58,27 @@ def filters(
 
     folder = make_folder(output or DEFAULT_FOLDER)
     with Steps() as steps:
-        found = measure_filters(
+        measured = measure_filters(
             device, extent=QUICK if quick else FULL, progress=lambda done, total: steps.tell("Measuring", done, total)
         )
-    for section in make_sections(found):
+    for section in make_sections(measured):
         print_table(
             section.title, [name.replace(" faster than ", "\nfaster than ") for name in section.header], section.rows
         )
-    print_line(describe_machine_in_words(found))
-    for sentence in found["skipped"]:
+    print_line(describe_machine_in_words(measured))
+    for sentence in measured["skipped"]:
         print_note(f"Left out: {sentence}")
     try:
-        plots = draw_plots(found)
+        plots = draw_plots(measured)
     except MissingDependencyError as problem:
         plots = {}
         print_note(str(problem))
     for name, png in plots.items():
         with open_atomic(folder / f"{name}.png", what="plot") as stream:
             stream.write(png)
-    write_text(folder / "bench.json", to_json(found))
+    write_text(folder / "bench.json", to_json(measured))
     command = "lobewise bench" + " --quick" * quick + "".join(f" --device {name}" for name in device or ())
-    write_text(folder / "index.html", make_bench_page(found, plots, command))
+    write_text(folder / "index.html", make_bench_page(measured, plots, command))
     print_line(f"Wrote {folder / 'index.html'}: open it in a browser; figures and plots lie beside it.")
 
 
@@ -115,21 +115,21 @@ def interactive(
     if output is not None:
         require_writable(output)
         require_other_files([output], [scene])
-    asked: dict[str, Any] = {"similarity": similarity, "scale": scale}
+    options: dict[str, Any] = {"similarity": similarity, "scale": scale}
     with Steps() as steps:
-        found = measure_devices(
+        measured = measure_devices(
             [device] if device else None,
             scene=scene,
             sizes=[parse_size(text) for text in size or ("512x512", "1024x1024")],
             methods=method,
-            settings=InteractiveSettings(**asked),
+            settings=InteractiveSettings(**options),
             frames=frames,
             progress=lambda done, total: steps.tell("frames", done, total),
         )
-    for name, rows in found["devices"].items():
+    for name, rows in measured["devices"].items():
         _print_stages(name, rows)
     if output is not None:
-        write_text(output, to_json(found))
+        write_text(output, to_json(measured))
         print_line(f"Wrote {output}")
 
 

@@ -147,24 +147,24 @@ def inspect(
     if settings:
         names = ", ".join(f"--{name.replace('_', '-')}" for name in settings)
         raise InputError(names, expected="--plan beside it", got="none", action="add --plan")
-    found, imported = inspect_file(
+    description, imported = inspect_file(
         source, **reading.parse(), half=reading.half, also=reading.also or (), all_layers=reading.all_layers
     )
     if page is not None:
-        write_contents(page, source, found, reading)
+        write_contents(page, source, description, reading)
     method = ""
-    if found.outputs and not found.refusals:
+    if description.outputs and not description.refusals:
         method, notes = foretell_file(source, reading, imported)
-        found = replace(found, notes=(*found.notes, *notes))
+        description = replace(description, notes=(*description.notes, *notes))
     if as_json:
-        typer.echo(to_json({**asdict(found), "method": method}), nl=False)
+        typer.echo(to_json({**asdict(description), "method": method}), nl=False)
         return
-    print_summary(found, method, reading.list_words())
+    print_summary(description, method, reading.list_words())
     if everything or attributes:
-        print_description(found, with_attributes=attributes)
+        print_description(description, with_attributes=attributes)
 
 
-def write_contents(page: Path, source: Path, found: FileDescription, reading: PassReading) -> None:
+def write_contents(page: Path, source: Path, description: FileDescription, reading: PassReading) -> None:
     """Write the page of a file's images."""
     from lobewise.cli.output import print_note
     from lobewise.interchange import import_file
@@ -174,7 +174,7 @@ def write_contents(page: Path, source: Path, found: FileDescription, reading: Pa
     require_writable(page)
     require_other_files([page], [source])
     frame = import_file(source, **reading.parse(), half=reading.half, also=reading.also or (), light_passes=True).frame
-    write_text(page, make_contents_page(found, frame))
+    write_text(page, make_contents_page(description, frame))
     print_note(f"Wrote {page}.")
 
 
@@ -208,9 +208,9 @@ def read_planned(
     if choose_bands(source, "auto", settings, needs_whole):
         reader = BandReader(source)
         return CheckedGuides(reader.read_frame(0, 1)), reader.shape[0]
-    found = import_file(source, **reading.parse(), half=reading.half, also=reading.also or (), light_passes=True)
-    refuse_results(source, found.findings)
-    return check_import(found, DenoiseSettings(**settings)), None
+    imported = import_file(source, **reading.parse(), half=reading.half, also=reading.also or (), light_passes=True)
+    refuse_results(source, imported.findings)
+    return check_import(imported, DenoiseSettings(**settings)), None
 
 
 def print_plan(source: Path, reading: PassReading, settings: dict[str, Any]) -> None:

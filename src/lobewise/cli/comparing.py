@@ -68,14 +68,14 @@ def compare(
         _require_page(page, inputs, are_sequences=are_sequences)
     metrics, missing = _list_metrics()
     if are_sequences:
-        found = _compare_sequences(images, reference, guides, metrics)
+        compared = _compare_sequences(images, reference, guides, metrics)
     else:
-        found = _compare_files(images, reference, metrics)
+        compared = _compare_files(images, reference, metrics)
     if missing:
         print_note(missing)
     if page is not None:
         _write_page(page, images, reference)
-    text = to_json(found)
+    text = to_json(compared)
     if to_terminal:
         typer.echo(text, nl=False)
         return
@@ -84,8 +84,8 @@ def compare(
     title = str(reference)
     if are_sequences:
         metrics += ["flicker", "ghosting"]
-        title += f", {len(found['frames'])} frame{'s' if len(found['frames']) > 1 else ''}"
-    print_comparison(title, metrics, [(row["path"], row) for row in found["images"]])
+        title += f", {len(compared['frames'])} frame{'s' if len(compared['frames']) > 1 else ''}"
+    print_comparison(title, metrics, [(row["path"], row) for row in compared["images"]])
 
 
 def _require_page(page: Path, inputs: Sequence[Path], *, are_sequences: bool) -> None:
@@ -273,12 +273,12 @@ def _measure_file(path: Path, reference: Path, measure: Callable[[FloatArray], d
 def _require_numbers(pattern: FramePattern, numbers: list[int], *, allow_more: bool = False) -> None:
     """Raise InputError unless a sequence has the frames of these numbers, and without ``allow_more`` no others."""
     here = {number for number, _ in pattern.find()}
-    missing, more = sorted(set(numbers) - here), sorted(here - set(numbers))
-    if missing or (more and not allow_more):
+    missing, surplus = sorted(set(numbers) - here), sorted(here - set(numbers))
+    if missing or (surplus and not allow_more):
         raise InputError(
             f"sequence {str(pattern)!r}",
             expected="the frame numbers of the reference",
-            got=f"no {pattern.name(missing[0]).name!r}" if missing else f"{pattern.name(more[0]).name!r} as well",
+            got=f"no {pattern.name(missing[0]).name!r}" if missing else f"{pattern.name(surplus[0]).name!r} as well",
             action="compare the same frames of both",
         )
 
@@ -323,10 +323,10 @@ def _find_lacking(path: Path) -> str | None:
     """Return why the surfaces of a file cannot be found in another frame, None if they can."""
     from lobewise.io import describe_file
 
-    found = describe_file(path)
-    if not any(image.found and image.label in ("depth.Z", "position.X/Y/Z") for image in found.images):
+    description = describe_file(path)
+    if not any(image.found and image.label in ("depth.Z", "position.X/Y/Z") for image in description.images):
         return "neither position nor depth"
-    return "no camera" if found.camera is None else None
+    return "no camera" if description.camera is None else None
 
 
 def _read_guides(path: Path) -> Guides:

@@ -113,8 +113,8 @@ def _export_page(output: Path, chain: str | None, settings: dict[str, Any], name
     from lobewise.cli.output import print_line
     from lobewise.exporting.shaders.web import export_web
 
-    given = {"chain": chain, "name": name, **settings}
-    unused = [each for each, value in given.items() if value is not None]
+    options = {"chain": chain, "name": name, **settings}
+    unused = [each for each, value in options.items() if value is not None]
     if unused:
         raise InputError(
             _name_option(unused[0]),

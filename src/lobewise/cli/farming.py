@@ -56,8 +56,8 @@ class FrameWork:
         before = set(remarks.told)
         by_name = {target.name(number): number for number in numbers}
 
-        def write(path: Path, result: Any, found: Any, _: Path) -> None:
-            verb.write(path, result, found)
+        def write(path: Path, result: Any, frame: Any, _: Path) -> None:
+            verb.write(path, result, frame)
             remarks.tell_result(result, by_name[path])
             done(by_name[path])
 
@@ -154,9 +154,9 @@ def _run_on_farm(job: Job, request: Request[Any, Any], fingerprint: str, farm: F
             remark=job.remarks.tell,
             progress=lambda waits, done, total: steps.tell(waits or filtering, done, total, unit="frames"),
         )
-    told = f"{report.written} of {report.frames} frames"
-    told += f"; the last: {report.last.last}" if report.last.last else ""
-    print_line(f"Wrote {job.output}: {told}.")
+    counted = f"{report.written} of {report.frames} frames"
+    counted += f"; the last: {report.last.last}" if report.last.last else ""
+    print_line(f"Wrote {job.output}: {counted}.")
     tell_picture(job.output, job.pictures)
     if job.verbose and report.last.settings:
         print_note(f"Settings: {report.last.settings}.")
@@ -175,11 +175,13 @@ def _tell_failures(report: FarmReport) -> None:
     """
     if not report.failures:
         return
-    for failure in sorted(report.failures, key=lambda each: each.numbers)[:MAX_FAILURES_NAMED]:
+    for failure in sorted(report.failures, key=lambda failed: failed.numbers)[:MAX_FAILURES_NAMED]:
         print_note(f"{name_frames(failure.numbers)}: {failure.problem}")
     numbers = sorted(number for failure in report.failures for number in failure.numbers)
-    told = f"{len(numbers)} of {report.frames} frames could not be filtered ({name_frames(numbers).lower()})"
+    sentence = f"{len(numbers)} of {report.frames} frames could not be filtered ({name_frames(numbers).lower()})"
     traces = [failure.trace for failure in report.failures if failure.trace]
     if traces:
-        raise RuntimeError(told) from RuntimeError(f"on a worker:\n{traces[0]}")
-    raise LobewiseError(f"{told}; mend what is said above and give the same command again, which filters only these.")
+        raise RuntimeError(sentence) from RuntimeError(f"on a worker:\n{traces[0]}")
+    raise LobewiseError(
+        f"{sentence}; mend what is said above and give the same command again, which filters only these."
+    )

@@ -126,8 +126,8 @@ class _Denoising:
             "--adaptive": self.reshading.share > 0.0,
             "--with-oidn": self.settings["with_oidn"] is True,
         }
-        given = [*(name for name, is_given in needs_whole.items() if is_given), self.reading.option]
-        return next(filter(None, [*given, self.writing.option]), "")
+        options = [*(name for name, is_given in needs_whole.items() if is_given), self.reading.option]
+        return next(filter(None, [*options, self.writing.option]), "")
 
     def make_verb(self, job: Job) -> _Denoiser:
         """Return what reads, filters and writes the files of a job."""
@@ -165,8 +165,8 @@ class _Denoising:
         """Whether results depend on Open Image Denoise being installed."""
         from lobewise.denoising.automatic import leaves_oidn_open
 
-        asked = DenoiseSettings(**self.settings)
-        return not self.over_time.temporal and (asked.asks_for_oidn or leaves_oidn_open(asked))
+        settings = DenoiseSettings(**self.settings)
+        return not self.over_time.temporal and (settings.asks_for_oidn or leaves_oidn_open(settings))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,22 +182,24 @@ class _Denoiser:
 
     def read(self, path: Path) -> FileOfOne | FileOfSeveral:
         """Return the frame of a file, for a file that is denoised in bands its name, with a window all its frames."""
-        job, asked = self.job, self.request
-        if asked.over_time.temporal:
+        job, request = self.job, self.request
+        if request.over_time.temporal:
             job.remarks.tell(OVER_TIME_NOTE)
-        if choose_bands(path, asked.bands, asked.settings, asked.whole_option, job.memory):
+        if choose_bands(path, request.bands, request.settings, request.whole_option, job.memory):
             target = find_counterpart(path, job.source, job.output)
-            return FileInBands(path, target, asked.bands, self.tables, asked.settings, job.memory)
-        found = asked.reading.list_selections(path)
-        return FileOfSeveral(path, found) if len(found) > 1 else self._read_one(path, found[0], found)
+            return FileInBands(path, target, request.bands, self.tables, request.settings, job.memory)
+        selections = request.reading.list_selections(path)
+        return (
+            FileOfSeveral(path, selections) if len(selections) > 1 else self._read_one(path, selections[0], selections)
+        )
 
     def _read_one(self, path: Path, selection: Selection, denoised: tuple[Selection, ...]) -> Imported | FileInWindow:
-        job, asked = self.job, self.request
-        passes, tables = not asked.over_time.temporal, self.tables
+        job, request = self.job, self.request
+        passes, tables = not request.over_time.temporal, self.tables
 
-        def read(each: Path) -> Imported:
-            return asked.reading.read(
-                each,
+        def read(path_of_one: Path) -> Imported:
+            return request.reading.read(
+                path_of_one,
                 job.source,
                 job.remarks,
                 selection=selection,
@@ -206,9 +208,9 @@ class _Denoiser:
                 light_passes=passes,
             )
 
-        if not asked.window:
+        if not request.window:
             return read(path)
-        reader = self.window_readers.setdefault(selection, WindowReader(job.source, asked.window, read))
+        reader = self.window_readers.setdefault(selection, WindowReader(job.source, request.window, read))
         return reader.read(path)
 
     def make_filter(self) -> SequenceFilter[FileOfOne | FileOfSeveral, Result | DenoisedFile | DoneSeveral]:
@@ -228,39 +230,37 @@ class _Denoiser:
             return FilterOverTime(TemporalFilter(**changes))
         if window:
             in_window = WindowFilter(window, **settings)
-            return FilterAlone(lambda found: in_window.denoise(found.frames, found.index))
+            return FilterAlone(lambda frame: in_window.denoise(frame.frames, frame.index))
         named = DenoiseSettings(**settings)
 
-        def filter_one(found: Imported | FileInBands) -> Result | DenoisedFile:
-            if isinstance(found, FileInBands):
+        def filter_one(frame: Imported | FileInBands) -> Result | DenoisedFile:
+            if isinstance(frame, FileInBands):
                 # A sequence shows how many files are done instead.
-                return found.denoise(None if is_pattern(self.job.source) else self.job.steps.tell)
-            return denoise_checked(check_import(found, named), named)
+                return frame.denoise(None if is_pattern(self.job.source) else self.job.steps.tell)
+            return denoise_checked(check_import(frame, named), named)
 
         return FilterAlone(filter_one)
 
     def _filter_selection(
         self, file: FileOfSeveral, selection: Selection, of_one: SequenceFilter[Any, Any], cut: bool
     ) -> DoneOne:
-        found = self._read_one(file.path, selection, file.selections)
-        return self._plan(of_one.add(found, cut=cut), found)
+        frame = self._read_one(file.path, selection, file.selections)
+        return self._plan(of_one.add(frame, cut=cut), frame)
 
-    def _plan(self, result: Result, found: Imported | FileInWindow) -> DoneOne:
-        own = found.found if isinstance(found, FileInWindow) else found
+    def _plan(self, result: Result, frame: Imported | FileInWindow) -> DoneOne:
+        own = frame.found if isinstance(frame, FileInWindow) else frame
         better = self.shade(result, own.frame)
         return DoneOne(own.container, better, self.request.writing.plan(better, own))
 
-    def write(
-        self, target: Path, result: Result | DenoisedFile | DoneSeveral, found: FileOfOne | FileOfSeveral
-    ) -> None:
+    def write(self, target: Path, result: Result | DenoisedFile | DoneSeveral, file: FileOfOne | FileOfSeveral) -> None:
         """Write the results of a file, unless they were written in bands, and the picture of the first."""
         from lobewise.frame import Result
 
         pictures = self.job.pictures
         if isinstance(result, DoneSeveral):
             done = result.done
-        elif isinstance(result, Result) and not isinstance(found, (FileInBands, FileOfSeveral)):
-            done = (self._plan(result, found),)
+        elif isinstance(result, Result) and not isinstance(file, (FileInBands, FileOfSeveral)):
+            done = (self._plan(result, file),)
         else:
             if pictures is not None:
                 pictures.write_from_file(target)
@@ -388,13 +388,13 @@ class _Upsampler:
             return TemporalFilter(**changes)
         return FilterAlone(partial(upsample_frame, bilinear=self.request.bilinear, **self.request.settings))
 
-    def write(self, target: Path, result: Result, found: SparseFrame) -> None:
-        """Write the result as a frame with the guides of ``found``, and its picture."""
+    def write(self, target: Path, result: Result, frame: SparseFrame) -> None:
+        """Write the result as a frame with the guides of ``frame``, and its picture."""
         from lobewise.frame import Frame, Radiance
         from lobewise.io import write_frame
 
-        done = self.shade(result, found)
+        done = self.shade(result, frame)
         radiance = Radiance(done.image, diffuse=done.diffuse, specular=done.specular)
-        write_frame(target, Frame(radiance, found.gbuffer, found.camera, spp=found.spp, lobe_tables=found.lobe_tables))
+        write_frame(target, Frame(radiance, frame.gbuffer, frame.camera, spp=frame.spp, lobe_tables=frame.lobe_tables))
         if self.job.pictures is not None:
             self.job.pictures.write(target, done.image)

@@ -63,9 +63,9 @@ def fit(
     elif mitsuba is not None:
         from lobewise.render import open_scene_material
 
-        found = open_scene_material(mitsuba)
-        grid = {"cosines": found.cosines, "azimuths": found.azimuths}
-        fit_material(found.evaluate, name=found.name, output=output, lobes=lobes, kind=kind, plot=picture, grid=grid)
+        opened = open_scene_material(mitsuba)
+        grid = {"cosines": opened.cosines, "azimuths": opened.azimuths}
+        fit_material(opened.evaluate, name=opened.name, output=output, lobes=lobes, kind=kind, plot=picture, grid=grid)
 
 
 def choose_plot(output: Path, plot: Path | None, *, wanted: bool) -> Path | None:

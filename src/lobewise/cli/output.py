@@ -71,13 +71,13 @@ def describe_result(result: Result | DenoisedFile | DoneSeveral) -> str:
     else:
         height, width = one.shape
         bands = f" in {one.bands} band{'s' if one.bands != 1 else ''}"
-    told = [f"{several}{width}x{height} pixels{bands}"]
+    facts = [f"{several}{width}x{height} pixels{bands}"]
     if settings.get("bilinear"):
-        told.append("interpolated between pixels")
+        facts.append("interpolated between pixels")
     elif "quality" in settings:
         peer = " with Open Image Denoise" if settings.get("with_oidn") else ""
-        told.append(f"quality {settings['quality']}{peer}")
-    line = ", ".join([*told, f"{result.seconds:.2f} s"])
+        facts.append(f"quality {settings['quality']}{peer}")
+    line = ", ".join([*facts, f"{result.seconds:.2f} s"])
     count = result.bad_pixel_count
     return f"{line}; {count} bad pixel{'s' if count != 1 else ''} refilled" if count else line
 
@@ -166,34 +166,34 @@ def print_fit(table: LobeTable) -> None:
     _Console().print(listing)
 
 
-def print_description(found: FileDescription, *, with_attributes: bool) -> None:
+def print_description(description: FileDescription, *, with_attributes: bool) -> None:
     """Print the parts and channels of a file, the channels of each image of a frame, and what missing images cost."""
     console = _Console()
-    parts = f"{len(found.parts)} part{'s' if len(found.parts) != 1 else ''}"
-    console.print(make_text(f"{found.path}: {found.bytes / 1e6:.1f} MB, {parts}"))
-    for index, part in enumerate(found.parts):
+    parts = f"{len(description.parts)} part{'s' if len(description.parts) != 1 else ''}"
+    console.print(make_text(f"{description.path}: {description.bytes / 1e6:.1f} MB, {parts}"))
+    for index, part in enumerate(description.parts):
         channels = [(one.name, one.pixel_type, one.used_as or _dim("only copied")) for one in part.channels]
         console.print(_make_listing(_describe_part(index, part), ("channel", "type", "read as"), channels))
         if with_attributes:
             console.print(_make_listing("attributes", ("name", "type", "value"), part.attributes))
     images = [
         (one.label, "yes" if one.found else "no", one.meaning if one.found else _dim(f"missing: {one.missing}"))
-        for one in found.images
+        for one in description.images
         # Where a half or a variance is missing as a whole, print one line instead of five.
         if one.found or one.label.count(".") <= 1
     ]
     console.print(_make_listing("what a frame can have", ("image", "found", "meaning, or effect of its lack"), images))
-    if found.reason:
-        console.print(make_text(f"Read as {found.preset}, because {found.reason}."), soft_wrap=True)
-        roles = [(one.role, one.channels, one.conversion or _dim("as it is")) for one in found.roles]
+    if description.reason:
+        console.print(make_text(f"Read as {description.preset}, because {description.reason}."), soft_wrap=True)
+        roles = [(one.role, one.channels, one.conversion or _dim("as it is")) for one in description.roles]
         console.print(_make_listing("what is taken", ("image", "channels", "converted"), roles))
-    camera = "known" if found.camera else "unknown"
-    console.print(make_text(f"Camera: {camera}. Samples per pixel: {found.spp or 'unknown'}."))
-    if found.materials:
-        listed = "; ".join(f"{number} {text}" for number, text in enumerate(found.materials, start=1))
+    camera = "known" if description.camera else "unknown"
+    console.print(make_text(f"Camera: {camera}. Samples per pixel: {description.spp or 'unknown'}."))
+    if description.materials:
+        listed = "; ".join(f"{number} {text}" for number, text in enumerate(description.materials, start=1))
         console.print(make_text(f"Fitted materials: {listed}."), soft_wrap=True)
-    console.print(make_text(f"Similarities that can be used: {', '.join(found.similarities) or 'none'}."))
-    for note in found.notes:
+    console.print(make_text(f"Similarities that can be used: {', '.join(description.similarities) or 'none'}."))
+    for note in description.notes:
         console.print(make_text(note), soft_wrap=True)
 
 

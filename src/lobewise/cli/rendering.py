@@ -82,9 +82,9 @@ class Sampling:
         from lobewise.render.integrators import plan_light
         from lobewise.render.materials.bsdfs import tell_attributes
 
-        for told in (plan_light(scene, self.integrator, self.max_depth).told, tell_attributes(scene)):
-            if told:
-                print_note(told)
+        for sentence in (plan_light(scene, self.integrator, self.max_depth).told, tell_attributes(scene)):
+            if sentence:
+                print_note(sentence)
 
 
 @dataclass(frozen=True)
@@ -249,15 +249,15 @@ def _refuse_contradictions(contents: Contents, sparse: Sparse, motion: Motion, p
 
 def parse_definitions(words: Iterable[str]) -> dict[str, str]:
     """Return parameters of a scene by name, from ``NAME=VALUE`` each."""
-    found: dict[str, str] = {}
+    definitions: dict[str, str] = {}
     for word in words:
         name, separator, value = word.partition("=")
         if not separator or not name.isidentifier():
             raise InputError("-D", expected="NAME=VALUE, such as spp=16", got=repr(word), action="write both")
-        if name in found:
+        if name in definitions:
             raise InputError("-D", expected="every name once", got=f"{name} twice", action="leave one of them out")
-        found[name] = value
-    return found
+        definitions[name] = value
+    return definitions
 
 
 def _render_sparse(

@@ -67,8 +67,8 @@ class FileFilter(Protocol[FileT, ResultT]):
     def make_filter(self) -> SequenceFilter[FileT, ResultT]:
         """Return a new filter."""
 
-    def write(self, target: Path, result: ResultT, found: FileT) -> None:
-        """Write the result of ``found`` to ``target``, and its picture."""
+    def write(self, target: Path, result: ResultT, frame: FileT) -> None:
+        """Write the result of ``frame`` to ``target``, and its picture."""
 
 
 class Request(Protocol[FileT, ResultT]):
@@ -150,12 +150,12 @@ def run_filter(job: Job, request: Request[FileT, ResultT], fingerprint: Any) -> 
         last = report.last
         # Every frame was made: what a stopped farm has recorded is of no use any more.
         remove_records(job.output)
-        told = f"{report.written} of {report.frames} frames"
-        told += "" if last is None else f"; the last: {describe_result(last)}"
+        counted = f"{report.written} of {report.frames} frames"
+        counted += "" if last is None else f"; the last: {describe_result(last)}"
     else:
         last = result = _filter_file(job, verb)
-        told = describe_result(result)
-    print_line(f"Wrote {job.output}: {told}.")
+        counted = describe_result(result)
+    print_line(f"Wrote {job.output}: {counted}.")
     tell_picture(job.output, job.pictures)
     tell_settings(last, job.verbose)
 
@@ -167,14 +167,14 @@ def _filter_file(job: Job, verb: FileFilter[FileT, ResultT]) -> ResultT:
     require_writable(job.output)
     with job.steps as steps:
         steps.tell(f"Reading {job.source.name}")
-        found = verb.read(job.source)
+        frame = verb.read(job.source)
         steps.tell("Filtering")
         with name_file(job.source):
-            result = verb.make_filter().add(found)
-        if not isinstance(found, FileInBands):
+            result = verb.make_filter().add(frame)
+        if not isinstance(frame, FileInBands):
             # A file in bands is written while it is filtered.
             steps.tell(f"Writing {job.output.name}")
-        verb.write(job.output, result, found)
+        verb.write(job.output, result, frame)
     job.remarks.tell_result(result)
     return result
 
@@ -184,8 +184,8 @@ def _filter_sequence(job: Job, verb: FileFilter[FileT, ResultT], fingerprint: st
     from lobewise.io.sequence import FramePattern
     from lobewise.sequence import filter_sequence
 
-    def write(target: Path, result: ResultT, found: FileT, path: Path) -> None:
-        verb.write(target, result, found)
+    def write(target: Path, result: ResultT, frame: FileT, path: Path) -> None:
+        verb.write(target, result, frame)
         job.remarks.tell_result(result, pattern.read_number(path))
 
     pattern = FramePattern.parse(job.source)

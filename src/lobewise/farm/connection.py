@@ -171,12 +171,12 @@ class Connection:
 
     def wait_for_finished(self, seconds: float) -> list[str]:
         """Return the keys of calls that have ended, however they ended; wait at most some seconds for the first."""
-        found: list[str] = []
+        finished: list[str] = []
         with suppress(queue.Empty):
-            found.append(self._finished.get(timeout=seconds))
+            finished.append(self._finished.get(timeout=seconds))
             while True:
-                found.append(self._finished.get_nowait())
-        return found
+                finished.append(self._finished.get_nowait())
+        return finished
 
     def reopen(self, seconds: float, tell: Callable[[], None]) -> None:
         """Connect again to a scheduler that was gone; ``tell`` is called before every attempt.
@@ -211,11 +211,11 @@ def connect(address: str) -> Iterator[Connection]:
     """Connect to a scheduler that runs already; see `Connection` for the errors."""
     require_distributed()
     with _silence():
-        found = Connection(address)
+        connection = Connection(address)
         try:
-            yield found
+            yield connection
         finally:
-            found.close()
+            connection.close()
 
 
 @contextmanager
@@ -267,11 +267,11 @@ def start_local(workers: int, *, memory_bytes: int) -> Iterator[Connection]:
                 action="ask for fewer, or look for what hinders a new process",
             ) from problem
         try:
-            found = Connection(cluster.scheduler_address, security)
+            connection = Connection(cluster.scheduler_address, security)
             try:
-                yield found
+                yield connection
             finally:
-                found.close()
+                connection.close()
         finally:
             with suppress(Exception):
                 cluster.close(timeout=CLOSE_SECONDS)

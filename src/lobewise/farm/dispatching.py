@@ -195,9 +195,9 @@ class Dispatcher:
         faults = {worker.address: worker.fault for worker in self._workers.values() if worker.fault}
         # A farm that had a good worker may get it back.
         if faults and len(faults) == len(self._workers) and not self._had_good_worker:
-            told = "; ".join(f"{address}: {fault}" for address, fault in sorted(faults.items())[:3])
+            reasons = "; ".join(f"{address}: {fault}" for address, fault in sorted(faults.items())[:3])
             raise LobewiseError(
-                "farm", expected="a worker that can be used", got=f"none ({told})", action="see docs/farm.md"
+                "farm", expected="a worker that can be used", got=f"none ({reasons})", action="see docs/farm.md"
             )
         self._waits_for = "" if any(worker.is_ready for worker in self._workers.values()) else WAITING
         if not self._workers and not self._has_waited:
@@ -290,15 +290,15 @@ class Dispatcher:
 
     def _judge(self, answers: Mapping[str, Any]) -> str:
         """Return why a worker cannot be used, in a few words; empty if it can."""
-        wanted = self._terms.environment
+        own = self._terms.environment
         there = {"Python": shorten_version(str(answers["Python"])), "lobewise": str(answers["lobewise"] or "none")}
-        first = compare_environments({name: wanted[name] for name in ("Python", "lobewise")}, there)
+        first = compare_environments({name: own[name] for name in ("Python", "lobewise")}, there)
         if first:
             return f"it has {first}"
         if isinstance(answers["all"], CallFailedError):
             return f"its lobewise cannot be loaded ({answers['all']})"
         environment, fault = answers["all"]
-        difference = compare_environments(wanted, environment)
+        difference = compare_environments(own, environment)
         return f"it has {difference}" if difference else fault
 
     def _take_outcome(self, worker: _Worker, call: Call, task: Task) -> None:

@@ -15,13 +15,13 @@ PEER = ("Open Image Denoise", "pyoidn")
 
 def describe_environment(*, with_oidn: bool) -> dict[str, str]:
     """Return the versions of this process by name; ``with_oidn`` includes Open Image Denoise, or "none"."""
-    found = {"lobewise": lobewise.__version__, "Python": shorten_version(platform.python_version())}
-    found |= {name: _find_version(distribution) for name, distribution in DISTRIBUTIONS.items()}
+    versions = {"lobewise": lobewise.__version__, "Python": shorten_version(platform.python_version())}
+    versions |= {name: _find_version(distribution) for name, distribution in DISTRIBUTIONS.items()}
     if with_oidn:
         from lobewise.peers import has_oidn
 
-        found[PEER[0]] = _find_version(PEER[1]) if has_oidn() else "none"
-    return found
+        versions[PEER[0]] = _find_version(PEER[1]) if has_oidn() else "none"
+    return versions
 
 
 def shorten_version(text: str) -> str:
@@ -31,9 +31,9 @@ def shorten_version(text: str) -> str:
 
 def compare_environments(here: Mapping[str, str], there: Mapping[str, str]) -> str:
     """Return the first difference, such as "Halide 20.0.0 instead of 21.0.0"; empty where there is none."""
-    for name, wanted in here.items():
-        if there.get(name, "none") != wanted:
-            return f"{name} {there.get(name, 'none')} instead of {wanted}"
+    for name, version_here in here.items():
+        if there.get(name, "none") != version_here:
+            return f"{name} {there.get(name, 'none')} instead of {version_here}"
     return ""
 
 

@@ -90,14 +90,14 @@ class Ledger:
         its size and time.
         """
         proof = hashlib.sha256(self.identity.encode("utf-8", "surrogateescape"))
-        found = {}
+        proofs = {}
         for number, path in frames:
             for source in list_sources(number, path):
                 # A source that does not exist gives another hash than one that does.
                 state = _measure(source) or (0, 0)
                 proof.update(f"{number} {state[0]} {state[1]}\n".encode())
-            found[number] = proof.hexdigest()
-        return found
+            proofs[number] = proof.hexdigest()
+        return proofs
 
     def record(self, number: int, proof: str, outputs: Iterable[Path]) -> None:
         """Record that a frame is done. Raises FileError if the record cannot be written."""
@@ -117,14 +117,14 @@ class Ledger:
         """Return whether a frame is recorded with this proof and its files are as they were."""
         path = self._name(number)
         with suppress(LobewiseError):
-            found = parse_json(read_document(path, MAX_RECORD_BYTES, what="record", holds="a record"), what="record")
+            record = parse_json(read_document(path, MAX_RECORD_BYTES, what="record", holds="a record"), what="record")
             files = [_measure(each) for each in outputs]
             return (
-                isinstance(found, dict)
-                and found.get("proof") == proof
-                and isinstance(found.get("files"), list)
-                and len(found["files"]) == len(files)
-                and all(map(_is_same, found["files"], files))
+                isinstance(record, dict)
+                and record.get("proof") == proof
+                and isinstance(record.get("files"), list)
+                and len(record["files"]) == len(files)
+                and all(map(_is_same, record["files"], files))
             )
         return False
 

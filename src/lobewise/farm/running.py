@@ -253,11 +253,11 @@ class _Run:
     def _make_order(self, task: Task) -> Order:
         return Order(work=self._job.work, task=task, ledger=self.ledger, first=self._first, memory=self._job.memory)
 
-    def _hear(self, told: Told) -> None:
-        for key, text in told.remarks:
+    def _hear(self, news: Told) -> None:
+        for key, text in news.remarks:
             self._remark(text, key)
-        if told.last:
-            self.last = told
+        if news.last:
+            self.last = news
 
     def _show(self, waits_for: str, running: Iterable[Task]) -> None:
         count = len(self.done) + sum(map(self._count_begun, running))

@@ -86,10 +86,10 @@ def _run(order: Order) -> Outcome:
     # After a lost connection the client may hand out what another worker was still at.
     if all(ledger.is_done(number, proofs[number], work.list_outputs(number)) for number in task.numbers):
         return Outcome()
-    told, problem, trace = Told(), "", ""
+    news, problem, trace = Told(), "", ""
     with warnings.catch_warnings(record=True) as caught:
         try:
-            told = work.filter_frames(
+            news = work.filter_frames(
                 task.numbers,
                 first=order.first,
                 memory=_find_memory(order.memory),
@@ -101,9 +101,9 @@ def _run(order: Order) -> Outcome:
         except Exception as error:
             words = " ".join(f"{type(error).__name__}: {error}".split())[:MAX_TOLD_LETTERS]
             problem, trace = f"something went wrong inside lobewise ({words}).", traceback.format_exc()
-    more = tuple((str(one.message), str(one.message)) for one in caught)
-    told = Told(remarks=(*told.remarks, *more), last=told.last, settings=told.settings)
-    return Outcome(told=told, problem=make_printable(problem), trace=trace)
+    warnings_caught = tuple((str(one.message), str(one.message)) for one in caught)
+    news = Told(remarks=(*news.remarks, *warnings_caught), last=news.last, settings=news.settings)
+    return Outcome(told=news, problem=make_printable(problem), trace=trace)
 
 
 @cache
@@ -131,10 +131,10 @@ def _limit_threads() -> None:
     os.environ.setdefault("OIDN_SET_AFFINITY", "0")
 
 
-def _find_memory(wanted: float | None) -> float | None:
+def _find_memory(memory: float | None) -> float | None:
     """Return the GiB that this process may take: as the user says, else the limit of the worker, else None."""
-    if wanted is not None:
-        return wanted
+    if memory is not None:
+        return memory
     limit = _get_worker().memory_manager.memory_limit
     return limit / GIB if limit else None
 

@@ -82,16 +82,16 @@ class Pass:
 
     def matches(self, pattern: str) -> bool:
         """Return whether the path, with or without its prefix, matches a pattern with the wildcards * and ?."""
-        path, wanted = self.path.lower(), pattern.lower()
-        return fnmatchcase(path, wanted) or fnmatchcase(path, f"*.{wanted}")
+        path, lowered = self.path.lower(), pattern.lower()
+        return fnmatchcase(path, lowered) or fnmatchcase(path, f"*.{lowered}")
 
     def get_prefix(self, pattern: str) -> str:
         """Return the part of the path before the words of ``pattern``, with the last dot."""
         if not self.path:
             return ""
         words = pattern.count(".") + 1
-        kept = self.path.split(".")[:-words] if pattern else self.path.split(".")
-        return "".join(f"{word}." for word in kept)
+        parts = self.path.split(".")[:-words] if pattern else self.path.split(".")
+        return "".join(f"{word}." for word in parts)
 
 
 def list_views(container: Container) -> tuple[str, ...]:
@@ -107,11 +107,11 @@ def list_views(container: Container) -> tuple[str, ...]:
         beauty = find_beauty(container.parts)
         declared = [beauty.view if beauty else of_parts[0]]
     names = [channel.name for part in container.parts for channel in part.channels]
-    told = [match[1] for name in names if (match := BLENDERS_VIEW.fullmatch(name))]
+    of_names = [match[1] for name in names if (match := BLENDERS_VIEW.fullmatch(name))]
     ends = {name.split(".")[-2] for name in names if name.endswith(".R")}
     eyes = EYES if ends.issuperset(EYES) else ()
-    found = [*declared, *of_parts] or told or eyes or [""]
-    return tuple(dict.fromkeys(found))
+    views = [*declared, *of_parts] or of_names or eyes or [""]
+    return tuple(dict.fromkeys(views))
 
 
 def list_passes(container: Container) -> list[Pass]:
@@ -127,16 +127,16 @@ def list_unread_passes(container: Container) -> list[Pass]:
 def _group(container: Container, *, unread: bool) -> list[Pass]:
     views = list_views(container)
     names = frozenset(views)
-    found: dict[tuple[int, str, str], Pass] = {}
+    passes: dict[tuple[int, str, str], Pass] = {}
     for part in container.parts:
         for channel in part.channels:
             if bool(part.find_obstacle(channel)) == unread:
                 view, name = _take_view(channel.name, names)
                 view = view or part.view or views[0]
                 path, component = _split(name, _name_part(part, view) if container.multipart else "")
-                one = found.setdefault((part.index, path, view), Pass(part, path, {}, view))
+                one = passes.setdefault((part.index, path, view), Pass(part, path, {}, view))
                 one.channels.setdefault(component, channel.name)
-    return [*found.values(), *_join_letters(found)]
+    return [*passes.values(), *_join_letters(passes)]
 
 
 def _take_view(name: str, views: frozenset[str]) -> tuple[str, str]:
@@ -155,11 +155,11 @@ def _name_part(part: Part, view: str) -> str:
     return part.name
 
 
-def _join_letters(found: dict[tuple[int, str, str], Pass]) -> list[Pass]:
+def _join_letters(passes: dict[tuple[int, str, str], Pass]) -> list[Pass]:
     """Return vector passes whose channel names have no dot, such as ``Nsx``, ``Nsy``, ``Nsz`` of older pbrt files."""
     joined = []
-    for (index, path, view), one in found.items():
-        names = {letter: found.get((index, path[:-1] + letter, view)) for letter in "xyz"}
+    for (index, path, view), one in passes.items():
+        names = {letter: passes.get((index, path[:-1] + letter, view)) for letter in "xyz"}
         if (
             path.endswith("x")
             and len(path) > 1

@@ -67,30 +67,32 @@ def inspect_file(
 ) -> tuple[FileDescription, Imported | None]:
     """Return the description of a file as `describe_file`, and the file itself if its pixels were read."""
     container = read_container(path)
-    asked = preset is not None or mapping or camera is not None or half is not None or also
-    if not container.parts or (not asked and is_own(container)):
+    is_foreign = preset is not None or mapping or camera is not None or half is not None or also
+    if not container.parts or (not is_foreign and is_own(container)):
         own = describe_own(path)
         marks = _list_refusals(check_own_mark(container)) if find_beauty(container.parts) else ()
         left = describe_own_left_noisy(container)
         return replace(own, notes=(*left, *own.notes, *marks), refusals=(*own.refusals, *marks)), None
     selections = list_selections(path, preset=preset, mapping=mapping, all_layers=all_layers)
-    given = {"preset": preset, "mapping": mapping, "camera": camera, "half": half, "also": also, "light_passes": True}
-    found, *others = (
-        import_file(path, view=each.view or None, layer=each.layer or None, denoised=selections, **given)  # type: ignore[arg-type]
-        for each in selections
+    options = {"preset": preset, "mapping": mapping, "camera": camera, "half": half, "also": also, "light_passes": True}
+    first, *others = (
+        import_file(path, view=selected.view or None, layer=selected.layer or None, denoised=selections, **options)  # type: ignore[arg-type]
+        for selected in selections
     )
     # A user who maps the color says that this image is noisy, so the checks must not refuse it.
     marks = (
-        () if "color" in (mapping or {}) else _list_refusals(one for each in (found, *others) for one in each.findings)
+        ()
+        if "color" in (mapping or {})
+        else _list_refusals(one for selected in (first, *others) for one in selected.findings)
     )
-    described = describe_import(found, others)
+    described = describe_import(first, others)
     try:
-        for each in (found, *others):
-            require_target(each)
+        for selected in (first, *others):
+            require_target(selected)
     except InputError as problem:
-        told = f"Denoising will refuse this: {problem}"
-        return replace(described, notes=(*described.notes, told), refusals=(*marks, told)), found
-    return replace(described, refusals=marks), found
+        refusal = f"Denoising will refuse this: {problem}"
+        return replace(described, notes=(*described.notes, refusal), refusals=(*marks, refusal)), first
+    return replace(described, refusals=marks), first
 
 
 def _list_refusals(findings: Iterable[Finding]) -> tuple[str, ...]:
@@ -98,15 +100,15 @@ def _list_refusals(findings: Iterable[Finding]) -> tuple[str, ...]:
     return tuple(one.told for one in findings if one.what == MARKED and not one.mended)
 
 
-def describe_import(found: Imported, others: Sequence[Imported] = ()) -> FileDescription:
+def describe_import(imported: Imported, others: Sequence[Imported] = ()) -> FileDescription:
     """Return the description of an imported file; ``others`` are further views of it that are denoised."""
-    container, frame, channels = found.container, found.frame, found.map
+    container, frame, channels = imported.container, imported.frame, imported.map
     if channels is None:
         return describe_own(container.path)
     image_part = channels.roles["color"].source.part.index
     used = {
         (one.source.part.index, name): what
-        for each in (*others, found)
+        for each in (*others, imported)
         if each.map is not None
         for what, one in _list_found(each.map, each)
         for name in one.channels
@@ -122,22 +124,27 @@ def describe_import(found: Imported, others: Sequence[Imported] = ()) -> FileDes
         spp=frame.spp,
         materials=(),
         similarities=list_similarities(guides, frame.camera if frame.gbuffer.is_placed else None),
-        notes=(*_tell_selections(found, others), *frame.notes, *found.notes, *_list_further_notes(found, others)),
+        notes=(
+            *_tell_selections(imported, others),
+            *frame.notes,
+            *imported.notes,
+            *_list_further_notes(imported, others),
+        ),
         preset=channels.preset.title,
         reason=channels.reason,
         roles=tuple(
             RoleDescription(what, one.label, "; ".join(CONVERSIONS[word] for word in one.convert))
-            for what, one in _list_found(channels, found)
+            for what, one in _list_found(channels, imported)
         ),
         version=_find_version(channels.preset, container),
         uses=list_uses(channels, frame),
         layers=tuple(layer.name for layer in frame.layers) or (("diffuse", "specular") if frame.radiance.parts else ()),
         exact=tuple(dict.fromkeys(name.partition("/")[0] for name in frame.unscattered)),
-        lacks=found.lacks,
+        lacks=imported.lacks,
         outputs=tuple(
             dict.fromkeys(
                 one.found.label
-                for each in (found, *others)
+                for each in (imported, *others)
                 for name, one in each.outputs.items()
                 if name not in each.frame.unscattered
             )
@@ -147,33 +154,33 @@ def describe_import(found: Imported, others: Sequence[Imported] = ()) -> FileDes
     )
 
 
-def _tell_selections(found: Imported, others: Sequence[Imported]) -> list[str]:
+def _tell_selections(imported: Imported, others: Sequence[Imported]) -> list[str]:
     """Return sentences that name the views and the view layers of a file that has several, and say what is denoised."""
-    assert found.map is not None
-    denoised = [each.map.selection for each in (found, *others) if each.map is not None]
-    told = []
+    assert imported.map is not None
+    denoised = [each.map.selection for each in (imported, *others) if each.map is not None]
+    notes = []
     for what, name in (("view", "views"), ("layer", "view layers")):
-        all_names = list(dict.fromkeys(getattr(each, what) for each in found.map.selections))
+        all_names = list(dict.fromkeys(getattr(each, what) for each in imported.map.selections))
         is_whole = set(all_names) <= {getattr(each, what) for each in denoised}
         ending = "each is denoised with its own guides" if is_whole else "--all-layers denoises all"
         if len(all_names) > 1 and (is_whole or what == "layer"):
             names = ", ".join(repr(show_name(each)) for each in all_names)
-            told.append(f"This file has {len(all_names)} {name}: {names}; {ending}.")
-    return told
+            notes.append(f"This file has {len(all_names)} {name}: {names}; {ending}.")
+    return notes
 
 
-def _list_further_notes(found: Imported, others: Sequence[Imported]) -> list[str]:
+def _list_further_notes(imported: Imported, others: Sequence[Imported]) -> list[str]:
     """Return the notes on further views of a kind that the first does not have, each with the name of its view."""
-    assert found.map is not None
-    first = found.map.selection
-    known = {first.find_kind(note) for note in (*found.frame.notes, *found.notes)}
-    told: list[str] = []
-    for each in others:
-        assert each.map is not None
-        own = each.map.selection
-        new = [note for note in (*each.frame.notes, *each.notes) if own.find_kind(note) not in known]
-        told += [own.begin_note(note, first) for note in new]
-    return told
+    assert imported.map is not None
+    first = imported.map.selection
+    known = {first.find_kind(note) for note in (*imported.frame.notes, *imported.notes)}
+    notes: list[str] = []
+    for other in others:
+        assert other.map is not None
+        own = other.map.selection
+        new = [note for note in (*other.frame.notes, *other.notes) if own.find_kind(note) not in known]
+        notes += [own.begin_note(note, first) for note in new]
+    return notes
 
 
 def _find_version(preset: Preset, container: Container) -> str:

@@ -112,6 +112,6 @@ class ImageReader:
         part = found.source.part
         there = self._pixels.setdefault(part.index, {})
         if not there.keys() >= set(found.channels):
-            wanted = self._wanted.get(part.index, set()).union(found.channels)
-            there.update(self._decode(part, frozenset(wanted - there.keys())))
+            names = self._wanted.get(part.index, set()).union(found.channels)
+            there.update(self._decode(part, frozenset(names - there.keys())))
         return [there[name] for name in found.channels]

@@ -15,7 +15,7 @@ from lobewise.interchange.lighting import PartOutput, name_pass
 from lobewise.interchange.mapping import Found
 
 
-def add_also(found: Imported, patterns: Sequence[str], read: ImageReader) -> Imported:
+def add_also(imported: Imported, patterns: Sequence[str], read: ImageReader) -> Imported:
     """Return a frame with the passes that match ``patterns`` added to their layers, or to the image.
 
     Raises
@@ -23,22 +23,22 @@ def add_also(found: Imported, patterns: Sequence[str], read: ImageReader) -> Imp
     InputError
         If no unused pass matches a pattern, or the file uses lobewise's own names, which have no further passes.
     """
-    if found.map is None:
+    if imported.map is None:
         raise InputError(
             "--also",
             expected="a file of another renderer",
             got="a file with lobewise's own channel names",
             action="leave --also out",
         )
-    used = {channel for one in found.outputs.values() for channel in one.found.channels}
-    used |= {channel for one in found.map.roles.values() for channel in one.channels}
-    layers = {layer.name: layer for layer in found.frame.layers}
-    whole, outputs, notes = dict(found.frame.also), dict(found.outputs), list(found.notes)
+    used = {channel for one in imported.outputs.values() for channel in one.found.channels}
+    used |= {channel for one in imported.map.roles.values() for channel in one.channels}
+    layers = {layer.name: layer for layer in imported.frame.layers}
+    whole, outputs, notes = dict(imported.frame.also), dict(imported.outputs), list(imported.notes)
     for pattern in patterns:
-        chosen = [(one, one.pick(COLOR)) for one in found.map.beside if one.matches(pattern)]
+        chosen = [(one, one.pick(COLOR)) for one in imported.map.beside if one.matches(pattern)]
         taken = [(one, channels) for one, channels in chosen if channels and not used.intersection(channels)]
-        if not taken and any(one.matches(pattern) for one in list_passes(found.container)):
-            notes.append(f"No pass of {found.map.selection.label or 'the picture'} matches --also {pattern}.")
+        if not taken and any(one.matches(pattern) for one in list_passes(imported.container)):
+            notes.append(f"No pass of {imported.map.selection.label or 'the picture'} matches --also {pattern}.")
         elif not taken:
             raise InputError(
                 f"--also {pattern}",
@@ -48,36 +48,36 @@ def add_also(found: Imported, patterns: Sequence[str], read: ImageReader) -> Imp
             )
         for one, channels in taken:
             image, found_one = read(Found(one, channels)), Found(one, channels)
-            owner, albedo = _find_owner(found, one)
+            owner, albedo = _find_owner(imported, one)
             if owner is None:
-                name, told = one.path, "the image"
+                name, divided = one.path, "the image"
                 whole[name] = image
             else:
-                name, told = f"{owner}/{one.path}", f"the layer {owner}"
+                name, divided = f"{owner}/{one.path}", f"the layer {owner}"
                 factor = None if albedo is None else read(albedo)
                 radiance = image if factor is None else image * factor
                 layers[owner] = replace(layers[owner], parts={**layers[owner].parts, one.path: radiance})
                 outputs[name] = PartOutput(found_one, factor)
             outputs.setdefault(name, PartOutput(found_one))
-            notes.append(f"{found_one.label} is filtered like {told}.")
-    frame = found.frame.with_changes(layers=tuple(layers.values()), also=whole)
-    return replace(found, frame=frame, outputs=outputs, notes=tuple(notes))
+            notes.append(f"{found_one.label} is filtered like {divided}.")
+    frame = imported.frame.with_changes(layers=tuple(layers.values()), also=whole)
+    return replace(imported, frame=frame, outputs=outputs, notes=tuple(notes))
 
 
-def _find_owner(found: Imported, one: Pass) -> tuple[str | None, Found | None]:
+def _find_owner(imported: Imported, one: Pass) -> tuple[str | None, Found | None]:
     """Return the layer of a pass and the albedo that divides its light. The layer is None for a pass of the image.
 
     The layer is the one with the longest pass name that begins the name of this pass.
     """
-    assert found.map is not None
-    names = {layer.name for layer in found.frame.layers}
+    assert imported.map is not None
+    names = {layer.name for layer in imported.frame.layers}
     last, best = name_pass(one.path), ""
     owner: tuple[str | None, Found | None] = None, None
-    for each in found.map.layers:
-        for light in each.light:
+    for mapped in imported.map.layers:
+        for light in mapped.light:
             word = name_pass(light.source.path)
-            if each.rule.name in names and last.lower().startswith(word.lower()) and len(word) > len(best):
-                owner, best = (each.rule.name, each.albedo if each.rule.times_albedo else None), word
+            if mapped.rule.name in names and last.lower().startswith(word.lower()) and len(word) > len(best):
+                owner, best = (mapped.rule.name, mapped.albedo if mapped.rule.times_albedo else None), word
     return owner
 
 
@@ -137,12 +137,12 @@ def join_halves(first: Imported, second: Imported) -> Imported:
     )
     known = {one.what for one in first.findings}
     further = tuple(one for one in second.findings if one.what not in known)
-    told = [f"The second render: {one.told}" for one in further]
+    notes = [f"The second render: {one.told}" for one in further]
     return Imported(
         frame,
         first.container,
         first.map,
-        (*first.notes, "Two renders were joined as halves of the samples.", *told),
+        (*first.notes, "Two renders were joined as halves of the samples.", *notes),
         first.outputs,
         (*first.findings, *further),
         first.shown,

@@ -61,14 +61,14 @@ class Light:
     outputs: Mapping[str, PartOutput] = field(default_factory=dict)
 
 
-def take_layers(color: FloatArray, found: Sequence[FoundLayer], read: Read) -> tuple[Light, list[str]]:
+def take_layers(color: FloatArray, layer_passes: Sequence[FoundLayer], read: Read) -> tuple[Light, list[str]]:
     """Return the layers if they add up to the image, else none, and notes about light that does not fit.
 
     Parameters
     ----------
     color : array, shape (height, width, 3)
         The image.
-    found : sequence of FoundLayer
+    layer_passes : sequence of FoundLayer
         The layers of the file.
     read : callable
         Returns an image of the file.
@@ -76,8 +76,8 @@ def take_layers(color: FloatArray, found: Sequence[FoundLayer], read: Read) -> t
     layers: list[RadianceLayer] = []
     outputs: dict[str, PartOutput] = {}
     known = np.zeros_like(color)
-    for each in (one for one in found if one.rule.lobe != "exact"):
-        layer, places = _take_layer(each, read, known)
+    for one_layer in (one for one in layer_passes if one.rule.lobe != "exact"):
+        layer, places = _take_layer(one_layer, read, known)
         if layer is not None:
             layers.append(layer)
             outputs |= places
@@ -87,46 +87,52 @@ def take_layers(color: FloatArray, found: Sequence[FoundLayer], read: Read) -> t
     notes = []
     # Fog lets some of the samples through to the background, which then has their noise.
     is_foggy = any(layer.lobe == "volume" for layer in layers)
-    exact = [(layer, one) for layer in found if layer.rule.lobe == "exact" for one in layer.light]
-    for each, one in exact:
+    exact = [(layer, one) for layer in layer_passes if layer.rule.lobe == "exact" for one in layer.light]
+    for one_layer, one in exact:
         image = read(one)
         with np.errstate(invalid="ignore", over="ignore"):
-            more = known + np.where(np.isfinite(image), image, np.float32(0.0))
+            sum_so_far = known + np.where(np.isfinite(image), image, np.float32(0.0))
         # A pass may hold the background although the image has a transparent one: then it is no part of the image.
-        if _measure_excess(color, more) > max(MAX_EXCESS_SHARE, 2.0 * _measure_excess(color, known)):
+        if _measure_excess(color, sum_so_far) > max(MAX_EXCESS_SHARE, 2.0 * _measure_excess(color, known)):
             notes.append(
                 f"{one.label} holds more light than the image has beside the layers: it is not used as its part."
             )
             continue
-        known = more
+        known = sum_so_far
         if image.any():
-            name = each.rule.name if len(each.light) == 1 else f"{each.rule.name}/{name_pass(one.source.path)}"
+            name = (
+                one_layer.rule.name
+                if len(one_layer.light) == 1
+                else f"{one_layer.rule.name}/{name_pass(one.source.path)}"
+            )
             outputs[name] = PartOutput(one)
             if name == BACKGROUND and is_foggy and not is_smooth(image):
                 layers.append(RadianceLayer(name, "volume", image))
             else:
                 unscattered[name] = image
-    rest, told, is_sum = _check_sum(layers, color, known)
+    rest, sum_notes, is_sum = _check_sum(layers, color, known)
     if not is_sum:
-        return Light(), told
-    return Light((*layers, *rest), unscattered, outputs), [*notes, *told]
+        return Light(), sum_notes
+    return Light((*layers, *rest), unscattered, outputs), [*notes, *sum_notes]
 
 
-def _take_layer(each: FoundLayer, read: Read, known: FloatArray) -> tuple[RadianceLayer | None, dict[str, PartOutput]]:
+def _take_layer(
+    layer_pass: FoundLayer, read: Read, known: FloatArray
+) -> tuple[RadianceLayer | None, dict[str, PartOutput]]:
     """Return a layer, None if it is black, and the channels that receive it. Add its finite light to ``known``."""
-    albedo = read(each.albedo) if each.albedo else None
-    factor = albedo if each.rule.times_albedo else None
-    parts, total = _add_passes([read(one) for one in each.light], factor, known)
+    albedo = read(layer_pass.albedo) if layer_pass.albedo else None
+    factor = albedo if layer_pass.rule.times_albedo else None
+    parts, total = _add_passes([read(one) for one in layer_pass.light], factor, known)
     if not total.any():
         return None, {}
-    names = [name_pass(one.source.path) for one in each.light]
+    names = [name_pass(one.source.path) for one in layer_pass.light]
     named = dict(zip(names, parts, strict=True)) if len(parts) > 1 else {}
     shares = None if albedo is None else np.clip(albedo, 0.0, 1.0)
     if shares is not None and factor is None:
         shares = lift_albedo(shares)
-    keys = [f"{each.rule.name}/{name}" for name in names] if named else [each.rule.name]
-    outputs = {key: PartOutput(one, factor) for key, one in zip(keys, each.light, strict=True)}
-    return RadianceLayer(each.rule.name, each.rule.lobe, total, shares, parts=named), outputs
+    keys = [f"{layer_pass.rule.name}/{name}" for name in names] if named else [layer_pass.rule.name]
+    outputs = {key: PartOutput(one, factor) for key, one in zip(keys, layer_pass.light, strict=True)}
+    return RadianceLayer(layer_pass.rule.name, layer_pass.rule.lobe, total, shares, parts=named), outputs
 
 
 @np.errstate(invalid="ignore", over="ignore")
@@ -178,11 +184,11 @@ def _check_sum(
     excess = _measure_excess(color, known)
     if excess > MAX_EXCESS_SHARE:
         names = ", ".join(layer.name for layer in layers)
-        told = (
+        note = (
             f"The layers ({names}) hold {100.0 * excess:.1f} % more light than the image, so they are not its "
             "parts: it is filtered as a whole (is it denoised already, or tone mapped?)."
         )
-        return [], [told], False
+        return [], [note], False
     # Subtract the rounding errors of 16-bit floats, so that they do not count as light.
     rounding = np.float32(MAX_HALF_ROUNDING) * np.where(good, np.abs(color), np.float32(0.0))
     rest = np.maximum(apart - rounding, np.float32(0.0))
@@ -191,8 +197,8 @@ def _check_sum(
         return [], [], True
     is_exact = is_smooth(rest)
     fate = "without noise, so it is not filtered" if is_exact else "noisy, so it is filtered as a layer of its own"
-    told = f"{100.0 * share:.1f} % of the light is in none of the layers; it is {fate}."
-    return [] if is_exact else [RadianceLayer(REST, "glossy", rest)], [told], True
+    note = f"{100.0 * share:.1f} % of the light is in none of the layers; it is {fate}."
+    return [] if is_exact else [RadianceLayer(REST, "glossy", rest)], [note], True
 
 
 def is_smooth(image: FloatArray) -> bool:

@@ -138,9 +138,9 @@ def choose_preset(container: Container, passes: Iterable[Pass], asked: PathLike 
     attributes = [item for part in container.parts for item in part.attributes]
     for preset in load_presets().values():
         for pattern in preset.attributes:
-            wanted, _, text = pattern.partition("=")
+            key, _, text = pattern.partition("=")
             for item in attributes:
-                if fnmatchcase(item.name, wanted) and fnmatchcase(item.value.decode("utf-8", "replace"), text or "*"):
+                if fnmatchcase(item.name, key) and fnmatchcase(item.value.decode("utf-8", "replace"), text or "*"):
                     return preset, f"the header has the attribute {show_name(item.name)!r}"
     known = list(passes)
     for preset in load_presets().values():
@@ -233,10 +233,10 @@ def parse_mapping(role: str, text: str, passes: Sequence[Pass], unread: Sequence
         the unreadable passes ``unread``, or the number of channels does not fit the role.
     """
     require_choice("--map", role, ROLES)
-    given, *convert = text.split(":")
+    pass_name, *convert = text.split(":")
     for word in convert:
         require_conversion(f"--map {role}", role, word)
-    names = [name.strip() for name in given.split(",")]
+    names = [name.strip() for name in pass_name.split(",")]
     count = 1 if role in SINGLE_VALUE_ROLES else 2 if role == "motion" else 3
     known = {channel: one for one in passes for channel in one.channels.values()}
     if len(names) == 1 and (count > 1 or names[0] not in known):
@@ -257,11 +257,11 @@ def parse_mapping(role: str, text: str, passes: Sequence[Pass], unread: Sequence
         require_choice(f"--map {role}, channel", name, known)
     if len(names) != count:
         raise InputError(
-            f"--map {role}", expected=f"{count} channels", got=repr(given), action="separate them by commas"
+            f"--map {role}", expected=f"{count} channels", got=repr(pass_name), action="separate them by commas"
         )
     if any(known[name].part.index != known[names[0]].part.index for name in names):
         raise InputError(
-            f"--map {role}", expected="channels of one part", got=repr(given), action="put them into one part"
+            f"--map {role}", expected="channels of one part", got=repr(pass_name), action="put them into one part"
         )
     return Found(known[names[0]], tuple(names), tuple(convert))
 
@@ -339,9 +339,9 @@ def _list_refused_roles(
         # A rule without a source, or for one component, refers to the color image and names no separate pass.
         named = [rule for rule in rules if rule.source and rule.component is None]
         near = [one for rule in named for one in passes if one.matches(rule.source)]
-        told = next(filter(None, (_explain_refusal(role, one, color) for one in near)), None)
-        if told is not None:
-            refused[role] = told
+        reason = next(filter(None, (_explain_refusal(role, one, color) for one in near)), None)
+        if reason is not None:
+            refused[role] = reason
         elif preset.is_users and rules:
             names = " or ".join(repr(rule.source) for rule in rules)
             refused[role] = f"The preset names {names} for {role}, and the file has no such pass."
@@ -351,13 +351,13 @@ def _list_refused_roles(
 def _explain_refusal(role: str, one: Pass, color: Found) -> str | None:
     """Return why a pass cannot have a role; None if nothing prevents it."""
     apart = _compare_pixels(one.part, color.source.part)
-    wanted = "X, Y and Z" if role in ("normal", "position") else "X and Y" if role == "motion" else "R, G and B"
+    letters = "X, Y and Z" if role in ("normal", "position") else "X and Y" if role == "motion" else "R, G and B"
     if one.obstacle:
         reason = f"it is {one.obstacle}"
     elif apart:
         reason = f"it {apart}"
     elif _pick(role, one) is None:
-        reason = f"{wanted} are needed"
+        reason = f"{letters} are needed"
     else:
         return None
     return f"{Found(one, tuple(one.channels.values())).label} is not used as {role}: {reason}."

@@ -150,12 +150,12 @@ class Preset:
 def load_presets() -> dict[str, Preset]:
     """Return the presets of this package by name. "generic" knows only common pass names, so it comes last."""
     folder = files("lobewise.interchange").joinpath("presets")
-    found = {}
+    presets = {}
     for item in sorted(folder.iterdir(), key=lambda one: (one.name == "generic.toml", one.name)):
         if item.name.endswith(".toml"):
             preset = _parse(item.read_bytes(), item.name)
-            found[preset.name] = preset
-    return found
+            presets[preset.name] = preset
+    return presets
 
 
 def find_preset(name: PathLike) -> Preset:
@@ -170,45 +170,45 @@ def find_preset(name: PathLike) -> Preset:
     """
     if str(name).endswith(".toml"):
         data = read_document(name, MAX_PRESET_BYTES, what="preset", holds="a preset in TOML")
-        found = replace(_parse(data, str(name)), is_users=True)
-        if not (found.roles or found.layers):
+        preset = replace(_parse(data, str(name)), is_users=True)
+        if not (preset.roles or preset.layers):
             raise InputError(
                 f"preset {str(name)!r}",
                 expected="passes for a role or a layer",
                 got="none",
                 action='write, for example, normal = ["N"]',
             )
-        return found
+        return preset
     require_choice("preset", str(name), load_presets())
     return load_presets()[str(name)]
 
 
 def _parse(data: bytes, where: str) -> Preset:
     what = f"preset {where!r}"
-    given = parse_toml(data, what=what)
-    for key in given:
+    document = parse_toml(data, what=what)
+    for key in document:
         require_choice(f"{what}, key", key, [*ATTRIBUTES, *ROLES])
-    name = _take(given, "name", str, what, Path(where).stem)
-    advice = _take(given, "advice", dict, what, {})
+    name = _take(document, "name", str, what, Path(where).stem)
+    advice = _take(document, "advice", dict, what, {})
     return Preset(
         name=name,
-        title=_take(given, "title", str, what, name),
-        attributes=_take_texts(given, "attributes", what),
-        versions=_take_texts(given, "versions", what),
-        passes=_take_texts(given, "passes", what),
+        title=_take(document, "title", str, what, name),
+        attributes=_take_texts(document, "attributes", what),
+        versions=_take_texts(document, "versions", what),
+        passes=_take_texts(document, "passes", what),
         roles={
-            role: tuple(_parse_rule(role, rule, f"{what}, {role}") for rule in _take(given, role, list, what, []))
+            role: tuple(_parse_rule(role, rule, f"{what}, {role}") for rule in _take(document, role, list, what, []))
             for role in ROLES
-            if role in given
+            if role in document
         },
-        shown=_take_texts(given, "shown", what),
-        layers=tuple(_parse_layer(rule, f"{what}, layer") for rule in _take(given, "layer", list, what, [])),
-        cryptomatte=_take_texts(given, "cryptomatte", what),
-        light_groups=_take_texts(given, "light_groups", what),
-        samples=_take_texts(given, "samples", what),
-        samples_squared=_take_texts(given, "samples_squared", what),
-        files=_take_texts(given, "files", what),
-        notes=_take_texts(given, "notes", what),
+        shown=_take_texts(document, "shown", what),
+        layers=tuple(_parse_layer(rule, f"{what}, layer") for rule in _take(document, "layer", list, what, [])),
+        cryptomatte=_take_texts(document, "cryptomatte", what),
+        light_groups=_take_texts(document, "light_groups", what),
+        samples=_take_texts(document, "samples", what),
+        samples_squared=_take_texts(document, "samples_squared", what),
+        files=_take_texts(document, "files", what),
+        notes=_take_texts(document, "notes", what),
         advice={
             require_choice(f"{what}, advice", role, [*ROLES, "camera", "layers", "cryptomatte"]): _take(
                 advice, role, str, f"{what}, advice"
@@ -231,48 +231,48 @@ def require_conversion(what: str, role: str, word: str) -> None:
         )
 
 
-def _parse_rule(role: str, given: Any, what: str) -> Rule:
-    if isinstance(given, str):
-        return Rule(given)
-    for key in _require_table(given, what):
+def _parse_rule(role: str, value: Any, what: str) -> Rule:
+    if isinstance(value, str):
+        return Rule(value)
+    for key in _require_table(value, what):
         require_choice(what, key, ("pass", "component", "convert"))
-    convert = _take_texts(given, "convert", what)
+    convert = _take_texts(value, "convert", what)
     for word in convert:
         require_conversion(what, role, word)
-    return Rule(_take(given, "pass", str, what), _take(given, "component", str, what, None), convert)
+    return Rule(_take(value, "pass", str, what), _take(value, "component", str, what, None), convert)
 
 
-def _parse_layer(given: Any, what: str) -> LayerRule:
-    for key in _require_table(given, what):
+def _parse_layer(value: Any, what: str) -> LayerRule:
+    for key in _require_table(value, what):
         require_choice(what, key, ("name", "lobe", "light", "albedo", "times_albedo"))
-    name = _take(given, "name", str, what)
-    lobe = require_choice(f"{what}, lobe", _take(given, "lobe", str, what), LOBES)
-    albedo = _take(given, "albedo", str, what, None)
+    name = _take(value, "name", str, what)
+    lobe = require_choice(f"{what}, lobe", _take(value, "lobe", str, what), LOBES)
+    albedo = _take(value, "albedo", str, what, None)
     return LayerRule(
-        name, lobe, _take_texts(given, "light", what), albedo, _take(given, "times_albedo", bool, what, False)
+        name, lobe, _take_texts(value, "light", what), albedo, _take(value, "times_albedo", bool, what, False)
     )
 
 
-def _require_table(given: Any, what: str) -> dict[str, Any]:
-    if not isinstance(given, dict):
-        raise InputError(what, expected="a table", got=describe_kind(given), action='write { pass = "..." }')
-    return given
+def _require_table(value: Any, what: str) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise InputError(what, expected="a table", got=describe_kind(value), action='write { pass = "..." }')
+    return value
 
 
 _KINDS = {str: "a text", list: "a list", dict: "a table", bool: "true or false"}
 
 
-def _take(given: Mapping[str, Any], key: str, kind: type, what: str, *default: Any) -> Any:
-    if key not in given and default:
+def _take(table: Mapping[str, Any], key: str, kind: type, what: str, *default: Any) -> Any:
+    if key not in table and default:
         return default[0]
-    value = given.get(key)
+    value = table.get(key)
     if not isinstance(value, kind):
         raise InputError(f"{what}, {key}", expected=_KINDS[kind], got=describe_kind(value), action="see presets/*.toml")
     return value
 
 
-def _take_texts(given: Mapping[str, Any], key: str, what: str) -> tuple[str, ...]:
-    texts = _take(given, key, list, what, [])
+def _take_texts(table: Mapping[str, Any], key: str, what: str) -> tuple[str, ...]:
+    texts = _take(table, key, list, what, [])
     if not all(isinstance(text, str) for text in texts):
         raise InputError(
             f"{what}, {key}", expected="a list of texts", got="something else in it", action="quote each of them"

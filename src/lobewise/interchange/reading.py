@@ -163,12 +163,12 @@ def list_selections(
             action="split the file",
         )
     layers = dict.fromkeys(each.layer for each in first.selections) if all_layers else (first.selection.layer,)
-    found = {first.selection: None}
+    selections = {first.selection: None}
     for view, layer in product(views or (first.selection.view,), layers):
         with suppress(InputError, MissingChannelError):
             own = map_channels(family, preset=preset, mapping=mapping, view=view, layer=layer or None)
-            found[own.selection] = None
-    return tuple(found)
+            selections[own.selection] = None
+    return tuple(selections)
 
 
 def import_file(
@@ -218,7 +218,7 @@ def import_file(
             )
         frame = read_whole(path, container, lobe_tables)
         frame = frame if camera is None else frame.with_changes(camera=camera)
-        found = Imported(
+        imported = Imported(
             frame.with_changes(notes=describe_own_left_noisy(container)),
             container,
             findings=check_own_mark(container),
@@ -233,22 +233,22 @@ def import_file(
             )
         with name_file(path):
             channels = map_channels(family.container, preset=preset, mapping=mapping, view=view, layer=layer)
-            found, read = import_foreign(container, read, channels, camera)
+            imported, read = import_foreign(container, read, channels, camera)
     if also:
         with name_file(path):
-            found = add_also(found, also, read)
-    if found.map is not None:
-        notes = describe_left_noisy(found, read, {found.map.selection, *denoised})
-        found = replace(found, frame=found.frame.with_changes(notes=notes))
+            imported = add_also(imported, also, read)
+    if imported.map is not None:
+        notes = describe_left_noisy(imported, read, {imported.map.selection, *denoised})
+        imported = replace(imported, frame=imported.frame.with_changes(notes=notes))
     if not light_passes:
-        found = _leave_passes(found)
+        imported = _leave_passes(imported)
     if half is None:
-        return found
-    given: dict[str, Any] = {"preset": preset, "mapping": mapping, "camera": camera, "lobe_tables": lobe_tables}
-    given |= {"also": also, "light_passes": light_passes, "view": view, "layer": layer}
-    other = import_file(half, **given)
+        return imported
+    options: dict[str, Any] = {"preset": preset, "mapping": mapping, "camera": camera, "lobe_tables": lobe_tables}
+    options |= {"also": also, "light_passes": light_passes, "view": view, "layer": layer}
+    other = import_file(half, **options)
     with name_file(half):
-        return join_halves(found, other)
+        return join_halves(imported, other)
 
 
 def import_planes(
@@ -281,14 +281,14 @@ def import_planes(
     return import_foreign(container, read, map_channels(container, preset=preset, mapping=mapping), camera)[0]
 
 
-def _leave_passes(found: Imported) -> Imported:
+def _leave_passes(imported: Imported) -> Imported:
     """Return the import without the layer parts that come from the preset; passes added by ``also`` stay."""
-    rules = found.map.layers if found.map else ()
+    rules = imported.map.layers if imported.map else ()
     passes = {(each.rule.name, name_pass(one.source.path)) for each in rules for one in each.light}
 
     def strip(layer: RadianceLayer) -> RadianceLayer:
         parts = {part: image for part, image in layer.parts.items() if (layer.name, part) not in passes}
         return replace(layer, parts=parts)
 
-    layers = tuple(map(strip, found.frame.layers))
-    return replace(found, frame=found.frame.with_changes(layers=layers)) if layers else found
+    layers = tuple(map(strip, imported.frame.layers))
+    return replace(imported, frame=imported.frame.with_changes(layers=layers)) if layers else imported

@@ -91,9 +91,9 @@ def write_result(
         lies in another file beside ``source``.
     """
     require_kind("result", result, Result)
-    found = source if isinstance(source, Imported) else import_file(source, view=view, layer=layer)
-    planned = plan_result(result, found, suffix=suffix, only=only, confidence=confidence, rerender=rerender)
-    return write_planned(path, found.container, [planned], only=only)
+    imported = source if isinstance(source, Imported) else import_file(source, view=view, layer=layer)
+    planned = plan_result(result, imported, suffix=suffix, only=only, confidence=confidence, rerender=rerender)
+    return write_planned(path, imported.container, [planned], only=only)
 
 
 @dataclass(frozen=True)
@@ -124,18 +124,18 @@ def write_planned(
 ) -> tuple[str, ...]:
     """Write a copy of a file with the results of one or more of its views; see `write_result`."""
     changed, added = ({}, {})  # type: tuple[Planes, Planes]
-    for each in planned:
-        for whole, mine in ((changed, each.changed), (added, each.added)):
+    for one in planned:
+        for whole, mine in ((changed, one.changed), (added, one.added)):
             for index, planes in mine.items():
                 whole.setdefault(index, {}).update(planes)
-    notes = dict.fromkeys(note for each in planned for note in each.notes)
+    notes = dict.fromkeys(note for one in planned for note in one.notes)
     first = planned[0]
     return (*notes, *write_copy(path, container, changed, first.settings, first.beauty, added=added, only=only))
 
 
 def plan_result(
     result: Result,
-    found: Imported,
+    imported: Imported,
     *,
     suffix: str = "",
     only: bool = False,
@@ -143,19 +143,19 @@ def plan_result(
     rerender: FloatArray | None = None,
 ) -> PlannedResult:
     """Return what a result changes in the copy of its file; see `write_result`."""
-    require_target(found)
-    container = found.container
-    if found.map is None:
+    require_target(imported)
+    container = imported.container
+    if imported.map is None:
         beauty = require_beauty(container)
-        planes = _plan_own(found, result)
+        planes = _plan_own(imported, result)
     else:
-        beauty = found.map.target.source.part
-        planes = _plan_foreign(found, result)
-    notes = _note_noisy(found, result)
-    kept, told = ({}, []) if suffix or only else _keep_shown(found)
-    notes += told
+        beauty = imported.map.target.source.part
+        planes = _plan_foreign(imported, result)
+    notes = _note_noisy(imported, result)
+    shown, shown_notes = ({}, []) if suffix or only else _keep_shown(imported)
+    notes += shown_notes
     changed: Planes = {} if suffix else planes
-    added: Planes = kept
+    added: Planes = shown
     if suffix:
         added = {
             index: {_add_suffix(name, suffix, container): plane for name, plane in each.items()}
@@ -169,52 +169,52 @@ def plan_result(
         }
         if rerender is not None:
             own["rerender"] = np.asarray(rerender, np.float32)
-        more = added.setdefault(beauty.index, {})
-        more |= {f"{_name_prefix(found, beauty)}{name}": image for name, image in own.items()}
+        of_beauty = added.setdefault(beauty.index, {})
+        of_beauty |= {f"{_name_prefix(imported, beauty)}{name}": image for name, image in own.items()}
     return PlannedResult(beauty, changed, added, result.settings, tuple(notes))
 
 
-def _name_prefix(found: Imported, beauty: Part) -> str:
+def _name_prefix(imported: Imported, beauty: Part) -> str:
     """Return the beginning of the names of added channels, with the view and layer of which the part has several."""
-    if found.map is None:
+    if imported.map is None:
         return CONFIDENCE_PREFIX
-    view = "" if beauty.view else found.map.selection.view
-    layer = found.map.prefix if len({each.layer for each in found.map.selections}) > 1 else ""
+    view = "" if beauty.view else imported.map.selection.view
+    layer = imported.map.prefix if len({each.layer for each in imported.map.selections}) > 1 else ""
     return f"{layer}{CONFIDENCE_PREFIX}{view}{'.' if view else ''}"
 
 
-def require_target(found: Imported) -> None:
+def require_target(imported: Imported) -> None:
     """Raise InputError if the image to replace is in a neighbouring file, not in the file that is copied."""
-    if found.map is None or found.map.target.source.part.index < FIRST_SIBLING_INDEX:
+    if imported.map is None or imported.map.target.source.part.index < FIRST_SIBLING_INDEX:
         return
-    name = found.container.path.name
+    name = imported.container.path.name
     raise InputError(
-        f"image {found.map.target.label}",
+        f"image {imported.map.target.label}",
         expected=f"one in {name!r}, of which a copy is written",
         got="one in another file beside it",
         action="give that file, or put all passes into one file",
     )
 
 
-def _plan_own(found: Imported, result: Result) -> Planes:
+def _plan_own(imported: Imported, result: Result) -> Planes:
     """Return the new channel values for a file in lobewise's names."""
-    given = {"color": result.image, "diffuse": result.diffuse, "specular": result.specular}
-    images = {field: image for field, image in given.items() if image is not None}
-    container = found.container
+    results = {"color": result.image, "diffuse": result.diffuse, "specular": result.specular}
+    images = {field: image for field, image in results.items() if image is not None}
+    container = imported.container
     return {
         part.index: {name: images[slot.field][..., k] for slot in slots for k, name in enumerate(slot.channels)}
         for part, slots in plan_writing(container, require_beauty(container), images)
     }
 
 
-def _plan_foreign(found: Imported, result: Result) -> Planes:
+def _plan_foreign(imported: Imported, result: Result) -> Planes:
     """Return the new channel values for a file of another renderer."""
     images = _list_images(result)
     planes: Planes = {}
     # Rescaled exact light adds up to the image only with the filtered passes, so keep it if any pass stays noisy.
-    kept = set(found.frame.unscattered) if _list_left(found, images) else set()
-    for name, output in found.outputs.items():
-        if name not in images or name in kept:
+    unfiltered = set(imported.frame.unscattered) if _list_left(imported, images) else set()
+    for name, output in imported.outputs.items():
+        if name not in images or name in unfiltered:
             continue
         image = images[name]
         if output.divided_by is not None:
@@ -225,10 +225,10 @@ def _plan_foreign(found: Imported, result: Result) -> Planes:
     return planes
 
 
-def _list_left(found: Imported, images: Mapping[str, FloatArray]) -> list[str]:
+def _list_left(imported: Imported, images: Mapping[str, FloatArray]) -> list[str]:
     """Return the noisy passes for which the result has no image. Exact light does not count: it has no noise."""
-    exact = found.frame.unscattered
-    return [output.found.label for name, output in found.outputs.items() if name not in images and name not in exact]
+    exact = imported.frame.unscattered
+    return [output.found.label for name, output in imported.outputs.items() if name not in images and name not in exact]
 
 
 def _list_images(result: Result) -> Mapping[str, FloatArray]:
@@ -238,28 +238,28 @@ def _list_images(result: Result) -> Mapping[str, FloatArray]:
     return {**whole, **result.layers, **result.also}
 
 
-def _keep_shown(found: Imported) -> tuple[Planes, list[str]]:
+def _keep_shown(imported: Imported) -> tuple[Planes, list[str]]:
     """Return channels that keep the renderer's denoised image, and a note about them.
 
     A file that lobewise wrote before has these channels already. They stay unchanged.
     """
-    shown = None if found.map is None else found.map.shown
-    if shown is None or found.shown is None:
+    shown = None if imported.map is None else imported.map.shown
+    if shown is None or imported.shown is None:
         return {}, []
-    names = [_add_suffix(name, KEPT_SUFFIX, found.container) for name in shown.channels]
+    names = [_add_suffix(name, KEPT_SUFFIX, imported.container) for name in shown.channels]
     label = Found(shown.source, tuple(names)).label
-    if found.container.multipart and shown.source.part.name:
+    if imported.container.multipart and shown.source.part.name:
         label += f" of the part {show_name(shown.source.part.name)!r}"
-    there = {name for one in list_passes(found.container) for name in one.channels.values()}
+    there = {name for one in list_passes(imported.container) for name in one.channels.values()}
     if there.intersection(names):
         return {}, [f"{label} holds an earlier image of {shown.label} and stays."]
-    planes = {name: found.shown[..., k] for k, name in enumerate(names)}
+    planes = {name: imported.shown[..., k] for k, name in enumerate(names)}
     return {shown.source.part.index: planes}, [f"The renderer's own denoised image is kept as {label}."]
 
 
-def _note_noisy(found: Imported, result: Result) -> list[str]:
+def _note_noisy(imported: Imported, result: Result) -> list[str]:
     """Return a note that lists the noisy passes for which the result has no image."""
-    left = _list_left(found, _list_images(result))
+    left = _list_left(imported, _list_images(result))
     return [f"Left noisy, as the result has no part for them: {', '.join(left)}."] if left else []
 
 

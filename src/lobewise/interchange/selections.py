@@ -49,10 +49,10 @@ class Selection:
 def count_selections(selections: Collection[Selection]) -> str:
     """Return how many there are, in words: ``2 views``, ``3 view layers`` or ``3 view layers in 2 views``."""
     counts = {what: len({getattr(each, what) for each in selections}) for what in ("layer", "view")}
-    told = [
+    counted = [
         f"{counts[what]} {name}" for what, name in (("layer", "view layers"), ("view", "views")) if counts[what] > 1
     ]
-    return " in ".join(told)
+    return " in ".join(counted)
 
 
 def choose_view(
@@ -85,19 +85,19 @@ def list_images(preset: Preset, passes: Sequence[Pass]) -> dict[str, tuple[Pass,
 
     Passes without a prefix have one image. The images of view layers have a prefix each, such as ``ViewLayer.``.
     """
-    found: dict[str, tuple[Pass, Rule]] = {}
+    images: dict[str, tuple[Pass, Rule]] = {}
     for rule in preset.roles.get("color", (Rule(""),)):
         for one in passes:
             if one.matches(rule.source) and one.pick(COLOR):
-                prefix, first = one.get_prefix(rule.source), next(iter(found), None)
+                prefix, first = one.get_prefix(rule.source), next(iter(images), None)
                 # After an image without a prefix only images by the same name are its like.
-                if first is None or (first and prefix) or found[first][1] is rule:
-                    found.setdefault(prefix, (one, rule))
-    for one in passes if not found else ():
+                if first is None or (first and prefix) or images[first][1] is rule:
+                    images.setdefault(prefix, (one, rule))
+    for one in passes if not images else ():
         # No rule matches: take the first pass with R, G and B that has no path, or whose path is the name of its part.
         if (one.path in ("", one.part.name) or not one.written_path) and one.pick(COLOR[:1]):
             return {"": (one, Rule(""))}
-    return found
+    return images
 
 
 def list_selections(container: Container, preset: Preset, passes: Iterable[Pass]) -> tuple[Selection, ...]:

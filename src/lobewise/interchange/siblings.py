@@ -47,12 +47,13 @@ def find_family(container: Container) -> Family:
         return Family(container)
     for preset in load_presets().values():
         for word in preset.files:
-            found = _find_parts(container, preset, word) if word in container.path.stem else {}
-            if found and all(any(fnmatchcase(name, wanted) for name in found) for wanted in preset.passes):
+            siblings = _find_parts(container, preset, word) if word in container.path.stem else {}
+            if siblings and all(any(fnmatchcase(name, wanted) for name in siblings) for wanted in preset.passes):
                 main = _name_part(container.parts[0], 0, word)
-                homes = {FIRST_SIBLING_INDEX + number: home for number, home in enumerate(found.values())}
+                homes = {FIRST_SIBLING_INDEX + number: home for number, home in enumerate(siblings.values())}
                 parts = [
-                    _name_part(home[1], index, name) for (index, home), name in zip(homes.items(), found, strict=True)
+                    _name_part(home[1], index, name)
+                    for (index, home), name in zip(homes.items(), siblings, strict=True)
                 ]
                 whole = replace(container, version=container.version | MULTIPART, parts=(main, *parts))
                 return Family(whole, homes)
@@ -68,15 +69,15 @@ def list_family(path: Path) -> list[Path]:
 
 def _find_parts(container: Container, preset: Preset, word: str) -> dict[str, tuple[Container, Part]]:
     """Return the neighbouring files of a preset's passes. Their names have the pass in place of ``word``."""
-    found = {}
+    parts = {}
     head, _, tail = container.path.stem.rpartition(word)
     for name in dict.fromkeys(_list_passes(preset)):
         path = container.path.with_name(f"{head}{name}{tail}{container.path.suffix}")
         if name != word and path.is_file():
             other = _read(path)
             if other is not None and other.parts[0].data_window == container.parts[0].data_window:
-                found[name] = (other, other.parts[0])
-    return found
+                parts[name] = (other, other.parts[0])
+    return parts
 
 
 def _read(path: Path) -> Container | None:

@@ -53,8 +53,8 @@ def take_silhouettes(channels: ChannelMap, read: ImageReader) -> tuple[Silhouett
         if any(plane.any() for plane in shares):
             notes.append(f"Silhouettes are told by Cryptomatte ({passes[0].label} and {len(passes) - 1} more).")
             return Silhouettes(find_coverage(ids, shares), find_object_share(shares)), notes
-    silhouettes, told = _take_alpha_silhouettes(channels, read)
-    return silhouettes, [*notes, *told]
+    silhouettes, alpha_notes = _take_alpha_silhouettes(channels, read)
+    return silhouettes, [*notes, *alpha_notes]
 
 
 def _take_alpha_silhouettes(channels: ChannelMap, read: ImageReader) -> tuple[Silhouettes, list[str]]:
@@ -62,16 +62,16 @@ def _take_alpha_silhouettes(channels: ChannelMap, read: ImageReader) -> tuple[Si
     chosen = color.source.pick(("a",))
     if chosen is None:
         return Silhouettes(), []
-    found = Found(color.source, chosen)
-    (plane,) = read.read_planes(found)
+    alpha_pass = Found(color.source, chosen)
+    (plane,) = read.read_planes(alpha_pass)
     alpha = plane.astype(np.float32)
     edges = (alpha > 0.01) & (alpha < 0.99)
     # If most alpha values are partial, alpha is not coverage: it shows glass, volumes or a fade.
     if not MIN_EDGE_SHARE < edges.mean() < 0.5 or not (alpha >= 0.99).any():
         return Silhouettes(), []
-    told = f"Silhouettes against the background are told by {found.label}; no Cryptomatte tells the others."
+    note = f"Silhouettes against the background are told by {alpha_pass.label}; no Cryptomatte tells the others."
     ids, shares = [np.ones(alpha.shape, np.uint32)], [alpha]
-    return Silhouettes(find_coverage(ids, shares), find_object_share(shares)), [told]
+    return Silhouettes(find_coverage(ids, shares), find_object_share(shares)), [note]
 
 
 def find_coverage(ids: Sequence[NDArray[np.uint32]], shares: Sequence[FloatArray]) -> FloatArray:
@@ -182,7 +182,7 @@ def _find_owners(
 
 
 def _spread(
-    found: FloatArray,
+    filled: FloatArray,
     objects: NDArray[np.uint32],
     parts: FloatArray,
     neighbours: NDArray[np.int64],
@@ -193,7 +193,7 @@ def _spread(
     sides = shows[:, :4].any(axis=1)
     shows[sides, 4:] = False
     count = shows.sum(axis=1)
-    found[:, 4] += np.where(count == 0, parts, 0.0)
-    each = np.where(count > 0, parts / np.maximum(count, 1), 0.0)
+    filled[:, 4] += np.where(count == 0, parts, 0.0)
+    mean = np.where(count > 0, parts / np.maximum(count, 1), 0.0)
     for number, (dy, dx) in enumerate(NEAREST_FIRST):
-        found[:, 3 * (dy + 1) + dx + 1] += np.where(shows[:, number], each, 0.0)
+        filled[:, 3 * (dy + 1) + dx + 1] += np.where(shows[:, number], mean, 0.0)

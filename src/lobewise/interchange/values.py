@@ -43,13 +43,13 @@ def convert_space(values: FloatArray, names: tuple[str, ...], camera: Camera | N
 
 def convert_depth(values: FloatArray, names: tuple[str, ...], camera: Camera | None) -> FloatArray | None:
     """Return distances along the rays, 0 for no surface. Return None if planar depth has no camera to convert it."""
-    found = np.where(np.isfinite(values) & (values > 0.0) & (values < MIN_EMPTY_DISTANCE), values, np.float32(0.0))
+    distance = np.where(np.isfinite(values) & (values > 0.0) & (values < MIN_EMPTY_DISTANCE), values, np.float32(0.0))
     if "planar" not in names:
-        return found
+        return distance
     if camera is None:
         return None
     height, width = values.shape
-    return np.asarray(found / (camera.make_ray_directions(width, height) @ camera.forward.astype(np.float32)))
+    return np.asarray(distance / (camera.make_ray_directions(width, height) @ camera.forward.astype(np.float32)))
 
 
 def undo_mean_roughness(
@@ -72,5 +72,5 @@ def undo_mean_roughness(
         return None
     d, s = diffuse.mean(axis=-1), specular.mean(axis=-1)
     known = s > MIN_SPECULAR_SHARE * np.maximum(d + s, np.float32(1e-6))
-    found = (mean * (d + s) - d) / np.where(known, s, np.float32(1.0))
-    return np.clip(np.where(known, found, np.float32(1.0)), 0.0, 1.0), known
+    specular_roughness = (mean * (d + s) - d) / np.where(known, s, np.float32(1.0))
+    return np.clip(np.where(known, specular_roughness, np.float32(1.0)), 0.0, 1.0), known

@@ -105,8 +105,8 @@ def parse_toml(data: bytes, *, what: str, action: str = "mend the file") -> dict
         _check_depth(value)
         return value
 
-    found: dict[str, Any] = _parse(parse, "TOML", what, action)
-    return found
+    document: dict[str, Any] = _parse(parse, "TOML", what, action)
+    return document
 
 
 def _parse(parse: Callable[[], Any], kind: str, what: str, action: str) -> Any:
@@ -173,12 +173,12 @@ def _refuse_constant(name: str) -> Any:
 
 
 def _make_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
+    members = dict(pairs)
+    if len(members) < len(pairs):
         names = [name for name, _ in pairs]
-        twice = next(name for name in found if names.count(name) > 1)
+        twice = next(name for name in members if names.count(name) > 1)
         raise _Refused(f"the key {twice[:40]!r} twice")
-    return found
+    return members
 
 
 def _walk(value: Any) -> Iterable[tuple[int, Any]]:

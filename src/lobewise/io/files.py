@@ -135,10 +135,10 @@ def require_other_files(
 def _find_place(path: PathLike) -> tuple[int, int] | None:
     """Return the device and inode of a file, which identify it under any name; None if it does not exist."""
     try:
-        found = os.stat(path)
+        status = os.stat(path)
     except (OSError, ValueError):
         return None
-    return found.st_dev, found.st_ino
+    return status.st_dev, status.st_ino
 
 
 EXR_NAMES = (".exr", ".sxr", ".mxr", "")

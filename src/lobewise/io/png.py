@@ -42,11 +42,11 @@ def encode_png(
     picture = Image.fromarray(image)
     if palette is not None:
         picture.putpalette(palette.tobytes())
-    kept = PngInfo()
+    info = PngInfo()
     for name, text in (texts or {}).items():
-        kept.add_text(name, text)
+        info.add_text(name, text)
     out = io.BytesIO()
-    picture.save(out, "PNG", pnginfo=kept)
+    picture.save(out, "PNG", pnginfo=info)
     return out.getvalue()
 
 

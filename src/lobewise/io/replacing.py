@@ -74,11 +74,11 @@ def remove_leftovers(target: Path) -> None:
                         os.unlink(entry.path)
 
 
-def _is_left(found: os.stat_result, is_here: bool, process: int) -> bool:
+def _is_left(status: os.stat_result, is_here: bool, process: int) -> bool:
     """Return whether nobody writes a temporary file of this user any more, as far as can be known."""
-    if not stat.S_ISREG(found.st_mode) or (hasattr(os, "geteuid") and found.st_uid != os.geteuid()):
+    if not stat.S_ISREG(status.st_mode) or (hasattr(os, "geteuid") and status.st_uid != os.geteuid()):
         return False
-    age = time.time() - found.st_mtime
+    age = time.time() - status.st_mtime
     if not _is_posix:
         return age > MIN_SECONDS_ON_WINDOWS
     return age > MIN_SECONDS_OF_LEFTOVERS or (is_here and not _is_running(process))
@@ -135,13 +135,13 @@ class Replacement:
         """Replace the target by the new content."""
         self.stream.flush()
         os.fsync(self.stream.fileno())
-        told = self._keep_properties()
+        notes = self._keep_properties()
         self.stream.close()
         os.replace(self._temporary, self._target)
         self._is_done = True
         _sync_folder(self._target.parent)
-        if told:
-            warnings.warn(told, TargetWarning, stacklevel=4)
+        if notes:
+            warnings.warn(notes, TargetWarning, stacklevel=4)
 
     def _keep_properties(self) -> str:
         """Give the new file permissions, owner and attributes of the old one; return a sentence about what is lost."""
@@ -149,7 +149,7 @@ class Replacement:
         old = _look_at(target) or self._before
         if old is None:
             return ""
-        told = []
+        notes = []
         if hasattr(os, "fchown"):
             new = os.fstat(descriptor)
             for name, before, now in (("group", old.st_gid, new.st_gid), ("owner", old.st_uid, new.st_uid)):
@@ -157,7 +157,7 @@ class Replacement:
                     if before != now:
                         os.fchown(descriptor, before if name == "owner" else -1, before if name == "group" else -1)
                 except OSError:
-                    told.append(f"its {name} is now {now} instead of {before}")
+                    notes.append(f"its {name} is now {now} instead of {before}")
         if hasattr(os, "listxattr"):
             with suppress(OSError):
                 for key in os.listxattr(target):
@@ -169,8 +169,8 @@ class Replacement:
         else:
             self._temporary.chmod(stat.S_IMODE(old.st_mode))
         if old.st_nlink > 1:
-            told.append(f"{old.st_nlink - 1} hard link(s) to it keep the old content")
-        return f"{str(target)!r} was replaced: {', '.join(told)}." if told else ""
+            notes.append(f"{old.st_nlink - 1} hard link(s) to it keep the old content")
+        return f"{str(target)!r} was replaced: {', '.join(notes)}." if notes else ""
 
 
 def _look_at(path: Path) -> os.stat_result | None:

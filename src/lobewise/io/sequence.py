@@ -116,9 +116,9 @@ class FramePattern:
         # A number with more digits than the pattern must not begin with a zero.
         digits = rf"[0-9]{{{self.width}}}|[1-9][0-9]{{{self.width},}}"
         name = re.compile(f"{re.escape(self.before)}({digits}){re.escape(self.after)}")
-        found = sorted((int(match[1]), self.folder / match[0]) for match in map(name.fullmatch, names) if match)
-        if found:
-            return found
+        numbered = sorted((int(match[1]), self.folder / match[0]) for match in map(name.fullmatch, names) if match)
+        if numbered:
+            return numbered
         near = self._find_near(names)
         raise FileError(
             f"sequence {str(self)!r}",
@@ -132,13 +132,13 @@ class FramePattern:
 
         Only letters and digits before the ending are compared, because every pattern has a run of # and the ending.
         """
-        wanted = Path(str(self))
+        own = Path(str(self))
         patterns: dict[str, str] = {}
         for name in sorted(names):
             other = re.sub(r"[0-9]+(?!.*[0-9])", lambda run: "#" * len(run[0]), name)
-            if other != name and Path(other).suffix.casefold() == wanted.suffix.casefold():
+            if other != name and Path(other).suffix.casefold() == own.suffix.casefold():
                 patterns.setdefault(_take_letters(other), other)
-        near = find_nearest(_take_letters(wanted.name), patterns)
+        near = find_nearest(_take_letters(own.name), patterns)
         return str(self.folder / patterns[near]) if near is not None else None
 
 

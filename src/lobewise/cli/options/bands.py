@@ -92,11 +92,11 @@ def _is_large(source: Path, settings: dict[str, Any], memory: float | None) -> b
     from lobewise.io.exr.bands import BandReader
     from lobewise.streaming import find_limits, list_images, needs_bands
 
-    asked = ask(None, settings, whole=False)
+    request = ask(None, settings, whole=False)
     try:
-        reader = BandReader(source, wanted=list_images(asked))
+        reader = BandReader(source, wanted=list_images(request))
         # Normals that stand in for missing ones are found in the whole image.
-        return ("gbuffer", "normal") in reader.images and needs_bands(reader, asked, find_limits(memory).whole)
+        return ("gbuffer", "normal") in reader.images and needs_bands(reader, request, find_limits(memory).whole)
     except LobewiseError:
         # A whole frame may be readable nevertheless; if it is not, reading it raises the error again.
         return False

@@ -76,9 +76,9 @@ def parse_place(text: str) -> tuple[int, int]:
 
 def parse_size(text: str) -> tuple[int, int]:
     """Return columns and rows of ``WxH``, each from `MIN_SIDE` to `MAX_SIDE`."""
-    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text.strip().lower())
-    if found and min(map(int, found.groups())) >= MIN_SIDE and max(map(int, found.groups())) <= MAX_SIDE:
-        return int(found[1]), int(found[2])
+    match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text.strip().lower())
+    if match and min(map(int, match.groups())) >= MIN_SIDE and max(map(int, match.groups())) <= MAX_SIDE:
+        return int(match[1]), int(match[2])
     raise InputError(
         "--size",
         expected=f"columns x rows from {MIN_SIDE} to {MAX_SIDE}, such as 512x512",

@@ -109,8 +109,8 @@ class Farm:
 
 def parse_memory(text: str) -> float:
     """Return the GiB of a text such as 8GB, 8GiB or 4096MB."""
-    found = re.fullmatch(r"(\d{1,9}(?:\.\d{1,6})?)\s*([MGT]I?B)", text.strip().upper())
-    memory = float(found[1]) * UNITS[found[2]] / GIB if found else 0.0
+    match = re.fullmatch(r"(\d{1,9}(?:\.\d{1,6})?)\s*([MGT]I?B)", text.strip().upper())
+    memory = float(match[1]) * UNITS[match[2]] / GIB if match else 0.0
     if memory < MIN_MEMORY_GIB:
         raise InputError(
             "--memory-per-worker",

@@ -64,8 +64,8 @@ class Reading:
 
     def list_words(self) -> list[str]:
         """Return the options that the user gave, as words of a command line."""
-        given = {"--preset": [self.preset], "--map": self.maps, "--camera": [self.camera], "--half": [self.half]}
-        return _list_words(given)
+        options = {"--preset": [self.preset], "--map": self.maps, "--camera": [self.camera], "--half": [self.half]}
+        return _list_words(options)
 
     @property
     def option(self) -> str:
@@ -83,8 +83,8 @@ class Reading:
 
     def list_files(self) -> list[Path]:
         """Return the files that say how every frame is read."""
-        given = [*([] if self.preset is None else [Path(self.preset)]), *([] if self.camera is None else [self.camera])]
-        return [path for path in given if path.is_file()]
+        paths = [*([] if self.preset is None else [Path(self.preset)]), *([] if self.camera is None else [self.camera])]
+        return [path for path in paths if path.is_file()]
 
     def list_halves(self, number: int) -> list[Path]:
         """Return the file of the second render of a frame of a sequence, if there is a second render."""
@@ -166,10 +166,10 @@ class PassReading(Reading):
         from lobewise.interchange import import_file
         from lobewise.interchange.replacing import require_target
 
-        given = self.parse()
-        found = import_file(
+        options = self.parse()
+        imported = import_file(
             path,
-            **given,
+            **options,
             half=None if self.half is None else self._find_half(path, source),
             lobe_tables=tables,
             also=self.also or (),
@@ -178,15 +178,15 @@ class PassReading(Reading):
             layer=selection.layer or None,
             denoised=denoised,
         )
-        if "color" not in given["mapping"]:
-            refuse_results(path, found.findings)
-        require_target(found)
+        if "color" not in options["mapping"]:
+            refuse_results(path, imported.findings)
+        require_target(imported)
         # A finding holds figures of one frame: of a sequence only the first frame's are printed.
-        known = {one.told: f"{one.what}, {one.mended}" for one in found.findings}
+        known = {one.told: f"{one.what}, {one.mended}" for one in imported.findings}
         first = next(iter(denoised), selection)
-        for note in found.remarks:
+        for note in imported.remarks:
             remarks.tell_of(selection, first, note, known.get(note, note), find_number(path, source))
-        return found
+        return imported
 
     def _find_half(self, path: Path, source: Path) -> Path:
         """Return the file of the second render that belongs to a file of the first."""
@@ -203,8 +203,8 @@ class PassReading(Reading):
         return find_counterpart(path, source, self.half)
 
 
-def _list_words(given: Mapping[str, Iterable[object] | None]) -> list[str]:
-    return [word for name, values in given.items() for one in values or [] if one for word in (name, str(one))]
+def _list_words(options: Mapping[str, Iterable[object] | None]) -> list[str]:
+    return [word for name, values in options.items() for one in values or [] if one for word in (name, str(one))]
 
 
 def read_tables(material: Sequence[Path]) -> list[LobeTable] | None:
@@ -253,13 +253,13 @@ def refuse_results(path: Path, findings: Iterable[Finding]) -> None:
         )
 
 
-def check_import(found: Imported, named: DenoiseSettings) -> CheckedGuides[Frame]:
+def check_import(imported: Imported, named: DenoiseSettings) -> CheckedGuides[Frame]:
     """Return the frame of a file with its guides checked, and notes; ``named`` are the settings of the user."""
     from lobewise.denoising.recipe import check_frame
     from lobewise.guides.usable import check_guides
 
     # The notes on a file of another renderer say already what it lacks, and how to have it.
-    return check_frame(found.frame, named) if found.map is None else check_guides(found.frame)
+    return check_frame(imported.frame, named) if imported.map is None else check_guides(imported.frame)
 
 
 def anchor_name(text: str) -> str:
@@ -267,17 +267,17 @@ def anchor_name(text: str) -> str:
     return str(Path(text).absolute()) if Path(text).is_file() else text
 
 
-def parse_maps(given: list[str]) -> Mapping[str, str]:
+def parse_maps(pairs: list[str]) -> Mapping[str, str]:
     """Return channels by role from words ``role=channels``."""
-    found: dict[str, Any] = {}
-    for text in given:
+    mapping: dict[str, Any] = {}
+    for text in pairs:
         role, equals, channels = text.partition("=")
-        if not equals or not channels or role.strip() in found:
+        if not equals or not channels or role.strip() in mapping:
             raise InputError(
                 "--map",
                 expected="ROLE=CHANNELS, each role once",
                 got=repr(text),
                 action="write, for example, --map normal=N.X,N.Y,N.Z",
             )
-        found[role.strip()] = channels.strip()
-    return found
+        mapping[role.strip()] = channels.strip()
+    return mapping

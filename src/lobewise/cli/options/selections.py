@@ -115,9 +115,9 @@ class FilterOfEach:
         """Return what the filters of all views remember."""
         import numpy as np
 
-        state: State = {SELECTIONS: np.array([[each.view, each.layer] for each in self._filters], dtype=np.str_)}
-        for number, each in enumerate(self._filters.values()):
-            state |= {f"{number}/{name}": value for name, value in each.get_state().items()}
+        state: State = {SELECTIONS: np.array([[one.view, one.layer] for one in self._filters], dtype=np.str_)}
+        for number, one in enumerate(self._filters.values()):
+            state |= {f"{number}/{name}": value for name, value in one.get_state().items()}
         return state
 
     def set_state(self, state: State) -> None:

@@ -70,11 +70,11 @@ class WindowReader:
 
         middle = FramePattern.parse(self._source).read_number(path)
         window = list_window(self._source, middle, self._reach)
-        first, wanted = window[0][0], [each for _, each in window]
-        kept, self._kept = self._kept, {}
-        for each in wanted:
-            self._kept[each] = kept.pop(each) if each in kept else self._read(each)
-        return FileInWindow(self._kept[path], tuple(self._kept[each].frame for each in wanted), middle - first)
+        first, paths = window[0][0], [each for _, each in window]
+        known, self._kept = self._kept, {}
+        for each in paths:
+            self._kept[each] = known.pop(each) if each in known else self._read(each)
+        return FileInWindow(self._kept[path], tuple(self._kept[each].frame for each in paths), middle - first)
 
 
 def list_window(source: Path, number: int, reach: int) -> list[tuple[int, Path]]:

@@ -48,14 +48,14 @@ class Writing:
         """Name of the first option that the user gave, empty for none."""
         return next((f"--{name}" for name in ("suffix", "only", "confidence") if getattr(self, name)), "")
 
-    def plan(self, result: Result, found: Imported) -> PlannedResult:
+    def plan(self, result: Result, imported: Imported) -> PlannedResult:
         """Return what a result changes in the copy of its file."""
         from lobewise.adaptive import find_unsupported
         from lobewise.interchange.replacing import plan_result
 
         return plan_result(
             result,
-            found,
+            imported,
             suffix=self.suffix,
             only=self.only,
             confidence=self.confidence,
@@ -139,7 +139,7 @@ def list_files(paths: Iterable[Path]) -> Iterator[Path]:
 
     for path in paths:
         if is_pattern(path):
-            yield from (found for _, found in FramePattern.parse(path).find())
+            yield from (path_of_number for _, path_of_number in FramePattern.parse(path).find())
         else:
             yield path
 

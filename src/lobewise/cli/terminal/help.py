@@ -122,9 +122,11 @@ def _list_lines(command: Any, ctx: Any, width: int, *, everything: bool) -> Iter
 
 
 def _list_help_rows(left_out: int, *, everything: bool) -> list[tuple[str, str]]:
-    more = f" and {left_out} rare option{'s' if left_out > 1 else ''}" if left_out else ""
-    told = "Show every option with its whole explanation." if everything else f"Show longer explanations{more}."
-    return [("-h, --help", "Show the usual options."), ("--help-all", told)]
+    rare_options = f" and {left_out} rare option{'s' if left_out > 1 else ''}" if left_out else ""
+    advice = (
+        "Show every option with its whole explanation." if everything else f"Show longer explanations{rare_options}."
+    )
+    return [("-h, --help", "Show the usual options."), ("--help-all", advice)]
 
 
 def _make_title(text: str) -> str:
@@ -145,12 +147,12 @@ def _join_names(one: Any) -> str:
 def _describe(one: Any, *, everything: bool) -> str:
     """Return the explanation of an option with its default; unless ``everything``, only the first sentence."""
     text = " ".join((one.help or "").split())
-    more = [f"environment: {one.envvar}"] if getattr(one, "envvar", None) else []
+    variable = [f"environment: {one.envvar}"] if getattr(one, "envvar", None) else []
     if one.required and one.param_type_name == "option":
-        more.append("required")
+        variable.append("required")
     elif default := _show_default(one):
-        more.append(f"default: {default}")
-    return " ".join([text if everything else _shorten(text), *([f"[{'; '.join(more)}]"] if more else [])])
+        variable.append(f"default: {default}")
+    return " ".join([text if everything else _shorten(text), *([f"[{'; '.join(variable)}]"] if variable else [])])
 
 
 def _show_default(one: Any) -> str:

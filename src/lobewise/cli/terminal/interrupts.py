@@ -21,11 +21,11 @@ def hold_interrupts() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    kept: list[Any] = []
-    before = signal.signal(signal.SIGINT, lambda *found: kept.append(found))
+    signals: list[Any] = []
+    before = signal.signal(signal.SIGINT, lambda *arguments: signals.append(arguments))
     try:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
-    if kept and callable(before):
-        before(*kept[-1])
+    if signals and callable(before):
+        before(*signals[-1])

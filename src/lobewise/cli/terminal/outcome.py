@@ -40,10 +40,10 @@ class Remarks:
 
         if (key or note) in self.told:
             return
-        told = note if frame is None else f"Frame {frame}: {note}"
-        self.told[key or note] = told
+        sentence = note if frame is None else f"Frame {frame}: {note}"
+        self.told[key or note] = sentence
         if not self._is_silent:
-            print_note(told)
+            print_note(sentence)
 
     def tell_of(self, selection: Selection, first: Selection, note: str, key: str, frame: int | None = None) -> None:
         """Print a note on one of the views of a file.

@@ -65,32 +65,32 @@ def read_camera_file(path: PathLike) -> Camera:
 
 def _read_json(path: Path) -> Camera:
     what = f"camera {str(path)!r}"
-    given = parse_json(read_document(path, MAX_JSON_BYTES, what="camera", holds="a camera"), what=what)
-    if not isinstance(given, dict):
-        got = describe_kind(given)
+    document = parse_json(read_document(path, MAX_JSON_BYTES, what="camera", holds="a camera"), what=what)
+    if not isinstance(document, dict):
+        got = describe_kind(document)
         raise InputError(what, expected="an object", got=got, action="write position, forward, up and fov_y")
-    for key in given:
+    for key in document:
         if key not in _KEYS:
             raise InputError(what, expected=f"keys among {', '.join(_KEYS)}", got=repr(key[:40]), action="leave it out")
-    if "position" not in given or ("forward" in given) == ("target" in given):
-        expected, got = "position, and either forward or target", ", ".join(given) or "nothing"
+    if "position" not in document or ("forward" in document) == ("target" in document):
+        expected, got = "position, and either forward or target", ", ".join(document) or "nothing"
         raise InputError(what, expected=expected, got=got, action="say where the camera is and where it looks")
     vectors = {
-        name: require_numbers(f"{what}, {name}", given[name], 3)
+        name: require_numbers(f"{what}, {name}", document[name], 3)
         for name in ("position", "forward", "target", "up")
-        if name in given
+        if name in document
     }
-    angles = {name: _read_angle(f"{what}, {name}", given[name]) for name in ("fov_y", "fov_x") if name in given}
+    angles = {name: _read_angle(f"{what}, {name}", document[name]) for name in ("fov_y", "fov_x") if name in document}
     if "fov_y" not in angles:
         got = "fov_x alone" if angles else "neither fov_y nor fov_x"
         action = "add fov_y: the vertical angle of view, or both"
         raise InputError(what, expected="fov_y, in degrees", got=got, action=action)
-    shift = require_numbers(f"{what}, shift", given.get("shift", [0.0, 0.0]), 2)
+    shift = require_numbers(f"{what}, shift", document.get("shift", [0.0, 0.0]), 2)
     position, up = vectors["position"], vectors.get("up", np.array([0.0, 1.0, 0.0]))
     with np.errstate(over="ignore"):  # The camera refuses numbers that are not finite.
         forward = vectors["forward"] if "forward" in vectors else vectors["target"] - position
     if "target" in vectors and not forward.any():
-        expected, got = "another point than position", f"{show_value(given['target'])} for both"
+        expected, got = "another point than position", f"{show_value(document['target'])} for both"
         raise InputError(f"{what}, target", expected=expected, got=got, action="write the point that the camera sees")
     return Camera(position, forward, up, angles["fov_y"], angles.get("fov_x"), (float(shift[0]), float(shift[1])))
 

@@ -136,14 +136,14 @@ def fit_orthographic(
         return None
     world, x, y = points
     center = world.mean(axis=0)
-    kept = np.ones(len(world), np.bool_)
+    is_near = np.ones(len(world), np.bool_)
     whole = np.hstack([world - center, np.ones((len(world), 1))])
     for _ in range(2):
-        lines, _, rank, _ = np.linalg.lstsq(whole[kept], np.stack([x, y], axis=1)[kept], rcond=1e-6)
+        lines, _, rank, _ = np.linalg.lstsq(whole[is_near], np.stack([x, y], axis=1)[is_near], rcond=1e-6)
         if rank < 4:
             return None  # All points lie on one plane, which many cameras see at these pixels.
         error = np.hypot(*(np.stack([x, y], axis=1) - whole @ lines).T)
-        kept = error <= 3.0 * np.median(error) + 1e-12
+        is_near = error <= 3.0 * np.median(error) + 1e-12
     across, upwards = lines[:3].T
     lengths = np.linalg.norm(across), np.linalg.norm(upwards)
     right, up = across / lengths[0], upwards / lengths[1]
@@ -249,8 +249,8 @@ def _solve_projective(points: Matrix, x: Matrix, y: Matrix) -> tuple[Matrix, Mat
         depth = whole @ matrix[2]
         with np.errstate(divide="ignore", invalid="ignore"):  # what lies beside the camera is seen nowhere
             error = np.hypot(x - whole @ matrix[0] / depth, y - whole @ matrix[1] / depth)
-        kept = error <= 3.0 * np.median(error) + 1e-12
-        whole, zero, x, y = whole[kept], zero[kept], x[kept], y[kept]
+        is_near = error <= 3.0 * np.median(error) + 1e-12
+        whole, zero, x, y = whole[is_near], zero[is_near], x[is_near], y[is_near]
     scale = np.linalg.norm(matrix[2, :3])
     forward = matrix[2, :3] / scale
     right = matrix[0, :3] / scale

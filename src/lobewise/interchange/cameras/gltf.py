@@ -40,15 +40,15 @@ def read_gltf_camera(path: Path) -> Camera:
     what = f"camera {str(path)!r}"
     scene = parse_json(_read_text(path, what), what=what, action="export it again")
     nodes = _take(scene, "nodes", list, what)
-    found = [number for number, node in enumerate(nodes) if isinstance(node, dict) and "camera" in node]
-    if not found:
+    numbers = [number for number, node in enumerate(nodes) if isinstance(node, dict) and "camera" in node]
+    if not numbers:
         raise InputError(what, expected="a node with a camera", got="none", action="export cameras as well")
     cameras = _take(scene, "cameras", list, what)
-    index = nodes[found[0]]["camera"]
+    index = nodes[numbers[0]]["camera"]
     if not cameras:
         expected, got = "the camera that a node names", "no cameras at all"
         raise InputError(what, expected=expected, got=got, action="export it again")
-    lens = cameras[require_integer(f"{what}, camera of node {found[0]}", index, 0, len(cameras) - 1)]
+    lens = cameras[require_integer(f"{what}, camera of node {numbers[0]}", index, 0, len(cameras) - 1)]
     kind = _take(lens, "type", str, what)
     if kind != "perspective":
         raise InputError(what, expected="a perspective camera", got=repr(kind[:40]), action="render with one")
@@ -58,7 +58,7 @@ def read_gltf_camera(path: Path) -> Camera:
     if "aspectRatio" in perspective:
         aspect = require_number(f"{what}, aspectRatio", perspective["aspectRatio"])
         fov_x = 2.0 * math.atan(math.tan(0.5 * fov_y) * aspect)
-    matrix = _find_placement(nodes, found[0], what)
+    matrix = _find_placement(nodes, numbers[0], what)
     return Camera(matrix[:3, 3], -matrix[:3, 2], matrix[:3, 1], fov_y, fov_x)
 
 
@@ -122,11 +122,11 @@ def _make_transform(node: dict[str, Any], what: str) -> Matrix:
     return matrix
 
 
-def _take(given: Any, key: str, kind: type, what: str) -> Any:
-    if not isinstance(given, dict):
-        expected, got = f"an object that has {key!r}", describe_kind(given)
+def _take(table: Any, key: str, kind: type, what: str) -> Any:
+    if not isinstance(table, dict):
+        expected, got = f"an object that has {key!r}", describe_kind(table)
         raise InputError(what, expected=expected, got=got, action="export it again")
-    value = given.get(key, [] if kind is list else None)
+    value = table.get(key, [] if kind is list else None)
     if not isinstance(value, kind):
         word = describe_kind(kind())
         raise InputError(f"{what}, {key}", expected=word, got=describe_kind(value), action="export it again")

@@ -38,14 +38,14 @@ class Located:
 
 def read_camera_attributes(parts: Iterable[Part], part: Part) -> Located | None:
     """Return the camera in a file's header, for the data window of ``part``. Return None if there is none."""
-    found = {item.name.rpartition("/")[2]: item for one in parts for item in one.attributes}
+    attributes = {item.name.rpartition("/")[2]: item for one in parts for item in one.attributes}
     size = part.display_window
     aspect = read_pixel_aspect(part) or 1.0
     located = None
-    if "worldToCamera" in found:
-        located = _read_matrices(found, size, aspect)
-    elif "cameraTransform" in found and "cameraFov" in found:
-        located = _read_vray(found, size, aspect)
+    if "worldToCamera" in attributes:
+        located = _read_matrices(attributes, size, aspect)
+    elif "cameraTransform" in attributes and "cameraFov" in attributes:
+        located = _read_vray(attributes, size, aspect)
     return None if located is None else replace(located, camera=_crop(located.camera, size, part.data_window))
 
 
@@ -64,9 +64,9 @@ def _read_matrix(item: Attribute | None) -> Matrix | None:
     return matrix
 
 
-def _read_matrices(found: dict[str, Attribute], size: Window, aspect: float) -> Located | None:
+def _read_matrices(attributes: dict[str, Attribute], size: Window, aspect: float) -> Located | None:
     """Return the camera of ``worldToCamera``, and of ``worldToNDC`` or an angle beside it."""
-    to_camera, to_screen = _read_matrix(found.get("worldToCamera")), _read_matrix(found.get("worldToNDC"))
+    to_camera, to_screen = _read_matrix(attributes.get("worldToCamera")), _read_matrix(attributes.get("worldToNDC"))
     if to_camera is None:
         return None
     to_world: Matrix = np.asarray(np.linalg.inv(to_camera), dtype=np.float64)
@@ -81,7 +81,7 @@ def _read_matrices(found: dict[str, Attribute], size: Window, aspect: float) -> 
             mirrored = bool(np.cross(axis, up) @ right < 0.0)
             camera = _span(eye, axis, right, up, to_screen, deep, size, aspect)
             return Located(mirror(camera) if mirrored else camera, "worldToCamera and worldToNDC", mirrored)
-    angle = _read(found.get("CameraFov"), "f") or _read(found.get("cameraFov"), "f")
+    angle = _read(attributes.get("CameraFov"), "f") or _read(attributes.get("cameraFov"), "f")
     if not angle:
         return None
     # Without a screen matrix the world is assumed to be right-handed, where cameras look along -z.
@@ -110,10 +110,10 @@ def _aim(eye: Matrix, axis: Matrix, up: Matrix, half_width: float, size: Window,
     return Camera(eye, axis, up, float(2.0 * np.arctan(half_height)), float(2.0 * np.arctan(half_width)))
 
 
-def _read_vray(found: dict[str, Attribute], size: Window, aspect: float) -> Located | None:
+def _read_vray(attributes: dict[str, Attribute], size: Window, aspect: float) -> Located | None:
     """Return the camera of V-Ray's attributes: rows right, up, back and position; the horizontal angle in degrees."""
-    matrix = _read_matrix(found["cameraTransform"])
-    angle = _read(found["cameraFov"], "f")
+    matrix = _read_matrix(attributes["cameraTransform"])
+    angle = _read(attributes["cameraFov"], "f")
     if matrix is None or not angle or not 0.0 < angle[0] < 180.0:
         return None
     rows = matrix[:3, :3] / np.linalg.norm(matrix[:3, :3], axis=1, keepdims=True)

@@ -85,11 +85,11 @@ def _parse(data: bytes, what: str) -> Element:
         # In the words of one's own: the parser's are terse.
         ended = problem.code == expat.errors.codes[expat.errors.XML_ERROR_NO_ELEMENTS]
         place = f": it ends too soon, in line {problem.lineno}" if ended else ""
-        told = f"text that is no XML{place or f' from line {problem.lineno}, column {problem.offset + 1} on'}"
-        raise FileError(what, expected="a Mitsuba scene in XML", got=told, action="mend the file") from None
+        got = f"text that is no XML{place or f' from line {problem.lineno}, column {problem.offset + 1} on'}"
+        raise FileError(what, expected="a Mitsuba scene in XML", got=got, action="mend the file") from None
     except (LookupError, ValueError) as problem:
-        told = " ".join(str(problem).split())[:200]
-        raise FileError(what, expected="a Mitsuba scene in XML", got=told, action="mend the file") from None
+        got = " ".join(str(problem).split())[:200]
+        raise FileError(what, expected="a Mitsuba scene in XML", got=got, action="mend the file") from None
 
 
 class _Values:

@@ -40,14 +40,14 @@ def read_usd_camera(path: Path) -> Camera:
             raise InputError(what, expected="a camera", got="none", action="export cameras as well")
         # OpenUSD reads values, and raises errors about them, only on access.
         time = stage.GetStartTimeCode() if stage.HasAuthoredTimeCodeRange() else Usd.TimeCode.Default()
-        found: Any = UsdGeom.Camera(prims[0]).GetCamera(time)
+        camera: Any = UsdGeom.Camera(prims[0]).GetCamera(time)
     except Tf.ErrorException as problem:
         raise FileError(
             what, expected="a USD stage", got="none that can be read", action="export it again"
         ) from problem
-    if found.projection != Gf.Camera.Perspective:
+    if camera.projection != Gf.Camera.Perspective:
         raise InputError(what, expected="a perspective camera", got="an orthographic one", action="render with one")
-    frustum = found.frustum
+    frustum = camera.frustum
     # The window lies on the plane at distance 1.
     low, high = (np.array(corner) for corner in (frustum.window.min, frustum.window.max))
     if not np.isfinite([low, high]).all():

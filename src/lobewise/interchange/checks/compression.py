@@ -63,11 +63,11 @@ def check_compression(
         if role in channels.roles and is_changed(channels.roles[role])
     ]
     if altered:
-        told = (
+        note = (
             f"Compression with loss ({kinds}) altered {list_names(altered)}, so that surfaces lie a little off: save "
             "the multilayer file with ZIP."
         )
-        findings.append(Finding("compressed with loss", told, mended=False))
+        findings.append(Finding("compressed with loss", note, mended=False))
     light = [channels.roles[role] for role in LIGHT if role in channels.roles]
     light += [one for layer in channels.layers for one in (*layer.light, layer.albedo) if one is not None]
     changed: dict[Key, FloatArray] = {}
@@ -80,11 +80,11 @@ def check_compression(
             changed[found.key] = np.where(below_zero, np.float32(0.0), image)
             dark = np.asarray(dark | below_zero.any(axis=-1))
     if dark.any():
-        told = (
+        note = (
             f"Compression with loss ({kinds}) left light or albedos below 0 (down to {lowest:.2g}) at "
             f"{np.count_nonzero(dark)} pixels: they count as 0."
         )
-        findings.append(Finding("light below 0 by compression", told, mended=True))
+        findings.append(Finding("light below 0 by compression", note, mended=True))
     return changed, findings
 
 

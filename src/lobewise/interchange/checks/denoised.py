@@ -34,15 +34,15 @@ def check_mark(container: Container, channels: ChannelMap) -> list[Finding]:
     """Return a finding if lobewise has denoised the image of another renderer's file, or its passes of light."""
     is_image_denoised, is_light_denoised = _find_denoised(container, channels)
     if is_image_denoised:
-        told = f"{SAYS_MARK}: give the noisy render, or say by --map color=... which image is noisy."
-        return [Finding(MARKED, told, mended=False)]
+        note = f"{SAYS_MARK}: give the noisy render, or say by --map color=... which image is noisy."
+        return [Finding(MARKED, note, mended=False)]
     if not is_light_denoised:
         return []
-    told = (
+    note = (
         f"{SAYS_MARK}, but not {channels.roles['color'].label}: the image is filtered as a whole, because its "
         "passes of light are denoised already; the noisy render gives a better result."
     )
-    return [Finding(MARKED, told, mended=True)]
+    return [Finding(MARKED, note, mended=True)]
 
 
 def _find_denoised(container: Container, channels: ChannelMap) -> tuple[bool, bool]:
@@ -60,5 +60,5 @@ def _find_denoised(container: Container, channels: ChannelMap) -> tuple[bool, bo
 def check_own_mark(container: Container) -> tuple[Finding, ...]:
     """Return a finding if the image of a file with lobewise's own channel names is a result of lobewise."""
     replaced = (read_replaced(container) or {}).get(require_beauty(container).index, frozenset())
-    told = f"{SAYS_MARK}: give the noisy render."
-    return (Finding(MARKED, told, mended=False),) if replaced.intersection(BEAUTY.channels) else ()
+    note = f"{SAYS_MARK}: give the noisy render."
+    return (Finding(MARKED, note, mended=False),) if replaced.intersection(BEAUTY.channels) else ()

@@ -61,10 +61,10 @@ class Meaning:
     def apply(self, depth: FloatArray, cosine: FloatArray) -> FloatArray:
         """Return distances along the rays; ``cosine`` is the cosine of the angle between ray and axis."""
         with np.errstate(all="ignore"):
-            found = self.offset + self.scale * depth
-            found = 1.0 / found if self.inverted else found
-            found = np.asarray(found / cosine if self.planar else found, dtype=np.float32)
-        return np.where(np.isfinite(found) & (found > 0.0), found, np.float32(0.0))
+            distance = self.offset + self.scale * depth
+            distance = 1.0 / distance if self.inverted else distance
+            distance = np.asarray(distance / cosine if self.planar else distance, dtype=np.float32)
+        return np.where(np.isfinite(distance) & (distance > 0.0), distance, np.float32(0.0))
 
     def tell(self) -> str:
         """Return the meaning in words."""
@@ -124,19 +124,19 @@ def check_depth_by_position(
         return CheckedDepth(depth)
     surface = (position != 0.0).any(axis=-1)
     if not good:
-        told = (
+        note = (
             f"{label} is no distance to the surfaces that the positions show; the positions' distances from the camera "
             "replace it."
         )
         distance = np.linalg.norm(position - camera.position.astype(np.float32), axis=-1)
-        findings = [Finding("depth of something else", told, mended=True)]
+        findings = [Finding("depth of something else", note, mended=True)]
         return CheckedDepth(np.where(surface, distance, np.float32(0.0)), findings, is_replaced=True)
     height, width = depth.shape
     ray_cosine = camera.make_ray_directions(width, height) @ camera.forward.astype(np.float32)
-    found = good[0].apply(depth * ray_cosine if planar else depth, ray_cosine)
-    told = f"{label} is the {good[0].tell()}, as the positions show; it was converted."
-    findings = [Finding("depth of another meaning", told, mended=True)]
-    return CheckedDepth(np.where(surface, found, np.float32(0.0)), findings)
+    converted = good[0].apply(depth * ray_cosine if planar else depth, ray_cosine)
+    note = f"{label} is the {good[0].tell()}, as the positions show; it was converted."
+    findings = [Finding("depth of another meaning", note, mended=True)]
+    return CheckedDepth(np.where(surface, converted, np.float32(0.0)), findings)
 
 
 def _fit_by_position(
@@ -144,21 +144,21 @@ def _fit_by_position(
 ) -> tuple[Meaning, float]:
     """Return the best fitting meaning of a kind, and its median relative error."""
     planar, inverted, scaled, shifted = kind
-    wanted = away * cosine if planar else away
-    target = 1.0 / wanted if inverted else wanted
+    measured = away * cosine if planar else away
+    target = 1.0 / measured if inverted else measured
     offset, scale = 0.0, 1.0
-    kept = np.ones(len(raw), dtype=bool)
+    is_near = np.ones(len(raw), dtype=bool)
     for _ in range(ROUNDS if scaled else 0):
         if shifted:
-            columns = np.stack([np.ones(kept.sum()), raw[kept]], axis=1)
-            offset, scale = np.linalg.lstsq(columns / target[kept, None], np.ones(kept.sum()), rcond=None)[0]
+            columns = np.stack([np.ones(is_near.sum()), raw[is_near]], axis=1)
+            offset, scale = np.linalg.lstsq(columns / target[is_near, None], np.ones(is_near.sum()), rcond=None)[0]
         else:
-            scale = float(np.median(target[kept] / raw[kept]))
+            scale = float(np.median(target[is_near] / raw[is_near]))
         error = np.abs(offset + scale * raw - target) / target
-        kept = error <= 3.0 * np.median(error) + 1e-12
+        is_near = error <= 3.0 * np.median(error) + 1e-12
     meaning = Meaning(planar, inverted, float(offset), float(scale))
-    found = meaning.apply(raw.astype(np.float32), cosine.astype(np.float32))
-    return meaning, float(np.median(np.abs(found / away - 1.0)))
+    distance = meaning.apply(raw.astype(np.float32), cosine.astype(np.float32))
+    return meaning, float(np.median(np.abs(distance / away - 1.0)))
 
 
 def check_depth_by_normal(
@@ -190,11 +190,11 @@ def check_depth_by_normal(
     if first < MAX_SLOPE_SINE or least > min(MAX_SLOPE_SINE_OF_OTHER, MAX_ERROR_RATIO * first):
         return CheckedDepth(depth)
     meaning = next(meaning for meaning, error in fits if error < max(2.0 * least, MAX_SLOPE_SINE))
-    found = meaning.apply(depth * cosine if planar else depth, cosine)
+    distance = meaning.apply(depth * cosine if planar else depth, cosine)
     unit = ", in an unknown unit" if meaning.offset != 0.0 else ""
-    told = f"{label} is the {meaning.tell()}, as the normals show{unit}; it was converted."
-    findings = [Finding("depth of another meaning", told, mended=True)]
-    return CheckedDepth(np.where(depth > 0.0, found, np.float32(0.0)), findings)
+    note = f"{label} is the {meaning.tell()}, as the normals show{unit}; it was converted."
+    findings = [Finding("depth of another meaning", note, mended=True)]
+    return CheckedDepth(np.where(depth > 0.0, distance, np.float32(0.0)), findings)
 
 
 def _take_pairs(
@@ -226,17 +226,17 @@ def _fit_by_normal(
     shifts, stretches = ((n * step).sum(axis=-1) for step in steps)
     offset, scale = 0.0, 1.0
     weight = 1.0 / (np.linalg.norm(steps[1], axis=-1) + 1e-12)
-    kept = np.ones(len(n), dtype=bool)
+    is_near = np.ones(len(n), dtype=bool)
     size = float(np.median(d))
     for _ in range(ROUNDS if scaled else 0):
-        system = np.stack([size * shifts, stretches], axis=1)[kept] * weight[kept, None]
+        system = np.stack([size * shifts, stretches], axis=1)[is_near] * weight[is_near, None]
         offset, scale = np.linalg.svd(system, full_matrices=False)[2][-1]
         sign = 1.0 if np.median(offset * size + scale * d) > 0.0 else -1.0
         offset, scale = sign * offset * size, sign * scale
         whole = np.linalg.norm(offset * steps[0] + scale * steps[1], axis=-1)
         error = np.abs(offset * shifts + scale * stretches) / (whole + 1e-30)
         weight = 1.0 / (whole + 1e-12 * size)
-        kept = error <= 3.0 * np.median(error) + 1e-12
+        is_near = error <= 3.0 * np.median(error) + 1e-12
     whole = np.linalg.norm(offset * steps[0] + scale * steps[1], axis=-1)
     error = np.abs(offset * shifts + scale * stretches) / (whole + 1e-30)
     if scaled and not inverted and scale > 0.0:

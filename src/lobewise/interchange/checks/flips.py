@@ -113,10 +113,10 @@ def check_flips(
     flipped = {role: flip for role, flip in flips.items() if flip != LIES}
     findings = []
     for flip in dict.fromkeys(flipped.values()):
-        names = [labels[role] for role, found in flipped.items() if found == flip]
+        names = [labels[role] for role, its_flip in flipped.items() if its_flip == flip]
         verb, fate = ("lie", "they were") if len(names) > 1 else ("lies", "it was")
-        told = f"{list_names(names)} {verb} {flip} under the image, so {fate} turned over."
-        findings.append(Finding("guides flipped", told, mended=True))
+        note = f"{list_names(names)} {verb} {flip} under the image, so {fate} turned over."
+        findings.append(Finding("guides flipped", note, mended=True))
     return {role: np.ascontiguousarray(images[role][FLIPS[flip]]) for role, flip in flipped.items()}, findings
 
 
@@ -142,9 +142,9 @@ def _choose_flips(whole: Mapping[str, Numbers], light: Mapping[str, Numbers]) ->
     votes = {together.find_flip(base): together.get_score(together.find_flip(base), base)}
     for role in bound:
         own = combine(turns[role], base)
-        found = alone[role].find_flip(own)
-        if found != own:
-            votes[combine(turns[role], found)] = alone[role].get_score(found, own)
+        chosen = alone[role].find_flip(own)
+        if chosen != own:
+            votes[combine(turns[role], chosen)] = alone[role].get_score(chosen, own)
     flip = max(votes, key=lambda voted: votes[voted])
     flips = {role: combine(turn, flip) for role, turn in turns.items()}
     return flips | {role: fit.find_flip(flips[role]) for role, fit in alone.items() if role not in bound}

@@ -61,7 +61,7 @@ def leave_out_empty(channels: ChannelMap, read: Callable[[Found], FloatArray]) -
     albedos = [layer.albedo for layer in channels.layers if layer.albedo]
     if any(role in roles and role not in refused for role in LOBE_ALBEDOS) or any(read(one).any() for one in albedos):
         # Of the albedos of lobes some may be black, as in a scene of metals.
-        refused = {role: told for role, told in refused.items() if role not in LOBE_ALBEDOS or role not in roles}
+        refused = {role: reason for role, reason in refused.items() if role not in LOBE_ALBEDOS or role not in roles}
     if len(refused) == len(channels.refused):
         return channels
     return replace(channels, refused=refused, roles={role: one for role, one in roles.items() if role not in refused})
@@ -82,8 +82,8 @@ def check_values(
         count = int(bad.sum())
         changed[role], filled = fill_bad(image, bad)
         rest = f", {count - filled} have none around them and count as 0" if filled < count else ""
-        told = f"{labels[role]} is no number at {count} pixels: {filled} were filled from their neighbours{rest}."
-        findings.append(Finding("guides without numbers", told, mended=True))
+        note = f"{labels[role]} is no number at {count} pixels: {filled} were filled from their neighbours{rest}."
+        findings.append(Finding("guides without numbers", note, mended=True))
     return changed, findings
 
 
@@ -134,11 +134,11 @@ def check_albedos(images: Mapping[str, FloatArray]) -> list[Finding]:
         above = int((image > 1.0 + MAX_ROUNDING_ERROR).any(axis=-1).sum())
         below = int((image < -MAX_ROUNDING_ERROR).any(axis=-1).sum())
         if above > MAX_SHARE_ABOVE_ONE * image.shape[0] * image.shape[1]:
-            told = (
+            note = (
                 f"{label} is above 1 at {above} pixels (up to {high:.3g}), too many for an albedo: is it light? "
                 "It was clamped; another pass is chosen by --map."
             )
-            findings.append(Finding("not an albedo", told, mended=False))
+            findings.append(Finding("not an albedo", note, mended=False))
             continue
         parts = [f"above 1 at {above} pixels (up to {high:.3g})"] if above else []
         parts += [f"below 0 at {below} pixels (down to {low:.3g})"] if below else []
@@ -166,20 +166,20 @@ def check_encoding(normal: FloatArray, label: str, *, encoded: bool) -> tuple[Fl
         return (decode_normals(normal) if encoded else None), []
     plain, decoded = np.linalg.norm(sample, axis=-1), np.linalg.norm(2.0 * sample - 1.0, axis=-1)
     if not encoded and (sample >= -MAX_ROUNDING_ERROR).all() and _is_unit(decoded) and not _is_unit(plain):
-        told = f"{label} is stored in [0, 1], so it was decoded to [-1, 1]."
-        return decode_normals(normal), [Finding("normals encoded", told, mended=True)]
+        note = f"{label} is stored in [0, 1], so it was decoded to [-1, 1]."
+        return decode_normals(normal), [Finding("normals encoded", note, mended=True)]
     if (
         encoded
         and (sample < -0.05).any(axis=-1).mean() > MAX_SHARE_OF_EXCEPTIONS
         and _is_unit(plain)
         and not _is_unit(decoded)
     ):
-        told = f"{label} was taken to be stored in [0, 1] but is not, so it was not decoded."
-        return normal, [Finding("normals not encoded", told, mended=True)]
+        note = f"{label} was taken to be stored in [0, 1] but is not, so it was not decoded."
+        return normal, [Finding("normals not encoded", note, mended=True)]
     lengths = decoded if encoded else plain
     if (lengths > MAX_NORMAL_LENGTH).mean() > MAX_SHARE_OF_EXCEPTIONS and not encoded:
-        told = f"{label} has lengths up to {np.quantile(lengths, 0.99):.3g}, so it was normalised."
-        return None, [Finding("normals not of unit length", told, mended=True)]
+        note = f"{label} has lengths up to {np.quantile(lengths, 0.99):.3g}, so it was normalised."
+        return None, [Finding("normals not of unit length", note, mended=True)]
     return (decode_normals(normal) if encoded else None), []
 
 

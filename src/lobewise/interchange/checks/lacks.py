@@ -32,28 +32,28 @@ def list_lacks(channels: ChannelMap, frame: Frame, *, is_light_denoised: bool) -
     advice, lacks, is_alone = channels.preset.advice, [], bool(describe_alone(channels, frame))
     for role in [role for role in COSTS if role not in list_uses(channels, frame)]:
         # A camera alone places no surface. Positions do, and a camera can be fitted to them.
-        asked = "position" if role == "camera" and not frame.gbuffer.is_placed and "position" in advice else role
-        told = advice.get(asked) or advice.get({"albedo": "diffuse_albedo"}.get(role, ""), "")
+        advised = "position" if role == "camera" and not frame.gbuffer.is_placed and "position" in advice else role
+        sentence = advice.get(advised) or advice.get({"albedo": "diffuse_albedo"}.get(role, ""), "")
         if role in channels.roles:
-            told = f"none; {channels.roles[role].label} is there, but no layer of light takes it"
+            sentence = f"none; {channels.roles[role].label} is there, but no layer of light takes it"
         if role == "roughness" and frame.gbuffer.alpha_u is not None:
-            told = "none; it is there, but without a camera no lobe is compared"
+            sentence = "none; it is there, but without a camera no lobe is compared"
         if role == "layers" and is_light_denoised:
-            told = "none; the passes of light are denoised by lobewise already"
+            sentence = "none; the passes of light are denoised by lobewise already"
         if role == "camera" and frame.camera is None and "position" in channels.roles:
-            told = "none; no camera fits the positions"
-        is_refused = bool(channels.refused.keys() & {role, asked})
+            sentence = "none; no camera fits the positions"
+        is_refused = bool(channels.refused.keys() & {role, advised})
         if is_refused:
             # The pass is switched on: why it is not used is told by itself.
-            told = "none; it is there, but cannot be used"
-        remedy, reason = ("", told.removeprefix("none; ")) if told.startswith("none") else (told, "")
+            sentence = "none; it is there, but cannot be used"
+        remedy, reason = ("", sentence.removeprefix("none; ")) if sentence.startswith("none") else (sentence, "")
         # For an unknown renderer there is no menu to name.
         lead = "give" if channels.preset.name == "generic" else f"{channels.preset.title} gives it by:"
-        more = f"; {lead} {remedy}" if remedy else f" ({reason})" if reason and not is_refused else ""
+        end = f"; {lead} {remedy}" if remedy else f" ({reason})" if reason and not is_refused else ""
         name = "positions" if role == "camera" and frame.camera is not None else role
         kind = f"{name} that can be used" if is_refused else name
-        told = "" if is_alone else f"No {kind}: {COSTS[role]}{more}."
-        lacks.append(Lack(role, COSTS[role], remedy, reason, told))
+        sentence = "" if is_alone else f"No {kind}: {COSTS[role]}{end}."
+        lacks.append(Lack(role, COSTS[role], remedy, reason, sentence))
     return lacks
 
 

@@ -92,11 +92,11 @@ def check_noise(frame: Frame, *, has_normals: bool, has_others: bool = False) ->
         and typical > MIN_NOISE_OVER_SHADOWS
     )
     if everywhere and strength > (MIN_NOISE_OF_SAMPLE if count else MIN_NOISE):
-        told = (
+        note = (
             "Neighbouring pixels share their noise, as with a pixel filter that spreads samples over several: the "
             "qualities balanced and high judge it two pixels apart."
         )
-        return True, [Finding("noise shared by pixels", told, mended=True)]
+        return True, [Finding("noise shared by pixels", note, mended=True)]
     # A wrong alarm costs more than a missed one: the noise must be shared, and weak in all tiles.
     most = float(np.quantile(noise, 0.9))
     limit = MAX_NOISE_OF_DENOISED_SAMPLE / float(np.sqrt(count)) if count else MAX_NOISE_OF_DENOISED
@@ -104,11 +104,11 @@ def check_noise(frame: Frame, *, has_normals: bool, has_others: bool = False) ->
     if filtered and most < limit and len(noise) >= MIN_TILES_OF_DENOISED and (count or 1) < MIN_SPP_OF_CLEAN:
         left = f"{count} samples per pixel leave" if count else "samples leave"
         beside = ", or the noisy one of the images in the file (--map color=...)" if has_others else ""
-        told = (
+        note = (
             f"The image has noise of at most {100.0 * most:.2g} % inside surfaces, less than {left} and shared by "
             f"neighbours: it seems to be denoised already; give the noisy render{beside}."
         )
-        return False, [Finding("denoised already", told, mended=False)]
+        return False, [Finding("denoised already", note, mended=False)]
     return False, []
 
 

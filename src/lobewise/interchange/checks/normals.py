@@ -84,13 +84,13 @@ class Guess:
 
 def list_axes() -> list[Matrix]:
     """Return the 48 permutations and signs of three axes. The ones in the original order come first."""
-    found = []
+    choices = []
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
             axes = np.zeros((3, 3), np.float32)
             axes[np.arange(3), order] = signs
-            found.append(axes)
-    return found
+            choices.append(axes)
+    return choices
 
 
 def make_bases(camera: Camera, header: Camera | None, rays: FloatArray) -> dict[str, Matrix]:
@@ -288,22 +288,22 @@ def _check_flip(normal: FloatArray, label: str, patches: Patches, *, sure: bool)
     best = max(scores, key=lambda flip: scores[flip][0])
     if scores[best][1] < MIN_ALIKE_SHARE or scores[best][0] < scores[LIES][0] + MIN_FLIP_SCORE_GAIN:
         return normal, []
-    told = f"{label} lies {best} under the surfaces that the positions show"
+    note = f"{label} lies {best} under the surfaces that the positions show"
     if not sure:
-        told += ", and nothing tells which of them lies right."
-        return normal, [Finding("guides flipped", told, mended=False)]
-    told += ", so it was turned over."
-    return np.ascontiguousarray(normal[FLIPS[best]]), [Finding("guides flipped", told, mended=True)]
+        note += ", and nothing tells which of them lies right."
+        return normal, [Finding("guides flipped", note, mended=False)]
+    note += ", so it was turned over."
+    return np.ascontiguousarray(normal[FLIPS[best]]), [Finding("guides flipped", note, mended=True)]
 
 
 def _doubt(label: str, first: Judged) -> list[Finding]:
     if first.alike >= MIN_ALIKE_SHARE_OF_KNOWN:
         return []
-    told = (
+    note = (
         f"{label} agrees with the surfaces that the positions show at only {100.0 * first.alike:.0f} % of the pixels, "
         "taken for any space; edges may be lost (--map normal=...)."
     )
-    return [Finding("normals of no known space", told, mended=False)]
+    return [Finding("normals of no known space", note, mended=False)]
 
 
 def _tell(label: str, first: Judged, best: Judged) -> Finding:
@@ -311,18 +311,18 @@ def _tell(label: str, first: Judged, best: Judged) -> Finding:
     plain = replace(best.guess, either=False)
     same = plain.space == first.guess.space and np.array_equal(plain.axes, first.guess.axes)
     if same:
-        told = (
+        note = (
             f"Some normals of {label} look away from the camera, so those were negated: they agree with the surfaces "
             f"that the positions show {agree}."
         )
-        return Finding("normals that look away", told, mended=True)
+        return Finding("normals that look away", note, mended=True)
     if plain.space == first.guess.space and np.array_equal(plain.axes, -first.guess.axes):
-        told = f"The normals of {label} look away from the camera, so they were negated: they agree {agree}."
-        return Finding("normals flipped", told, mended=True)
-    more = ", and some look away from the camera" if best.guess.either else ""
-    told = (
-        f"{label} was taken for {first.guess.tell()} but is in {plain.tell()}{more}: turned to the world, it agrees "
+        note = f"The normals of {label} look away from the camera, so they were negated: they agree {agree}."
+        return Finding("normals flipped", note, mended=True)
+    end = ", and some look away from the camera" if best.guess.either else ""
+    note = (
+        f"{label} was taken for {first.guess.tell()} but is in {plain.tell()}{end}: turned to the world, it agrees "
         f"with the surfaces that the positions show {agree}."
     )
     kind = "normals in another space" if plain.space != first.guess.space else "normals with turned axes"
-    return Finding(kind, told, mended=True)
+    return Finding(kind, note, mended=True)

@@ -47,11 +47,11 @@ def check_range(roughness: FloatArray, label: str) -> list[Finding]:
     if high <= 1.0 + MAX_ROUNDING_ERROR and low >= -MAX_ROUNDING_ERROR:
         return []
     outside = float(((roughness > 1.0 + MAX_ROUNDING_ERROR) | (roughness < -MAX_ROUNDING_ERROR)).mean())
-    told = f"{label} goes from {low:.3g} to {high:.3g} and lies outside [0, 1] at {100.0 * outside:.2g} % of the pixels"
+    note = f"{label} goes from {low:.3g} to {high:.3g} and lies outside [0, 1] at {100.0 * outside:.2g} % of the pixels"
     if outside > MAX_SHARE_OUTSIDE:
-        told += ", too many for a roughness: it was clamped (--map roughness=..., for percent with :hundredth)."
-        return [Finding("not a roughness", told, mended=False)]
-    return [Finding("roughness out of range", f"{told}: clamped.", mended=True)]
+        note += ", too many for a roughness: it was clamped (--map roughness=..., for percent with :hundredth)."
+        return [Finding("not a roughness", note, mended=False)]
+    return [Finding("roughness out of range", f"{note}: clamped.", mended=True)]
 
 
 def find_second(channels: ChannelMap) -> Found | None:
@@ -94,19 +94,19 @@ def check_roughness(
     if undone is None:
         return alpha, []
     centers = choose_centers((alpha.shape[0], alpha.shape[1]), 0)
-    wanted, known, taken = undone[0][centers], undone[1][centers], raw[centers]
-    kept = known & (wanted > COMPARED_RANGE[0]) & (wanted < COMPARED_RANGE[1])
-    if kept.sum() < MIN_PIXELS:
+    expected, known, taken = undone[0][centers], undone[1][centers], raw[centers]
+    compared = known & (expected > COMPARED_RANGE[0]) & (expected < COMPARED_RANGE[1])
+    if compared.sum() < MIN_PIXELS:
         return alpha, []
 
     def measure(words: tuple[str, ...]) -> float:
-        return float(np.median(np.abs(np.sqrt(convert_plain(taken[kept], words).clip(0.0)) - wanted[kept])))
+        return float(np.median(np.abs(np.sqrt(convert_plain(taken[compared], words).clip(0.0)) - expected[compared])))
 
     best = min(MEANINGS, key=lambda name: measure(MEANINGS[name]))
     if measure(found.convert) < MIN_DIFFERENCE_OF_WRONG or measure(MEANINGS[best]) > MAX_DIFFERENCE_OF_RIGHT:
         return alpha, []
-    told = f"{found.label} is {best}, as {second.label} shows, so it was taken for that."
+    note = f"{found.label} is {best}, as {second.label} shows, so it was taken for that."
     converted = convert_plain(raw, MEANINGS[best])
     return np.clip(np.nan_to_num(converted, nan=1.0), 0.0, 1.0), [
-        Finding("roughness of another meaning", told, mended=True)
+        Finding("roughness of another meaning", note, mended=True)
     ]

@@ -49,12 +49,12 @@ def find_blur_radius(offset: FloatArray) -> FloatArray | None:
 
     def find(chunk: Chunk) -> None:
         rows, columns = (each.ravel() for each in np.mgrid[chunk])
-        found = _measure(around, rows, columns, NEAR)
-        few = np.isnan(found)
+        measured = _measure(around, rows, columns, NEAR)
+        few = np.isnan(measured)
         far = _measure(around, rows[few], columns[few], FAR)
         # Sharp things nearby do not make sharp what has no position.
-        found[few] = np.where(far >= MIN_FAR_RADIUS, far, np.float32(np.nan))
-        radius[chunk] = found.reshape(radius[chunk].shape)
+        measured[few] = np.where(far >= MIN_FAR_RADIUS, far, np.float32(np.nan))
+        radius[chunk] = measured.reshape(radius[chunk].shape)
 
     run_chunks(find, height, width)
     return radius

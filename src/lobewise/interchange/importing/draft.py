@@ -187,12 +187,12 @@ def run_steps(draft: Draft, steps: Sequence[Step]) -> Draft:
         if not all(map(draft.has, step.needs)):
             continue
         outcome = step.run(draft)
-        told = [(step.section, note) for note in outcome.notes]
-        told += [(Section.FINDINGS, finding.told) for finding in outcome.findings]
-        draft = replace(outcome.draft, findings=(*draft.findings, *outcome.findings), notes=(*draft.notes, *told))
+        notes = [(step.section, note) for note in outcome.notes]
+        notes += [(Section.FINDINGS, finding.told) for finding in outcome.findings]
+        draft = replace(outcome.draft, findings=(*draft.findings, *outcome.findings), notes=(*draft.notes, *notes))
     return draft
 
 
 def list_notes(draft: Draft) -> tuple[str, ...]:
     """Return the notes section by section, those of one section in the order of the steps."""
-    return tuple(note for _, note in sorted(draft.notes, key=lambda told: told[0]))
+    return tuple(note for _, note in sorted(draft.notes, key=lambda noted: noted[0]))

@@ -50,11 +50,11 @@ def take_roughness(draft: Draft) -> Outcome:
     if "cycles_roughness" in found.convert:
         undone = undo_mean_roughness(roughness, *draft.albedos)
         if undone is None:
-            told = (
+            note = (
                 f"{found.label} is a mean over diffuse and specular lobes, which the albedos of both would undo; "
                 "without them it is not used."
             )
-            return Outcome(draft, notes=[told])
+            return Outcome(draft, notes=[note])
         roughness, known = undone
         share = 100.0 * float(known.mean())
         notes.append(
@@ -158,8 +158,8 @@ def tell_missing(draft: Draft) -> Outcome:
     channels, frame = draft.channels, draft.frame
     assert frame is not None
     lacks = list_lacks(channels, frame, is_light_denoised=draft.is_light_denoised)
-    told = describe_alone(channels, frame) or [one.told for one in lacks]
-    return Outcome(replace(draft, lacks=tuple(lacks)), notes=[*channels.refused.values(), *told])
+    sentences = describe_alone(channels, frame) or [one.told for one in lacks]
+    return Outcome(replace(draft, lacks=tuple(lacks)), notes=[*channels.refused.values(), *sentences])
 
 
 def take_out_lamps(draft: Draft) -> Outcome:
@@ -175,5 +175,5 @@ def list_outputs(draft: Draft) -> Outcome:
     outputs = {"color": PartOutput(draft.channels.target), **draft.light.outputs}
     outputs |= {name: PartOutput(roles[name]) for name in ("diffuse", "specular") if name in roles}
     inside = {name: one for name, one in outputs.items() if one.found.source.part.index < FIRST_SIBLING_INDEX}
-    told = "Passes in files of their own stay as they are there: only the image is written."
-    return Outcome(replace(draft, outputs=inside), notes=[told] if len(inside) < len(outputs) else [])
+    note = "Passes in files of their own stay as they are there: only the image is written."
+    return Outcome(replace(draft, outputs=inside), notes=[note] if len(inside) < len(outputs) else [])

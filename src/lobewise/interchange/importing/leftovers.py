@@ -30,21 +30,21 @@ OWN_PARTS = ("direct", "indirect")
 """Light of files in lobewise's own channel names that no filter writes."""
 
 
-def describe_left_noisy(found: Imported, read: ImageReader, denoised: Collection[Selection]) -> tuple[str, ...]:
+def describe_left_noisy(imported: Imported, read: ImageReader, denoised: Collection[Selection]) -> tuple[str, ...]:
     """Return a sentence that names the noisy images that stay in the file; nothing if none stay.
 
     Parameters
     ----------
-    found : Imported
+    imported : Imported
         What is denoised of a file of another renderer.
     read : ImageReader
         Reads images of the file.
     denoised : collection of Selection
         The views and view layers of the file that are denoised.
     """
-    channels = found.map
+    channels = imported.map
     assert channels is not None
-    unused = list(_list_unused(found, channels))
+    unused = list(_list_unused(imported, channels))
     views, layers = ({getattr(each, what): None for each in channels.selections} for what in ("view", "layer"))
     words = [
         *_name("view", [each for each in views if each not in {one.view for one in denoised}]),
@@ -73,16 +73,17 @@ def _name(what: str, names: Sequence[str], many: str = "") -> list[str]:
     """Return the names of things of one kind in a list of at most one text: ``views 'left', 'right'``."""
     if not names:
         return []
-    told = ", ".join(repr(show_name(name)) for name in names[:MAX_NAMES])
-    more = len(names) - MAX_NAMES
-    return [f"{what if len(names) == 1 else many or f'{what}s'} {told}{f' and {more} more' if more > 0 else ''}"]
+    names_shown = ", ".join(repr(show_name(name)) for name in names[:MAX_NAMES])
+    left_out = len(names) - MAX_NAMES
+    noun = what if len(names) == 1 else many or f"{what}s"
+    return [f"{noun} {names_shown}{f' and {left_out} more' if left_out > 0 else ''}"]
 
 
-def _list_unused(found: Imported, channels: ChannelMap) -> Iterator[Found]:
+def _list_unused(imported: Imported, channels: ChannelMap) -> Iterator[Found]:
     """Yield the images of three channels that no result is written to, that are no guides, and not denoised before."""
-    before = read_replaced(found.container) or {}
+    before = read_replaced(imported.container) or {}
     # A noisy image whose result goes into another pass stays on purpose.
-    used = [*(one.found for one in found.outputs.values()), *channels.roles.values()]
+    used = [*(one.found for one in imported.outputs.values()), *channels.roles.values()]
     used += [one for layer in channels.layers for one in (layer.albedo,) if one]
     taken = {(one.source.part.index, name) for one in used for name in one.channels}
     guides = [rule.source for role, rules in channels.preset.roles.items() if role != "color" for rule in rules]

@@ -107,7 +107,7 @@ def import_foreign(
     start = Draft(container=container, mapped=channels, channels=used, read=read, given_camera=camera)
     draft = run_steps(start, STEPS)
     assert draft.frame is not None
-    found = Imported(
+    imported = Imported(
         draft.frame,
         container,
         used,
@@ -117,4 +117,4 @@ def import_foreign(
         shown=None if used.shown is None else draft.read(used.shown),
         lacks=draft.lacks,
     )
-    return found, draft.read
+    return imported, draft.read

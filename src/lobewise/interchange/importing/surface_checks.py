@@ -18,17 +18,17 @@ def check_position_precision(draft: Draft) -> Outcome:
     grain = measure_grain(draft.images["position"])
     if not grain.is_coarse:
         return Outcome(draft)
-    told = (
+    note = (
         f"{draft.roles['position'].label} is stored in {grain.bits}-bit floats, whose steps here are {grain.tell()}: "
     )
     depth = draft.images.get("depth")
     is_finer = depth is not None and measure_grain(depth, grain.distance).coarseness < 0.5 * grain.coarseness
     if is_finer and draft.camera is not None and draft.distance is not None and not draft.is_orthographic:
-        told += f"depth ({draft.roles['depth'].label}) and camera stand for it."
-        return Outcome(replace(draft, world_position=None), [Finding("positions coarse", told, mended=True)])
+        note += f"depth ({draft.roles['depth'].label}) and camera stand for it."
+        return Outcome(replace(draft, world_position=None), [Finding("positions coarse", note, mended=True)])
     lacks = [*(["a depth"] if depth is None else []), *(["a camera"] if draft.camera is None else [])]
-    told += f"store it in 32 bits, or nearer to the origin{f', or give {list_names(lacks)}' if lacks else ''}."
-    return Outcome(draft, [Finding("positions coarse", told, mended=False)])
+    note += f"store it in 32 bits, or nearer to the origin{f', or give {list_names(lacks)}' if lacks else ''}."
+    return Outcome(draft, [Finding("positions coarse", note, mended=False)])
 
 
 def check_depth(draft: Draft) -> Outcome:

@@ -98,8 +98,8 @@ def _use_given_camera(draft: Draft, camera: Camera) -> Outcome:
     position = draft.world_position
     if position is None or measure_fit(camera, position, (position != 0.0).any(axis=-1)) < MAX_FIT_ERROR:
         return Outcome(chosen)
-    told = "The camera that was given does not see the positions where they are, so they are not used."
-    return Outcome(replace(chosen, world_position=None), notes=[told])
+    note = "The camera that was given does not see the positions where they are, so they are not used."
+    return Outcome(replace(chosen, world_position=None), notes=[note])
 
 
 def _use_header(draft: Draft, header: Located, position: FloatArray | None, ending: str) -> Outcome:
@@ -108,14 +108,14 @@ def _use_header(draft: Draft, header: Located, position: FloatArray | None, endi
 
 
 def _use_fit(draft: Draft, fit: CameraFit, position: FloatArray, header: Located | None) -> Outcome:
-    told = (
+    note = (
         f"The camera is orthographic, by the positions, which a pinhole far away shows where they are seen to "
         f"{fit.error:.2f} pixels."
         if fit.orthographic
         else f"The camera was found from the positions, which it shows where they are seen to {fit.error:.2f} pixels."
     )
     if header is not None:
-        told += f" The header's ({header.told}) is another: positions are in a space of their own."
+        note += f" The header's ({header.told}) is another: positions are in a space of their own."
     chosen = replace(
         draft,
         camera=fit.camera,
@@ -123,7 +123,7 @@ def _use_fit(draft: Draft, fit: CameraFit, position: FloatArray, header: Located
         is_orthographic=fit.orthographic,
         world_position=_mirror(position) if fit.mirrored else position,
     )
-    return Outcome(chosen, notes=[told])
+    return Outcome(chosen, notes=[note])
 
 
 def _mirror(vectors: FloatArray) -> FloatArray:
@@ -137,8 +137,8 @@ def take_depth(draft: Draft) -> Outcome:
     found = draft.roles["depth"]
     distance = convert_depth(convert_plain(draft.images["depth"], found.convert), found.convert, draft.camera)
     if distance is None:
-        told = f"{found.label} is measured along the camera's axis, which no camera tells, so it is not used."
-        return Outcome(draft, notes=[told])
+        note = f"{found.label} is measured along the camera's axis, which no camera tells, so it is not used."
+        return Outcome(draft, notes=[note])
     return Outcome(replace(draft, distance=distance))
 
 

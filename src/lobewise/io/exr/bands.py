@@ -106,8 +106,8 @@ class BandReader:
 
     def count_more(self, part: Part) -> int:
         """Return bytes per pixel of the channels of a part that are not kept."""
-        kept = self._kept.get(part.index, set())
-        return sum(DTYPES[channel.pixel_type].itemsize for channel in part.channels if channel.name not in kept)
+        held = self._kept.get(part.index, set())
+        return sum(DTYPES[channel.pixel_type].itemsize for channel in part.channels if channel.name not in held)
 
     def keep(self, part: Part, names: Collection[str]) -> None:
         """Keep these channels of a part too. Rows that were read without them are read again."""
@@ -200,9 +200,9 @@ class BandWriter:
             _Written(part, slots, 0, ChunkSpool(container, part, spool))
             for part, slots in plan_writing(container, reader.beauty, fields)
         ]
-        for each in self._written:
-            if reader.count_more(each.part) <= MAX_KEPT_BYTES:
-                reader.keep(each.part, {channel.name for channel in each.part.channels})
+        for one_part in self._written:
+            if reader.count_more(one_part.part) <= MAX_KEPT_BYTES:
+                reader.keep(one_part.part, {channel.name for channel in one_part.part.channels})
         self._pending: dict[str, FloatArray] = {}
         self._top = self._bottom = 0
 
@@ -218,12 +218,12 @@ class BandWriter:
             before = self._pending.get(field)
             self._pending[field] = image if before is None or not len(before) else np.concatenate([before, image])
         height, _ = self._reader.shape
-        for each in self._written:
-            rows = each.part.rows_per_chunk
+        for written in self._written:
+            rows = written.part.rows_per_chunk
             stop = self._bottom if self._bottom == height else self._bottom // rows * rows
             # Encode some rows at a time: a codec holds several copies of its pixels.
-            while each.row < stop:
-                self._encode(each, min(each.row + count_slab_rows(each.part), stop))
+            while written.row < stop:
+                self._encode(written, min(written.row + count_slab_rows(written.part), stop))
         self._pending = {field: image[self.row - self._top :] for field, image in self._pending.items()}
         self._top = self.row
 
@@ -239,12 +239,12 @@ class BandWriter:
         with container.path.open("rb") as stream, open_atomic(path) as out:
             write_container(out, container, stream, headers, chunks)
 
-    def _encode(self, each: _Written, stop: int) -> None:
-        part, first = each.part, each.row
+    def _encode(self, written: _Written, stop: int) -> None:
+        part, first = written.part, written.row
         rows = slice(first - self._top, stop - self._top)
         images = {field: image[rows] for field, image in self._pending.items()}
-        each.spool.add(first, stop, put_images(each.slots, images, self._reader.read_part(part, first, stop)))
-        each.row = stop
+        written.spool.add(first, stop, put_images(written.slots, images, self._reader.read_part(part, first, stop)))
+        written.row = stop
 
-    def _list_chunks(self, each: _Written) -> Iterator[tuple[int, bytes]]:
-        return each.spool.read()
+    def _list_chunks(self, written: _Written) -> Iterator[tuple[int, bytes]]:
+        return written.spool.read()

@@ -191,7 +191,7 @@ def describe_file(path: PathLike) -> FileDescription:
     notes: list[str] = []
     refusals: list[str] = []
     used: dict[tuple[int, str], str] = {}
-    found: set[tuple[str, str]] = set()
+    fields: set[tuple[str, str]] = set()
     camera: Camera | None = None
     tables: tuple[LobeTable, ...] = ()
     if beauty is None:
@@ -200,20 +200,20 @@ def describe_file(path: PathLike) -> FileDescription:
         try:
             for part, slots in plan_reading(container, beauty):
                 for slot in slots:
-                    found.add((slot.owner, slot.field))
+                    fields.add((slot.owner, slot.field))
                     used.update({(part.index, name): f"{slot.owner}.{slot.field}" for name in slot.channels})
             camera = read_camera(beauty)
             tables = read_lobe_tables(beauty)
         except LobewiseError as problem:
             refusals.append(f"Denoising will refuse this file: {problem}")
-    gbuffer = {field for owner, field in found if owner == "gbuffer"}
+    gbuffer = {field for owner, field in fields if owner == "gbuffer"}
     similarities = list_similarities(gbuffer, camera)
-    uses = _list_uses(found, camera)
+    uses = _list_uses(fields, camera)
     lacks: list[Lack] = []
     if beauty is not None:
-        told = _note_lobes(gbuffer, camera, similarities)
-        lacks = [Lack(role, COSTS[role], REMEDY, told=told) for role in COSTS if role not in uses]
-        notes += [*([told] if told else []), *_note_what_lacks(container, beauty, gbuffer)]
+        lobe_notes = _note_lobes(gbuffer, camera, similarities)
+        lacks = [Lack(role, COSTS[role], REMEDY, told=lobe_notes) for role in COSTS if role not in uses]
+        notes += [*([lobe_notes] if lobe_notes else []), *_note_what_lacks(container, beauty, gbuffer)]
     notes = [*refusals, *notes]
     return FileDescription(
         path=str(path),
@@ -221,7 +221,7 @@ def describe_file(path: PathLike) -> FileDescription:
         parts=tuple(describe_part(part, used) for part in container.parts),
         image_part=beauty.index if beauty else None,
         images=tuple(
-            ImageDescription(slot.label, (slot.owner, slot.field) in found, slot.meaning, slot.missing)
+            ImageDescription(slot.label, (slot.owner, slot.field) in fields, slot.meaning, slot.missing)
             for slot in SLOTS
         ),
         camera=camera,
@@ -232,21 +232,21 @@ def describe_file(path: PathLike) -> FileDescription:
         uses=uses,
         layers=("diffuse", "specular") if "layers" in uses else (),
         lacks=tuple(lacks),
-        outputs=tuple(slot.label for slot in SLOTS[:3] if (slot.owner, slot.field) in found),
+        outputs=tuple(slot.label for slot in SLOTS[:3] if (slot.owner, slot.field) in fields),
         refusals=tuple(refusals),
     )
 
 
-def _list_uses(found: set[tuple[str, str]], camera: Camera | None) -> tuple[str, ...]:
+def _list_uses(fields: set[tuple[str, str]], camera: Camera | None) -> tuple[str, ...]:
     """Return what denoising uses of a file in lobewise's names, of `USES`, from the images that it holds."""
-    guides = {field for owner, field in found if owner == "gbuffer"}
+    guides = {field for owner, field in fields if owner == "gbuffer"}
     there = {
         "normal": "normal" in guides,
         "roughness": "alpha_u" in guides,
         "camera": camera is not None and bool(guides & {"depth", "position"}),
-        "layers": {("radiance", "diffuse"), ("radiance", "specular")} <= found,
+        "layers": {("radiance", "diffuse"), ("radiance", "specular")} <= fields,
         "albedo": bool(guides & {"diffuse_albedo", "specular_albedo"}),
-        "halves": {("half_a", "color"), ("half_b", "color")} <= found,
+        "halves": {("half_a", "color"), ("half_b", "color")} <= fields,
     }
     there["silhouettes"] = there["layers"] and "coverage" in guides
     return tuple(use for use in USES if there[use])

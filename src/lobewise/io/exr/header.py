@@ -50,21 +50,21 @@ def read_replaced(container: Container) -> dict[int, frozenset[str]] | None:
     if not marks:
         return None
     everything = {part.index: frozenset(channel.name for channel in part.channels) for part in container.parts}
-    found: dict[int, set[str]] = {}
+    replaced: dict[int, set[str]] = {}
     for item in marks:
         try:
-            told = parse_json(item.value, what=f"attribute {DENOISED}")
+            document = parse_json(item.value, what=f"attribute {DENOISED}")
         except FileError:
             return everything
-        named = told.get(REPLACED) if isinstance(told, dict) else None
+        named = document.get(REPLACED) if isinstance(document, dict) else None
         if not isinstance(named, dict):
             return everything
         for part in container.parts:
             names = named.get(part.name)
-            found.setdefault(part.index, set()).update(
+            replaced.setdefault(part.index, set()).update(
                 name for name in (names if isinstance(names, list) else ()) if isinstance(name, str)
             )
-    return {index: there for index, names in found.items() if (there := frozenset(names) & everything[index])}
+    return {index: there for index, names in replaced.items() if (there := frozenset(names) & everything[index])}
 
 
 def read_camera(part: Part) -> Camera | None:
@@ -72,17 +72,17 @@ def read_camera(part: Part) -> Camera | None:
 
     Raises InputError if some of its attributes are missing or invalid.
     """
-    found = {item.name[len(CAMERA) :]: item for item in part.attributes if item.name.startswith(CAMERA)}
-    if not found:
+    items = {item.name[len(CAMERA) :]: item for item in part.attributes if item.name.startswith(CAMERA)}
+    if not items:
         return None
     values: dict[str, Any] = {}
     for name, size in (("position", 3), ("forward", 3), ("up", 3), ("fov_y", 1), ("fov_x", 1), ("shift", 2)):
-        numbers = _read_numbers(found.get(name), size)
-        if numbers is None and not (name in ("fov_x", "shift") and name not in found):
+        numbers = _read_numbers(items.get(name), size)
+        if numbers is None and not (name in ("fov_x", "shift") and name not in items):
             raise InputError(
                 "camera in the header",
                 expected=f"the attribute {CAMERA}{name} with {size} real number{'s' if size > 1 else ''}",
-                got="another type" if name in found else "none",
+                got="another type" if name in items else "none",
                 action="write position, forward, up and fov_y, or no camera at all",
             )
         if numbers is not None:
@@ -109,15 +109,15 @@ def read_lobe_tables(part: Part) -> tuple[LobeTable, ...]:
 
     Raises FileError if a number is missing or a table is invalid.
     """
-    found = [item for item in part.attributes if item.name.startswith(LOBES)]
+    items = [item for item in part.attributes if item.name.startswith(LOBES)]
     tables = []
-    for number in range(1, len(found) + 1):
+    for number in range(1, len(items) + 1):
         name = f"{LOBES}{number}"
         item = part.get(name)
         if item is None:
             raise FileError(
                 "lobe tables in the header",
-                expected=f"{len(found)}, numbered from 1",
+                expected=f"{len(items)}, numbered from 1",
                 got="none with the number " + str(number),
                 action="number them without gaps",
             )

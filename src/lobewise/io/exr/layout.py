@@ -125,9 +125,9 @@ def plan_reading(container: Container, beauty: Part) -> list[tuple[Part, list[Sl
             best = max(best, have, key=len)
         if best:
             raise _refuse_incomplete(container.path, slot.label, "only " + ", ".join(best))
-    found = {(slot.owner, slot.field) for slots in plan.values() for slot in slots}
+    fields = {(slot.owner, slot.field) for slots in plan.values() for slot in slots}
     for owner in ("half_a", "half_b", "variance"):
-        if (owner, "color") not in found and any(who == owner for who, _ in found):
+        if (owner, "color") not in fields and any(who == owner for who, _ in fields):
             raise _refuse_incomplete(container.path, f"{owner}.R/G/B", "none of them beside its other images")
     return [(container.parts[index], slots) for index, slots in sorted(plan.items())]
 
@@ -168,8 +168,8 @@ def refuse_missing_image(container: Container, *, expected: str, action: str) ->
         channel.name for part in container.parts for channel in part.channels if not part.deep and not channel.is_whole
     ]
     if set(odd).intersection(BEAUTY.channels):
-        told = f"{', '.join(map(show_name, odd[:8]))} with less than one value for each pixel"
-        return MissingChannelError(what, expected=expected, got=told, action="save it without subsampling")
+        got = f"{', '.join(map(show_name, odd[:8]))} with less than one value for each pixel"
+        return MissingChannelError(what, expected=expected, got=got, action="save it without subsampling")
     return MissingChannelError(what, expected=expected, got=f"only {shown}", action=action)
 
 

@@ -194,10 +194,10 @@ def _parse_header(reader: _Reader) -> tuple[Attribute, ...]:
 
 def _interpret_header(index: int, attributes: tuple[Attribute, ...], version: int) -> tuple[Part, int]:
     """Return the part without its chunks, and the number of its chunks."""
-    found = {item.name: item for item in attributes}
+    items = {item.name: item for item in attributes}
 
     def value(name: str, kind: str, size: int | None) -> bytes:
-        item = found.get(name)
+        item = items.get(name)
         if item is None:
             raise _Damaged(f"a header without the attribute {_say(name)}")
         if item.type != kind or (size is not None and len(item.value) != size):

@@ -54,14 +54,14 @@ def decode_part(container: Container, part: Part, names: Collection[str] | None 
             got="deep samples",
             action="flatten it first",
         )
-    wanted = [channel for channel in part.channels if names is None or channel.name in names]
+    chosen = [channel for channel in part.channels if names is None or channel.name in names]
     window, step = part.data_window, count_fitting_rows(part)
     plain = all(channel.x_sampling == channel.y_sampling == 1 for channel in part.channels)
     if step >= window.height or not plain:
         pixels = _decode_rows(container, part)
-        return {channel.name: pixels[channel.name] for channel in wanted}
+        return {channel.name: pixels[channel.name] for channel in chosen}
     try:
-        whole = {each.name: np.empty((window.height, window.width), DTYPES[each.pixel_type]) for each in wanted}
+        whole = {each.name: np.empty((window.height, window.width), DTYPES[each.pixel_type]) for each in chosen}
     except MemoryError as problem:
         raise _refuse_pixels(container, "not enough memory") from problem
     for first in range(0, window.height, step):
@@ -93,13 +93,13 @@ def _decode_rows(container: Container, part: Part) -> dict[str, Pixels]:
             data = pack_part(container, part, stream)
         pixels = decode_bytes(data)
     except (RuntimeError, ValueError, TypeError, KeyError, OSError, MemoryError) as problem:
-        told = "not enough memory" if isinstance(problem, MemoryError) else "damaged pixels"
-        raise _refuse_pixels(container, told) from problem
+        reason = "not enough memory" if isinstance(problem, MemoryError) else "damaged pixels"
+        raise _refuse_pixels(container, reason) from problem
     for channel in part.channels:
         shape = (part.data_window.height // channel.y_sampling, part.data_window.width // channel.x_sampling)
-        found = pixels.get(channel.name)
+        plane = pixels.get(channel.name)
         plain = channel.x_sampling == channel.y_sampling == 1
-        if found is None or found.dtype != DTYPES[channel.pixel_type] or (plain and found.shape != shape):
+        if plane is None or plane.dtype != DTYPES[channel.pixel_type] or (plain and plane.shape != shape):
             raise FileError(
                 f"input {str(container.path)!r}",
                 expected=f"the channel '{show_name(channel.name)}' of {shape[1]}x{shape[0]} pixels",

@@ -61,19 +61,19 @@ def write_copy(
         If an added channel exists already, or a plane has another size than its part.
     """
     require_writable(path)
-    more = added or {}
-    written = {index: [*changed.get(index, ()), *more.get(index, ())] for index in {*changed, *more}}
+    added_planes = added or {}
+    written = {index: [*changed.get(index, ()), *added_planes.get(index, ())] for index in {*changed, *added_planes}}
     headers = make_headers(container, beauty, settings, written)
     spools: dict[int, ChunkSpool] = {}
-    told: list[str] = []
+    notes: list[str] = []
     version, parts = container.version, list(container.parts)
     with open_spool(path) as stream:
         for index in sorted(written):
             part = container.parts[index]
-            planes = _Planes(part, changed.get(index, {}), more.get(index, {}), only=only)
+            planes = _Planes(part, changed.get(index, {}), added_planes.get(index, {}), only=only)
             planes.check(container)
             spools[index], note = _encode(container, planes, stream)
-            told += [note] if note else []
+            notes += [note] if note else []
             headers[index] = [_take_over(item, spools[index]) for item in headers[index]]
             parts[index] = replace(part, chunks=spools[index].chunks)
             names = [channel.name for channel in planes.part.channels]
@@ -81,13 +81,13 @@ def write_copy(
         whole = replace(container, version=version, parts=tuple(parts))
         chunks = {index: spool.read() for index, spool in spools.items()}
         if only:
-            kept = sorted(chunks)
-            whole = replace(whole, parts=tuple(replace(parts[index], index=k) for k, index in enumerate(kept)))
-            headers = [headers[index] for index in kept]
-            chunks = {k: chunks[index] for k, index in enumerate(kept)}
+            part_numbers = sorted(chunks)
+            whole = replace(whole, parts=tuple(replace(parts[index], index=k) for k, index in enumerate(part_numbers)))
+            headers = [headers[index] for index in part_numbers]
+            chunks = {k: chunks[index] for k, index in enumerate(part_numbers)}
         with container.path.open("rb") as source, open_atomic(path) as out:
             write_container(out, whole, source, headers, chunks)
-    return tuple(told)
+    return tuple(notes)
 
 
 class _Planes:
@@ -99,10 +99,10 @@ class _Planes:
 
     def __init__(self, part: Part, changed: Planes, added: Planes, *, only: bool) -> None:
         self._before, self._changed, self._added = part, changed, added
-        kept = [channel for channel in part.channels if not only or channel.name in changed]
-        more = [Channel(name, "float", False, 1, 1) for name in added]
-        self.part = replace(part, channels=(*kept, *more))
-        self.kept = [channel.name for channel in kept if channel.name not in changed]
+        old_channels = [channel for channel in part.channels if not only or channel.name in changed]
+        new_channels = [Channel(name, "float", False, 1, 1) for name in added]
+        self.part = replace(part, channels=(*old_channels, *new_channels))
+        self.kept = [channel.name for channel in old_channels if channel.name not in changed]
 
     def check(self, container: Container) -> None:
         """Raise InputError if a plane has another size than the part, or an added channel exists already."""

@@ -21,9 +21,9 @@ def pack_part(container: Container, part: Part, stream: BinaryIO) -> bytes:
     }  # fmt: skip
     if part.tiled:
         needed.add("tiles")
-    kept = [item for item in part.attributes if item.name in needed]
+    needed_items = [item for item in part.attributes if item.name in needed]
     version = 2 | (TILED if part.tiled else 0) | (container.version & LONG_NAMES)
-    header = MAGIC + struct.pack("<I", version) + b"".join(item.pack() for item in kept) + b"\0"
+    header = MAGIC + struct.pack("<I", version) + b"".join(item.pack() for item in needed_items) + b"\0"
     chunks = [
         (chunk.index, shift_tiles(read_chunk(stream, chunk), -part.tiles_above))
         for chunk in sorted(part.chunks, key=lambda one: one.offset)
@@ -78,8 +78,8 @@ def write_container(
     for part in container.parts:
         prefix = struct.pack("<i", part.index) if container.multipart else b""
         pending: Iterable[Chunk] | Iterable[tuple[int, bytes]]
-        kept = sorted(part.chunks, key=lambda one: one.offset)
-        pending = new.get(part.index, kept)
+        in_order = sorted(part.chunks, key=lambda one: one.offset)
+        pending = new.get(part.index, in_order)
         for item in pending:
             index, data = (item.index, read_chunk(source, item)) if isinstance(item, Chunk) else item
             tables[part.index][index] = position
