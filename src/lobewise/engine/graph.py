@@ -201,11 +201,11 @@ class Graph:
     """Arrays that are compiled in, by the names of their images."""
     _names: set[str] = field(default_factory=set)
 
-    def name(self, wanted: str) -> str:
+    def name(self, base: str) -> str:
         """Return a name that no other image has."""
-        name, number = wanted, 2
+        name, number = base, 2
         while name in self._names:
-            name, number = f"{wanted}_{number}", number + 1
+            name, number = f"{base}_{number}", number + 1
         self._names.add(name)
         return name
 
@@ -298,25 +298,25 @@ class Graph:
     ) -> None:
         """Add a call of a kernel, after comparing the arguments with its parameters."""
         sizes: dict[str, Axis] = {}
-        given: list[tuple[str, Image | str]] = []
-        for each in parameters:
-            value = arguments[each.name]
-            if each.role == "number":
-                given.append((each.name, _write_argument(each, value)))
+        passed: list[tuple[str, Image | str]] = []
+        for parameter in parameters:
+            value = arguments[parameter.name]
+            if parameter.role == "number":
+                passed.append((parameter.name, _write_argument(parameter, value)))
                 continue
-            assert isinstance(value, Image), f"{function} wants an image for {each.name}"
-            _require_fit(function, each, value, sizes)
-            given.append((each.name, value))
-        unknown = set(arguments) - {each.name for each in parameters}
+            assert isinstance(value, Image), f"{function} wants an image for {parameter.name}"
+            _require_fit(function, parameter, value, sizes)
+            passed.append((parameter.name, value))
+        unknown = set(arguments) - {parameter.name for parameter in parameters}
         assert not unknown, f"{function} has no {unknown}"
-        roles = {each.name: each.role for each in parameters}
-        images = [(name, value) for name, value in given if isinstance(value, Image)]
+        roles = {parameter.name: parameter.role for parameter in parameters}
+        images = [(name, value) for name, value in passed if isinstance(value, Image)]
         reads = tuple(image for name, image in images if roles[name] == "input")
         writes = tuple(image for name, image in images if roles[name] == "output")
         overlap = {image.name for image in reads} & {image.name for image in writes}
         assert not overlap, f"{function} reads what it writes: {overlap}"
         where = self.stage, self.in_box, self.in_band, on_device
-        self.operations.append(Operation(function, given, reads, writes, text, self.when, True, *where))
+        self.operations.append(Operation(function, passed, reads, writes, text, self.when, True, *where))
 
     def run(
         self, function: str, images: Sequence[Image], numbers: Sequence[str], text: str, writes: Sequence[Image] = ()
@@ -333,12 +333,12 @@ class Graph:
 
     def list_images(self) -> list[Image]:
         """Return every image that a step names, in order of first use."""
-        found: dict[str, Image] = {}
+        named: dict[str, Image] = {}
         for operation in self.operations:
             for _, value in operation.arguments:
                 if isinstance(value, Image):
-                    found.setdefault(value.name, value)
-        return list(found.values())
+                    named.setdefault(value.name, value)
+        return list(named.values())
 
 
 def _write_argument(parameter: Parameter, value: Any) -> str:
@@ -352,16 +352,16 @@ def _write_argument(parameter: Parameter, value: Any) -> str:
 
 def _require_fit(function: str, parameter: Parameter, image: Image, sizes: dict[str, Axis]) -> None:
     """Compare an image with the parameter of a kernel: its type, its axes, and its strides."""
-    told = f"{function}: {parameter.name} is {parameter.type} {parameter.axes}, got {image.name} {image.shape}"
-    assert image.type == parameter.type, told
-    assert image.ndim == len(parameter.axes), told
+    mismatch = f"{function}: {parameter.name} is {parameter.type} {parameter.axes}, got {image.name} {image.shape}"
+    assert image.type == parameter.type, mismatch
+    assert image.ndim == len(parameter.axes), mismatch
     for axis, length in zip(parameter.axes, image.shape, strict=True):
         length = "height" if length == "band" else length
         if isinstance(axis, int):
-            assert axis == length, told
+            assert axis == length, mismatch
         else:
-            assert sizes.setdefault(axis, length) == length, told
+            assert sizes.setdefault(axis, length) == length, mismatch
     dense = 1
     for stride, length in zip(reversed(parameter.strides), reversed(image.shape), strict=True):
-        assert stride is None or stride == dense, told
+        assert stride is None or stride == dense, mismatch
         dense = dense * length if isinstance(length, int) and isinstance(dense, int) else -1

@@ -56,8 +56,8 @@ class CompiledKernel:
         def run() -> tuple[bytes, dict[str, Any]]:
             funcs = self.make(self.target)
             pipeline = hl.Pipeline(funcs.out)
-            given = funcs.signature.arguments
-            path_taker = partial(_compile_object, pipeline, given, self.symbol, self.target)
+            arguments = funcs.signature.arguments
+            path_taker = partial(_compile_object, pipeline, arguments, self.symbol, self.target)
             return compile_object(path_taker), {}
 
         if self.target.bits != 64:
@@ -72,17 +72,17 @@ class CompiledKernel:
 
     def find_axes(self, images: Mapping[str, Image]) -> dict[str, Any]:
         """Return the lengths of named axes by the images of a call."""
-        found: dict[str, Any] = {}
-        for each in self.parameters:
-            if each.role == "input":
-                for axis, length in zip(each.axes, images[each.name].shape, strict=True):
+        lengths: dict[str, Any] = {}
+        for parameter in self.parameters:
+            if parameter.role == "input":
+                for axis, length in zip(parameter.axes, images[parameter.name].shape, strict=True):
                     if isinstance(axis, str):
-                        found.setdefault(axis, length)
-        return found
+                        lengths.setdefault(axis, length)
+        return lengths
 
 
-def _compile_object(pipeline: hl.Pipeline, given: list[Any], symbol: str, target: hl.Target, path: str) -> None:
-    pipeline.compile_to_object(path, given, symbol, target)
+def _compile_object(pipeline: hl.Pipeline, arguments: list[Any], symbol: str, target: hl.Target, path: str) -> None:
+    pipeline.compile_to_object(path, arguments, symbol, target)
 
 
 GRAPHICS = ("CUDA", "Vulkan", "OpenCL", "D3D12Compute", "Metal", "WebGPU")
@@ -144,11 +144,13 @@ class Recorder:
             target = make_kernel_target(self.target, strict=strict, on_processor=place[2])
             signature = make(target).signature
             known = describe_kernel(key, make)
-            told = known and f"{known} {target.to_string()}"
-            digest = hashlib.sha256((told or str(len(self.found))).encode()).hexdigest()[:10]
+            described = known and f"{known} {target.to_string()}"
+            digest = hashlib.sha256((described or str(len(self.found))).encode()).hexdigest()[:10]
             words = "".join(letter if letter.isalnum() else "_" for letter in signature.name)
             symbol = f"{self.prefix}_{words}_{digest}"
-            self.found[place] = CompiledKernel(symbol, signature.name, tuple(signature.parameters), target, make, told)
+            self.found[place] = CompiledKernel(
+                symbol, signature.name, tuple(signature.parameters), target, make, described
+            )
         return self.found[place]
 
     def call(
@@ -177,18 +179,18 @@ class Recorder:
         text : str
             What the call does.
         """
-        wanted = {each.name for each in kernel.parameters}
-        given = {name: value for name, value in arguments.items() if name in wanted}
-        axes = kernel.find_axes({name: value for name, value in given.items() if isinstance(value, Image)})
+        declared = {parameter.name for parameter in kernel.parameters}
+        passed = {name: value for name, value in arguments.items() if name in declared}
+        axes = kernel.find_axes({name: value for name, value in passed.items() if isinstance(value, Image)})
         axes |= sizes or {}
         outputs: dict[str, Image] = dict(into or {})
-        for each in kernel.parameters:
-            if each.role == "output" and each.name not in outputs:
-                shape = [axes.get(axis, axis) if isinstance(axis, str) else axis for axis in each.axes]
-                name = (names or {}).get(each.name, f"{kernel.name.replace(' ', '_')}_{each.name}")
-                outputs[each.name] = self.graph.make(name, *shape, type=each.type)
+        for parameter in kernel.parameters:
+            if parameter.role == "output" and parameter.name not in outputs:
+                shape = [axes.get(axis, axis) if isinstance(axis, str) else axis for axis in parameter.axes]
+                name = (names or {}).get(parameter.name, f"{kernel.name.replace(' ', '_')}_{parameter.name}")
+                outputs[parameter.name] = self.graph.make(name, *shape, type=parameter.type)
         on_device = kernel.target.has_gpu_feature()
-        self.graph.call(kernel.symbol, {**given, **outputs}, kernel.parameters, text, on_device=on_device)
+        self.graph.call(kernel.symbol, {**passed, **outputs}, kernel.parameters, text, on_device=on_device)
         return outputs
 
     @property
@@ -223,13 +225,13 @@ class Recorder:
         )
         kernel = self.host.get(key, partial(make_pointwise, key), strict=True)
         named = {f"{name}_{k}": value for name, vector in vectors.items() for k, value in enumerate(vector)}
-        wanted = {f"out{number}": name for number, name in enumerate(names)}
+        output_names = {f"out{number}": name for number, name in enumerate(names)}
         written = {f"out{number}": image for number, image in enumerate(into) if image is not None}
-        outputs = self.call(kernel, {**held, **named}, names=wanted, into=written, text=text or describe(define))
-        found = tuple(outputs[each.name] for each in kernel.parameters if each.role == "output")
+        outputs = self.call(kernel, {**held, **named}, names=output_names, into=written, text=text or describe(define))
+        results = tuple(outputs[each.name] for each in kernel.parameters if each.role == "output")
         if not changes:
-            self.computed[same] = found
-        return found
+            self.computed[same] = results
+        return results
 
     def kernel(
         self,
@@ -245,9 +247,9 @@ class Recorder:
         into: Image | None = None,
     ) -> dict[str, Image]:
         """See `lobewise.engine.kernel`."""
-        given = {name: write_length(value) if isinstance(value, str) else value for name, value in numbers.items()}
+        lengths = {name: write_length(value) if isinstance(value, str) else value for name, value in numbers.items()}
         kernel = self.get(key, make, strict=strict)
-        return self.call(kernel, {**images, **given}, sizes=sizes, names=names, text=text)
+        return self.call(kernel, {**images, **lengths}, sizes=sizes, names=names, text=text)
 
     def hold(self, name: str, array: NDArray[np.float32]) -> Image:
         """See `lobewise.engine.hold`."""
@@ -277,19 +279,21 @@ class Recorder:
         strict: bool = False,
     ) -> Any:
         """See `lobewise.engine.planes`."""
-        kernel, given = self.get(key, make, strict=strict), {**images, **numbers}
+        kernel, arguments = self.get(key, make, strict=strict), {**images, **numbers}
         outputs = [each for each in kernel.parameters if each.role == "output"]
-        axes = kernel.find_axes({each: image for each, image in given.items() if isinstance(image, Image)})
+        axes = kernel.find_axes({each: image for each, image in arguments.items() if isinstance(image, Image)})
         size = [axes.get(axis, axis) if isinstance(axis, str) else axis for axis in outputs[0].axes]
         if keep:
             self.declare(keep, len(outputs), *size)
-        kept = self.state[keep].list_planes() if keep else []
+        state_planes = self.state[keep].list_planes() if keep else []
         planes: Any = self.state[keep] if keep else None
-        if len(kept) < len(outputs):
-            more = self.graph.make(f"{name}_{kernel.name}".replace(" ", "_"), len(outputs) - len(kept), *size)
-            planes = [*kept, *more.list_planes()] if kept else more
+        if len(state_planes) < len(outputs):
+            other_planes = self.graph.make(
+                f"{name}_{kernel.name}".replace(" ", "_"), len(outputs) - len(state_planes), *size
+            )
+            planes = [*state_planes, *other_planes.list_planes()] if state_planes else other_planes
         into = {each.name: planes[number] for number, each in enumerate(outputs)}
-        self.call(kernel, given, into=into, text=text)
+        self.call(kernel, arguments, into=into, text=text)
         return planes
 
     def pick(self, image: Image, scale: int, place: tuple[str, str], *, stacked: bool) -> Image:
@@ -297,10 +301,10 @@ class Recorder:
         if image.name not in self.picked:
             size = "rows", "columns"
             shape = [image.shape[0], *size] if stacked else [*size, *image.shape[2:]]
-            found = self.graph.make(f"{image.name}_picked", *shape, type=image.type)
+            picked = self.graph.make(f"{image.name}_picked", *shape, type=image.type)
             numbers = [*place, str(int(stacked))]
-            self.graph.run("pick_samples", [image, found], numbers, f"{image.name} at shaded pixels", writes=[found])
-            self.picked[image.name] = found
+            self.graph.run("pick_samples", [image, picked], numbers, f"{image.name} at shaded pixels", writes=[picked])
+            self.picked[image.name] = picked
         return self.picked[image.name]
 
     def fill(self, name: str, value: float, shape: tuple[Axis, ...]) -> Image:
@@ -316,15 +320,15 @@ class Recorder:
         name: str,
     ) -> dict[str, Image]:
         """See `lobewise.engine.passes`."""
-        given, found = {**images, **numbers}, {}
-        for number, each in enumerate(passes):
-            kernel = self.get(each.key, each.make)
+        arguments, outputs = {**images, **numbers}, {}
+        for number, kernel_pass in enumerate(passes):
+            kernel = self.get(kernel_pass.key, kernel_pass.make)
             names = {out: f"{name}_{out}" for out in ("weight_sum", "effective_samples", "moment")}
             names |= {"image": name, "sums": f"{name}_sums{number}"}
-            given |= {"radius": each.radius, "step": each.step}
-            found = self.call(kernel, given, names=names, text=each.text)
-            given |= {"source": found.get("sums")}
-        return found
+            arguments |= {"radius": kernel_pass.radius, "step": kernel_pass.step}
+            outputs = self.call(kernel, arguments, names=names, text=kernel_pass.text)
+            arguments |= {"source": outputs.get("sums")}
+        return outputs
 
     def total(
         self,
@@ -405,11 +409,11 @@ class Recorder:
     def when(self, condition: Condition, run: Callable[[], Any], otherwise: Callable[[], Any] | None) -> Any:
         """See `lobewise.engine.when`."""
         with self.graph.only_when(condition):
-            found = run()
+            result = run()
         if otherwise is not None:
             with self.graph.only_when(f"!{condition}"):
                 otherwise()
-        return found
+        return result
 
     def declare(self, name: str, *shape: Axis, type: str = "float32") -> Image:
         """Declare what the next frame finds under a name; return what the frame before left there."""
@@ -423,8 +427,8 @@ class Recorder:
         if image is None or (name in self.state and image.memory is self.state[name].memory):
             return
         self.declare(name, *image.shape, type=image.type)
-        kept = self.state[name]
-        self.graph.run("copy_image", [image, kept], [], "what the next frame reads", writes=[kept])
+        state = self.state[name]
+        self.graph.run("copy_image", [image, state], [], "what the next frame reads", writes=[state])
 
     def clear(self, image: Image) -> None:
         """See `lobewise.engine.clear`."""

@@ -132,8 +132,8 @@ def run_filter(
         beside = ["weight_sum", "effective_samples", *(["moment"] if moment else [])]
         names = [name, *(f"{name}_{each}" for each in [*beside, *(f"more{number}" for number in range(len(more)))])]
         text = "what the filter found"
-        image, *others = engine.pixels(define_apart, found, {}, len(more), names=names, text=text)
-        return FilterOutput(image, *others[: len(beside)], more=others[len(beside) :])
+        image, weight, effective, *others = engine.pixels(define_apart, found, {}, len(more), names=names, text=text)
+        return FilterOutput(image, weight, effective, others[0] if moment else None, others[int(moment) :])
     return FilterOutput(more=[found.pop(f"filtered{number}") for number in range(len(more))], **found)
 
 

@@ -118,8 +118,8 @@ def reproject(
         The sums, and the agreement, 0 to 1 (up to the error of `exp2`).
     """
     held = split_history(past, before.shape)
-    found: FloatArray = join_channels(_gather(held, Sums._fields, places, before, now, virtual, memory, name))
-    return found
+    history: FloatArray = join_channels(_gather(held, Sums._fields, places, before, now, virtual, memory, name))
+    return history
 
 
 @device_scope()

@@ -395,10 +395,10 @@ def _add_taps(frames: _Frames, way: Way, similar: Sequence[hl.Expr], there: Sequ
 
 def _mix(ways: Sequence[Sequence[hl.Expr]]) -> list[hl.Expr]:
     """Return the planes and the agreement, mixed if there are two places."""
-    found = list(ways[0])
+    mixed = list(ways[0])
     if len(ways) > 1:
         other = ways[1]
-        square, other_square = (each[-1] * each[-1] for each in (found, other))
+        square, other_square = (each[-1] * each[-1] for each in (mixed, other))
         share = other_square / hl.max(square + other_square, hl.f32(1e-12))
-        found = [value + share * (second - value) for value, second in zip(found, other, strict=True)]
-    return found
+        mixed = [value + share * (second - value) for value, second in zip(mixed, other, strict=True)]
+    return mixed
