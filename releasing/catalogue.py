@@ -26,7 +26,7 @@ from lobewise.interactive import InteractiveSettings, Session
 from lobewise.interactive.settings import METHODS, UNFILTERED
 from lobewise.render import load_scene, make_orbit
 from lobewise.settings import MAX_LOBES
-from lobewise.settings.choices import FORMS, MAX_SCALE_PIXELS, QUALITIES, SIMILARITIES
+from lobewise.settings.choices import FORM_NAMES, MAX_SCALE_PIXELS, QUALITIES, SIMILARITIES
 from releasing.frames import NARROW, SIZE, combine, draw_images, drop, make_frame, vary_main_images, vary_rare_images
 from releasing.recording import Wanted, record_kernels
 
@@ -74,7 +74,7 @@ def list_similarities() -> Iterator[Case]:
             for similarity in SIMILARITIES:
                 for quality in QUALITIES:
                     yield denoise(frame, quality=quality, similarity=similarity)
-                for form in FORMS:
+                for form in FORM_NAMES:
                     yield denoise(frame, quality="fast", form=form, similarity=similarity)
                     if SIMILARITIES[similarity].takes_hits:
                         yield denoise(frame, quality="fast", form=form, similarity=similarity, hit_distance=True)
@@ -140,7 +140,7 @@ def list_histories() -> Iterator[Case]:
         make_frame((SIZE[0], NARROW)),
     )
     for frame in frames:
-        for form in FORMS:
+        for form in FORM_NAMES:
             yield follow(frame, 1, form=form)
         for similarity in SIMILARITIES:
             yield follow(frame, 1, similarity=similarity)

@@ -29,7 +29,7 @@ import halide as hl
 from lobewise.backend import jit, prebuilt
 from lobewise.backend.disk import fetch_object
 from lobewise.backend.objects import compile_object
-from lobewise.backend.sources import find_definitions
+from lobewise.backend.sources import digest_definitions
 from releasing.catalogue import list_kernels
 from releasing.recording import Wanted
 from releasing.systems import SYSTEMS, Level, System
@@ -157,7 +157,7 @@ def list_sources(kernels: Mapping[str, Wanted]) -> dict[str, str]:
     """Return the digests of all modules that define a part of a kernel, by their paths in the package."""
     names = {name for each in kernels.values() for name in jit.list_definitions(each.key, each.make)}
     root = prebuilt.PACKAGE_ROOT
-    modules = {root.joinpath(*name.split(".")[1:-1]) for name in find_definitions(names)}
+    modules = {root.joinpath(*name.split(".")[1:-1]) for name in digest_definitions(names)}
     found = {each / "__init__.py" if each.is_dir() else each.with_suffix(".py") for each in modules}
     return {path.relative_to(root).as_posix(): prebuilt.digest_source(path) for path in sorted(found)}
 

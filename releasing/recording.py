@@ -77,5 +77,5 @@ def record_kernels(seed: int = 0) -> Iterator[dict[str, Wanted]]:
             shapes[identity or "", key] = signature.name, signature.parameters
         return _RecordedKernel(*shapes[identity or "", key], seed)
 
-    with patch.object(jit, "_find_prebuilt", take), patch.object(jit, "_kernels", {}):
+    with patch.object(jit, "_look_up_prebuilt", take), patch.object(jit, "_kernels", {}):
         yield found

@@ -25,16 +25,16 @@ def rng() -> np.random.Generator:
 @pytest.fixture(scope="session")
 def exr_folder() -> Path:
     """Return the folder of real EXR files, or skip and say how to get it."""
-    return find_data("exr")
+    return locate_data("exr")
 
 
 @pytest.fixture(scope="session")
 def field_folder() -> Path:
     """Return the folder of small inputs that once came out wrong, or skip and say how to get it."""
-    return find_data("field")
+    return locate_data("field")
 
 
-def find_data(name: str) -> Path:
+def locate_data(name: str) -> Path:
     """Return a folder of the test data, or skip the test and say how to get it."""
     root = os.environ.get("LOBEWISE_TEST_DATA")
     if not root:

@@ -80,11 +80,11 @@ def test_blender_page_has_commands_and_options_that_exist() -> None:
 
 
 def test_blender_page_has_every_menu_entry_that_notes_name() -> None:
-    from lobewise.interchange.preset import find_preset
+    from lobewise.interchange.preset import look_up_preset
 
     page = BLENDER_PAGE.read_text()
     tables = "\n".join(line for line in page.splitlines() if line.startswith("|"))
-    entries = [text for text in find_preset("cycles").advice.values() if text.startswith("View Layer > Passes > ")]
+    entries = [text for text in look_up_preset("cycles").advice.values() if text.startswith("View Layer > Passes > ")]
     assert len(entries) > 4
     for text in entries:
         panel, passes = text.split(", from")[0].removeprefix("View Layer > Passes > ").split(" > ")

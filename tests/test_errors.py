@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from lobewise.camera import Camera
-from lobewise.errors import InputError, find_nearest, name_value, require_choice, require_integer
-from lobewise.interchange.preset import find_preset
+from lobewise.errors import InputError, choose_nearest, name_value, require_choice, require_integer
+from lobewise.interchange.preset import look_up_preset
 from lobewise.settings import DenoiseSettings
 
 QUALITIES = ("auto", "fast", "balanced", "high")
@@ -17,7 +17,7 @@ QUALITIES = ("auto", "fast", "balanced", "high")
 
 def test_blender_is_not_renderman() -> None:
     with pytest.raises(InputError) as caught:
-        find_preset("blender")
+        look_up_preset("blender")
     assert "cycles" in str(caught.value)
     assert "did you mean" not in str(caught.value)
 
@@ -26,7 +26,7 @@ def test_blender_is_not_renderman() -> None:
     ("given", "near"), [("hihg", "high"), ("FAST", "fast"), ("balancd", "balanced"), ("best", None), ("zzz", None)]
 )
 def test_only_a_near_name_is_suggested(given: str, near: str | None) -> None:
-    assert find_nearest(given, QUALITIES) == near
+    assert choose_nearest(given, QUALITIES) == near
     with pytest.raises(InputError) as caught:
         require_choice("quality", given, QUALITIES)
     assert str(caught.value).endswith("; choose one of them." if near is None else f"; did you mean {near!r}?")

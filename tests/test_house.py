@@ -189,7 +189,7 @@ def test_no_file_of_the_lobes_is_for_tests_alone() -> None:
         assert {name for name in names if not name.startswith("_")} <= used, path
 
 
-def find_circle(edges: dict[str, set[str]]) -> list[str]:
+def list_circle(edges: dict[str, set[str]]) -> list[str]:
     """Return the nodes of a directed graph along a circle, the first one repeated at the end; none if it has none."""
     finished: set[str] = set()
 
@@ -219,8 +219,8 @@ def test_no_import_closes_a_circle() -> None:
         names = {name for name in imported if name not in packages}
         parents = {name.rpartition(".")[0] for name in names - set(modules)}
         edges[module] = {name for name in names | parents if name in modules} - {module}
-    assert find_circle({"a": {"b", "c"}, "b": {"c"}, "c": {"d"}, "d": {"b"}}) == ["b", "c", "d", "b"]
-    assert find_circle(edges) == []
+    assert list_circle({"a": {"b", "c"}, "b": {"c"}, "c": {"d"}, "d": {"b"}}) == ["b", "c", "d", "b"]
+    assert list_circle(edges) == []
 
 
 MAX_FILES_IN_FOLDER, MAX_LINES_OF_FILE, MAX_CODE_LINES_OF_FUNCTION = 15, 600, 60

@@ -34,7 +34,7 @@ def run_reprojection() -> bytes:
 def run_trust() -> bytes:
     given = test_accumulation.make_given(SHAPE, 2, (1, 0))
     grid = test_accumulation.make_grid(given, 2, (1, 0))
-    return grid.find_trust(given["samples"], given["history"], 1.4).tobytes()
+    return grid.compute_trust(given["samples"], given["history"], 1.4).tobytes()
 
 
 def run_accumulation() -> bytes:

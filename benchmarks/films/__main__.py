@@ -58,7 +58,7 @@ BASES = {"balanced": "balanced", "high": "high", "auto": "oidn"}
 """What the window of a quality is compared with, frame by frame."""
 
 
-def find_square(one: FloatArray, truth: Truth) -> NDArray[np.float64]:
+def compute_square(one: FloatArray, truth: Truth) -> NDArray[np.float64]:
     """Return the squared error of every pixel and channel, without the noise of the references on average."""
     return (one - truth[0]) * (one - truth[1])
 
@@ -66,7 +66,7 @@ def find_square(one: FloatArray, truth: Truth) -> NDArray[np.float64]:
 def measure_error(image: FloatArray, truth: Truth, mask: NDArray[np.bool_] | None = None) -> float:
     """Return the relative mean squared error, of the pixels of ``mask`` if it is given."""
     scale = np.maximum(truth[0] * truth[1], 0.0) + EPSILON
-    error = (find_square(image, truth) / scale).mean(axis=-1)
+    error = (compute_square(image, truth) / scale).mean(axis=-1)
     return float(error.mean() if mask is None else error[mask].mean())
 
 
@@ -77,11 +77,11 @@ def measure_flicker(images: Sequence[FloatArray], truths: Sequence[Truth]) -> fl
         change = images[k] - images[k - 1]
         wanted = truths[k][0] - truths[k - 1][0], truths[k][1] - truths[k - 1][1]
         light = [np.maximum(first * second, 0.0) for first, second in (truths[k], truths[k - 1])]
-        steps.append(float((find_square(change, wanted) / (0.5 * (light[0] + light[1]) + EPSILON)).mean()))
+        steps.append(float((compute_square(change, wanted) / (0.5 * (light[0] + light[1]) + EPSILON)).mean()))
     return float(np.mean(steps))
 
 
-def find_new(frames: Sequence[Frame]) -> list[NDArray[np.bool_]]:
+def mark_new(frames: Sequence[Frame]) -> list[NDArray[np.bool_]]:
     """Return the pixels of every frame whose surface came into view in it or in the frame before."""
     found = [np.zeros(frames[0].shape, np.bool_)]
     first = found[0]
@@ -101,7 +101,7 @@ def find_new(frames: Sequence[Frame]) -> list[NDArray[np.bool_]]:
 
 def measure(images: Sequence[FloatArray], frames: Sequence[Frame], truths: Sequence[Truth]) -> dict[str, float]:
     """Return error, flicker, and the error of pixels that came into view less than two frames ago."""
-    new = find_new(frames)
+    new = mark_new(frames)
     shown = [measure_error(*each) for each in zip(images, truths, new, strict=True) if each[2].any()]
     return {
         "error": float(np.mean([measure_error(*pair) for pair in zip(images, truths, strict=True)])),

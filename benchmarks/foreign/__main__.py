@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.common import RESULTS, describe_machine, write_json
-from benchmarks.foreign.files import REFERENCE, REFERENCES, RENDERERS, Renderer, find_frames
+from benchmarks.foreign.files import REFERENCE, REFERENCES, RENDERERS, Renderer, list_frames
 from benchmarks.foreign.judging import Judge, make_judge
 from benchmarks.foreign.methods import BASE, HALVES, METHODS, PEER, TUNED, Shot, run_halves, run_tuned, tune
 from benchmarks.quality.measure import round_figure
@@ -105,7 +105,7 @@ def main() -> None:
         folder = asked.folder / renderer.name
         if (asked.renderer and renderer.name not in asked.renderer) or not folder.is_dir():
             continue
-        for scene, frames in find_frames(renderer, folder).items():
+        for scene, frames in list_frames(renderer, folder).items():
             if asked.scene and scene not in asked.scene:
                 continue
             scenes = before.get(renderer.name, {"scenes": {}})["scenes"]

@@ -68,7 +68,7 @@ RENDERERS = (
 """Blender 4.5 writes one part; 5.2, in a folder of its own, a part for each pass."""
 
 
-def find_frames(renderer: Renderer, folder: Path) -> dict[str, dict[int, dict[int, Path]]]:
+def list_frames(renderer: Renderer, folder: Path) -> dict[str, dict[int, dict[int, Path]]]:
     """Return the frames of a renderer by scene, samples per pixel and seed; only scenes whose reference is there."""
     found: dict[str, dict[int, dict[int, Path]]] = {}
     for entry in sorted(folder.iterdir()):

@@ -49,7 +49,7 @@ class Judge:
 
     def make_error_map(self, image: FloatArray) -> NDArray[np.float64]:
         """Return the error of every pixel (height, width): its mean is the first figure of `measure`."""
-        return self.find_errors((image - self.first) * (image - self.second))
+        return self.compute_errors((image - self.first) * (image - self.second))
 
     def choose(self, errors: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the errors of the pixels that count, in one row."""
@@ -57,9 +57,9 @@ class Judge:
 
     def measure_noise(self) -> float:
         """Return the error, in the same sense, that the mean of both renders has itself."""
-        return float(self.choose(self.find_errors(0.25 * (self.first - self.second) ** 2)).mean())
+        return float(self.choose(self.compute_errors(0.25 * (self.first - self.second) ** 2)).mean())
 
-    def find_errors(self, square: NDArray[np.float64]) -> NDArray[np.float64]:
+    def compute_errors(self, square: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the relative error of every pixel (height, width), of squares (height, width, 3)."""
         scale = np.maximum(self.first * self.second, 0.0) if self.clean is None else self.clean**2
         return np.asarray((square / (scale + EPSILON)).mean(axis=-1))

@@ -79,11 +79,11 @@ def list_grid() -> Iterator[dict[str, Any]]:
 def tune_normals(session: Session, cameras: list[Camera], reference: FloatArray, temporal: bool) -> dict[str, Any]:
     """Return the parameters with which comparing normals has the lowest error on this very frame."""
 
-    def find_error(changes: dict[str, Any]) -> float:
+    def compute_error(changes: dict[str, Any]) -> float:
         settings = make_settings(similarity="normal", temporal=temporal, **changes)
         return measure(render_last(session, cameras, settings), reference)["rel_mse"]
 
-    return min(list_grid(), key=find_error)
+    return min(list_grid(), key=compute_error)
 
 
 def open_scene(name: str, size: int) -> tuple[Session, list[Camera], FloatArray]:

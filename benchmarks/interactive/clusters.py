@@ -124,7 +124,7 @@ def time_update(session: Session) -> float:
     return round(1e3 * min(spent), 1)
 
 
-def find_errors(image: FloatArray, truth: FloatArray, glossy: Any) -> dict[str, float]:
+def compute_errors(image: FloatArray, truth: FloatArray, glossy: Any) -> dict[str, float]:
     """Return rel_mse over all pixels and over glossy ones."""
     return {"all": rel_mse(image, truth), "glossy": rel_mse(image, truth, glossy)}
 
@@ -164,7 +164,7 @@ def run_scene(name: str, cache: Path) -> tuple[dict[str, Any], dict[str, dict[st
             session = open_session(scene, method, seed) if seed else sessions[method]
             images, guides = render_stages(session, method, cameras, samples[method])
             for stage, image in images.items():
-                for part, error in find_errors(image, truth, find_specular_pixels(guides)).items():
+                for part, error in compute_errors(image, truth, find_specular_pixels(guides)).items():
                     found[stage][part].append(error)
             pictures.setdefault(method, images)
             means.append(images["not filtered"].mean() / truth.mean())

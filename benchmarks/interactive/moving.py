@@ -138,7 +138,7 @@ def render_truth(stages: Stages, spp: int) -> FloatArray:
     return np.asarray(total.reshape(SIZE_PIXELS, SIZE_PIXELS, 3) + np.mean(direct, axis=0), np.float32)
 
 
-def find_truth(session: Session, name: str, spp: int) -> Truth:
+def render_references(session: Session, name: str, spp: int) -> Truth:
     """Return the references of a scene's sequence. The session renders the guides."""
     stages, images = Stages(session.scene), []
     quick = InteractiveSettings(scale=16, adaptive=0.0)
@@ -221,7 +221,7 @@ def average(runs: list[dict[str, Any]], name: str) -> float:
 def measure_scene(name: str, spp: int, seeds: int) -> dict[str, Any]:
     """Return ratios of errors and flicker of one scene."""
     # Each session has a scene of its own, because places count from those at the session's beginning.
-    truth = find_truth(Session(load(name)), name, spp)
+    truth = render_references(Session(load(name)), name, spp)
     usual = InteractiveSettings(accumulate=False)
     runs: dict[str, list[dict[str, Any]]] = {"kept": [], "single": [], "fresh": [], "unaware": []}
     for seed in range(seeds):

@@ -119,7 +119,7 @@ def number_shape(scene: Any, name: str) -> int:
     return int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])
 
 
-def find_pixels(hits: FirstHits, scene: Any) -> dict[str, NDArray[np.bool_]]:
+def mark_pixels(hits: FirstHits, scene: Any) -> dict[str, NDArray[np.bool_]]:
     """Return the pixels of the mirror, and those of them that reflect the ball."""
     mirror = hits.shape == number_shape(scene, "mirror")
     return {"reflection": mirror & (hits.seen_shape == number_shape(scene, "ball")), "mirror": mirror}
@@ -130,14 +130,14 @@ def list_tests() -> range:
     return range(TEST_EVERY, FRAMES, TEST_EVERY)
 
 
-def find_truth(alpha: float, motion: str, spp: int) -> Truth:
+def render_references(alpha: float, motion: str, spp: int) -> Truth:
     """Return the references of a sequence."""
     session = Session(load(alpha))
     stages, truth = Stages(session.scene), Truth({}, {})
     for frame in list_tests():
         session.set_transforms(PLACES[motion](frame))
         hits = session.render(None, InteractiveSettings(scale=16, adaptive=0.0)).parts.hits
-        truth.pixels[frame] = find_pixels(hits, session.scene)
+        truth.pixels[frame] = mark_pixels(hits, session.scene)
         stages.place_camera(stages.start_camera, SIZE_PIXELS, SIZE_PIXELS)
         truth.images[frame] = render_truth(stages, spp)
     return truth
@@ -188,23 +188,23 @@ def forget_reflected_motion() -> Iterator[None]:
     """Leave the guide ``reflected_motion`` out."""
     from lobewise.interactive.changes import SceneChanges
 
-    original, find_moved = SceneChanges.add_motion, SceneChanges.find_moved
+    original, mark_moved = SceneChanges.add_motion, SceneChanges.mark_moved
 
     def add_motion(self: Any, *arguments: Any) -> FirstHits:
         hits = original(self, *arguments)
         return replace(hits, gbuffer=replace(hits.gbuffer, reflected_motion=None))
 
     SceneChanges.add_motion = add_motion  # type: ignore[method-assign]
-    SceneChanges.find_moved = lambda self, seen, shapes: np.zeros(shapes.shape, bool)  # type: ignore[method-assign]
+    SceneChanges.mark_moved = lambda self, seen, shapes: np.zeros(shapes.shape, bool)  # type: ignore[method-assign]
     try:
         yield
     finally:
-        SceneChanges.add_motion, SceneChanges.find_moved = original, find_moved  # type: ignore[method-assign]
+        SceneChanges.add_motion, SceneChanges.mark_moved = original, mark_moved  # type: ignore[method-assign]
 
 
 def measure_case(alpha: float, motion: str, spp: int, seeds: int, pictures: Path | None) -> dict[str, Any]:
     """Return the ratios of errors of one mirror and one motion; write pictures of the last test."""
-    truth = find_truth(alpha, motion, spp)
+    truth = render_references(alpha, motion, spp)
     usual = InteractiveSettings(accumulate=False)
     totals = {way: dict.fromkeys(KINDS, 0.0) for way in ("guided", "unguided", "fresh", "single")}
     images: dict[str, FloatArray] = {}

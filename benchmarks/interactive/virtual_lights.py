@@ -60,7 +60,7 @@ def open_scene(name: str, size: int) -> tuple[Any, Any]:
 
     mi = load_mitsuba()
     from lobewise.render.materials.bsdfs import read_scene_materials
-    from lobewise.render.tracing.points import find_points
+    from lobewise.render.tracing.points import trace_points
 
     if name == "cornell box":
         items = mi.cornell_box()
@@ -74,7 +74,7 @@ def open_scene(name: str, size: int) -> tuple[Any, Any]:
         from lobewise.render.bridge import dr
 
         width = tuple(dr.opaque(mi.UInt32, size) for _ in range(2))
-        return find_points(scene, materials, mi.UInt32(pixels.astype(np.uint32)), width)
+        return trace_points(scene, materials, mi.UInt32(pixels.astype(np.uint32)), width)
 
     return (scene, materials), look
 
@@ -89,7 +89,7 @@ def shade(look: Callable[[Any], Any], size: int, shading: Callable[[Any], Any]) 
     return Radiance(diffuse + specular, diffuse=diffuse, specular=specular)
 
 
-def find_errors(image: FloatArray, frame: Frame, references: Mapping[str, FloatArray]) -> dict[str, float]:
+def compute_errors(image: FloatArray, frame: Frame, references: Mapping[str, FloatArray]) -> dict[str, float]:
     """Return rel_mse against each reference, over all pixels, specular ones and sharp ones."""
     specular = find_specular_pixels(frame.gbuffer)
     assert frame.gbuffer.alpha_u is not None
@@ -105,7 +105,7 @@ def run_scene(name: str, cache: Path) -> tuple[dict[str, Any], dict[str, FloatAr
     """Return the figures of a scene, and its images."""
     from lobewise.render import render_frame
     from lobewise.render.tracing.paths import PathLight
-    from lobewise.render.virtual_lights.instant_radiosity import VirtualLights, find_sharpness_limit
+    from lobewise.render.virtual_lights.instant_radiosity import VirtualLights, compute_sharpness_limit
     from lobewise.render.virtual_lights.point_walk import LIGHTS_PER_SAMPLE
 
     (scene, materials), look = open_scene(name, SIZE)
@@ -132,7 +132,7 @@ def run_scene(name: str, cache: Path) -> tuple[dict[str, Any], dict[str, FloatAr
 
     some = np.add.outer(np.arange(8, SIZE, 16) * SIZE, np.arange(8, SIZE, 16)).ravel()
     seen = method.count_lights_seen(look(some))
-    tau = find_sharpness_limit(seen)
+    tau = compute_sharpness_limit(seen)
     references = {"paths": truth, "all lights": whole}
     images = {"one sample": frame.radiance.color, "all lights": whole, "paths": truth}
     for similarity in ("sg", "ggx"):
@@ -151,11 +151,11 @@ def run_scene(name: str, cache: Path) -> tuple[dict[str, Any], dict[str, FloatAr
         "default_tau": denoise(frame, quality="fast", similarity="sg").settings["tau"],
         "reference_spp": 2 * REFERENCE_SPP,
         # The distance of a half from the mean of both estimates the distance of the mean from the truth.
-        "reference_errors": find_errors(halves[0], frame, {"paths": truth}),
-        "errors": {key: find_errors(image, frame, references) for key, image in images.items() if key != "paths"},
+        "reference_errors": compute_errors(halves[0], frame, {"paths": truth}),
+        "errors": {key: compute_errors(image, frame, references) for key, image in images.items() if key != "paths"},
         "sweep": {
             similarity: {
-                f"{value:g}": find_errors(
+                f"{value:g}": compute_errors(
                     denoise(frame, quality="fast", similarity=similarity, tau=value, **FILTER).image,
                     frame,
                     {"paths": references["paths"]},

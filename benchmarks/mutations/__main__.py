@@ -87,7 +87,7 @@ def run_tests(root: Path, options: Sequence[str], minutes: float) -> str:
     return failed[1] if failed else "crash"
 
 
-def find_notice(root: Path, named: Sequence[str], tier: str, steps: Sequence[str]) -> tuple[str, str]:
+def run_until_notice(root: Path, named: Sequence[str], tier: str, steps: Sequence[str]) -> tuple[str, str]:
     """Return the first of some steps that notices that a tree is broken, and the test; "none" if no step does."""
     others = f"not ({tier})"
     options = {NAMED: ["-m", tier, *(f"tests/{name}" for name in named)], QUICK: ["-m", tier], NIGHTLY: ["-m", others]}
@@ -123,7 +123,7 @@ def main() -> None:
             if mutation.name != UNBROKEN:
                 apply(mutation, root)
             steps = STEPS[:1] if options.named else STEPS[not mutation.tests : -1]
-            step, test = find_notice(root, mutation.tests, options.tier, steps)
+            step, test = run_until_notice(root, mutation.tests, options.tier, steps)
         seconds = round(time.monotonic() - start, 1)
         print(f"{mutation.name}: {step} {test} ({seconds:.0f} s)", flush=True)
         if options.named:

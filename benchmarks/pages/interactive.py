@@ -58,7 +58,7 @@ def make_quality_table(quality: dict[str, Any]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def find_ratios(quality: dict[str, Any]) -> dict[str, tuple[float, float]]:
+def compute_ratios(quality: dict[str, Any]) -> dict[str, tuple[float, float]]:
     """Return by scene the error of `ggx` over time, 5 % computed again, over geometry-aware and over tuned."""
     found = {}
     for scene, kinds in quality["scenes"].items():
@@ -161,7 +161,7 @@ def make_figures(
     )
     ratios = [
         [f"`{scene}`", f"{plain:.2f} ({judge(plain <= MAX_RATIO)})", f"{tuned:.2f}"]
-        for scene, (plain, tuned) in find_ratios(quality).items()
+        for scene, (plain, tuned) in compute_ratios(quality).items()
     ]
     return {
         "stages": tables,

@@ -20,7 +20,7 @@ from lobewise.bench.plane import make_features, make_frame
 from lobewise.bench.timing import time_best
 from lobewise.frame import Frame
 from lobewise.peers import denoise_oidn, has_oidn
-from lobewise.settings import FORMS
+from lobewise.settings import FORM_NAMES
 
 SIZES = ((512, 512), (1024, 1024), (1920, 1080))
 RADII = (8, 16)
@@ -75,7 +75,7 @@ def main() -> None:
     peers: dict[str, Any] = {}
     for width, height in SIZES:
         frame = make_frame(width, height)
-        for form in FORMS:
+        for form in FORM_NAMES:
             for radius in RADII if form != "atrous" else RADII[:1]:
                 result = time_kernels(frame, radius, form, arguments.seconds)
                 rows.append({"width": width, "height": height, "form": form, "radius": radius, **result})

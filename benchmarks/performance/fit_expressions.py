@@ -41,7 +41,7 @@ def fit_minimax(
     return best
 
 
-def _find_bend(m: Array) -> Array:
+def _compute_bend(m: Array) -> Array:
     """Return by how much the logarithm of a mantissa is above the straight line."""
     return np.log2(m) - (m - 1.0)
 
@@ -50,7 +50,7 @@ def main() -> None:
     """Print both fits."""
     for name, fit in (
         ("EXP2_COEFFICIENTS", fit_minimax(np.exp2, 0.0, 1.0, 4, relative=True)),
-        ("LOG2_COEFFICIENTS", fit_minimax(_find_bend, 1.0, 2.0, 4, relative=False, rooted=True)),
+        ("LOG2_COEFFICIENTS", fit_minimax(_compute_bend, 1.0, 2.0, 4, relative=False, rooted=True)),
     ):
         print(f"{name} = {tuple(float(f'{c:.9g}') for c in fit[0])}  # error {fit[1]:.2e}")
 

@@ -113,7 +113,7 @@ def count_tap(name: str, lanes: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "kernel.s"
         hl.Pipeline(made.out).compile_to_assembly(str(path), made.signature.arguments, "kernel", target)
-        loops = find_tap_loops(path.read_text())
+        loops = list_tap_loops(path.read_text())
     counts = Counter(line.split()[0] for loop in loops for line in loop)
     lines = [line for loop in loops for line in loop if not TINY.search(line.split()[0])]
     wide = [line for line in lines if "mm" in line]
@@ -129,7 +129,7 @@ def count_tap(name: str, lanes: int) -> dict[str, Any]:
     }
 
 
-def find_tap_loops(text: str) -> list[list[str]]:
+def list_tap_loops(text: str) -> list[list[str]]:
     """Return the instructions of every innermost loop that is one over taps."""
     places: dict[str, int] = {}
     lines: list[str] = []

@@ -59,7 +59,7 @@ GUIDES = ("depth", "normal", "tangent", "alpha_u", "alpha_v", "lobe_kind", "diff
 """What the plain filter looks at; positions follow from depth and camera."""
 
 
-def find_oidn() -> Path:
+def locate_oidn() -> Path:
     """Return the program `oidnDenoise` of the installed wheel."""
     spec = find_spec("pyoidn")
     assert spec is not None
@@ -170,7 +170,7 @@ def time_denoising(source: Path, folder: Path, rounds: int) -> dict[str, Any]:
 
 def make_oidn_call(folder: Path, quality: str) -> Callable[[], Any]:
     """Return what runs `oidnDenoise` at a quality."""
-    command = [str(find_oidn()), "-q", quality, "--clean_aux", "-o", str(folder / f"oidn-{quality}.pfm")]
+    command = [str(locate_oidn()), "-q", quality, "--clean_aux", "-o", str(folder / f"oidn-{quality}.pfm")]
     for option, name in (("--hdr", "color"), ("--alb", "albedo"), ("--nrm", "normal")):
         command += [option, str(folder / f"{name}.pfm")]
     return lambda: run_program(command)

@@ -40,7 +40,7 @@ from lobewise.features.arrays import declare_features, declare_scalars, give_fea
 from lobewise.filters.cross_filter import run_filter
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS, WEIGHT, demodulate
 from lobewise.filters.history.accumulation import SampleGrid
-from lobewise.filters.planes import Rows, make_guide_planes, make_image
+from lobewise.filters.planes import Columns, make_guide_planes, make_image
 from lobewise.filters.scheduling import STRIP_ROWS, count_lanes, fill_planes, fill_rows
 from lobewise.filters.weigh import make_stage
 from lobewise.frame import FloatArray, Frame
@@ -86,7 +86,7 @@ def make_sparse(count: int, radius: int, features: Sequence[Feature], target: hl
     pattern = signature.image("pattern", TURNS, 2, count, type=hl.Int(32))
     signature.output("image", *size, COLORS)
     lanes = count_lanes(target)
-    rows = Rows(mask.width(), hl.i32(radius), lanes)
+    rows = Columns(mask.width(), hl.i32(radius), lanes)
 
     def take(at: tuple[hl.Expr, hl.Expr], usable: hl.Expr) -> hl.Expr:
         radiance, good = demodulate(source, albedo, at, hl.f32(ALBEDO_FLOOR))
@@ -97,10 +97,10 @@ def make_sparse(count: int, radius: int, features: Sequence[Feature], target: hl
     stages: list[hl.Func] = []
     stage = make_stage(stages, (x, y, k))
 
-    def find_offset(tap: hl.Expr) -> list[hl.Expr]:
+    def compute_offset(tap: hl.Expr) -> list[hl.Expr]:
         return [hl.clamp(pattern[tap, axis, y % TURNS], -radius, radius) for axis in range(2)]
 
-    across, down = find_offset(k)
+    across, down = compute_offset(k)
     exponent: hl.Expr = hl.f32(0.0)
     for feature, layout, own in zip(features, side.layouts, scalars, strict=True):
         i, j = side.read(layout, x, y), side.read(layout, x + across, y + down)
@@ -109,7 +109,7 @@ def make_sparse(count: int, radius: int, features: Sequence[Feature], target: hl
     log_weight[x, y, k] = exponent
     stages.append(log_weight)
     taps = hl.RDom([(0, count)], "taps")
-    there = find_offset(taps.x)
+    there = compute_offset(taps.x)
     sums = hl.Func("sums")
     sums[x, y] = hl.Tuple([hl.f32(0.0)] * (WEIGHT + 1))
     weight = expressions.exp2(log_weight[x, y, taps.x])
@@ -201,7 +201,7 @@ def run_form(form: str, radius: int, layer: Layer) -> FloatArray:
     return run_filter(layer.radiance, layer.mask, layer.features, form=form, radius=radius, albedo=layer.albedo).image
 
 
-def find_adaptive_share(layers: Sequence[Layer], radius: int) -> float:
+def compute_adaptive_share(layers: Sequence[Layer], radius: int) -> float:
     """Return the share of the square's taps that hold `KEPT` of the weight of every pixel of a tile."""
     shares = []
     for layer in layers:
@@ -247,7 +247,7 @@ def measure(frame: Frame, reference: FloatArray, seconds: float) -> dict[str, di
         ]
         rows[name] = {"milliseconds": 1e3 * best[name], "rel_mse": rel_mse(sum(parts) + rest, reference)}
     square = rows["full, radius 8"]
-    share = find_adaptive_share(layers, 8)
+    share = compute_adaptive_share(layers, 8)
     rows["adaptive, up to radius 8"] = {
         "milliseconds": square["milliseconds"] * share,
         "rel_mse": square["rel_mse"],

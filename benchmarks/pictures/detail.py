@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from benchmarks.common import ROOT
 from benchmarks.users.__main__ import make_shot
-from benchmarks.users.scenes import Scene, find_scenes
+from benchmarks.users.scenes import Scene, list_scenes
 from lobewise.denoising import denoise
 from lobewise.denoising.automatic import resolve_all
-from lobewise.denoising.bad_pixels import find_bad_pixels
+from lobewise.denoising.bad_pixels import mark_bad_pixels
 from lobewise.denoising.chain import filter_rows
 from lobewise.display.tones import choose_exposure, map_tones
 from lobewise.frame import FloatArray, Frame
@@ -44,7 +44,7 @@ def filter_alone(frame: Frame) -> NDArray[np.float32]:
     """Return what the quality "high" makes of a frame before detail is taken back."""
     frame = bound_guides(frame)
     settings = resolve_all(frame, DenoiseSettings(quality="high", with_oidn=False))
-    before = filter_rows(frame, settings, (), find_bad_pixels(frame)).taken_from
+    before = filter_rows(frame, settings, (), mark_bad_pixels(frame)).taken_from
     assert before is not None
     return before.image
 
@@ -69,7 +69,7 @@ def ask_scenes(description: str | None) -> dict[str, Scene]:
     parser.add_argument("frames", type=Path)
     parser.add_argument("--foreign", type=Path, required=True, help="frames of other renderers")
     asked = parser.parse_args()
-    return {scene.key: scene for scene in find_scenes(asked.frames, asked.foreign)}
+    return {scene.key: scene for scene in list_scenes(asked.frames, asked.foreign)}
 
 
 def main() -> None:

@@ -17,7 +17,7 @@ import numpy as np
 import lobewise
 from benchmarks.common import ROOT, describe_machine, fetch_frame, fetch_image, write_json
 from benchmarks.pictures import merl_bsdf
-from benchmarks.quality.similarities import fetch, fetch_reference, find_anisotropic
+from benchmarks.quality.similarities import fetch, fetch_reference, mark_anisotropic
 from benchmarks.upsampling.over_time import run_alone, run_through
 from benchmarks.upsampling.shots import FLICKER_SPP, FLICKERING, ORBIT, SCALE, Cache
 from lobewise.adaptive import recompute
@@ -57,7 +57,7 @@ def write_row(name: str, images: list[FloatArray], crop: tuple[slice, slice], zo
 def make_brushed(arguments: argparse.Namespace) -> dict[str, Any]:
     """Brushed metal: noisy, `sg`, `asg`, `ggx`, reference."""
     frame, reference = fetch(arguments.cache, "brushed", SPP), fetch_reference(arguments.cache, "brushed")
-    brushed = find_anisotropic(frame)
+    brushed = mark_anisotropic(frame)
     images = {name: denoise(frame, quality="fast", similarity=name).image for name in ("sg", "asg", "ggx")}
     write_row("brushed", [frame.radiance.color, *images.values(), reference], (slice(210, 450), slice(40, 280)))
     return {name: {"rel_mse": rel_mse(image, reference, brushed)} for name, image in images.items()}

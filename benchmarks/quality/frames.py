@@ -152,13 +152,13 @@ def classify_pixels(frame: Frame) -> dict[str, Mask]:
     assert guides.alpha_v is not None
     assert guides.diffuse_albedo is not None
     assert guides.specular_albedo is not None
-    edge = find_silhouettes(frame)
+    edge = mark_silhouettes(frame)
     diffuse, specular = guides.diffuse_albedo.mean(axis=-1), guides.specular_albedo.mean(axis=-1)
     albedo = diffuse + specular
     inside = ~edge & (albedo > 0.0)
     has_lobe = (np.rint(guides.lobe_kind) != LobeKind.NONE) & (specular >= LEAST_SHARE * albedo)
     coated = diffuse >= LEAST_SHARE * albedo
-    shiny = inside & has_lobe & (~coated | (find_specular_share(frame) > SPECULAR_SHARE))
+    shiny = inside & has_lobe & (~coated | (compute_specular_share(frame) > SPECULAR_SHARE))
     alpha = np.sqrt(guides.alpha_u * guides.alpha_v)
     large, small = np.maximum(guides.alpha_u, guides.alpha_v), np.minimum(guides.alpha_u, guides.alpha_v)
     return {
@@ -171,7 +171,7 @@ def classify_pixels(frame: Frame) -> dict[str, Mask]:
     }
 
 
-def find_specular_share(frame: Frame) -> FloatArray:
+def compute_specular_share(frame: Frame) -> FloatArray:
     """Return how much of the scattered radiance the specular lobe carries, in [0, 1], averaged over some pixels."""
     radiance = frame.radiance
     assert radiance.diffuse is not None
@@ -182,7 +182,7 @@ def find_specular_share(frame: Frame) -> FloatArray:
     return np.asarray(specular / np.maximum(diffuse + specular, 1e-6), dtype=np.float32)
 
 
-def find_silhouettes(frame: Frame) -> Mask:
+def mark_silhouettes(frame: Frame) -> Mask:
     """Return the pixels at which another surface, orientation or material begins, on both its sides."""
     guides = frame.gbuffer
     assert guides.depth is not None
@@ -201,7 +201,7 @@ def find_silhouettes(frame: Frame) -> Mask:
         turned = (guides.normal[here] * guides.normal[there]).sum(axis=-1) < EDGE_COSINE
         hit = guides.depth > 0.0
         both = hit[here] & hit[there]
-        differ = (hit[here] != hit[there]) | (both & (surface | turned | _find_material_steps(guides, here, there)))
+        differ = (hit[here] != hit[there]) | (both & (surface | turned | _mark_material_steps(guides, here, there)))
         edge[here] |= differ
         edge[there] |= differ
     return edge
@@ -215,7 +215,7 @@ def _list_pairs(shape: tuple[int, int]) -> Iterator[tuple[Any, Any]]:
         yield (rows[0], columns[0]), (rows[1], columns[1])
 
 
-def _find_material_steps(guides: GBuffer, here: Any, there: Any) -> Mask:
+def _mark_material_steps(guides: GBuffer, here: Any, there: Any) -> Mask:
     """Return where two neighbours have lobes of another kind, of another table, or of quite another roughness."""
     assert guides.lobe_kind is not None
     kind = np.rint(guides.lobe_kind)

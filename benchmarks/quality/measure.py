@@ -59,7 +59,7 @@ def compute_ssim(image: FloatArray, reference: FloatArray) -> float:
     K2 = 0.03; windows that leave the image do not count.
     """
     exposure = choose_exposure(reference)
-    x, y = (_find_luma(map_tones(each, exposure)) for each in (image, reference))
+    x, y = (_compute_luma(map_tones(each, exposure)) for each in (image, reference))
 
     def blur(values: NDArray[np.float64]) -> NDArray[np.float64]:
         whole = gaussian_filter(values, 1.5, truncate=5.0 / 1.5)
@@ -74,7 +74,7 @@ def compute_ssim(image: FloatArray, reference: FloatArray) -> float:
     return float(similarity.mean())
 
 
-def _find_luma(picture: NDArray[np.uint8]) -> NDArray[np.float64]:
+def _compute_luma(picture: NDArray[np.uint8]) -> NDArray[np.float64]:
     return np.asarray(picture @ np.array([0.2126, 0.7152, 0.0722]) / 255.0)
 
 
@@ -109,7 +109,7 @@ def join_seeds(rows: list[dict[str, Any]]) -> dict[str, Any]:
     return joined
 
 
-def find_masks(frame: Frame) -> dict[str, Mask]:
+def make_masks(frame: Frame) -> dict[str, Mask]:
     """Return the classes of pixels that the scene shows enough of, and "all"."""
     masks = {kind: mask for kind, mask in classify_pixels(frame).items() if mask.mean() >= FEWEST}
     return {"all": np.ones(frame.shape, dtype=np.bool_), **masks}
@@ -133,7 +133,7 @@ def run_methods(
 
 def choose_methods(wanted: list[str] | None, tuning: Tuning) -> tuple[list[str], dict[str, str]]:
     """Return the methods that can run, and why the others cannot."""
-    skipped = {name: method.find_obstacle() for name, method in METHODS.items()}
+    skipped = {name: method.describe_obstacle() for name, method in METHODS.items()}
     if not all(str(spp) in tuning for spp in SAMPLES):
         skipped["normal-aware"] = "its parameters are not tuned yet: run with --tune"
     skipped = {name: reason for name, reason in skipped.items() if reason}
@@ -192,7 +192,7 @@ def run_scene(
     missing: bool = False,
 ) -> None:
     """Measure some methods on a scene, or those of them that have no figures yet, saving after every sample count."""
-    masks = find_masks(bench.fetch(scene, max(SAMPLES), SEEDS[0]))
+    masks = make_masks(bench.fetch(scene, max(SAMPLES), SEEDS[0]))
     row = data["scenes"].setdefault(scene, {"samples": {}})
     row["reference_rel_mse"] = round_figure(bench.fetch_reference(scene)[1])
     row["classes"] = {kind: round(float(mask.mean()), 4) for kind, mask in masks.items()}

@@ -38,7 +38,7 @@ class Method:
     needs: Needs = ()
     oidn: bool = False
 
-    def find_obstacle(self) -> str:
+    def describe_obstacle(self) -> str:
         """Return why it cannot run here, empty where it can."""
         missing = [name for name in self.needs if name not in _SETTINGS]
         if missing:

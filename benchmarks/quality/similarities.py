@@ -83,7 +83,7 @@ def measure(image: FloatArray, reference: FloatArray, specular: Mask, anisotropi
     return errors
 
 
-def find_anisotropic(frame: Frame) -> Mask:
+def mark_anisotropic(frame: Frame) -> Mask:
     """Return the specular pixels whose two alphas differ by more than a third."""
     guides = frame.gbuffer
     assert guides.lobe_kind is not None
@@ -116,7 +116,7 @@ def run_frame(frame: Frame, reference: FloatArray) -> dict[str, Any]:
     """Return the errors of every method on one frame."""
     assert frame.gbuffer.lobe_kind is not None
     specular = frame.gbuffer.lobe_kind > 0
-    masks = specular, find_anisotropic(frame)
+    masks = specular, mark_anisotropic(frame)
     row: dict[str, Any] = {"specular_fraction": float(specular.mean()), "anisotropic_fraction": float(masks[1].mean())}
     row["noisy"] = measure(frame.radiance.color, reference, *masks)
     common = (frame, reference, *masks)

@@ -43,13 +43,13 @@ def summarise(data: dict[str, Any]) -> dict[str, Any]:
         for base in BASES:
             for method in methods:
                 for kind in CLASSES:
-                    by_spp = find_ratios(data, scenes, method, base, kind)
+                    by_spp = compute_ratios(data, scenes, method, base, kind)
                     if method != base and by_spp:
                         ratios.setdefault(part, {}).setdefault(base, {}).setdefault(method, {})[kind] = by_spp
     return {"ratios": ratios, "goals": check_goals(ratios, data.get("speed", {}))}
 
 
-def find_ratios(
+def compute_ratios(
     data: dict[str, Any], scenes: tuple[str, ...], method: str, base: str, kind: str
 ) -> dict[str, dict[str, Any]]:
     """Return by sample count the geometric mean of the error's ratio over scenes and seeds, and how many scenes.

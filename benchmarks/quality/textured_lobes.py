@@ -90,21 +90,21 @@ def make_scene(material: str, size: int) -> Any:
 
 
 @contextmanager
-def find_lobes(way: str) -> Iterator[None]:
+def use_lobes(way: str) -> Iterator[None]:
     """Render with lobes of one of `WAYS`."""
     from lobewise.render.materials import bsdfs, fitted
 
-    known, find = dict(bsdfs.PLUGIN_OF_CLASS), fitted.find_places
+    known, find = dict(bsdfs.PLUGIN_OF_CLASS), fitted.probe_places
     fitted._fits.clear()
     try:
         if way != "formula":
             del bsdfs.PLUGIN_OF_CLASS["RoughConductor"]
         if way == "one place":
-            fitted.find_places = lambda *_: None
+            fitted.probe_places = lambda *_: None
         yield
     finally:
         bsdfs.PLUGIN_OF_CLASS.update(known)
-        fitted.find_places = find
+        fitted.probe_places = find
         fitted._fits.clear()
 
 
@@ -117,12 +117,12 @@ def measure(material: str, size: int, spp: int, reference_spp: int, pictures: Pa
     reference = render_reference(scene, spp=reference_spp, seed=1000).radiance.color
     found: dict[str, Any] = {}
     for way in WAYS if material == "metal" else WAYS[:2]:
-        with find_lobes(way):
+        with use_lobes(way):
             start = time.process_time()
             read_scene_materials(scene)
             seconds = time.process_time() - start
             frames = [render_frame(scene, spp=spp, seed=seed) for seed in SEEDS]
-        floor = find_floor(frames[0])
+        floor = mark_floor(frames[0])
         images = {name: [denoise(frame, **choice).image for frame in frames] for name, choice in FILTERS.items()
                   if way != "formula" or "sg_mixture" not in name}  # fmt: skip
         found[way] = {
@@ -142,7 +142,7 @@ def measure(material: str, size: int, spp: int, reference_spp: int, pictures: Pa
     return found
 
 
-def find_floor(frame: Frame) -> Any:
+def mark_floor(frame: Frame) -> Any:
     """Return which pixels show the floor, the only surface with a lobe."""
     return frame.gbuffer.lobe_kind != 0
 

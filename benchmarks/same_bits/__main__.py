@@ -32,7 +32,7 @@ def digest(arrays: Arrays) -> str:
     return found.hexdigest()
 
 
-def find_difference(old: Arrays, new: Arrays) -> float:
+def compute_difference(old: Arrays, new: Arrays) -> float:
     """Return the largest relative difference of two results: of a pixel, over its value or the mean of its image."""
     if old.keys() != new.keys():
         return float("inf")
@@ -78,7 +78,7 @@ def main() -> int:
         if found == table.get(name):
             print(f"same      {name}", flush=True)
             continue
-        gap = find_difference(dict(np.load(path)), arrays) if path and path.exists() else float("nan")
+        gap = compute_difference(dict(np.load(path)), arrays) if path and path.exists() else float("nan")
         failed += not gap <= LARGEST_DIFFERENCE
         print(f"{gap:9.2e} {name}", flush=True)
     if options.write:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from benchmarks.foreign.files import read_pass
-from benchmarks.tests.test_foreign_bench import ROOT, find_python
+from benchmarks.tests.test_foreign_bench import ROOT, choose_python
 
 FACTORY = ROOT / "benchmarks" / "foreign" / "factory"
 kinds: Any = import_module("benchmarks.foreign.factory.kinds")
@@ -92,7 +92,7 @@ def average(image: Any) -> float:
 )
 def test_a_shot_follows_from_its_seed(kind: str, tmp_path: Path) -> None:
     clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    command = [find_python("bpy"), "-c", TINY_SHOT, str(FACTORY), str(FACTORY.parent), str(tmp_path), kind]
+    command = [choose_python("bpy"), "-c", TINY_SHOT, str(FACTORY), str(FACTORY.parent), str(tmp_path), kind]
     subprocess.run(command, check=True, env=clean, capture_output=True, timeout=300)
     first, again, other = (tmp_path / folder for folder in (f"first/{kind}_0", f"again/{kind}_0", f"first/{kind}_1"))
     names = {"4.exr", "reference_1.exr", "reference_2.exr", "reference_3.exr", "shot.json"}

@@ -47,7 +47,7 @@ def get_renderer(name: str) -> Any:
     return next(renderer for renderer in files.RENDERERS if renderer.name == name)
 
 
-def find_python(module: str) -> str:
+def choose_python(module: str) -> str:
     """Return an interpreter that has a renderer's module: this one, or the one that a variable of its name tells."""
     variable = f"LOBEWISE_{module.upper()}_PYTHON"
     if importlib.util.find_spec(module):
@@ -58,7 +58,7 @@ def find_python(module: str) -> str:
 
 
 def render(module: str, script: str, folder: Path, size: str, *more: str, scene: str = "room") -> None:
-    command = [find_python(module), str(ROOT / "benchmarks" / "foreign" / script), str(folder), "--scenes", scene]
+    command = [choose_python(module), str(ROOT / "benchmarks" / "foreign" / script), str(folder), "--scenes", scene]
     options = ["--spp", "8", "--seeds", "1", "--reference", "0", "--size", size, *more]
     clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     subprocess.run([*command, *options], check=True, env=clean, capture_output=True, timeout=300)
@@ -92,11 +92,11 @@ def test_frames_are_found_where_their_reference_is(tmp_path: Path) -> None:
         (tmp_path / f"{name}.exr").touch()
         (tmp_path / "apart" / name).mkdir(parents=True)
         (tmp_path / "apart" / name / "RGB.exr").touch()
-    found = files.find_frames(get_renderer("blender"), tmp_path)
+    found = files.list_frames(get_renderer("blender"), tmp_path)
     assert found == {
         "a": {8: {seed: tmp_path / f"a_8_{seed}.exr" for seed in (1, 2)}, 128: {1: tmp_path / "a_128_1.exr"}}
     }
-    apart = files.find_frames(get_renderer("luxcore"), tmp_path / "apart")
+    apart = files.list_frames(get_renderer("luxcore"), tmp_path / "apart")
     assert apart["a"][8][2] == tmp_path / "apart" / "a_8_2" / "RGB.exr"
     assert set(apart) == {"a"}
 
@@ -235,7 +235,7 @@ def test_settings_of_the_page_for_blender_give_a_complete_file(film: str, tmp_pa
     (script,) = (block for block in re.findall(r"```python\n(.*?)```", page, flags=re.S) if "bpy" in block)
     path = tmp_path / "shot.exr"
     clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    command = [find_python("bpy"), "-c", PAGE_IN_BLENDER, str(path), film]
+    command = [choose_python("bpy"), "-c", PAGE_IN_BLENDER, str(path), film]
     subprocess.run(command, input=script, text=True, check=True, env=clean, capture_output=True, timeout=300)
     found = import_file(path, light_passes=True)
     assert found.preset == "cycles"

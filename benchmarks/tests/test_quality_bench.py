@@ -66,7 +66,7 @@ def fill(left: float, right: float) -> FloatArray:
     return image
 
 
-def find_class(frame: Frame) -> set[str]:
+def list_classes(frame: Frame) -> set[str]:
     """Return the classes that hold all pixels of the frame but silhouettes."""
     masks = quality_frames.classify_pixels(frame)
     inside = ~masks["silhouette"]
@@ -90,20 +90,20 @@ def test_metals_go_by_their_alphas(alphas: tuple[float, float], kinds: set[str])
     # Half-way values are stored as 32-bit floats, as frames hold them.
     alpha = [np.full((HEIGHT, WIDTH), value, dtype=np.float32) * (1.0 - 1e-6) for value in alphas]
     frame = make_wall(alpha_u=alpha[0], alpha_v=alpha[1])
-    assert find_class(frame) == kinds
+    assert list_classes(frame) == kinds
     assert not quality_frames.classify_pixels(frame)["silhouette"].any()
 
 
 def test_coated_pixels_go_by_what_carries_their_radiance() -> None:
     color = np.ones((HEIGHT, WIDTH, 3), dtype=np.float32)
     coated = make_wall(diffuse_albedo=0.5 * color, specular_albedo=0.05 * color)
-    assert find_class(coated) == {"glossy"}
+    assert list_classes(coated) == {"glossy"}
     for share, kinds in ((0.31, {"glossy"}), (0.29, {"diffuse"})):
         radiance = Radiance(color=color, diffuse=(1.0 - share) * color, specular=share * color)
-        assert find_class(coated.with_changes(radiance=radiance)) == kinds
+        assert list_classes(coated.with_changes(radiance=radiance)) == kinds
     # A lobe of less than a twentieth of the albedo is none, whatever it shows.
-    assert find_class(make_wall(diffuse_albedo=0.5 * color, specular_albedo=0.02 * color)) == {"diffuse"}
-    assert find_class(make_wall(lobe_kind=0.0 * color[..., 0], diffuse_albedo=0.5 * color)) == {"diffuse"}
+    assert list_classes(make_wall(diffuse_albedo=0.5 * color, specular_albedo=0.02 * color)) == {"diffuse"}
+    assert list_classes(make_wall(lobe_kind=0.0 * color[..., 0], diffuse_albedo=0.5 * color)) == {"diffuse"}
     emitter = make_wall(specular_albedo=0.0 * color)
     assert not any(mask.any() for mask in quality_frames.classify_pixels(emitter).values())
 
@@ -124,7 +124,7 @@ def test_silhouettes_are_the_two_columns_at_a_step(guide: str) -> None:
         "background": depth * fill(1.0, 0.0),
     }
     name = "depth" if guide == "background" else guide
-    edge = quality_frames.find_silhouettes(make_wall(**{name: changes[guide]}))
+    edge = quality_frames.mark_silhouettes(make_wall(**{name: changes[guide]}))
     expected = np.zeros((HEIGHT, WIDTH), dtype=bool)
     if guide != "material":
         expected[:, WIDTH // 2 - 1 : WIDTH // 2 + 1] = True
@@ -134,7 +134,7 @@ def test_silhouettes_are_the_two_columns_at_a_step(guide: str) -> None:
 def test_a_corner_has_all_eight_neighbours() -> None:
     kind = np.ones((HEIGHT, WIDTH), dtype=np.float32)
     kind[10, 20] = 2.0
-    edge = quality_frames.find_silhouettes(make_wall(lobe_kind=kind))
+    edge = quality_frames.mark_silhouettes(make_wall(lobe_kind=kind))
     expected = np.zeros((HEIGHT, WIDTH), dtype=bool)
     expected[9:12, 19:22] = True
     np.testing.assert_array_equal(edge, expected)
@@ -146,7 +146,7 @@ def test_a_floor_seen_at_a_glance_is_no_silhouette() -> None:
     depth = 1.0 / np.maximum(-rays[..., 1], 0.02)
     assert depth[:, 0].max() > 2.0 * depth[:, 0].min()
     floor = make_wall(depth=depth, normal=np.broadcast_to((0.0, 1.0, 0.0), rays.shape)).with_changes(camera=camera)
-    assert not quality_frames.find_silhouettes(floor).any()
+    assert not quality_frames.mark_silhouettes(floor).any()
 
 
 def test_pixels_that_saw_other_normals_are_silhouettes() -> None:
@@ -155,7 +155,7 @@ def test_pixels_that_saw_other_normals_are_silhouettes() -> None:
     mean = np.array(wall.gbuffer.normal)
     mean[5, 6] = 0.85 * mean[5, 6]
     mean[7, 8] = 0.95 * mean[7, 8]
-    edge = quality_frames.find_silhouettes(wall.with_changes(gbuffer=replace(wall.gbuffer, mean_normal=mean)))
+    edge = quality_frames.mark_silhouettes(wall.with_changes(gbuffer=replace(wall.gbuffer, mean_normal=mean)))
     assert np.argwhere(edge).tolist() == [[5, 6]]
 
 
@@ -266,7 +266,7 @@ def test_ratios_are_geometric_means(rng: np.random.Generator, tmp_path: Path) ->
         assert "oidn" not in ratios[part]["oidn"]
     # A method that was not measured on a scene yet is compared on the others.
     del scenes["kitchen"]["samples"]["16"]["high"]
-    found = quality_summary.find_ratios(data, quality_summary.HELD_OUT, "high", "oidn", "all")
+    found = quality_summary.compute_ratios(data, quality_summary.HELD_OUT, "high", "oidn", "all")
     assert [found[spp]["scenes"] for spp in ("4", "16")] == [4, 3]
 
 

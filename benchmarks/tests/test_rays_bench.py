@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("mitsuba")
 
-from benchmarks.upsampling.rays import BETAS, TRIALS, Shot, find_mean_ratios, measure_error
+from benchmarks.upsampling.rays import BETAS, TRIALS, Shot, compute_mean_ratios, measure_error
 
 
 def test_error_leaves_out_the_noise_of_the_reference() -> None:
@@ -25,6 +25,6 @@ def test_means_are_geometric_and_over_frames_without_rays() -> None:
         scaled = {beta: {kind: factor * each for kind, each in cells.items()} for beta, cells in errors.items()}
         return {trial: errors if trial == "no rays" else scaled for trial in TRIALS}
 
-    means = find_mean_ratios({"a": make(0.5), "b": make(2.0), "c": make(0.125)})
+    means = compute_mean_ratios({"a": make(0.5), "b": make(2.0), "c": make(0.125)})
     assert means["no rays"]["auto"] == {"one frame": 1.0, "over time": 1.0}
     assert means["weights"]["auto"] == {"one frame": 0.5, "over time": 0.5}

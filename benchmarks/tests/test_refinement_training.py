@@ -112,14 +112,14 @@ def test_an_untrained_network_keeps_the_filtered_image(program: Any, torch: Any,
 def test_errors_count_for_every_crop_alike(program: Any, torch: Any) -> None:
     reference, found, before = torch.ones(2, 3, 16, 16), torch.ones(2, 3, 16, 16), torch.ones(2, 3, 16, 16)
     found[0], before[0] = 2.0, 3.0
-    find_loss = program.refinement.find_loss
-    few = find_loss(found, before, before, reference)
+    compute_loss = program.refinement.compute_loss
+    few = compute_loss(found, before, before, reference)
     found[1], before[1] = 1.02, 1.02
-    many = find_loss(found, before, before, reference)
+    many = compute_loss(found, before, before, reference)
     assert many > few
     better = found.clone()
     better[1] = 1.0
-    assert find_loss(better, before, before, reference) < many
+    assert compute_loss(better, before, before, reference) < many
 
 
 def test_errors_above_those_of_the_noisy_crop_count_more(program: Any, torch: Any) -> None:
@@ -128,8 +128,8 @@ def test_errors_above_those_of_the_noisy_crop_count_more(program: Any, torch: An
         torch.full((1, 3, 16, 16), 1.1),
         torch.full((1, 3, 16, 16), 1.2),
     )
-    find_loss = program.refinement.find_loss
-    assert find_loss(found, reference + 0.01, before, reference) > find_loss(found, before, before, reference)
+    compute_loss = program.refinement.compute_loss
+    assert compute_loss(found, reference + 0.01, before, reference) > compute_loss(found, before, before, reference)
 
 
 def test_sums_of_taps_have_the_gradients_of_their_definition(torch: Any, program: Any) -> None:
@@ -180,7 +180,7 @@ def test_crops_stay_true(program: Any, frames: Path) -> None:
 
 def test_there_must_be_frames(program: Any, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="refinement_frames"):
-        program.refinement.find_frames(tmp_path)
+        program.refinement.list_frames(tmp_path)
 
 
 def test_file_names_come_back() -> None:
@@ -212,7 +212,7 @@ def test_shared_samples_are_a_blur() -> None:
 
 def test_resident_crops_are_those_of_the_frames(program: Any, torch: Any, frames: Path) -> None:
     torch.manual_seed(2)
-    shown, _ = program.refinement.find_frames(frames)
+    shown, _ = program.refinement.list_frames(frames)
     resident = program.refinement_resident.load_frames(shown, program.refinement.SHARES, torch.device("cpu"))
     batch = program.refinement_resident.draw_resident(resident, 64, 128)
     stored = [program.refinement_batches.read_frame(path) for paths in shown.values() for path in paths]
@@ -235,7 +235,7 @@ def test_turns_keep_lengths_and_mirror_half(program: Any, torch: Any) -> None:
 
 
 def test_the_resident_trainer_lowers_the_loss_and_goes_on(program: Any, torch: Any, frames: Path) -> None:
-    shown, _ = program.refinement.find_frames(frames)
+    shown, _ = program.refinement.list_frames(frames)
     resident = program.refinement_resident.load_frames(shown, program.refinement.SHARES, torch.device("cpu"))
     state = program.refinement.make_state(1)
     trainer = program.refinement_resident.ResidentTrainer(state, resident, 8, 16)

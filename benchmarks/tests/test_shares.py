@@ -19,9 +19,9 @@ from benchmarks.training.candidates import (
     write_candidates,
 )
 from lobewise.denoising.automatic import resolve_all
-from lobewise.denoising.bad_pixels import find_bad_pixels
+from lobewise.denoising.bad_pixels import mark_bad_pixels
 from lobewise.denoising.chain import filter_rows
-from lobewise.denoising.combining import find_mixture
+from lobewise.denoising.combining import compute_mixture
 from lobewise.denoising.evidence import NAMES, unpack_network
 from lobewise.filters.noise.detail import predict_shares
 from lobewise.guides.usable import check_guides
@@ -92,7 +92,7 @@ def test_they_take_what_is_nearer(tmp_path: Path, rng: np.random.Generator) -> N
     assert share[8:-8, 8:16].mean() > 0.5
     assert share[8:-8, -16:-8].mean() < 0.2
     ours = found.high + share[..., None] * (found.noisy - found.high)
-    shares_found = find_mixture(found.noisy, ours, found.peer, peer, halves=found.halves, shared=False)
+    shares_found = compute_mixture(found.noisy, ours, found.peer, peer, halves=found.halves, shared=False)
     assert shares_found[..., :2].sum(axis=-1).mean() > 0.5
 
 
@@ -169,7 +169,7 @@ def test_candidates_are_results_before_the_noisy_image_is_taken_back() -> None:
     images = denoise_all(frame)
     for quality in ("balanced", "high"):
         settings = resolve_all(frame, DenoiseSettings(quality=quality, with_oidn=False))
-        found = filter_rows(frame, settings, (), find_bad_pixels(frame))
+        found = filter_rows(frame, settings, (), mark_bad_pixels(frame))
         assert not np.array_equal(images[quality], found.image)
         assert found.taken_from is not None
         np.testing.assert_array_equal(images[quality], found.taken_from.image)

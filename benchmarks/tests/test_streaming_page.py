@@ -12,7 +12,7 @@ import pytest
 
 from lobewise.denoising.automatic import ask, resolve_all
 from lobewise.denoising.bad_pixels import REFILL_REACH
-from lobewise.streaming.plan import MAX_WHOLE_GIB, MIN_ROWS, find_band_reach
+from lobewise.streaming.plan import MAX_WHOLE_GIB, MIN_ROWS, compute_band_reach
 from tests.streaming.frames import make_scene
 from tests.test_docs import BUNDLED, ROOT
 
@@ -33,7 +33,7 @@ def test_the_page_knows_how_far_filters_reach() -> None:
     text = " ".join(PAGE.read_text().split())
 
     def reach(**settings: Any) -> int:
-        return find_band_reach(resolve_all(make_scene((8, 8)), ask(None, settings)))
+        return compute_band_reach(resolve_all(make_scene((8, 8)), ask(None, settings)))
 
     numbers = reach(quality="fast"), reach(quality="balanced"), reach(quality="high"), reach(form="atrous")
     assert "{} to each side for `fast` at radius 8, {} for `balanced`, {} for `high`".format(*numbers) in text

@@ -21,9 +21,9 @@ def test_it_measures_and_leaves_nothing_changed(mi: Any, tmp_path: Path, monkeyp
 
     monkeypatch.setattr(textured_lobes, "SEEDS", (1,))
     monkeypatch.setattr(textured_lobes, "FILTERS", {"fast, ggx": textured_lobes.FILTERS["fast, ggx"]})
-    before = dict(bsdfs.PLUGIN_OF_CLASS), fitted.find_places
+    before = dict(bsdfs.PLUGIN_OF_CLASS), fitted.probe_places
     found = textured_lobes.measure("metal", 32, 4, 16, tmp_path)
-    assert (dict(bsdfs.PLUGIN_OF_CLASS), fitted.find_places) == before
+    assert (dict(bsdfs.PLUGIN_OF_CLASS), fitted.probe_places) == before
     assert [found[way]["lobe tables"] for way in textured_lobes.WAYS] == [1, 2, 0]
     for way in ("places", "formula"):
         assert np.allclose(found[way]["alpha"], textured_lobes.ALPHAS, rtol=0.1)

@@ -32,7 +32,7 @@ def kinds(mi: Any) -> Any:
     return importlib.import_module("benchmarks.training.kinds")
 
 
-def find_quick_seed(program: Any, kinds: Any, *, validation: bool) -> int:
+def choose_quick_seed(program: Any, kinds: Any, *, validation: bool) -> int:
     """Return a seed whose scene is quick to render: a stand, with the short reference."""
     return next(
         seed
@@ -58,7 +58,7 @@ def rendered(program: Any, kinds: Any, tmp_path_factory: pytest.TempPathFactory)
     """Return a folder with the frames of one scene to train on and of one to validate with."""
     folder = tmp_path_factory.mktemp("frames")
     for validation in (False, True):
-        seed = find_quick_seed(program, kinds, validation=validation)
+        seed = choose_quick_seed(program, kinds, validation=validation)
         assert program.render_scene(folder, seed, SIZE) == list(program.draw_samples(seed))
     return folder
 
@@ -147,11 +147,11 @@ def test_references_are_nearer_to_each_other_than_to_what_they_clean(program: An
     from lobewise.render import render_reference
     from lobewise.render.loading import build_scene
 
-    seed = find_quick_seed(program, kinds, validation=False)
+    seed = choose_quick_seed(program, kinds, validation=False)
     found = [read(path) for path in sorted(rendered.glob(f"{seed:06d}-*-plain.npz"))]
     scene = build_scene(kinds.make_kind(seed, SIZE, SIZE))
     color = render_reference(scene, spp=128, seed=1000 * seed + 500).radiance.color
-    other = render_reference(scene, spp=128, seed=77).radiance.color * program.find_exposure(seed, color)
+    other = render_reference(scene, spp=128, seed=77).radiance.color * program.choose_exposure(seed, color)
 
     def measure_error(image: Any) -> float:
         return float(np.mean((image.astype(np.float64) - other) ** 2 / (other + 0.01) ** 2))
@@ -164,7 +164,7 @@ def test_references_are_nearer_to_each_other_than_to_what_they_clean(program: An
 def test_what_is_there_is_not_rendered_again(
     program: Any, kinds: Any, rendered: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    seed = find_quick_seed(program, kinds, validation=False)
+    seed = choose_quick_seed(program, kinds, validation=False)
     before = {path: path.stat().st_mtime_ns for path in rendered.glob("*.npz")}
     monkeypatch.setattr("lobewise.render.loading.build_scene", lambda *_: pytest.fail("a scene was built"))
     assert program.render_scene(rendered, seed, SIZE) == []
@@ -173,7 +173,7 @@ def test_what_is_there_is_not_rendered_again(
 
 @pytest.mark.nightly
 def test_a_frame_that_is_missing_is_made_again_with_the_same_bits(program: Any, kinds: Any, rendered: Path) -> None:
-    seed = find_quick_seed(program, kinds, validation=True)
+    seed = choose_quick_seed(program, kinds, validation=True)
     spp = program.draw_samples(seed)[-1]
     gone = sorted(rendered.glob(f"{seed:06d}-{spp:04d}-*.npz"))
     before = {path: read(path) for path in gone}

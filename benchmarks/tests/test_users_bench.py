@@ -14,7 +14,7 @@ import pytest
 from lobewise.camera import Camera
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.io.exr import write_frame, write_image
-from lobewise.settings import QUALITIES
+from lobewise.settings import QUALITY_NAMES
 
 pytest.importorskip("mitsuba", reason="the bench shares modules with those that render")
 pytest.importorskip("pyoidn", reason="the bench cleans its references with Open Image Denoise")
@@ -143,7 +143,7 @@ def frames(tmp_path: Path) -> Path:
 
 
 def test_cells_are_free_of_the_references_noise(frames: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (scene,) = scenes.find_scenes(frames)
+    (scene,) = scenes.list_scenes(frames)
     names = ["noisy", "fast", "oidn"]
     bench = users.Bench(tmp_path / "users.json")
     bench.measure_scene(scene, [4, 16], ["passes", "plain"], names)
@@ -175,11 +175,11 @@ def test_cells_are_free_of_the_references_noise(frames: Path, tmp_path: Path, mo
 
 
 def test_every_quality_has_a_column() -> None:
-    assert {*QUALITIES, "auto"} <= set(users.METHODS)
+    assert {*QUALITY_NAMES, "auto"} <= set(users.METHODS)
 
 
 def test_energy_and_error_tell_a_wrong_image(frames: Path) -> None:
-    (scene,) = scenes.find_scenes(frames)
+    (scene,) = scenes.list_scenes(frames)
     first, second = scene.reference_images
     judge = measuring.make_reference_judge(first, second)
     truth = np.ones((SIZE, SIZE, 3), np.float32) * np.linspace(0.5, 2.0, SIZE, dtype=np.float32)[:, None]
@@ -248,9 +248,9 @@ def test_random_shots_count_once_their_last_reference_is_there(tmp_path: Path) -
     shot.mkdir(parents=True)
     for name in ("shot.json", "4.exr", "16.exr", "reference_1.exr", "reference_2.exr"):
         (shot / name).touch()
-    assert scenes.find_scenes(tmp_path, tmp_path / "foreign") == []
+    assert scenes.list_scenes(tmp_path, tmp_path / "foreign") == []
     (shot / "reference_3.exr").touch()
-    (found,) = scenes.find_scenes(tmp_path, tmp_path / "foreign")
+    (found,) = scenes.list_scenes(tmp_path, tmp_path / "foreign")
     assert (found.key, list(found.frames), found.is_held_out) == ("factory/fog_0", [4, 16], True)
 
 

@@ -155,7 +155,7 @@ def denoise_all(frame: Frame) -> dict[str, Array]:
     The results are those before the noisy image is taken back, which is what the first network decides.
     """
     from lobewise.denoising.automatic import resolve_all
-    from lobewise.denoising.bad_pixels import find_bad_pixels
+    from lobewise.denoising.bad_pixels import mark_bad_pixels
     from lobewise.denoising.chain import filter_rows
     from lobewise.guides.usable import check_guides
     from lobewise.peers import denoise_oidn
@@ -165,7 +165,7 @@ def denoise_all(frame: Frame) -> dict[str, Array]:
     for quality in ("balanced", "high"):
         settings = resolve_all(frame, DenoiseSettings(quality=quality, with_oidn=False))
         checked = check_guides(frame).frame
-        before = filter_rows(checked, settings, (), find_bad_pixels(checked)).taken_from
+        before = filter_rows(checked, settings, (), mark_bad_pixels(checked)).taken_from
         assert before is not None
         images[quality] = before.image
     if frame.half_a is not None and frame.half_b is not None:
@@ -176,7 +176,7 @@ def denoise_all(frame: Frame) -> dict[str, Array]:
 def collect_scene(folder: Path, seed: int, size: int) -> list[Path]:
     """Render and denoise the frames of a scene that the folder lacks; return what was written."""
     from benchmarks.training.kinds import make_kind
-    from benchmarks.training.rendering import clean_reference, expose, find_exposure
+    from benchmarks.training.rendering import choose_exposure, clean_reference, expose
     from lobewise.render import render_frame, render_reference
     from lobewise.render.loading import build_scene
 
@@ -188,7 +188,7 @@ def collect_scene(folder: Path, seed: int, size: int) -> list[Path]:
         render_reference(scene, spp=REFERENCE_SPP // 2, seed=1000 * seed + 998 + number).radiance.color
         for number in range(2)
     ]
-    factor = np.float32(find_exposure(seed, 0.5 * (halves[0] + halves[1])))
+    factor = np.float32(choose_exposure(seed, 0.5 * (halves[0] + halves[1])))
     truth = {"reference_a": factor * halves[0], "reference_b": factor * halves[1]}
     written = []
     for spp in missing:

@@ -27,9 +27,9 @@ from benchmarks.training.placing import (
     add_small_things,
     add_surfaces,
     aim_inside,
+    choose_spot,
+    choose_top,
     draw_openings,
-    find_spot,
-    find_top,
     place_side,
     start,
 )
@@ -95,20 +95,20 @@ def furnish(stage: Stage, count: int, shares: dict[str, float]) -> None:
     for _ in range(count):
         half, height = (draw_log(generator, 0.3, 0.8), draw_log(generator, 0.3, 0.7)), generator.uniform(0.35, 0.95)
         turn, radius = float(generator.uniform(-30.0, 30.0)), float(np.hypot(*half))
-        place = find_spot(stage, 0.8 * radius, height)
+        place = choose_spot(stage, 0.8 * radius, height)
         if place is not None:
             table = make_table(generator, half, height)
             add_surfaces(stage, "table", table, place, turn, draw_surface(generator, shares, 2.0))
             stage.tops.append(((place[0], place[1] + height, place[2]), 0.8 * min(half)))
     seat, several = draw_surface(generator, shares, 2.0), make_chair(generator, float(generator.uniform(0.38, 0.6)))
     for _ in range(count + 1):
-        place = find_spot(stage, 0.32, 0.9)
+        place = choose_spot(stage, 0.32, 0.9)
         if place is not None:
             add_surfaces(stage, "chair", several, place, float(generator.uniform(0.0, 360.0)), seat)
     if generator.random() < 0.6:
         add_rack(stage, shares)
     if generator.random() < 0.35:
-        place = find_spot(stage, 0.4, 1.2)
+        place = choose_spot(stage, 0.4, 1.2)
         if place is not None:
             lattice = make_lattice(generator, (0.45, float(generator.uniform(0.4, 0.8))))
             turn = float(generator.uniform(-50.0, 50.0))
@@ -124,7 +124,7 @@ def add_rack(stage: Stage, shares: dict[str, float]) -> None:
         4,
     )
     boards = int(generator.integers(2, 6))
-    place = find_spot(stage, half[0], height)
+    place = choose_spot(stage, half[0], height)
     if place is None:
         return
     turn = float(generator.uniform(-25.0, 25.0))
@@ -213,11 +213,11 @@ def add_lamps(stage: Stage, half: tuple[float, float], height: float, count: int
     for _ in range(count):
         color = scale_color(draw_light_color(generator, 0.7), light * draw_log(generator, 0.5, 2.0))
         kind = generator.random()
-        place = find_top(stage, 0.12) if kind < 0.3 else None
+        place = choose_top(stage, 0.12) if kind < 0.3 else None
         if place is not None:
             add_lamp(stage, place, float(generator.uniform(0.3, 0.5)), color)
         elif kind < 0.6:
-            place = find_spot(stage, 0.2, 1.5)
+            place = choose_spot(stage, 0.2, 1.5)
             if place is not None:
                 add_lamp(stage, place, float(generator.uniform(0.9, 1.7)), color)
         elif kind < 0.85:

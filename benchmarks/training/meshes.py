@@ -121,7 +121,7 @@ def make_tube(points: Array, radius: float | Array, sides: int = 10) -> Surface:
     return Surface(points[:, None] + wide * normal, normal, np.stack([u, v], axis=-1))
 
 
-def find_normals(position: Array) -> Array:
+def compute_normals(position: Array) -> Array:
     """Return the unit normals of a grid of points, (rows, columns, 3), by differences."""
     normal = np.cross(np.gradient(position, axis=1), np.gradient(position, axis=0))
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
@@ -132,7 +132,7 @@ def make_grid_surface(position: Array) -> Surface:
     """Return a grid of points, (rows, columns, 3), with normals by differences and the grid as texture coordinates."""
     rows, columns = position.shape[:2]
     u, v = np.meshgrid(np.linspace(0.0, 1.0, columns), np.linspace(0.0, 1.0, rows))
-    return Surface(position, find_normals(position), np.stack([u, v], axis=-1))
+    return Surface(position, compute_normals(position), np.stack([u, v], axis=-1))
 
 
 def make_blade(root: Vector, toward: Vector, bend: float, width: float, steps: int = 8) -> Surface:

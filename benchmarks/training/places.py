@@ -25,7 +25,7 @@ from benchmarks.training.placing import (
     add_small_things,
     add_surfaces,
     aim_around,
-    find_spot,
+    choose_spot,
     start,
 )
 from benchmarks.training.settings import Stage, draw_light_color, make_sky, scale_color
@@ -105,7 +105,7 @@ def make_workshop(generator: Generator, light: float) -> Stage:
     add_cables_across(stage, half, height)
     shares = {**EVERYDAY, "brushed": 2.0, "worn": 2.0}
     for _ in range(int(generator.integers(2, 5))):
-        place = find_spot(stage, 0.5, 1.4)
+        place = choose_spot(stage, 0.5, 1.4)
         if place is not None:
             lattice = make_lattice(generator, (0.6, float(generator.uniform(0.4, 0.9))))
             turn = float(generator.uniform(-70.0, 70.0))
@@ -114,7 +114,7 @@ def make_workshop(generator: Generator, light: float) -> Stage:
         add_rack(stage, shares)
     furnish(stage, 2, shares)
     for _ in range(int(generator.integers(2, 9))):
-        place = find_spot(stage, 0.12, 1.5)
+        place = choose_spot(stage, 0.12, 1.5)
         if place is not None:
             top = (
                 *(float(each) for each in generator.uniform(-0.25, 0.25, 1)),
@@ -176,12 +176,12 @@ def make_garden(generator: Generator, light: float) -> Stage:
     leaves = [draw_surface(generator, {"painted": 2.0, "satin": 1.0, "old": 1.0}, 1.0) for _ in range(3)]
     for _ in range(int(generator.integers(4, 11))):
         height = draw_log(generator, 0.25, 1.1)
-        place = find_spot(stage, 0.3 * height, height)
+        place = choose_spot(stage, 0.3 * height, height)
         if place is not None:
             plant = make_plant(generator, height)
             add_surfaces(stage, "plant", plant, place, 0.0, leaves[int(generator.integers(3))])
     for _ in range(int(generator.integers(1, 4))):
-        place = find_spot(stage, 0.6, 1.0)
+        place = choose_spot(stage, 0.6, 1.0)
         if place is not None:
             fence = make_lattice(generator, (float(generator.uniform(0.5, 1.2)), float(generator.uniform(0.25, 0.6))))
             turn = float(generator.uniform(-60.0, 60.0))
@@ -210,7 +210,7 @@ def make_desk(generator: Generator, light: float) -> Stage:
     stage.add("ceiling", parts.rectangle((0, 2.6, 0.7), (0, 0, 0.7), (2.6, 2.0), draw_plain(generator, 0.3, 0.9)))
     for _ in range(int(generator.integers(0, 3))):
         color = scale_color(draw_light_color(generator, 0.8), 8.0 * light)
-        place = find_spot(stage, 0.05, 0.3)
+        place = choose_spot(stage, 0.05, 0.3)
         if place is not None:
             lift, radius = float(generator.uniform(0.1, 0.35)), draw_log(generator, 0.012, 0.03)
             stage.add("lamp", parts.bulb((place[0], lift, place[2]), radius, color))
@@ -220,7 +220,7 @@ def make_desk(generator: Generator, light: float) -> Stage:
         stage, int(generator.integers(10, 26)), (0.02, 0.11), {**EVERYDAY, **LAYERED}, glass=0.12, tops=0.0
     )
     coil = draw_surface(generator, {"polished": 1.0, "brushed": 1.0, "painted": 1.0}, 2.0)
-    place = find_spot(stage, 0.08, 0.05)
+    place = choose_spot(stage, 0.08, 0.05)
     if place is not None:
         add_surfaces(stage, "coil", make_coil(generator, 0.07), place, 0.0, coil)
     return stage

@@ -59,7 +59,7 @@ def _is_seen(stage: Stage, point: Vector) -> bool:
     return bool(cosine > np.cos(np.deg2rad(0.5 * stage.fov)))
 
 
-def find_spot(stage: Stage, radius: float, height: float) -> Vector | None:
+def choose_spot(stage: Stage, radius: float, height: float) -> Vector | None:
     """Return a free place on the floor for a thing of a radius and a height, or None where no try found one."""
     generator = stage.generator
     for _ in range(TRIES):
@@ -76,7 +76,7 @@ def find_spot(stage: Stage, radius: float, height: float) -> Vector | None:
     return None
 
 
-def find_top(stage: Stage, radius: float) -> Vector | None:
+def choose_top(stage: Stage, radius: float) -> Vector | None:
     """Return a place on a top that something may be put on, or None where none is wide enough."""
     generator = stage.generator
     wide = [(at, half) for at, half in stage.tops if half > 1.05 * radius]
@@ -119,8 +119,8 @@ def add_small_things(
     """
     generator = stage.generator
     for size in sorted((draw_log(generator, *sizes) for _ in range(count)), reverse=True):
-        place = find_top(stage, size) if generator.random() < tops else None
-        place = place or find_spot(stage, size, 2.0 * size)
+        place = choose_top(stage, size) if generator.random() < tops else None
+        place = place or choose_spot(stage, size, 2.0 * size)
         if place is None:
             continue
         periods = draw_log(generator, 1.0, 6.0)

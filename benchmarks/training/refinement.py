@@ -78,17 +78,17 @@ class State:
     minutes: float = 0.0
 
 
-def find_loss(found: Tensor, noisy: Tensor, before: Tensor, reference: Tensor) -> Tensor:
+def compute_loss(found: Tensor, noisy: Tensor, before: Tensor, reference: Tensor) -> Tensor:
     """Return how far refined crops are from their references, over how far they were before: noisy, or filtered.
 
     So a crop of many samples, whose errors are small, counts as much as one of few samples.
     """
     with torch.no_grad():
-        level = torch.minimum(find_crop_losses(noisy, reference), find_crop_losses(before, reference))
-    return (find_crop_losses(found, reference) * (TYPICAL_LOSS / (MIN_LOSS_BEFORE + level))).mean()
+        level = torch.minimum(compute_crop_losses(noisy, reference), compute_crop_losses(before, reference))
+    return (compute_crop_losses(found, reference) * (TYPICAL_LOSS / (MIN_LOSS_BEFORE + level))).mean()
 
 
-def find_crop_losses(found: Tensor, reference: Tensor) -> Tensor:
+def compute_crop_losses(found: Tensor, reference: Tensor) -> Tensor:
     """Return how far each crop is from its reference: relative, squared relative, of the slopes, and of blocks."""
     inner = (..., slice(BORDER, -BORDER), slice(BORDER, -BORDER))
     found, reference = found[inner], reference[inner]
@@ -100,11 +100,11 @@ def find_crop_losses(found: Tensor, reference: Tensor) -> Tensor:
     slopes = ratio.diff(dim=-1).abs().mean((1, 2, 3)) + ratio.diff(dim=-2).abs().mean((1, 2, 3))
     total: Tensor = (relative + squared).mean((1, 2, 3)) + 0.25 * slopes
     for side in BLOCK_SIDES_PIXELS:
-        total = total + BLOCKS_WEIGHT * find_block_losses(found, reference, side)
+        total = total + BLOCKS_WEIGHT * compute_block_losses(found, reference, side)
     return total
 
 
-def find_block_losses(found: Tensor, reference: Tensor, side: int) -> Tensor:
+def compute_block_losses(found: Tensor, reference: Tensor, side: int) -> Tensor:
     """Return how far the mean light of blocks is from the reference's, relative, for each crop."""
     side = min(side, *reference.shape[-2:])
     average = torch.nn.functional.avg_pool2d(reference, side)
@@ -113,13 +113,13 @@ def find_block_losses(found: Tensor, reference: Tensor, side: int) -> Tensor:
     return total
 
 
-def find_rate(share: float, steps: int, highest: float = RATE) -> float:
+def compute_rate(share: float, steps: int, highest: float = RATE) -> float:
     """Return the learning rate after a share of a run, and some steps of it."""
     fall = 0.5 * (1.0 + math.cos(math.pi * share))
     return highest * min(1.0, (steps + 1) / WARM_STEPS) * (LAST_RATE_SHARE + (1.0 - LAST_RATE_SHARE) * fall)
 
 
-def find_averaging(steps: int) -> float:
+def compute_averaging(steps: int) -> float:
     """Return the share of the averaged weights that a step keeps, after some steps."""
     return min(MAX_AVERAGING, (1 + steps) / (10 + steps))
 
@@ -174,7 +174,7 @@ def export_weights(path: Path, state: State, start: Path | None = None, share: f
     temporary.replace(path)
 
 
-def find_frames(folder: Path) -> tuple[dict[str, list[Path]], dict[str, list[Path]]]:
+def list_frames(folder: Path) -> tuple[dict[str, list[Path]], dict[str, list[Path]]]:
     """Return the files to train on and those that are kept aside, by their set of guides.
 
     Raises
@@ -206,7 +206,7 @@ def take_step(state: State, shown: dict[str, list[Path]], rate: float, *, seed: 
     for group in state.optimiser.param_groups:
         group["lr"] = rate
     images = crops.images
-    loss = find_loss(state.network(crops), images["noisy"], images["filtered"], images["reference"])
+    loss = compute_loss(state.network(crops), images["noisy"], images["filtered"], images["reference"])
     state.optimiser.zero_grad()
     state.steps += 1
     loss.backward()
@@ -215,7 +215,7 @@ def take_step(state: State, shown: dict[str, list[Path]], rate: float, *, seed: 
         print(f"step {state.steps}: the loss is not finite; the step is left out", flush=True)
         return math.nan
     state.optimiser.step()
-    kept = find_averaging(state.steps)
+    kept = compute_averaging(state.steps)
     with torch.no_grad():
         for mean, each in zip(state.average.parameters(), state.network.parameters(), strict=True):
             mean.lerp_(each, 1.0 - kept)
@@ -278,12 +278,12 @@ def make_step(state: State, shown: dict[str, list[Path]], arguments: argparse.Na
         )
     frames = load_frames(shown, {name: SHARES[name] for name in shown}, torch.device(arguments.device))
     trainer = ResidentTrainer(state, frames, arguments.batch, arguments.crop)
-    return lambda rate: float(trainer.take_step(rate, find_averaging(state.steps + 1)))
+    return lambda rate: float(trainer.take_step(rate, compute_averaging(state.steps + 1)))
 
 
 def run(state: State, arguments: argparse.Namespace) -> None:
     """Train until the run's minutes or steps are over; what ends it early loses no step."""
-    shown, aside = find_frames(arguments.frames)
+    shown, aside = list_frames(arguments.frames)
     print(f"{sum(map(len, shown.values()))} files to train on, {sum(map(len, aside.values()))} kept aside", flush=True)
     spent = saved = judged = 0.0
     losses: list[float] = []
@@ -293,14 +293,14 @@ def run(state: State, arguments: argparse.Namespace) -> None:
             share := len(losses) / arguments.steps if arguments.steps else spent / max(arguments.minutes, 1e-9)
         ) < 1.0:
             began = time.perf_counter()
-            losses.append(step(find_rate(share, len(losses), arguments.rate)))
+            losses.append(step(compute_rate(share, len(losses), arguments.rate)))
             passed = (time.perf_counter() - began) / 60.0
             spent, state.minutes = spent + passed, state.minutes + passed
             if len(losses) % STEPS_BETWEEN_REPORTS == 0:
                 mean = np.nanmean(losses[-STEPS_BETWEEN_REPORTS:])
                 print(f"step {state.steps}, {spent:.1f} min: {mean:.4f}", flush=True)
                 if arguments.device == "cpu":
-                    shown, aside = find_frames(arguments.frames)
+                    shown, aside = list_frames(arguments.frames)
                     step = make_step(state, shown, arguments)
             if spent - saved >= CHECKPOINT_MINUTES:
                 saved = spent

@@ -57,12 +57,12 @@ class Stored:
     spp: int
 
 
-def find_brightness(color: Array) -> float:
+def compute_brightness(color: Array) -> float:
     """Return the squared mean of the root of the light, (channels, rows, columns)."""
     return float(np.sqrt(np.maximum(color, 0.0).mean(axis=0)).mean() ** 2) + 1e-6
 
 
-def find_mean_log_depth(depth: Array | None) -> float:
+def compute_mean_log_depth(depth: Array | None) -> float:
     """Return the mean logarithm of the depth of surfaces, 0 where there are none."""
     seen = depth[depth > 0.0] if depth is not None else np.zeros(0)
     return float(np.log(seen).mean()) if seen.size else 0.0
@@ -87,7 +87,7 @@ def read_frame(path: Path) -> Stored:
         images |= {name: make_half(images[name] + rest) for name in ("noisy", "filtered")}
     noisy = images["noisy"].astype(np.float32)
     depth = images["depth"].astype(np.float32) if "depth" in images else None
-    return Stored(images, find_brightness(noisy), find_mean_log_depth(depth), shared, told[2], told[1])
+    return Stored(images, compute_brightness(noisy), compute_mean_log_depth(depth), shared, told[2], told[1])
 
 
 def cut(stored: Stored, top: int, left: int, rows: int, columns: int) -> dict[str, Array]:

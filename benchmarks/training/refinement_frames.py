@@ -30,11 +30,11 @@ import lobewise
 from benchmarks.foreign.factory.kinds import ORDER, TRAINING
 from benchmarks.training.frames import Half, is_validation, make_half, open_cache
 from benchmarks.training.rendering import (
+    choose_exposure,
     choose_reference_spp,
     clean_reference,
     draw_samples,
     expose,
-    find_exposure,
     limit_threads,
 )
 from benchmarks.users.guides import reduce_frame, sum_albedos
@@ -118,21 +118,21 @@ def limit_guides(frame: Frame, guides: str) -> Frame:
 def filter_frame(frame: Frame) -> dict[str, FloatArray]:
     """Return what the refining network reads, and the light that is in no layer, by name."""
     from lobewise.denoising.automatic import resolve_all
-    from lobewise.denoising.bad_pixels import find_bad_pixels
+    from lobewise.denoising.bad_pixels import mark_bad_pixels
     from lobewise.denoising.chain import filter_halves
     from lobewise.guides.usable import check_guides
     from lobewise.settings import DenoiseSettings
 
     settings = resolve_all(frame, DenoiseSettings(quality="balanced", with_oidn=False))
     frame = check_guides(frame).frame
-    found = filter_halves(frame, settings, (), find_bad_pixels(frame), None, None)
+    found = filter_halves(frame, settings, (), mark_bad_pixels(frame), None, None)
     inputs = collect_inputs(frame, found.noisy, found.parts)
     images = {each.name: getattr(inputs, each.name) for each in fields(RefinementInputs)}
-    images |= {"rest": found.rest, "lobe": find_lobes(frame)}
+    images |= {"rest": found.rest, "lobe": compute_lobes(frame)}
     return {name: image for name, image in images.items() if image is not None}
 
 
-def find_lobes(frame: Frame) -> FloatArray | None:
+def compute_lobes(frame: Frame) -> FloatArray | None:
     """Return axis and base-2 logarithm of the sharpness of the specular lobes, 0 where there is none."""
     if frame.camera is None or frame.gbuffer.alpha_u is None:
         return None
@@ -180,7 +180,7 @@ def render_scene(folder: Path, seed: int, size: int) -> list[int]:
     scene: Any = build_scene(make_kind(seed, size, size))
     spp = choose_reference_spp(draw_samples(seed))
     color = render_reference(scene, spp=spp, seed=1000 * seed + 500).radiance.color
-    factor, reference = find_exposure(seed, color), None
+    factor, reference = choose_exposure(seed, color), None
     for count in missing:
         frame = expose(render_frame(scene, spp=count, seed=1000 * seed + count), factor)
         if reference is None:

@@ -50,7 +50,7 @@ class Batch:
     known : dict of str to tensor
         1 where a crop has the image of this name, (batch, 1, 1, 1).
     brightness, log_depth : tensor, (batch, 1, 1, 1)
-        Of the whole frame; see `find_brightness` and `find_mean_log_depth`.
+        Of the whole frame; see `compute_brightness` and `compute_mean_log_depth`.
     shared : tensor, (batch, 1, 1, 1)
         1 where neighbouring pixels share samples.
     """
@@ -143,7 +143,7 @@ class RefiningNetwork(nn.Module):
                 head.bias.zero_()  # type: ignore[operator]
                 head.bias[NOISY_TAPS + FILTERED_TAPS // 2] = START_FILTERED  # type: ignore[index]
 
-    def find_features(self, planes: Tensor) -> list[Tensor]:
+    def compute_features(self, planes: Tensor) -> list[Tensor]:
         """Return the features of every level, the finest first."""
         found, seen = activate(self.stem(planes)), []
         for number, (first, second) in enumerate(self.down):  # type: ignore[misc]
@@ -168,7 +168,7 @@ class RefiningNetwork(nn.Module):
         device = prepared.planes.device.type
         is_fast = device != "cpu" or "AVX512" in torch.backends.cpu.get_cpu_capability()
         with torch.autocast(device, torch.bfloat16, self.training and is_fast, cache_enabled=False):
-            logits = [head(each) for head, each in zip(self.heads, self.find_features(prepared.planes), strict=True)]
+            logits = [head(each) for head, each in zip(self.heads, self.compute_features(prepared.planes), strict=True)]
         vectors = prepared.vectors if self.compares else None
         light = filter_pyramid(prepared.noisy, prepared.filtered, [each.float() for each in logits], vectors)
         return light * prepared.tint
@@ -218,7 +218,7 @@ def filter_pyramid(noisy: Tensor, filtered: Tensor, logits: list[Tensor], vector
         more = taps + (COARSE_TAPS if level < LEVELS - 1 else 0)
         near = found[:, :taps]
         if scales[level] is not None:
-            near = near - find_distances(scales[level], found[:, more : more + len(VECTORS)])
+            near = near - compute_distances(scales[level], found[:, more : more + len(VECTORS)])
         weights = torch.exp(near)
         total = gather(first, weights[:, :NOISY_TAPS])
         total = total + gather(second, weights[:, NOISY_TAPS:])
@@ -230,7 +230,7 @@ def filter_pyramid(noisy: Tensor, filtered: Tensor, logits: list[Tensor], vector
     return coarse
 
 
-def find_distances(vectors: Tensor, logits: Tensor) -> Tensor:
+def compute_distances(vectors: Tensor, logits: Tensor) -> Tensor:
     """Return the weighted squared distance of a pixel to its neighbours: 5x5, then the 3x3 of these again."""
     rows, columns = vectors.shape[-2:]
     padded = functional.pad(vectors, (2,) * 4)

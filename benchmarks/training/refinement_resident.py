@@ -215,12 +215,12 @@ class ResidentTrainer:
         return self.loss
 
     def _compute(self) -> None:
-        from benchmarks.training.refinement import MAX_GRADIENT, find_loss
+        from benchmarks.training.refinement import MAX_GRADIENT, compute_loss
 
         network, average = self.state.network, self.state.average
         batch = draw_resident(self.frames, self.batch, self.crop)
         images = batch.images
-        loss = find_loss(network(batch), images["noisy"], images["filtered"], images["reference"])
+        loss = compute_loss(network(batch), images["noisy"], images["filtered"], images["reference"])
         self.optimiser.zero_grad(set_to_none=True)
         loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), MAX_GRADIENT, foreach=True)

@@ -45,7 +45,7 @@ def choose_reference_spp(samples: Sequence[int]) -> int:
     return LONG_REFERENCE_SPP if max(samples) > MANY_SPP else REFERENCE_SPP
 
 
-def find_exposure(seed: int, color: FloatArray) -> float:
+def choose_exposure(seed: int, color: FloatArray) -> float:
     """Return what all light of a scene is multiplied by, so that its median is what the seed draws."""
     low, high = np.log(MEDIAN_RADIANCE)
     wanted = float(np.exp(np.random.default_rng([SALT, seed, 2]).uniform(low, high)))

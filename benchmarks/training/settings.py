@@ -107,7 +107,7 @@ def _is_in_view(stage: Stage, point: Vector) -> bool:
     return bool(cosine > np.cos(np.deg2rad(0.55 * stage.fov)))
 
 
-def _find_place(stage: Stage, half: Vector, kind: str) -> tuple[Vector, bool] | None:
+def _choose_place(stage: Stage, half: Vector, kind: str) -> tuple[Vector, bool] | None:
     """Return a middle that is free, and whether it floats; None where no try found one."""
     generator = stage.generator
     radius = float(np.hypot(half[0], half[2]))
@@ -150,7 +150,7 @@ def add_objects(stage: Stage, count: int, largest: float) -> None:
     for size in sizes:
         kind = str(generator.choice(list(SHAPES), p=np.array(list(SHAPES.values()))))
         shape, half, flat = _draw_shape(stage, kind, size)
-        found = _find_place(stage, half, kind)
+        found = _choose_place(stage, half, kind)
         if found is None:
             continue
         middle, floats = found

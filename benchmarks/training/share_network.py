@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.filters.mixing import LEAK, Network
+from lobewise.filters.mixing import PERCEPTRON_LEAK, Perceptron
 from lobewise.metrics import EPSILON
 
 PIXELS = 8192
@@ -66,7 +66,7 @@ class Examples:
     weight: Any
     cap: float
 
-    def find_error(self, image: Any, chosen: Any = slice(None)) -> Any:
+    def compute_error(self, image: Any, chosen: Any = slice(None)) -> Any:
         """Return the error of an image's chosen pixels."""
         apart = (image - self.reference_a[chosen]) * (image - self.reference_b[chosen])
         return soften((apart * self.weight[chosen]).sum(-1), self.cap).mean()
@@ -120,7 +120,7 @@ def soften(errors: Any, cap: float) -> Any:
 
 
 class ShareNetwork:
-    """The network of `lobewise.filters.mixing.find_shares` in PyTorch; the score of the image itself is 0."""
+    """The network of `lobewise.filters.mixing.compute_shares` in PyTorch; the score of the image itself is 0."""
 
     def __init__(self, examples: Sequence[Examples]) -> None:
         import torch
@@ -133,32 +133,32 @@ class ShareNetwork:
             self.layers[-1].weight.mul_(0.1)
             self.layers[-1].bias.fill_(math.log(FIRST_SHARE / sizes[-1] / (1.0 - FIRST_SHARE)))
 
-    def find_shares(self, seen: Any) -> Any:
+    def compute_shares(self, seen: Any) -> Any:
         """Return the shares of the other images, (pixels, others)."""
         import torch
 
         values = (seen - self.mean) * self.scale
         for layer in self.layers[:-1]:
-            values = torch.nn.functional.leaky_relu(layer(values), LEAK)
+            values = torch.nn.functional.leaky_relu(layer(values), PERCEPTRON_LEAK)
         scores = self.layers[-1](values)
         return torch.softmax(torch.cat([scores, torch.zeros_like(scores[:, :1])], dim=1), dim=1)[:, :-1]
 
     def mix(self, each: Examples, chosen: Any = slice(None)) -> Any:
         """Return the mixture of all images at the chosen pixels."""
         base, *others = (image[chosen] for image in each.images)
-        mixed, shares = base, self.find_shares(each.seen[chosen])
+        mixed, shares = base, self.compute_shares(each.seen[chosen])
         for number, other in enumerate(others):
             mixed = mixed + shares[:, number, None] * (other - base)
         return mixed
 
-    def export(self) -> Network:
+    def export(self) -> Perceptron:
         """Return the network as the package runs it: its last output, of the image itself, is 0."""
         weights = [layer.weight.detach().numpy().T for layer in self.layers]
         biases = [layer.bias.detach().numpy() for layer in self.layers]
         weights[-1] = np.concatenate([weights[-1], np.zeros_like(weights[-1][:, :1])], axis=1)
         biases[-1] = np.concatenate([biases[-1], np.zeros_like(biases[-1][:1])])
         arrays = [np.ascontiguousarray(each, np.float32) for each in (self.mean.numpy(), self.scale.numpy())]
-        return Network(*arrays, tuple(map(np.ascontiguousarray, weights)), tuple(biases))  # type: ignore[arg-type]
+        return Perceptron(*arrays, tuple(map(np.ascontiguousarray, weights)), tuple(biases))  # type: ignore[arg-type]
 
 
 def train(examples: Sequence[Examples], steps: int, seed: int) -> ShareNetwork:
@@ -176,8 +176,8 @@ def train(examples: Sequence[Examples], steps: int, seed: int) -> ShareNetwork:
         for number in rng.choice(len(examples), min(BATCH_IMAGES, len(examples)), replace=False):
             each = examples[number]
             chosen = torch.from_numpy(rng.integers(0, len(each.seen), BATCH_PIXELS))
-            error = each.find_error(network.mix(each, chosen), chosen)
-            base, *others = (each.find_error(image[chosen], chosen) for image in each.images)
+            error = each.compute_error(network.mix(each, chosen), chosen)
+            base, *others = (each.compute_error(image[chosen], chosen) for image in each.images)
             least = SMALLEST_ERROR * each.cap
             ratio = error / torch.stack([base, *others]).min().clamp_min(least)
             loss = loss + torch.log(ratio.clamp_min(0.0) + SMALLEST_RATIO) + PENALTY * torch.relu(ratio - 1.0)
@@ -195,7 +195,9 @@ def measure(network: ShareNetwork, examples: Sequence[Examples]) -> dict[str, di
     found: dict[str, list[tuple[float, float]]] = {}
     with torch.no_grad():
         for each in examples:
-            errors = [float(each.find_error(image)) for image in (network.mix(each), each.images[0], each.images[-1])]
+            errors = [
+                float(each.compute_error(image)) for image in (network.mix(each), each.images[0], each.images[-1])
+            ]
             mixed, base, other = (max(error, 1e-7) for error in errors)
             found.setdefault(" ".join(each.group), []).append((mixed / base, mixed / other))
     table = {}

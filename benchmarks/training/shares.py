@@ -24,10 +24,10 @@ from benchmarks.common import RESULTS, ROOT, describe_machine, write_json
 from benchmarks.training.candidates import COLOR, DRAWN, FEW_SPP, Candidates, read_candidates
 from benchmarks.training.frames import is_validation
 from benchmarks.training.share_network import Examples, ShareNetwork, make_examples, measure, train
-from lobewise.denoising.combining import find_level, see_mixture
-from lobewise.denoising.evidence import NAMES, WEIGHTS, load_networks, pack_network
-from lobewise.filters.mixing import Network
-from lobewise.filters.noise.detail import find_detail, predict_shares
+from lobewise.denoising.combining import compute_mean_luminance, see_mixture
+from lobewise.denoising.evidence import NAMES, SHARE_WEIGHTS, load_networks, pack_network
+from lobewise.filters.mixing import Perceptron
+from lobewise.filters.noise.detail import compute_detail, predict_shares
 
 STEPS = 9000
 MAX_LEVEL = 4.0
@@ -51,18 +51,18 @@ def describe_group(found: Candidates) -> tuple[str, str]:
 def make_noisy(found: Candidates, quality: str, rng: np.random.Generator) -> Examples:
     """Return the example for the network of a quality: its result, and the noisy image."""
     image = getattr(found, quality)
-    level = find_level(image) * MAX_LEVEL ** rng.random()
-    rows = find_detail(image, found.noisy, halves=found.halves, level=level, shared=found.kind == "shared")
+    level = compute_mean_luminance(image) * MAX_LEVEL ** rng.random()
+    rows = compute_detail(image, found.noisy, halves=found.halves, level=level, shared=found.kind == "shared")
     seen = np.concatenate([features for _, features in rows])
     references = found.reference_a, found.reference_b
     group = quality, *describe_group(found)
     return make_examples(found.seed, group, seen, (image, found.noisy), references, found.clean, rng)
 
 
-def make_peer(found: Candidates, network: Network, rng: np.random.Generator) -> Examples:
+def make_peer(found: Candidates, network: Perceptron, rng: np.random.Generator) -> Examples:
     """Return the example for the network "peer": the image of Open Image Denoise, ours, and the noisy one."""
     shared = found.kind == "shared"
-    level = find_level(found.high)
+    level = compute_mean_luminance(found.high)
     shares = predict_shares(found.high, found.noisy, network, halves=found.halves, level=level, shared=shared)
     ours = found.high + shares[..., :1] * (found.noisy - found.high)
     rows = see_mixture(found.noisy, ours, found.peer, halves=found.halves, shared=shared)
@@ -82,7 +82,7 @@ def train_aside(examples: Sequence[Examples], steps: int, seed: int) -> tuple[Sh
     return network, tables
 
 
-def train_all(paths: Sequence[Path], arguments: argparse.Namespace) -> tuple[dict[str, Network], dict[str, object]]:
+def train_all(paths: Sequence[Path], arguments: argparse.Namespace) -> tuple[dict[str, Perceptron], dict[str, object]]:
     """Return the trained networks and their errors, by name."""
     rng, networks, errors = np.random.default_rng(arguments.seed), {}, {}
     for name, quality in FILTERED.items():
@@ -103,7 +103,7 @@ def train_all(paths: Sequence[Path], arguments: argparse.Namespace) -> tuple[dic
     return networks, errors
 
 
-def replace_networks(path: Path, networks: dict[str, Network]) -> dict[str, Array]:
+def replace_networks(path: Path, networks: dict[str, Perceptron]) -> dict[str, Array]:
     """Write networks into a file that keeps its others, and return all arrays of it."""
     arrays: dict[str, Array] = dict(np.load(path, allow_pickle=False)) if path.exists() else {}
     for kind, each in networks.items():
@@ -121,7 +121,7 @@ def main(words: list[str] | None = None) -> None:
     parser.add_argument("--steps", type=int, default=STEPS)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--networks", nargs="+", choices=NAMES, default=NAMES, help="those to train")
-    default = ROOT / "src" / "lobewise" / "denoising" / WEIGHTS
+    default = ROOT / "src" / "lobewise" / "denoising" / SHARE_WEIGHTS
     parser.add_argument("-o", "--output", type=Path, default=default)
     parser.add_argument("--results", type=Path, default=RESULTS / "shares.json")
     arguments = parser.parse_args(words)

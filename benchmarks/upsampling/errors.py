@@ -38,7 +38,7 @@ def measure(image: FloatArray, reference: FloatArray, masks: Mapping[str, Mask])
     }
 
 
-def find_new(frames: Sequence[AnyFrame], index: int) -> Mask:
+def mark_new(frames: Sequence[AnyFrame], index: int) -> Mask:
     """Return which pixels of a frame came into view in it."""
     now, before = frames[index], frames[index - 1]
     assert now.camera is not None
@@ -46,7 +46,7 @@ def find_new(frames: Sequence[AnyFrame], index: int) -> Mask:
     return find_disoccluded(now.gbuffer, now.camera, before.gbuffer, before.camera)
 
 
-def find_changed_reflections(frames: Sequence[AnyFrame], index: int) -> Mask:
+def mark_changed_reflections(frames: Sequence[AnyFrame], index: int) -> Mask:
     """Return which mirrors that stand still see something else than in the frame before, at another distance."""
     guides, before = frames[index].gbuffer, frames[index - 1].gbuffer
     assert guides.alpha_u is not None
@@ -55,10 +55,10 @@ def find_changed_reflections(frames: Sequence[AnyFrame], index: int) -> Mask:
     mirrors = find_specular_pixels(guides) & (guides.alpha_u < 0.1)
     near = np.minimum(guides.hit_distance, before.hit_distance)
     far = np.maximum(guides.hit_distance, before.hit_distance)
-    return mirrors & (far > 1.2 * near) & find_still(frames, index)
+    return mirrors & (far > 1.2 * near) & mark_still(frames, index)
 
 
-def find_still(frames: Sequence[AnyFrame], index: int) -> Mask:
+def mark_still(frames: Sequence[AnyFrame], index: int) -> Mask:
     """Return which pixels show a surface that did not move on the screen since the frame before."""
     motion = frames[index].gbuffer.motion
     assert motion is not None
@@ -68,10 +68,10 @@ def find_still(frames: Sequence[AnyFrame], index: int) -> Mask:
 def make_ghost_masks(frames: Sequence[AnyFrame], index: int) -> dict[str, Mask]:
     """Return the pixels where ghosts would be: what came into view some frames ago and was in view since."""
     masks = {}
-    for name, find in (("surfaces", find_new), ("reflections", find_changed_reflections)):
+    for name, find in (("surfaces", mark_new), ("reflections", mark_changed_reflections)):
         for age in (0, 1, 2):
-            mask = find(frames, index - age) & find_still(frames, index - age)
+            mask = find(frames, index - age) & mark_still(frames, index - age)
             for later in range(index - age + 1, index + 1):
-                mask &= find_still(frames, later) & ~find(frames, later)
+                mask &= mark_still(frames, later) & ~find(frames, later)
             masks[f"{name}, {age} ago"] = mask
     return masks

@@ -36,7 +36,7 @@ from lobewise.camera import Camera
 from lobewise.denoising import layers
 from lobewise.display.tones import choose_exposure, map_tones
 from lobewise.features.base import Vector
-from lobewise.features.ray import RayFeature, RayPlanes, evaluate_lobe
+from lobewise.features.ray import RayFeature, RayPlanes, evaluate_ray_lobe
 from lobewise.frame import FloatArray, Radiance
 from lobewise.guides.rays import make_ray_feature
 from lobewise.io.png import encode_png
@@ -46,7 +46,7 @@ from lobewise.render.bridge import dr, mi, repeat
 from lobewise.render.materials.dispatch import dispatch_share
 from lobewise.render.stages import Stages
 from lobewise.render.tracing.paths import PathLight, PathSettings, trace_path
-from lobewise.render.tracing.points import find_points
+from lobewise.render.tracing.points import trace_points
 from lobewise.render.tracing.rays import make_opaque, make_rng
 from lobewise.sparse_frame import Rays, SparseFrame, list_places
 
@@ -115,10 +115,10 @@ class Shader:
         """Move the camera."""
         self.stages.place_camera(camera, SIZE_PIXELS, SIZE_PIXELS)
 
-    def find_points(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Any:
+    def trace_points(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Any:
         """Return the first surfaces of pixels."""
         pixel = mi.UInt32((rows * SIZE_PIXELS + columns).astype(np.uint32))
-        return find_points(self.scene, self.stages.materials, pixel, self._size)
+        return trace_points(self.scene, self.stages.materials, pixel, self._size)
 
     def shade(self, rows: NDArray[np.intp], columns: NDArray[np.intp], seed: int, light: str) -> Shaded:
         """Return one sample of each pixel."""
@@ -131,7 +131,7 @@ class Shader:
 
     def _shade_all(self, rows: NDArray[np.intp], columns: NDArray[np.intp], seed: int) -> Shaded:
         """Sample the BSDF, and take all radiance along the ray from Mitsuba's path tracer."""
-        points, flags = self.find_points(rows, columns), mi.BSDFFlags
+        points, flags = self.trace_points(rows, columns), mi.BSDFFlags
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(seed, len(rows))
         context, si, active = mi.BSDFContext(), points.si, points.active
@@ -157,7 +157,7 @@ class Shader:
         rows, columns = (index.ravel() for index in np.indices((SIZE_PIXELS, SIZE_PIXELS)))
         depth = make_opaque(self.stages.max_depth)
         settings = PathSettings(self.stages.max_depth, min_bounces=2 * (light == "indirect"), surfaces=False)
-        points, seed = self.find_points(rows, columns), make_opaque(90_000 + half)
+        points, seed = self.trace_points(rows, columns), make_opaque(90_000 + half)
 
         def take(index: Any, total: Any) -> tuple[Any]:
             rng = make_rng(points.pixel, index, seed)
@@ -260,7 +260,7 @@ class HitRayFeature(RayFeature):
         shifts = [(p - q) * j.inverse_distance for p, q in zip(j.place, i.place, strict=True)]
         ray = [w + shift for w, shift in zip(j.lobe.direction, shifts, strict=True)]
         length = hl.sqrt(hl.max(ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2], hl.f32(1e-12)))
-        ratio = hl.min(evaluate_lobe(i.lobe, [c / length for c in ray]) * j.lobe.inverse, parameters[1])
+        ratio = hl.min(evaluate_ray_lobe(i.lobe, [c / length for c in ray]) * j.lobe.inverse, parameters[1])
         return hl.select(j.lobe.inverse > hl.f32(0.0), ratio, hl.f32(1.0))
 
 
@@ -319,7 +319,7 @@ def _round(value: Any) -> float:
     return float(f"{float(value):.4g}")
 
 
-def find_mean_ratios(scenes: dict[str, Any]) -> dict[str, dict[str, dict[str, float]]]:
+def compute_mean_ratios(scenes: dict[str, Any]) -> dict[str, dict[str, dict[str, float]]]:
     """Return the geometric means over the scenes of the errors over those without rays."""
 
     def find(trial: str, beta: str, kind: str) -> float:
@@ -354,7 +354,7 @@ def main() -> None:
                 rows.append(join([map_tones(image, exposure) for image in shown], 1))
     if rows:
         PICTURE.write_bytes(encode_png(np.ascontiguousarray(join(rows, 0))))
-    means = {light: find_mean_ratios(scenes) for light, scenes in lights.items()}
+    means = {light: compute_mean_ratios(scenes) for light, scenes in lights.items()}
     write_json(asked.output, {"lights": lights, "mean ratios": means, "machine": describe_machine()})
 
 

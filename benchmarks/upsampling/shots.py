@@ -43,9 +43,9 @@ class HurriedScene(MovingScene):
         """Return the scene at a time."""
         return super().load(self.pace * time)
 
-    def find_moves(self, time: float, before: float) -> dict[str, NDArray[np.float64]]:
+    def compute_moves(self, time: float, before: float) -> dict[str, NDArray[np.float64]]:
         """Return where the moving shapes came from."""
-        return super().find_moves(self.pace * time, self.pace * before)
+        return super().compute_moves(self.pace * time, self.pace * before)
 
 
 @dataclass(frozen=True)

@@ -125,7 +125,7 @@ def run_speed(cache: Cache, rows: dict[str, Any]) -> dict[str, Any]:
         "places": (past, "_find_all_places"),
         "planes": (validation, "prepare_pixels"),
         "reprojection": (past, "reproject"),
-        "trust": (SampleGrid, "find_trust"),
+        "trust": (SampleGrid, "compute_trust"),
         "samples": (SampleGrid, "accumulate"),
         "join": (recipe, "join_layers"),
     }

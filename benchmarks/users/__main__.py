@@ -25,7 +25,7 @@ from benchmarks.quality.measure import round_figure
 from benchmarks.users.guides import GUIDE_SETS, make_peer, reduce_frame, sum_albedos
 from benchmarks.users.measuring import FIGURES, Meter, make_reference_judge
 from benchmarks.users.methods import METHODS, Shot, Tuning, list_methods, tune
-from benchmarks.users.scenes import Scene, find_scenes
+from benchmarks.users.scenes import Scene, list_scenes
 from benchmarks.users.summary import summarise
 from lobewise.errors import LobewiseError
 from lobewise.frame import Frame
@@ -165,7 +165,7 @@ def main() -> None:
     require_oidn()
     bench = Bench(asked.output, again=asked.again)
     begins = tuple(asked.scene or [""])
-    scenes = [scene for scene in find_scenes(asked.frames, asked.foreign) if scene.key.startswith(begins)]
+    scenes = [scene for scene in list_scenes(asked.frames, asked.foreign) if scene.key.startswith(begins)]
     if not scenes:
         raise SystemExit(f"no scene with two references in {asked.frames}")
     samples = asked.spp or sorted({spp for scene in scenes for spp in scene.frames})

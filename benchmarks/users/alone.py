@@ -17,12 +17,12 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 def count_alone(image: FloatArray, reference: FloatArray) -> dict[str, int]:
     """Return how many pixels are much brighter or darker than all neighbours, where those of the reference are not."""
     level = BLACK * float((reference @ LUMINANCE).mean())
-    found = [_find_alone(picture @ LUMINANCE + level) for picture in (image, reference)]
+    found = [_mark_alone(picture @ LUMINANCE + level) for picture in (image, reference)]
     bright, dark = (int(np.count_nonzero(own & ~true)) for own, true in zip(*found, strict=True))
     return {"bright": bright, "dark": dark}
 
 
-def _find_alone(luminance: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _mark_alone(luminance: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     height, width = luminance.shape
     padded = np.pad(luminance, 1, mode="reflect")
     around = np.stack([padded[y : y + height, x : x + width] for y in range(3) for x in range(3) if (y, x) != (1, 1)])

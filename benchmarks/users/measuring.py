@@ -45,8 +45,8 @@ class Meter:
         every, trimmed = self.judge.measure(image)
         values = (
             every,
-            self._find_doubt(image),
-            self._find_doubt_over_noisy(image),
+            self._compute_doubt(image),
+            self._compute_doubt_over_noisy(image),
             trimmed,
             flip(image, self.shown),
             float(image.sum(dtype=np.float64) / max(float(self.noisy.sum(dtype=np.float64)), 1e-30)),
@@ -62,7 +62,7 @@ class Meter:
             for name, value in zip(FIGURES, values, strict=True)
         }
 
-    def _find_doubt(self, image: FloatArray) -> float:
+    def _compute_doubt(self, image: FloatArray) -> float:
         """Return the standard error of the error: of (d - m)(d - n), where d is the true difference to an image and m
         and n are the references' deviations, the variance is 2 d^2 v + v^2, and the square of (m - n)^2 / 2 is 3 v^2.
         """
@@ -70,7 +70,7 @@ class Meter:
         variance = self._reference_variance
         return self._add_up(np.sqrt(2.0 * np.maximum(square, 0.0) * variance + variance**2 / 3.0))
 
-    def _find_doubt_over_noisy(self, image: FloatArray) -> float:
+    def _compute_doubt_over_noisy(self, image: FloatArray) -> float:
         """Return that of the difference between two errors, in which the product of the deviations is the same."""
         apart = np.abs(image.astype(np.float64) - self.noisy)
         return self._add_up(apart * np.sqrt(2.0 * self._reference_variance))
@@ -81,7 +81,7 @@ class Meter:
 
     def _add_up(self, deviation: NDArray[np.float64]) -> float:
         """Return the deviation of a mean over independent pixels, whose three channels deviate alike."""
-        chosen = self.judge.choose(self.judge.find_errors(deviation))
+        chosen = self.judge.choose(self.judge.compute_errors(deviation))
         return float(np.sqrt((chosen**2).sum()) / chosen.size)
 
 
@@ -93,7 +93,7 @@ def make_reference_judge(first: FloatArray, second: FloatArray) -> Judge:
     """
     clean = call_oidn(0.5 * (first + second)).astype(np.float64)
     judge = replace(make_judge(first, second), clean=clean)
-    apart = judge.find_errors((judge.first - judge.second) ** 2)
+    apart = judge.compute_errors((judge.first - judge.second) ** 2)
     order = np.argsort(apart.ravel(), kind="stable")
     known = np.ones(apart.size, dtype=np.bool_)
     known[order[apart.size - round(UNKNOWN * apart.size) :]] = False

@@ -22,7 +22,7 @@ import numpy as np
 
 from benchmarks.common import RESULTS, describe_machine, write_json
 from benchmarks.users.measuring import make_reference_judge
-from benchmarks.users.scenes import FACTORY, Scene, find_scenes
+from benchmarks.users.scenes import FACTORY, Scene, list_scenes
 from lobewise.denoising.combining import UNGUIDED_QUALITY, average_alike
 from lobewise.filters.noise.albedo import clean_albedo
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
@@ -98,7 +98,7 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=RESULTS / "peer_ways.json")
     asked = parser.parse_args()
     groups: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
-    for scene in find_scenes(asked.frames, asked.foreign):
+    for scene in list_scenes(asked.frames, asked.foreign):
         if scene.group == FACTORY.name:
             continue
         for spp, errors in measure_errors(scene).items():

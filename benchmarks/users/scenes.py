@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import lobewise
-from benchmarks.foreign.files import REFERENCE, REFERENCES, RENDERERS, Renderer, find_frames
+from benchmarks.foreign.files import REFERENCE, REFERENCES, RENDERERS, Renderer, list_frames
 from benchmarks.quality.summary import TRAIN
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.io.exr import read_image
@@ -79,14 +79,14 @@ class Scene:
         return Frame(Radiance(frame.radiance.color), GBuffer(normal=normal, diffuse_albedo=albedo))
 
 
-def find_scenes(folder: Path, foreign: Path | None = None) -> list[Scene]:
+def list_scenes(folder: Path, foreign: Path | None = None) -> list[Scene]:
     """Return the scenes whose references are there: those of `benchmarks.users.render` and of `benchmarks/foreign`."""
-    found = [scene for group in (INTERIORS, OWN) for scene in _find_ours(folder / group)]
+    found = [scene for group in (INTERIORS, OWN) for scene in _list_ours(folder / group)]
     found += find_shots(foreign / FACTORY.name) if foreign else []
     for renderer in FOREIGN if foreign else ():
         assert foreign is not None
         place = foreign / renderer.name
-        for name, frames in find_frames(renderer, place).items() if place.is_dir() else ():
+        for name, frames in list_frames(renderer, place).items() if place.is_dir() else ():
             paths = {spp: seeds[FOREIGN_SEED] for spp, seeds in sorted(frames.items()) if FOREIGN_SEED in seeds}
             first, second = (renderer.find(place, f"{name}_{REFERENCE}_{half}") for half in REFERENCES)
             found.append(Scene(renderer.name, name, paths, (first, second), renderer))
@@ -104,7 +104,7 @@ def find_shots(folder: Path) -> list[Scene]:
     return found
 
 
-def _find_ours(folder: Path) -> list[Scene]:
+def _list_ours(folder: Path) -> list[Scene]:
     found = []
     for first in sorted(folder.glob("*-ref-1.exr")):
         name = first.name.removesuffix("-ref-1.exr")

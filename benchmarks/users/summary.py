@@ -50,15 +50,15 @@ def summarise(scenes: Mapping[str, Any]) -> dict[str, Any]:
         TRAIN: lambda row: not row.held_out,
     }
     ratios = {
-        name: {base: find_ratios([row for row in rows if belongs(row)], base) for base in BASES}
+        name: {base: compute_ratios([row for row in rows if belongs(row)], base) for base in BASES}
         for name, belongs in groups.items()
         if any(belongs(row) for row in rows)
     }
     return {
         "ratios": ratios,
-        "over noisy": find_broken(rows, NOISY, COUNTED, MOST_OVER_NOISY),
-        "over oidn": find_broken(rows, PEER, (MIXED,), MOST_OVER_PEER),
-        "energy": find_lost_energy(rows),
+        "over noisy": list_broken(rows, NOISY, COUNTED, MOST_OVER_NOISY),
+        "over oidn": list_broken(rows, PEER, (MIXED,), MOST_OVER_PEER),
+        "energy": measure_lost_energy(rows),
     }
 
 
@@ -75,7 +75,7 @@ def is_known(cell: Mapping[str, float]) -> bool:
     return cell["doubt"] < MOST_DOUBT * cell["rel_mse"]
 
 
-def find_ratios(rows: list[Row], base: str) -> dict[str, dict[str, dict[str, dict[str, float]]]]:
+def compute_ratios(rows: list[Row], base: str) -> dict[str, dict[str, dict[str, dict[str, float]]]]:
     """Return by guides, method and sample count the geometric mean of the error over the base's, and of how many.
 
     A frame of which either error is not known to `MOST_DOUBT`, for the noise of the references, is left out.
@@ -94,7 +94,7 @@ def find_ratios(rows: list[Row], base: str) -> dict[str, dict[str, dict[str, dic
     return found
 
 
-def find_broken(rows: list[Row], base: str, methods: tuple[str, ...], most: float) -> list[dict[str, Any]]:
+def list_broken(rows: list[Row], base: str, methods: tuple[str, ...], most: float) -> list[dict[str, Any]]:
     """Return the cells whose error is more than ``most`` of the base's, the worst first.
 
     "sure" says whether the excess over the base is more than twice its standard error.
@@ -113,7 +113,7 @@ def find_broken(rows: list[Row], base: str, methods: tuple[str, ...], most: floa
     return sorted(found, key=lambda one: -one["ratio"])
 
 
-def find_lost_energy(rows: list[Row]) -> dict[str, dict[str, Any]]:
+def measure_lost_energy(rows: list[Row]) -> dict[str, dict[str, Any]]:
     """Return by method the least and the most energy that it kept, where, and in how many cells it is off."""
     found: dict[str, dict[str, Any]] = {}
     for row in rows:

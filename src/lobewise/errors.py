@@ -130,14 +130,14 @@ def _to_plain(value: Any) -> Any:
     return value.tolist() if is_numpy and value.size <= MAX_SHOWN_LETTERS else value
 
 
-def find_nearest(name: str, options: Iterable[str]) -> str | None:
+def choose_nearest(name: str, options: Iterable[str]) -> str | None:
     """Return the option that is most similar to a name, ignoring case; None if no option is similar enough.
 
     Examples
     --------
-    >>> find_nearest("hihg", ["fast", "balanced", "high"])
+    >>> choose_nearest("hihg", ["fast", "balanced", "high"])
     'high'
-    >>> find_nearest("best", ["fast", "balanced", "high"])
+    >>> choose_nearest("best", ["fast", "balanced", "high"])
     """
     by_letters = {option.casefold(): option for option in options}
     near = difflib.get_close_matches(name.casefold(), list(by_letters), n=1, cutoff=MIN_LIKENESS)
@@ -160,7 +160,7 @@ def require_choice(what: str, got: str, valid: Iterable[str]) -> str:
         return got
     # A name that was read from a file can have any length.
     short = got if len(got) <= MAX_NAME_LETTERS else f"{got[:MAX_NAME_LETTERS]}..."
-    near = find_nearest(short, options)
+    near = choose_nearest(short, options)
     raise InputError(
         what,
         expected="one of " + ", ".join(options),

@@ -51,7 +51,7 @@ def require_oidn() -> None:
 
 def name_oidn_guides(frame: Frame) -> tuple[str, ...]:
     """Return the guides of a frame that `denoise_oidn` passes on: "albedo", "normal", both or none."""
-    albedos, normal = _find_guides(frame, OIDN_GUIDES[0])
+    albedos, normal = _choose_guides(frame, OIDN_GUIDES[0])
     return tuple(name for name, is_there in (("albedo", bool(albedos)), ("normal", normal is not None)) if is_there)
 
 
@@ -120,10 +120,10 @@ def denoise_oidn(
     require_oidn()
     from pyoidn.denoise import denoise
 
-    albedos, normal = _find_guides(frame, guides)
+    albedos, normal = _choose_guides(frame, guides)
     albedo = np.clip(_make_finite(np.sum(albedos, axis=0, dtype=np.float32)), 0.0, 1.0) if albedos else None
     normal = None if normal is None else _make_finite(normal)
-    color, inside = np.array(frame.radiance.color), tuple(map(_find_inside, frame.shape))
+    color, inside = np.array(frame.radiance.color), tuple(map(_locate_inside, frame.shape))
     is_gray = _is_gray(color) and (albedo is None or _is_gray(albedo))
     color, albedo = _widen(color), None if albedo is None else _widen(albedo)
     normal = None if normal is None else _widen(normal)
@@ -142,7 +142,7 @@ def denoise_oidn(
     return _drop_chroma(image) if is_gray else np.ascontiguousarray(image), seconds
 
 
-def _find_inside(side: int) -> slice:
+def _locate_inside(side: int) -> slice:
     """Return the place of an image within the image that `_widen` makes, along one side."""
     before = (WIDENED_SIDE_PIXELS - side) // 2 if side < MIN_SIDE_PIXELS else 0
     return slice(before, before + side)
@@ -166,7 +166,7 @@ def _drop_chroma(image: FloatArray) -> FloatArray:
     return np.repeat(image.mean(axis=-1, keepdims=True, dtype=np.float32), 3, axis=-1)
 
 
-def _find_guides(frame: Frame, guides: str) -> tuple[list[FloatArray], FloatArray | None]:
+def _choose_guides(frame: Frame, guides: str) -> tuple[list[FloatArray], FloatArray | None]:
     """Return the albedos whose sum is passed on, and the normal or None."""
     gbuffer = frame.gbuffer
 

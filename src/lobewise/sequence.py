@@ -134,7 +134,7 @@ def filter_sequence(
     """
     source, output = _parse(source), _parse(output)
     kept = name_checkpoint(output) if checkpoint is None else Path(checkpoint)
-    frames = source.find() if numbers is None else _find_numbers(source, numbers)
+    frames = source.find() if numbers is None else _look_up_numbers(source, numbers)
     _check(frames, output, kept, checkpoint_seconds)
     # Leave the folders out: a project may be moved. Sources are identified by size and time.
     names = [Path(str(pattern)).name for pattern in (source, output)]
@@ -185,7 +185,7 @@ def _check(frames: list[tuple[int, Path]], output: FramePattern, kept: Path, sec
     require_other_files((output.name(number) for number, _ in frames), (path for _, path in frames))
 
 
-def _find_numbers(source: FramePattern, numbers: Collection[int]) -> list[tuple[int, Path]]:
+def _look_up_numbers(source: FramePattern, numbers: Collection[int]) -> list[tuple[int, Path]]:
     """Return the files with the given numbers, in the order of the numbers."""
     wanted = set(numbers)
     frames = [each for each in source.find() if each[0] in wanted]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lobewise import engine
 from lobewise.denoising.automatic import change_settings, require_full, require_plain, resolve_settings
-from lobewise.denoising.bad_pixels import describe_bad, fill_holes, find_bad_pixels, require_some_good
+from lobewise.denoising.bad_pixels import describe_bad, fill_holes, mark_bad_pixels, require_some_good
 from lobewise.denoising.layers import (
     Layer,
     describe_exact_light,
@@ -96,7 +96,7 @@ def upsample(
     frame, below = split_negative(frame)
     if not bilinear:
         frame = tint_samples(frame)
-    bad = find_bad_pixels(Frame(frame.radiance))
+    bad = mark_bad_pixels(Frame(frame.radiance))
     require_some_good(int(np.count_nonzero(bad)), bad.size, "sample")
     with engine.on(chosen.device):
         if bilinear:

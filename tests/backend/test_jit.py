@@ -20,21 +20,21 @@ import lobewise
 from lobewise import errors, frame, settings
 from lobewise.backend import disk, expressions, jit, pointwise, trust
 from lobewise.backend.buffers import Buffer
-from lobewise.backend.disk import CacheWarning, fetch_object, find_cache_folder
+from lobewise.backend.disk import CacheWarning, fetch_object, locate_cache_folder
 from lobewise.backend.jit import Kernel, describe_kernel, describe_key, list_definitions
 from lobewise.backend.runtime import Runtime, get_runtime
 from lobewise.backend.signature import Parameter, Signature, check_call
-from lobewise.backend.sources import describe_definitions, find_definitions, take_apart
+from lobewise.backend.sources import describe_definitions, digest_definitions, take_apart
 from lobewise.errors import DeviceError
 from lobewise.features import GgxFeature, NormalFeature, ScreenFeature, SgMixtureFeature
 from lobewise.filters import cross_filter, fireflies, scheduling
 from lobewise.filters.cross_pass import PassKey, Reads, Writes, make_pass
-from lobewise.filters.fireflies import find_energy_lost
+from lobewise.filters.fireflies import compute_energy_lost
 from lobewise.filters.forms import Taps
 from lobewise.filters.history import sums
 from lobewise.filters.history.reprojection_pass import make_reprojection
 from lobewise.guides import lobe_fields
-from lobewise.guides.surfaces import find_surface_pixels
+from lobewise.guides.surfaces import mark_surface_pixels
 from tests.streaming.frames import make_scene
 
 pytestmark = pytest.mark.processor
@@ -128,10 +128,10 @@ class TestFolder:
 
     def test_named_by_the_environment(self, monkeypatch, tmp_path):
         monkeypatch.setenv("LOBEWISE_CACHE", str(tmp_path / "here"))
-        assert find_cache_folder() == tmp_path / "here"
+        assert locate_cache_folder() == tmp_path / "here"
         monkeypatch.delenv("LOBEWISE_CACHE")
         monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-        assert find_cache_folder() == platformdirs.user_cache_path("lobewise", appauthor=False)
+        assert locate_cache_folder() == platformdirs.user_cache_path("lobewise", appauthor=False)
 
 
 def edit(monkeypatch: pytest.MonkeyPatch, module: ModuleType, old: str, new: str) -> None:
@@ -149,7 +149,7 @@ def edit(monkeypatch: pytest.MonkeyPatch, module: ModuleType, old: str, new: str
 
 
 @cache
-def find_definition(code: CodeType) -> str:
+def name_definition(code: CodeType) -> str:
     """Return the name of the function or class at the top of a module that some code lies in."""
     for node in ast.parse(Path(code.co_filename).read_text()).body:
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
@@ -196,13 +196,13 @@ class TestSources:
         assert any(both[0].definitions[name] != both[1].definitions[name] for name in ("LIMIT", "f"))
 
     def test_names_of_imported_modules(self):
-        found = find_definitions(["lobewise.lobes.hits.find_hit_shift", "lobewise.features.GgxFeature"])
+        found = digest_definitions(["lobewise.lobes.hits.compute_hit_shift", "lobewise.features.GgxFeature"])
         assert "lobewise.features.ggx.GgxFeature" in found
         # By way of `expressions.log2`, and of classes above.
         assert {"lobewise.backend.expressions.LOG2_COEFFICIENTS", "lobewise.features.base.Feature"} < set(found)
         assert "lobewise.features.asg.AsgFeature" not in found
-        assert len(find_definitions(["lobewise.filters.forms"])) == 8
-        assert not find_definitions(["numpy", "lobewise.nothing", "lobewise.frame.nothing"])
+        assert len(digest_definitions(["lobewise.filters.forms"])) == 8
+        assert not digest_definitions(["numpy", "lobewise.nothing", "lobewise.frame.nothing"])
 
     @pytest.mark.parametrize("kernel", KERNELS)
     @pytest.mark.parametrize(
@@ -252,7 +252,7 @@ class TestSources:
                 module = frame.f_globals.get("__name__", "")
                 is_file = not frame.f_code.co_filename.startswith("<")
                 if event == "call" and is_file and module.startswith("lobewise."):
-                    ran.add(f"{module}.{find_definition(frame.f_code)}")
+                    ran.add(f"{module}.{name_definition(frame.f_code)}")
 
             sys.setprofile(look)
             try:
@@ -260,7 +260,7 @@ class TestSources:
             finally:
                 sys.setprofile(None)
             assert ran
-            missing.extend(ran - set(find_definitions(list_definitions(keys[-1], make))))
+            missing.extend(ran - set(digest_definitions(list_definitions(keys[-1], make))))
             return load_kernel(device, known, target, make, number)
 
         def describe(key, make):
@@ -273,10 +273,10 @@ class TestSources:
         monkeypatch.setattr(jit, "_load", load)
         monkeypatch.setattr(jit, "describe_kernel", describe)
         scene = make_scene((24, 40))
-        for quality in settings.QUALITIES:
-            for similarity in settings.SIMILARITIES:
+        for quality in settings.QUALITY_NAMES:
+            for similarity in settings.SIMILARITY_NAMES:
                 lobewise.denoise(scene, quality=quality, similarity=similarity, with_oidn=False, device="cpu")
-        for form in settings.FORMS:
+        for form in settings.FORM_NAMES:
             lobewise.denoise(scene, quality="fast", form=form, device="cpu")
         history = lobewise.TemporalFilter(device="cpu")
         for _ in range(2):
@@ -295,8 +295,8 @@ class TestKey:
         keys = [
             (ScreenFeature, ()),
             (NormalFeature, ()),
-            (find_energy_lost, True),
-            (find_energy_lost, False),
+            (compute_energy_lost, True),
+            (compute_energy_lost, False),
             PassKey(Taps.SQUARE, (), Reads.RADIANCE, Writes.PIXELS),
             PassKey(Taps.SQUARE, (), Reads.RADIANCE, Writes.SUMS),
             PassKey(Taps.ATROUS, (), Reads.RADIANCE, Writes.PIXELS),
@@ -310,7 +310,7 @@ class TestKey:
         assert len(set(told)) == len(keys)
 
     def test_names_what_it_is_made_from(self):
-        one, two = (describe_kernel(("name", each), find_surface_pixels) for each in (ScreenFeature, NormalFeature))
+        one, two = (describe_kernel(("name", each), mark_surface_pixels) for each in (ScreenFeature, NormalFeature))
         assert one != two
         assert describe_kernel(("name",), lambda: 0) is None
 
@@ -429,7 +429,7 @@ target = hl.get_host_target()
 for name in ("NoAsserts", "NoBoundsQuery", "CUDA", "CUDACapability80"):
     target = target.with_feature(getattr(hl.TargetFeature, name))
 content = compile_object(lambda path: hl.compile_standalone_runtime(path, target))
-assert runtime._find_function(runtime._load_object(content, side_by_side=False), "halide_cuda_device_interface")
+assert runtime._look_up_function(runtime._load_object(content, side_by_side=False), "halide_cuda_device_interface")
 """
 
 

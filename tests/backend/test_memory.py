@@ -7,7 +7,7 @@ import gc
 import numpy as np
 import pytest
 
-from lobewise.backend.buffers import MIN_SPREAD_BYTES, PAGE_BYTES, MemoryPool, make_array, make_planes
+from lobewise.backend.buffers import MIN_SPREAD_BYTES, PAGE_BYTES, MemoryPool, make_array, make_plane_stack
 
 SHAPE = (256, 512)
 
@@ -17,7 +17,7 @@ def get_place(array: np.ndarray) -> int:
 
 
 def test_planes_of_whole_pages_begin_at_different_places_of_a_page() -> None:
-    planes = make_planes((12, *SHAPE))
+    planes = make_plane_stack((12, *SHAPE))
     assert planes.shape == (12, *SHAPE)
     assert planes[0].nbytes % PAGE_BYTES == 0
     assert len({get_place(plane) for plane in planes}) == 12
@@ -47,11 +47,11 @@ def test_every_size_and_type(shape: tuple[int, ...], type: str) -> None:
 def test_memory_of_arrays_that_are_gone_is_used_again() -> None:
     pool = MemoryPool()
     with pool.use():
-        address = make_planes((3, *SHAPE)).ctypes.data // PAGE_BYTES
+        address = make_plane_stack((3, *SHAPE)).ctypes.data // PAGE_BYTES
         gc.collect()
-        again = make_planes((3, *SHAPE))
+        again = make_plane_stack((3, *SHAPE))
         assert again.ctypes.data // PAGE_BYTES == address
-        other = make_planes((3, *SHAPE))
+        other = make_plane_stack((3, *SHAPE))
     assert abs(other.ctypes.data - again.ctypes.data) >= again.nbytes
 
 

@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 
 from lobewise.backend import disk, sources, trust
-from lobewise.backend.disk import CacheWarning, fetch_object, find_cache_folder, write_whole
+from lobewise.backend.disk import CacheWarning, fetch_object, locate_cache_folder, write_whole
 from lobewise.backend.objects import compile_object, is_object
-from lobewise.backend.trust import find_folder_problem, find_problem
+from lobewise.backend.trust import describe_folder_problem, describe_problem
 from tests.backend.test_jit import PROGRAM, make_elf
 
 pytestmark = [
@@ -86,9 +86,9 @@ class TestModes:
 
     def test_so_is_one_below_it(self, folder: Path) -> None:
         folder.parent.chmod(0o777)
-        assert "every user" in find_folder_problem(folder)
+        assert "every user" in describe_folder_problem(folder)
         folder.parent.chmod(0o1777)
-        assert find_folder_problem(folder) == ""
+        assert describe_folder_problem(folder) == ""
 
     @pytest.mark.parametrize("mode", [0o666, 0o602])
     def test_a_file_that_others_can_write_to_is_compiled_anew(self, folder: Path, mode: int) -> None:
@@ -112,9 +112,9 @@ class TestModes:
     def test_groups(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         tmp_path.chmod(0o770)
         monkeypatch.setattr(trust, "_is_private_group", lambda group: False)
-        assert "group" in find_problem(tmp_path.stat())
+        assert "group" in describe_problem(tmp_path.stat())
         monkeypatch.setattr(trust, "_is_private_group", lambda group: True)
-        assert find_problem(tmp_path.stat()) == ""
+        assert describe_problem(tmp_path.stat()) == ""
 
     def test_links_are_not_followed(self, folder: Path, tmp_path: Path) -> None:
         (path,) = folder.iterdir()
@@ -205,7 +205,7 @@ class TestHomes:
         else:
             monkeypatch.setenv("HOME", home)
         own = Path(pwd.getpwuid(os.getuid()).pw_dir)
-        found = find_cache_folder()
+        found = locate_cache_folder()
         assert found is not None
         assert own in found.parents
 
@@ -213,7 +213,7 @@ class TestHomes:
             raise KeyError(number)
 
         monkeypatch.setattr(pwd, "getpwuid", know_nobody)
-        assert find_cache_folder() is None
+        assert locate_cache_folder() is None
         assert fetch_object("something", make)[0] == make_elf()
 
     @pytest.mark.parametrize("name", ["file/folder", "file", "x" * 300])
@@ -232,10 +232,10 @@ class TestHomes:
         monkeypatch.chdir(tmp_path)
         monkeypatch.setenv("LOBEWISE_CACHE", "here")
         assert write_whole(tmp_path / "here" / "a", b"") == ""
-        assert find_cache_folder() == tmp_path / "here"
+        assert locate_cache_folder() == tmp_path / "here"
         monkeypatch.delenv("LOBEWISE_CACHE")
         monkeypatch.setenv("XDG_CACHE_HOME", "here")
-        found = find_cache_folder()
+        found = locate_cache_folder()
         assert found is None or found.is_absolute()
 
 

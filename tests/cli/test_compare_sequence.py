@@ -25,7 +25,7 @@ NUMBERS = (1, 2, 3, 4)
 CAMERA = Camera((0.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0), 0.6)
 
 
-def find_card(number):
+def mark_card(number):
     """Return the pixels that show a card in front of a wall: it moves right by STEP pixels per frame."""
     card = np.zeros((HEIGHT, WIDTH), dtype=bool)
     card[3:8, STEP * number : STEP * number + 6] = True
@@ -34,7 +34,7 @@ def find_card(number):
 
 def make_guides(number, steps=1):
     """Return the guides of a frame; the card moved ``steps`` times STEP pixels since the frame before."""
-    card = find_card(number)
+    card = mark_card(number)
     motion = np.zeros((HEIGHT, WIDTH, 2))
     motion[card, 0] = -steps * STEP
     return GBuffer(depth=np.where(card, 2.0, 5.0), motion=motion)
@@ -47,7 +47,7 @@ def films(rng, tmp_path, monkeypatch):
     monkeypatch.setenv("COLUMNS", "300")
     films = {"r": [], "a": [], "b": []}
     for number in NUMBERS:
-        reference = np.where(find_card(number)[..., None], 0.8, 0.2) * rng.uniform(0.9, 1.1, (HEIGHT, WIDTH, 3))
+        reference = np.where(mark_card(number)[..., None], 0.8, 0.2) * rng.uniform(0.9, 1.1, (HEIGHT, WIDTH, 3))
         attempts = (reference + rng.normal(0.0, 0.1, reference.shape), reference * 1.1)
         for name, image in zip("rab", (reference, *attempts), strict=True):
             films[name].append(image.astype(np.float32))
@@ -87,7 +87,7 @@ def test_figures_agree_with_the_library(films, capsys):
         assert [frame["flicker"] for frame in row["frames"]] == [None, *(pytest.approx(step) for step in steps)]
         assert row["flicker"] == pytest.approx(flicker(films[name], films["r"]))
         # The pixels that the card has uncovered since the frame before.
-        bare = [find_card(number - 1) & ~find_card(number) for number in NUMBERS[1:]]
+        bare = [mark_card(number - 1) & ~mark_card(number) for number in NUMBERS[1:]]
         assert all(mask.sum() == 5 * STEP for mask in bare)
         ghosts = [rel_mse(a, r, mask) for a, r, mask in zip(films[name][1:], films["r"][1:], bare, strict=True)]
         assert [frame["ghosting"] for frame in row["frames"]] == [None, *(pytest.approx(one) for one in ghosts)]
@@ -103,7 +103,7 @@ def test_ghosting_counts_pixels_not_frames(films):
         write_frame(f"g.{number:04d}.exr", frame)
     row = compare("a.####.exr", "-r", "r.####.exr", "--guides", "g.####.exr")["images"][0]
     each = [frame["ghosting"] for frame in row["frames"]]
-    masks = [find_card(1) & ~find_card(2), None, find_card(2) & ~find_card(4)]
+    masks = [mark_card(1) & ~mark_card(2), None, mark_card(2) & ~mark_card(4)]
     assert masks[2].sum() == 2 * masks[0].sum()
     assert each[3] == pytest.approx(rel_mse(films["a"][3], films["r"][3], masks[2]), rel=1e-6)
     assert each[2] is None

@@ -20,4 +20,4 @@ def unshared(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def trusted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave results as the filters made them: no detail is taken back."""
-    monkeypatch.setattr(chain, "find_share_lost", lambda samples, *_, **__: np.zeros(samples.shape[:2], np.float32))
+    monkeypatch.setattr(chain, "estimate_share_lost", lambda samples, *_, **__: np.zeros(samples.shape[:2], np.float32))

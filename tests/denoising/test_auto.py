@@ -72,7 +72,7 @@ def test_a_mixture_with_a_huge_image_is_not_negative(
     monkeypatch.setattr(combining, "denoise_oidn", lambda frame, **_: (huge, 0.1))
     shares = np.full((*full_frame.shape, 3), 1.0 / 3.0, np.float32)
     shares[..., 0] += np.float32(1.0 / 3.0)
-    monkeypatch.setattr(combining, "find_mixture", lambda *images, **told: shares)
+    monkeypatch.setattr(combining, "compute_mixture", lambda *images, **told: shares)
     assert denoise(full_frame, **CHEAP).image.min() >= 0.0
 
 
@@ -88,8 +88,8 @@ def test_without_halves_the_network_is_trusted_less(
     frame = frame if halves else frame.with_changes(half_a=None, half_b=None)
     ours, peer, noisy = (np.full((*frame.shape, 3), value, np.float32) for value in (1.0, 3.0, 3.0))
     shares = np.broadcast_to(np.float32([0.4, 0.2, 0.4]), (*frame.shape, 3))
-    monkeypatch.setattr(combining, "find_mixture", lambda *images, **told: shares)
-    monkeypatch.setattr(combining, "find_share_proved", lambda *images, **told: np.zeros(frame.shape, np.float32))
+    monkeypatch.setattr(combining, "compute_mixture", lambda *images, **told: shares)
+    monkeypatch.setattr(combining, "estimate_share_proved", lambda *images, **told: np.zeros(frame.shape, np.float32))
     mixed = combining.choose_between(frame, noisy, ours, peer, noisy).image
     np.testing.assert_allclose(mixed, 3.0 - 2.0 * share, rtol=1e-6)
 

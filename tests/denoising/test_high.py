@@ -15,9 +15,9 @@ from lobewise.denoising import chain, combining, denoise, evidence
 from lobewise.denoising.automatic import choose_quality, resolve_guided
 from lobewise.denoising.combining import choose_between, denoise_with_peer, share_out
 from lobewise.denoising.evidence import load_networks, pack_network, unpack_network
-from lobewise.denoising.plan import find_reach
+from lobewise.denoising.plan import compute_steps_reach
 from lobewise.errors import InputError, LobewiseError, MissingDependencyError
-from lobewise.filters.mixing import Network
+from lobewise.filters.mixing import Perceptron
 from lobewise.filters.noise import agreement, detail
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.interchange import write_result
@@ -25,7 +25,7 @@ from lobewise.io import read_frame, write_frame
 from lobewise.io.exr.parsing import read_container
 from lobewise.peers import has_oidn
 from lobewise.radiance import RadianceLayer
-from lobewise.settings import QUALITIES, DenoiseSettings
+from lobewise.settings import QUALITY_NAMES, DenoiseSettings
 from lobewise.sparse_frame import make_sparse
 from lobewise.temporal import TemporalFilter
 from lobewise.upsampling import upsample
@@ -44,17 +44,17 @@ ROUNDING = 1e-6
 pytestmark = pytest.mark.nightly
 
 
-def make_network(inputs: int, outputs: int, seed: int) -> Network:
+def make_network(inputs: int, outputs: int, seed: int) -> Perceptron:
     """Return a small network of random numbers for features, logarithms about -5."""
     rng = np.random.default_rng(seed)
     pairs = list(pairwise((inputs, 4, 4, outputs)))
     weights = tuple((rng.normal(size=pair) / np.sqrt(pair[0])).astype(np.float32) for pair in pairs)
     biases = tuple(rng.normal(size=after).astype(np.float32) for _, after in pairs)
     mean, scale = np.full(inputs, -5.0, np.float32), np.full(inputs, 0.3, np.float32)
-    return Network(mean, scale, weights, biases)  # type: ignore[arg-type]
+    return Perceptron(mean, scale, weights, biases)  # type: ignore[arg-type]
 
 
-def force(network: Network, chosen: int) -> Network:
+def force(network: Perceptron, chosen: int) -> Perceptron:
     """Return a network that gives one candidate everything."""
     scores = np.full(network.biases[-1].size, -1e3, np.float32)
     scores[chosen] = 1e3
@@ -62,12 +62,12 @@ def force(network: Network, chosen: int) -> Network:
     return network._replace(weights=weights, biases=(*network.biases[:-1], scores))
 
 
-def make_networks() -> dict[str, Network]:
+def make_networks() -> dict[str, Perceptron]:
     """Return one of each kind."""
-    return {"peer": make_network(agreement.COUNT + detail.COUNT, 3, 5)}
+    return {"peer": make_network(agreement.AGREEMENT_FEATURES + detail.DETAIL_FEATURES, 3, 5)}
 
 
-def take_networks(monkeypatch: pytest.MonkeyPatch) -> dict[str, Network]:
+def take_networks(monkeypatch: pytest.MonkeyPatch) -> dict[str, Perceptron]:
     """Return the networks that are used from now on, to be changed in place."""
     networks = make_networks()
     monkeypatch.setattr(combining, "load_networks", lambda: networks)
@@ -75,7 +75,7 @@ def take_networks(monkeypatch: pytest.MonkeyPatch) -> dict[str, Network]:
 
 
 @pytest.fixture
-def networks(monkeypatch: pytest.MonkeyPatch) -> dict[str, Network]:
+def networks(monkeypatch: pytest.MonkeyPatch) -> dict[str, Perceptron]:
     """Return networks of random numbers in place of those that mix in the image of Open Image Denoise."""
     return take_networks(monkeypatch)
 
@@ -194,7 +194,7 @@ class TestContract:
     @pytest.mark.parametrize("channel", ["alpha_u", "normal", "specular_albedo"])
     @pytest.mark.usefixtures("unshared")
     def test_garbage_guides_spoil_only_their_own_surroundings(self, channel, bad):
-        reach = find_reach(resolve(make_frame()))
+        reach = compute_steps_reach(resolve(make_frame()))
         shape = (reach + 8, 11)
         guide = np.array(getattr(make_frame(shape).gbuffer, channel))
         guide[4, 7] = bad
@@ -209,7 +209,7 @@ class TestContract:
         assert result.image.shape == (*shape, 3)
         assert np.isfinite(result.image).all()
 
-    @pytest.mark.parametrize("quality", ["auto", *QUALITIES])
+    @pytest.mark.parametrize("quality", ["auto", *QUALITY_NAMES])
     def test_radius_zero(self, quality):
         # No pass has a tap but the pixel's own: reflections stay as they are.
         frame, _ = make_shadowed()
@@ -508,7 +508,11 @@ class TestWeights:
     def test_the_shipped_networks_fit(self):
         found = load_networks()
         assert sorted(found) == ["noisy", "peer", "refined"]
-        shares = {"noisy": (detail.COUNT, 2), "refined": (detail.COUNT, 2), "peer": (agreement.COUNT + detail.COUNT, 3)}
+        shares = {
+            "noisy": (detail.DETAIL_FEATURES, 2),
+            "refined": (detail.DETAIL_FEATURES, 2),
+            "peer": (agreement.AGREEMENT_FEATURES + detail.DETAIL_FEATURES, 3),
+        }
         for kind, network in found.items():
             inputs, candidates = shares[kind]
             assert network.mean.shape == network.scale.shape == (inputs,)
@@ -528,8 +532,8 @@ class TestWeights:
 def test_each_quality_takes_back_by_its_own_network(quality: str, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
 
-    class Recorded(dict[str, Network]):
-        def __getitem__(self, key: str) -> Network:
+    class Recorded(dict[str, Perceptron]):
+        def __getitem__(self, key: str) -> Perceptron:
             asked.append(key)
             return super().__getitem__(key)
 

@@ -16,11 +16,11 @@ from lobewise.denoising.light_loss import (
     MIN_STANDARD_ERRORS,
     Gain,
     brighten,
+    compute_gain,
+    compute_loss,
+    compute_share_missing,
+    compute_takers,
     describe_loss,
-    find_gain,
-    find_loss,
-    find_share_missing,
-    find_takers,
     sum_light,
     sum_missing,
 )
@@ -101,11 +101,11 @@ def test_so_much_is_shared_out_as_the_noise_leaves_sure(fireflies: int, lost: fl
     whole, missing = 3000.0, lost * fireflies
     rows = np.array([[whole + missing, missing, fireflies * lost**2, whole, whole]])
     shared = max(missing * (1.0 - fireflies**-2.0), min(missing, 0.01 * whole))
-    assert find_gain(rows).sum_light(rows) == pytest.approx(shared)
-    assert find_share_missing([find_loss(rows)]) == pytest.approx((missing - shared) / (whole + missing))
+    assert compute_gain(rows).sum_light(rows) == pytest.approx(shared)
+    assert compute_share_missing([compute_loss(rows)]) == pytest.approx((missing - shared) / (whole + missing))
     # In two parts the same.
     halves = np.repeat(0.5 * rows, 2, axis=0)
-    assert find_gain(halves) == find_gain(rows)
+    assert compute_gain(halves) == compute_gain(rows)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 10])
@@ -135,29 +135,29 @@ def test_what_is_no_part_of_a_layer_stays_as_it_is(rng: np.random.Generator) -> 
 
 def test_light_that_was_added_is_taken_away() -> None:
     rows = np.array([[1000.0, -100.0, 10.0, 700.0, 1100.0]])
-    assert find_gain(rows) == (0.0, pytest.approx(-100.0 / 1100.0, rel=1e-5))
-    assert find_share_missing([find_loss(rows)]) == 0.0
+    assert compute_gain(rows) == (0.0, pytest.approx(-100.0 / 1100.0, rel=1e-5))
+    assert compute_share_missing([compute_loss(rows)]) == 0.0
 
 
 def test_nothing_is_shared_out_over_nothing() -> None:
     for sums in ([0.0] * 5, [10.0, 10.0, 5.0, 0.0, 0.0], [np.inf, np.inf, np.inf, 1.0, 1.0]):
-        assert not any(find_gain(np.array([sums])))
+        assert not any(compute_gain(np.array([sums])))
 
 
 def test_what_takes_more_than_its_part_takes_the_rest_in_proportion() -> None:
     """Where little light takes part: it doubles, and all light takes what is left."""
     rows = np.array([[1000.0, 400.0, 100.0, 50.0, 600.0]])
-    gain = find_gain(rows)
+    gain = compute_gain(rows)
     assert gain.takers == 1.0
     assert gain.all == pytest.approx(350.0 / 600.0, rel=1e-3)
 
 
 def test_all_light_of_a_refined_layer_takes_part_up_to_a_twentieth() -> None:
     little, much = (np.array([[1000.0, missing, missing**2 / 100.0, 400.0, 800.0]]) for missing in (30.0, 100.0))
-    assert find_gain(little, refined=True) == (0.0, pytest.approx(30.0 / 800.0, rel=1e-3))
-    gain = find_gain(much, refined=True)
+    assert compute_gain(little, refined=True) == (0.0, pytest.approx(30.0 / 800.0, rel=1e-3))
+    gain = compute_gain(much, refined=True)
     assert gain == (pytest.approx(60.0 / 400.0, rel=1e-3), pytest.approx(0.05))
-    assert gain.sum_light(much) == pytest.approx(find_gain(much).sum_light(much))
+    assert gain.sum_light(much) == pytest.approx(compute_gain(much).sum_light(much))
 
 
 def test_pixels_that_do_not_count_tell_no_loss() -> None:
@@ -177,8 +177,8 @@ def test_a_pixel_takes_by_its_light_up_to_half_the_mean() -> None:
     part = np.repeat(light[None, :, None], 3, axis=-1)
     albedo = np.full_like(part, 0.5)
     layer = Layer(part, None, np.ones(part.shape[:2], bool), ())
-    np.testing.assert_allclose(find_takers(layer, part, 1.0)[0], [0.0, 1.0, 1.0, 0.5, 0.0625, 0.0])
-    half = find_takers(replace(layer, albedo=albedo), part, 1.0)
+    np.testing.assert_allclose(compute_takers(layer, part, 1.0)[0], [0.0, 1.0, 1.0, 0.5, 0.0625, 0.0])
+    half = compute_takers(replace(layer, albedo=albedo), part, 1.0)
     np.testing.assert_allclose(half[0], [0.0, 1.0, 0.5, 0.25, 0.03125, 0.0])
     bright = brighten(part, part, half, Gain(0.2, 0.0))
     np.testing.assert_allclose(bright[0, :5, 1], [0.0, 0.12, 0.55, 1.05, 8.05], rtol=1e-6)

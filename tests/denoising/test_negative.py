@@ -12,7 +12,7 @@ import pytest
 from lobewise import TemporalFilter, WindowFilter, make_sparse, read_frame, upsample, write_result
 from lobewise.denoising import denoise
 from lobewise.frame import FloatArray, Frame, Radiance
-from lobewise.guides.negative import find_damaged, split_negative
+from lobewise.guides.negative import mark_damaged, split_negative
 from lobewise.peers import has_oidn
 from lobewise.radiance import RadianceLayer
 from tests.denoising.test_denoising import make_frame
@@ -110,7 +110,7 @@ def test_a_frame_without_light_below_0_stays_itself() -> None:
 def test_one_or_two_pixels_far_below_all_around_are_damage() -> None:
     image = np.full((*SHAPE, 3), 0.5, np.float32)
     image[5, 5], image[20, 20], image[20, 21] = -30.0, -1e20, -1e30
-    np.testing.assert_array_equal(np.argwhere(find_damaged(image)), [[5, 5], [20, 20], [20, 21]])
+    np.testing.assert_array_equal(np.argwhere(mark_damaged(image)), [[5, 5], [20, 20], [20, 21]])
     result = denoise(make_frame(SHAPE, apart=False).with_changes(radiance=Radiance(image)), quality="balanced")
     assert result.bad_pixel_count == 3
     np.testing.assert_allclose(result.image, 0.5, rtol=1e-3)
@@ -120,13 +120,13 @@ def test_the_ringing_around_a_lamp_is_no_damage() -> None:
     image = np.full((*SHAPE, 3), 0.05, np.float32)
     image[13:18, 13:18] = -2.0
     image[14:17, 14:17] = 30.0
-    assert not find_damaged(image).any()
+    assert not mark_damaged(image).any()
 
 
 def test_a_saturated_firefly_is_no_damage() -> None:
     image = np.full((*SHAPE, 3), 0.05, np.float32)
     image[9, 9] = [-5.0, -1.0, 60.0]
-    assert not find_damaged(image).any()
+    assert not mark_damaged(image).any()
 
 
 def test_many_bad_pixels_raise_a_question() -> None:

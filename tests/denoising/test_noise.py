@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lobewise.frame import FloatArray, Frame, Radiance
-from lobewise.guides.halves import find_halves
+from lobewise.guides.halves import choose_halves
 
 PARTS = "color", "diffuse", "specular"
 
@@ -32,7 +32,7 @@ BAD = ([0, 2, 4], [0, 5, 3])
 def test_halves_of_the_samples(full_frame: Frame) -> None:
     assert full_frame.half_a is not None
     frame = full_frame.with_changes(half_a=put_bad(full_frame.half_a, "specular"))
-    halves = find_halves(frame, list_lights(frame))
+    halves = choose_halves(frame, list_lights(frame))
     assert halves.origin == "file"
     for name in PARTS:
         np.testing.assert_array_equal(halves.images[name][1], getattr(full_frame.half_b, name))
@@ -51,7 +51,7 @@ def test_colours_of_a_checkerboard(full_frame: Frame, missing: str) -> None:
         frame = frame.with_changes(half_b=Radiance(frame.half_b.color))
     else:
         frame = frame.with_changes(**{missing: None})
-    halves = find_halves(frame, list_lights(frame))
+    halves = choose_halves(frame, list_lights(frame))
     assert halves.origin == "neighbours"
     for name in PARTS:
         image = np.array(getattr(full_frame.radiance, name))
@@ -68,4 +68,4 @@ def test_missing_parts_stay_missing(make_frame: Callable[..., Frame]) -> None:
     frame = make_frame(height=1, width=3)
     color = Frame(radiance=Radiance(frame.radiance.color), half_a=frame.half_a, half_b=frame.half_b)
     for given, origin in ((color, "file"), (Frame(radiance=Radiance(frame.radiance.color)), "neighbours")):
-        assert find_halves(given, {"color": frame.radiance.color}).origin == origin
+        assert choose_halves(given, {"color": frame.radiance.color}).origin == origin

@@ -10,15 +10,21 @@ from lobewise.denoising.also import bound_parts, filter_plain_layer
 from lobewise.denoising.automatic import ask, resolve_all
 from lobewise.denoising.layers import make_layers
 from lobewise.denoising.noisy import (
-    find_layer_level,
+    compute_layer_level,
     join_halves,
     make_bounded_layers,
     make_noisy_layers,
     measure_layer,
 )
 from lobewise.denoising.passes import filter_layer_halves
-from lobewise.denoising.plan import count_bytes, estimate_seconds_per_megapixel, find_reach, foretell, list_frame_steps
-from lobewise.filters.noise_guides import find_level
+from lobewise.denoising.plan import (
+    compute_steps_reach,
+    count_bytes,
+    estimate_seconds_per_megapixel,
+    foretell,
+    list_frame_steps,
+)
+from lobewise.filters.noise_guides import compute_mean_light
 from lobewise.frame import Frame
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import QUALITIES as LIBRARY
@@ -32,8 +38,8 @@ def resolve(frame: Frame, **changes: object) -> ResolvedSettings:
 
 def test_the_level_of_a_layer_is_that_of_its_rows() -> None:
     for layer in make_bounded_layers(make_frame(), resolve(make_frame())):
-        level = find_layer_level(layer)
-        assert level == find_level(measure_layer(layer)) > 0.0
+        level = compute_layer_level(layer)
+        assert level == compute_mean_light(measure_layer(layer)) > 0.0
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 7])
@@ -98,7 +104,7 @@ def test_time_and_memory_follow_the_plan() -> None:
 
     assert estimate() == pytest.approx(LIBRARY["high"].seconds_per_megapixel)
     assert estimate(radius=16) > 2.0 * estimate()
-    assert find_reach(resolve(frame, radius=16)) > find_reach(resolve(frame))
+    assert compute_steps_reach(resolve(frame, radius=16)) > compute_steps_reach(resolve(frame))
     assert count_bytes(frame) >= sum(getattr(frame.gbuffer, name).nbytes for name in frame.gbuffer.names)
 
 

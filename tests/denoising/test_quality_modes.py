@@ -18,7 +18,7 @@ from lobewise.filters.compositing import composite_light
 from lobewise.frame import Frame, GBuffer, Radiance, RadianceLayer
 from lobewise.guides.lobe_fields import default_tau
 from lobewise.metrics import rel_mse
-from lobewise.settings import QUALITIES, DenoiseSettings
+from lobewise.settings import QUALITY_NAMES, DenoiseSettings
 from lobewise.sparse_frame import make_sparse
 from lobewise.temporal import TemporalFilter
 from lobewise.upsampling import upsample
@@ -399,7 +399,7 @@ class TestSettings:
         assert (settings["quality"], settings["beta"], settings["diffuse_beta"]) == ("balanced", 1.0, 2.0)
         assert settings["tau"] == max(0.01, default_tau(CAMERA, SHAPE[0]))
         assert settings["screen_sigma"] == 30.0
-        assert settings["quality"] in QUALITIES
+        assert settings["quality"] in QUALITY_NAMES
 
     def test_own_parameters_are_respected(self):
         own: dict[str, Any] = {"screen_sigma": 4.0, "beta": 8.0, "diffuse_beta": 3.0, "tau": 0.3}

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lobewise.camera import Camera
 from lobewise.errors import InputError, MissingChannelError
 from lobewise.frame import GBuffer, Radiance
-from lobewise.guides.rays import find_ray_weights
+from lobewise.guides.rays import compute_ray_weights
 from lobewise.sparse_frame import Rays, SparseFrame, list_places
 from lobewise.temporal import TemporalFilter
 from lobewise.upsampling import upsample
@@ -40,7 +40,7 @@ def make_guides() -> GBuffer:
     )
 
 
-def find_view() -> Array:
+def compute_view() -> Array:
     """Return unit vectors towards the camera."""
     half = np.tan(0.3)
     y, x = (np.indices((SIZE, SIZE)) + 0.5) / SIZE * 2.0 - 1.0
@@ -63,35 +63,35 @@ def sample_rays(normal: Array, view: Array, rng: np.random.Generator) -> tuple[A
     return direction, np.where((direction * normal).sum(axis=-1) > 0.0, weight, 0.0)
 
 
-def find_light(direction: Array) -> Array:
+def compute_light(direction: Array) -> Array:
     """Return the radiance of surroundings with soft stripes."""
     return np.asarray(1.0 + 0.9 * np.sin(10.0 * direction[..., :1])) * np.ones(3)
 
 
 def make_frames(count: int, *, constant: bool = False) -> list[SparseFrame]:
     """Return frames of one ray per shaded pixel; a third of the rays is lost to another lobe."""
-    guides, view, frames = make_guides(), find_view(), []
+    guides, view, frames = make_guides(), compute_view(), []
     rng = np.random.default_rng(1)
     for place in list_places(SCALE)[:count]:
         shaded = slice(place[0], None, SCALE), slice(place[1], None, SCALE)
         assert guides.normal is not None
         direction, weight = sample_rays(guides.normal[shaded], view[shaded], rng)
         weight *= 1.5 * (rng.random(weight.shape) < 2.0 / 3.0)
-        arriving = np.full((*weight.shape, 3), 0.7) if constant else find_light(direction)
+        arriving = np.full((*weight.shape, 3), 0.7) if constant else compute_light(direction)
         light = arriving * weight[..., None]
         radiance = Radiance(light, diffuse=np.zeros_like(light), specular=light)
         frames.append(SparseFrame(radiance, guides, SCALE, place, CAMERA, spp=1, rays=Rays(weight, direction)))
     return frames
 
 
-def find_truth() -> Array:
+def compute_truth() -> Array:
     """Return the light of the mirror by many rays at every pixel."""
-    guides, view, rng = make_guides(), find_view(), np.random.default_rng(2)
+    guides, view, rng = make_guides(), compute_view(), np.random.default_rng(2)
     assert guides.normal is not None
     total, weights = np.zeros((SIZE, SIZE, 3)), np.zeros((SIZE, SIZE, 1))
     for _ in range(256):
         direction, weight = sample_rays(np.asarray(guides.normal, np.float64), view, rng)
-        total += weight[..., None] * find_light(direction)
+        total += weight[..., None] * compute_light(direction)
         weights += weight[..., None]
     return total / weights
 
@@ -126,7 +126,7 @@ def test_constant_light_comes_out_exactly(count: int, directed: bool) -> None:
 @pytest.mark.sampled("1")
 @pytest.mark.parametrize("count", [1, 8])
 def test_mirror_gets_sharper(count: int) -> None:
-    truth, frames, run = find_truth(), make_frames(count), FILTERS[count]
+    truth, frames, run = compute_truth(), make_frames(count), FILTERS[count]
     kinds = frames, drop_directions(frames), forget(frames)
     directed, weighed, without = (np.mean((run(given).specular - truth) ** 2) for given in kinds)
     assert weighed < 0.95 * without
@@ -177,11 +177,11 @@ def test_weights_count_where_a_surface_has_a_diffuse_lobe() -> None:
     albedo = np.full((SIZE, SIZE, 3), 0.5)
     albedo[: SIZE // 2] = 0.0
     half = replace(frame, gbuffer=replace(frame.gbuffer, diffuse_albedo=albedo))
-    weights = find_ray_weights(half)
+    weights = compute_ray_weights(half)
     assert weights is not None
     rows = SIZE // SCALE // 2
     assert np.array_equal(weights[:rows], np.ones_like(weights[:rows]))
     assert np.array_equal(weights[rows:], frame.rays.weight[rows:])
-    untold = find_ray_weights(replace(frame, gbuffer=replace(frame.gbuffer, diffuse_albedo=None)))
+    untold = compute_ray_weights(replace(frame, gbuffer=replace(frame.gbuffer, diffuse_albedo=None)))
     assert untold is not None
     assert np.array_equal(untold, frame.rays.weight)

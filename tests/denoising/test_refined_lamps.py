@@ -12,10 +12,10 @@ from lobewise.denoising.layers import Layer
 from lobewise.denoising.refining.inputs import collect_inputs
 from lobewise.denoising.refining.lamps import (
     NEAR_PIXELS,
-    find_edges,
-    find_refined,
-    find_shining,
-    find_small,
+    mark_lamp_edges,
+    mark_refined,
+    mark_shining,
+    mark_small_lamps,
     widen_mask,
 )
 from lobewise.denoising.refining.network import refine_light
@@ -36,29 +36,29 @@ def make_mask(*places: tuple[slice | int, slice | int]) -> np.ndarray:
 def test_a_pixel_shines_where_most_light_is_scattered_by_no_surface() -> None:
     part, rest = np.full((2, 3, 3), 0.5, np.float32), np.zeros((2, 3, 3), np.float32)
     rest[0, 1], rest[1, 2], part[1, 2] = 2.0, 0.4, np.nan
-    assert find_shining(rest, [part, part]).tolist() == [[False, True, False], [False, False, True]]
+    assert mark_shining(rest, [part, part]).tolist() == [[False, True, False], [False, False, True]]
 
 
 def test_a_lamp_of_few_pixels_is_small() -> None:
-    small = find_small(make_mask((5, 5), (slice(20, 22), slice(20, 22))))
+    small = mark_small_lamps(make_mask((5, 5), (slice(20, 22), slice(20, 22))))
     assert np.argwhere(small).tolist() == [[5, 5], [20, 20], [20, 21], [21, 20], [21, 21]]
 
 
 def test_single_pixels_near_a_large_lamp_belong_to_it() -> None:
     lamp = (slice(10, 13), slice(10, 13))
-    small = find_small(make_mask(lamp, (11, 12 + NEAR_PIXELS), (11, 14 + NEAR_PIXELS)))
+    small = mark_small_lamps(make_mask(lamp, (11, 12 + NEAR_PIXELS), (11, 14 + NEAR_PIXELS)))
     assert np.argwhere(small).tolist() == [[11, 14 + NEAR_PIXELS]]
 
 
 def test_a_lamp_at_the_border_of_the_image_is_as_large_as_it_goes_on() -> None:
-    assert not find_small(make_mask((slice(0, 2), slice(0, 2)))).any()
+    assert not mark_small_lamps(make_mask((slice(0, 2), slice(0, 2)))).any()
 
 
 def test_two_pixels_on_both_sides_of_an_edge_are_refined() -> None:
     lamp = make_mask((slice(10, 30), slice(10, 30)))
-    inside = ~find_refined([~lamp])
+    inside = ~mark_refined([~lamp])
     assert np.array_equal(inside, make_mask((slice(12, 28), slice(12, 28))))
-    assert np.array_equal(find_edges(lamp), make_mask((slice(8, 32), slice(8, 32))))
+    assert np.array_equal(mark_lamp_edges(lamp), make_mask((slice(8, 32), slice(8, 32))))
 
 
 @pytest.mark.parametrize("pixels", [0, 1, 2, 9])
@@ -107,7 +107,7 @@ def test_edges_of_lamps_tell_no_loss_of_light(make_frame: Callable[..., Frame]) 
     whole = WholeImage(levels=(1.0, 1.0), brightness=1.0, mean_log_depth=0.0, tau=0.01)
     found = refine_light(frame, layers, frame.radiance.parts, frame.radiance.parts, rest, whole)
     assert found.edges is not None
-    np.testing.assert_array_equal(found.edges, find_edges(rest[..., 0] > 0.0))
+    np.testing.assert_array_equal(found.edges, mark_lamp_edges(rest[..., 0] > 0.0))
     assert refine_light(frame, layers, frame.radiance.parts, frame.radiance.parts, None, whole).edges is None
 
 

@@ -14,9 +14,9 @@ from lobewise.denoising.refining.unguided import (
     LEFT_OUT,
     MAX_SHARE,
     MIN_SHARE,
+    compute_share_filtered,
+    compute_unguided_share,
     count_isolated,
-    find_share_filtered,
-    find_unguided_share,
     judge_guides,
     sees_fog,
 )
@@ -55,10 +55,10 @@ def make_noisy(rng: np.random.Generator, spread: float) -> tuple[Frame, FloatArr
 
 def test_noise_of_normals_gives_the_largest_share_and_a_sphere_none(rng: np.random.Generator) -> None:
     color = make_noise(rng)
-    assert find_unguided_share(color, GBuffer(normal=make_normals(rng, 0.0))).max() < MIN_SHARE
+    assert compute_unguided_share(color, GBuffer(normal=make_normals(rng, 0.0))).max() < MIN_SHARE
     noisy = GBuffer(normal=make_normals(rng, 0.2))
-    np.testing.assert_array_equal(find_unguided_share(color, noisy), np.full(SHAPE, MAX_SHARE, np.float32))
-    assert find_unguided_share(color, GBuffer()).max() == 0.0
+    np.testing.assert_array_equal(compute_unguided_share(color, noisy), np.full(SHAPE, MAX_SHARE, np.float32))
+    assert compute_unguided_share(color, GBuffer()).max() == 0.0
 
 
 def test_few_odd_pixels_have_a_share_in_proportion(rng: np.random.Generator) -> None:
@@ -82,7 +82,7 @@ def test_light_without_a_surface_is_replaced_where_it_is_noise(
         "stars": (rng.random((32, SHAPE[1], 1)) < 0.02) * 10.0,
         "black": 0.0 * color[:32],
     }[kind]
-    share = find_unguided_share(color, GBuffer(normal=normal))
+    share = compute_unguided_share(color, GBuffer(normal=normal))
     assert share[:32].mean() == pytest.approx(expected, abs=0.05)
     # Fog lies before surfaces, too.
     assert share[40:].min() == share[40:].max()
@@ -93,9 +93,9 @@ def test_light_of_no_surface_counts_as_filtered_only_out_of_focus() -> None:
     rest = np.array([0.0, 1.0, 4.0, 4.0, 4.0], np.float32)[None, :, None] * np.ones(3, np.float32)
     image = np.array([4.0, 4.0, 4.0, 4.0, 4.0], np.float32)[None, :, None] * np.ones(3, np.float32)
     in_focus = [1.0, 0.75, 0.0, 0.0, 0.0]
-    np.testing.assert_allclose(find_share_filtered(rest, image, None)[0], in_focus, atol=1e-6)
+    np.testing.assert_allclose(compute_share_filtered(rest, image, None)[0], in_focus, atol=1e-6)
     blur = np.array([[0.0, 0.0, 0.0, 3.0, np.nan]], np.float32)
-    np.testing.assert_allclose(find_share_filtered(rest, image, blur)[0], [1.0, 0.75, 0.0, 1.0, 1.0], atol=1e-6)
+    np.testing.assert_allclose(compute_share_filtered(rest, image, blur)[0], [1.0, 0.75, 0.0, 1.0, 1.0], atol=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["noise", "sky"])
@@ -113,11 +113,11 @@ def test_bad_pixels_and_normals_are_isolated_from_nothing(rng: np.random.Generat
     color[:8] = 1.0
     for value in (np.nan, np.inf):
         color[4, ::2], normal[20, ::2] = value, value
-        assert find_unguided_share(color, GBuffer(normal=normal)).max() < MIN_SHARE
+        assert compute_unguided_share(color, GBuffer(normal=normal)).max() < MIN_SHARE
 
 
 def test_an_image_that_is_too_small_has_no_share() -> None:
-    assert find_unguided_share(np.ones((4, 2, 3), np.float32), GBuffer(normal=np.ones((4, 2, 3)))).max() == 0.0
+    assert compute_unguided_share(np.ones((4, 2, 3), np.float32), GBuffer(normal=np.ones((4, 2, 3)))).max() == 0.0
 
 
 @pytest.fixture

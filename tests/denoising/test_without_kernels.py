@@ -24,9 +24,9 @@ needs_oidn = pytest.mark.skipif(not has_oidn(), reason="needs Open Image Denoise
 def no_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
     """Take the compiler, the compiled kernels and those that are loaded already away."""
     monkeypatch.setattr(prebuilt, "has_compiler", lambda: False)
-    monkeypatch.setattr(prebuilt, "find_library", lambda: None)
+    monkeypatch.setattr(prebuilt, "choose_library", lambda: None)
     monkeypatch.setattr(jit, "has_compiler", lambda: False)
-    monkeypatch.setattr(jit, "find_library", lambda: None)
+    monkeypatch.setattr(jit, "choose_library", lambda: None)
     monkeypatch.setattr(jit, "_kernels", {})
 
 

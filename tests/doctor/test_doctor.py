@@ -111,7 +111,7 @@ class TestPackages:
     )
 
     def test_requirements_are_read(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(packages, "_find_version", lambda name: "1.30")
+        monkeypatch.setattr(packages, "_look_up_version", lambda name: "1.30")
         monkeypatch.setattr(packages.sys, "platform", "linux")
         monkeypatch.setattr(packages.platform, "machine", lambda: "x86_64")
         found = list(packages.parse_requirements(list(self.LINES), (3, 12)))
@@ -181,15 +181,15 @@ class TestMachine:
         def fail() -> str:
             raise MissingDependencyError("libLLVM", expected="version 16", got="none", action="apt install libllvm19")
 
-        monkeypatch.setattr(machine, "_find_version", lambda name: "3.9.1")
-        monkeypatch.setattr(machine, "find_llvm", fail)
+        monkeypatch.setattr(machine, "_look_up_version", lambda name: "3.9.1")
+        monkeypatch.setattr(machine, "locate_llvm", fail)
         (found,) = machine.examine_mitsuba().problems
         assert found.action == "apt install libllvm19"
         assert "libLLVM" in found.what
         assert not found.fatal
 
     def test_a_machine_without_mitsuba(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(machine, "_find_version", lambda name: "not installed")
+        monkeypatch.setattr(machine, "_look_up_version", lambda name: "not installed")
         found = machine.examine_mitsuba()
         assert "pip install 'lobewise[mitsuba]'" in found.facts["mitsuba"]
         assert not found.problems
@@ -243,7 +243,7 @@ class TestFolders:
 
     def test_a_user_without_a_home(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.delenv("LOBEWISE_CACHE", raising=False)
-        monkeypatch.setattr(folders, "find_cache_folder", lambda: None)
+        monkeypatch.setattr(folders, "locate_cache_folder", lambda: None)
         (found,) = folders.examine_cache().problems
         assert "no home folder" in found.what
 

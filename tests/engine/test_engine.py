@@ -12,11 +12,11 @@ import pytest
 from lobewise import engine
 from lobewise.backend.devices import list_devices
 from lobewise.backend.pointwise import Grid, Vector
-from lobewise.engine.graph import Graph, Image
+from lobewise.engine.graph import Graph, GraphImage
 from lobewise.engine.here import HERE, Here
 from lobewise.engine.numbers import Condition, Number, choose_larger, make_single, square_single
 from lobewise.engine.recorder import Recorder
-from lobewise.filters.mixing import Network, find_shares, make_shares
+from lobewise.filters.mixing import Perceptron, compute_shares, make_shares
 from lobewise.filters.noise.pooling import blur_image
 
 
@@ -31,12 +31,12 @@ def define_same(grid: Grid) -> list[Vector]:
     return [grid.read("image")]
 
 
-def make_network(inputs: int, outputs: int) -> Network:
+def make_network(inputs: int, outputs: int) -> Perceptron:
     """Return a random network with hidden layers of four units."""
     rng, sizes = np.random.default_rng(5), (inputs, 4, 4, outputs)
     weights = [rng.normal(size=pair).astype(np.float32) for pair in pairwise(sizes)]
     biases = [rng.normal(size=size).astype(np.float32) for size in sizes[1:]]
-    return Network(np.zeros(inputs, np.float32), np.ones(inputs, np.float32), tuple(weights), tuple(biases))
+    return Perceptron(np.zeros(inputs, np.float32), np.ones(inputs, np.float32), tuple(weights), tuple(biases))
 
 
 @pytest.fixture
@@ -44,7 +44,7 @@ def recorder() -> Recorder:
     return Recorder(Graph(), hl.get_host_target(), "test")
 
 
-def give(recorder: Recorder, name: str) -> Image:
+def give(recorder: Recorder, name: str) -> GraphImage:
     return recorder.graph.give(name, "height", "width", text=name)
 
 
@@ -107,7 +107,7 @@ class TestHere:
         key, make, rows = ("shares", (5, 4, 4, 2)), partial(make_shares, (5, 4, 4, 2)), {"rows": 6, "channels": 5}
         images = {"image": seen}
         found = engine.chain(define_same, images, {}, key, make, network.name_arrays(), name="seen", **rows)
-        np.testing.assert_array_equal(found, find_shares(seen, network, 2))
+        np.testing.assert_array_equal(found, compute_shares(seen, network, 2))
 
     def test_conditions_are_judged_at_once(self) -> None:
         assert engine.when(engine.compare(2.0, ">=", 2.0), lambda: "yes", lambda: "no") == "yes"

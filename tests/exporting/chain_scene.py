@@ -23,7 +23,7 @@ def make_camera(number: int) -> Camera:
     return Camera(position=position, forward=(-0.05 - 0.004 * number, -0.3, -1.0), up=(0.0, 1.0, 0.0), fov_y=0.7)
 
 
-def find_ball(number: int) -> NDArray[np.float64]:
+def locate_ball(number: int) -> NDArray[np.float64]:
     """Return the centre of the moving sphere."""
     return np.array([0.7 - 0.06 * number, 0.6, 0.3])
 
@@ -50,7 +50,7 @@ def trace(
     return np.where(np.isfinite(best), best, 0.0), shown, normal
 
 
-def find_hits(
+def compute_hits(
     position: NDArray[Any], rays: NDArray[Any], normal: NDArray[Any], ball: NDArray[np.float64]
 ) -> NDArray[Any]:
     """Return the distance to what a mirror would show at each surface, infinite for the sky."""
@@ -70,7 +70,7 @@ def make_frame(number: int, *, bad: bool = True, noisy: bool = True, hits: bool 
 
     With ``bad`` some samples are no numbers; with ``hits`` the frame has hit distances.
     """
-    camera, ball = make_camera(number), find_ball(number)
+    camera, ball = make_camera(number), locate_ball(number)
     rays = camera.make_ray_directions(SIZE[1], SIZE[0]).astype(np.float64)
     depth, shown, normal = trace(np.broadcast_to(camera.position, (*SIZE, 3)), rays, ball)
     position = camera.position + depth[..., None] * rays
@@ -100,7 +100,7 @@ def make_frame(number: int, *, bad: bool = True, noisy: bool = True, hits: bool 
     if number:
         previous = make_camera(number - 1)
         motion = compute_motion(camera, previous, position.astype(np.float32), depth.astype(np.float32))
-        earlier = position - (ball - find_ball(number - 1))
+        earlier = position - (ball - locate_ball(number - 1))
         column, row = np.meshgrid(np.arange(SIZE[1]) + 0.5, np.arange(SIZE[0]) + 0.5)
         own = project_points(previous, earlier.astype(np.float32), SIZE[1], SIZE[0]) - np.stack([column, row], axis=-1)
         motion = np.where((shown == 3)[..., None], own, motion)
@@ -113,7 +113,7 @@ def make_frame(number: int, *, bad: bool = True, noisy: bool = True, hits: bool 
         specular_albedo=specular_albedo,
         mean_emission=emission,
         motion=motion,
-        hit_distance=np.where(there, find_hits(position, rays, normal, ball), 0.0) if hits else None,
+        hit_distance=np.where(there, compute_hits(position, rays, normal, ball), 0.0) if hits else None,
     )
     return Frame(Radiance(color, diffuse=diffuse, specular=specular), guides, camera, spp=4)
 

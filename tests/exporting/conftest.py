@@ -19,7 +19,7 @@ def lack(reason: str) -> None:
     pytest.skip(reason)
 
 
-def find_program(name: str, package: str) -> str:
+def locate_program(name: str, package: str) -> str:
     """Return where a program is, or skip or fail and name the Debian package that has it."""
     found = shutil.which(name)
     if found is None:
@@ -31,7 +31,7 @@ def find_program(name: str, package: str) -> str:
 @pytest.fixture(scope="session")
 def compiler() -> str:
     """Return the system's C compiler."""
-    return find_program("cc", "gcc")
+    return locate_program("cc", "gcc")
 
 
 @pytest.fixture(scope="session")
@@ -52,7 +52,7 @@ def graphics() -> Any:
 @pytest.fixture(scope="session")
 def glslang() -> str:
     """Return the reference compiler of GLSL and HLSL."""
-    return find_program("glslangValidator", "glslang-tools")
+    return locate_program("glslangValidator", "glslang-tools")
 
 
 @pytest.fixture(scope="session")

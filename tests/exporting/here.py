@@ -20,7 +20,7 @@ from lobewise import engine
 from lobewise.backend.jit import Kernel, get_kernel, run_kernel
 from lobewise.camera import Camera
 from lobewise.denoising.automatic import estimate_spp
-from lobewise.engine.graph import Graph, Image, write_length
+from lobewise.engine.graph import Graph, GraphImage, write_length
 from lobewise.engine.numbers import Condition, Number, round_single
 from lobewise.engine.recorder import Recorder
 from lobewise.exporting.pipeline.constants import Constants
@@ -46,7 +46,7 @@ C_NAMES = {"F": _Single(), "fmax": max, "fmin": min, "sqrt": math.sqrt, "pow": m
 
 
 @dataclass(frozen=True, eq=False)
-class Held(Image):
+class Held(GraphImage):
     """An image that has values."""
 
     array: Any = None
@@ -79,25 +79,25 @@ class HereGraph(Graph):
         array = np.full([self.sizes.get(axis, axis) for axis in shape], value, type)
         return Held(self.name(name), tuple(shape), type, array=array)
 
-    def give(self, name: str, *shape: Any, text: str, unit: str = "", type: str = "float32") -> Image:
+    def give(self, name: str, *shape: Any, text: str, unit: str = "", type: str = "float32") -> GraphImage:
         if name not in self.given:
             array = np.ascontiguousarray(self.inputs[name], type)
             self.given[name] = Held(self.name(name), shape, type, "given", text, unit, array=array)
         return self.given[name]
 
-    def make(self, name: str, *shape: Any, type: str = "float32") -> Image:
+    def make(self, name: str, *shape: Any, type: str = "float32") -> GraphImage:
         return self.hold_new(name, shape, type)
 
-    def make_flat(self, name: str, value: float, *shape: Any) -> Image:
+    def make_flat(self, name: str, value: float, *shape: Any) -> GraphImage:
         return self.flats.setdefault(name, self.hold_new(name, shape, value=value))
 
-    def take(self, name: str, *shape: Any, text: str, unit: str = "") -> Image:
+    def take(self, name: str, *shape: Any, text: str, unit: str = "") -> GraphImage:
         return self.results.setdefault(name, self.hold_new(name, shape))
 
-    def hold(self, name: str, values: np.ndarray) -> Image:
+    def hold(self, name: str, values: np.ndarray) -> GraphImage:
         return Held(self.name(name), values.shape, array=np.ascontiguousarray(values, np.float32))
 
-    def keep(self, name: str, *shape: Any, type: str = "float32") -> tuple[Image, Image]:
+    def keep(self, name: str, *shape: Any, type: str = "float32") -> tuple[GraphImage, GraphImage]:
         now, before = self.hold_new(name, shape, type), self.hold_new(f"{name}_before", shape, type)
         if name in self.past:
             before.array[...] = self.past[name]
@@ -132,7 +132,12 @@ class HereGraph(Graph):
         return int(eval(text, {"__builtins__": {}}))
 
     def run(
-        self, function: str, images: Sequence[Image], numbers: Sequence[str], text: str, writes: Sequence[Image] = ()
+        self,
+        function: str,
+        images: Sequence[GraphImage],
+        numbers: Sequence[str],
+        text: str,
+        writes: Sequence[GraphImage] = (),
     ) -> None:
         if self.is_on:
             FUNCTIONS[function](self, [image.values for image in images], numbers)  # type: ignore[attr-defined]
@@ -190,17 +195,17 @@ class Here(Recorder):
         *,
         sizes: Mapping[str, Any] | None = None,
         names: Mapping[str, str] | None = None,
-        into: Mapping[str, Image] | None = None,
+        into: Mapping[str, GraphImage] | None = None,
         text: str,
-    ) -> dict[str, Image]:
+    ) -> dict[str, GraphImage]:
         graph = self.graph
         assert isinstance(graph, HereGraph)
         assert isinstance(kernel, Kernel)
         wanted = {each.name: each for each in kernel.parameters}
         given = {name: value for name, value in arguments.items() if name in wanted and value is not None}
-        images = {name: value for name, value in given.items() if isinstance(value, Image)}
-        outputs: dict[str, Image] = dict(into or {})
-        axes: Any = kernel.find_axes(images)  # type: ignore[arg-type]
+        images = {name: value for name, value in given.items() if isinstance(value, GraphImage)}
+        outputs: dict[str, GraphImage] = dict(into or {})
+        axes: Any = kernel.list_axis_lengths(images)  # type: ignore[arg-type]
         axes |= sizes or {}
         shapes = {each.name: tuple(axes.get(axis, axis) for axis in each.axes) for each in kernel.outputs}
         if not graph.is_on:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 import lobewise
 from lobewise.cli.main import run
 from lobewise.denoising.automatic import resolve_settings
-from lobewise.denoising.layers import Layer, find_surface, make_layers
+from lobewise.denoising.layers import Layer, make_layers, mark_surface
 from lobewise.exporting.names import CHAINS, SHADER_LANGUAGES
 from lobewise.exporting.shaders.chains import make_chain
 from lobewise.exporting.shaders.constants import compute_constants
@@ -26,7 +26,7 @@ from lobewise.exporting.shaders.writing import export_chain
 from lobewise.filters.cross_filter import run_filter
 from lobewise.frame import Frame
 from lobewise.guides.lobe_fields import make_split_field
-from lobewise.settings import FORMS, DenoiseSettings
+from lobewise.settings import FORM_NAMES, DenoiseSettings
 from tests.exporting.chain_device import Player, give_images
 from tests.exporting.chain_scene import make_frame
 
@@ -55,7 +55,7 @@ def test_guides(graphics: Any, language: str, folder: Path) -> None:
     constants = compute_constants(frame.require_camera("lobes"), frame.shape, settings)
     made = player.run_pass("guides", give_images(frame), constants)
     axes, spreads = made["axes"], made["spreads"]
-    valid = field.valid & find_surface(frame)
+    valid = field.valid & mark_surface(frame)
     np.testing.assert_array_equal(axes[..., 3] >= 0.0, valid)
     assert 0 < np.count_nonzero(valid) < np.count_nonzero(field.valid) < valid.size
     x, y, z, *t, large, small = (each[valid] for each in field.lobes[settings.tau])
@@ -76,7 +76,7 @@ def filter_in_python(layer: Layer, settings: Any) -> Any:
 
 
 @pytest.mark.sampled("wgsl-separable")
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", FORM_NAMES)
 def test_filter_passes(graphics: Any, language: str, folder: Path, form: str) -> None:
     frame = make_frame(0)
     settings = choose(frame, form)
@@ -95,7 +95,7 @@ def test_filter_passes(graphics: Any, language: str, folder: Path, form: str) ->
 
 
 @pytest.mark.sampled("wgsl-full-ggx", "wgsl-separable-ggx", "wgsl-separable-sg")
-@pytest.mark.parametrize(("form", "similarity"), [*((form, "ggx") for form in FORMS), ("separable", "sg")])
+@pytest.mark.parametrize(("form", "similarity"), [*((form, "ggx") for form in FORM_NAMES), ("separable", "sg")])
 def test_filter_chain(graphics: Any, language: str, folder: Path, form: Any, similarity: Any) -> None:
     frame = make_frame(0)
     settings = choose(frame, form, similarity)

@@ -18,10 +18,10 @@ from lobewise.exporting.shaders.chains import make_chain
 from lobewise.exporting.shaders.constants import compute_constants
 from lobewise.filters.history.accumulation import SampleGrid
 from lobewise.frame import FloatArray, Frame
-from lobewise.guides.places import add_grid, estimate_curvature, find_virtual_places
+from lobewise.guides.places import add_grid, compute_virtual_places, estimate_curvature
 from lobewise.temporal.past import HistoryReprojection
-from lobewise.temporal.recipe import find_own_weight, make_named_layers
-from lobewise.temporal.validation import Guides, find_same_tau
+from lobewise.temporal.recipe import compute_own_weight, make_named_layers
+from lobewise.temporal.validation import Guides, compute_same_tau
 from tests.exporting.chain_device import Player, fill, give_images
 from tests.exporting.chain_scene import make_clean_image, make_frame
 from tests.exporting.test_chains import RTOL, WEIGHT_RTOL, compare
@@ -51,7 +51,7 @@ def make_constants(recipe: lobewise.TemporalFilter, frame: Frame, previous: Fram
         recipe._resolve(frame),
         previous=None if previous is None else previous.camera,
         temporal=recipe.temporal,
-        own=find_own_weight(frame),
+        own=compute_own_weight(frame),
     )
 
 
@@ -66,8 +66,8 @@ def run_python(hits: bool) -> tuple[lobewise.TemporalFilter, dict[str, Steps]]:
     assert past is not None
     chosen = recipe._resolve(frame)
     guides = Guides(frame.gbuffer, frame.camera, ())
-    lobes = split_lobes(frame, chosen.similarity, chosen.tau, find_same_tau(guides, chosen))
-    layers = make_named_layers(frame, chosen, (), lobes, find_own_weight(frame))
+    lobes = split_lobes(frame, chosen.similarity, chosen.tau, compute_same_tau(guides, chosen))
+    layers = make_named_layers(frame, chosen, (), lobes, compute_own_weight(frame))
     masks = {name: layer.mask for name, layer in layers.items()}
     reprojection = HistoryReprojection(guides, chosen, recipe.temporal, past, masks, lobes)
     steps = {}
@@ -75,8 +75,8 @@ def run_python(hits: bool) -> tuple[lobewise.TemporalFilter, dict[str, Steps]]:
         history = reprojection.reproject(name)
         assert history is not None
         grid = SampleGrid(layer.mask, layer.features, scale=1, albedo=layer.albedo)
-        own, growth = find_own_weight(frame), recipe.temporal.strictness
-        trust = grid.find_trust(layer.radiance, history, own)
+        own, growth = compute_own_weight(frame), recipe.temporal.strictness
+        trust = grid.compute_trust(layer.radiance, history, own)
         narrowing = np.dstack(grid._narrow(history, trust, growth))
         more: dict[str, Any] = {"history": history, "trust": trust, "growth": growth, "own": own}
         output = grid.accumulate_filtered(layer.radiance, **SETTINGS, **more)
@@ -162,7 +162,7 @@ def test_reflections(bench: Bench) -> None:
     found = bench.player.run_pass("reflections", given, bench.constants)["reflections"]
     position, normal, distance = (guides.require(name, "it") for name in ("position", "normal", "hit_distance"))
     curvature = estimate_curvature(position, normal)
-    expected = find_virtual_places(position, curvature, distance, camera, previous.require_camera("it"))
+    expected = compute_virtual_places(position, curvature, distance, camera, previous.require_camera("it"))
     known = np.isfinite(expected).all(axis=-1)
     np.testing.assert_array_equal(np.abs(found[..., 2]) < 1e8, known)
     near = known & (np.abs(expected) < 200.0).all(axis=-1)

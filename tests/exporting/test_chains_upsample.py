@@ -14,7 +14,7 @@ from lobewise.exporting.shaders.chains import make_chain
 from lobewise.exporting.shaders.constants import compute_constants
 from lobewise.filters.history.accumulation import KnownKernel, SampleGrid
 from lobewise.sparse_frame import SparseFrame, list_places
-from lobewise.temporal.recipe import find_own_weight, make_named_layers
+from lobewise.temporal.recipe import compute_own_weight, make_named_layers
 from tests.exporting.chain_device import Player, fill, give_images
 from tests.exporting.chain_scene import make_sparse_frame
 from tests.exporting.test_chains import RTOL, WEIGHT_RTOL, compare
@@ -35,7 +35,7 @@ def make_constants(recipe: lobewise.TemporalFilter, frame: SparseFrame, previous
         recipe._resolve(frame),
         previous=None if previous is None else previous.camera,
         temporal=recipe.temporal,
-        own=find_own_weight(frame),
+        own=compute_own_weight(frame),
         scale=frame.scale,
         place=frame.place,
     )
@@ -51,13 +51,13 @@ def test_passes(graphics: Any, language: str, folder: Path, name: str) -> None:
     frame, past = make(3), recipe._past
     assert past is not None
     chosen = recipe._resolve(frame)
-    layer = make_named_layers(frame, chosen, (), None, find_own_weight(frame))[name]
+    layer = make_named_layers(frame, chosen, (), None, compute_own_weight(frame))[name]
     # A history in half of the image, so that both radii occur; pixels without light have none.
     half = (np.arange(frame.shape[1]) < frame.shape[1] // 2)[:, None]
     history = np.where(layer.mask[..., None] & half, past.sums[name], np.float32(0.0))
-    own, growth = find_own_weight(frame), recipe.temporal.strictness
+    own, growth = compute_own_weight(frame), recipe.temporal.strictness
     grid = SampleGrid(layer.mask, layer.features, scale=SCALE, place=frame.place, albedo=layer.albedo)
-    trust = grid.find_trust(layer.radiance, history, own)
+    trust = grid.compute_trust(layer.radiance, history, own)
     constants = make_constants(recipe, frame, make(2))
     known = KnownKernel(constants["known_radius"], chosen.screen_sigma, constants["known_sigma"])
     expected = grid.accumulate(

@@ -31,7 +31,7 @@ from lobewise.exporting.pipeline.writing import (
     write_texts,
 )
 from lobewise.exporting.targets import parse_target
-from tests.exporting.conftest import find_program, lack
+from tests.exporting.conftest import lack, locate_program
 from tests.exporting.pipelines import run_example
 
 QUICK = PipelineSettings(plan="filter", similarity="sg", form="separable", radius=3)
@@ -42,7 +42,7 @@ def quick(tmp_path_factory: pytest.TempPathFactory, compiler: str) -> Path:
     """Return the folder of one export, its example built."""
     folder = tmp_path_factory.mktemp("quick") / "export"
     export_pipeline(folder, QUICK)
-    run_example(folder, find_program("g++", "g++"))
+    run_example(folder, locate_program("g++", "g++"))
     return folder
 
 
@@ -158,7 +158,7 @@ def test_folder_is_written_whole_or_not_at_all(quick: Path, tmp_path: Path, monk
 def test_every_similarity_agrees_with_python(settings: dict[str, Any], tmp_path: Path, compiler: str) -> None:
     made = PipelineSettings(**{"plan": "filter", "radius": 2, **settings})
     export_pipeline(tmp_path / "export", made)
-    found = run_example(tmp_path / "export", find_program("g++", "g++"))
+    found = run_example(tmp_path / "export", locate_program("g++", "g++"))
     assert max(found) <= choose_bound(made, parse_target("host").to_string())
 
 
@@ -170,7 +170,7 @@ def test_a_filter_runs_on_a_device(tmp_path: Path, compiler: str, monkeypatch: p
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     export_pipeline(tmp_path / "export", replace(QUICK, similarity="normal", radius=1), target="host-vulkan")
     # Another arithmetic, but not another filter.
-    assert 0.0 < max(run_example(tmp_path / "export", find_program("g++", "g++"))) < 1e-3
+    assert 0.0 < max(run_example(tmp_path / "export", locate_program("g++", "g++"))) < 1e-3
     nowhere = {**os.environ, "VK_DRIVER_FILES": "/none", "VK_ICD_FILENAMES": "/none"}
     done = subprocess.run(["./example"], cwd=tmp_path / "export", env=nowhere, capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (1, "")

@@ -13,7 +13,7 @@ from lobewise.cli.main import run
 from lobewise.exporting.names import TARGETS
 from lobewise.exporting.pipeline.writing import MAX_DEVICE_DIFFERENCE, MAX_DIFFERENCE, MAX_PLAIN_DIFFERENCE
 from lobewise.exporting.shaders.functions import make_shader
-from tests.exporting.conftest import find_program
+from tests.exporting.conftest import locate_program
 
 PAGE = (Path(__file__).parents[2] / "docs" / "export.md").read_text()
 
@@ -65,7 +65,7 @@ def test_commands_run_and_program_compiles(
 def test_pipeline_commands_run_and_class_compiles(
     compiler: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    cpp = find_program("g++", "g++")
+    cpp = locate_program("g++", "g++")
     monkeypatch.chdir(tmp_path)
     export, enter, *commands = get_block("bash").splitlines()
     assert run(export.split()[1:]) == 0

@@ -14,7 +14,7 @@ from benchmarks.performance.pipelines import Library, pack_frame
 from lobewise.cli.main import run
 from lobewise.denoising.automatic import choose_beta, choose_screen_sigma, choose_tau
 from lobewise.engine.graph import Graph
-from lobewise.engine.memory import find_spans, plan_memory
+from lobewise.engine.memory import list_spans, plan_memory
 from lobewise.engine.numbers import Number, choose_larger, raise_to, round_single, write_number
 from lobewise.errors import InputError
 from lobewise.exporting.pipeline.constants import Constants
@@ -24,7 +24,7 @@ from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, WIDTH, collect_im
 from lobewise.exporting.pipeline.scene import SPP, make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.guides.lobe_fields import default_tau
-from tests.exporting.conftest import find_program
+from tests.exporting.conftest import locate_program
 from tests.exporting.pipelines import LIBRARIES, STRICT, build, export, run_example
 
 RADIUS = 3
@@ -33,7 +33,7 @@ RADIUS = 3
 @pytest.fixture(scope="session")
 def cpp() -> str:
     """Return the system's C++ compiler."""
-    return find_program("g++", "g++")
+    return locate_program("g++", "g++")
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +82,7 @@ def test_no_number_of_a_frame_is_compiled_in(settings: PipelineSettings) -> None
 @pytest.mark.parametrize("history", [False, True])
 def test_images_that_are_needed_at_once_lie_apart(history: bool) -> None:
     graph = make_pipeline(PipelineSettings(history=history)).graph
-    plan, spans = plan_memory(graph, 1.0), find_spans(graph)
+    plan, spans = plan_memory(graph, 1.0), list_spans(graph)
     for image, (first, last) in spans.items():
         for other, (start, stop) in spans.items():
             if other is not image and plan.slots[other.name] == plan.slots[image.name]:
@@ -224,7 +224,7 @@ def test_bad_input_is_refused(fast: Path, compiler: str) -> None:
 
 
 def test_cmake_finds_the_package(fast: Path, cpp: str, tmp_path: Path) -> None:
-    cmake = find_program("cmake", "cmake")
+    cmake = locate_program("cmake", "cmake")
     build(tmp_path, cmake, "-S", str(fast), "-B", "build", "-DCMAKE_BUILD_TYPE=Release")
     build(tmp_path, cmake, "--build", "build")
     done = subprocess.run([tmp_path / "build" / "example"], cwd=fast, capture_output=True, text=True)
@@ -232,7 +232,7 @@ def test_cmake_finds_the_package(fast: Path, cpp: str, tmp_path: Path) -> None:
 
 
 def test_pkg_config_and_shared_library(fast: Path, cpp: str) -> None:
-    program = find_program("pkg-config", "pkg-config")
+    program = locate_program("pkg-config", "pkg-config")
     words = [program, "--cflags", "--libs", "lobewise"]
     told = subprocess.run(words, env={"PKG_CONFIG_PATH": str(fast)}, capture_output=True, text=True, check=True)
     build(fast, cpp, "-std=c++11", "example.cpp", "-o", "shared", *told.stdout.split(), f"-Wl,-rpath,{fast}")

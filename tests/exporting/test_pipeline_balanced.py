@@ -12,7 +12,7 @@ import pytest
 
 from lobewise import engine
 from lobewise.denoising.automatic import resolve_all
-from lobewise.denoising.bad_pixels import fill_holes, find_bad_pixels
+from lobewise.denoising.bad_pixels import fill_holes, mark_bad_pixels
 from lobewise.denoising.chain import filter_rows, keep_light
 from lobewise.denoising.evidence import load_networks
 from lobewise.exporting.pipeline.constants import Constants
@@ -22,7 +22,7 @@ from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, WIDTH, make_setti
 from lobewise.exporting.pipeline.scene import make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.filters.glue import define_with_highlights
-from tests.exporting.conftest import find_program
+from tests.exporting.conftest import locate_program
 from tests.exporting.pipelines import export, run_example
 
 SETTINGS: dict[str, Any] = {"radius": 2, "plan": "balanced"}
@@ -31,7 +31,7 @@ SETTINGS: dict[str, Any] = {"radius": 2, "plan": "balanced"}
 @pytest.fixture(scope="session")
 def cpp() -> str:
     """Return the system's C++ compiler."""
-    return find_program("g++", "g++")
+    return locate_program("g++", "g++")
 
 
 @pytest.mark.nightly
@@ -63,10 +63,10 @@ def test_every_stage_changes_the_example() -> None:
     """The example is taken back, brightened and filled, so that agreement with Python tells about each stage."""
     settings = PipelineSettings(**SETTINGS)
     frame = prepare_frame(settings, make_frame(0, halves=True))
-    taken = filter_rows(frame, resolve_all(frame, make_settings(settings)), (), find_bad_pixels(frame))
+    taken = filter_rows(frame, resolve_all(frame, make_settings(settings)), (), mark_bad_pixels(frame))
     assert taken.taken_from is not None
     kept = keep_light(taken)
-    images = [taken.taken_from.image, taken.image, kept.image, fill_holes(*kept.find_holes(), frame)]
+    images = [taken.taken_from.image, taken.image, kept.image, fill_holes(*kept.mark_holes(), frame)]
     for before, after in pairwise(map(np.nan_to_num, images)):
         assert np.abs(after - before).max() > 1e-3
 

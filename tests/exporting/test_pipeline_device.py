@@ -15,7 +15,7 @@ from lobewise.exporting.pipeline.recording import make_pipeline
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.exporting.pipeline.writing import export_pipeline
 from lobewise.exporting.targets import get_runtime_headers
-from tests.exporting.conftest import find_program, lack
+from tests.exporting.conftest import lack, locate_program
 from tests.exporting.pipelines import STRICT, build, run_example
 
 VULKAN = "host-vulkan"
@@ -40,7 +40,7 @@ def test_pipelines_on_vulkan_agree_with_python(settings: dict[str, Any], compile
         lack(vulkan.reason)
     export_pipeline(tmp_path / "out", PipelineSettings(radius=2, **settings), target=VULKAN)
     os.environ.setdefault("XDG_RUNTIME_DIR", "/tmp")
-    found = run_example(tmp_path / "out", find_program("g++", "g++"))
+    found = run_example(tmp_path / "out", locate_program("g++", "g++"))
     # Another arithmetic, but not another filter.
     assert 0.0 < max(found) < 1e-3
 

@@ -16,7 +16,7 @@ from lobewise.exporting.pipeline.scene import CUT, make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.exporting.pipeline.writing import export_pipeline
 from lobewise.temporal import TemporalFilter
-from tests.exporting.conftest import find_program
+from tests.exporting.conftest import locate_program
 from tests.exporting.pipelines import LIBRARIES, STRICT, build, export, run_example
 
 SETTINGS: dict[str, Any] = {"radius": 2, "history": True, "hit_distance": True}
@@ -25,7 +25,7 @@ SETTINGS: dict[str, Any] = {"radius": 2, "history": True, "hit_distance": True}
 @pytest.fixture(scope="session")
 def cpp() -> str:
     """Return the system's C++ compiler."""
-    return find_program("g++", "g++")
+    return locate_program("g++", "g++")
 
 
 @pytest.fixture(scope="module")

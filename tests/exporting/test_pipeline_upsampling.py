@@ -17,14 +17,14 @@ from lobewise.exporting.pipeline.recording import make_pipeline
 from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, WIDTH, get_place, make_sparse, prepare_frame
 from lobewise.exporting.pipeline.scene import make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
-from tests.exporting.conftest import find_program
+from tests.exporting.conftest import locate_program
 from tests.exporting.pipelines import export, run_example
 
 
 @pytest.fixture(scope="session")
 def cpp() -> str:
     """Return the system's C++ compiler."""
-    return find_program("g++", "g++")
+    return locate_program("g++", "g++")
 
 
 @pytest.mark.nightly

@@ -23,7 +23,7 @@ from lobewise.exporting.shaders.chains import make_chain
 from lobewise.exporting.shaders.passes import write_pass
 from lobewise.exporting.shaders.web import PAGE_CHAINS, PAGE_SETTINGS, SEQUENCE, export_web, take_samples
 from lobewise.frame import FloatArray, Frame
-from lobewise.settings import FORMS
+from lobewise.settings import FORM_NAMES
 from tests.exporting.chain_scene import make_frame
 from tests.exporting.conftest import lack
 
@@ -181,7 +181,9 @@ COMPILE = """async (text) => {
 def test_browser_compiles_every_pass(window: Window) -> None:
     """The tests of chains use another compiler of WGSL than Chromium has."""
     chains = [make_chain(name, similarity="sg") for name in CHAINS]
-    chains += [make_chain(name, form=form) for name in CHAINS for form in (("full",) if name == "upsample" else FORMS)]
+    chains += [
+        make_chain(name, form=form) for name in CHAINS for form in (("full",) if name == "upsample" else FORM_NAMES)
+    ]
     for chain in chains:
         for each in chain.passes:
             assert window.page.evaluate(COMPILE, write_pass(chain, each, "wgsl")) == [], (chain.name, each.name)

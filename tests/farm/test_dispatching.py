@@ -140,7 +140,7 @@ def run(farm: FakeFarm, tasks: list[Task], *, by_runs: bool = False) -> tuple[li
         cast(Connection, farm),
         Terms(environment=ENVIRONMENT, check=()),
         make_order=lambda task: cast(Order, _Order(task)),
-        find_missing=lambda task: tuple(number for number in task.numbers if number not in farm.done),
+        list_missing=lambda task: tuple(number for number in task.numbers if number not in farm.done),
         listener=Listener(tell=told.append, hear=lambda _: None, show=lambda *_: None),
         by_runs=by_runs,
     )
@@ -286,7 +286,7 @@ def test_a_good_worker_that_went_is_waited_for() -> None:
         cast(Connection, farm),
         Terms(environment=ENVIRONMENT, check=()),
         make_order=lambda task: cast(Order, _Order(task)),
-        find_missing=lambda task: tuple(number for number in task.numbers if number not in farm.done),
+        list_missing=lambda task: tuple(number for number in task.numbers if number not in farm.done),
         listener=Listener(tell=lambda _: None, hear=lambda _: None, show=show),
     )
     dispatcher.run(make_tasks(*range(20)))
@@ -308,7 +308,7 @@ def test_without_workers_the_run_says_so_once_and_waits() -> None:
         cast(Connection, farm),
         Terms(environment=ENVIRONMENT, check=()),
         make_order=lambda task: cast(Order, _Order(task)),
-        find_missing=lambda task: tuple(number for number in task.numbers if number not in farm.done),
+        list_missing=lambda task: tuple(number for number in task.numbers if number not in farm.done),
         listener=Listener(tell=told.append, hear=lambda _: None, show=show),
     ).run(make_tasks(1))
     assert told == ["No worker is connected to tcp://fake:8786; waiting for one."]

@@ -136,7 +136,7 @@ def test_pictures_are_outputs_and_have_the_exposure_of_the_first(folder: Path, m
     assert work.list_outputs(2) == [folder / "far.2.exr", folder / "far.2.png"]
     do(work, 1)
     # Another worker knows the exposure from the picture alone.
-    farming._find_verb.cache_clear()
+    farming._make_filter.cache_clear()
     do(work, 2)
     for number in (1, 2):
         assert (folder / f"far.{number}.png").read_bytes() == (folder / f"near.{number}.png").read_bytes()

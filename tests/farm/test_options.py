@@ -14,7 +14,7 @@ from lobewise.errors import InputError
 from lobewise.farm import connection
 from lobewise.io import write_frame
 from lobewise.io.sequence import name_frames
-from lobewise.streaming import DEFAULT_MEMORY, find_limits
+from lobewise.streaming import DEFAULT_MEMORY, choose_limits
 from lobewise.streaming.plan import MAX_WHOLE_GIB
 from tests.streaming.frames import make_scene
 
@@ -89,10 +89,10 @@ def test_sizes_of_memory() -> None:
 
 def test_memory_that_suffices_changes_no_choice() -> None:
     """Bands have the bits of whole frames, but for Open Image Denoise, which bands leave out."""
-    assert find_limits(None) == find_limits(64.0) == (MAX_WHOLE_GIB, DEFAULT_MEMORY)
-    small = find_limits(2.0)
+    assert choose_limits(None) == choose_limits(64.0) == (MAX_WHOLE_GIB, DEFAULT_MEMORY)
+    small = choose_limits(2.0)
     assert 0.0 < small.band == small.whole < 2.0
-    assert all(np.diff([find_limits(memory).whole for memory in (0.5, 1.0, 2.0, 4.0, 8.0)]) >= 0.0)
+    assert all(np.diff([choose_limits(memory).whole for memory in (0.5, 1.0, 2.0, 4.0, 8.0)]) >= 0.0)
 
 
 def test_names_of_frames() -> None:

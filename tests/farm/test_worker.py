@@ -166,16 +166,16 @@ def test_what_a_worker_does_not_see(tmp_path: Path) -> None:
     order = make_order(tmp_path)
     folder, source = order.ledger.folder, tmp_path / "in.1"
 
-    def find_fault(**changes: Any) -> str:
+    def describe_fault(**changes: Any) -> str:
         given = {"folder": folder, "token": "token", "source": source, "size": 5, **changes}
         return describe_worker(**given, with_oidn=False)[1]
 
-    assert find_fault() == ""
-    assert find_fault(source=tmp_path / "in.9") == f"it does not see the file '{tmp_path / 'in.9'}'"
-    assert find_fault(size=6) == f"it sees another file as '{source}'"
-    assert find_fault(token="other") == f"it sees another folder as '{tmp_path}'"
+    assert describe_fault() == ""
+    assert describe_fault(source=tmp_path / "in.9") == f"it does not see the file '{tmp_path / 'in.9'}'"
+    assert describe_fault(size=6) == f"it sees another file as '{source}'"
+    assert describe_fault(token="other") == f"it sees another folder as '{tmp_path}'"
     (folder / TOKEN).unlink()
-    assert find_fault() == f"it does not see the folder '{tmp_path}'"
+    assert describe_fault() == f"it does not see the folder '{tmp_path}'"
 
 
 def test_versions_are_compared() -> None:

@@ -25,7 +25,7 @@ from lobewise.features import (
     TentFeature,
 )
 from tests.lobes.oracles import asg, mixture, sg, tangent
-from tests.lobes.oracles.hits import find_hit_shift
+from tests.lobes.oracles.hits import compute_hit_shift
 
 FloatImage = NDArray[np.float64]
 Pixels = tuple[NDArray[np.intp], NDArray[np.intp]]
@@ -53,7 +53,7 @@ def get_shift(feature: SgFeature | GgxFeature | AsgFeature, i: Pixels, j: Pixels
     if feature.hits is None:
         return None
     arrays = feature.axis, feature.hits.position, feature.hits.inverse_distance
-    return np.asarray(find_hit_shift(*(value for array in arrays for value in take(array, i, j))))
+    return np.asarray(compute_hit_shift(*(value for array in arrays for value in take(array, i, j))))
 
 
 def get_tangent_lobes(feature: GgxFeature | AsgFeature, i: Pixels, j: Pixels) -> list[tangent.TangentLobe]:

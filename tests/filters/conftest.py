@@ -18,7 +18,7 @@ RUNS = (
     "SampleGrid",
     "bound_fireflies",
     "split_highlights",
-    "find_features",
+    "compute_features",
     "make_noise_guide",
     "measure_light",
     "mix_candidates",

@@ -70,7 +70,7 @@ def accumulate(given: dict[str, Any], scale: int, place: tuple[int, int], **chan
     return make_grid(given, scale, place).accumulate(given["samples"], **{**options, **changes})
 
 
-def find_weights(mask: NDArray[np.bool_], scale: int, place: tuple[int, int], radius: int) -> FloatImage:
+def compute_weights(mask: NDArray[np.bool_], scale: int, place: tuple[int, int], radius: int) -> FloatImage:
     """Return the similarity of every pixel and every sample near it, (height, width, rows, columns)."""
     height, width = mask.shape
     feature = make_feature("position", mask.shape)
@@ -115,14 +115,14 @@ def accumulate_slowly(
         given["history"].astype(np.float64),
         np.s_[place[0] :: scale, place[1] :: scale],
     )
-    near = find_weights(mask, scale, place, 2 if scale == 1 else 1)
+    near = compute_weights(mask, scale, place, 2 if scale == 1 else 1)
     told = near.sum(axis=(2, 3))
     trust = np.where(told > 0.0, (near * given["trust"]).sum(axis=(2, 3)) / np.where(told > 0.0, told, 1.0), 1.0)
     sums = history * trust[..., None]
     sums[..., 4] *= trust
     unit = (sums[..., 6] + 1.0) ** GROWTH
     light, good = demodulate(given["samples"], given["albedo"][shaded], FLOOR)
-    weights = find_weights(mask, scale, place, RADIUS)
+    weights = compute_weights(mask, scale, place, RADIUS)
     if known is not None:
         weights = narrow_known(weights, given, scale, place, known)
     weights = np.where(weights > 0.0, weights ** unit[..., None, None], 0.0) * good
@@ -169,10 +169,10 @@ def test_pixels_with_a_history_have_their_own_kernel(radius: int, scale: int, pl
     assert (accumulate(given, scale, place).sums != out.sums).any()
 
 
-def find_trust_slowly(given: dict[str, Any], scale: int, place: tuple[int, int]) -> FloatImage:
+def compute_trust_slowly(given: dict[str, Any], scale: int, place: tuple[int, int]) -> FloatImage:
     """Return the trust from the definition, (rows, columns)."""
     mask, shaded = given["mask"], np.s_[place[0] :: scale, place[1] :: scale]
-    weights = find_weights(mask, scale, place, 2)[shaded]
+    weights = compute_weights(mask, scale, place, 2)[shaded]
     light, good = demodulate(given["samples"], given["albedo"][shaded], FLOOR / OWN)
     history = given["history"][shaded].astype(np.float64)
     known = good & mask[shaded] & (history[..., 3] > 0.5 * OWN)
@@ -199,8 +199,8 @@ def test_trust_agrees_with_the_definition(scale: int, place: tuple[int, int]) ->
     # Some of the history is of another light, by far or by little.
     light = np.random.default_rng(2).choice([1.0, 2.0, 6.0], (5, 5)).repeat(8, 0).repeat(10, 1)
     given["history"][..., :3] = (light * given["history"][..., 3])[..., None]
-    trust = make_grid(given, scale, place).find_trust(given["samples"], given["history"], OWN)
-    expected = find_trust_slowly(given, scale, place)
+    trust = make_grid(given, scale, place).compute_trust(given["samples"], given["history"], OWN)
+    expected = compute_trust_slowly(given, scale, place)
     assert np.mean((expected > 0.0) & (expected < 1.0)) > 0.05
     np.testing.assert_allclose(trust, expected, rtol=0.0, atol=0.02)
 
@@ -212,7 +212,7 @@ def test_whole_frames_are_accumulated_as_their_filter_gives_them(remembers: bool
     history, trust = (given[name] if remembers else None for name in ("history", "trust"))
     options = {"history": history, "trust": trust, "growth": GROWTH, "own": OWN}
     found = make_grid(given, 1, (0, 0)).accumulate_filtered(given["samples"], form="separable", radius=3, **options)
-    near = find_weights(given["mask"], 1, (0, 0), 2)
+    near = compute_weights(given["mask"], 1, (0, 0), 2)
     told = near.sum(axis=(2, 3))
     share = np.where(told > 0.0, (near * given["trust"]).sum(axis=(2, 3)) / np.where(told > 0.0, told, 1.0), 1.0)
     faded = fade(given["history"], share.astype(np.float32)) if remembers else None
@@ -247,7 +247,7 @@ def test_the_summary_is_that_of_the_sums() -> None:
     given = make_given(SHAPE, 2, (1, 0))
     trust = np.full_like(given["trust"], 0.25)
     out = accumulate(given, 2, (1, 0), trust=trust)
-    told = find_weights(given["mask"], 2, (1, 0), 1).sum(axis=(2, 3)) > 0.0
+    told = compute_weights(given["mask"], 2, (1, 0), 1).sum(axis=(2, 3)) > 0.0
     frames = given["history"][..., 6] * np.where(told, 0.25, 1.0)
     unit = ((frames + 1.0) ** GROWTH).astype(np.float32)
     image, *rest = summarize(np.ascontiguousarray(out.sums), unit, given["albedo"])

@@ -10,7 +10,7 @@ from scipy.ndimage import median_filter, uniform_filter
 
 from lobewise.errors import InputError
 from lobewise.filters.noise.albedo import (
-    DIRECTIONS,
+    DIFFERENCE_DIRECTIONS,
     MAX_RATIO_TO_MEDIAN,
     NORMAL_SHARPNESS,
     RADIUS,
@@ -34,12 +34,12 @@ def make_guides(shape: tuple[int, int], noise: float = 0.1) -> tuple[FloatArray,
     return noisy, clean, make_directions(rng, shape, 0.1)
 
 
-def find_variance(albedo: NDArray[np.float64]) -> NDArray[np.float64]:
+def compute_variance(albedo: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the variance of the noise of every pixel, all channels together, by its definition."""
     around = np.pad(albedo, ((1, 1), (1, 1), (0, 0)), mode="edge")
     inner = np.s_[1:-1, 1:-1]
     means = []
-    for dx, dy in DIRECTIONS:
+    for dx, dy in DIFFERENCE_DIRECTIONS:
         ahead, behind = (np.roll(around, (-sign * dy, -sign * dx), (0, 1))[inner] for sign in (1, -1))
         means.append(uniform_filter(np.sum((2.0 * albedo - ahead - behind) ** 2, axis=-1) / 6.0, 3, mode="nearest"))
     least = np.min(means, axis=0)
@@ -51,7 +51,7 @@ def clean_slowly(albedo: FloatArray, normal: FloatArray) -> NDArray[np.float64]:
     height, width = albedo.shape[:2]
     edges = ((EDGE, EDGE), (EDGE, EDGE), (0, 0))
     wide, facing = (np.pad(guide.astype(np.float64), edges, mode="edge") for guide in (albedo, normal))
-    variance = find_variance(wide)
+    variance = compute_variance(wide)
     total, weights = np.zeros_like(wide), np.zeros(wide.shape[:2])
     for dy in range(-RADIUS, RADIUS + 1):
         for dx in range(-RADIUS, RADIUS + 1):

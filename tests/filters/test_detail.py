@@ -8,9 +8,16 @@ import numpy as np
 import pytest
 
 from lobewise.errors import InputError
-from lobewise.filters.mixing import Network, find_shares
+from lobewise.filters.mixing import Perceptron, compute_shares
 from lobewise.filters.noise import detail
-from lobewise.filters.noise.detail import COUNT, FEATURES_PER_LEVEL, LEVELS, OFFSETS, REACH, find_detail
+from lobewise.filters.noise.detail import (
+    DETAIL_FEATURES,
+    DETAIL_FEATURES_PER_LEVEL,
+    DETAIL_LEVELS,
+    DETAIL_REACH,
+    OFFSETS,
+    compute_detail,
+)
 from lobewise.frame import FloatArray
 
 SIZE = 72
@@ -23,7 +30,7 @@ AXES, DIAGONALS = 2, PAIRS - 1
 
 def gather(*images: FloatArray, **told: Any) -> FloatArray:
     """Return the features of all rows."""
-    return np.concatenate([features for _, features in find_detail(*images, **{"level": 1.0, **told})])
+    return np.concatenate([features for _, features in compute_detail(*images, **{"level": 1.0, **told})])
 
 
 def draw_halves(truth: FloatArray, noise: float, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
@@ -40,11 +47,11 @@ def test_noise_and_detail_are_told_apart(with_halves: bool, rng: np.random.Gener
     a, b = draw_halves(truth, 0.05, rng)
     flat = np.ones_like(truth)
     found = gather(flat, 0.5 * (a + b), halves=(a, b) if with_halves else None)
-    assert found.shape == (SIZE, 2 * SIZE, COUNT)
+    assert found.shape == (SIZE, 2 * SIZE, DETAIL_FEATURES)
     assert np.isfinite(found).all()
     detail, noise = found[INNER, :SIZE][:, INNER], found[INNER, SIZE:][:, INNER]
-    for number in range(len(LEVELS)):
-        left, right = (each[..., number * FEATURES_PER_LEVEL :].mean(axis=(0, 1)) for each in (detail, noise))
+    for number in range(len(DETAIL_LEVELS)):
+        left, right = (each[..., number * DETAIL_FEATURES_PER_LEVEL :].mean(axis=(0, 1)) for each in (detail, noise))
         # Columns two apart are opposite, rows are alike: they cancel out, and are far apart. On the diagonals both are
         # opposite.
         assert left[1 + 3 * DIAGONALS] == pytest.approx(-1.0, abs=0.05)
@@ -101,17 +108,17 @@ def test_features_reach_as_far_as_they_say(with_halves: bool) -> None:
     told = {"halves": (a, b) if with_halves else None}
     before, after = (gather(each, 0.5 * (a + b), **told) for each in (filtered, changed))
     rows = np.flatnonzero((before != after).reshape(len(before), -1).any(axis=1))
-    assert int(np.abs(rows - 60).max()) == REACH
+    assert int(np.abs(rows - 60).max()) == DETAIL_REACH
 
 
-def make_network(features: int, rng: np.random.Generator, outputs: int = 2, units: int = 24) -> Network:
+def make_network(features: int, rng: np.random.Generator, outputs: int = 2, units: int = 24) -> Perceptron:
     """Return a network of random numbers."""
 
     def draw(*shape: int) -> FloatArray:
         return (0.3 * rng.normal(size=shape)).astype(np.float32)
 
     weights = draw(features, units), draw(units, units), draw(units, outputs)
-    return Network(draw(features), draw(features), weights, (draw(units), draw(units), draw(outputs)))
+    return Perceptron(draw(features), draw(features), weights, (draw(units), draw(units), draw(outputs)))
 
 
 @pytest.mark.parametrize("outputs", [2, 3])
@@ -124,11 +131,11 @@ def test_shares_are_the_network_s(shape: tuple[int, int], outputs: int, rng: np.
         values = values @ weights + biases
         values = np.where((values < 0.0) & (number < 2), 0.01 * values, values)
     expected = np.exp(values) / np.exp(values).sum(axis=-1, keepdims=True)
-    found = find_shares(seen, network, outputs)
+    found = compute_shares(seen, network, outputs)
     assert found.shape == (*shape, outputs)
     np.testing.assert_allclose(found, expected, atol=1e-5)
     # Where an image is cut changes no bit.
-    np.testing.assert_array_equal(find_shares(seen[shape[0] // 2 :], network, outputs), found[shape[0] // 2 :])
+    np.testing.assert_array_equal(compute_shares(seen[shape[0] // 2 :], network, outputs), found[shape[0] // 2 :])
 
 
 def test_shares_stay_shares_however_large_the_scores(rng: np.random.Generator) -> None:
@@ -136,10 +143,10 @@ def test_shares_stay_shares_however_large_the_scores(rng: np.random.Generator) -
     last = network.biases[-1]
     for apart, share in ((1e4, 1.0), (-1e4, 0.0)):
         last[:] = apart, 0.0
-        found = find_shares(np.zeros((2, 3, 4), np.float32), network, 2)
+        found = compute_shares(np.zeros((2, 3, 4), np.float32), network, 2)
         np.testing.assert_array_equal(found, np.broadcast_to([share, 1.0 - share], found.shape))
 
 
 def test_another_network_is_refused(rng: np.random.Generator) -> None:
     with pytest.raises(InputError, match="network: expected 3 layers from 5 inputs to 2 outputs"):
-        find_shares(np.zeros((2, 3, 5), np.float32), make_network(4, rng), 2)
+        compute_shares(np.zeros((2, 3, 5), np.float32), make_network(4, rng), 2)

@@ -138,7 +138,7 @@ class Found(NamedTuple):
     effective_samples: FloatImage
 
 
-def find_good(half: FloatArray, mask: NDArray[np.bool_], albedo: FloatArray | None) -> NDArray[np.bool_]:
+def mark_good(half: FloatArray, mask: NDArray[np.bool_], albedo: FloatArray | None) -> NDArray[np.bool_]:
     """Return which pixels of a half count."""
     good = mask & np.isfinite(half).all(axis=-1) & (half >= 0.0).all(axis=-1)
     if albedo is not None:
@@ -146,7 +146,7 @@ def find_good(half: FloatArray, mask: NDArray[np.bool_], albedo: FloatArray | No
     return good
 
 
-def find_light(half: FloatArray, albedo: FloatArray | None) -> FloatImage:
+def compute_light(half: FloatArray, albedo: FloatArray | None) -> FloatImage:
     """Return radiance over albedo; a channel without albedo takes the mean of those that have one."""
     if albedo is None:
         return half.astype(np.float64)
@@ -174,8 +174,8 @@ def dual_buffer_reference(
     share = np.ones(mask.shape)
     if albedo is not None:
         share = np.where(np.isfinite(albedo) & (albedo >= 0.0), albedo, 0.0).astype(np.float64) @ LUMINANCE
-    good = [find_good(half, mask, albedo) for half in halves]
-    light = [find_light(np.where(g[..., None], half, 0.0), albedo) for half, g in zip(halves, good, strict=True)]
+    good = [mark_good(half, mask, albedo) for half in halves]
+    light = [compute_light(np.where(g[..., None], half, 0.0), albedo) for half, g in zip(halves, good, strict=True)]
     # Of each half: light, weight, squared weight.
     sums = np.zeros((2, height, width, 5))
     reach = range(-radius * step, radius * step + 1, step)
@@ -202,10 +202,10 @@ def dual_buffer_reference(
             weight = alike[0] * alike[1] ** exponent * np.exp(-apart) * share[j] * good[half][j]
             terms = [weight[:, None] * light[half][j], weight[:, None], weight[:, None] ** 2]
             sums[half][i] += np.concatenate(terms, axis=-1)
-    return _find_means(sums, mask, share)
+    return _compute_means(sums, mask, share)
 
 
-def _find_means(sums: FloatImage, mask: NDArray[np.bool_], share: FloatImage) -> Found:
+def _compute_means(sums: FloatImage, mask: NDArray[np.bool_], share: FloatImage) -> Found:
     total = sums[..., 3]
     some = total > 0.0
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -291,7 +291,7 @@ def test_agrees_with_the_definition(name: str, shape: tuple[int, int], step: int
 @pytest.mark.parametrize("name", CASES)
 def test_bad_pixels_are_there_to_be_seen(name: str) -> None:
     given = make_given(CASES[name], (33, 17))
-    one, other = (find_good(half, given.mask, given.albedo) for half in given.halves)
+    one, other = (mark_good(half, given.mask, given.albedo) for half in given.halves)
     assert (one & ~other).any()
     assert (other & ~one).any()
     assert (given.mask & ~one & ~other).any()
@@ -424,8 +424,8 @@ def test_constant_light_stays_constant(name: str) -> None:
 @pytest.mark.parametrize("name", CASES)
 def test_means_lie_between_the_least_and_the_most_of_a_half(name: str) -> None:
     given = make_given(CASES[name], (33, 17))
-    good = [find_good(half, given.mask, given.albedo) for half in given.halves]
-    lights = [find_light(half, given.albedo)[g] for half, g in zip(given.halves, good, strict=True)]
+    good = [mark_good(half, given.mask, given.albedo) for half in given.halves]
+    lights = [compute_light(half, given.albedo)[g] for half, g in zip(given.halves, good, strict=True)]
     out = given.run()
     # Where a half has a sample of its own, it never needs the other's mean.
     for image, light, g in zip((out.a, out.b), lights, good, strict=True):

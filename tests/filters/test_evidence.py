@@ -11,13 +11,13 @@ import pytest
 import lobewise
 from lobewise.denoising import chain, evidence
 from lobewise.denoising.evidence import (
-    STRIP_ROWS,
+    NOTED_STRIP_ROWS,
     count_blurred,
     describe_blurred,
-    find_share_lost,
-    find_share_proved,
+    estimate_share_lost,
+    estimate_share_proved,
 )
-from lobewise.filters.noise.evidence import find_noisy_share
+from lobewise.filters.noise.evidence import estimate_noisy_share
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.metrics import rel_mse
 
@@ -51,7 +51,7 @@ def test_a_right_image_is_left_alone(kind: str, rng: np.random.Generator) -> Non
     truth = np.full((SIZE, SIZE, 3), 0.7, np.float32)
     for noise in (4.0, 0.25, 0.01):
         a, b = draw_halves(truth, noise, rng)
-        share = find_noisy_share(truth, 0.5 * (a + b), **list_noise(kind, a, b), floor=FLOOR)
+        share = estimate_noisy_share(truth, 0.5 * (a + b), **list_noise(kind, a, b), floor=FLOOR)
         # A mixture with the share s of an image of the variance v has the error s² v.
         assert np.square(share).mean() < 2e-3
         assert share.min() >= 0.0
@@ -66,10 +66,10 @@ def test_a_network_that_sees_nothing_does_not_hide_what_halves_prove(
     noisy[10, 20] = np.nan
     blind = np.zeros((SIZE, SIZE, 2), np.float32)
     monkeypatch.setattr(evidence, "predict_shares", lambda *images, **told: blind)
-    proved = find_share_proved(even, noisy, (a, b), level=1.0, shared=False)
+    proved = estimate_share_proved(even, noisy, (a, b), level=1.0, shared=False)
     assert proved[8:-8, 8:40].mean() > 0.5
-    np.testing.assert_array_equal(find_share_lost(noisy, even, 1.0, halves=(a, b), shared=False), proved)
-    np.testing.assert_array_equal(find_share_lost(noisy, even, 1.0, halves=None, shared=False), 0.0)
+    np.testing.assert_array_equal(estimate_share_lost(noisy, even, 1.0, halves=(a, b), shared=False), proved)
+    np.testing.assert_array_equal(estimate_share_lost(noisy, even, 1.0, halves=None, shared=False), 0.0)
 
 
 def test_what_a_filter_blurs_is_taken_back(rng: np.random.Generator) -> None:
@@ -81,7 +81,7 @@ def test_what_a_filter_blurs_is_taken_back(rng: np.random.Generator) -> None:
     for noise in (4.0 * lost, lost, 0.1 * lost, 0.01 * lost):
         a, b = draw_halves(truth, noise, rng)
         noisy = 0.5 * (a + b)
-        share = find_noisy_share(blurred, noisy, halves=(a, b), floor=FLOOR)
+        share = estimate_noisy_share(blurred, noisy, halves=(a, b), floor=FLOOR)
         mixed = blurred + share[..., None] * (noisy - blurred)
         assert rel_mse(mixed, truth) < 1.02 * min(rel_mse(blurred, truth), 1.5 * rel_mse(noisy, truth))
         shares.append(float(share[8:-8, 8:40].mean()))
@@ -95,7 +95,7 @@ def test_fireflies_are_no_evidence(rng: np.random.Generator) -> None:
     a, b = draw_halves(truth, 0.01, rng)
     for half in (a, b):
         half[tuple(rng.integers(0, SIZE, (2, 40)))] = 300.0
-    share = find_noisy_share(truth, 0.5 * (a + b), halves=(a, b), floor=FLOOR)
+    share = estimate_noisy_share(truth, 0.5 * (a + b), halves=(a, b), floor=FLOOR)
     assert share.max() < 0.02
 
 
@@ -103,12 +103,12 @@ def test_bad_pixels_stay_out(rng: np.random.Generator) -> None:
     truth = make_texture()
     a, b = draw_halves(truth, 1e-4, rng)
     flat = np.full_like(truth, 1.2)
-    whole = find_noisy_share(flat, 0.5 * (a + b), halves=(a, b), floor=FLOOR)
+    whole = estimate_noisy_share(flat, 0.5 * (a + b), halves=(a, b), floor=FLOOR)
     for value in (np.nan, np.inf, -1.0):
         spoiled = a.copy()
         spoiled[10, 10], spoiled[50, 20] = value, value
         noisy = 0.5 * (spoiled + b)
-        found = find_noisy_share(flat, noisy, halves=(spoiled, b), floor=FLOOR)
+        found = estimate_noisy_share(flat, noisy, halves=(spoiled, b), floor=FLOOR)
         assert np.isfinite(found).all()
         if value != -1.0:
             assert found[10, 10] == found[50, 20] == 0.0
@@ -142,7 +142,7 @@ def test_a_texture_that_no_guide_tells_comes_back(
     assert rel_mse(lobewise.denoise(frame, quality=quality).image, truth) < most * noise
     if (quality, pattern) == ("high", "stripes"):
         return  # the refining network keeps stripes itself
-    monkeypatch.setattr(chain, "find_share_lost", lambda samples, *_, **__: np.zeros(samples.shape[:2], np.float32))
+    monkeypatch.setattr(chain, "estimate_share_lost", lambda samples, *_, **__: np.zeros(samples.shape[:2], np.float32))
     assert rel_mse(lobewise.denoise(frame, quality=quality).image, truth) > 3.0 * noise
 
 
@@ -187,7 +187,7 @@ def test_blur_is_counted_in_strips_the_same_in_bands(rng: np.random.Generator) -
     assert blurred / counted == pytest.approx(1.0 - blurred_from / height, abs=0.05)
     found = []
     for first, end in pairwise([0, 1, 128, 150, 401, height]):
-        rows = slice(max(first - 8, 0), min(end + STRIP_ROWS, height))
+        rows = slice(max(first - 8, 0), min(end + NOTED_STRIP_ROWS, height))
         part = Frame(Radiance(noisy[rows]))
         found.append(count_blurred(part, result[rows], (first, end), rows.start, height))
     assert np.array_equal(np.concatenate(found), counts)
@@ -200,7 +200,9 @@ def test_error_along_an_edge_counts_there(rng: np.random.Generator) -> None:
     blurred[:, 48] = 1.6
     a, b = draw_halves(truth, 0.01, rng)
     noisy = 0.5 * (a + b)
-    shares = [find_noisy_share(blurred, noisy, halves=(a, b), floor=FLOOR, concentration=most) for most in (1.0, 4.0)]
+    shares = [
+        estimate_noisy_share(blurred, noisy, halves=(a, b), floor=FLOOR, concentration=most) for most in (1.0, 4.0)
+    ]
     errors = [rel_mse(blurred + share[..., None] * (noisy - blurred), truth) for share in shares]
     assert errors[1] < 0.7 * errors[0] < rel_mse(blurred, truth)
     assert (shares[1] >= shares[0]).all()

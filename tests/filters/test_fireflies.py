@@ -10,7 +10,13 @@ from numpy.typing import NDArray
 
 from lobewise.errors import InputError
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
-from lobewise.filters.fireflies import MAX_RATIO_TO_HALF, MAX_RATIO_TO_WINDOW, MIN_WINDOW_PIXELS, REACH, bound_fireflies
+from lobewise.filters.fireflies import (
+    FIREFLY_REACH,
+    MAX_RATIO_TO_HALF,
+    MAX_RATIO_TO_WINDOW,
+    MIN_WINDOW_PIXELS,
+    bound_fireflies,
+)
 from lobewise.lobes.vectors import LUMINANCE
 from tests.filters.sizes import SIZES
 
@@ -35,7 +41,7 @@ def make_case(size: tuple[int, int], strange: bool = True) -> tuple[tuple[Image,
     return (a, b), albedo, rng.random(size) < 0.9
 
 
-def find_light(half: Image, albedo: Image | None, mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+def compute_light(half: Image, albedo: Image | None, mask: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Return luminance over albedo, NaN where it does not count."""
     image = half.astype(np.float64)
     good = mask & (np.isfinite(image) & (image >= 0.0)).all(axis=-1)
@@ -51,11 +57,13 @@ def bound_slowly(
     halves: tuple[Image, Image], albedo: Image | None, mask: NDArray[np.bool_]
 ) -> tuple[list[NDArray[np.float64]], float]:
     """Return the bounded halves and the share taken, by sorting the whole window of every pixel."""
-    lights = np.stack([find_light(half, albedo, mask) for half in halves])
+    lights = np.stack([compute_light(half, albedo, mask) for half in halves])
     count = (~np.isnan(lights)).sum(axis=0)
     means = np.where(count > 0, np.nan_to_num(lights).sum(axis=0) / np.maximum(count, 1), np.nan)
-    padded = np.pad(means, REACH, constant_values=np.nan)
-    windows = np.lib.stride_tricks.sliding_window_view(padded, (2 * REACH + 1, 2 * REACH + 1)).reshape(*mask.shape, -1)
+    padded = np.pad(means, FIREFLY_REACH, constant_values=np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (2 * FIREFLY_REACH + 1, 2 * FIREFLY_REACH + 1)).reshape(
+        *mask.shape, -1
+    )
     others = np.delete(windows, windows.shape[-1] // 2, axis=-1)
     known = (~np.isnan(others)).sum(axis=-1)
     second = np.sort(np.nan_to_num(others, nan=-np.inf), axis=-1)[..., -2]

@@ -13,7 +13,7 @@ from lobewise.filters.highlights import (
     MAX_HALVES_RATIO,
     MIN_BLOCK_RATIO,
     MIN_CORNER_RATIO,
-    MIN_EDGE_RATIO,
+    MIN_HIGHLIGHT_EDGE_RATIO,
     MIN_PAIR_RATIO,
     MIN_RING_PIXELS,
     MIN_SINGLE_RATIO,
@@ -22,23 +22,23 @@ from lobewise.filters.highlights import (
     split_highlights,
 )
 from tests.filters.sizes import SMALL_SIZES
-from tests.filters.test_fireflies import find_light, make_case
+from tests.filters.test_fireflies import compute_light, make_case
 
 Image = NDArray[np.float32]
 
 
-def find_blocks(least: NDArray[np.float64], row: int, column: int, side: int) -> list[NDArray[np.float64]]:
+def list_blocks(least: NDArray[np.float64], row: int, column: int, side: int) -> list[NDArray[np.float64]]:
     """Return the values of all blocks that hold a pixel, the pixels outside the image as -1."""
     padded = np.pad(least, side, constant_values=-1.0)
     corners = [(row - dy + side, column - dx + side) for dy in range(side) for dx in range(side)]
     return [padded[y : y + side, x : x + side].ravel() for y, x in corners]
 
 
-def find_slowly(
+def compute_slowly(
     halves: tuple[Image, Image], albedo: Image | None, mask: NDArray[np.bool_], shared: bool, single: bool, paired: bool
 ) -> NDArray[np.float64]:
     """Return the share of every pixel that is split off, by its definition, pixel by pixel."""
-    lights = np.stack([find_light(half, albedo, mask) for half in halves])
+    lights = np.stack([compute_light(half, albedo, mask) for half in halves])
     known = ~np.isnan(lights)
     filled = np.where(known, lights, 0.0)
     count = known.sum(axis=0)
@@ -57,7 +57,7 @@ def find_slowly(
             level[y, x] = np.mean(ring)
         if least[y, x] < 0.0:
             continue
-        for block in find_blocks(least, y, x, 3 if shared else 2):
+        for block in list_blocks(least, y, x, 3 if shared else 2):
             lowest, second = np.sort(block)[:2]
             core[y, x] |= lowest > (MIN_SINGLE_RATIO if single else MIN_BLOCK_RATIO) * level[y, x]
             core[y, x] |= not shared and not single and least[y, x] >= second > MIN_CORNER_RATIO * level[y, x]
@@ -69,7 +69,7 @@ def find_slowly(
     near = np.any(
         [around[1 + j : 1 + j + height, 1 + i : 1 + i + width] for j in (-1, 0, 1) for i in (-1, 0, 1)], axis=0
     )
-    taken = core | (near & (both > MIN_EDGE_RATIO * level))
+    taken = core | (near & (both > MIN_HIGHLIGHT_EDGE_RATIO * level))
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(taken & (both > level), 1.0 - level / both, 0.0)
 
@@ -96,11 +96,11 @@ def check_definition(size: tuple[int, int], kind: str, strange: bool) -> NDArray
     """Return the share of every pixel that is split off, after both halves were compared with the definition."""
     kinds = [kind == each for each in ("shared", "single", "paired")]
     halves, albedo, mask = make_spots(size, strange)
-    share = find_slowly(halves, albedo, mask, *kinds)
+    share = compute_slowly(halves, albedo, mask, *kinds)
     found = split_highlights(halves, albedo, mask, **dict(zip(("shared", "single", "paired"), kinds, strict=True)))
     for half, rest in zip(halves, (found.a, found.b), strict=True):
         with np.errstate(invalid="ignore", over="ignore"):
-            known = ~np.isnan(find_light(half, albedo, mask))
+            known = ~np.isnan(compute_light(half, albedo, mask))
             wanted = np.where(known[..., None], half * (1.0 - share[..., None]), half)
         np.testing.assert_allclose(rest, wanted, rtol=2e-4, atol=1e-6)
     return share

@@ -10,7 +10,7 @@ from lobewise.denoising.layers import Layer
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.filters.glue import define_support
 from lobewise.filters.history.accumulation import AccumulatedOutput
-from lobewise.filters.history.joining import find_reflecting, join_layers
+from lobewise.filters.history.joining import join_layers, mark_reflecting
 from lobewise.frame import FloatArray
 
 SHAPE = (9, 37)
@@ -38,7 +38,7 @@ def add(images: list[FloatArray]) -> FloatArray:
     return total
 
 
-def find_support(layers: list[Layer], outputs: list[AccumulatedOutput]) -> tuple[FloatArray, FloatArray]:
+def compute_support(layers: list[Layer], outputs: list[AccumulatedOutput]) -> tuple[FloatArray, FloatArray]:
     """Return weight and samples of the least supported layer that reflects, pixel by pixel; else those of the first."""
     found = np.zeros((2, *SHAPE), np.float32)
     for at in np.ndindex(*SHAPE):
@@ -60,7 +60,7 @@ def test_support_is_that_of_the_least_supported_layer(count: int) -> None:
         support = np.stack([output.weight_sum, output.effective_samples], axis=-1)
         images |= {f"support{k}": support, f"mask{k}": layer.mask, f"albedo{k}": layer.albedo}
     found = engine.pixels(define_support, images, {}, count)
-    for image, expected in zip(found, find_support(layers, outputs), strict=True):
+    for image, expected in zip(found, compute_support(layers, outputs), strict=True):
         np.testing.assert_array_equal(image, expected)
 
 
@@ -72,7 +72,7 @@ def test_sum_and_support_are_those_of_numpy(count: int) -> None:
     assert found.image.tobytes() == add([output.image for output in outputs]).tobytes()
     assert found.variance is not None
     assert found.variance.tobytes() == add([output.variance for output in outputs]).tobytes()
-    weight, effective = find_support(layers, outputs[: len(layers)])
+    weight, effective = compute_support(layers, outputs[: len(layers)])
     np.testing.assert_array_equal(found.weight_sum, weight)
     np.testing.assert_array_equal(found.effective_samples, effective)
     np.testing.assert_array_equal(found.holes, ~np.logical_or.reduce([each.weight_sum > 0.0 for each in outputs]))
@@ -119,5 +119,5 @@ def test_pixels_that_reflect_nothing_are_left_out() -> None:
     assert layer.albedo is not None
     layer.albedo[2, :7] = [0.0, 1e-6, 0.0]
     expected = layer.mask & (layer.albedo > 1e-6).any(axis=-1)
-    np.testing.assert_array_equal(find_reflecting(layer.mask, layer.albedo, 1e-6), expected)
-    assert find_reflecting(layer.mask, None, 1e-6) is layer.mask
+    np.testing.assert_array_equal(mark_reflecting(layer.mask, layer.albedo, 1e-6), expected)
+    assert mark_reflecting(layer.mask, None, 1e-6) is layer.mask

@@ -60,7 +60,7 @@ def make_light(seed: int) -> tuple[np.ndarray, np.ndarray]:
     return first, second
 
 
-def find_luminance(image: Any) -> np.ndarray:
+def compute_luminance(image: Any) -> np.ndarray:
     """Return the luminance of an image."""
     return np.asarray(image) @ np.array(LUMINANCE)
 
@@ -85,7 +85,7 @@ def blend_in_numpy(
     albedos = (gbuffer.diffuse_albedo, gbuffer.specular_albedo)
     images = []
     for k, (shown, albedo, count) in enumerate(zip(light, albedos, (length, narrow), strict=True)):
-        value = find_luminance(shown) / find_luminance(albedo)
+        value = compute_luminance(shown) / compute_luminance(albedo)
         size = 2 * RADIUS_PIXELS + 1
         squares = np.lib.stride_tricks.sliding_window_view(value, (size, size))[:, 12 - RADIUS_PIXELS :][:, : -12 + 2]
         mean, spread = squares.mean(axis=(-2, -1)), squares.std(axis=(-2, -1))
@@ -125,8 +125,8 @@ def test_a_history_lessens_noise_and_light_keeps_its_hue() -> None:
         ratio = image / noisy
         np.testing.assert_allclose(ratio[..., 1:], ratio[..., :1].repeat(2, axis=-1), rtol=1e-4)
         np.testing.assert_array_equal(image[~there], noisy[~there])
-    albedo = find_luminance(gbuffer.diffuse_albedo)
-    noise = [np.std((find_luminance(image) / albedo)[there]) for image in (light[0], diffuse)]
+    albedo = compute_luminance(gbuffer.diffuse_albedo)
+    noise = [np.std((compute_luminance(image) / albedo)[there]) for image in (light[0], diffuse)]
     assert noise[1] < 0.6 * noise[0]
 
 

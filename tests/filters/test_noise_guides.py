@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter
 
 from lobewise.backend.jit import count_compiled_kernels
 from lobewise.errors import InputError
-from lobewise.filters.noise_guides import find_level, make_noise_guide, measure_light
+from lobewise.filters.noise_guides import compute_mean_light, make_noise_guide, measure_light
 from lobewise.frame import FloatArray
 from tests.features.frames import make_radiance
 from tests.filters.sizes import SIZES
@@ -150,7 +150,7 @@ def check_light(shape: tuple[int, int], tinted: bool) -> None:
     np.testing.assert_allclose(rows[:, 0], expected.sum(axis=1), rtol=1e-5, atol=1e-30)
     np.testing.assert_array_equal(rows[:, 1], mask.sum(axis=1))
     if mask.any():
-        assert find_level(rows) == pytest.approx(expected[mask].mean(), rel=1e-5, abs=1e-30)
+        assert compute_mean_light(rows) == pytest.approx(expected[mask].mean(), rel=1e-5, abs=1e-30)
 
 
 @pytest.mark.sampled("cpu", "vulkan")
@@ -170,10 +170,10 @@ def test_the_level_of_an_image_is_that_of_its_bands() -> None:
 
 def test_nothing_is_as_bright_as_nothing() -> None:
     halves, albedo, mask = make_samples((9, 9))
-    assert find_level(measure_light(halves, albedo, np.zeros_like(mask))) == 0.0
-    assert find_level(measure_light(halves, np.zeros_like(albedo), mask)) == 0.0
+    assert compute_mean_light(measure_light(halves, albedo, np.zeros_like(mask))) == 0.0
+    assert compute_mean_light(measure_light(halves, np.zeros_like(albedo), mask)) == 0.0
     huge = np.full((9, 9, 3), 3e38, np.float32)
-    assert find_level(measure_light((huge, huge), np.full_like(huge, 0.01), mask)) == 0.0
+    assert compute_mean_light(measure_light((huge, huge), np.full_like(huge, 0.01), mask)) == 0.0
 
 
 def test_any_layout_of_the_arrays_will_do() -> None:

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from lobewise.features import RayFeature, ScreenFeature
-from lobewise.features.ray import LOBE_SPREAD, MAX_RATIO
+from lobewise.features.ray import LOBE_SPREAD, MAX_RAY_WEIGHT
 from lobewise.filters.history.accumulation import SampleGrid, run_upsampling
 
 SHAPE, SCALE, PLACE, RADIUS = (16, 24), 4, (1, 2), 2
@@ -60,7 +60,7 @@ def upsample(light: Any, weights: Any, feature: RayFeature) -> Any:
     return run_upsampling(image, np.ones(SHAPE, bool), features, **options)
 
 
-def find_screen_weights() -> Array:
+def compute_screen_weights() -> Array:
     """Return the weight of the screen's distance between samples and pixels, (samples, height, width)."""
     y, x = np.indices(SHAPE)
     rows, columns = (each.ravel()[:, None, None] for each in np.indices((ROWS, COLUMNS)))
@@ -76,7 +76,7 @@ def read_weights(feature: RayFeature) -> Array:
         impulse[number] = 1.0
         out = upsample(impulse.reshape(ROWS, COLUMNS), None, feature)
         found[number] = out.image[..., 0] * out.weight_sum
-    return found / find_screen_weights()
+    return found / compute_screen_weights()
 
 
 @pytest.mark.nightly
@@ -94,9 +94,9 @@ def test_weight_is_the_ratio_of_the_lobes_along_the_ray() -> None:
                 continue
             expected = 1.0
             if ray.any():
-                expected = min(evaluate_ggx(feature, at, ray) / evaluate_ggx(feature, shaded, ray), MAX_RATIO)
+                expected = min(evaluate_ggx(feature, at, ray) / evaluate_ggx(feature, shaded, ray), MAX_RAY_WEIGHT)
             assert weights[number][at] == pytest.approx(expected, rel=2e-4)
-            seen, bounded = seen + 1, bounded + (expected == MAX_RATIO)
+            seen, bounded = seen + 1, bounded + (expected == MAX_RAY_WEIGHT)
     assert seen > 1000
     assert 0 < bounded < 0.5 * seen
 
@@ -119,7 +119,7 @@ def test_sample_counts_by_the_weight_of_its_ray() -> None:
     rng = np.random.default_rng(3)
     feature, light = make_feature(3), rng.uniform(0.1, 2.0, (ROWS, COLUMNS))
     weights = rng.choice([0.0, 0.5, 1.0, 4.0], (ROWS, COLUMNS))
-    total = read_weights(feature) * find_screen_weights() * weights.ravel()[:, None, None]
+    total = read_weights(feature) * compute_screen_weights() * weights.ravel()[:, None, None]
     out = upsample(weights * light, weights, feature)
     assert np.allclose(out.weight_sum, total.sum(axis=0), rtol=1e-3)
     assert np.allclose(out.image[..., 0], np.einsum("kyx,k->yx", total, light.ravel()) / total.sum(axis=0), rtol=1e-3)
@@ -146,10 +146,10 @@ def test_samples_of_chance_weights_confirm_a_history_of_the_light_along_rays() -
     history = np.zeros((*SHAPE, 7), np.float32)
     history[..., [0, 1, 2, 3, 5, 6]] = 4.0
     history[..., 4] = 4.0
-    same = make_grid().find_trust(samples, history, 1.0, weights)
+    same = make_grid().compute_trust(samples, history, 1.0, weights)
     assert np.array_equal(same, np.ones((ROWS, COLUMNS)))
     history[..., :3] *= 2.0
-    other = make_grid().find_trust(samples, history, 1.0, weights)
+    other = make_grid().compute_trust(samples, history, 1.0, weights)
     known = weights > 0.0
     assert known.sum() > 2
     assert (other[known] == 0.0).all()

@@ -77,17 +77,17 @@ class Definition:
             total = bias + sum(each @ weight[:, :, v, u].T for v, u, each in list_taps(image, weight.shape[-1]))
         return np.where(total > 0.0, total, 0.1 * total) if active else total
 
-    def find_features(self, image: Exact) -> list[Exact]:
+    def compute_features(self, image: Exact) -> list[Exact]:
         """Return the features of every level."""
         last, seen = self.convolve("stem", image), {}
-        for level in range(1, shape.LEVELS):
+        for level in range(1, shape.LEVEL_COUNT):
             if level > 1:
                 last = pad_even(last, -np.inf)
                 last = np.max([last[v::2, u::2] for v in range(2) for u in range(2)], axis=0)
             last = self.convolve(f"down.{level - 1}.1", self.convolve(f"down.{level - 1}.0", last))
             seen[level] = last
         features = [last]
-        for level in reversed(range(1, shape.LEVELS - 1)):
+        for level in reversed(range(1, shape.LEVEL_COUNT - 1)):
             joined = np.concatenate([enlarge(features[0], seen[level]), seen[level]], axis=-1)
             name = f"up.{level - 1}"
             features.insert(0, self.convolve(f"{name}.1", self.convolve(f"{name}.0", joined)))
@@ -97,7 +97,7 @@ class Definition:
 
     def run(self, planes: Exact, light: Exact, vectors: Exact) -> Exact:
         """Return the filtered light."""
-        features = self.find_features(planes)
+        features = self.compute_features(planes)
         logits = [self.convolve(f"heads.{level}", each, active=False) for level, each in enumerate(features)]
         sources = 1e-3 + 1.0 / (1.0 + np.exp(-2.0 - logits[0][..., -2:]))
         sums = np.concatenate(
@@ -108,13 +108,13 @@ class Definition:
             axis=-1,
         )
         pyramid = [(sums, vectors)]
-        for _ in range(shape.LEVELS - 1):
+        for _ in range(shape.LEVEL_COUNT - 1):
             halved = (pad_even(each) for each in pyramid[-1])
             pyramid.append(
                 tuple(0.25 * sum(each[v::2, u::2] for v in range(2) for u in range(2)) for each in halved)  # type: ignore[arg-type]
             )
         coarse: Exact | None = None
-        for level in reversed(range(shape.LEVELS)):
+        for level in reversed(range(shape.LEVEL_COUNT)):
             coarse = filter_level(level, logits[level], *pyramid[level], coarse)
         assert coarse is not None
         return coarse
@@ -224,14 +224,14 @@ def test_the_mean_is_convex() -> None:
 
 
 def test_a_cut_at_a_block_keeps_the_bits() -> None:
-    height = 2 * shape.REACH + 3 * shape.MULTIPLE
+    height = 2 * shape.REFINEMENT_REACH + 3 * shape.MULTIPLE
     images = make_images((height, 9))
     whole = refine(images)
     first = 2 * shape.MULTIPLE
     below = refine({name: image[first:] for name, image in images.items()})
-    np.testing.assert_array_equal(below[shape.REACH :], whole[first + shape.REACH :])
+    np.testing.assert_array_equal(below[shape.REFINEMENT_REACH :], whole[first + shape.REFINEMENT_REACH :])
     above = refine({name: image[:-first] for name, image in images.items()})
-    np.testing.assert_array_equal(above[: -shape.REACH], whole[: -first - shape.REACH])
+    np.testing.assert_array_equal(above[: -shape.REFINEMENT_REACH], whole[: -first - shape.REFINEMENT_REACH])
 
 
 @pytest.mark.parametrize("factor", [1e-30, 1e30])

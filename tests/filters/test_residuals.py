@@ -7,7 +7,12 @@ import pytest
 
 import lobewise
 from lobewise.camera import Camera
-from lobewise.filters.noise.residuals import RESIDUAL_NOISE_SHARE, find_squared_residual, split_by_noise, split_samples
+from lobewise.filters.noise.residuals import (
+    RESIDUAL_NOISE_SHARE,
+    compute_squared_residual,
+    split_by_noise,
+    split_samples,
+)
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.metrics import rel_mse
 
@@ -22,7 +27,7 @@ def take_inside(image: np.ndarray) -> np.ndarray:
 
 def test_white_noise_keeps_its_variance(rng: np.random.Generator) -> None:
     image = (5.0 + 0.3 * rng.normal(size=(SIZE, SIZE, 3))).astype(np.float32)
-    found = take_inside(find_squared_residual(image, None, EVERYWHERE))
+    found = take_inside(compute_squared_residual(image, None, EVERYWHERE))
     # The mean of 26,508 squares, which hang together over 3x3 pixels.
     assert found.mean() == pytest.approx(0.09, rel=0.06)
 
@@ -31,13 +36,13 @@ def test_slopes_and_edges_along_the_axes_are_no_noise() -> None:
     x, y = np.meshgrid(np.arange(SIZE), np.arange(SIZE))
     for image in (2.0 + 0.1 * x + 0.3 * y, 1.0 + 4.0 * (x > 40), 1.0 + 4.0 * (y > 17) + 2.0 * (x % 3)):
         light = np.repeat(image[..., None], 3, axis=-1).astype(np.float32)
-        assert take_inside(find_squared_residual(light, None, EVERYWHERE)).max() < 1e-9
+        assert take_inside(compute_squared_residual(light, None, EVERYWHERE)).max() < 1e-9
 
 
 def test_it_is_that_of_the_light_and_weighted_like_radiance(rng: np.random.Generator) -> None:
     light = (5.0 + 0.3 * rng.normal(size=(SIZE, SIZE, 3))).astype(np.float32)
     albedo = rng.uniform(0.2, 0.9, (SIZE, SIZE, 3)).astype(np.float32)
-    plain, tinted = (find_squared_residual(*each, EVERYWHERE) for each in ((light, None), (light * albedo, albedo)))
+    plain, tinted = (compute_squared_residual(*each, EVERYWHERE) for each in ((light, None), (light * albedo, albedo)))
     np.testing.assert_allclose(tinted, plain * albedo, rtol=1e-3, atol=1e-5)
 
 
@@ -48,7 +53,7 @@ def test_bad_pixels_tell_nothing_of_their_neighbours(bad: float) -> None:
     mask = EVERYWHERE.copy()
     mask[:, 50:] = False
     light[:, 50:] = 1e6
-    found = find_squared_residual(light, None, mask)
+    found = compute_squared_residual(light, None, mask)
     assert np.isnan(found[10, 20]).all()
     assert np.isnan(found[:, 50:]).all()
     kept = found[:, :50].copy()

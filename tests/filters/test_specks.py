@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lobewise.filters.specks import count_turns, find_sharing
+from lobewise.filters.specks import choose_sharing, count_turns
 from lobewise.lobes.vectors import LUMINANCE
 
 Image = NDArray[np.float32]
@@ -17,7 +17,7 @@ SIZES = [(1, 1), (1, 9), (3, 2), (17, 33), (40, 31)]
 
 def share(light: Image, radius: Image, spp: int | None) -> Image:
     """Return light that was shared out."""
-    return find_sharing(light, radius, spp).apply(light)
+    return choose_sharing(light, radius, spp).apply(light)
 
 
 def cut(image: NDArray[np.float64], y: int, x: int, radius: int) -> NDArray[np.float64]:
@@ -25,7 +25,7 @@ def cut(image: NDArray[np.float64], y: int, x: int, radius: int) -> NDArray[np.f
     return image[max(y - radius, 0) : y + radius + 1, max(x - radius, 0) : x + radius + 1]
 
 
-def find_amid(bright: NDArray[np.float64]) -> NDArray[np.bool_]:
+def mark_amid(bright: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return which pixels are bright, or have bright ones in each of eight half-planes."""
     found = np.zeros(bright.shape, np.bool_)
     for y, x in np.ndindex(*bright.shape):
@@ -44,7 +44,7 @@ def share_slowly(light: Image, radius: Image, spp: int) -> NDArray[np.float64]:
     known = np.nan_to_num(radius)
     turns = np.minimum(np.floor(6.0 * (known / spp) ** (2.0 / 3.0)), 10) * (known >= 1.5)
     shared = light.astype(np.float64)
-    turns = turns * find_amid(np.where(turns > 0, shared @ np.array(LUMINANCE), 0.0))
+    turns = turns * mark_amid(np.where(turns > 0, shared @ np.array(LUMINANCE), 0.0))
     for turn in range(10):
         before = shared.copy()
         for y, x in np.argwhere(turns > turn):
@@ -101,7 +101,7 @@ def test_no_light_is_lost_and_parts_still_sum_to_the_whole() -> None:
     luminance = np.array(LUMINANCE)
     assert (shared @ luminance).sum() == pytest.approx((light @ luminance).sum(), rel=1e-5)
     red = light * np.array([1.0, 0.0, 0.0], np.float32)
-    sharing = find_sharing(light, radius, 1)
+    sharing = choose_sharing(light, radius, 1)
     np.testing.assert_allclose(sharing.apply(red) + sharing.apply(light - red), shared, rtol=1e-4, atol=1e-6)
     assert np.abs(shared - light).max() > 1.0
 

@@ -213,7 +213,7 @@ def read_object_paths(path: Path, _: Answer) -> None:
     paths = read_object_paths(path)
     for frame in (1.0, 2.0):
         if all(len(one.matrices) != 1 or frame == 1.0 for one in paths.paths.values()):
-            for matrix in paths.find_places(frame).values():
+            for matrix in paths.compute_places(frame).values():
                 assert matrix.shape == (4, 4)
 
 
@@ -233,9 +233,9 @@ def _use(camera: Camera) -> None:
 def read_preset(path: Path, _: Answer) -> None:
     """Read a preset, and then a file by it."""
     from lobewise.interchange.mapping import map_channels
-    from lobewise.interchange.preset import find_preset
+    from lobewise.interchange.preset import look_up_preset
 
-    find_preset(path)
+    look_up_preset(path)
     map_channels(_open_example(), preset=path)
 
 

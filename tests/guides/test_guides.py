@@ -10,11 +10,11 @@ from lobewise.camera import Camera
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.guides.stand_ins import stand_in_normals
 from lobewise.guides.surfaces import (
-    find_footprints,
-    find_inverse_hits,
-    find_places,
-    find_surface_pixels,
-    find_tolerances,
+    compute_footprints,
+    compute_inverse_hits,
+    compute_points,
+    compute_tolerances,
+    mark_surface_pixels,
     put_backdrop,
 )
 
@@ -48,12 +48,12 @@ def test_surfaces(junk: dict[str, NDArray[np.float32]], names: tuple[str, ...]) 
             square = np.sum(junk["normal"] ** 2, axis=-1)
             expected &= np.isfinite(square) & (square > 0.01)
     assert 0.2 < expected.mean() < 0.9
-    found = find_surface_pixels(GBuffer(**{name: junk[name] for name in names}), SIZE)
+    found = mark_surface_pixels(GBuffer(**{name: junk[name] for name in names}), SIZE)
     np.testing.assert_array_equal(found, expected)
 
 
 def test_without_guides_everything_is_a_surface() -> None:
-    assert find_surface_pixels(GBuffer(), SIZE).all()
+    assert mark_surface_pixels(GBuffer(), SIZE).all()
 
 
 def test_places_from_depth_and_from_position(rng: np.random.Generator) -> None:
@@ -61,11 +61,11 @@ def test_places_from_depth_and_from_position(rng: np.random.Generator) -> None:
     depth[3, 4], depth[5, 6] = 0.0, np.nan
     rays = CAMERA.make_ray_directions(SIZE[1], SIZE[0]).astype(np.float64)
     expected = CAMERA.position + depth[..., None] * rays
-    position, same = find_places(GBuffer(depth=depth), CAMERA)
+    position, same = compute_points(GBuffer(depth=depth), CAMERA)
     np.testing.assert_allclose(position, expected, atol=ROUNDING * 9.0)
     assert same is not None
     np.testing.assert_array_equal(same, depth)
-    given, distance = find_places(GBuffer(position=expected), CAMERA)
+    given, distance = compute_points(GBuffer(position=expected), CAMERA)
     np.testing.assert_array_equal(given, expected.astype(np.float32))
     np.testing.assert_allclose(distance, depth, atol=ROUNDING * 9.0)
 
@@ -78,29 +78,29 @@ def test_inverse_hits(junk: dict[str, NDArray[np.float32]]) -> None:
             (distance > 0.0) & np.isfinite(depth), 1.0 / np.maximum(distance, np.float32(0.7) * depth), 0.0
         )
     plain[~np.isfinite(plain)] = bounded[~np.isfinite(bounded)] = 0.0
-    np.testing.assert_allclose(find_inverse_hits(distance), plain, rtol=ROUNDING)
-    np.testing.assert_allclose(find_inverse_hits(distance, depth, 0.7), bounded, rtol=ROUNDING)
+    np.testing.assert_allclose(compute_inverse_hits(distance), plain, rtol=ROUNDING)
+    np.testing.assert_allclose(compute_inverse_hits(distance, depth, 0.7), bounded, rtol=ROUNDING)
     assert (bounded[depth > 1.0] < 1.0 / 0.69).all()
 
 
 def test_tolerances(junk: dict[str, NDArray[np.float32]]) -> None:
     u, v = junk["u"], junk["v"]
     u[0, :3], v[0, :3] = (0.5, 0.1, np.nan), (0.2, 0.4, 0.3)
-    both = find_tolerances(u, v, 0.1, 2.0)
+    both = compute_tolerances(u, v, 0.1, 2.0)
     np.testing.assert_allclose(both[0, :3], [1.1, 0.9, 0.1], rtol=ROUNDING)
     known = np.isfinite(u) & np.isfinite(v) & (np.maximum(np.abs(u), np.abs(v)) < 1e30)
     np.testing.assert_allclose(both[known], 0.1 + 2.0 * np.maximum(np.maximum(u, v), 0.0)[known], rtol=ROUNDING)
     assert (both >= np.float32(0.1)).all()
-    np.testing.assert_allclose(find_tolerances(u, None, 0.1, 2.0)[0, :3], [1.1, 0.3, 0.1], rtol=ROUNDING)
+    np.testing.assert_allclose(compute_tolerances(u, None, 0.1, 2.0)[0, :3], [1.1, 0.3, 0.1], rtol=ROUNDING)
 
 
 def test_footprints(rng: np.random.Generator) -> None:
     depth, allowance = rng.uniform(1.0, 5.0, (2, *SIZE)).astype(np.float32)
     surface = rng.random(SIZE) < 0.5
     depth[~surface] = np.inf
-    plain = find_footprints(surface, depth, 0.02, None, 0.5)
+    plain = compute_footprints(surface, depth, 0.02, None, 0.5)
     np.testing.assert_allclose(plain, np.where(surface, 0.02 * depth, 1.0), rtol=ROUNDING)
-    wider = find_footprints(surface, depth, 0.02, allowance, 0.5)
+    wider = compute_footprints(surface, depth, 0.02, allowance, 0.5)
     np.testing.assert_allclose(wider, np.where(surface, plain * (1.0 + 0.5 * allowance), 1.0), rtol=ROUNDING)
 
 

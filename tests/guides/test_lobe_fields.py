@@ -431,7 +431,7 @@ def test_single_precision_is_good_enough_for_similarities(guides, camera):
     assert np.abs(error[both]).max() < 2e-3
 
 
-def find_turns(valid, axis):
+def compute_turns(valid, axis):
     """Return by how much lobes are spread: the least squared turn of the axis to a neighbour, times its factor."""
     turns = np.zeros(valid.shape)
     for y, x in zip(*np.nonzero(valid), strict=True):
@@ -449,11 +449,11 @@ def test_lobes_are_spread_by_the_turn_from_pixel_to_pixel(guides, camera, size):
     guides["lobe_kind"][np.random.default_rng(5).random((HEIGHT, WIDTH)) < 0.2] = 0
     some = {name: image[: size[0], : size[1]] for name, image in guides.items()}
     sg = make_sg_field(GBuffer(**some), camera, tau=TAU, diffuse_fallback=False)
-    turns = find_turns(sg.valid, sg.axis.astype(np.float64))
+    turns = compute_turns(sg.valid, sg.axis.astype(np.float64))
     np.testing.assert_allclose(1.0 / spread_lobes(sg).sharpness, 1.0 / sg.sharpness + turns, rtol=1e-4)
     field = make_covariance_field(GBuffer(**some), camera, tau=TAU, diffuse_fallback=False)
     found, axis = spread_lobes(field), field.axis.astype(np.float64)
-    turns = find_turns(field.valid, axis)
+    turns = compute_turns(field.valid, axis)
     np.testing.assert_array_equal(found.axis, field.axis)
     for y, x in np.ndindex(size):
         before, after = np.zeros((3, 3)), np.zeros((3, 3))

@@ -59,7 +59,7 @@ def make_table(name: str, sharpness: float) -> LobeTable:
     )
 
 
-def find_views(guides, camera):
+def compute_views(guides, camera):
     return normalize(camera.position - guides["position"])
 
 
@@ -72,7 +72,7 @@ def test_ggx_pixels_have_the_mixture_of_a_point(guides, camera, lobes):
     field = make_mixture_field(GBuffer(**guides), camera, tau=TAU, lobes=lobes)
     albedo = weigh(guides["specular_albedo"])
     point = make_ggx_mixture(
-        find_views(guides, camera), guides["normal"], guides["alpha_u"], lobes=lobes, albedo=albedo, tau=TAU
+        compute_views(guides, camera), guides["normal"], guides["alpha_u"], lobes=lobes, albedo=albedo, tau=TAU
     )
     assert field.valid.all()
     np.testing.assert_allclose(field.axis, point.axis[..., 0, :], atol=1e-6)
@@ -116,7 +116,7 @@ def test_materials_have_the_lobes_of_their_tables(guides, camera):
     assert field.axis.shape == (*SHAPE, 9)
     for number, table in enumerate(tables):
         here = material == number + 1
-        lobes = evaluate_table(table, guides["normal"][here], find_views(guides, camera)[here])
+        lobes = evaluate_table(table, guides["normal"][here], compute_views(guides, camera)[here])
         sharpness = 2.0 * np.sqrt(np.prod(lobes.sharpness, axis=-1))
         np.testing.assert_allclose(field.axis[here][:, :6], lobes.axis.reshape(-1, 6), atol=1e-5)
         np.testing.assert_allclose(1.0 / field.sharpness[here][:, :2], 1.0 / sharpness + TAU**2, rtol=1e-4)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lobewise.guides.squares import average_square, count_neighbours, find_largest, sum_square
+from lobewise.guides.squares import average_square, compute_square_maximum, count_neighbours, sum_square
 
 
 @pytest.mark.parametrize("radius", [1, 3, 9])
@@ -13,7 +13,7 @@ from lobewise.guides.squares import average_square, count_neighbours, find_large
 def test_squares_are_those_of_the_pixels(radius: int, shape: tuple[int, int]) -> None:
     image = np.random.default_rng(radius).normal(-2.0, 1.0, shape).astype(np.float32)
     mask = image > -2.0
-    found = [measure(image, radius) for measure in (find_largest, sum_square, average_square)]
+    found = [measure(image, radius) for measure in (compute_square_maximum, sum_square, average_square)]
     count = count_neighbours(mask, radius)
     for y, x in np.ndindex(*shape):
         square = slice(max(y - radius, 0), y + radius + 1), slice(max(x - radius, 0), x + radius + 1)

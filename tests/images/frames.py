@@ -47,7 +47,7 @@ class View:
 @cache
 def read_views(name: str) -> tuple[View, ...]:
     """Return the views of a file: one, or that of each eye."""
-    path, reference = find_file(name), REFERENCES / f"{name}.exr"
+    path, reference = locate_file(name), REFERENCES / f"{name}.exr"
     if name == SPARSE:
         return (View(lobewise.read_sparse_frame(path), read_light(reference)),)
     from lobewise.interchange.reading import list_selections
@@ -64,7 +64,7 @@ def read_light(path: Path, view: str = "") -> Frame:
     return import_file(path, view=view or None, also=groups, light_passes=True).frame
 
 
-def find_file(name: str) -> Path:
+def locate_file(name: str) -> Path:
     """Return the file of a frame; LuxCore writes a folder of files."""
     folder = DATA / name
     return folder / "RGB.exr" if folder.is_dir() else DATA / f"{name}.exr"

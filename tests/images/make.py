@@ -51,11 +51,11 @@ def round_floats(values: Any, bits: int) -> Any:
 
 def cut(image: Any, size: tuple[int, int]) -> Any:
     """Return the middle of an image, of a width and a height: cameras that tests fit look at the middle."""
-    x, y = find_corner(image, size)
+    x, y = locate_corner(image, size)
     return np.ascontiguousarray(image[y : y + size[1], x : x + size[0]])
 
 
-def find_corner(image: Any, size: tuple[int, int]) -> tuple[int, int]:
+def locate_corner(image: Any, size: tuple[int, int]) -> tuple[int, int]:
     """Return the left column and the top row of the middle of an image."""
     return (image.shape[1] - size[0]) // 2, (image.shape[0] - size[1]) // 2
 
@@ -82,7 +82,7 @@ def cut_file(
             for name, channel in part.channels.items()
             if keep(name)
         }
-        x, y = find_corner(next(iter(part.channels.values())).pixels, size)
+        x, y = locate_corner(next(iter(part.channels.values())).pixels, size)
         dropped = ("channels", "chunkCount", "Date", "Time", "RenderTime", "File", "capDate", "compression")
         header = {
             key: value
@@ -174,7 +174,7 @@ def read_middle(path: Path) -> Frame:
     for name, image in guides.items():
         guides[name] = round_floats(image, PLACE_BITS if any(word in name for word in PLACES) else NORMAL_BITS)
     # Shares of neighbours that were cut off go to the pixel itself.
-    outside = ~find_neighbours(*OWN_SIZE)
+    outside = ~mark_neighbours(*OWN_SIZE)
     guides["coverage"][..., 4] += np.where(outside, guides["coverage"], 0.0).sum(axis=-1)
     guides["coverage"][outside] = 0.0
     light = {}
@@ -185,7 +185,7 @@ def read_middle(path: Path) -> Frame:
     return Frame(**light, gbuffer=GBuffer(**guides), camera=replace(whole.camera, fov_y=float(fov_y)), spp=whole.spp)
 
 
-def find_neighbours(width: int, height: int) -> Any:
+def mark_neighbours(width: int, height: int) -> Any:
     """Return which of the 3x3 neighbours of every pixel lie in the image, shape (height, width, 9)."""
     inside = np.pad(np.ones((height, width), dtype=bool), 1)
     shifted = [inside[y : y + height, x : x + width] for y in range(3) for x in range(3)]

@@ -112,13 +112,15 @@ def measure_passes(view: View, result: Result) -> dict[str, float]:
         least = MIN_SHARE_OF_IMAGE * abs(total)
         found[f"light {name}"] = np.abs(sum_blocks(image) - before).sum() / max(np.abs(before).sum(), least)
     for name, parts in list_sums(frame, clean).items():
-        apart = find_rest(result.image, clean, name, parts) - find_rest(frame.radiance.color, noisy, name, parts)
+        apart = compute_rest(result.image, clean, name, parts) - compute_rest(frame.radiance.color, noisy, name, parts)
         finite = apart[np.isfinite(apart)]
         found[f"sum {name or 'image'}"] = float(np.abs(finite).sum() / np.abs(result.image).sum())
     return found
 
 
-def find_rest(image: FloatArray, light: Mapping[str, FloatArray], name: str, parts: list[str]) -> NDArray[np.float64]:
+def compute_rest(
+    image: FloatArray, light: Mapping[str, FloatArray], name: str, parts: list[str]
+) -> NDArray[np.float64]:
     """Return what light, or the image where ``name`` is no light, has beside its parts."""
     with np.errstate(invalid="ignore"):
         return np.subtract(light.get(name, image), sum(light[part] for part in parts), dtype=np.float64)

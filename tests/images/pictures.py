@@ -45,6 +45,6 @@ def write_baseline(path: Path, measured: Measured) -> None:
     path.write_bytes(out.getvalue())
 
 
-def find_baseline(name: str, quality: str) -> Path:
+def locate_baseline(name: str, quality: str) -> Path:
     """Return the file of a committed picture, which "balanced" and "high" have."""
     return BASELINES / f"{name}-{quality}.jpg"

@@ -9,7 +9,7 @@ import pytest
 
 from tests.images.frames import CASES, QUALITIES
 from tests.images.measuring import MAX_MEAN_CHANGE, compare_figures, measure_case, read_figures, widen_bound
-from tests.images.pictures import find_baseline, write_comparison
+from tests.images.pictures import locate_baseline, write_comparison
 
 ADVICE = "if it was meant, commit what `python -m tests.images.write` writes"
 
@@ -30,7 +30,7 @@ def test_image_is_as_good_as_the_committed_one(name: str, quality: str, tmp_path
     told = compare_figures(measured.figures, read_figures()[name][quality], quality)
     if told:
         picture = tmp_path / f"{name}-{quality}.png"
-        write_comparison(picture, measured, find_baseline(name, quality))
+        write_comparison(picture, measured, locate_baseline(name, quality))
         pytest.fail(f"{'; '.join(told)}. See {picture} (noisy, result, committed, reference); {ADVICE}")
 
 

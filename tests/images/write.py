@@ -11,7 +11,7 @@ import re
 
 from tests.images.frames import CASES
 from tests.images.measuring import FIGURES, compare_figures, measure_case, read_figures
-from tests.images.pictures import find_baseline, write_baseline
+from tests.images.pictures import locate_baseline, write_baseline
 
 SHOWN = ("balanced", "high")
 """Qualities of which a picture is committed."""
@@ -28,7 +28,7 @@ def main() -> None:
         for told in compare_figures(measured.figures, committed, quality) if committed else []:
             print(f"{name}, {quality}: {told}")
         if quality in SHOWN:
-            write_baseline(find_baseline(name, quality), measured)
+            write_baseline(locate_baseline(name, quality), measured)
     text = re.sub(r"\{[^{}]*\}", lambda cell: re.sub(r"\s*\n\s*", " ", cell[0]), json.dumps(figures, indent=1))
     FIGURES.write_text(text + "\n")
 

@@ -8,7 +8,7 @@ import pytest
 from lobewise.camera import Camera
 from lobewise.filters.history.sums import HISTORY_CHANNELS, split_sums
 from lobewise.frame import Radiance
-from lobewise.interactive.gradients import MAX_RATIO, Change, Shaded, find_changes, follows_hits, relight_sums
+from lobewise.interactive.gradients import MAX_RATIO, Change, Shaded, compute_changes, follows_hits, relight_sums
 
 SCALE, ROWS, COLUMNS = 4, 6, 8
 SHAPE = SCALE * ROWS - 1, SCALE * COLUMNS - 2
@@ -34,7 +34,7 @@ def test_samples_that_change_alike_tell_the_ratio(former: Shaded) -> None:
     old = former.radiance
     assert old.diffuse is not None
     assert old.specular is not None
-    changes = find_changes(former, make_radiance(old.diffuse * tint, old.specular * 0.25), former.depth, SHAPE)
+    changes = compute_changes(former, make_radiance(old.diffuse * tint, old.specular * 0.25), former.depth, SHAPE)
     assert changes["diffuse"].ratio.shape == (*SHAPE, 3)
     # The samples differ in colour, so their luminances do not change alike.
     np.testing.assert_allclose(changes["diffuse"].ratio, np.broadcast_to(tint, (*SHAPE, 3)), rtol=0.2)
@@ -47,7 +47,7 @@ def test_the_error_is_that_of_a_ratio_of_sums(former: Shaded, rng: np.random.Gen
     old = former.radiance.diffuse
     assert old is not None
     new = old * rng.uniform(2.4, 3.6, (ROWS, COLUMNS, 1)).astype(np.float32)
-    error = find_changes(former, make_radiance(new, new), former.depth, SHAPE)["diffuse"].error
+    error = compute_changes(former, make_radiance(new, new), former.depth, SHAPE)["diffuse"].error
     for row, column in ((2, 3), (3, 5)):
         window = slice(row - 1, row + 2), slice(column - 1, column + 2)
         before, now = (image[window].reshape(9, 3) @ LUMINANCE for image in (old, new))
@@ -62,7 +62,7 @@ def test_a_change_within_its_error_is_none(former: Shaded, rng: np.random.Genera
     assert old is not None
     noise = rng.uniform(0.5, 1.5, (200, ROWS, COLUMNS, 1)).astype(np.float32)
     ratios = [
-        find_changes(former, make_radiance(old * each, old * each), former.depth, SHAPE)["diffuse"].ratio
+        compute_changes(former, make_radiance(old * each, old * each), former.depth, SHAPE)["diffuse"].ratio
         for each in noise
     ]
     # The standard error is not known exactly either: of 9 samples, 1 or 2 ratios in 5 lie beyond it.
@@ -76,7 +76,7 @@ def test_samples_of_another_surface_tell_nothing(former: Shaded) -> None:
     assert old is not None
     depth = former.depth.copy()
     depth[:, :4] = 3.9
-    change = find_changes(former, make_radiance(old * 5.0, old * 5.0), depth, SHAPE)["diffuse"]
+    change = compute_changes(former, make_radiance(old * 5.0, old * 5.0), depth, SHAPE)["diffuse"]
     assert (change.ratio[:, : SCALE * 2] == 1.0).all()
     assert (change.error[:, : SCALE * 2] == 0.0).all()
     np.testing.assert_allclose(change.ratio[:, SCALE * 5 :], 5.0, rtol=1e-5)
@@ -90,7 +90,7 @@ def test_a_moving_reflection_tells_nothing_of_specular_light(former: Shaded, whi
     moved = np.zeros((4, ROWS, COLUMNS), bool)
     moved[which, :, :4] = True
     again = make_radiance(old.diffuse * 5.0, old.specular * 5.0)
-    changes = find_changes(former, again, former.depth, SHAPE, moved)
+    changes = compute_changes(former, again, former.depth, SHAPE, moved)
     assert (changes["specular"].ratio[:, : SCALE * 2] == 1.0).all()
     assert (changes["specular"].error[:, : SCALE * 2] == 0.0).all()
     np.testing.assert_allclose(changes["specular"].ratio[:, SCALE * 5 :], 5.0, rtol=1e-5)
@@ -103,10 +103,10 @@ def test_a_single_sample_tells_no_change(former: Shaded) -> None:
     assert old is not None
     depth = np.full_like(former.depth, 3.9)
     depth[2, 3] = former.depth[2, 3]
-    change = find_changes(former, make_radiance(old * 50.0, old * 50.0), depth, SHAPE)["diffuse"]
+    change = compute_changes(former, make_radiance(old * 50.0, old * 50.0), depth, SHAPE)["diffuse"]
     assert (change.ratio == 1.0).all()
     # At the corners of an image four samples are all that there are.
-    whole = find_changes(former, make_radiance(old * 5.0, old * 5.0), former.depth, SHAPE)["diffuse"]
+    whole = compute_changes(former, make_radiance(old * 5.0, old * 5.0), former.depth, SHAPE)["diffuse"]
     np.testing.assert_allclose(whole.ratio, 5.0, rtol=1e-5)
 
 
@@ -161,7 +161,7 @@ def test_light_in_the_dark_ends_the_history(former: Shaded, rng: np.random.Gener
     """What was black says nothing about a light that goes on, and light that goes out leaves black."""
     black, lit = np.zeros((ROWS, COLUMNS, 3), np.float32), np.ones((ROWS, COLUMNS, 3), np.float32)
     dark = Shaded(**{**former.__dict__, "radiance": make_radiance(black, lit)})
-    changes = find_changes(dark, make_radiance(lit, black), former.depth, SHAPE)
+    changes = compute_changes(dark, make_radiance(lit, black), former.depth, SHAPE)
     sums = np.tile(make_sums(rng)[:1, :1], (*SHAPE, 1))
     assert changes["diffuse"].ratio.max() <= MAX_RATIO
     assert changes["diffuse"].error.min() > MAX_RATIO

@@ -32,7 +32,7 @@ def place(step: int) -> dict[str, np.ndarray]:
     return {"plastic": slide(-0.1 * step, 0.0, 0.0), "cube": turn(4.0 * step, CUBE)}
 
 
-def find_number(session: Session, name: str) -> int:
+def look_up_number(session: Session, name: str) -> int:
     """Return the number of a shape among the first hits."""
     import drjit as dr
     import mitsuba as mi
@@ -41,9 +41,9 @@ def find_number(session: Session, name: str) -> int:
     return int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])
 
 
-def find_pixels(session: Session, frame: InteractiveFrame, name: str) -> np.ndarray:
+def mark_pixels(session: Session, frame: InteractiveFrame, name: str) -> np.ndarray:
     """Return the pixels that show a shape."""
-    return np.asarray(frame.parts.hits.shape == find_number(session, name))
+    return np.asarray(frame.parts.hits.shape == look_up_number(session, name))
 
 
 def test_frames_show_the_scene_as_it_is_now(mi: Any, session: Session) -> None:
@@ -74,7 +74,7 @@ def test_motion_leads_to_where_the_point_was(session: Session) -> None:
     there = before.parts.hits.gbuffer.position[where[..., 1], where[..., 0]]
     still = np.ones((size, size), bool)
     for name, now, then in (("plastic", place(1), place(0)), ("cube", place(1), place(0))):
-        pixels = find_pixels(session, frame, name)
+        pixels = mark_pixels(session, frame, name)
         assert pixels.sum() > 20
         still &= ~pixels
         back = then[name] @ np.linalg.inv(now[name])
@@ -96,7 +96,7 @@ def test_motion_is_that_since_the_stream_was_last_shown(session: Session) -> Non
         session.render()
     session.set_transforms(place(3))
     first, second = session.render_pair(None, QUICK, other)
-    ball = find_pixels(session, first, "plastic")
+    ball = mark_pixels(session, first, "plastic")
     motions = [frame.parts.hits.gbuffer.motion for frame in (first, second)]
     assert motions[0] is not None
     assert motions[1] is not None
@@ -111,7 +111,7 @@ def test_reflected_motion_is_that_of_what_is_reflected(session: Session) -> None
     frame = session.render()
     hits, found = frame.parts.hits, frame.parts.hits.gbuffer.reflected_motion
     assert found is not None
-    ball, cube = (hits.seen_shape == find_number(session, name) for name in ("plastic", "cube"))
+    ball, cube = (hits.seen_shape == look_up_number(session, name) for name in ("plastic", "cube"))
     assert ball.sum() > 20
     assert cube.sum() > 20
     np.testing.assert_allclose(found[ball], np.broadcast_to((0.1, 0.0, 0.0), found[ball].shape), atol=1e-6)
@@ -131,7 +131,7 @@ def test_histories_follow_what_moves(session: Session, knows: bool, monkeypatch:
         frame = session.render()
     lengths = frame.parts.history
     assert lengths is not None
-    ball = find_pixels(session, frame, "plastic")
+    ball = mark_pixels(session, frame, "plastic")
     assert ball.sum() > 20
     assert (np.mean(lengths[ball]) > 3.0) == knows
 

@@ -16,7 +16,7 @@ from renderers import CAMERA, HEIGHT, WIDTH, WRITERS, make_scene, to_camera, wri
 from lobewise.camera import Camera
 from lobewise.errors import FileError, InputError
 from lobewise.interchange.cameras.files import read_camera_file
-from lobewise.interchange.cameras.fitting import find_camera, fit_orthographic
+from lobewise.interchange.cameras.fitting import fit_any_camera, fit_orthographic
 from lobewise.interchange.reading import import_file
 from lobewise.io.exr.frames import write_frame
 from lobewise.motion import project_points
@@ -94,7 +94,7 @@ def test_an_orthographic_camera_is_found_from_the_positions(left_handed: bool) -
     position = position + depth[..., None] * CAMERA.forward
     turn = np.array([-1.0, 1.0, 1.0]) if left_handed else np.ones(3)
     world, mask = (turn * position).astype(np.float32), np.ones(depth.shape, np.bool_)
-    found = find_camera(world, mask, depth)
+    found = fit_any_camera(world, mask, depth)
     assert found is not None
     assert found.orthographic
     assert found.mirrored is left_handed

@@ -10,7 +10,7 @@ import pytest
 from renderers import WRITERS, make_scene
 
 import lobewise
-from lobewise.denoising.bad_pixels import find_bad_pixels
+from lobewise.denoising.bad_pixels import mark_bad_pixels
 from lobewise.frame import FloatArray
 from lobewise.interchange.checks.compression import is_lossy
 from lobewise.interchange.reading import import_file
@@ -50,7 +50,7 @@ def test_which_channels_lose_is_what_the_library_does(compression: str, kind: ty
     assert lossy == {name for name in NAMES if not np.array_equal(read[name].pixels, planes[name])}
 
 
-def find_error(a: FloatArray, b: FloatArray) -> float:
+def compute_error(a: FloatArray, b: FloatArray) -> float:
     return float(np.mean((a - b) ** 2 / (b**2 + 1e-2)))
 
 
@@ -67,15 +67,15 @@ def test_light_just_below_0_counts_as_0(tmp_path: Path) -> None:
         assert label in told
     assert "Depth" not in told, "its channel is Z"
     assert "with ZIP" in told
-    assert not find_bad_pixels(lossy.frame).any()
+    assert not mark_bad_pixels(lossy.frame).any()
     images = [lobewise.denoise(one.frame, quality="fast").image for one in (lossy, whole)]
-    assert find_error(*images) < 0.002
+    assert compute_error(*images) < 0.002
 
 
 def test_what_compression_cannot_have_made_stays(tmp_path: Path) -> None:
     """A pixel far below 0 is bad, in a file without loss any pixel below 0."""
     far = import_file(write(tmp_path / "a.exr", "DWAA", zero=-5.0)).frame
-    assert find_bad_pixels(far)[0, 0]
+    assert mark_bad_pixels(far)[0, 0]
     near = import_file(write(tmp_path / "b.exr", "ZIP", zero=-1e-4))
-    assert find_bad_pixels(near.frame)[0, 0]
+    assert mark_bad_pixels(near.frame)[0, 0]
     assert near.findings == ()

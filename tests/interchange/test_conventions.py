@@ -219,7 +219,7 @@ def import_channels(channels: Channels, folder: Path, *, camera: Camera | None =
     return import_file(path, camera=camera)
 
 
-def find_error(found: Imported) -> float:
+def compute_error(found: Imported) -> float:
     """Return the error of the frame, filtered by its guides alone, of which nothing else then covers a mistake."""
     result = lobewise.denoise(found.frame, quality="fast")
     return rel_mse(result.image, read_showroom()[1])
@@ -238,7 +238,7 @@ def right_errors(tmp_path_factory: pytest.TempPathFactory) -> Callable[[tuple[st
     def find(leave: tuple[str, ...]) -> float:
         found = import_channels(write_showroom(*leave), tmp_path_factory.mktemp("right"), camera=choose_camera(leave))
         assert found.findings == ()
-        return find_error(found)
+        return compute_error(found)
 
     return find
 
@@ -257,7 +257,7 @@ def test_a_mistake_is_found_and_mended(
     assert finding.told in found.notes
     for words in made.told:
         assert words in finding.told
-    assert find_error(found) <= 1.05 * right_errors(made.leave)
+    assert compute_error(found) <= 1.05 * right_errors(made.leave)
 
 
 def move(channels: Channels, far: float) -> Channels:
@@ -281,7 +281,7 @@ def test_coarse_positions_are_made_of_depth(
     assert "16-bit" in found.findings[0].told
     assert found.frame.gbuffer.position is None
     assert found.frame.is_placed
-    assert find_error(found) <= 1.05 * right_errors(())
+    assert compute_error(found) <= 1.05 * right_errors(())
 
 
 def test_coarse_positions_are_told_where_there_is_no_depth(tmp_path: Path) -> None:

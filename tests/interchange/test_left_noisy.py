@@ -17,7 +17,7 @@ from lobewise.io import write_frame
 LAYER = "View Layer.001"
 
 
-def find_left(path: Path, **options: object) -> list[str]:
+def list_left(path: Path, **options: object) -> list[str]:
     """Return the lines that the frame of a file carries."""
     return [note for note in lobewise.read_frame(path, **options).notes if note.startswith("Left noisy")]  # type: ignore[arg-type]
 
@@ -73,10 +73,10 @@ def leave_out_albedo(written: Written) -> None:
 def test_each_kind_is_named(change: Callable[[Written], object], told: str, tmp_path: Path) -> None:
     written = WRITERS["cycles"](make_scene())
     write(tmp_path / "plain.exr", written)
-    assert find_left(tmp_path / "plain.exr") == []
+    assert list_left(tmp_path / "plain.exr") == []
     change(written)
     write(tmp_path / "more.exr", written)
-    (line,) = find_left(tmp_path / "more.exr")
+    (line,) = list_left(tmp_path / "more.exr")
     assert line.startswith(f"Left noisy: {told}")
     assert line.endswith(".")
 
@@ -87,18 +87,18 @@ def test_kinds_share_one_line(tmp_path: Path) -> None:
     add_grain_in_alpha(written)
     add_eyes(written)
     write(tmp_path / "a.exr", written)
-    assert find_left(tmp_path / "a.exr") == ["Left noisy: view 'right', light groups 'lamp', 'sky', alpha."]
+    assert list_left(tmp_path / "a.exr") == ["Left noisy: view 'right', light groups 'lamp', 'sky', alpha."]
 
 
 def test_a_copy_of_the_picture_is_named(tmp_path: Path) -> None:
     written = WRITERS["mitsuba"](make_scene())
     write(tmp_path / "a.exr", written)
-    assert find_left(tmp_path / "a.exr") == ["Left noisy: copy of the picture 'image'."]
+    assert list_left(tmp_path / "a.exr") == ["Left noisy: copy of the picture 'image'."]
     for key in [key for key in written.channels if key.startswith("image")]:
         # Another image than the picture is no copy.
         written.channels[key] = np.ones_like(written.channels[key])
     write(tmp_path / "b.exr", written)
-    assert find_left(tmp_path / "b.exr") == []
+    assert list_left(tmp_path / "b.exr") == []
 
 
 def test_all_three_places_say_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -131,14 +131,14 @@ def test_what_lobewise_wrote_before_is_not_named(tmp_path: Path) -> None:
     written = WRITERS["cycles"](make_scene())
     write(tmp_path / "a.exr", written)
     assert run(["denoise", str(tmp_path / "a.exr"), "-o", str(tmp_path / "b.exr"), "--suffix", "_clean"]) == 0
-    assert find_left(tmp_path / "b.exr") == []
+    assert list_left(tmp_path / "b.exr") == []
 
 
 def test_a_picture_that_the_user_did_not_choose_is_named(tmp_path: Path) -> None:
     written = WRITERS["cycles"](make_scene())
     add_groups(written)
     write(tmp_path / "a.exr", written)
-    (line,) = find_left(tmp_path / "a.exr", mapping={"color": "Combined_lamp"})
+    (line,) = list_left(tmp_path / "a.exr", mapping={"color": "Combined_lamp"})
     assert "light group 'sky'" in line
     assert f"picture '{LAYER}.Combined'" in line
 
@@ -150,7 +150,7 @@ def test_light_of_a_file_in_lobewises_names(
     normal = np.broadcast_to(np.float32([0.0, 0.0, 1.0]), color.shape)
     path, told = tmp_path / "a.exr", "Left noisy: passes of light 'direct', 'indirect'."
     write_frame(path, Frame(Radiance(color, direct=0.5 * color, indirect=0.5 * color), GBuffer(normal=normal)))
-    assert find_left(path) == [told]
+    assert list_left(path) == [told]
     for bands in ("off", "4"):
         assert run(["denoise", str(path), "-o", str(tmp_path / "b.exr"), "--quality", "fast", "--bands", bands]) == 0
         assert told in capsys.readouterr().err

@@ -14,7 +14,7 @@ from renderers import CAMERA, HEIGHT, WIDTH, WRITERS, make_scene, name
 
 from lobewise.camera import Camera
 from lobewise.interchange.cameras.files import read_camera_file
-from lobewise.interchange.cameras.fitting import find_camera
+from lobewise.interchange.cameras.fitting import fit_any_camera
 from lobewise.interchange.reading import import_file
 from lobewise.io import read_frame, write_frame
 
@@ -54,7 +54,7 @@ def test_an_orthographic_camera() -> None:
     aside, above = (columns - WIDTH / 2) * unit * ASPECT, (HEIGHT / 2 - rows) * unit
     position = CAMERA.position + aside[..., None] * CAMERA.right + above[..., None] * CAMERA.up
     position = (position + DEPTH[..., None] * CAMERA.forward).astype(np.float32)
-    found = find_camera(position, np.ones(DEPTH.shape, np.bool_), DEPTH, ASPECT)
+    found = fit_any_camera(position, np.ones(DEPTH.shape, np.bool_), DEPTH, ASPECT)
     assert found is not None
     assert found.orthographic
     assert found.error < 0.1

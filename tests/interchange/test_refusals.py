@@ -11,7 +11,7 @@ import pytest
 from renderers import HEIGHT, WIDTH, WRITERS, make_scene, name, write
 
 from lobewise.errors import InputError, MissingChannelError
-from lobewise.interchange.preset import CONVERSIONS, CONVERSIONS_OF, ROLES, find_preset
+from lobewise.interchange.preset import CONVERSIONS, CONVERSIONS_OF, ROLES, look_up_preset
 from lobewise.interchange.reading import import_file
 
 SCENE = make_scene()
@@ -149,12 +149,12 @@ class TestPresets:
     def test_one_without_any_pass_is_refused(self, text: str, tmp_path: Path) -> None:
         (tmp_path / "mine.toml").write_text(text)
         with pytest.raises(InputError, match=r"mine\.toml': expected passes for a role or a layer, got none"):
-            find_preset(tmp_path / "mine.toml")
+            look_up_preset(tmp_path / "mine.toml")
 
     def test_a_conversion_of_another_role_is_refused(self, tmp_path: Path) -> None:
         (tmp_path / "mine.toml").write_text('normal = [{ pass = "N", convert = ["square"] }]\n')
         with pytest.raises(InputError, match=r"normal, conversion: expected one for normal: .* 'square'"):
-            find_preset(tmp_path / "mine.toml")
+            look_up_preset(tmp_path / "mine.toml")
 
     def test_an_unknown_renderer_gives_nothing_by_any_menu(self, tmp_path: Path) -> None:
         position = "position", name("", SCENE.position, "XYZ")

@@ -55,7 +55,7 @@ def denoise(*words: str | Path) -> int:
     return run(["denoise", *map(str, words), "--quality", "fast"])
 
 
-def find_changed(source: Path, output: Path) -> set[str]:
+def list_changed(source: Path, output: Path) -> set[str]:
     before, after = read(source), read(output)
     assert before.keys() == after.keys()
     return {name.rpartition(".")[0] for name, plane in before.items() if plane.tobytes() != after[name].tobytes()}
@@ -69,7 +69,7 @@ def test_all_layers_are_denoised_each_with_its_own_passes(tmp_path: Path, capsys
     assert "3 view layers, " in told.out
     assert "Left noisy" not in told.err
     assert told.err.count("The camera was found") == 1
-    assert find_changed(source, output) == {f"{layer}.{each}" for layer in LAYERS for each in ("Combined", *LIGHT)}
+    assert list_changed(source, output) == {f"{layer}.{each}" for layer in LAYERS for each in ("Combined", *LIGHT)}
     for number, layer in enumerate(LAYERS):
         frame = lobewise.read_frame(source, layer=layer)
         surface = frame.gbuffer.depth > 0.0
@@ -88,7 +88,7 @@ def test_one_layer_is_denoised_without_the_option(tmp_path: Path, capsys: pytest
     write_layers(source)
     assert denoise(source, "-o", output) == 0
     assert "Left noisy: view layers 'Front.001', 'Front'." in capsys.readouterr().err
-    assert find_changed(source, output) == {f"Back.{each}" for each in ("Combined", *LIGHT)}
+    assert list_changed(source, output) == {f"Back.{each}" for each in ("Combined", *LIGHT)}
 
 
 def test_inspect_tells_the_option(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -148,7 +148,7 @@ def test_further_passes_that_only_one_layer_has(tmp_path: Path, capsys: pytest.C
     OpenEXR.File({"cycles.Front.samples": "16"}, channels).write(str(source))
     assert denoise(source, "-o", output, "--all-layers", "--also", "Combined_*") == 0
     assert "No pass of view layer 'Back' matches --also Combined_*." in capsys.readouterr().err
-    assert "Front.Combined_key" in find_changed(source, output)
+    assert "Front.Combined_key" in list_changed(source, output)
 
 
 def test_mistakes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

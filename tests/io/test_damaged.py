@@ -188,7 +188,7 @@ def test_the_damaged_files_of_the_openexr_project(exr_folder, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-def find_table(data: bytes, count: int) -> tuple[int, list[int]]:
+def locate_table(data: bytes, count: int) -> tuple[int, list[int]]:
     """Return where the chunk table of a single-part file begins, and the places of its chunks."""
     start = read_attributes(data)[1]
     return start, list(struct.unpack_from(f"<{count}Q", data, start))
@@ -203,7 +203,7 @@ def find_table(data: bytes, count: int) -> tuple[int, list[int]]:
 )
 def test_chunks_must_be_where_the_table_says(whole, change, words):
     data, path = whole
-    start, table = find_table(data, 9)
+    start, table = locate_table(data, 9)
     path.write_bytes(data[:start] + struct.pack("<9Q", *change(table)) + data[start + 72 :])
     with pytest.raises(FileError, match=words) as caught:
         read_frame(path)
@@ -212,7 +212,7 @@ def test_chunks_must_be_where_the_table_says(whole, change, words):
 
 def test_chunks_lie_apart(whole):
     data, path = whole
-    at = find_table(data, 9)[1][0]
+    at = locate_table(data, 9)[1][0]
     # The first chunk says that it is long, and so holds the second.
     (size,) = struct.unpack_from("<i", data, at + 4)
     path.write_bytes(data[: at + 4] + struct.pack("<i", size + 1) + data[at + 8 :])

@@ -30,19 +30,19 @@ def test_a_spherical_gaussian_has_this_mean_and_integral(sharpness):
     grid, weights = sphere_grid(Z, min(1.0, 2.0 / np.sqrt(sharpness)), 300, 64)
     value = weights * sg_evaluate(grid, Z, sharpness)
     length = (value * grid[:, 2]).sum() / value.sum()
-    assert clusters.find_mean_length(NUMPY, sharpness) == pytest.approx(length, rel=QUADRATURE)
-    assert clusters.find_sharpness_of_mean(NUMPY, length) == pytest.approx(sharpness, rel=0.06)
+    assert clusters.compute_mean_length(NUMPY, sharpness) == pytest.approx(length, rel=QUADRATURE)
+    assert clusters.compute_sharpness_of_mean(NUMPY, length) == pytest.approx(sharpness, rel=0.06)
     found = clusters.evaluate_gaussian(NUMPY, grid[:, 2], sharpness)
     assert (weights * found).sum() == pytest.approx(1.0, rel=QUADRATURE)
     np.testing.assert_allclose(found, value / weights / value.sum(), rtol=1e-6, atol=1e-12)
 
 
 def test_the_mean_has_no_step_and_no_division_by_zero():
-    around = clusters.MIN_SHARPNESS * np.array([0.0, 1e-9, 1.0 - 1e-9, 1.0 + 1e-9])
-    found = clusters.find_mean_length(NUMPY, around)
+    around = clusters.MIN_EXACT_SHARPNESS * np.array([0.0, 1e-9, 1.0 - 1e-9, 1.0 + 1e-9])
+    found = clusters.compute_mean_length(NUMPY, around)
     np.testing.assert_allclose(found, around / 3.0, rtol=1e-3)
-    assert clusters.find_sharpness_of_mean(NUMPY, 1.0) == pytest.approx(clusters.MAX_SHARPNESS)
-    assert clusters.find_sharpness_of_mean(NUMPY, 0.0) == 0.0
+    assert clusters.compute_sharpness_of_mean(NUMPY, 1.0) == pytest.approx(clusters.MAX_SHARPNESS)
+    assert clusters.compute_sharpness_of_mean(NUMPY, 0.0) == 0.0
 
 
 @pytest.mark.parametrize("sharpness", SHARPNESSES)
@@ -53,28 +53,28 @@ def test_positive_cosines_against_quadrature(sharpness, cosine):
     value = weights * sg_evaluate(grid, Z, sharpness)
     value /= value.sum()
     cosines = grid @ normal
-    length = clusters.find_mean_length(NUMPY, sharpness)
-    variance = clusters.find_cosine_variance(cosine, length, length / sharpness, 1.0 - cosine**2)
+    length = clusters.compute_mean_length(NUMPY, sharpness)
+    variance = clusters.compute_cosine_variance(cosine, length, length / sharpness, 1.0 - cosine**2)
     assert length * cosine == pytest.approx((value * cosines).sum(), abs=1e-8)
     assert variance == pytest.approx((value * cosines**2).sum() - (length * cosine) ** 2, abs=1e-8)
-    found = clusters.find_positive_mean(NUMPY, length * cosine, variance)
+    found = clusters.compute_positive_mean(NUMPY, length * cosine, variance)
     assert found == pytest.approx((value * np.maximum(cosines, 0.0)).sum(), abs=POSITIVE_MEAN)
 
 
 def test_positive_share_is_the_derivative_of_the_positive_mean():
     step = 1e-6
     for mean in (-3.0, -0.2, 0.0, 0.1, 2.0):
-        below, above = (clusters.find_positive_mean(NUMPY, mean + way * step, 0.3) for way in (-1.0, 1.0))
-        found = clusters.find_positive_share(mean, clusters.find_positive_mean(NUMPY, mean, 0.3))
+        below, above = (clusters.compute_positive_mean(NUMPY, mean + way * step, 0.3) for way in (-1.0, 1.0))
+        found = clusters.compute_positive_share(mean, clusters.compute_positive_mean(NUMPY, mean, 0.3))
         assert found == pytest.approx((above - below) / (2.0 * step), abs=1e-8)
-    assert clusters.find_positive_share(-1.0, 0.0) == 0.0
+    assert clusters.compute_positive_share(-1.0, 0.0) == 0.0
 
 
 def test_offset_and_turned_basis(rng):
     for _ in range(20):
         axis, direction = normalize(rng.normal(size=3)), normalize(rng.normal(size=3))
         basis = make_frame(axis)
-        x, y, twice = clusters.find_offset(NUMPY, axis, basis, direction)
+        x, y, twice = clusters.project_direction(NUMPY, axis, basis, direction)
         assert np.hypot(x, y) == pytest.approx(np.linalg.norm(direction - axis), rel=1e-9)
         across = direction - (direction @ axis) * axis
         np.testing.assert_allclose(normalize(np.array([x, y])), normalize(np.array(basis) @ across), atol=1e-9)
@@ -89,7 +89,7 @@ def test_offset_and_turned_basis(rng):
 
 
 def test_opposite_directions_have_a_finite_offset():
-    assert np.isfinite(clusters.find_offset(NUMPY, Z, make_frame(Z), -Z)).all()
+    assert np.isfinite(clusters.project_direction(NUMPY, Z, make_frame(Z), -Z)).all()
 
 
 LOBE, LIGHT = (0.02, 0.004, 0.01), (0.006, -0.003, 0.015)
@@ -153,7 +153,7 @@ def test_reflected_light_of_a_cluster_against_quadrature(alpha, view_angle, most
         for turn in (-0.3, -0.1, 0.0, 0.1, 0.3):
             towards = rotate(np.array([0.0, 1.0, 0.0]), turn) @ axis
             expected = (reflected * clusters.evaluate_gaussian(NUMPY, grid @ towards, sharpness)).sum()
-            x, y, twice = clusters.find_offset(NUMPY, axis, basis, towards)
+            x, y, twice = clusters.project_direction(NUMPY, axis, basis, towards)
             even = [1.0 / sharpness, 0.0, 0.0, 1.0 / sharpness, 0.0, 1.0 / sharpness]
             light = clusters.project_covariance(axis, basis, towards, twice, even)
             found = reflected.sum() * clusters.evaluate_lobe(NUMPY, (x, y), plane, light, False)

@@ -9,7 +9,7 @@ from lobewise.fitting import ggx
 from lobewise.fitting.arrays import normalize
 
 from .oracles import brdf
-from .oracles.hits import find_hit_shift
+from .oracles.hits import compute_hit_shift
 from .oracles.sg import sg_slide_similarity
 from .oracles.tangent import make_tangent_lobe, tangent_ggx_similarity
 from .quadrature import gauss
@@ -22,16 +22,16 @@ def test_is_antisymmetric_and_across_the_lobes():
     axis = normalize(rng.normal(size=(2, 50, 3)))
     position = rng.normal(size=(2, 50, 3))
     inverse = rng.uniform(0.0, 2.0, (2, 50))
-    there = find_hit_shift(axis[0], axis[1], position[0], position[1], inverse[0], inverse[1])
-    back = find_hit_shift(axis[1], axis[0], position[1], position[0], inverse[1], inverse[0])
+    there = compute_hit_shift(axis[0], axis[1], position[0], position[1], inverse[0], inverse[1])
+    back = compute_hit_shift(axis[1], axis[0], position[1], position[0], inverse[1], inverse[0])
     np.testing.assert_allclose(there, -back, atol=1e-14)
     np.testing.assert_allclose(np.sum(there * (axis[0] + axis[1]), axis=-1), 0.0, atol=1e-13)
 
 
 def test_nothing_seen_changes_nothing():
-    shift = find_hit_shift(Z, normalize(np.array([0.1, 0.0, 1.0])), Z, -Z, 0.0, 0.0)
+    shift = compute_hit_shift(Z, normalize(np.array([0.1, 0.0, 1.0])), Z, -Z, 0.0, 0.0)
     assert not shift.any()
-    assert find_hit_shift(Z, -Z, Z, -Z, 1.0, 1.0).shape == (3,)  # opposite axes have no middle
+    assert compute_hit_shift(Z, -Z, Z, -Z, 1.0, 1.0).shape == (3,)  # opposite axes have no middle
 
 
 @pytest.mark.parametrize("distance", [0.5, 3.0, 50.0])
@@ -41,7 +41,7 @@ def test_mirror_shows_the_virtual_image(distance):
     points = np.array([[0.0, 0.0, 0.0], [step, 0.0, 0.0]])
     view = normalize(np.array([0.0, 0.0, depth]) - points)
     axis = brdf.reflect(view, np.broadcast_to(Z, view.shape))
-    shift = find_hit_shift(axis[0], axis[1], points[0], points[1], 1.0 / distance, 1.0 / distance)
+    shift = compute_hit_shift(axis[0], axis[1], points[0], points[1], 1.0 / distance, 1.0 / distance)
     apart = np.linalg.norm(axis[1] - axis[0] + shift)
     assert apart == pytest.approx(step / depth * (depth + distance) / distance, rel=1e-5)
 
@@ -57,7 +57,7 @@ def test_similarity_of_footprints_on_a_plane(alpha, height):
     view = normalize(eye - points)
     lobes = [make_tangent_lobe(v, Z, alpha) for v in view]
     inverse = [lobe.axis[2] / height for lobe in lobes]
-    shift = find_hit_shift(lobes[0].axis, lobes[1].axis, points[0], points[1], *inverse)
+    shift = compute_hit_shift(lobes[0].axis, lobes[1].axis, points[0], points[1], *inverse)
     value = tangent_ggx_similarity(*lobes, shift=shift)
 
     # polar nodes on the ceiling about the middle of both footprints

@@ -6,7 +6,7 @@ import pytest
 from lobewise.errors import InputError
 from lobewise.fitting import ggx
 from lobewise.lobes.numbers import NUMPY
-from lobewise.lobes.roughness import find_principled_alphas
+from lobewise.lobes.roughness import compute_principled_alphas
 
 from .oracles import brdf, roughness, sg
 from .quadrature import gauss
@@ -45,11 +45,11 @@ def test_mirrors_are_infinitely_sharp():
 
 def test_principled_anisotropy():
     # aspect = sqrt(1 - 0.9 x) = 1/2 for x = 5/6
-    assert find_principled_alphas(NUMPY, 0.4, 5.0 / 6.0) == pytest.approx((0.32, 0.08))
-    assert find_principled_alphas(NUMPY, 0.4, 0.0) == pytest.approx((0.16, 0.16))
-    assert find_principled_alphas(NUMPY, 0.0, 0.5) == (1e-3, 1e-3)
+    assert compute_principled_alphas(NUMPY, 0.4, 5.0 / 6.0) == pytest.approx((0.32, 0.08))
+    assert compute_principled_alphas(NUMPY, 0.4, 0.0) == pytest.approx((0.16, 0.16))
+    assert compute_principled_alphas(NUMPY, 0.0, 0.5) == (1e-3, 1e-3)
     above = ALPHAS[ALPHAS > 0.04]
-    u, v = find_principled_alphas(NUMPY, above, 0.7)
+    u, v = compute_principled_alphas(NUMPY, above, 0.7)
     np.testing.assert_allclose(u * v, above**4)
 
 

@@ -298,9 +298,9 @@ def test_mistakes_with_bitmaps_are_told(mi: Any, multichannel: Any) -> None:
 
 VARIANTS = """
 import numpy as np, mitsuba as mi, lobewise.mitsuba
-from lobewise.render.variant import find_llvm
+from lobewise.render.variant import locate_llvm
 import os
-os.environ["DRJIT_LIBLLVM_PATH"] = find_llvm()
+os.environ["DRJIT_LIBLLVM_PATH"] = locate_llvm()
 mi.set_variant({variant!r})
 film = {{"type": "hdrfilm", "width": 20, "height": 12, "pixel_format": {format!r}, "rfilter": {{"type": "box"}}}}
 scene = mi.load_dict({{

@@ -122,8 +122,8 @@ def test_mistakes_are_told(mi: Any, scene: Any) -> None:
 
 SPECTRAL = """
 import os
-from lobewise.render.variant import find_llvm
-os.environ["DRJIT_LIBLLVM_PATH"] = find_llvm()
+from lobewise.render.variant import locate_llvm
+os.environ["DRJIT_LIBLLVM_PATH"] = locate_llvm()
 import mitsuba as mi, lobewise.mitsuba
 mi.set_variant("llvm_ad_spectral_polarized")
 try:

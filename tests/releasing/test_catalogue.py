@@ -13,7 +13,7 @@ import lobewise
 from lobewise.cli.main import run
 from lobewise.doctor.machine import examine_kernels
 from lobewise.filters.cross_pass import PassKey
-from lobewise.settings.choices import FORMS, QUALITIES, SIMILARITIES
+from lobewise.settings.choices import FORM_NAMES, QUALITIES, SIMILARITIES
 from releasing.catalogue import list_kernels
 from releasing.frames import SIZE, make_frame
 from releasing.recording import Wanted, record_kernels
@@ -28,7 +28,7 @@ def catalogue() -> set[str]:
     return set(list_kernels())
 
 
-def find_missing(catalogue: set[str], *commands: list[str]) -> list[str]:
+def list_missing(catalogue: set[str], *commands: list[str]) -> list[str]:
     """Return the makers of kernels that commands ask for and the list lacks."""
     found: dict[str, Wanted] = {}
     for words in commands:
@@ -57,22 +57,22 @@ class TestVerbs:
     @pytest.mark.parametrize("file", FILES, ids=lambda path: path.stem)
     def test_denoise(self, file: Path, catalogue: set[str], tmp_path: Path) -> None:
         words = ["denoise", str(file), "-o", str(tmp_path / "out.exr"), "--offline", "--device", "cpu"]
-        assert find_missing(catalogue, *([*words, "--quality", name] for name in QUALITIES)) == []
+        assert list_missing(catalogue, *([*words, "--quality", name] for name in QUALITIES)) == []
 
     def test_denoise_own_files(self, own_file: Path, catalogue: set[str], tmp_path: Path) -> None:
         words = ["denoise", str(own_file), "-o", str(tmp_path / "out.exr"), "--offline", "--device", "cpu"]
         commands = [[*words, "--similarity", name] for name in SIMILARITIES]
-        commands += [[*words, "--quality", "fast", "--form", name] for name in FORMS]
+        commands += [[*words, "--quality", "fast", "--form", name] for name in FORM_NAMES]
         commands += [[*words, "--radius", str(radius)] for radius in (2, 12)]
         commands += [[*words, "--bands", "20"]]
-        assert find_missing(catalogue, *commands) == []
+        assert list_missing(catalogue, *commands) == []
 
     @pytest.mark.parametrize("option", [["--temporal"], ["--window", "1"]], ids=str)
     def test_sequences(self, option: list[str], catalogue: set[str], tmp_path: Path) -> None:
         for number in range(1, 4):
             lobewise.write_frame(tmp_path / f"in.{number:04}.exr", make_frame((50, 70), seed=number))
         words = ["denoise", str(tmp_path / "in.####.exr"), "-o", str(tmp_path / "out.####.exr"), "--device", "cpu"]
-        assert find_missing(catalogue, [*words, *option]) == []
+        assert list_missing(catalogue, [*words, *option]) == []
 
     def test_doctor(self, catalogue: set[str]) -> None:
         with record_kernels() as found:
@@ -84,7 +84,7 @@ class TestVerbs:
         sparse = tmp_path / "sparse.exr"
         lobewise.write_sparse_frame(sparse, lobewise.make_sparse(make_frame((50, 70)), 4, (1, 2)))
         words = ["upsample", str(sparse), "-o", str(tmp_path / "out.exr"), "--device", "cpu"]
-        assert find_missing(catalogue, words) == []
+        assert list_missing(catalogue, words) == []
 
 
 def test_recording_runs_recipes_to_their_end() -> None:

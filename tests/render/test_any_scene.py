@@ -70,7 +70,7 @@ def test_an_instance_moves_by_its_own_name(mi: Any) -> None:
 def test_what_passes_a_surface_is_what_its_samples_let_pass(mi: Any, name: str) -> None:
     from lobewise.render.bridge import dr
     from lobewise.render.materials.bsdfs import read_material
-    from lobewise.render.materials.dispatch import find_null_transmission
+    from lobewise.render.materials.dispatch import compute_null_transmission
     from lobewise.render.materials.probe import make_hits, sample_bsdf
 
     paint = {"type": "diffuse", "reflectance": 0.5}
@@ -95,7 +95,7 @@ def test_what_passes_a_surface_is_what_its_samples_let_pass(mi: Any, name: str) 
     )
     view = np.array([[0.6, 0.0, 0.8], [0.0, 0.6, -0.8]])
     si = make_hits(view)
-    found = np.array(dr.zeros(mi.Color3f, 2) + find_null_transmission(read_material(bsdf), si, mi.Bool(True))).T
+    found = np.array(dr.zeros(mi.Color3f, 2) + compute_null_transmission(read_material(bsdf), si, mi.Bool(True))).T
     samples = sample_bsdf(bsdf, view, 1 << 14)
     expected = np.where(samples.null[..., None], samples.weight, 0.0).mean(axis=1)
     assert expected.max() > 0.2 or name == "diffuse"
@@ -103,12 +103,12 @@ def test_what_passes_a_surface_is_what_its_samples_let_pass(mi: Any, name: str) 
 
 
 def test_a_ball_in_a_group_is_found_by_its_material(mi: Any) -> None:
-    from lobewise.render.materials.lookup import _find_bsdf
+    from lobewise.render.materials.lookup import _look_up_bsdf
 
     ball = make_ball({"type": "roughconductor", "id": "metal"})
     group = {"type": "shapegroup", "ball": ball}
     scene = mi.load_dict(make_room(mi, group=group, copy={"type": "instance", "a": {"type": "ref", "id": "group"}}))
-    assert _find_bsdf(scene, "scene", "metal").class_name() == "RoughConductor"
+    assert _look_up_bsdf(scene, "scene", "metal").class_name() == "RoughConductor"
 
 
 def test_instances_are_rendered_with_the_materials_of_their_group(mi: Any) -> None:

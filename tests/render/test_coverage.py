@@ -72,9 +72,9 @@ def check_shares(coverage: np.ndarray) -> None:
 
 def test_pattern_is_a_net(mi: Any) -> None:
     """Every block of the pixel of a sixteenth of its area holds one ray: 16x1, 8x2, 4x4, 2x8, 1x16."""
-    from lobewise.render.coverage import RAYS, find_place
+    from lobewise.render.coverage import RAYS, place_ray
 
-    x, y = (np.array(each) for each in find_place(mi.UInt32(np.arange(RAYS))))
+    x, y = (np.array(each) for each in place_ray(mi.UInt32(np.arange(RAYS))))
     assert x.mean() == y.mean() == 0.5
     for columns in (1, 2, 4, 8, 16):
         blocks = np.floor(x * columns) + columns * np.floor(y * (16 // columns))

@@ -143,7 +143,7 @@ class TestMovingObjects:
         turned = np.stack([np.cos(angle) * x + np.sin(angle) * z, y, np.cos(angle) * z - np.sin(angle) * x], axis=-1)
         return turned + np.array(centre)
 
-    def find_objects(self, name: str, position: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    def list_objects(self, name: str, position: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return of each moving object at time `STEPS` its pixels, and where their points were at time 0.
 
         By geometry alone: what lies within a ball or a turned box, and what the scene says of its path.
@@ -194,10 +194,10 @@ class TestMovingObjects:
             spp=1,
             aov_only=True,
             previous_camera=cameras[0],
-            moves=moving.find_moves(self.STEPS, 0),
+            moves=moving.compute_moves(self.STEPS, 0),
         )
         guides = frame.gbuffer
-        objects = self.find_objects(name, guides.position.astype(np.float64))
+        objects = self.list_objects(name, guides.position.astype(np.float64))
         row, column = np.mgrid[:size, :size]
         where = np.stack([column, row], axis=-1) + 0.5 + guides.motion
         for pixels, was in objects:
@@ -225,7 +225,7 @@ class TestMovingObjects:
 
         moving = MovingScene("showroom", 96)
         scene = moving.load(self.STEPS)
-        moves = moving.find_moves(self.STEPS, 0)
+        moves = moving.compute_moves(self.STEPS, 0)
         camera = render_frame(scene, spp=1, aov_only=True).camera
         assert camera is not None
         known = {"spp": 1, "aov_only": True, "previous_camera": camera}
@@ -267,18 +267,18 @@ class TestMovingObjects:
         scene = moving.load()
         camera = get_camera(scene)
 
-        def find_bounds(box: Any) -> np.ndarray:
+        def compute_bounds(box: Any) -> np.ndarray:
             return np.array([np.array(box.min).ravel(), np.array(box.max).ravel()], dtype=np.float64)
 
         still = {
-            each.id(): find_bounds(each.bbox())
+            each.id(): compute_bounds(each.bbox())
             for each in scene.shapes()
             if each.id() not in describe_movers(name, 0.0)
         }
         for time in range(33):
-            moves = moving.find_moves(time + 1, time)
+            moves = moving.compute_moves(time + 1, time)
             movers = describe_movers(name, time)
-            bounds = {key: find_bounds(build_scene(item).bbox()) for key, item in movers.items()}
+            bounds = {key: compute_bounds(build_scene(item).bbox()) for key, item in movers.items()}
             for key, mine in bounds.items():
                 others = {**still, **{other: each for other, each in bounds.items() if other != key}}
                 for other, box in others.items():

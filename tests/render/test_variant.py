@@ -56,14 +56,14 @@ def test_first_library_that_reports_a_good_version_is_taken(monkeypatch: pytest.
     monkeypatch.delenv(variant.LIBRARY_VARIABLE, raising=False)
     monkeypatch.setattr(variant, "list_llvm_libraries", lambda: list(reported))
     monkeypatch.setattr(variant, "query_llvm_version", reported.get)
-    assert variant.find_llvm() == "/a/libLLVM-18.so"
+    assert variant.locate_llvm() == "/a/libLLVM-18.so"
 
 
 def test_set_variable_is_honoured(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(variant.LIBRARY_VARIABLE, "/mine/libLLVM.so")
     monkeypatch.setattr(variant, "query_llvm_version", lambda path: 16)
     monkeypatch.setattr(variant, "list_llvm_libraries", lambda: pytest.fail("the variable says it all"))
-    assert variant.find_llvm() == "/mine/libLLVM.so"
+    assert variant.locate_llvm() == "/mine/libLLVM.so"
 
 
 @pytest.mark.parametrize("version", [None, 15])
@@ -73,7 +73,7 @@ def test_set_variable_that_names_a_bad_library_is_an_error(
     monkeypatch.setenv(variant.LIBRARY_VARIABLE, "/mine/libLLVM-15.so")
     monkeypatch.setattr(variant, "query_llvm_version", lambda path: version)
     with pytest.raises(MissingDependencyError, match=r"DRJIT_LIBLLVM_PATH.*16 or newer.*/mine/libLLVM-15.so"):
-        variant.find_llvm()
+        variant.locate_llvm()
 
 
 @pytest.mark.parametrize("found", [[], ["/a/libLLVM-15.so"]])
@@ -81,7 +81,7 @@ def test_no_library_names_the_package_to_install(monkeypatch: pytest.MonkeyPatch
     monkeypatch.delenv(variant.LIBRARY_VARIABLE, raising=False)
     monkeypatch.setattr(variant, "list_llvm_libraries", lambda: found)
     with pytest.raises(MissingDependencyError, match="apt install libllvm19") as caught:
-        variant.find_llvm()
+        variant.locate_llvm()
     assert (found[0] if found else "none on this machine") in str(caught.value)
 
 
@@ -144,9 +144,9 @@ def test_unknown_name_is_an_attribute_error() -> None:
 def test_variant_that_the_user_set_is_kept(mi: Any) -> None:
     code = """
 import mitsuba
-from lobewise.render.variant import find_llvm, load_mitsuba
+from lobewise.render.variant import locate_llvm, load_mitsuba
 import os
-os.environ["DRJIT_LIBLLVM_PATH"] = find_llvm()
+os.environ["DRJIT_LIBLLVM_PATH"] = locate_llvm()
 mitsuba.set_variant("llvm_ad_rgb")
 scene = mitsuba.load_dict({"type": "scene"})
 print(load_mitsuba("auto").variant(), load_mitsuba("cpu").variant())

@@ -83,12 +83,12 @@ def test_objects_begin_where_they_stand_and_move_on(mi: Any, name: str) -> None:
         },
     }[name]
 
-    def find_boxes(scene: Any) -> dict[str, np.ndarray]:
+    def list_boxes(scene: Any) -> dict[str, np.ndarray]:
         found = {each.id(): each.bbox() for each in scene.shapes()}
         return {key: np.array([found[key].min, found[key].max]) for key in standing}
 
-    expected = find_boxes(build_scene({"type": "scene", **standing}))
-    start, later = find_boxes(load_scene(name, width=8)), find_boxes(load_scene(name, width=8, time=5.0))
+    expected = list_boxes(build_scene({"type": "scene", **standing}))
+    start, later = list_boxes(load_scene(name, width=8)), list_boxes(load_scene(name, width=8, time=5.0))
     for key, box in expected.items():
         np.testing.assert_array_equal(start[key], box)
         assert np.abs(later[key] - box).max() > 0.01

@@ -18,7 +18,7 @@ from lobewise.interchange import write_result
 from lobewise.io import read_frame, write_frame
 from lobewise.io.exr.bands import BandReader, BandWriter
 from lobewise.io.files import open_spool
-from lobewise.streaming.plan import cut_bands, widen
+from lobewise.streaming.plan import cut_bands, widen_band
 
 SHAPE = (75, 21)
 COMPRESSIONS = sorted(name for name in vars(OpenEXR) if name.endswith("_COMPRESSION"))
@@ -290,8 +290,8 @@ def test_cuts_are_whole_and_even() -> None:
             sizes = [bottom - top for top, bottom in bands]
             assert 1 <= min(sizes) <= max(sizes) <= min(rows, min(sizes) + 1)
             assert all(one[1] == other[0] for one, other in pairwise(bands))
-    assert widen((30, 40), 7, 100) == (16, 47)
-    assert widen((5, 40), 7, 44) == (0, 44)
+    assert widen_band((30, 40), 7, 100) == (16, 47)
+    assert widen_band((5, 40), 7, 44) == (0, 44)
 
 
 def test_many_channels_that_are_only_copied_are_decoded_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

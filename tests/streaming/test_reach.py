@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from lobewise.denoising.automatic import ask, resolve_all
-from lobewise.denoising.bad_pixels import REFILL_REACH, find_bad_pixels, refill
+from lobewise.denoising.bad_pixels import REFILL_REACH, mark_bad_pixels, refill
 from lobewise.denoising.chain import Filtered, filter_rows
-from lobewise.denoising.passes import DIFFUSE_PASSES, SPECULAR_PASSES, list_passes
-from lobewise.denoising.plan import find_reach
+from lobewise.denoising.passes import DIFFUSE_PASSES, SPECULAR_PASSES, make_passes
+from lobewise.denoising.plan import compute_steps_reach
 from lobewise.denoising.refining.whole_image import WholeImage
 from lobewise.features import ScreenFeature
 from lobewise.filters import compositing, fireflies, highlights, noise_guides, specks
@@ -23,9 +23,9 @@ from lobewise.filters.fireflies import bound_fireflies
 from lobewise.filters.forms import ATROUS_REACH
 from lobewise.filters.highlights import split_highlights
 from lobewise.filters.noise import evidence
-from lobewise.filters.noise.evidence import find_noisy_share
+from lobewise.filters.noise.evidence import estimate_noisy_share
 from lobewise.filters.noise_guides import make_noise_guide
-from lobewise.filters.specks import find_sharing
+from lobewise.filters.specks import choose_sharing
 from lobewise.frame import FloatArray, Frame
 from tests.streaming.frames import change_radiance, make_scene
 
@@ -55,7 +55,7 @@ def measure(before: FloatArray, after: FloatArray) -> int:
 
 
 def test_fireflies_see_their_window() -> None:
-    reach = fireflies.REACH
+    reach = fireflies.FIREFLY_REACH
     image = np.random.default_rng(1).uniform(0.5, 1.5, (HEIGHT, 4 * reach, 3)).astype(np.float32)
     # Alone in their windows, but for what comes into the middle row: those just near enough, and those just not.
     for distance, column in ((reach, 3), (reach + 1, 3 * reach)):
@@ -66,7 +66,7 @@ def test_fireflies_see_their_window() -> None:
 
 
 def test_highlights_see_their_surroundings_and_what_is_beside_them() -> None:
-    reach = highlights.REACH
+    reach = highlights.HIGHLIGHT_REACH
     image = np.full((HEIGHT, 4 * reach, 3), 1.0, np.float32)
     for distance, column in ((reach - 1, 4), (reach, 3 * reach)):
         # Three pixels of a block, two of which see the middle row or just not; what is beside one is further away.
@@ -79,17 +79,17 @@ def test_highlights_see_their_surroundings_and_what_is_beside_them() -> None:
 
 def test_specks_are_shared_out_no_further() -> None:
     def share(light: np.ndarray, blur: np.ndarray, spp: int) -> np.ndarray:
-        return find_sharing(light, blur, spp).apply(light)
+        return choose_sharing(light, blur, spp).apply(light)
 
     light, blur = draw(4, 0.0, 3.0), np.full((HEIGHT, WIDTH), 100.0, np.float32)
     before, after = (share(each, blur, 1) for each in (light, alter(light, 60.0)))
-    assert specks.MAX_TURNS <= measure(before, after) <= specks.REACH
+    assert specks.MAX_TURNS <= measure(before, after) <= specks.SPECK_REACH
     # The bright row in the middle tells whether the dark rows below it share with the bright rows below them.
     light[:] = 0.0
     light[MIDDLE], light[MIDDLE + specks.VIEW_RADIUS + 1 :] = 1.0, 1.0
     before, after = (share(each, blur, 1) for each in (light, alter(light, 0.0)))
-    assert specks.MAX_TURNS + specks.VIEW_RADIUS <= measure(before, after) <= specks.REACH
-    assert find_reach(resolve_all(make_scene((8, 8)), ask(None, {}))) > specks.REACH
+    assert specks.MAX_TURNS + specks.VIEW_RADIUS <= measure(before, after) <= specks.SPECK_REACH
+    assert compute_steps_reach(resolve_all(make_scene((8, 8)), ask(None, {}))) > specks.SPECK_REACH
 
 
 def test_guides_blur_their_variance() -> None:
@@ -110,7 +110,7 @@ def test_coverage_reaches_the_neighbours() -> None:
     light, lit = draw(1), np.ones((HEIGHT, WIDTH), bool)
     shares = np.full((HEIGHT, WIDTH, 9), 1.0 / 9.0, np.float32)
     before, after = (composite_light([image], lit, draw(2), draw(3), shares) for image in (light, alter(light)))
-    assert measure(before, after) == compositing.REACH
+    assert measure(before, after) == compositing.COVERAGE_REACH
 
 
 def test_levels_reach_twice_as_far_as_the_ones_before() -> None:
@@ -170,11 +170,11 @@ def measure_reach(settings: dict[str, Any], *, halves: bool = True, find: bool =
     frame = make_scene((241, 9), halves=halves)
     chosen = resolve_all(frame, ask(None, settings))
     if find and chosen.quality != "fast":
-        return find_reach(chosen)
+        return compute_steps_reach(chosen)
     whole = WholeImage(levels=(0.5, 0.5), brightness=0.5, mean_log_depth=0.0, tau=0.01)
 
     def run(given: Frame) -> Filtered:
-        return filter_rows(given, chosen, (), find_bad_pixels(given), whole=whole)
+        return filter_rows(given, chosen, (), mark_bad_pixels(given), whole=whole)
 
     before = run(frame)
     found = 0
@@ -182,7 +182,7 @@ def measure_reach(settings: dict[str, Any], *, halves: bool = True, find: bool =
         brighter = change_radiance(frame, [120], slice(None), lambda old, factor=factor: old * np.float32(factor))
         found = max(found, measure(before.image, run(brighter).image))
     if find:
-        assert found == find_reach(chosen)
+        assert found == compute_steps_reach(chosen)
     return found
 
 
@@ -196,7 +196,11 @@ def test_the_reach_is_the_sum_of_the_links(quality: str, expected: int) -> None:
     kernels, blur = (4, 5, 3 * 4), 3
     refinement = {"balanced": 0, "high": 182 + 10}[quality]
     doubt = 2 + 2 + 2 * (1 + 2 + 4 + 8)
-    assert find_reach(chosen) == 6 + 7 + 2 + 1 + sum(kernels) + blur * len(kernels) + 1 + refinement + doubt == expected
+    assert (
+        compute_steps_reach(chosen)
+        == 6 + 7 + 2 + 1 + sum(kernels) + blur * len(kernels) + 1 + refinement + doubt
+        == expected
+    )
 
 
 @pytest.mark.parametrize("halves", [True, False])
@@ -207,14 +211,14 @@ def test_evidence_reaches_its_widest_neighbourhood(halves: bool) -> None:
     changed = filtered.copy()
     changed[60] += 1.0
     given = {"halves": (noisy + a - b, noisy + b - a)} if halves else {}
-    before, after = (find_noisy_share(each, noisy, floor=1e-4, **given)[..., None] for each in (filtered, changed))
-    assert measure(before, after) == evidence.REACH
+    before, after = (estimate_noisy_share(each, noisy, floor=1e-4, **given)[..., None] for each in (filtered, changed))
+    assert measure(before, after) == evidence.EVIDENCE_REACH
 
 
 def test_dense_passes_have_no_step_at_any_radius() -> None:
     for is_diffuse, passes in ((True, DIFFUSE_PASSES), (False, SPECULAR_PASSES)):
         for radius in (1, 8, 16, 64):
-            for chosen, scaled in zip(passes, list_passes(radius, is_diffuse=is_diffuse), strict=True):
+            for chosen, scaled in zip(passes, make_passes(radius, is_diffuse=is_diffuse), strict=True):
                 if chosen.of_samples:
                     assert (scaled.radius, scaled.step) == (round(chosen.radius * radius / 8), 1)
                 else:

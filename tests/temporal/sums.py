@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.denoising.bad_pixels import find_good
+from lobewise.denoising.bad_pixels import mark_good
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.filters.history.accumulation_pass import MIN_WEIGHT
 from lobewise.filters.history.sums import HISTORY_CHANNELS
@@ -39,10 +39,10 @@ class Samples:
     @property
     def luminance(self) -> FloatArray:
         """Luminance of the radiance over albedo."""
-        return find_luminance(self.radiance)
+        return compute_luminance(self.radiance)
 
 
-def find_luminance(image: FloatArray) -> FloatArray:
+def compute_luminance(image: FloatArray) -> FloatArray:
     """Return the luminance of an image of three channels or more, whose first three count."""
     return np.asarray(sum(np.float32(share) * image[..., k] for k, share in enumerate(LUMINANCE)), dtype=np.float32)
 
@@ -58,10 +58,10 @@ def gather_samples(
 
     As in the filter, an albedo below ``floor`` tells nothing of the light. Without noise a lower one still does.
     """
-    good = find_good(radiance) & mask[where]
+    good = mark_good(radiance) & mask[where]
     if albedo is not None:
         tint = albedo[where]
-        good &= find_good(tint) & (np.maximum(np.maximum(tint[..., 0], tint[..., 1]), tint[..., 2]) > floor)
+        good &= mark_good(tint) & (np.maximum(np.maximum(tint[..., 0], tint[..., 1]), tint[..., 2]) > floor)
         with np.errstate(invalid="ignore", over="ignore"):
             radiance = np.asarray(radiance / np.maximum(tint, np.float32(floor)), dtype=np.float32)
     return Samples(where, np.where(good[..., None], radiance, np.float32(0.0)).astype(np.float32), good)
@@ -147,7 +147,7 @@ def divide(sums: FloatArray) -> FloatArray:
         return np.asarray(sums[..., :3] / some[..., None], dtype=np.float32)
 
 
-def find_effective_samples(sums: FloatArray) -> FloatArray:
+def compute_effective_samples(sums: FloatArray) -> FloatArray:
     """Return ``(sum w)^2 / sum w^2``, at least 1, and 0 where there is no weight."""
     weight, squares = sums[..., WEIGHT], sums[..., SQUARED_WEIGHT]
     # In two steps, because the square of a large weight overflows.
@@ -156,13 +156,13 @@ def find_effective_samples(sums: FloatArray) -> FloatArray:
     return np.asarray(np.where(weight > 0.0, np.maximum(count, 1.0), 0.0), dtype=np.float32)
 
 
-def find_variance(sums: FloatArray) -> FloatArray:
+def compute_variance(sums: FloatArray) -> FloatArray:
     """Return the variance of the mean luminance over albedo: that of the samples, over how many they are worth."""
     weight = sums[..., WEIGHT]
     some = np.where(weight > 0.0, weight, np.float32(np.inf))
     with np.errstate(over="ignore", invalid="ignore"):
-        spread = sums[..., MOMENT] / some - find_luminance(divide(sums)) ** 2
-    return np.asarray(np.maximum(spread, 0.0) / np.maximum(find_effective_samples(sums), 1.0), dtype=np.float32)
+        spread = sums[..., MOMENT] / some - compute_luminance(divide(sums)) ** 2
+    return np.asarray(np.maximum(spread, 0.0) / np.maximum(compute_effective_samples(sums), 1.0), dtype=np.float32)
 
 
 def summarize(
@@ -178,9 +178,9 @@ def summarize(
     albedo : array, shape (height, width, 3), optional
         Multiplies the radiance, and its square the variance of the luminance.
     """
-    image, variance = divide(sums), find_variance(sums)
+    image, variance = divide(sums), compute_variance(sums)
     if albedo is not None:
-        tint = np.where(find_good(albedo)[..., None], albedo, np.float32(0.0))
+        tint = np.where(mark_good(albedo)[..., None], albedo, np.float32(0.0))
         image = image * tint
-        variance = variance * find_luminance(tint) ** 2
-    return image, sums[..., WEIGHT] / unit, find_effective_samples(sums), variance
+        variance = variance * compute_luminance(tint) ** 2
+    return image, sums[..., WEIGHT] / unit, compute_effective_samples(sums), variance

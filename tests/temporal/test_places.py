@@ -9,7 +9,7 @@ from scipy.optimize import minimize
 
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray
-from lobewise.guides.places import add_grid, estimate_curvature, find_virtual_places
+from lobewise.guides.places import add_grid, compute_virtual_places, estimate_curvature
 
 WIDTH, HEIGHT = 48, 32
 CAMERA = Camera(position=(0.0, 0.0, 4.0), forward=(0.0, 0.0, -1.0), up=(0.0, 1.0, 0.0), fov_y=0.3)
@@ -66,7 +66,7 @@ def test_flat_mirror_is_exact(previous: Camera) -> None:
     distance = np.random.default_rng(1).uniform(0.1, 20.0, (HEIGHT, WIDTH))
     hits = points + distance[..., None] * reflect(rays, normal)
     mirrored = hits - 2.0 * (hits @ normal)[..., None] * normal
-    places = find_virtual_places(
+    places = compute_virtual_places(
         points.astype(np.float32),
         np.zeros((HEIGHT, WIDTH), np.float32),
         distance.astype(np.float32),
@@ -118,7 +118,7 @@ def test_curved_mirror_agrees_with_traced_reflection_near_the_axis(
     previous = Camera(position=(0.08, -0.06, 4.05), forward=(0.0, 0.0, -1.0), up=(0.0, 1.0, 0.0), fov_y=0.6)
     points, outward = hit_sphere(CAMERA, centre, radius, far)
     field = np.full((HEIGHT, WIDTH), curvature, np.float32)
-    places = find_virtual_places(points, field, np.full_like(field, distance), CAMERA, previous)
+    places = compute_virtual_places(points, field, np.full_like(field, distance), CAMERA, previous)
     surface = look(previous, points.astype(np.float64))
     rays = cast(CAMERA)
     errors, gains = [], []
@@ -138,7 +138,7 @@ def test_infinite_hits_of_a_flat_mirror_do_not_move_with_the_camera() -> None:
     points = (CAMERA.position + cast(CAMERA) * 3.0).astype(np.float32)
     shifted = Camera(position=(1.0, -2.0, 3.0), forward=CAMERA.forward, up=CAMERA.up, fov_y=CAMERA.fov_y)
     flat, infinite = np.zeros(shape, np.float32), np.full(shape, np.inf, np.float32)
-    places = find_virtual_places(points, flat, infinite, CAMERA, shifted)
+    places = compute_virtual_places(points, flat, infinite, CAMERA, shifted)
     # A step of 2 over 3e6 at 50 pixels a radian, and rounding.
     np.testing.assert_allclose(places, add_grid(np.zeros((*shape, 2), np.float32)), rtol=0.0, atol=1e-3)
 
@@ -146,7 +146,7 @@ def test_infinite_hits_of_a_flat_mirror_do_not_move_with_the_camera() -> None:
 def test_infinite_hits_of_a_sphere_are_in_its_focus() -> None:
     shape = HEIGHT, WIDTH
     points = (CAMERA.position + cast(CAMERA) * 3.0).astype(np.float32)
-    places = find_virtual_places(
+    places = compute_virtual_places(
         points, np.full(shape, 0.5, np.float32), np.full(shape, np.inf, np.float32), CAMERA, MOVED
     )
     # The focal length is half the radius 2.
@@ -159,7 +159,7 @@ def test_unknown_hits_have_no_place(distance: float) -> None:
     points = (CAMERA.position + cast(CAMERA) * 3.0).astype(np.float32)
     hits = np.full((HEIGHT, WIDTH), 2.0, np.float32)
     hits[3, 4] = distance
-    places = find_virtual_places(points, np.zeros_like(hits), hits, CAMERA, MOVED)
+    places = compute_virtual_places(points, np.zeros_like(hits), hits, CAMERA, MOVED)
     assert np.isnan(places[3, 4]).all()
     assert np.count_nonzero(np.isnan(places)) == 2
 
@@ -170,7 +170,7 @@ def test_concave_mirrors_have_no_place_from_their_focus_on() -> None:
     hits = np.full_like(curvature, 1.0)
     hits[:, WIDTH // 2 :] = 2.5
     hits[0, 0], hits[1, 1] = 2.0, np.inf
-    places = find_virtual_places(points, curvature, hits, CAMERA, CAMERA)
+    places = compute_virtual_places(points, curvature, hits, CAMERA, CAMERA)
     nowhere = hits > 1.5
     np.testing.assert_array_equal(np.isnan(places).all(axis=-1), nowhere)
     assert np.isfinite(places[~nowhere]).all()
@@ -180,16 +180,16 @@ def test_images_behind_the_previous_camera_have_no_place() -> None:
     points = (CAMERA.position + cast(CAMERA) * 3.0).astype(np.float32)
     hits = np.full((HEIGHT, WIDTH), 2.0, np.float32)
     turned = Camera(position=CAMERA.position, forward=-CAMERA.forward, up=CAMERA.up, fov_y=0.6)
-    assert not np.isfinite(find_virtual_places(points, np.zeros_like(hits), hits, CAMERA, turned)).any()
+    assert not np.isfinite(compute_virtual_places(points, np.zeros_like(hits), hits, CAMERA, turned)).any()
     # The points themselves would be behind it as well, but not what lies 2 behind them.
     passed = Camera(position=(0.0, 0.0, 0.5), forward=CAMERA.forward, up=CAMERA.up, fov_y=0.6)
-    assert np.isfinite(find_virtual_places(points, np.zeros_like(hits), hits, CAMERA, passed)).all()
+    assert np.isfinite(compute_virtual_places(points, np.zeros_like(hits), hits, CAMERA, passed)).all()
 
 
 def test_strange_pixels_neither_warn_nor_spoil_others() -> None:
     points = (CAMERA.position + cast(CAMERA) * 3.0).astype(np.float32)
     hits, curvature = np.full((HEIGHT, WIDTH), 2.0, np.float32), np.full((HEIGHT, WIDTH), 0.1, np.float32)
-    expected = find_virtual_places(points, curvature, hits, CAMERA, MOVED)
+    expected = compute_virtual_places(points, curvature, hits, CAMERA, MOVED)
     spoilt = points.copy(), curvature.copy(), hits.copy()
     spoilt[0][0, :4] = np.array([np.inf, -np.inf, np.nan, 1e30])[:, None]
     spoilt[0][1, 0] = CAMERA.position
@@ -197,7 +197,7 @@ def test_strange_pixels_neither_warn_nor_spoil_others() -> None:
     spoilt[2][1, 0] = np.inf
     spoilt[1][2, :3] = 1e30, np.nan, -1e30
     spoilt[2][2, :3] = 1e30
-    places = find_virtual_places(*spoilt, CAMERA, MOVED)
+    places = compute_virtual_places(*spoilt, CAMERA, MOVED)
     np.testing.assert_array_equal(places[3:], expected[3:])
     np.testing.assert_array_equal(places[:3, 4:], expected[:3, 4:])
 
@@ -273,7 +273,7 @@ def test_images_of_a_single_row_or_column(shape: tuple[int, int]) -> None:
     curvature = estimate_curvature(points, -rays)
     assert curvature.shape == shape
     assert (curvature <= 0.0).all()
-    places = find_virtual_places(points, np.zeros(shape, np.float32), np.ones(shape, np.float32), camera, camera)
+    places = compute_virtual_places(points, np.zeros(shape, np.float32), np.ones(shape, np.float32), camera, camera)
     np.testing.assert_allclose(places, add_grid(np.zeros((*shape, 2), np.float32)), rtol=0.0, atol=ROUNDING)
 
 

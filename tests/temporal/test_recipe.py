@@ -34,7 +34,7 @@ def make_still(count: int, scale: int = 1, **options) -> list:
     return [make_sparse(frame, scale, places[k % len(places)]) for k, frame in enumerate(frames)]
 
 
-def find_truth(**options) -> np.ndarray:
+def compute_truth(**options) -> np.ndarray:
     return make_frame(STILL, **options).radiance.color
 
 
@@ -108,7 +108,7 @@ class TestStill:
     @pytest.mark.parametrize("scale", [1, 4])
     @pytest.mark.nightly
     def test_noise_falls_as_frames_are_added(self, scale):
-        errors = [rel_mse(result.image, find_truth()) for result in run(make_still(16, scale))]
+        errors = [rel_mse(result.image, compute_truth()) for result in run(make_still(16, scale))]
         assert errors[15] < 0.4 * errors[0]
         assert errors[15] < errors[3] < errors[0]
 
@@ -235,7 +235,7 @@ class TestStill:
         assert known.sigma == pytest.approx(share * chosen.screen_sigma)
 
     def test_variance_tells_the_error(self):
-        truth = find_truth()
+        truth = compute_truth()
         results = run(make_still(12))
         luminance = np.array([0.2126, 0.7152, 0.0722])
         squared = [float(np.mean(((result.image - truth) @ luminance) ** 2)) for result in results]
@@ -355,7 +355,7 @@ class TestGhosts:
         ]
         if scale > 1:
             frames = [make_sparse(frame, scale, list_places(scale)[k]) for k, frame in enumerate(frames)]
-        truth = find_truth(light=0.1)
+        truth = compute_truth(light=0.1)
         last = run(frames)[-1]
         assert rel_mse(last.image, truth) < 1.3 * rel_mse(TemporalFilter().add(frames[-1]).image, truth)
 
@@ -482,18 +482,18 @@ class TestSettings:
         frames = make_still(6, 4)
         results = run(frames, similarity=similarity)
         assert results[-1].settings["history_share"] == 1.0
-        assert rel_mse(results[-1].image, find_truth()) < rel_mse(results[0].image, find_truth())
+        assert rel_mse(results[-1].image, compute_truth()) < rel_mse(results[0].image, compute_truth())
 
     @pytest.mark.nightly
     @pytest.mark.parametrize("form", ["full", "separable", "atrous"])
     def test_every_form_works(self, form):
         results = run(make_still(6), form=form)
-        assert rel_mse(results[-1].image, find_truth()) < rel_mse(results[0].image, find_truth())
+        assert rel_mse(results[-1].image, compute_truth()) < rel_mse(results[0].image, compute_truth())
 
     def test_radiance_that_is_not_apart(self):
         results = run(make_still(6, apart=False))
         assert results[-1].diffuse is None
-        assert rel_mse(results[-1].image, find_truth()) < 0.6 * rel_mse(results[0].image, find_truth())
+        assert rel_mse(results[-1].image, compute_truth()) < 0.6 * rel_mse(results[0].image, compute_truth())
 
     @pytest.mark.nightly
     def test_features_of_ones_own(self):

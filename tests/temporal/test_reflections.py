@@ -10,8 +10,8 @@ import pytest
 from lobewise.camera import Camera
 from lobewise.filters.history.sums import split_sums
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
-from lobewise.guides.places import add_grid, find_virtual_places
-from lobewise.guides.reflections import MIN_MIRROR_MOTION, Mirror, MovedReflections, find_moved_reflections
+from lobewise.guides.places import add_grid, compute_virtual_places
+from lobewise.guides.reflections import MIN_MIRROR_MOTION, Mirror, MovedReflections, compute_moved_reflections
 from lobewise.motion import compute_motion
 from lobewise.temporal import TemporalFilter
 from tests.temporal.test_places import (
@@ -63,7 +63,7 @@ def follow(
     now = Mirror(points.astype(np.float32), fill(normal))
     places = surface or (add_grid(np.zeros((*SHAPE, 2), np.float32)), None)
     given = distance.astype(np.float32), motion.astype(np.float32)
-    return find_moved_reflections((now, before or now), FLAT, *given, places, (CAMERA, previous))
+    return compute_moved_reflections((now, before or now), FLAT, *given, places, (CAMERA, previous))
 
 
 @pytest.fixture
@@ -76,7 +76,7 @@ def test_what_stands_still_is_where_it_is_without_motion(previous: Camera, dista
     points = hit_plane(CAMERA, NORMAL)
     distance[3, 4:7] = 0.0, np.inf, np.nan
     found = follow(points, distance, np.zeros((*SHAPE, 3)), previous=previous)
-    places = find_virtual_places(points.astype(np.float32), FLAT, distance.astype(np.float32), CAMERA, previous)
+    places = compute_virtual_places(points.astype(np.float32), FLAT, distance.astype(np.float32), CAMERA, previous)
     np.testing.assert_allclose(found.places, places, rtol=0.0, atol=1e-5)
     if previous is CAMERA:
         np.testing.assert_allclose(found.hit_distance, distance, rtol=1e-5)
@@ -156,7 +156,7 @@ def test_in_a_ball_it_is_where_a_traced_reflection_is(step: tuple[float, float, 
     motion = np.broadcast_to(np.float32(step), points.shape)
     places = add_grid(np.zeros((*SHAPE, 2), np.float32))
     given = curvature, np.full(SHAPE, distance, np.float32), np.ascontiguousarray(motion)
-    found = find_moved_reflections((now, now), *given, (places, None), (CAMERA, CAMERA))
+    found = compute_moved_reflections((now, now), *given, (places, None), (CAMERA, CAMERA))
     rays, errors, ways = cast(CAMERA), [], []
     for row, column in ((16, 24), (13, 26), (18, 20)):
         point, outward = (each[row, column].astype(np.float64) for each in now)

@@ -9,7 +9,7 @@ import pytest
 
 from lobewise.camera import Camera
 from lobewise.interactive.settings import InteractiveSettings
-from lobewise.viewer.cameras import CameraMap, Pose, find_up
+from lobewise.viewer.cameras import CameraMap, Pose, choose_up
 from lobewise.viewer.looks import FrameLook
 from lobewise.viewer.messages import Description, Window
 
@@ -58,9 +58,9 @@ class TestScenes:
         np.testing.assert_allclose(moved.position - FAR.position, [9200.0 * np.tan(1.5e-4), 0.0, 0.0], atol=1e-6)
 
     def test_the_axis_of_the_orbit(self):
-        np.testing.assert_array_equal(find_up(Z_UP), [0.0, 0.0, 1.0])
-        np.testing.assert_array_equal(find_up(Y_UP), [0.0, 1.0, 0.0])
-        np.testing.assert_array_equal(find_up(replace(Y_UP, up=(0.1, -1.0, 0.2))), [0.0, -1.0, 0.0])
+        np.testing.assert_array_equal(choose_up(Z_UP), [0.0, 0.0, 1.0])
+        np.testing.assert_array_equal(choose_up(Y_UP), [0.0, 1.0, 0.0])
+        np.testing.assert_array_equal(choose_up(replace(Y_UP, up=(0.1, -1.0, 0.2))), [0.0, -1.0, 0.0])
 
     def test_a_camera_that_looks_along_its_axis_is_none(self):
         cameras = CameraMap(describe(Y_UP, 1.0))

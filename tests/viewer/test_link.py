@@ -21,7 +21,7 @@ from lobewise.viewer import Viewer, link
 from lobewise.viewer.link import MAX_RESTARTS, Link
 from lobewise.viewer.looks import FrameLook
 from lobewise.viewer.messages import Opened, Picture, Problem, Request, SavedFile, Target, Window
-from lobewise.viewer.server import find_port
+from lobewise.viewer.server import choose_port
 from tests.interrupts import LISTEN
 from tests.viewer.slow_worker import SECONDS, run_slow_worker
 
@@ -277,11 +277,11 @@ class TestViewer:
             taken.bind(("127.0.0.1", 0))
             taken.listen()
             port = taken.getsockname()[1]
-            assert port < find_port("127.0.0.1", port) <= port + 100
+            assert port < choose_port("127.0.0.1", port) <= port + 100
 
     def test_an_address_of_another_machine(self):
         with pytest.raises(InputError, match="--host and --port: expected an address of this machine"):
-            find_port("192.0.2.1", 8080)
+            choose_port("192.0.2.1", 8080)
 
     @pytest.mark.parametrize(
         ("host", "private"),

@@ -43,7 +43,7 @@ def ask(target: Any, client: int = 1, speed: float = 1.0, **changes: Any) -> Any
     return shot
 
 
-def find_positions(target: Any, client: int = 1) -> np.ndarray:
+def list_positions(target: Any, client: int = 1) -> np.ndarray:
     """Return the surface points in a browser's last picture."""
     return np.asarray(target._last[client][0].parts.hits.gbuffer.position)
 
@@ -65,7 +65,7 @@ def test_objects_of_a_file_move_and_begin_again(room: tuple[str, str]) -> None:
     found = []
     for _ in range(7):
         shot = ask(target)
-        position = find_positions(target)
+        position = list_positions(target)
         found.append((shot.moment, position[..., 0][position[..., 2] > 0.3].mean()))
     moments, places = zip(*found, strict=True)
     assert moments == (0.0, 1.0, 2.0, 3.0, 4.0, 0.0, 1.0)
@@ -82,7 +82,7 @@ def test_speed_and_rest_are_those_of_each_browser(room: tuple[str, str]) -> None
     assert [ask(target, speed=0.0).moment for _ in range(2)] == [1.5, 1.5]
     assert ask(target, speed=0.0).accumulated == 4
     assert ask(target, client=2).moment == 0.0
-    here, there = (find_positions(target, client)[..., 0].max() for client in (1, 2))
+    here, there = (list_positions(target, client)[..., 0].max() for client in (1, 2))
     assert here - there == pytest.approx(0.3, abs=0.1)
     target.forget(1)
     assert ask(target).moment == 0.0
@@ -108,11 +108,11 @@ def test_objects_of_a_built_in_scene_are_where_the_scene_has_them(mi: Any) -> No
     whole = SceneTarget("showroom", SIZE, lambda done, total: None)
     assert not whole.describe().moves
     assert ask(whole).moment is None
-    still = find_positions(whole)
+    still = list_positions(whole)
     whole._first = type(whole._first)(load_scene("showroom", width=SIZE[0], height=SIZE[1], time=8.0))
     ask(whole, client=2)
-    moved = find_positions(target)
-    np.testing.assert_allclose(moved, find_positions(whole, 2), atol=1e-3)
+    moved = list_positions(target)
+    np.testing.assert_allclose(moved, list_positions(whole, 2), atol=1e-3)
     assert np.abs(moved - still).max() > 0.1
 
 

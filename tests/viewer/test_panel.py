@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from lobewise.interactive.settings import METHODS, InteractiveSettings
-from lobewise.settings import FORMS, QUALITIES
+from lobewise.settings import FORM_NAMES, QUALITY_NAMES
 from lobewise.viewer.looks import FRAME_SIMILARITIES, SCENE_SIMILARITIES, FrameLook
 from lobewise.viewer.messages import Description
 from lobewise.viewer.panel import LookPanel
@@ -42,7 +42,7 @@ def make_panel(look, **found):
     scene = isinstance(look, InteractiveSettings)
     usual = {"similarities": SCENE_SIMILARITIES, "methods": METHODS} if scene else {"similarities": FRAME_SIMILARITIES}
     if not scene:
-        usual |= {"qualities": QUALITIES, "forms": FORMS, "hit_distance": True}
+        usual |= {"qualities": QUALITY_NAMES, "forms": FORM_NAMES, "hit_distance": True}
     page = Page()
     return page, LookPanel(page, Description(look, 64, 64, **{**usual, **found}), look, lambda: None)
 

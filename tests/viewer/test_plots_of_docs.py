@@ -34,7 +34,9 @@ def test_plots(browser: Any, tmp_path: Path) -> None:
     page.goto(path.as_uri())
 
     sharpness = page.evaluate("() => [[0.05, 1], [0.2, 0.5], [0.6, 0.05]].map((x) => lobes.findSharpness(...x))")
-    variances = [gaussian.find_ggx_variance(NUMPY, c, (a, a), 0.0) for a, c in ((0.05, 1.0), (0.2, 0.5), (0.6, 0.05))]
+    variances = [
+        gaussian.compute_ggx_variance(NUMPY, c, (a, a), 0.0) for a, c in ((0.05, 1.0), (0.2, 0.5), (0.6, 0.05))
+    ]
     np.testing.assert_allclose(sharpness, 1.0 / np.array(variances), rtol=1e-6)
 
     angles = (0.0, 0.1, 0.7)

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from lobewise.camera import Camera
-from lobewise.filters.windows.edges import find_edges
+from lobewise.filters.windows.edges import mark_edges
 from lobewise.filters.windows.following import follow_back, follow_on
 from lobewise.filters.windows.sampling import sample_cubic
-from lobewise.filters.windows.weighing import compare_pilots, find_noise, find_relative_bias
+from lobewise.filters.windows.weighing import compare_pilots, estimate_relative_bias, estimate_variance
 from lobewise.guides.places import estimate_curvature, make_grid
-from lobewise.guides.screen_hits import find_screen_hits
+from lobewise.guides.screen_hits import estimate_screen_hits
 
 SHAPE = (24, 40)
 
@@ -84,13 +84,13 @@ class TestFollow:
 class TestWeighing:
     def test_noise_alone_is_no_bias(self, rng):
         own, other = (1.0 + 0.3 * rng.normal(size=(*SHAPE, 3)).astype(np.float32) for _ in range(2))
-        found = find_relative_bias(own, other, np.ones(SHAPE, np.float32))
+        found = estimate_relative_bias(own, other, np.ones(SHAPE, np.float32))
         assert found.mean() < 0.15
 
     def test_a_change_of_light_is_found(self, rng):
         own, other = (1.0 + 0.3 * rng.normal(size=(*SHAPE, 3)).astype(np.float32) for _ in range(2))
         other[:, 20:] += 0.6
-        found = find_relative_bias(own, other, np.ones(SHAPE, np.float32))
+        found = estimate_relative_bias(own, other, np.ones(SHAPE, np.float32))
         # The squared change over the variance of the samples is 4.
         assert 3.0 < np.median(found[4:-4, 24:-4]) < 5.5
         assert np.median(found[4:-4, 4:16]) < 0.2
@@ -101,17 +101,17 @@ class TestWeighing:
         other[:, 20:] = 50.0
         agreement = np.ones(SHAPE, np.float32)
         agreement[:, 20:] = 0.0
-        assert find_relative_bias(own, other, agreement).max() < 1e-3
+        assert estimate_relative_bias(own, other, agreement).max() < 1e-3
         assert compare_pilots(own, other, agreement).max() == 0.0
 
     def test_noise_is_the_variance(self, rng):
         pilot = np.full((*SHAPE, 3), 2.0, np.float32)
         samples = pilot + 0.5 * rng.normal(size=pilot.shape).astype(np.float32)
-        assert find_noise(samples, pilot)[4:-4, 4:-4].mean() == pytest.approx(0.25, rel=0.1)
+        assert estimate_variance(samples, pilot)[4:-4, 4:-4].mean() == pytest.approx(0.25, rel=0.1)
 
     def test_without_noise_the_variance_is_above_zero(self):
         pilot = np.full((*SHAPE, 3), 2.0, np.float32)
-        assert find_noise(pilot, pilot).min() > 0.0
+        assert estimate_variance(pilot, pilot).min() > 0.0
 
 
 def make_room() -> tuple[Camera, np.ndarray, np.ndarray, np.ndarray]:
@@ -133,7 +133,7 @@ def make_room() -> tuple[Camera, np.ndarray, np.ndarray, np.ndarray]:
 class TestScreenHits:
     def test_a_mirror_floor_shows_the_wall(self):
         camera, position, depth, normal = make_room()
-        hits = find_screen_hits(camera, position, depth, normal, np.zeros(depth.shape, np.float32))
+        hits = estimate_screen_hits(camera, position, depth, normal, np.zeros(depth.shape, np.float32))
         view = (position - camera.position) / depth[..., None]
         mirrored = view * (1.0, -1.0, 1.0)
         found = (normal[..., 1] > 0.5) & (hits > 0.0)
@@ -144,7 +144,7 @@ class TestScreenHits:
 
     def test_what_the_camera_does_not_see_is_unknown(self):
         camera, position, depth, normal = make_room()
-        hits = find_screen_hits(camera, position, depth, normal, np.zeros(depth.shape, np.float32))
+        hits = estimate_screen_hits(camera, position, depth, normal, np.zeros(depth.shape, np.float32))
         # Above the camera's height the wall reflects what lies behind the camera.
         high = (normal[..., 2] > 0.5) & (position[..., 1] > 1.05)
         assert np.count_nonzero(high) > 500
@@ -152,7 +152,7 @@ class TestScreenHits:
 
     def test_strong_curvature_makes_the_distance_unimportant(self):
         camera, position, depth, normal = make_room()
-        hits = find_screen_hits(camera, position, depth, normal, np.full(depth.shape, 10.0, np.float32))
+        hits = estimate_screen_hits(camera, position, depth, normal, np.full(depth.shape, 10.0, np.float32))
         assert np.isinf(hits[(normal[..., 2] > 0.5) & (position[..., 1] > 1.05)]).all()
 
     def test_background_has_no_hit(self):
@@ -160,7 +160,7 @@ class TestScreenHits:
         depth = depth.copy()
         depth[:4] = 0.0
         curvature = estimate_curvature(position, normal)
-        assert not find_screen_hits(camera, position, depth, normal, curvature)[:4].any()
+        assert not estimate_screen_hits(camera, position, depth, normal, curvature)[:4].any()
 
 
 class TestEdges:
@@ -169,7 +169,7 @@ class TestEdges:
         depth = np.where(grid[..., 0] < 20, 4.0, 8.0).astype(np.float32)
         position = np.stack([grid[..., 0] * 0.01, grid[..., 1] * 0.01, -depth], axis=-1)
         normal = np.broadcast_to(np.float32([0.0, 0.0, 1.0]), (*SHAPE, 3))
-        edge, way = find_edges(position, depth, normal, None, 0.01)
+        edge, way = mark_edges(position, depth, normal, None, 0.01)
         assert edge[:, 19:21].all()
         assert not edge[:, :19].any()
         assert not edge[:, 21:].any()
@@ -184,7 +184,7 @@ class TestEdges:
         normal = np.where(grid[..., :1] < 10, np.float32([0.0, 0.0, 1.0]), np.float32([1.0, 0.0, 0.0]))
         share = np.ones(SHAPE, np.float32)
         share[12, 30] = 0.5
-        edge, _ = find_edges(position, depth, normal, share, 0.01)
+        edge, _ = mark_edges(position, depth, normal, share, 0.01)
         assert edge[:2].all()
         assert edge[:, 9:11].all()
         assert edge[12, 30]

@@ -12,8 +12,8 @@ from lobewise.errors import InputError
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.metrics import rel_mse
 from lobewise.radiance import RadianceLayer
-from lobewise.windows.joining import find_neighbours
-from lobewise.windows.recipe import find_share, mix_results
+from lobewise.windows.joining import list_neighbours
+from lobewise.windows.recipe import compute_joined_share, mix_results
 from tests.temporal.scenes import SIZE, make_camera, make_frame
 
 NOISE = 0.3
@@ -237,7 +237,7 @@ class TestFilter:
     def test_pixels_of_few_frames_are_those_of_the_frame_alone(self):
         frames = np.full((20, 30), 5.0, np.float32)
         frames[:, :10] = 1.0
-        share = find_share(frames)
+        share = compute_joined_share(frames)
         assert (share[:, :9] == 0.0).all()
         assert (share[:, 18:] == 1.0).all()
         assert (np.diff(share, axis=1) >= -1e-6).all()
@@ -281,7 +281,7 @@ class TestReflections:
             frames.append(frame.with_changes(gbuffer=guides))
         window = WindowFilter(1)
         window.join(frames, 1)
-        near = find_neighbours(window._prepare(frames, 0, 2), 1)
+        near = list_neighbours(window._prepare(frames, 0, 2), 1)
         places = near[0].reflections
         assert np.isfinite(places).any() == is_followed
         if is_followed:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.denoising.layers import find_exact_light, find_surface
+from lobewise.denoising.layers import compute_exact_light, mark_surface
 from lobewise.errors import InputError
 from lobewise.filters.noise.expected import expect_error
 from lobewise.frame import Result
@@ -62,7 +62,7 @@ def find_unsupported(
     weight = result.weight_sum
     count = int(budget * weight.size)
     if frame is not None:
-        return _find_uncertain(result, frame, count, least)
+        return _mark_uncertain(result, frame, count, least)
     median = float(np.median(weight))
     wanted = (weight < least) | (weight < quality * median)
     if np.count_nonzero(wanted) > count:
@@ -75,12 +75,12 @@ def find_unsupported(
     return np.asarray(wanted)
 
 
-def _find_uncertain(result: Result, frame: AnyFrame, count: int, least: float) -> NDArray[np.bool_]:
+def _mark_uncertain(result: Result, frame: AnyFrame, count: int, least: float) -> NDArray[np.bool_]:
     """Return the pixels of surfaces that have no support, then those of the largest expected error."""
     noise = {"variance": result.variance, "effective_samples": result.effective_samples}
-    expected = expect_error(result.image, exact=find_exact_light(frame), **noise)
+    expected = expect_error(result.image, exact=compute_exact_light(frame), **noise)
     # Pixels without support come first, those of the lowest weight before others.
-    surface = find_surface(frame)
+    surface = mark_surface(frame)
     order = np.where(surface, expected, np.float32(0.0)).ravel()
     lacking = np.flatnonzero((result.weight_sum < least) & surface)
     order[lacking] = expected.max(initial=0.0) * (2.0 - result.weight_sum.ravel()[lacking] / max(least, 1e-30)) + 1.0

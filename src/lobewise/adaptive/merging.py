@@ -10,9 +10,9 @@ from functools import reduce
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.denoising.bad_pixels import find_good
+from lobewise.denoising.bad_pixels import mark_good
 from lobewise.frame import FloatArray, Radiance
-from lobewise.lobes.vectors import find_image_luminance
+from lobewise.lobes.vectors import compute_image_luminance
 
 MIN_PRIOR_ERROR = 0.05
 """Relative squared error that the mean of the old and the filtered radiance of a pixel has at least."""
@@ -33,7 +33,7 @@ def merge_by_weight(old: Radiance, new: Radiance, weight: FloatArray, worth: Flo
     merged = {}
     for name in _list_shared(old, new):
         before, fresh = getattr(old, name), getattr(new, name)
-        good = find_good(fresh)[..., None]
+        good = mark_good(fresh)[..., None]
         n = np.where(good, worth[:, None, None], np.float32(0.0))
         total = old_weight + n
         blend = (old_weight * before + n * np.where(good, fresh, np.float32(0.0))) / np.maximum(total, 1e-12)
@@ -42,43 +42,43 @@ def merge_by_weight(old: Radiance, new: Radiance, weight: FloatArray, worth: Flo
     return Radiance(**merged)
 
 
-def bound_parts(shaded: Radiance, dark: float, near: Radiance | None = None) -> Radiance:
+def bound_sample_parts(shaded: Radiance, dark: float, near: Radiance | None = None) -> Radiance:
     """Return parts (count, parts) without fireflies.
 
     ``near`` is the light around each pixel, (count, 1), if it is known. No part is bounded to less than ``dark``.
     """
-    light, least = find_image_luminance(shaded.color)[..., None], np.float32(0.0)
+    light, least = compute_image_luminance(shaded.color)[..., None], np.float32(0.0)
     good = np.isfinite(light) & (light >= least)
     light, count = np.where(good, light, least), good.sum(axis=1, keepdims=True)
     most = (light.sum(axis=1, keepdims=True) - light) / np.maximum(count - 1, 1).astype(np.float32)
     if near is None:
         most *= np.float32(FIRST_PART_RATIO)
     else:
-        most = np.float32(MAX_PART_RATIO) * np.fmax(most, find_image_luminance(near.color)[..., None])
+        most = np.float32(MAX_PART_RATIO) * np.fmax(most, compute_image_luminance(near.color)[..., None])
     share = np.minimum((most + np.float32(dark)) / np.maximum(light, np.float32(1e-30)), np.float32(1.0))
     return Radiance(**{name: share * getattr(shaded, name) for name in _list_shared(shaded)})
 
 
-def join_parts(shaded: Radiance) -> Radiance:
+def average_parts(shaded: Radiance) -> Radiance:
     """Return the mean over the parts of each pixel, (count, 1); NaN without a part that is finite and not negative."""
-    good = _find_good_parts(shaded)
+    good = _mark_good_parts(shaded)
     return Radiance(**{name: _average(getattr(shaded, name), good) for name in _list_shared(shaded)})
 
 
-def find_variance(shaded: Radiance) -> FloatArray:
-    """Return the variance of `join_parts`, (count, 1, 1), the mean of those of the three channels.
+def compute_variance(shaded: Radiance) -> FloatArray:
+    """Return the variance of `average_parts`, (count, 1, 1), the mean of those of the three channels.
 
     It is infinite where fewer than two parts are finite and not negative.
     """
-    good = _find_good_parts(shaded)
+    good = _mark_good_parts(shaded)
     count = _add_parts(good.astype(np.float32))
     spread = _average((shaded.color - _average(shaded.color, good)) ** 2, good).mean(axis=-1, keepdims=True)
     return np.asarray(np.where(count > 1.0, spread / np.maximum(count - 1.0, 1.0), np.float32(np.inf)))
 
 
-def _find_good_parts(shaded: Radiance) -> NDArray[np.bool_]:
+def _mark_good_parts(shaded: Radiance) -> NDArray[np.bool_]:
     """Return which parts are finite and not negative, (count, parts, 1)."""
-    good = [find_good(getattr(shaded, name)) for name in _list_shared(shaded)]
+    good = [mark_good(getattr(shaded, name)) for name in _list_shared(shaded)]
     return np.asarray(np.logical_and.reduce(good))[..., None]
 
 
@@ -107,14 +107,14 @@ def merge_by_variance(
     old_share = (support / (np.float32(1.0) + support))[:, None, None]
     for name in names:
         first, second = getattr(old, name), getattr(fills, name)
-        second = np.where(find_good(second)[..., None], second, first)
+        second = np.where(mark_good(second)[..., None], second, first)
         prior[name] = second + old_share * (first - second)
         apart[name] = np.float32(0.5) * (first - second)
     least = MIN_PRIOR_ERROR if filtered is not None else SINGLE_PRIOR_ERROR
-    relative = np.float32(least) * find_image_luminance(prior["color"])[..., None] ** 2
-    error = np.maximum(relative, find_image_luminance(apart["color"])[..., None] ** 2) + np.float32(dark**2 + 1e-30)
+    relative = np.float32(least) * compute_image_luminance(prior["color"])[..., None] ** 2
+    error = np.maximum(relative, compute_image_luminance(apart["color"])[..., None] ** 2) + np.float32(dark**2 + 1e-30)
     share = error / (error + variance)
-    known = find_good(mean.color)[..., None]
+    known = mark_good(mean.color)[..., None]
     own = {name: np.where(known, getattr(mean, name), prior[name]) for name in names}
     return Radiance(**{name: prior[name] + share * (own[name] - prior[name]) for name in names})
 
@@ -124,7 +124,9 @@ def bound_light(light: Radiance, other: Radiance) -> Radiance:
     bounded = {}
     for name in _list_shared(light, other):
         value = getattr(light, name)
-        own, most = (np.maximum(find_image_luminance(each)[..., None], 0.0) for each in (value, getattr(other, name)))
+        own, most = (
+            np.maximum(compute_image_luminance(each)[..., None], 0.0) for each in (value, getattr(other, name))
+        )
         share = np.minimum(np.float32(MAX_KEPT_RATIO) * most / np.maximum(own, 1e-30), np.float32(1.0))
         bounded[name] = value * share
     return Radiance(**bounded)

@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 from lobewise.adaptive.choosing import find_unsupported
 from lobewise.adaptive.merging import (
     DARK_LIGHT,
+    average_parts,
     bound_light,
-    bound_parts,
-    find_variance,
-    join_parts,
+    bound_sample_parts,
+    compute_variance,
     merge_by_variance,
     merge_by_weight,
 )
-from lobewise.denoising import find_bad_pixels
-from lobewise.denoising.layers import find_exact_light
+from lobewise.denoising import mark_bad_pixels
+from lobewise.denoising.layers import compute_exact_light
 from lobewise.denoising.recipe import denoise_quietly
 from lobewise.errors import InputError
 from lobewise.frame import FloatArray, Frame, Radiance, Result
@@ -125,7 +125,7 @@ def recompute(
             got=f"shape {shaded.color.shape}",
             action="return one row for each pixel",
         )
-    exact = None if frame is None or shaded.parts is None else find_exact_light(frame)
+    exact = None if frame is None or shaded.parts is None else compute_exact_light(frame)
     known = np.float32(0.0) if exact is None else exact[where][:, None]
     old = _take_pixels(result, where, known)
     around = None if frame is None or not filter_new else partial(_filter_among, frame=frame, where=where)
@@ -182,12 +182,12 @@ def _merge_parts(
     """
     filtered, worth, near = None, np.full(len(shaded.color), samples, np.float32), old[0]
     if around is not None:
-        near, _ = around(join_parts(bound_parts(shaded, dark)), samples)
-    mean = join_parts(bound_parts(shaded, dark, near))
+        near, _ = around(average_parts(bound_sample_parts(shaded, dark)), samples)
+    mean = average_parts(bound_sample_parts(shaded, dark, near))
     if around is not None:
         filtered, worth = around(mean, samples)
         filtered = _drop_emission(filtered, exact)
-    merged = merge_by_variance(*old, _drop_emission(mean, exact), find_variance(shaded), filtered, dark)
+    merged = merge_by_variance(*old, _drop_emission(mean, exact), compute_variance(shaded), filtered, dark)
     return merged, bound_light(merged, filtered or old[0]), worth
 
 
@@ -210,7 +210,7 @@ def _filter_among(
 
     names = [name for name in ("color", "diffuse", "specular") if name in new.names]
     radiance = Radiance(**{name: spread(getattr(new, name)) for name in names})
-    if find_bad_pixels(Frame(radiance)).all():
+    if mark_bad_pixels(Frame(radiance)).all():
         return new, worth
     spp = max(1, round(samples * (frame.spp or 1)))
     whole = Frame(radiance, frame.gbuffer, frame.camera, spp=spp, lobe_tables=frame.lobe_tables)

@@ -99,7 +99,7 @@ class _Memory(threading.local):
 _memory = _Memory()
 
 
-def make_planes(shape: tuple[int, ...], type: str = "float32") -> NDArray[Any]:
+def make_plane_stack(shape: tuple[int, ...], type: str = "float32") -> NDArray[Any]:
     """Return an uninitialised array whose entries along the first axis begin in different sets of the cache.
 
     Each entry is dense; there are gaps between entries.
@@ -121,7 +121,7 @@ def make_planes(shape: tuple[int, ...], type: str = "float32") -> NDArray[Any]:
 
 def make_array(shape: tuple[int, ...], type: str = "float32") -> NDArray[Any]:
     """Return an uninitialised dense array, whose beginning differs from that of the array before."""
-    array: NDArray[Any] = make_planes((1, *shape), type)[0]
+    array: NDArray[Any] = make_plane_stack((1, *shape), type)[0]
     return array
 
 
@@ -190,7 +190,7 @@ class Buffer:
         self._whole_dimensions = _describe_axes([(padded, 1)])
         self._whole = _make_raw(self._bytes.ctypes.data, _TYPE_CODES["u"], 8, self._whole_dimensions)
         self.device = device
-        self._call("halide_device_malloc", _find_interface(device))
+        self._call("halide_device_malloc", _look_up_interface(device))
         self._raw.device, self._raw.device_interface = self._whole.device, self._whole.device_interface
 
     def bring_up(self, device: str) -> None:
@@ -198,7 +198,7 @@ class Buffer:
         self.take_memory(device)
         self._bytes[: self.array.nbytes] = _order_axes(self.array).reshape(-1).view(np.uint8)
         self._whole.flags = _HOST_DIRTY
-        self._call("halide_copy_to_device", _find_interface(device))
+        self._call("halide_copy_to_device", _look_up_interface(device))
         transfers["up"] += 1
 
     def bring_down(self) -> None:
@@ -243,7 +243,7 @@ def _make_raw(host: int, code: int, bits: int, dimensions: Any) -> _RawBuffer:
 
 
 @cache
-def _find_interface(device: str) -> int:
+def _look_up_interface(device: str) -> int:
     return int(get_runtime(device).get("pointer", f"halide_{device}_device_interface")())
 
 

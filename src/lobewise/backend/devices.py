@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import cache
 
 from lobewise.backend.compiler import has_compiler, hl
-from lobewise.backend.prebuilt import find_library
+from lobewise.backend.prebuilt import choose_library
 from lobewise.errors import DeviceError, require_choice
 
 DEVICES = ("cpu", "vulkan", "cuda", "metal")
@@ -102,7 +102,7 @@ def choose_device(name: str) -> str:
 
 def make_target(device: str) -> hl.Target:
     """Return the target of a device, without Halide's checks of buffers: they are checked before a call."""
-    library = find_library() if device == "cpu" else None
+    library = choose_library() if device == "cpu" else None
     if library is not None:
         # A kernel that is compiled here runs beside kernels of the library, on vectors of the same width.
         return hl.Target(library.target)
@@ -119,19 +119,23 @@ def make_target(device: str) -> hl.Target:
 @cache
 def count_host_lanes() -> int:
     """Return the number of float32 in a vector of the processor's kernels."""
-    library = find_library()
+    library = choose_library()
     return int(hl.get_host_target().natural_vector_size(hl.Float(32))) if library is None else library.lanes
 
 
 def _name_host() -> str:
     """Return the target of the processor's kernels, as Halide writes it."""
-    library = find_library()
+    library = choose_library()
     return str(hl.get_host_target().to_string()) if library is None else library.target
 
 
 @cache
 def _probe(name: str) -> _Found | str:
-    finders: dict[str, Callable[[], _Found]] = {"vulkan": _find_vulkan, "cuda": _find_cuda, "metal": _find_metal}
+    finders: dict[str, Callable[[], _Found]] = {
+        "vulkan": _look_up_vulkan,
+        "cuda": _look_up_cuda,
+        "metal": _look_up_metal,
+    }
     try:
         return finders[name]()
     except _NoDeviceError as problem:
@@ -184,7 +188,7 @@ class _DeviceProperties(ctypes.Structure):
     )
 
 
-def _find_vulkan() -> _Found:
+def _look_up_vulkan() -> _Found:
     if sys.platform == "darwin":
         raise _NoDeviceError("not on macOS, which has Metal")
     names = ("vulkan-1.dll",) if sys.platform == "win32" else ("libvulkan.so.1", "libvulkan.so")
@@ -214,7 +218,7 @@ def _find_vulkan() -> _Found:
     return _Found(name, is_software=chosen.kind == SOFTWARE_TYPE)
 
 
-def _find_cuda() -> _Found:
+def _look_up_cuda() -> _Found:
     names = ("nvcuda.dll",) if sys.platform == "win32" else ("libcuda.so.1", "libcuda.so")
     library = _load(names, "no CUDA driver; it comes with NVIDIA's graphics driver")
     count, handle = ctypes.c_int(), ctypes.c_int()
@@ -233,7 +237,7 @@ def _find_cuda() -> _Found:
     return _Found(f"{name}, compute capability {major}.{minor}", capability=10 * major + minor)
 
 
-def _find_metal() -> _Found:
+def _look_up_metal() -> _Found:
     if sys.platform != "darwin":
         raise _NoDeviceError("only on macOS")
     if not hl.host_supports_target_device(hl.get_host_target().with_feature(hl.TargetFeature.Metal)):

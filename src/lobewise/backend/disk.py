@@ -21,7 +21,7 @@ from typing import Any
 import platformdirs
 
 from lobewise.backend.objects import is_object
-from lobewise.backend.trust import find_folder_problem, read_trusted
+from lobewise.backend.trust import describe_folder_problem, read_trusted
 
 MAX_KERNEL_FILES = 4000
 """Largest number of kernels in the folder. Beyond it those not used for longest are removed, down to half."""
@@ -37,17 +37,17 @@ class CacheWarning(UserWarning):
     """Compiled kernels are not cached, or a cached one is not used. Results are not affected."""
 
 
-def find_cache_folder() -> Path | None:
+def locate_cache_folder() -> Path | None:
     """Return the folder of compiled kernels; None if the cache is off or the user has no folder."""
     named = os.environ.get("LOBEWISE_CACHE", "")
     if named == "off":
         return None
     if named:
         return Path(os.path.abspath(named))
-    return _find_user_folder()
+    return _locate_user_folder()
 
 
-def _find_user_folder() -> Path | None:
+def _locate_user_folder() -> Path | None:
     """Return the user's cache folder; None if the user has no home.
 
     An empty ``HOME`` counts as no home: otherwise caches would land in the root of the file system.
@@ -69,12 +69,12 @@ def _find_user_folder() -> Path | None:
     return cache_folder if cache_folder.is_absolute() else None
 
 
-def find_trusted_folder() -> Path | None:
+def locate_trusted_folder() -> Path | None:
     """Return the folder of compiled kernels; if others can write to it, warn and return None."""
-    folder = find_cache_folder()
+    folder = locate_cache_folder()
     if folder is None:
         return None
-    problem = find_folder_problem(folder)
+    problem = describe_folder_problem(folder)
     if problem:
         _warn(
             f"Compiled kernels are not kept in {str(folder)!r}, because {problem}: make it a folder that only you can "
@@ -92,7 +92,7 @@ def fetch_object(
     does not contain ``symbol``, or (with a warning) can be written by others is made again. If writing fails, the
     program continues without the cache.
     """
-    folder = find_trusted_folder()
+    folder = locate_trusted_folder()
     if known is None or folder is None:
         return make()
     path = folder / (hashlib.sha256(known.encode()).hexdigest()[:40] + ".kernel")

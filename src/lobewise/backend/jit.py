@@ -25,7 +25,7 @@ from lobewise.backend.compiler import has_compiler, hl, refuse_compiling
 from lobewise.backend.devices import make_target
 from lobewise.backend.disk import fetch_object
 from lobewise.backend.objects import compile_object
-from lobewise.backend.prebuilt import find_library, name_symbol
+from lobewise.backend.prebuilt import choose_library, name_symbol
 from lobewise.backend.runtime import Runtime, get_runtime
 from lobewise.backend.signature import Parameter, Signature, check_call, unpack_parameters
 from lobewise.backend.sources import PACKAGE, describe_definitions
@@ -81,7 +81,7 @@ class Kernel:
             for each in self.outputs
         }
 
-    def find_axes(self, images: Mapping[str, Image]) -> dict[str, int]:
+    def list_axis_lengths(self, images: Mapping[str, Image]) -> dict[str, int]:
         """Return the lengths of named axes from the input images by name."""
         return {
             axis: length
@@ -139,17 +139,17 @@ def get_kernel(device: str, key: Hashable, make: Callable[[hl.Target], Scheduled
     """
     with _kernels_lock:
         if (device, key) not in _kernels:
-            bundled = _find_prebuilt(key, make, strict=strict) if device == "cpu" else None
+            bundled = _look_up_prebuilt(key, make, strict=strict) if device == "cpu" else None
             _kernels[device, key] = bundled or _compile_or_load(device, key, make, strict=strict)
         return _kernels[device, key]
 
 
-def _find_prebuilt(key: Hashable, make: Callable[..., Any], *, strict: bool) -> Kernel | None:
+def _look_up_prebuilt(key: Hashable, make: Callable[..., Any], *, strict: bool) -> Kernel | None:
     """Return a kernel of the library that came with the package; None if it must be compiled here.
 
     Raises MissingDependencyError if it must be compiled and no compiler is installed.
     """
-    library, identity = find_library(), identify_kernel(key, make, strict=strict)
+    library, identity = choose_library(), identify_kernel(key, make, strict=strict)
     if library is not None and identity is not None and identity in library.kernels:
         name, parameters = library.kernels[identity]
         address = library.find(f"{name_symbol(identity)}_argv")
@@ -201,7 +201,7 @@ def run_kernel(
     DeviceError
         If the device fails or runs out of memory.
     """
-    axes = {**kernel.find_axes(images), **sizes}
+    axes = {**kernel.list_axis_lengths(images), **sizes}
     types = {each.name: each.type for each in kernel.outputs}
     shapes = kernel.list_shapes(**axes)
     # Keep every buffer in a local name until the call has returned: Halide holds no reference.

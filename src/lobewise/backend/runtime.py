@@ -19,7 +19,7 @@ from lobewise.backend.compiler import hl, load_llvm
 from lobewise.backend.devices import VULKAN_BLOCK, VULKAN_MULTIPLE, make_target
 from lobewise.backend.disk import fetch_object
 from lobewise.backend.objects import compile_object
-from lobewise.backend.prebuilt import find_library
+from lobewise.backend.prebuilt import choose_library
 from lobewise.chunks import ForkGate, make_fork_lock
 from lobewise.errors import DeviceError
 
@@ -44,8 +44,8 @@ class Runtime:
             # The runtime reads the variable when the first kernel starts; see `lobewise.backend.devices`.
             values = ("0", str(VULKAN_BLOCK), "0", "0", str(VULKAN_MULTIPLE))
             os.environ.setdefault("HL_VK_ALLOC_CONFIG", os.pathsep.join(values))
-        library = find_library() if device == "cpu" else None
-        self.find = library.find if library else partial(_find_function, _compile_runtime(device))
+        library = choose_library() if device == "cpu" else None
+        self.find = library.find if library else partial(_look_up_function, _compile_runtime(device))
         """Returns the address of a function of the runtime; raises LookupError if there is none of this name."""
         self._loaded: list[Any] = []
         for name in _CONSTRUCTORS.get(device, ()):
@@ -71,7 +71,7 @@ class Runtime:
                 load_llvm().add_symbol(symbol.decode(), self.find(symbol.decode()))
         engine = _load_object(content)
         self._loaded.append(engine)
-        return _find_function(engine, name)
+        return _look_up_function(engine, name)
 
     def get(self, result: str, name: str, *arguments: Any) -> Callable[..., Any]:
         """Return a function of the runtime; ``result`` is "void", "int" for a code, or "pointer" for an address."""
@@ -126,7 +126,7 @@ def _load_object(content: bytes, *, side_by_side: bool = True) -> Any:
     return engine
 
 
-def _find_function(engine: Any, name: str) -> int:
+def _look_up_function(engine: Any, name: str) -> int:
     address = int(engine.get_function_address(name))
     if address == 0:
         raise LookupError(name)

@@ -99,7 +99,7 @@ class Signature:
         kind = hl.Float(32) if type is None else type
         dense = strides is None
         if strides is None:
-            strides = _find_strides(axes)
+            strides = _compute_strides(axes)
         param = hl.ImageParam(kind, len(axes), name)
         for place, stride in enumerate(reversed(strides)):
             param.dim(place).set_min(0)
@@ -133,11 +133,11 @@ class Signature:
     ) -> None:
         """Declare an output image, in the order of the kernel's output functions."""
         kind = _name_type(hl.Float(32) if type is None else type)
-        entries = _find_strides(axes) if strides is None else strides
+        entries = _compute_strides(axes) if strides is None else strides
         self._written.append(Parameter(name, "output", kind, tuple(axes), tuple(entries)))
 
 
-def _find_strides(axes: Sequence[Axis]) -> list[int | None]:
+def _compute_strides(axes: Sequence[Axis]) -> list[int | None]:
     """Return the default strides: entries of the last axis are adjacent, and so are pixels if it holds channels."""
     strides: list[int | None] = [None] * len(axes)
     if axes:

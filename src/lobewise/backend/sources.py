@@ -22,7 +22,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from lobewise.backend.disk import MAX_FILE_BYTES, find_trusted_folder, write_whole
+from lobewise.backend.disk import MAX_FILE_BYTES, locate_trusted_folder, write_whole
 from lobewise.backend.trust import read_trusted
 
 PACKAGE = "lobewise"
@@ -51,15 +51,15 @@ def describe_definitions(names: Iterable[str]) -> str:
 
     The name of a module stands for all its definitions.
     """
-    lines = (f"{name} {digest}" for name, digests in sorted(find_definitions(names).items()) for digest in digests)
+    lines = (f"{name} {digest}" for name, digests in sorted(digest_definitions(names).items()) for digest in digests)
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 
-def find_definitions(names: Iterable[str]) -> dict[str, list[str]]:
+def digest_definitions(names: Iterable[str]) -> dict[str, list[str]]:
     """Return the digests of definitions and of all that they refer to, by their full names."""
     digests: dict[str, list[str]] = {}
     waiting = list(names)
-    sources = _open_kept(find_trusted_folder())
+    sources = _open_kept(locate_trusted_folder())
     while waiting:
         for module, name, source in _resolve(waiting.pop(), sources):
             full_name = f"{module}.{name}"
@@ -74,7 +74,7 @@ def find_definitions(names: Iterable[str]) -> dict[str, list[str]]:
 def _resolve(full_name: str, sources: _Kept) -> Iterator[tuple[str, str, Source]]:
     """Yield module, name and source of the definitions that a full name means; nothing for names of no module."""
     module, rest = full_name, ""
-    while (path := _find_file(module)) is None:
+    while (path := _locate_file(module)) is None:
         module, _, last = module.rpartition(".")
         rest = f"{last}.{rest}" if rest else last
         if not module:
@@ -168,7 +168,7 @@ def _is_text(node: ast.AST) -> bool:
 
 
 @cache
-def _find_file(name: str) -> Path | None:
+def _locate_file(name: str) -> Path | None:
     first, *rest = name.split(".")
     if first != PACKAGE:
         return None

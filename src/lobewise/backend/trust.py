@@ -14,7 +14,7 @@ from pathlib import Path
 WRITABLE_BY_GROUP, WRITABLE_BY_OTHERS = stat.S_IWGRP, stat.S_IWOTH
 
 
-def find_folder_problem(folder: Path) -> str:
+def describe_folder_problem(folder: Path) -> str:
     """Return why files in a folder cannot be trusted, or an empty text. The folder need not exist yet.
 
     The folder and all folders above it must belong to this user or root, and nobody else may write to them. A folder
@@ -32,14 +32,14 @@ def find_folder_problem(folder: Path) -> str:
             return f"{str(part)!r} cannot be examined ({problem.strerror})"
         if not stat.S_ISDIR(status.st_mode):
             return f"{str(part)!r} is not a folder"
-        problem_of_part = find_problem(status)
+        problem_of_part = describe_problem(status)
         is_sticky = part != real and bool(status.st_mode & stat.S_ISVTX) and _is_own(status)
         if problem_of_part and not is_sticky:
             return f"{str(part)!r} {problem_of_part}"
     return ""
 
 
-def find_problem(status: os.stat_result) -> str:
+def describe_problem(status: os.stat_result) -> str:
     """Return why a file or folder of this status cannot be trusted, or an empty text."""
     if os.name != "posix":
         return ""
@@ -68,7 +68,7 @@ def read_trusted(path: Path, limit: int) -> tuple[bytes, str]:
         status = os.fstat(file.fileno())
         if not stat.S_ISREG(status.st_mode) or status.st_size > limit:
             raise OSError(f"{path} is no file of at most {limit} bytes")
-        problem = find_problem(status)
+        problem = describe_problem(status)
         return (b"", problem) if problem else (file.read(limit + 1), "")
 
 

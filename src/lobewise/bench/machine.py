@@ -14,17 +14,17 @@ from lobewise.chunks import count_cores, count_threads
 def describe_machine() -> dict[str, Any]:
     """Return processor, cores, threads used by Halide, Python, version, and in a checkout the commit."""
     found = {
-        "processor": find_processor(),
+        "processor": look_up_processor(),
         "cores": count_cores(),
         "threads": count_threads(),
         "python": platform.python_version(),
         "version": lobewise.__version__,
     }
-    commit = _find_commit()
+    commit = _look_up_commit()
     return {**found, "commit": commit} if commit else found
 
 
-def find_processor() -> str:
+def look_up_processor() -> str:
     """Return the name of the processor."""
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():
@@ -34,7 +34,7 @@ def find_processor() -> str:
     return platform.processor() or platform.machine()
 
 
-def _find_commit() -> str:
+def _look_up_commit() -> str:
     """Return the commit of the checkout that holds this package, marked if files were changed; empty without one."""
     package = Path(__file__).resolve().parents[1]
     if not (package.parents[1] / ".git").exists():

@@ -15,7 +15,7 @@ from lobewise.chunks import count_threads
 from lobewise.denoising import denoise
 from lobewise.frame import Frame, Radiance
 from lobewise.peers import denoise_oidn, has_oidn
-from lobewise.settings import FORMS
+from lobewise.settings import FORM_NAMES
 from lobewise.settings.choices import get_quality, get_similarity
 from lobewise.sparse_frame import make_sparse
 from lobewise.upsampling import DEFAULT_RADIUS, upsample
@@ -62,7 +62,7 @@ class Extent:
     """Lobes per pixel of "lobes"."""
     scales: tuple[int, ...] = (2, 4)
     """Distances of shaded pixels of "upsampling", pixels."""
-    forms: tuple[str, ...] = FORMS
+    forms: tuple[str, ...] = FORM_NAMES
     """Forms of "forms"."""
     qualities: tuple[str, ...] = ("fast", "balanced", "high")
     """Qualities of "denoising"."""

@@ -163,11 +163,11 @@ def _list_metrics() -> tuple[list[str], str]:
 
 def _compare_files(images: list[Path], reference: Path, metrics: list[str]) -> dict[str, Any]:
     from lobewise.cli.output import print_note
-    from lobewise.interchange import find_noisy_pass, read_image
+    from lobewise.interchange import name_noisy_pass, read_image
     from lobewise.metrics import EPSILON, evaluate
 
     for path in (*images, reference):
-        passes = find_noisy_pass(path)
+        passes = name_noisy_pass(path)
         if passes is not None:
             shown, noisy = passes
             print_note(f"{path}: {shown}, which viewers show, is measured; {noisy}, the noisy image, is not.")
@@ -192,7 +192,7 @@ def _compare_sequences(images: list[Path], reference: Path, guides: Path | None,
         _require_numbers(one.pattern, numbers)
     guiding = truth if guides is None else FramePattern.parse(guides)
     _require_numbers(guiding, numbers, allow_more=True)
-    guided = guides is not None or _find_lacking(frames[0][1]) is None
+    guided = guides is not None or _describe_lacking(frames[0][1]) is None
     with Steps() as steps:
         steps.tell("frames", 0, len(frames))
         for done, (number, target, mask, cut) in enumerate(_read_targets(frames, guiding if guided else None), start=1):
@@ -319,7 +319,7 @@ def _require_size(gbuffer: GBuffer, target: FloatArray) -> None:
         )
 
 
-def _find_lacking(path: Path) -> str | None:
+def _describe_lacking(path: Path) -> str | None:
     """Return why the surfaces of a file cannot be found in another frame, None if they can."""
     from lobewise.io import describe_file
 
@@ -334,7 +334,7 @@ def _read_guides(path: Path) -> Guides:
     from lobewise.io.exr import read_whole
     from lobewise.io.exr.parsing import read_container
 
-    lacking = _find_lacking(path)
+    lacking = _describe_lacking(path)
     if lacking is not None:
         raise MissingChannelError(
             f"guides {str(path)!r}",

@@ -11,7 +11,7 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
 
-from lobewise.bench.machine import find_processor
+from lobewise.bench.machine import look_up_processor
 from lobewise.chunks import count_cores
 from lobewise.denoising import denoise
 from lobewise.denoising.bad_pixels import blacken_bad
@@ -176,7 +176,7 @@ def _filter(frame: Frame, device: str, everything: bool, say: Callable[[str], No
     if has_oidn():
         say("Filtering: Open Image Denoise.")
         image, seconds = denoise_oidn(frame)
-        note = f"Neural network (pyoidn {_find_version('pyoidn')}), guided by albedo and normals."
+        note = f"Neural network (pyoidn {_look_up_version('pyoidn')}), guided by albedo and normals."
         pictures.append(Picture(OIDN_KEY, "Open Image Denoise", image, note, {"quality": "high"}, seconds))
         remarks.append(OIDN_REMARK)
     else:
@@ -217,16 +217,16 @@ def _render(scene: str, spp: int, reference_spp: int, size: int, say: Progress) 
 
 
 def _list_facts() -> dict[str, str]:
-    versions = {name: _find_version(name) for name in ("lobewise", "halide", "numpy")}
+    versions = {name: _look_up_version(name) for name in ("lobewise", "halide", "numpy")}
     return {
-        "machine": f"{find_processor()}, {count_cores()} threads, {platform.system()} {platform.machine()}",
+        "machine": f"{look_up_processor()}, {count_cores()} threads, {platform.system()} {platform.machine()}",
         "versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
         "Python": platform.python_version(),
         "made": time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime()),
     }
 
 
-def _find_version(name: str) -> str:
+def _look_up_version(name: str) -> str:
     try:
         return metadata.version(name)
     except metadata.PackageNotFoundError:

@@ -52,7 +52,7 @@ class FrameWork:
     ) -> Told:
         """Filter frames into their files; see `lobewise.farm.tasks.Work`."""
         target = FramePattern.parse(self.output)
-        verb, remarks = _find_verb(pickle.dumps((self, first, memory)))
+        verb, remarks = _make_filter(pickle.dumps((self, first, memory)))
         before = set(remarks.told)
         by_name = {target.name(number): number for number in numbers}
 
@@ -96,7 +96,7 @@ class FrameWork:
 
 
 @lru_cache(maxsize=1)
-def _find_verb(pickled: bytes) -> tuple[FileFilter[Any, Any], Remarks]:
+def _make_filter(pickled: bytes) -> tuple[FileFilter[Any, Any], Remarks]:
     """Return what filters the frames of a run. A worker keeps it for the next frame: making it may load a scene."""
     work, first, memory = pickle.loads(pickled)
     made: tuple[FileFilter[Any, Any], Remarks] = work.make_verb(first, memory)

@@ -13,7 +13,7 @@ import typer
 from lobewise.cli.options.bands import Bands, FileInBands, choose_bands
 from lobewise.cli.options.common import OVER_TIME_NOTE, OverTime, Source, Telling, parse_place
 from lobewise.cli.options.farming import Farm
-from lobewise.cli.options.reading import PassReading, find_counterpart, find_number, name_frame, read_tables
+from lobewise.cli.options.reading import PassReading, locate_counterpart, look_up_number, name_frame, read_tables
 from lobewise.cli.options.selections import DoneOne, DoneSeveral, FileOfSeveral, FilterOfEach
 from lobewise.cli.options.shading import Reshading
 from lobewise.cli.options.spreading import with_groups, with_settings
@@ -186,7 +186,7 @@ class _Denoiser:
         if request.over_time.temporal:
             job.remarks.tell(OVER_TIME_NOTE)
         if choose_bands(path, request.bands, request.settings, request.whole_option, job.memory):
-            target = find_counterpart(path, job.source, job.output)
+            target = locate_counterpart(path, job.source, job.output)
             return FileInBands(path, target, request.bands, self.tables, request.settings, job.memory)
         selections = request.reading.list_selections(path)
         return (
@@ -266,7 +266,7 @@ class _Denoiser:
                 pictures.write_from_file(target)
             return
         container, planned = done[0].container, [each.planned for each in done]
-        frame = find_number(container.path, self.job.source)
+        frame = look_up_number(container.path, self.job.source)
         self.request.writing.write(target, planned, container, self.job.remarks, frame)
         if pictures is not None:
             pictures.write(target, done[0].result.image)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 from lobewise.cli.options.bands import FileInBands
 from lobewise.cli.options.common import Telling
-from lobewise.cli.options.writing import Picture, find_first
+from lobewise.cli.options.writing import Picture, name_first_output
 from lobewise.cli.terminal.outcome import Remarks, tell_gaps, tell_picture, tell_settings
 from lobewise.cli.terminal.steps import Steps
 
@@ -52,7 +52,7 @@ class Job:
         return cls(
             source=source,
             output=output,
-            pictures=picture.plan(find_first(source, output)),
+            pictures=picture.plan(name_first_output(source, output)),
             steps=Steps(quiet=telling.quiet),
             verbose=telling.verbose,
         )

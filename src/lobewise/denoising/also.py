@@ -25,7 +25,7 @@ from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.dual_buffer import MORE_AT_ONCE
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.guides.halves import mark_bad
-from lobewise.lobes.vectors import find_image_luminance
+from lobewise.lobes.vectors import compute_image_luminance
 from lobewise.settings import ResolvedSettings
 from lobewise.settings.choices import get_quality
 
@@ -86,7 +86,7 @@ def filter_also(
             clean |= {f"{layer.name}/{part}": each for part, each in filtered.items()}
     if frame.also:
         before, after = rest
-        share = _find_share(before, frame.radiance.color)
+        share = _compute_part_share(before, frame.radiance.color)
         with np.errstate(invalid="ignore"):  # bad pixels stay bad
             scattered = {name: image - share * image for name, image in frame.also.items()}
         total = frame.with_changes(layers=(), radiance=Radiance(frame.radiance.color - before))
@@ -123,7 +123,7 @@ def filter_plain_layer(
 
 def bound_parts(noisy: NoisyLayer, joined: FloatArray, images: Sequence[FloatArray]) -> list[OtherImage]:
     """Return images as the passes over a layer take them, without fireflies; ``joined`` is that of `join_halves`."""
-    highlights = None if noisy.kept is None or not images else _find_share(noisy.kept, joined)
+    highlights = None if noisy.kept is None or not images else _compute_part_share(noisy.kept, joined)
     found = []
     for image in images:
         bounded = _bound_part(image, joined)
@@ -179,11 +179,11 @@ def _bound_part(image: FloatArray, bounded: FloatArray) -> FloatArray:
     A part without a firefly keeps its light where the layer has one: the share that was cut off belongs to others.
     """
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        scale = np.minimum(find_image_luminance(bounded) / find_image_luminance(image), np.float32(1.0))
+        scale = np.minimum(compute_image_luminance(bounded) / compute_image_luminance(image), np.float32(1.0))
     return np.asarray(image * np.where(np.isnan(scale), np.float32(1.0), scale)[..., None])
 
 
-def _find_share(part: FloatArray, image: FloatArray) -> FloatArray:
+def _compute_part_share(part: FloatArray, image: FloatArray) -> FloatArray:
     """Return the share of each pixel's light that a part of an image holds, (height, width, 1), in [0, 1]."""
     some, light = (blacken_bad(each).sum(axis=-1, keepdims=True) for each in (part, image))
     share = np.divide(some, light, out=np.zeros_like(some), where=light > 0.0)

@@ -17,16 +17,16 @@ from lobewise.errors import InputError, require_choice
 from lobewise.frame import Frame
 from lobewise.guides.lobe_fields import default_tau
 from lobewise.peers import explain_no_oidn, has_oidn
-from lobewise.settings import OIDN_QUALITY, DenoiseSettings, Quality, ResolvedSettings, Similarity
+from lobewise.settings import OIDN_QUALITY, DenoiseSettings, QualityName, ResolvedSettings, SimilarityName
 from lobewise.settings.choices import get_quality, get_similarity
 from lobewise.sparse_frame import AnyFrame
 
-DEFAULT_SIMILARITY: Similarity = "ggx"
+DEFAULT_SIMILARITY: SimilarityName = "ggx"
 """Similarity of "auto" where the frame has lobes: the winner of benchmarks/results/similarities.json."""
-DEFAULT_QUALITY: Quality = "high"
+DEFAULT_QUALITY: QualityName = "high"
 """Quality of "auto" for the full form without Open Image Denoise. It has the least mean error on every set of scenes
 (docs/quality.md, docs/quality_results.md, docs/renderers_results.md)."""
-FEATURES_QUALITY: Quality = "balanced"
+FEATURES_QUALITY: QualityName = "balanced"
 """Quality of "auto" for the full form where the caller has features of its own: the network of "high" does not read
 them, and softens edges that only they tell (tests/test_examples.py)."""
 BETA_DIFFUSE, BETA_SPECULAR = 2.0, 1.0
@@ -101,7 +101,7 @@ def explain_ours(settings: DenoiseSettings, *, whole: bool = True, with_features
     return explain_no_oidn() if whole else "Open Image Denoise takes whole images, and this one is denoised in bands"
 
 
-def choose_quality(settings: DenoiseSettings) -> Quality:
+def choose_quality(settings: DenoiseSettings) -> QualityName:
     """Return the quality, with "auto" replaced by the quality that `denoise` takes for it."""
     if settings.quality != "auto":
         return settings.quality
@@ -141,7 +141,7 @@ def require_full(settings: DenoiseSettings) -> None:
         raise InputError("form", expected="'full'", got=repr(settings.form), action="upsampling has no other form")
 
 
-def choose_similarity(frame: AnyFrame, settings: DenoiseSettings) -> Similarity:
+def choose_similarity(frame: AnyFrame, settings: DenoiseSettings) -> SimilarityName:
     """Return the similarity, with "auto" replaced by the similarity for this frame."""
     if settings.similarity != "auto":
         return settings.similarity

@@ -25,7 +25,7 @@ REFILL_REACH = len(SIGMAS) * ATROUS_REACH
 """Reach of the filling, pixels: each round reads the pixels that the round before filled."""
 
 
-def find_good(image: FloatArray) -> NDArray[np.bool_]:
+def mark_good(image: FloatArray) -> NDArray[np.bool_]:
     """Return where all three channels are finite and not negative.
 
     Channel by channel: NumPy's reductions over an axis of three are several times slower.
@@ -41,11 +41,11 @@ def find_good(image: FloatArray) -> NDArray[np.bool_]:
 
 def blacken_bad(image: FloatArray) -> FloatArray:
     """Return ``image`` with 0 where a pixel is not finite or negative."""
-    good = find_good(image)
+    good = mark_good(image)
     return image if good.all() else np.where(good[..., None], image, np.float32(0.0))
 
 
-def find_bad_pixels(frame: Frame) -> NDArray[np.bool_]:
+def mark_bad_pixels(frame: Frame) -> NDArray[np.bool_]:
     """Return where any radiance of the frame is NaN, infinite or negative, shape (height, width)."""
     light = [layer.radiance for layer in frame.layers] or frame.radiance.parts or ()
     images = {f"light{number}": image for number, image in enumerate((frame.radiance.color, *light))}
@@ -147,19 +147,19 @@ def count_holes(holes: NDArray[np.bool_]) -> float:
 
 def measure_mean_color(color: FloatArray) -> FloatArray:
     """Return the mean colour of the good pixels of an image."""
-    return find_mean_color(sum_colors(color))
+    return compute_mean_color(sum_colors(color))
 
 
 def sum_colors(color: FloatArray) -> NDArray[np.float64]:
     """Return the colours of every row's good pixels, summed, and how many there are, (height, 4)."""
-    good = find_good(color)
+    good = mark_good(color)
     lit = np.where(good[..., None], color, np.float32(0.0))
     # Row by row, so that rows add up to the same bits however an image was cut into bands of them.
     rows = [[row[:, k].sum(dtype=np.float64) for k in range(3)] for row in lit]
     return np.concatenate([rows, np.count_nonzero(good, axis=1)[:, None]], axis=1)
 
 
-def find_mean_color(rows: NDArray[np.float64]) -> FloatArray:
+def compute_mean_color(rows: NDArray[np.float64]) -> FloatArray:
     """Return the mean colour of the good pixels of all rows, (3,), from what `sum_colors` gave; 0 without any."""
     *sums, count = rows.sum(axis=0)
     return np.asarray(np.array(sums) / max(count, 1.0), dtype=np.float32)

@@ -25,13 +25,13 @@ from lobewise.denoising.also import (
     has_passes,
     list_layer_parts,
 )
-from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, find_bad_pixels
+from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, mark_bad_pixels
 from lobewise.denoising.combining import choose_between, denoise_with_peer, share_out
-from lobewise.denoising.evidence import find_image_halves, find_share_lost, mix_noisy
+from lobewise.denoising.evidence import estimate_share_lost, get_image_halves, mix_noisy
 from lobewise.denoising.layers import Layer, make_layers
 from lobewise.denoising.light_loss import (
     Loss,
-    find_takers,
+    compute_takers,
     measure_gain,
     measure_gain_outside,
     share_light,
@@ -40,10 +40,15 @@ from lobewise.denoising.light_loss import (
 from lobewise.denoising.noisy import join_halves, make_noisy_layers
 from lobewise.denoising.passes import FilteredOther, filter_layer_halves
 from lobewise.denoising.plain import add_up
-from lobewise.denoising.refining.inputs import sum_light as sum_parts
+from lobewise.denoising.refining.inputs import sum_parts
 from lobewise.denoising.refining.network import refine_light
-from lobewise.denoising.refining.totals import compose, find_averaged_rest, find_rest
-from lobewise.denoising.refining.unguided import MIN_SHARE, find_share_filtered, find_unguided_share, forget_guides
+from lobewise.denoising.refining.totals import compose, compute_averaged_rest, compute_rest
+from lobewise.denoising.refining.unguided import (
+    MIN_SHARE,
+    compute_share_filtered,
+    compute_unguided_share,
+    forget_guides,
+)
 from lobewise.denoising.refining.whole_image import WholeImage, measure_whole
 from lobewise.engine.numbers import choose_larger
 from lobewise.features import Feature
@@ -51,7 +56,7 @@ from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.fireflies import count_light, cut_samples
 from lobewise.filters.forms import describe_form
 from lobewise.filters.glue import define_checked, define_support
-from lobewise.filters.specks import Sharing, find_sharing
+from lobewise.filters.specks import Sharing, choose_sharing
 from lobewise.frame import FloatArray, Frame, GBuffer
 from lobewise.settings import ResolvedSettings
 from lobewise.settings.choices import get_quality
@@ -124,7 +129,7 @@ class Filtered:
         """Light that was taken from the fireflies of every layer, row by row; empty with the quality "fast"."""
         return [count_light(each) for each in self.sums]
 
-    def find_support(self) -> tuple[FloatArray, FloatArray]:
+    def compute_support(self) -> tuple[FloatArray, FloatArray]:
         """Return weight sum and effective samples of the least supported layer that reflects anything at a pixel."""
         if len(self.supports) == 1:
             return self.supports[0].weight_sum, self.supports[0].effective_samples
@@ -134,16 +139,16 @@ class Filtered:
         weight_sum, effective = engine.pixels(define_support, images, {}, len(self.layers))
         return weight_sum, effective
 
-    def find_takers(self) -> list[FloatArray]:
-        """Return the share of each pixel's light that takes part in sharing, for every layer; see `find_takers`."""
-        return [find_takers(*each) for each in zip(self.layers, self.parts, self.levels, strict=False)]
+    def compute_takers(self) -> list[FloatArray]:
+        """Return the share of each pixel's light that takes part in sharing, for every layer; see `compute_takers`."""
+        return [compute_takers(*each) for each in zip(self.layers, self.parts, self.levels, strict=False)]
 
     def sum_missing(self, takers: Sequence[FloatArray], rows: slice) -> list[NDArray[np.float64]]:
         """Return the sums of `lobewise.denoising.light_loss.sum_missing` for every layer in some rows."""
         layers = zip((layer.radiance for layer in self.layers), self.parts, takers, strict=False)
         return [sum_missing(*each, rows, uncounted=self.uncounted) for each in layers]
 
-    def find_holes(self) -> tuple[FloatArray, NDArray[np.bool_]]:
+    def mark_holes(self) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Return the image and its holes: pixels whose light is not finite, and bad ones that no layer reached."""
         if self.holes is not None:
             return self.image, self.holes
@@ -171,7 +176,7 @@ def filter_rows(
     features : sequence of Feature
         More features of every layer.
     bad : (height, width), bool
-        Result of `find_bad_pixels`.
+        Result of `mark_bad_pixels`.
     whole : WholeImage, optional
         What was measured of the whole image, where the frame is a part of it.
     exact : (height, width, 3), optional
@@ -185,7 +190,7 @@ def filter_rows(
     if quality.refines and settings.radius > 0:
         found = refine(frame, found, whole)
     # With halves the mixture takes back what they prove.
-    if not (settings.with_oidn and find_image_halves(frame) is not None):
+    if not (settings.with_oidn and get_image_halves(frame) is not None):
         found = take_back(frame, found)
     return found
 
@@ -203,7 +208,7 @@ def filter_whole(
     if found.levels:
         found = keep_light(found)
     with engine.part("fill holes"):
-        found = replace(found, image=fill_holes(*found.find_holes(), frame))
+        found = replace(found, image=fill_holes(*found.mark_holes(), frame))
     return before, found
 
 
@@ -244,7 +249,7 @@ def clean_frame(
         The guides of the frame before any stood in for missing ones; by default all are the frame's own.
     """
     before, found = filter_whole(frame, settings, features, bad)
-    gains = find_gains(found)
+    gains = compute_gains(found)
     # Only the features of the user tell what they compare.
     if get_quality(settings.quality).refines and settings.radius > 0 and not features:
         found, more = mix_unguided(frame, settings, found, seen or frame.gbuffer)
@@ -310,9 +315,9 @@ def filter_halves(
         others = bound_parts(each, joined, parts_of.get(each.name, ()))
         clean.append(filter_layer_halves(frame, each, settings, others))
     with engine.part("sum of the light"):
-        rest, blur, sharing = find_averaged_rest(frame, exact), frame.gbuffer.blur_radius, None
+        rest, blur, sharing = compute_averaged_rest(frame, exact), frame.gbuffer.blur_radius, None
         if rest is not None and blur is not None:
-            sharing = find_sharing(rest, blur, frame.spp)
+            sharing = choose_sharing(rest, blur, frame.spp)
             rest = sharing.apply(rest)
         parts = [each.image for each in clean]
         return Filtered(
@@ -345,8 +350,8 @@ def take_back(frame: Frame, found: Filtered) -> Filtered:
     """Take the noisy image back where it has less error than the filtered one."""
     with engine.part("take the noisy image back"):
         level, samples = reduce(choose_larger, found.levels), bound_samples(frame, found)
-        halves, shared = find_image_halves(frame), frame.noise_is_shared
-        share = find_share_lost(samples, found.image, level, halves=halves, shared=shared, refined=found.is_refined)
+        halves, shared = get_image_halves(frame), frame.noise_is_shared
+        share = estimate_share_lost(samples, found.image, level, halves=halves, shared=shared, refined=found.is_refined)
         parts = [mix_noisy(*each, share) for each in zip(found.parts, found.noisy, strict=True)]
         rest = found.rest
         if rest is not None and found.noisy_rest is not None:
@@ -357,13 +362,13 @@ def take_back(frame: Frame, found: Filtered) -> Filtered:
 
 def bound_samples(frame: Frame, found: Filtered) -> FloatArray:
     """Return the samples of a frame without those that are too bright for any network; see `cut_samples`."""
-    return cut_samples(frame.radiance.color, compose(found.noisy, find_rest(frame)))
+    return cut_samples(frame.radiance.color, compose(found.noisy, compute_rest(frame)))
 
 
 def keep_light(found: Filtered) -> Filtered:
     """Share the light that bounding took out over each layer, so that the layer sums to the light of its samples."""
     with engine.part("share out the light of fireflies"):
-        takers, losses = found.find_takers(), []
+        takers, losses = found.compute_takers(), []
         for layer, part, taker in zip(found.layers, found.parts, takers, strict=True):
             images, name = [layer.radiance, part, taker], f"gain_{layer.name}"
             numbers = [float(found.is_refined)]
@@ -376,7 +381,7 @@ def keep_light(found: Filtered) -> Filtered:
     return replace(found, image=image, parts=parts, losses=losses)
 
 
-def find_gains(found: Filtered) -> list[FloatArray]:
+def compute_gains(found: Filtered) -> list[FloatArray]:
     """Return the factors, (height, width, 1 or 3), by which the light outside of the layers was multiplied."""
     if found.rest is None or found.noisy_rest is None or found.rest is found.noisy_rest:
         return []
@@ -387,13 +392,13 @@ def mix_unguided(
     frame: Frame, settings: ResolvedSettings, found: Filtered, seen: GBuffer
 ) -> tuple[Filtered, list[FloatArray]]:
     """Mix in the image of the color alone where guides are noise, and scale the parts so that they sum to the image."""
-    share = find_unguided_share(frame.radiance.color, seen)
+    share = compute_unguided_share(frame.radiance.color, seen)
     if found.rest is not None:
-        share *= find_share_filtered(found.rest, found.image, frame.gbuffer.blur_radius)
+        share *= compute_share_filtered(found.rest, found.image, frame.gbuffer.blur_radius)
     if float(share.max()) < MIN_SHARE:
         return found, []
     bare, by_color = forget_guides(frame), replace(settings, similarity="normal", hit_distance=False)
-    _, alone = filter_whole(bare, by_color, (), find_bad_pixels(bare))
+    _, alone = filter_whole(bare, by_color, (), mark_bad_pixels(bare))
     mixed = mix_noisy(found.image, alone.image, share)
     image, parts, gain = share_out(mixed, found.image, found.parts)
     return replace(found, image=image, parts=parts), [gain]
@@ -426,7 +431,7 @@ def filter_passes(
     clean = name_layers(frame, found)
     layers = {name: Passed(clean=image, before=parts.get(name), share=share) for name, image in clean.items()}
     # What is not in the layers had no filter. Where there is none, all of a filled hole counts as scattered.
-    rest = find_rest(frame)
+    rest = compute_rest(frame)
     rest = np.zeros_like(found.image) if rest is None else rest
     scattered = sum_parts(found.parts)
     rest_after = np.where(rest > 0.0, np.maximum(found.image - scattered, np.float32(0.0)), np.float32(0.0))

@@ -17,16 +17,16 @@ import numpy as np
 from lobewise.backend.prebuilt import has_kernels
 from lobewise.chunks import cut_rows
 from lobewise.denoising.automatic import explain_ours
-from lobewise.denoising.bad_pixels import find_good
-from lobewise.denoising.evidence import find_image_halves, find_share_proved, load_networks, mix_noisy
+from lobewise.denoising.bad_pixels import mark_good
+from lobewise.denoising.evidence import estimate_share_proved, get_image_halves, load_networks, mix_noisy
 from lobewise.denoising.refining.unguided import count_isolated, sees_fog
-from lobewise.filters.mixing import Network, find_shares
-from lobewise.filters.noise.agreement import find_agreement
+from lobewise.filters.mixing import Perceptron, compute_shares
+from lobewise.filters.noise.agreement import compute_agreement
 from lobewise.filters.noise.albedo import clean_albedo
-from lobewise.filters.noise.detail import find_detail
+from lobewise.filters.noise.detail import compute_detail
 from lobewise.filters.specks import MIN_BLUR_RADIUS
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
-from lobewise.lobes.vectors import find_image_luminance
+from lobewise.lobes.vectors import compute_image_luminance
 from lobewise.peers import denoise_oidn, has_clean_guides, name_oidn_guides
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_similarity
@@ -48,7 +48,7 @@ UNGUIDED_SHARE = 1.0 / 3.0
 """Share of the image without guides where it equals the one with guides."""
 UNGUIDED_QUALITY_CLEAN, UNGUIDED_SHARE_CLEAN = "fast", 0.25
 """The same where guides have no noise: the image without guides helps less, and is made in half the time."""
-HALF_SHARE_DIFFERENCE, DARK_SHARE = 0.5, 0.05
+HALF_SHARE_DIFFERENCE, PEER_DARK_SHARE = 0.5, 0.05
 """Difference of luminance at which `UNGUIDED_SHARE` is halved, over the luminance with guides plus the second number
 times its mean over the image."""
 
@@ -86,8 +86,8 @@ def choose_between(frame: Frame, samples: FloatArray, ours: FloatArray, peer: Fl
     """
     if not name_oidn_guides(frame):
         return Mixture(peer, np.zeros(frame.shape, np.float32))
-    halves = find_image_halves(frame)
-    shares = find_mixture(
+    halves = get_image_halves(frame)
+    shares = compute_mixture(
         samples,
         ours,
         peer,
@@ -97,23 +97,23 @@ def choose_between(frame: Frame, samples: FloatArray, ours: FloatArray, peer: Fl
     )
     if halves is None and not frame.noise_is_shared:
         shares = shares * np.float32(TRUST_WITHOUT_HALVES)
-    noisy = np.where(find_good(noisy)[..., None], noisy, ours)
+    noisy = np.where(mark_good(noisy)[..., None], noisy, ours)
     mixed = peer + shares[..., :1] * (ours - peer) + shares[..., 1:2] * (noisy - peer)
     # Where the images are many orders of magnitude apart, rounding can leave a negative value.
     mixed = np.maximum(mixed, np.float32(0.0))
     share = np.ascontiguousarray(shares[..., 1])
     if halves is not None:
-        level = find_level(peer)
-        proved = find_share_proved(mixed, samples, halves, level=level, shared=frame.noise_is_shared)
+        level = compute_mean_luminance(peer)
+        proved = estimate_share_proved(mixed, samples, halves, level=level, shared=frame.noise_is_shared)
         mixed, share = mix_noisy(mixed, noisy, proved), share + proved * (np.float32(1.0) - share)
     return Mixture(mixed, share)
 
 
-def find_mixture(
+def compute_mixture(
     noisy: FloatArray,
     ours: FloatArray,
     peer: FloatArray,
-    network: Network,
+    network: Perceptron,
     *,
     halves: tuple[FloatArray, FloatArray] | None,
     shared: bool,
@@ -123,14 +123,14 @@ def find_mixture(
     Parameters
     ----------
     noisy, ours, peer : (height, width, 3)
-    network : Network
+    network : Perceptron
         It reads the features of `see_mixture` and has three outputs.
     halves, shared
         As in `see_mixture`.
     """
     shares = np.empty((*noisy.shape[:2], 3), np.float32)
     for rows, seen in see_mixture(noisy, ours, peer, halves=halves, shared=shared):
-        shares[rows] = find_shares(seen, network, 3)
+        shares[rows] = compute_shares(seen, network, 3)
     return shares
 
 
@@ -142,17 +142,18 @@ def see_mixture(
     halves: tuple[FloatArray, FloatArray] | None,
     shared: bool,
 ) -> Iterator[tuple[slice, FloatArray]]:
-    """Yield rows and their features: `find_agreement` of the three images, then `find_detail` of the peer's image.
+    """Yield rows and their features: `compute_agreement` of the three images, then `compute_detail` of the peer's
+    image.
 
     Parameters
     ----------
     noisy, ours, peer : (height, width, 3)
     halves, shared
-        As in `lobewise.filters.noise.detail.find_detail`.
+        As in `lobewise.filters.noise.detail.compute_detail`.
     """
-    level = find_level(peer)
-    agreement = find_agreement(peer, ours, noisy, halves=halves, level=level, shared=shared)
-    for rows, detail in find_detail(peer, noisy, halves=halves, level=level, shared=shared):
+    level = compute_mean_luminance(peer)
+    agreement = compute_agreement(peer, ours, noisy, halves=halves, level=level, shared=shared)
+    for rows, detail in compute_detail(peer, noisy, halves=halves, level=level, shared=shared):
         yield rows, np.concatenate([agreement[rows], detail], axis=-1)
 
 
@@ -306,7 +307,7 @@ def denoise_with_peer(frame: Frame, samples: FloatArray, image: FloatArray, seen
 
 
 def _replace_bad(image: FloatArray, other: FloatArray) -> FloatArray:
-    good = find_good(image)
+    good = mark_good(image)
     return image if good.all() else np.where(good[..., None], image, other)
 
 
@@ -322,18 +323,18 @@ def average_alike(guided: FloatArray, unguided: FloatArray, most: float = UNGUID
     most : float
         Share of ``unguided`` where it equals ``guided``.
     """
-    floor = np.float32(DARK_SHARE * find_level(guided))
+    floor = np.float32(PEER_DARK_SHARE * compute_mean_luminance(guided))
     mixed = np.empty_like(guided)
     for rows in cut_rows(*guided.shape[:2]):  # a chunk stays in the core's cache
         change = unguided[rows] - guided[rows]
-        unit = np.maximum(find_image_luminance(guided[rows]) + floor, np.float32(MAX_BLACK_RADIANCE))
-        apart = find_image_luminance(change) / (np.float32(HALF_SHARE_DIFFERENCE) * unit)
+        unit = np.maximum(compute_image_luminance(guided[rows]) + floor, np.float32(MAX_BLACK_RADIANCE))
+        apart = compute_image_luminance(change) / (np.float32(HALF_SHARE_DIFFERENCE) * unit)
         with np.errstate(over="ignore"):  # an infinite difference has no share
             share = np.float32(most) / (np.float32(1.0) + apart * apart)
         mixed[rows] = guided[rows] + share[..., None] * change
     return mixed
 
 
-def find_level(image: FloatArray) -> float:
+def compute_mean_luminance(image: FloatArray) -> float:
     """Return the mean luminance."""
-    return float(np.mean(find_image_luminance(image), dtype=np.float64))
+    return float(np.mean(compute_image_luminance(image), dtype=np.float64))

@@ -11,27 +11,27 @@ from numpy.typing import NDArray
 
 from lobewise import engine
 from lobewise.filters.glue import define_good, define_mixed, define_share_taken
-from lobewise.filters.mixing import Network
+from lobewise.filters.mixing import Perceptron
 from lobewise.filters.noise.detail import predict_shares
-from lobewise.filters.noise.evidence import count_certain, find_noisy_share
+from lobewise.filters.noise.evidence import count_certain, estimate_noisy_share
 from lobewise.filters.noise.pooling import DARK_SHARE
 from lobewise.frame import FloatArray, Frame
 from lobewise.metrics.images import EPSILON
 
 MAX_CONCENTRATION = 4.0
-"""Concentration that `find_noisy_share` expects of the error of our filters: this error lies along edges and textures
-(docs/research/quality_trials.md)."""
+"""Concentration that `estimate_noisy_share` expects of the error of our filters: this error lies along edges and
+textures (docs/research/quality_trials.md)."""
 MIN_SHARE_BLURRED = 0.01
 """Share of the pixels. The user is told if a result has clearly more error than its input in more of them."""
 MAX_RADIANCE = 1e36
 """Radiance above which no share of a pixel is taken back, because sums of it overflow."""
-Rows = NDArray[np.float64]
-WEIGHTS = "weights.npz"
+RowSums = NDArray[np.float64]
+SHARE_WEIGHTS = "weights.npz"
 """File of the trained networks, beside this module: small perceptrons as arrays by name."""
 NAMES = ("noisy", "refined", "peer")
 """"noisy" says how much of the noisy image a filtered image takes back, "refined" how much an image takes back that the
 refining network made. "peer" mixes a result with the image of Open Image Denoise."""
-STRIP_ROWS = 32
+NOTED_STRIP_ROWS = 32
 """Rows of a strip. What the user is told about blur is counted in strips, each an image of its own."""
 MAX_STRIP_STEP = 4
 """Strips, of which one is counted in a high image. A quarter of the rows tells the share of the image."""
@@ -39,7 +39,7 @@ MIN_STRIPS = 4
 """Smallest number of strips that is counted, as far as the image has so many."""
 
 
-def find_share_lost(
+def estimate_share_lost(
     samples: FloatArray,
     image: FloatArray,
     level: float,
@@ -74,14 +74,14 @@ def find_share_lost(
     shares = predict_shares(filtered, samples, network, halves=halves, level=level, shared=shared)
     certain = None
     if halves is not None:
-        certain = find_share_proved(filtered, samples, halves, level=level, shared=shared)
+        certain = estimate_share_proved(filtered, samples, halves, level=level, shared=shared)
     # The parts are added later, and near the largest float their sum overflows.
     images = {"color": samples, "shares": shares, "certain": certain}
     (share,) = engine.pixels(define_share_taken, images, {}, MAX_RADIANCE, names=["share"])
     return share
 
 
-def find_share_proved(
+def estimate_share_proved(
     image: FloatArray, samples: FloatArray, halves: tuple[FloatArray, FloatArray], *, level: float, shared: bool
 ) -> FloatArray:
     """Return the share of the noisy image that its halves prove to be missing, (height, width), in [0, 1).
@@ -100,10 +100,12 @@ def find_share_proved(
         Whether neighbouring pixels share their noise.
     """
     floor = (DARK_SHARE * level) ** 2
-    return find_noisy_share(image, samples, halves=halves, floor=floor, shared=shared, concentration=MAX_CONCENTRATION)
+    return estimate_noisy_share(
+        image, samples, halves=halves, floor=floor, shared=shared, concentration=MAX_CONCENTRATION
+    )
 
 
-def find_image_halves(frame: Frame) -> tuple[FloatArray, FloatArray] | None:
+def get_image_halves(frame: Frame) -> tuple[FloatArray, FloatArray] | None:
     """Return the images of both halves of the samples, None where the frame has no halves."""
     a, b = frame.half_a, frame.half_b
     return None if a is None or b is None else (a.color, b.color)
@@ -118,7 +120,7 @@ def mix_noisy(part: FloatArray, noisy: FloatArray, share: FloatArray) -> FloatAr
 
 def count_blurred(
     frame: Frame, image: FloatArray, band: tuple[int, int] | None = None, top: int = 0, height: int | None = None
-) -> Rows:
+) -> RowSums:
     """Return for each strip of an image the pixels with clearly more error than the input, and all of its pixels.
 
     The count does not read the halves of the samples, because the quality "fast" does not read them either. Low images
@@ -132,7 +134,7 @@ def count_blurred(
         The result, of the same rows.
     band : two int, optional
         Rows of the whole frame, first and end: the strips that begin there are counted. The ``frame`` goes on for
-        `STRIP_ROWS` rows beyond, as far as the whole one does. By default all rows.
+        `NOTED_STRIP_ROWS` rows beyond, as far as the whole one does. By default all rows.
     top : int
         First row of ``frame`` in the whole frame.
     height : int, optional
@@ -144,11 +146,11 @@ def count_blurred(
     """
     height = frame.height if height is None else height
     first, end = band or (0, height)
-    step = STRIP_ROWS * min(max(height // (STRIP_ROWS * MIN_STRIPS), 1), MAX_STRIP_STEP)
+    step = NOTED_STRIP_ROWS * min(max(height // (NOTED_STRIP_ROWS * MIN_STRIPS), 1), MAX_STRIP_STEP)
     variance = None if frame.variance is None else frame.variance.color
     counts = []
     for start in range(-(-first // step) * step, end, step):
-        rows = slice(start - top, min(start + STRIP_ROWS, height) - top)
+        rows = slice(start - top, min(start + NOTED_STRIP_ROWS, height) - top)
         blurred = count_certain(
             image[rows],
             frame.radiance.color[rows],
@@ -160,7 +162,7 @@ def count_blurred(
     return np.array(counts, np.float64).reshape(-1, 2)
 
 
-def describe_blurred(strips: Rows) -> tuple[str, ...]:
+def describe_blurred(strips: RowSums) -> tuple[str, ...]:
     """Return the sentence that a result has more error than its input in a part of the image, or none.
 
     Parameters
@@ -179,21 +181,21 @@ def describe_blurred(strips: Rows) -> tuple[str, ...]:
 
 
 @cache
-def load_networks() -> Mapping[str, Network]:
+def load_networks() -> Mapping[str, Perceptron]:
     """Return the networks by name, see `NAMES`."""
-    with files("lobewise.denoising").joinpath(WEIGHTS).open("rb") as file:
+    with files("lobewise.denoising").joinpath(SHARE_WEIGHTS).open("rb") as file:
         arrays = dict(np.load(file, allow_pickle=False))
     return {kind: unpack_network(arrays, kind) for kind in NAMES}
 
 
-def unpack_network(arrays: Mapping[str, FloatArray], kind: str) -> Network:
+def unpack_network(arrays: Mapping[str, FloatArray], kind: str) -> Perceptron:
     """Return a network from the arrays that `pack_network` makes."""
     weights = tuple(arrays[f"{kind}_weights_{number}"] for number in range(3))
     biases = tuple(arrays[f"{kind}_biases_{number}"] for number in range(3))
-    return Network(arrays[f"{kind}_mean"], arrays[f"{kind}_scale"], weights, biases)  # type: ignore[arg-type]
+    return Perceptron(arrays[f"{kind}_mean"], arrays[f"{kind}_scale"], weights, biases)  # type: ignore[arg-type]
 
 
-def pack_network(network: Network, kind: str) -> dict[str, FloatArray]:
+def pack_network(network: Perceptron, kind: str) -> dict[str, FloatArray]:
     """Return a network as arrays by name."""
     arrays = {f"{kind}_mean": network.mean, f"{kind}_scale": network.scale}
     arrays |= {f"{kind}_weights_{number}": each for number, each in enumerate(network.weights)}

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise import engine
-from lobewise.denoising.bad_pixels import find_good
+from lobewise.denoising.bad_pixels import mark_good
 from lobewise.features import (
     AsgFeature,
     BandLimitFeature,
@@ -27,7 +27,7 @@ from lobewise.features import (
 )
 from lobewise.filters.cross_filter import FilterOutput, run_filter
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
-from lobewise.filters.glue import define_both, define_whole_albedo
+from lobewise.filters.glue import define_common_mask, define_whole_albedo
 from lobewise.frame import FloatArray, GBuffer
 from lobewise.guides.lobe_fields import (
     SgField,
@@ -38,8 +38,8 @@ from lobewise.guides.lobe_fields import (
     spread_lobes,
 )
 from lobewise.guides.mixture_fields import make_mixture_field
-from lobewise.guides.rays import find_ray_weights, make_ray_feature
-from lobewise.guides.surfaces import find_inverse_hits, find_places, find_surface_pixels
+from lobewise.guides.rays import compute_ray_weights, make_ray_feature
+from lobewise.guides.surfaces import compute_inverse_hits, compute_points, mark_surface_pixels
 from lobewise.lobes.hits import HitField
 from lobewise.settings import ResolvedSettings
 from lobewise.settings.choices import get_similarity
@@ -100,7 +100,7 @@ def make_position_features(frame: AnyFrame, settings: ResolvedSettings) -> list[
     if settings.form != "atrous":
         features.append(ScreenFeature(settings.screen_sigma))
     if frame.camera is not None and frame.gbuffer.is_placed:
-        place, depth = find_places(frame.gbuffer, frame.camera)
+        place, depth = compute_points(frame.gbuffer, frame.camera)
         pixel_angle = frame.camera.get_pixel_angle(frame.height)
         features.append(PositionFeature(place, depth, pixel_angle=pixel_angle, sigma=settings.position_sigma))
     return features
@@ -127,7 +127,7 @@ def _compare_normals(frame: AnyFrame, settings: ResolvedSettings) -> Compared:
     normal = frame.gbuffer.require("normal", _name_similarity(settings))
     feature = NormalFeature(normal, settings.normal_exponent)
     if settings.band_limit is None:
-        surface = find_surface(frame)
+        surface = mark_surface(frame)
         return Compared((feature,), surface, surface)
     lobes = _make_sg_lobes(frame, settings)
     limit = BandLimitFeature(
@@ -150,9 +150,9 @@ def _make_hits(frame: AnyFrame, settings: ResolvedSettings) -> HitField | None:
         return None
     camera = frame.require_camera(_name_similarity(settings))
     distance = frame.gbuffer.require("hit_distance", _name_similarity(settings))
-    place, depth = find_places(frame.gbuffer, camera)
+    place, depth = compute_points(frame.gbuffer, camera)
     nearest = MIN_HIT_DISTANCE * camera.get_pixel_angle(frame.height)
-    return HitField(place, find_inverse_hits(distance, depth, nearest))
+    return HitField(place, compute_inverse_hits(distance, depth, nearest))
 
 
 def split_lobes(frame: AnyFrame, similarity: str, *taus: float) -> SplitField | None:
@@ -207,15 +207,15 @@ def _compare_mixtures(frame: AnyFrame, settings: ResolvedSettings, apart: bool) 
         diffuse=not apart,
     )
     feature = SgMixtureFeature(mixture.axis, mixture.sharpness, mixture.amplitude, settings.beta)
-    surface = find_surface(frame)
+    surface = mark_surface(frame)
     images = {"surface": surface, "valid": mixture.valid}
-    (mask,) = engine.pixels(define_both, images, {}, names=["specular_mask"], text="surfaces with a lobe")
+    (mask,) = engine.pixels(define_common_mask, images, {}, names=["specular_mask"], text="surfaces with a lobe")
     return Compared((feature,), mask, surface)
 
 
-def find_surface(frame: AnyFrame) -> Mask:
+def mark_surface(frame: AnyFrame) -> Mask:
     """Return where a pixel sees a surface with finite guides."""
-    return find_surface_pixels(frame.gbuffer, frame.shape)
+    return mark_surface_pixels(frame.gbuffer, frame.shape)
 
 
 def make_layers(
@@ -249,7 +249,7 @@ def make_lobe_layers(
     normal = guides.require("normal", _name_similarity(settings))
     specular = compare_specular(frame, settings, parts is not None, spread=spread, lobes=lobes)
     if parts is None:
-        return [Layer(frame.radiance.color, find_whole_albedo(guides), specular.mask, specular.features)]
+        return [Layer(frame.radiance.color, compute_whole_albedo(guides), specular.mask, specular.features)]
     diffuse: Feature
     if get_similarity(settings.similarity).has_lobes:
         diffuse = DiffuseFeature(normal, settings.diffuse_beta)
@@ -278,7 +278,7 @@ def make_lobe_layers(
     if rays is not None:
         sparse = cast(SparseFrame, frame)
         more = () if rays.direction is None else (make_ray_feature(sparse, rays.direction),)
-        layers[1] = replace(layers[1], features=(*layers[1].features, *more), weights=find_ray_weights(sparse))
+        layers[1] = replace(layers[1], features=(*layers[1].features, *more), weights=compute_ray_weights(sparse))
     return layers
 
 
@@ -296,7 +296,7 @@ def filter_layer(layer: Layer, settings: ResolvedSettings, more: Sequence[FloatA
     )
 
 
-def find_whole_albedo(guides: GBuffer) -> FloatArray | None:
+def compute_whole_albedo(guides: GBuffer) -> FloatArray | None:
     """Return the albedo of all light, (height, width, 3): the sum of both albedos, or the one that is known.
 
     Pixels of albedo 0 may have light, as lamps, skies and mirrors without an albedo do. So no value is below
@@ -321,7 +321,7 @@ def make_rest_layers(frame: SparseFrame, settings: ResolvedSettings, features: S
     color, parts = frame.radiance.color, frame.radiance.parts
     if knows_exact_light(frame):
         return []
-    surface = find_surface(frame)
+    surface = mark_surface(frame)
     if parts is None:
         layers = {"background": (color, ~surface)}
     else:
@@ -347,7 +347,7 @@ def knows_exact_light(frame: AnyFrame) -> bool:
     return known and frame.is_sparse
 
 
-def find_exact_light(frame: AnyFrame) -> FloatArray | None:
+def compute_exact_light(frame: AnyFrame) -> FloatArray | None:
     """Return the light that no lobe scattered at every pixel, finite and >= 0; None where `knows_exact_light` is not.
 
     It has no noise, so that it is not filtered. Pixels of `GBuffer.mean_emission` that are not finite or negative count
@@ -356,7 +356,7 @@ def find_exact_light(frame: AnyFrame) -> FloatArray | None:
     emission = frame.gbuffer.mean_emission
     if emission is None or not knows_exact_light(frame):
         return None
-    return np.where(find_good(emission)[..., None], emission, np.float32(0.0))
+    return np.where(mark_good(emission)[..., None], emission, np.float32(0.0))
 
 
 def describe_exact_light(frame: SparseFrame) -> tuple[str, ...]:
@@ -366,11 +366,11 @@ def describe_exact_light(frame: SparseFrame) -> tuple[str, ...]:
         return ()
     # The comparison is false for NaN. Most frames need no look at single pixels.
     is_good = float(emission.min()) >= 0.0 and float(emission.max()) < np.inf
-    if bad := 0 if is_good else int(np.count_nonzero(~find_good(emission))):
+    if bad := 0 if is_good else int(np.count_nonzero(~mark_good(emission))):
         pixels = f"{bad} pixel{'s' if bad > 1 else ''}"
         notes.append(f"mean_emission is not finite or below 0 at {pixels}: no emission or background is shown there.")
     total, first, second, rest = (
-        float(np.sum(each, where=find_good(each)[..., None], dtype=np.float64))
+        float(np.sum(each, where=mark_good(each)[..., None], dtype=np.float64))
         for each in (frame.radiance.color, *frame.radiance.parts, emission[frame.shaded])
     )
     if total - first - second - rest > MAX_SHARE_UNTOLD * total:

@@ -24,11 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise import engine
-from lobewise.denoising.bad_pixels import find_good
+from lobewise.denoising.bad_pixels import mark_good
 from lobewise.denoising.layers import Layer
 from lobewise.engine.numbers import make_single
 from lobewise.filters.glue import define_brightened, define_takers
-from lobewise.filters.noise.residuals import SHARED_NOISE_VARIANCE, SHARED_STEP, find_residual
+from lobewise.filters.noise.residuals import SHARED_NOISE_VARIANCE, SHARED_STEP, compute_residual
 from lobewise.frame import FloatArray, Frame
 from lobewise.lobes.numbers import NUMPY
 
@@ -61,10 +61,10 @@ ROWS_AT_ONCE = 128
 MISSING_PIXELS_AT_ONCE = 1 << 14
 """Pixels of the rows of a layer whose light is summed together, in 64 bits: few enough for a core's cache."""
 
-Rows = NDArray[np.float64]
+RowSums = NDArray[np.float64]
 
 
-def find_takers(layer: Layer, part: FloatArray, level: float) -> FloatArray:
+def compute_takers(layer: Layer, part: FloatArray, level: float) -> FloatArray:
     """Return the share of each pixel's light that takes part in sharing, (height, width), in [0, 1].
 
     Pixels outside of the layer take nothing.
@@ -91,12 +91,12 @@ def sum_missing(
     rows: slice = slice(None),
     *,
     uncounted: NDArray[np.bool_] | None = None,
-) -> Rows:
-    """Return sums over the good pixels of each row, (rows, 5), from which `find_gain` computes the gain of a layer.
+) -> RowSums:
+    """Return sums over the good pixels of each row, (rows, 5), from which `compute_gain` computes the gain of a layer.
 
-    The images are the layer's noisy and filtered light, (height, width, 3), and the result of `find_takers`. The sums
-    are: the noisy light; the noisy minus the filtered light; the square of this difference; the light that takes part
-    in sharing; all light of the pixels that take part. Light is the sum of the three channels. Pixels in
+    The images are the layer's noisy and filtered light, (height, width, 3), and the result of `compute_takers`. The
+    sums are: the noisy light; the noisy minus the filtered light; the square of this difference; the light that takes
+    part in sharing; all light of the pixels that take part. Light is the sum of the three channels. Pixels in
     ``uncounted``, (height, width), are left out.
     """
     first, stop, _ = rows.indices(len(part))
@@ -104,7 +104,7 @@ def sum_missing(
     for top in range(first, stop, height):
         block = slice(top, min(top + height, stop))
         noisy, done, share = radiance[block], part[block], taker[block]
-        good = find_good(noisy) & find_good(done)
+        good = mark_good(noisy) & mark_good(done)
         if uncounted is not None:
             good &= ~uncounted[block]
         before, after = (np.where(good, _add_channels(image), 0.0) for image in (noisy, done))
@@ -121,13 +121,13 @@ class Gain(NamedTuple):
     takers: float = 0.0
     all: float = 0.0
 
-    def sum_light(self, rows: Rows) -> float:
+    def sum_light(self, rows: RowSums) -> float:
         """Return the light that is shared out, summed over pixels and channels; ``rows`` are of `sum_missing`."""
         taking, whole = rows[:, 3:].sum(axis=0)
         return float(self.takers * taking + self.all * whole)
 
 
-def find_gain(rows: Rows, *, refined: bool = False) -> Gain:
+def compute_gain(rows: RowSums, *, refined: bool = False) -> Gain:
     """Return the gain of a layer; ``refined`` says whether the network refined it.
 
     The standard error of the missing light is the root of the sum of its squares. Where k equal fireflies are all that
@@ -171,9 +171,9 @@ class Loss(NamedTuple):
         return Gain(self.takers, self.all)
 
 
-def find_loss(rows: Rows, *, refined: bool = False) -> Loss:
-    """Return the light of a layer; parameters as of `find_gain`."""
-    gain, sums = find_gain(rows, refined=refined), rows.sum(axis=0)
+def compute_loss(rows: RowSums, *, refined: bool = False) -> Loss:
+    """Return the light of a layer; parameters as of `compute_gain`."""
+    gain, sums = compute_gain(rows, refined=refined), rows.sum(axis=0)
     return Loss(*gain, float(sums[0]), float(sums[1]) - gain.sum_light(rows))
 
 
@@ -182,7 +182,7 @@ def measure_gain(radiance: FloatArray, part: FloatArray, taker: FloatArray, refi
 
     The images are those of `sum_missing`; ``refined`` is above 0 if the network refined the layer.
     """
-    return find_loss(sum_missing(radiance, part, taker), refined=refined > 0.0)
+    return compute_loss(sum_missing(radiance, part, taker), refined=refined > 0.0)
 
 
 def measure_gain_outside(
@@ -192,7 +192,7 @@ def measure_gain_outside(
 
     Parameters are those of `measure_gain`; ``uncounted`` is the mask, (height, width).
     """
-    return find_loss(sum_missing(radiance, part, taker, uncounted=uncounted), refined=refined > 0.0)
+    return compute_loss(sum_missing(radiance, part, taker, uncounted=uncounted), refined=refined > 0.0)
 
 
 def brighten(image: FloatArray, part: FloatArray, taker: FloatArray, gain: Gain, *, name: str = "") -> FloatArray:
@@ -214,14 +214,14 @@ def share_light(
     return image, bright
 
 
-def find_share_missing(losses: Sequence[Loss]) -> float:
+def compute_share_missing(losses: Sequence[Loss]) -> float:
     """Return the share of the light of all layers that is missing after sharing, in [0, 1]."""
     noisy, missing = (sum(each) for each in ([loss.noisy for loss in losses], [loss.missing for loss in losses]))
     # Rounding leaves a little behind.
     return min(missing / noisy, 1.0) if missing > 1e-6 * noisy else 0.0
 
 
-def sum_light(frame: Frame, image: FloatArray, bad: NDArray[np.bool_], rows: slice = slice(None)) -> Rows:
+def sum_light(frame: Frame, image: FloatArray, bad: NDArray[np.bool_], rows: slice = slice(None)) -> RowSums:
     """Return sums over the good pixels of each row: noisy light, light of the result, squared residuals of the mean.
 
     Parameters
@@ -249,9 +249,9 @@ def sum_light(frame: Frame, image: FloatArray, bad: NDArray[np.bool_], rows: sli
         end = min(top + ROWS_AT_ONCE, stop)
         begin = max(top - step, 0)
         wide, core = slice(begin, min(end + step, frame.height)), slice(top - begin, end - begin)
-        good = find_good(color[wide]) & ~bad[wide]
+        good = mark_good(color[wide]) & ~bad[wide]
         noisy = np.where(good, _add_channels(color[wide]), np.nan)
-        squared = _find_squared_residual(noisy, step)[core]
+        squared = _compute_squared_residual(noisy, step)[core]
         sums = (noisy[core], _add_channels(image[top:end]), squared if step == 1 else SHARED_NOISE_VARIANCE * squared)
         lit = [np.where(good[core], one, 0.0) for one in sums]
         # Sum each row alone: bands of any height then give the same bits.
@@ -259,7 +259,7 @@ def sum_light(frame: Frame, image: FloatArray, bad: NDArray[np.bool_], rows: sli
     return np.array(found, np.float64).reshape(-1, 3)
 
 
-def describe_loss(rows: Rows, share_bounded: float) -> tuple[str, ...]:
+def describe_loss(rows: RowSums, share_bounded: float) -> tuple[str, ...]:
     """Return the sentence that tells the user of a loss, or nothing where the noise explains it.
 
     Parameters
@@ -287,7 +287,7 @@ def _add_channels(image: FloatArray) -> NDArray[np.float64]:
     return image[..., 0].astype(np.float64) + image[..., 1] + image[..., 2]
 
 
-def _find_squared_residual(light: NDArray[np.float64], step: int) -> NDArray[np.float64]:
+def _compute_squared_residual(light: NDArray[np.float64], step: int) -> NDArray[np.float64]:
     """Return the squared residual of every pixel. A pixel replaces its neighbours that are bad (NaN) or outside."""
     height, width = light.shape
     around = np.pad(light, step, mode="edge")
@@ -297,5 +297,5 @@ def _find_squared_residual(light: NDArray[np.float64], step: int) -> NDArray[np.
         there = around[step + dy : step + dy + height, step + dx : step + dx + width]
         return [np.where(np.isnan(there), light, there) if has_bad else there]
 
-    (residual,) = find_residual(NUMPY, take, step)
+    (residual,) = compute_residual(NUMPY, take, step)
     return np.asarray(residual * residual)

@@ -18,10 +18,10 @@ from lobewise.filters.dual_buffer import PassRequest, filter_dual_buffer
 from lobewise.filters.fireflies import BoundedHalves, bound_fireflies
 from lobewise.filters.glue import define_joined_colours, define_joined_halves, define_near_hits, define_shifted
 from lobewise.filters.highlights import split_highlights
-from lobewise.filters.noise.residuals import find_squared_residual
+from lobewise.filters.noise.residuals import compute_squared_residual
 from lobewise.filters.noise_guides import add_light, measure_level, measure_light
 from lobewise.frame import FloatArray, Frame
-from lobewise.guides.halves import find_halves
+from lobewise.guides.halves import choose_halves
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_similarity
 
@@ -101,7 +101,7 @@ def make_bounded_layers(frame: Frame, settings: ResolvedSettings) -> list[Bounde
     """Return the layers of a frame with both their halves."""
     found = []
     layers = make_lobe_layers(frame, settings, finest=True, spread=True)
-    halves = find_halves(frame, {layer.name: layer.radiance for layer in layers})
+    halves = choose_halves(frame, {layer.name: layer.radiance for layer in layers})
     for layer in layers:
         bounded = bound_fireflies(halves.images[layer.name], layer.albedo, layer.mask)
         found.append(
@@ -120,7 +120,7 @@ def measure_layer(layer: BoundedLayer) -> NDArray[np.float64]:
     return measure_light(layer.halves, layer.layer.albedo, layer.layer.mask)
 
 
-def find_layer_level(layer: BoundedLayer) -> float:
+def compute_layer_level(layer: BoundedLayer) -> float:
     """Return the mean light of the samples of a layer, over the albedo."""
     sums = add_light(layer.halves, layer.layer.albedo, layer.layer.mask)
     level: float = engine.total(measure_level, [sums, layer.layer.mask], name=f"level_{layer.name}")
@@ -144,7 +144,7 @@ def make_noisy_layers(
     found, places = [], make_position_features(frame, settings)
     bounded = make_bounded_layers(frame, settings)
     for number, bright in enumerate(bounded):
-        level = levels[number] if levels is not None else find_layer_level(bright)
+        level = levels[number] if levels is not None else compute_layer_level(bright)
         layer = bright.layer
         a, b, kept = split_highlights(
             bright.halves,
@@ -168,9 +168,11 @@ def make_noisy_layers(
                 noise_is_shared=each.noise_is_shared,
                 places=places,
                 pilot_features=(*pilot, *extra),
-                seen=find_seen(frame, layer.mask, scale_places(places, settings, SEEN_SIGMA)) if is_specular else (),
+                seen=make_seen_feature(frame, layer.mask, scale_places(places, settings, SEEN_SIGMA))
+                if is_specular
+                else (),
                 level=level,
-                samples=each.halves if each.is_whole else _find_samples(each),
+                samples=each.halves if each.is_whole else _join_samples(each),
                 kept=engine.some(download(kept)),
             )
         )
@@ -186,14 +188,14 @@ def join_halves(noisy: NoisyLayer) -> FloatArray:
     return joined
 
 
-def _find_samples(each: BoundedLayer) -> tuple[Image, Image]:
+def _join_samples(each: BoundedLayer) -> tuple[Image, Image]:
     """Return a layer without halves, put together from the colours of its checkerboard, and its squared residual."""
     even, odd = map(download, each.halves)
     (image,) = engine.pixels(define_joined_colours, {"a": even, "b": odd}, {}, names=["whole"], text="samples")
-    return image, find_squared_residual(image, each.layer.albedo, each.layer.mask, shared=each.noise_is_shared)
+    return image, compute_squared_residual(image, each.layer.albedo, each.layer.mask, shared=each.noise_is_shared)
 
 
-def find_seen(frame: Frame, mask: NDArray[np.bool_], place: Sequence[Feature]) -> tuple[Feature, ...]:
+def make_seen_feature(frame: Frame, mask: NDArray[np.bool_], place: Sequence[Feature]) -> tuple[Feature, ...]:
     """Return the feature that compares the surfaces that reflections show; nothing where the frame does not tell them.
 
     The surfaces that few samples hit are as noisy as the radiance, so their guides are averaged over near pixels.

@@ -21,13 +21,18 @@ from lobewise.filters.compositing import composite_light
 from lobewise.filters.dual_buffer import MORE_AT_ONCE, DualBufferOutput, PassRequest, filter_dual_buffer
 from lobewise.filters.glue import define_lit, define_with_highlights
 from lobewise.filters.noise.residuals import split_by_noise, split_samples
-from lobewise.filters.noise_guides import MIN_VARIANCE, MIN_VARIANCE_WITHOUT_HALVES, find_log_offset, make_noise_guide
+from lobewise.filters.noise_guides import (
+    MIN_LOG_VARIANCE,
+    MIN_LOG_VARIANCE_WITHOUT_HALVES,
+    compute_log_offset,
+    make_noise_guide,
+)
 from lobewise.frame import FloatArray, Frame
 from lobewise.settings import ResolvedSettings
 
 
 @dataclass(frozen=True)
-class Pass:
+class LayerPass:
     """One pass over the halves of a layer.
 
     Parameters
@@ -78,14 +83,14 @@ class Pass:
 
 
 DIFFUSE_PASSES = (
-    Pass(3, 6.0, 40.0, lobes=4.0, lobes_with_seen=4.0),
-    Pass(6, 30.0, 12.0),
-    Pass(3, 30.0, 6.0, step=4, of_samples=False),
+    LayerPass(3, 6.0, 40.0, lobes=4.0, lobes_with_seen=4.0),
+    LayerPass(6, 30.0, 12.0),
+    LayerPass(3, 30.0, 6.0, step=4, of_samples=False),
 )
 SPECULAR_PASSES = (
-    Pass(4, 6.0, 40.0, lobes=4.0, lobes_with_seen=4.0),
-    Pass(5, 22.0, 6.0, lobes_with_seen=0.5),
-    Pass(3, 30.0, 6.0, lobes=64.0, lobes_with_seen=64.0, step=4, of_samples=False),
+    LayerPass(4, 6.0, 40.0, lobes=4.0, lobes_with_seen=4.0),
+    LayerPass(5, 22.0, 6.0, lobes_with_seen=0.5),
+    LayerPass(3, 30.0, 6.0, lobes=64.0, lobes_with_seen=64.0, step=4, of_samples=False),
 )
 """Passes at radius 8. Tuned on the scenes that ``benchmarks/quality/measure.py`` calls train
 (docs/research/quality_trials.md). Diffuse light varies slowly: a second, sparse pass over the image of the first
@@ -93,7 +98,7 @@ reaches as far as a dense kernel of three times the cost. Of reflections only th
 pass: 4 pixels apart, the axes of sharp lobes are too different for so high a power."""
 
 
-def list_passes(radius: int, *, is_diffuse: bool, has_seen: bool = False) -> list[Pass]:
+def make_passes(radius: int, *, is_diffuse: bool, has_seen: bool = False) -> list[LayerPass]:
     """Return the passes over a layer; ``radius`` is that of the settings, pixels."""
     scale, found = radius / 8.0, []
     for number, each in enumerate(DIFFUSE_PASSES if is_diffuse else SPECULAR_PASSES):
@@ -175,7 +180,7 @@ def filter_layer_halves(
     ``others`` are averaged in the same passes: the last one that averages samples, and those after it. What does not
     fit is averaged in further passes by the same guides.
     """
-    passes = list_passes(settings.radius, is_diffuse=noisy.layer.is_diffuse, has_seen=bool(noisy.seen))
+    passes = make_passes(settings.radius, is_diffuse=noisy.layer.is_diffuse, has_seen=bool(noisy.seen))
     last = max(number for number, each in enumerate(passes) if each.of_samples)
     own, rest = others[:MORE_AT_ONCE], others[MORE_AT_ONCE:]
     light, support, guides = None, None, []
@@ -206,7 +211,7 @@ def filter_others(
     noisy: NoisyLayer,
     settings: ResolvedSettings,
     others: Sequence[OtherImage],
-    passes: Sequence[Pass],
+    passes: Sequence[LayerPass],
     guides: Sequence[Image],
 ) -> list[Image]:
     """Return up to ``1 + MORE_AT_ONCE`` images after the last passes over a layer."""
@@ -226,21 +231,21 @@ def make_first_guide(noisy: NoisyLayer) -> Image:
         itself = PassRequest(halves=noisy.samples, mask=layer.mask, radius=0, albedo=layer.albedo)
         found = filter_dual_buffer(itself, "light over albedo")
         return compare_halves(noisy, found.a, found.b)
-    image, dark = download(noisy.samples[0]), find_log_offset(noisy.level)
+    image, dark = download(noisy.samples[0]), compute_log_offset(noisy.level)
     halves = split_samples(image, layer.albedo, layer.mask, dark, shared=noisy.noise_is_shared)
     return compare_halves(noisy, *halves)
 
 
 def compare_halves(noisy: NoisyLayer, a: Image, b: Image) -> Image:
     """Return the guide of a pass from two images that are as far apart as their noise."""
-    floor = MIN_VARIANCE if noisy.is_whole else MIN_VARIANCE_WITHOUT_HALVES
+    floor = MIN_LOG_VARIANCE if noisy.is_whole else MIN_LOG_VARIANCE_WITHOUT_HALVES
     return make_noise_guide(a, b, noisy.level, floor=floor)
 
 
 def run_pass(
     noisy: NoisyLayer,
     settings: ResolvedSettings,
-    each: Pass,
+    each: LayerPass,
     guide: Image,
     before: DualBufferOutput | None,
     more: Sequence[Image] = (),
@@ -272,7 +277,7 @@ def run_pass(
     if of_samples and not noisy.is_whole:
         # The samples of an image without halves are the image and its squared residual.
         images = download(found.a), download(found.b), download(found.support)
-        return DualBufferOutput(*split_by_noise(*images, find_log_offset(noisy.level)), found.more)
+        return DualBufferOutput(*split_by_noise(*images, compute_log_offset(noisy.level)), found.more)
     return found
 
 

@@ -11,17 +11,17 @@ import numpy as np
 from lobewise.denoising.also import has_passes
 from lobewise.denoising.automatic import ask, needs_peer_alone, resolve_all
 from lobewise.denoising.combining import describe_peer_alone, name_method
-from lobewise.denoising.evidence import find_image_halves
-from lobewise.denoising.passes import Pass, list_passes
-from lobewise.denoising.refining.lamps import REACH as LAMPS_REACH
-from lobewise.filters.compositing import REACH as COVERAGE_REACH
-from lobewise.filters.fireflies import REACH as FIREFLY_REACH
+from lobewise.denoising.evidence import get_image_halves
+from lobewise.denoising.passes import LayerPass, make_passes
+from lobewise.denoising.refining.lamps import LAMPS_REACH
+from lobewise.filters.compositing import COVERAGE_REACH
+from lobewise.filters.fireflies import FIREFLY_REACH
 from lobewise.filters.forms import ATROUS_REACH, count_taps, describe_form
-from lobewise.filters.highlights import REACH as HIGHLIGHT_REACH
-from lobewise.filters.noise.detail import REACH as DETAIL_REACH
-from lobewise.filters.noise.residuals import REACH as RESIDUAL_REACH
+from lobewise.filters.highlights import HIGHLIGHT_REACH
+from lobewise.filters.noise.detail import DETAIL_REACH
+from lobewise.filters.noise.residuals import RESIDUAL_REACH
 from lobewise.filters.noise_guides import BLUR_RADIUS as GUIDE_REACH
-from lobewise.filters.refinement.shape import REACH as REFINEMENT_REACH
+from lobewise.filters.refinement.shape import REFINEMENT_REACH
 from lobewise.frame import Frame
 from lobewise.guides.lobe_fields import SPREAD_REACH
 from lobewise.peers import require_oidn
@@ -70,13 +70,13 @@ def list_steps(
         near = [Step("filter every layer by its guides", reach, len(layers) * taps, parts)]
     else:
         passes = {
-            name: list_passes(settings.radius, is_diffuse=is_diffuse, has_seen=has_seen and not is_diffuse)
+            name: make_passes(settings.radius, is_diffuse=is_diffuse, has_seen=has_seen and not is_diffuse)
             for name, is_diffuse in layers.items()
         }
         near = [
             Step(
                 "filter both halves of every layer by its passes",
-                max(map(find_passes_reach, passes.values())),
+                max(map(compute_passes_reach, passes.values())),
                 sum(each.taps for every in passes.values() for each in every),
                 tuple(f"{name}: {each.text}" for name, every in passes.items() for each in every),
             )
@@ -96,7 +96,7 @@ def list_steps(
     return near, far
 
 
-def find_passes_reach(passes: list[Pass]) -> int:
+def compute_passes_reach(passes: list[LayerPass]) -> int:
     """Return how far the passes over a layer reach, pixels.
 
     The first pass reads the samples. Each pass is guided by what the pass before has found, and a sparse one averages
@@ -105,7 +105,7 @@ def find_passes_reach(passes: list[Pass]) -> int:
     return SAMPLES_REACH + sum(GUIDE_REACH + each.reach for each in passes) + COVERAGE_REACH
 
 
-def find_reach(settings: ResolvedSettings) -> int:
+def compute_steps_reach(settings: ResolvedSettings) -> int:
     """Return from how many pixels away a pixel of the steps near it depends on anything, for any frame."""
     near, _ = list_steps(settings, MEASURED_LAYERS)
     return sum(step.reach for step in near)
@@ -171,7 +171,7 @@ def list_frame_steps(frame: Frame, settings: ResolvedSettings) -> tuple[list[Ste
     else:
         layers = MEASURED_LAYERS
     has_seen = frame.gbuffer.hit_albedo is not None and frame.gbuffer.hit_normal is not None
-    halves = find_image_halves(frame) is not None
+    halves = get_image_halves(frame) is not None
     near, far = list_steps(settings, layers, has_seen=has_seen and "color" not in layers, halves=halves)
     if has_passes(frame):
         far.append(Step("filter the light passes that belong to the layers by the same weights"))

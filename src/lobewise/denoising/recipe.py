@@ -14,16 +14,16 @@ import numpy as np
 
 from lobewise import engine
 from lobewise.denoising.automatic import ask, change_settings, needs_peer_alone, resolve_all
-from lobewise.denoising.bad_pixels import blacken_bad, describe_bad, find_bad_pixels, find_good, require_some_good
+from lobewise.denoising.bad_pixels import blacken_bad, describe_bad, mark_bad_pixels, mark_good, require_some_good
 from lobewise.denoising.chain import Clean, Filtered, clean_frame, name_layers
 from lobewise.denoising.combining import denoise_with_peer, describe_peer_alone, name_method
 from lobewise.denoising.evidence import count_blurred, describe_blurred
 from lobewise.denoising.inputs import DEPTH_WITHOUT_CAMERA, describe_lacks, list_unused
 from lobewise.denoising.layers import Layer
-from lobewise.denoising.light_loss import MIN_SHARE_BOUNDED, describe_loss, find_share_missing, sum_light
+from lobewise.denoising.light_loss import MIN_SHARE_BOUNDED, compute_share_missing, describe_loss, sum_light
 from lobewise.errors import UnusedGuideWarning, require_kind
 from lobewise.features import Feature
-from lobewise.filters.fireflies import find_energy_lost
+from lobewise.filters.fireflies import compute_energy_lost
 from lobewise.frame import FloatArray, Frame, Result
 from lobewise.guides.negative import split_negative
 from lobewise.guides.usable import CheckedGuides, check_guides
@@ -133,14 +133,14 @@ def denoise_checked(checked: CheckedGuides[Frame], named: DenoiseSettings, featu
     if chosen.with_oidn:
         require_oidn()
     frame, below = split_negative(frame)
-    bad_pixels = find_bad_pixels(frame)
+    bad_pixels = mark_bad_pixels(frame)
     bad = int(np.count_nonzero(bad_pixels))
     require_some_good(bad, bad_pixels.size, "pixel")
     with engine.on(chosen.device):
         clean = clean_frame(frame, chosen, features, bad_pixels, checked.seen)
     found = clean.found
     diffuse, specular = join_parts(found.layers, found.parts)
-    weight_sum, effective_samples = found.find_support()
+    weight_sum, effective_samples = found.compute_support()
     result = Result(
         image=found.image,
         diffuse=diffuse,
@@ -152,7 +152,7 @@ def denoise_checked(checked: CheckedGuides[Frame], named: DenoiseSettings, featu
         bad_pixels=found.bad,
         settings=asdict(chosen),
         seconds=0.0,
-        energy_lost=find_share_missing(found.losses),
+        energy_lost=compute_share_missing(found.losses),
         method=name_method(frame, named, chosen, with_features=bool(features)),
         notes=(*notes, *describe_bad(bad, found.bad.size), *describe_filtering(frame, chosen, features, clean.before)),
         unused=list_unused(frame, chosen),
@@ -168,7 +168,7 @@ def leave_to_peer(checked: CheckedGuides[Frame]) -> Result:
     start, noisy = time.perf_counter(), ref(checked.frame.radiance.color)
     frame, below = split_negative(checked.frame)
     samples = frame.radiance.color
-    bad = ~find_good(samples)
+    bad = ~mark_good(samples)
     count = int(np.count_nonzero(bad))
     require_some_good(count, bad.size, "pixel")
     image = denoise_with_peer(frame, samples, blacken_bad(samples))
@@ -212,7 +212,7 @@ def describe_filtering(
     """
     is_softened = features and settings.radius > 0 and get_quality(settings.quality).refines
     notes: tuple[str, ...] = (FEATURES_SOFTENED,) if is_softened else ()
-    share_bounded = find_energy_lost(before.tallies)
+    share_bounded = compute_energy_lost(before.tallies)
     if share_bounded >= MIN_SHARE_BOUNDED:
         notes += describe_loss(sum_light(frame, before.image, before.bad), share_bounded)
     if not before.levels:

@@ -9,8 +9,8 @@ from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
 
-from lobewise.backend.disk import find_cache_folder, write_whole
-from lobewise.backend.trust import find_folder_problem
+from lobewise.backend.disk import locate_cache_folder, write_whole
+from lobewise.backend.trust import describe_folder_problem
 from lobewise.doctor.report import Problem, Section, name_path
 
 NEEDED = ("denoising/weights.npz", "denoising/refinement.npz", "data/report.html")
@@ -22,7 +22,7 @@ _TRIAL = "doctor-trial"
 
 def examine_cache() -> Section:
     """Return where compiled kernels are kept, how many there are, and whether more can be kept."""
-    folder, named = find_cache_folder(), os.environ.get("LOBEWISE_CACHE", "")
+    folder, named = locate_cache_folder(), os.environ.get("LOBEWISE_CACHE", "")
     facts = {"LOBEWISE_CACHE": named or "not set"}
     if folder is None:
         facts["folder"] = "none"
@@ -33,7 +33,7 @@ def examine_cache() -> Section:
     facts["folder"] = name_path(folder)
     count, size = _measure_kernels(folder)
     facts["size"] = f"{count} kernels, {size / 1e6:.1f} MB"
-    reason = find_folder_problem(folder) or _try_to_write(folder)
+    reason = describe_folder_problem(folder) or _try_to_write(folder)
     facts["writable"] = "no" if reason else "yes"
     problems = []
     if reason:
@@ -76,14 +76,14 @@ def _measure_kernels(folder: Path) -> tuple[int, int]:
     return count, size
 
 
-def _find_existing(folder: Path) -> Path:
+def _locate_existing(folder: Path) -> Path:
     """Return the folder, or the nearest one above it that exists."""
     return next((each for each in (folder, *folder.parents) if each.exists()), folder)
 
 
 def _try_to_write(folder: Path) -> str:
     """Return why no file can be written into a folder, or an empty text. A folder that is absent stays so."""
-    existing = _find_existing(folder)
+    existing = _locate_existing(folder)
     if existing != folder:
         return "" if os.access(existing, os.W_OK) else f"{name_path(existing)} cannot be written to"
     reason = write_whole(folder / _TRIAL, b"")
@@ -95,7 +95,7 @@ def _try_to_write(folder: Path) -> str:
 def _list_full(facts: dict[str, str], folder: Path) -> tuple[Problem, ...]:
     """Add the free space of a folder's disk to the facts; return a problem if it is nearly full."""
     try:
-        free = shutil.disk_usage(_find_existing(folder)).free
+        free = shutil.disk_usage(_locate_existing(folder)).free
     except OSError:
         return ()
     facts["free"] = f"{free / 1e9:.1f} GB"

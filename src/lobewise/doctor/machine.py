@@ -12,11 +12,11 @@ from pathlib import Path
 
 import lobewise
 from lobewise.backend.devices import list_devices
-from lobewise.backend.prebuilt import find_library, has_kernels
+from lobewise.backend.prebuilt import choose_library, has_kernels
 from lobewise.bench.machine import describe_machine
 from lobewise.doctor.report import Problem, Section, name_path
 from lobewise.errors import LobewiseError, MissingDependencyError
-from lobewise.render.variant import LIBRARY_VARIABLE, find_llvm, query_llvm_version
+from lobewise.render.variant import LIBRARY_VARIABLE, locate_llvm, query_llvm_version
 
 TEST_PIXELS = 16
 """Width and height of the image that is filtered as a test."""
@@ -91,11 +91,11 @@ def examine_kernels() -> Section:
     """Return where kernels come from, and whether one runs."""
     facts = {}
     try:
-        library = find_library()
+        library = choose_library()
         facts["in the package"] = "none" if library is None else library.target
     except LobewiseError as problem:
         facts["in the package"] = f"none: {problem}"
-    facts["compiler"] = f"Halide {_find_version('halide')}, llvmlite {_find_version('llvmlite')}"
+    facts["compiler"] = f"Halide {_look_up_version('halide')}, llvmlite {_look_up_version('llvmlite')}"
     start = time.perf_counter()
     try:
         _filter_image()
@@ -115,11 +115,11 @@ def examine_kernels() -> Section:
 
 def examine_mitsuba() -> Section:
     """Return whether `lobewise render` and `view` can render: Mitsuba, and LLVM for the processor."""
-    found = _find_version("mitsuba")
+    found = _look_up_version("mitsuba")
     if found == "not installed":
         return Section("Mitsuba", {"mitsuba": "not installed; needed to render (pip install 'lobewise[mitsuba]')"})
     try:
-        path = find_llvm()
+        path = locate_llvm()
     except MissingDependencyError as problem:
         what, _, action = str(problem).rstrip(".").rpartition("; ")
         return Section("Mitsuba", {"mitsuba": found, "LLVM": "none"}, (Problem(f"rendering: {what}", action),))
@@ -151,7 +151,7 @@ def _filter_image() -> None:
         raise RuntimeError("an even image came out uneven")
 
 
-def _find_version(name: str) -> str:
+def _look_up_version(name: str) -> str:
     try:
         return version(name)
     except PackageNotFoundError:

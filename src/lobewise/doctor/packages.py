@@ -60,7 +60,9 @@ def parse_requirements(lines: list[str], python: tuple[int, ...]) -> Iterator[Pa
             continue
         if extra is not None and extra[1] in _SKIPPED_EXTRAS:
             continue
-        yield Package(found["name"], found["versions"].strip(), extra[1] if extra else "", _find_version(found["name"]))
+        yield Package(
+            found["name"], found["versions"].strip(), extra[1] if extra else "", _look_up_version(found["name"])
+        )
 
 
 def is_wanted_here(marker: str, python: tuple[int, ...], system: str, machine: str) -> bool:
@@ -163,7 +165,7 @@ def _list_broken(packages: list[Package], *, fatal: bool) -> list[Problem]:
     return found
 
 
-def _find_version(name: str) -> str:
+def _look_up_version(name: str) -> str:
     try:
         return version(name)
     except PackageNotFoundError:

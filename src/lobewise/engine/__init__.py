@@ -4,8 +4,8 @@ A recipe calls kernels by the functions of this package. The current engine of t
 (`lobewise.engine.here.Here`, the default) or records them (`lobewise.engine.recorder.Recorder`). So a recipe stands
 once, and plans, costs and exported pipelines follow from the calls that it makes.
 
-An image is an array where calls run at once, and a `lobewise.engine.graph.Image` where they are recorded. A number is a
-float, and a `lobewise.engine.numbers.Number` where calls are recorded.
+An image is an array where calls run at once, and a `lobewise.engine.graph.GraphImage` where they are recorded. A number
+is a float, and a `lobewise.engine.numbers.Number` where calls are recorded.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.engine.here import HERE, Here, Pass
+from lobewise.engine.here import HERE, Here, KernelPass
 
 if TYPE_CHECKING:
     from lobewise.engine.recorder import Recorder
@@ -160,7 +160,7 @@ def planes(
 
 
 def passes(
-    passes: Sequence[Pass],
+    passes: Sequence[KernelPass],
     images: Mapping[str, Any],
     numbers: Mapping[str, Any],
     *,
@@ -171,7 +171,7 @@ def passes(
 
     Parameters
     ----------
-    passes : sequence of Pass
+    passes : sequence of KernelPass
     images, numbers : mappings
         Arguments of all kernels by name, and the ``source`` of the first.
     tiles : sequence of (rows, columns)

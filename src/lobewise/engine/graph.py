@@ -1,7 +1,7 @@
 """The steps of a pipeline as data: images, calls of kernels and C functions in order, and the memory that they need.
 
-An `Image` stands for an array that a frame will have. It has the shape and the type of the array, and no values. Code
-that assembles features for the filters of this package therefore works with it.
+A `GraphImage` stands for an array that a frame will have. It has the shape and the type of the array, and no values.
+Code that assembles features for the filters of this package therefore works with it.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ band."""
 
 
 @dataclass(frozen=True, eq=False)
-class Image:
+class GraphImage:
     """An image of a pipeline.
 
     Parameters
@@ -60,7 +60,7 @@ class Image:
         reads; "flat": one value at all pixels; "held": values that are compiled in.
     text, unit : str
         Meaning, for images that the caller gives.
-    whole : Image, optional
+    whole : GraphImage, optional
         The stack of planes that holds this plane.
     plane : int
         Number of the plane.
@@ -74,7 +74,7 @@ class Image:
     source: str = "made"
     text: str = ""
     unit: str = ""
-    whole: Image | None = None
+    whole: GraphImage | None = None
     plane: int = 0
     flat: float | None = None
 
@@ -89,7 +89,7 @@ class Image:
         return np.dtype(self.type)
 
     @property
-    def memory(self) -> Image:
+    def memory(self) -> GraphImage:
         """The image whose memory this one is, or is a part of."""
         return self if self.whole is None else self.whole.memory
 
@@ -111,15 +111,15 @@ class Image:
             return self.list_planes()[at]
         return replace(self, name=f"{self.name}_first", shape=(at.stop, *self.shape[1:]), whole=self)
 
-    def __iter__(self) -> Iterator[Image]:
+    def __iter__(self) -> Iterator[GraphImage]:
         """Yield the planes of a stack."""
         return iter(self.list_planes())
 
-    def take_plane(self, number: int) -> Image:
+    def take_plane(self, number: int) -> GraphImage:
         """Return a plane of a stack (count, height, width)."""
         return replace(self, name=f"{self.name}_plane{number}", shape=self.shape[1:], whole=self, plane=number)
 
-    def list_planes(self) -> list[Image]:
+    def list_planes(self) -> list[GraphImage]:
         """Return all planes of a stack (count, height, width)."""
         count = self.shape[0]
         assert isinstance(count, int)
@@ -146,9 +146,9 @@ class Operation:
     ----------
     function : str
         Name of the function in C.
-    arguments : sequence of (str, Image or str)
+    arguments : sequence of (str, GraphImage or str)
         By the name of the parameter: an image, or an expression of C.
-    reads, writes : tuple of Image
+    reads, writes : tuple of GraphImage
     text : str
         What it does.
     when : str
@@ -166,9 +166,9 @@ class Operation:
     """
 
     function: str
-    arguments: Sequence[tuple[str, Image | str]]
-    reads: tuple[Image, ...]
-    writes: tuple[Image, ...]
+    arguments: Sequence[tuple[str, GraphImage | str]]
+    reads: tuple[GraphImage, ...]
+    writes: tuple[GraphImage, ...]
     text: str
     when: str = ""
     is_kernel: bool = True
@@ -183,13 +183,13 @@ class Graph:
     """The steps of a pipeline in order, and its images."""
 
     operations: list[Operation] = field(default_factory=list)
-    given: dict[str, Image] = field(default_factory=dict)
+    given: dict[str, GraphImage] = field(default_factory=dict)
     """Images that the caller gives, by name."""
-    results: dict[str, Image] = field(default_factory=dict)
+    results: dict[str, GraphImage] = field(default_factory=dict)
     """Images that the caller takes, by name."""
-    kept: list[tuple[Image, Image]] = field(default_factory=list)
+    kept: list[tuple[GraphImage, GraphImage]] = field(default_factory=list)
     """Pairs of state: the image that this frame writes, and the one that the frame before wrote."""
-    flats: dict[str, Image] = field(default_factory=dict)
+    flats: dict[str, GraphImage] = field(default_factory=dict)
     """Images of one value, by name."""
     stage: str = ""
     when: str = ""
@@ -209,31 +209,31 @@ class Graph:
         self._names.add(name)
         return name
 
-    def give(self, name: str, *shape: Axis, text: str, unit: str = "", type: str = "float32") -> Image:
+    def give(self, name: str, *shape: Axis, text: str, unit: str = "", type: str = "float32") -> GraphImage:
         """Return an image that the caller gives; asked for twice, it is the same."""
         if name not in self.given:
-            self.given[name] = Image(self.name(name), shape, type, "given", text, unit)
+            self.given[name] = GraphImage(self.name(name), shape, type, "given", text, unit)
         return self.given[name]
 
-    def make(self, name: str, *shape: Axis, type: str = "float32") -> Image:
+    def make(self, name: str, *shape: Axis, type: str = "float32") -> GraphImage:
         """Return an image in memory of the pipeline."""
-        return Image(self.name(name), shape, type)
+        return GraphImage(self.name(name), shape, type)
 
-    def make_flat(self, name: str, value: float, *shape: Axis) -> Image:
+    def make_flat(self, name: str, value: float, *shape: Axis) -> GraphImage:
         """Return an image of one value, 0 or 1; asked for twice, it is the same. Its rows lie in one place."""
         if name not in self.flats:
-            self.flats[name] = Image(self.name(name), shape, source="flat", flat=value)
+            self.flats[name] = GraphImage(self.name(name), shape, source="flat", flat=value)
         return self.flats[name]
 
-    def take(self, name: str, *shape: Axis, text: str, unit: str = "") -> Image:
+    def take(self, name: str, *shape: Axis, text: str, unit: str = "") -> GraphImage:
         """Return an image that the caller takes: a result."""
-        self.results[name] = Image(self.name(name), shape, "float32", "given", text, unit)
+        self.results[name] = GraphImage(self.name(name), shape, "float32", "given", text, unit)
         assert self.results[name].name == name, f"another image has the name of the result {name}"
         return self.results[name]
 
-    def keep(self, name: str, *shape: Axis, type: str = "float32") -> tuple[Image, Image]:
+    def keep(self, name: str, *shape: Axis, type: str = "float32") -> tuple[GraphImage, GraphImage]:
         """Return an image that the next frame reads, and the same image of the frame before: 0 before the first."""
-        pair = tuple(Image(self.name(each), shape, type, "kept") for each in (name, f"{name}_before"))
+        pair = tuple(GraphImage(self.name(each), shape, type, "kept") for each in (name, f"{name}_before"))
         self.kept.append((pair[0], pair[1]))
         return pair[0], pair[1]
 
@@ -281,9 +281,9 @@ class Graph:
         self.reals.append(real if count == 1 else f"{real}[{count}]")
         return f"p->{real}"
 
-    def hold(self, name: str, values: NDArray[np.floating[Any]]) -> Image:
+    def hold(self, name: str, values: NDArray[np.floating[Any]]) -> GraphImage:
         """Return an image whose values are compiled in."""
-        image = Image(self.name(name), values.shape, source="held")
+        image = GraphImage(self.name(name), values.shape, source="held")
         self.held[image.name] = np.ascontiguousarray(values, np.float32)
         return image
 
@@ -298,19 +298,19 @@ class Graph:
     ) -> None:
         """Add a call of a kernel, after comparing the arguments with its parameters."""
         sizes: dict[str, Axis] = {}
-        passed: list[tuple[str, Image | str]] = []
+        passed: list[tuple[str, GraphImage | str]] = []
         for parameter in parameters:
             value = arguments[parameter.name]
             if parameter.role == "number":
                 passed.append((parameter.name, _write_argument(parameter, value)))
                 continue
-            assert isinstance(value, Image), f"{function} wants an image for {parameter.name}"
+            assert isinstance(value, GraphImage), f"{function} wants an image for {parameter.name}"
             _require_fit(function, parameter, value, sizes)
             passed.append((parameter.name, value))
         unknown = set(arguments) - {parameter.name for parameter in parameters}
         assert not unknown, f"{function} has no {unknown}"
         roles = {parameter.name: parameter.role for parameter in parameters}
-        images = [(name, value) for name, value in passed if isinstance(value, Image)]
+        images = [(name, value) for name, value in passed if isinstance(value, GraphImage)]
         reads = tuple(image for name, image in images if roles[name] == "input")
         writes = tuple(image for name, image in images if roles[name] == "output")
         overlap = {image.name for image in reads} & {image.name for image in writes}
@@ -319,10 +319,15 @@ class Graph:
         self.operations.append(Operation(function, passed, reads, writes, text, self.when, True, *where))
 
     def run(
-        self, function: str, images: Sequence[Image], numbers: Sequence[str], text: str, writes: Sequence[Image] = ()
+        self,
+        function: str,
+        images: Sequence[GraphImage],
+        numbers: Sequence[str],
+        text: str,
+        writes: Sequence[GraphImage] = (),
     ) -> None:
         """Add a call of a C function of the driver: the images, then expressions of C."""
-        arguments: list[tuple[str, Image | str]] = [(image.name, image) for image in images]
+        arguments: list[tuple[str, GraphImage | str]] = [(image.name, image) for image in images]
         arguments += [("", number) for number in numbers]
         reads = tuple(image for image in images if image not in writes)
         self.operations.append(
@@ -331,12 +336,12 @@ class Graph:
             )
         )
 
-    def list_images(self) -> list[Image]:
+    def list_images(self) -> list[GraphImage]:
         """Return every image that a step names, in order of first use."""
-        named: dict[str, Image] = {}
+        named: dict[str, GraphImage] = {}
         for operation in self.operations:
             for _, value in operation.arguments:
-                if isinstance(value, Image):
+                if isinstance(value, GraphImage):
                     named.setdefault(value.name, value)
         return list(named.values())
 
@@ -350,7 +355,7 @@ def _write_argument(parameter: Parameter, value: Any) -> str:
     return f"({kind}){write_number(value)}"
 
 
-def _require_fit(function: str, parameter: Parameter, image: Image, sizes: dict[str, Axis]) -> None:
+def _require_fit(function: str, parameter: Parameter, image: GraphImage, sizes: dict[str, Axis]) -> None:
     """Compare an image with the parameter of a kernel: its type, its axes, and its strides."""
     mismatch = f"{function}: {parameter.name} is {parameter.type} {parameter.axes}, got {image.name} {image.shape}"
     assert image.type == parameter.type, mismatch

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.backend.buffers import Buffer, HostImage, Image, download, lend, make_output, make_planes
+from lobewise.backend.buffers import Buffer, HostImage, Image, download, lend, make_output, make_plane_stack
 from lobewise.backend.devices import count_host_lanes
 from lobewise.backend.jit import Kernel, get_kernel, run_kernel
 from lobewise.backend.pointwise import PointwiseKey, make_pointwise
@@ -26,7 +26,7 @@ MAX_VECTOR_PIXELS = 16
 """Pixels of the widest vector of any processor."""
 
 
-class Pass(NamedTuple):
+class KernelPass(NamedTuple):
     """One of the kernels of `lobewise.engine.passes`: its key, its definition, its own numbers, and what it does."""
 
     key: Hashable
@@ -150,9 +150,9 @@ class Here:
     ) -> FloatArray:
         """See `lobewise.engine.planes`."""
         kernel = get_kernel(self.device, key, make, strict=strict)
-        (shape,) = set(kernel.list_shapes(**kernel.find_axes(images)).values())
+        (shape,) = set(kernel.list_shapes(**kernel.list_axis_lengths(images)).values())
         # All planes lie in one array, so that the next kernel reads them without a copy.
-        memory = make_planes((len(kernel.outputs), *shape))
+        memory = make_plane_stack((len(kernel.outputs), *shape))
         planes = [
             (each.name, make_output(plane.shape, self.device, plane))
             for each, plane in zip(kernel.outputs, memory, strict=True)
@@ -166,7 +166,7 @@ class Here:
 
     def passes(
         self,
-        passes: Sequence[Pass],
+        passes: Sequence[KernelPass],
         images: Mapping[str, Image],
         numbers: Mapping[str, float],
         tiles: Sequence[tuple[slice, slice]] = (),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lobewise.engine.graph import Graph, Image
+from lobewise.engine.graph import Graph, GraphImage
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ def plan_memory(graph: Graph, share: float) -> MemoryPlan:
     share : float
         Share of the pixels that have a sample.
     """
-    spans = find_spans(graph)
+    spans = list_spans(graph)
     sizes: list[float] = []
     free_from: list[int] = []
     slots: dict[str, int] = {}
@@ -62,9 +62,9 @@ def plan_memory(graph: Graph, share: float) -> MemoryPlan:
     return MemoryPlan(slots, len(sizes), sum(sizes), state_bytes)
 
 
-def find_spans(graph: Graph) -> dict[Image, tuple[int, int]]:
+def list_spans(graph: Graph) -> dict[GraphImage, tuple[int, int]]:
     """Return the numbers of the first and of the last step that name each image that the pipeline makes."""
-    spans: dict[str, tuple[Image, int, int]] = {}
+    spans: dict[str, tuple[GraphImage, int, int]] = {}
     for number, operation in enumerate(graph.operations):
         for image in (*operation.reads, *operation.writes):
             memory = image.memory

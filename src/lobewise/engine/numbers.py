@@ -120,7 +120,7 @@ def choose_larger(first: float, second: float) -> float:
     return _call("fmax", max, first, second)
 
 
-def find_hypotenuse(first: float, second: float) -> float:
+def compute_hypotenuse(first: float, second: float) -> float:
     """Return the root of the sum of two squares."""
     return _call("hypot", np.hypot, first, second)
 

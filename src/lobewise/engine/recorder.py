@@ -20,8 +20,8 @@ from lobewise.backend.jit import Scheduled, describe_kernel
 from lobewise.backend.objects import compile_object
 from lobewise.backend.pointwise import Definition, PointwiseKey, make_pointwise
 from lobewise.backend.signature import Axis, Parameter
-from lobewise.engine.graph import Graph, Image, Length, write_length
-from lobewise.engine.here import Pass
+from lobewise.engine.graph import Graph, GraphImage, Length, write_length
+from lobewise.engine.here import KernelPass
 from lobewise.engine.numbers import Condition, Number, write_number
 
 
@@ -70,7 +70,7 @@ class CompiledKernel:
         content, _ = fetch_object(known, run, symbol=self.symbol)
         return content
 
-    def find_axes(self, images: Mapping[str, Image]) -> dict[str, Any]:
+    def list_axis_lengths(self, images: Mapping[str, GraphImage]) -> dict[str, Any]:
         """Return the lengths of named axes by the images of a call."""
         lengths: dict[str, Any] = {}
         for parameter in self.parameters:
@@ -119,15 +119,15 @@ class Recorder:
     prefix: str
     on: str = "cpu"
     found: dict[tuple[Hashable, bool, bool], CompiledKernel] = field(default_factory=dict)
-    computed: dict[Hashable, tuple[Image, ...]] = field(default_factory=dict)
+    computed: dict[Hashable, tuple[GraphImage, ...]] = field(default_factory=dict)
     """What `pixels` has computed, by definition, images and numbers."""
-    picked: dict[str, Image] = field(default_factory=dict)
+    picked: dict[str, GraphImage] = field(default_factory=dict)
     """Images at the shaded pixels, by the names of the images of all pixels."""
-    state: dict[str, Image] = field(default_factory=dict)
+    state: dict[str, GraphImage] = field(default_factory=dict)
     """What the next frame reads, by name."""
-    before: dict[str, Image] = field(default_factory=dict)
+    before: dict[str, GraphImage] = field(default_factory=dict)
     """The same, as the frame before left it."""
-    known: dict[str, Image] = field(default_factory=dict)
+    known: dict[str, GraphImage] = field(default_factory=dict)
     """Images whose values are compiled in, by name."""
     totals: dict[str, str] = field(default_factory=dict)
     """Expressions of C of numbers of whole images, by name."""
@@ -160,30 +160,32 @@ class Recorder:
         *,
         sizes: Mapping[str, Axis] | None = None,
         names: Mapping[str, str] | None = None,
-        into: Mapping[str, Image] | None = None,
+        into: Mapping[str, GraphImage] | None = None,
         text: str,
-    ) -> dict[str, Image]:
+    ) -> dict[str, GraphImage]:
         """Add a call; return its output images by parameter.
 
         Parameters
         ----------
         kernel : CompiledKernel
-        arguments : mapping of str to Image, Number, float or str
+        arguments : mapping of str to GraphImage, Number, float or str
             By parameter. Those that the kernel does not have are left out.
         sizes : mapping of str to length, optional
             Axes of outputs that no input has.
         names : mapping of str to str, optional
             Names for the output images that the call makes, by parameter.
-        into : mapping of str to Image, optional
+        into : mapping of str to GraphImage, optional
             Output images that exist.
         text : str
             What the call does.
         """
         declared = {parameter.name for parameter in kernel.parameters}
         passed = {name: value for name, value in arguments.items() if name in declared}
-        axes = kernel.find_axes({name: value for name, value in passed.items() if isinstance(value, Image)})
+        axes = kernel.list_axis_lengths(
+            {name: value for name, value in passed.items() if isinstance(value, GraphImage)}
+        )
         axes |= sizes or {}
-        outputs: dict[str, Image] = dict(into or {})
+        outputs: dict[str, GraphImage] = dict(into or {})
         for parameter in kernel.parameters:
             if parameter.role == "output" and parameter.name not in outputs:
                 shape = [axes.get(axis, axis) if isinstance(axis, str) else axis for axis in parameter.axes]
@@ -205,11 +207,11 @@ class Recorder:
         numbers: Mapping[str, Any],
         options: tuple[Hashable, ...],
         names: Sequence[str],
-        into: Sequence[Image | None],
+        into: Sequence[GraphImage | None],
         text: str,
-    ) -> tuple[Image, ...]:
+    ) -> tuple[GraphImage, ...]:
         """See `lobewise.engine.pixels`. What was computed before of the same images is not computed again."""
-        held: dict[str, Image] = {name: image for name, image in images.items() if image is not None}
+        held: dict[str, GraphImage] = {name: image for name, image in images.items() if image is not None}
         vectors = {name: take_vector(value) for name, value in numbers.items()}
         codes = tuple((name, *(each.code for each in vector)) for name, vector in vectors.items())
         same = define, options, tuple((name, image.name) for name, image in held.items()), codes
@@ -237,21 +239,21 @@ class Recorder:
         self,
         key: Hashable,
         make: Callable[[hl.Target], Scheduled],
-        images: Mapping[str, Image],
+        images: Mapping[str, GraphImage],
         numbers: Mapping[str, Any],
         names: Mapping[str, str],
         text: str,
         *,
         strict: bool = False,
         sizes: Mapping[str, Axis] | None = None,
-        into: Image | None = None,
-    ) -> dict[str, Image]:
+        into: GraphImage | None = None,
+    ) -> dict[str, GraphImage]:
         """See `lobewise.engine.kernel`."""
         lengths = {name: write_length(value) if isinstance(value, str) else value for name, value in numbers.items()}
         kernel = self.get(key, make, strict=strict)
         return self.call(kernel, {**images, **lengths}, sizes=sizes, names=names, text=text)
 
-    def hold(self, name: str, array: NDArray[np.float32]) -> Image:
+    def hold(self, name: str, array: NDArray[np.float32]) -> GraphImage:
         """See `lobewise.engine.hold`."""
         if name not in self.known:
             self.known[name] = self.graph.hold(name, array)
@@ -270,7 +272,7 @@ class Recorder:
         self,
         key: Hashable,
         make: Callable[[hl.Target], Scheduled],
-        images: Mapping[str, Image],
+        images: Mapping[str, GraphImage],
         numbers: Mapping[str, Any],
         name: str,
         keep: str,
@@ -281,7 +283,9 @@ class Recorder:
         """See `lobewise.engine.planes`."""
         kernel, arguments = self.get(key, make, strict=strict), {**images, **numbers}
         outputs = [each for each in kernel.parameters if each.role == "output"]
-        axes = kernel.find_axes({each: image for each, image in arguments.items() if isinstance(image, Image)})
+        axes = kernel.list_axis_lengths(
+            {each: image for each, image in arguments.items() if isinstance(image, GraphImage)}
+        )
         size = [axes.get(axis, axis) if isinstance(axis, str) else axis for axis in outputs[0].axes]
         if keep:
             self.declare(keep, len(outputs), *size)
@@ -296,7 +300,7 @@ class Recorder:
         self.call(kernel, arguments, into=into, text=text)
         return planes
 
-    def pick(self, image: Image, scale: int, place: tuple[str, str], *, stacked: bool) -> Image:
+    def pick(self, image: GraphImage, scale: int, place: tuple[str, str], *, stacked: bool) -> GraphImage:
         """See `lobewise.engine.pick`."""
         if image.name not in self.picked:
             size = "rows", "columns"
@@ -307,18 +311,18 @@ class Recorder:
             self.picked[image.name] = picked
         return self.picked[image.name]
 
-    def fill(self, name: str, value: float, shape: tuple[Axis, ...]) -> Image:
+    def fill(self, name: str, value: float, shape: tuple[Axis, ...]) -> GraphImage:
         """See `lobewise.engine.fill`."""
         return self.graph.make_flat(name, value, *shape)
 
     def passes(
         self,
-        passes: Sequence[Pass],
-        images: Mapping[str, Image],
+        passes: Sequence[KernelPass],
+        images: Mapping[str, GraphImage],
         numbers: Mapping[str, Any],
         tiles: object,
         name: str,
-    ) -> dict[str, Image]:
+    ) -> dict[str, GraphImage]:
         """See `lobewise.engine.passes`."""
         arguments, outputs = {**images, **numbers}, {}
         for number, kernel_pass in enumerate(passes):
@@ -333,7 +337,7 @@ class Recorder:
     def total(
         self,
         measure: Callable[..., Any],
-        images: Sequence[Image],
+        images: Sequence[GraphImage],
         numbers: Sequence[float],
         name: str,
         count: int,
@@ -353,11 +357,11 @@ class Recorder:
             return Number(1.0, real)
         return [Number(1.0, f"{real}[{k}]", is_single=True) for k in range(count)]
 
-    def own(self, image: Image) -> Image:
+    def own(self, image: GraphImage) -> GraphImage:
         """See `lobewise.engine.own`."""
         return image
 
-    def in_box(self, mask: Image, reach: int, run: Callable[..., None], images: Sequence[Image]) -> None:
+    def in_box(self, mask: GraphImage, reach: int, run: Callable[..., None], images: Sequence[GraphImage]) -> None:
         """See `lobewise.engine.in_box`."""
         self.graph.run("find_box", [mask], [str(reach)], "the box around the pixels of the mask")
         with self.graph.only_in_box():
@@ -367,7 +371,7 @@ class Recorder:
         self,
         gather: Callable[[dict[str, Any]], dict[str, Any]],
         finish: Callable[[dict[str, Any]], Any],
-        images: Mapping[str, Image],
+        images: Mapping[str, GraphImage],
         rows: int,
         reach: int,
     ) -> Any:
@@ -377,7 +381,7 @@ class Recorder:
     def chain(
         self,
         define: Definition,
-        images: Mapping[str, Image],
+        images: Mapping[str, GraphImage],
         numbers: Mapping[str, Any],
         key: Hashable,
         make: Callable[[hl.Target], Scheduled],
@@ -386,7 +390,7 @@ class Recorder:
         name: str,
         channels: int,
         texts: tuple[str, str],
-    ) -> Image:
+    ) -> GraphImage:
         """See `lobewise.engine.chain`."""
         kernel, size = self.host.get(key, make), ("height", "width")
         (out,) = (each for each in kernel.parameters if each.role == "output")
@@ -415,13 +419,13 @@ class Recorder:
                 otherwise()
         return result
 
-    def declare(self, name: str, *shape: Axis, type: str = "float32") -> Image:
+    def declare(self, name: str, *shape: Axis, type: str = "float32") -> GraphImage:
         """Declare what the next frame finds under a name; return what the frame before left there."""
         if name not in self.state:
             self.state[name], self.before[name] = self.graph.keep(name, *shape, type=type)
         return self.before[name]
 
-    def keep(self, name: str, make: Callable[[], Image | None]) -> None:
+    def keep(self, name: str, make: Callable[[], GraphImage | None]) -> None:
         """See `lobewise.engine.keep`."""
         image = make()
         if image is None or (name in self.state and image.memory is self.state[name].memory):
@@ -430,17 +434,17 @@ class Recorder:
         state = self.state[name]
         self.graph.run("copy_image", [image, state], [], "what the next frame reads", writes=[state])
 
-    def clear(self, image: Image) -> None:
+    def clear(self, image: GraphImage) -> None:
         """See `lobewise.engine.clear`."""
         self.graph.run("clear_image", [image], [], "nothing", writes=[image])
 
-    def only(self, condition: Condition, image: Image) -> Image:
+    def only(self, condition: Condition, image: GraphImage) -> GraphImage:
         """See `lobewise.engine.only`."""
         with self.graph.only_when(f"!{condition}"):
             self.clear(image)
         return image
 
-    def some(self, image: Image) -> Image:
+    def some(self, image: GraphImage) -> GraphImage:
         """See `lobewise.engine.some`."""
         return image
 
@@ -453,7 +457,7 @@ class Recorder:
         """See `lobewise.engine.part`."""
         return self.graph.part(name)
 
-    def take(self, name: str, shape: Sequence[Axis], text: str, unit: str) -> Image:
+    def take(self, name: str, shape: Sequence[Axis], text: str, unit: str) -> GraphImage:
         """See `lobewise.engine.take`."""
         return self.graph.take(name, *shape, text=text, unit=unit)
 

@@ -288,7 +288,7 @@ def require_distributed() -> None:
         ) from None
 
 
-def find_memory(workers: int) -> int:
+def divide_memory(workers: int) -> int:
     """Return the memory of the machine divided by a number of workers, bytes."""
     from distributed.system import MEMORY_LIMIT
 

@@ -117,7 +117,7 @@ class Dispatcher:
         What workers must be like.
     make_order : callable
         Returns the order for a task.
-    find_missing : callable
+    list_missing : callable
         Returns the frames of a task that are not done on disk.
     listener : Listener
         What is told meanwhile.
@@ -131,14 +131,14 @@ class Dispatcher:
         terms: Terms,
         *,
         make_order: Callable[[Task], Order],
-        find_missing: Callable[[Task], tuple[int, ...]],
+        list_missing: Callable[[Task], tuple[int, ...]],
         listener: Listener,
         by_runs: bool = False,
     ) -> None:
         self._connection = connection
         self._terms = terms
         self._make_order = make_order
-        self._find_missing = find_missing
+        self._list_missing = list_missing
         self._listener = listener
         self._by_runs = by_runs
         self._workers: dict[str, _Worker] = {}
@@ -208,7 +208,7 @@ class Dispatcher:
         """Take back the tasks of a worker that went. The oldest task was running, so its try counts."""
         for place, (call, task) in enumerate(worker.calls.values()):
             call.drop()
-            if not self._find_missing(task):
+            if not self._list_missing(task):
                 continue
             if place:
                 self._todo.appendleft((0.0, task))
@@ -305,7 +305,7 @@ class Dispatcher:
         try:
             outcome: Outcome = call.fetch()
         except CallLostError:
-            if self._find_missing(task):
+            if self._list_missing(task):
                 self._todo.appendleft((0.0, task))
             return
         except CallFailedError as problem:
@@ -314,14 +314,14 @@ class Dispatcher:
         self._listener.hear(outcome.told)
         if outcome.problem:
             self._fail(task, outcome.problem, outcome.trace)
-        elif self._find_missing(task):
+        elif self._list_missing(task):
             self._unseen.append((time.monotonic() + MAX_SECONDS_UNSEEN, task, worker.address))
 
     def _look_again(self) -> None:
         """Look for files that workers have written and that were not seen here."""
         for entry in list(self._unseen):
             end, task, address = entry
-            if not self._find_missing(task):
+            if not self._list_missing(task):
                 self._unseen.remove(entry)
             elif time.monotonic() >= end:
                 self._unseen.remove(entry)
@@ -333,7 +333,7 @@ class Dispatcher:
         if tries <= MAX_RETRIES:
             self._todo.append((time.monotonic() + RETRY_SECONDS * 2.0 ** (tries - 1), task))
             return
-        self.failures.append(Failure(numbers=self._find_missing(task), problem=problem, trace=trace))
+        self.failures.append(Failure(numbers=self._list_missing(task), problem=problem, trace=trace))
 
     def _wait_for_scheduler(self) -> None:
         """Take back all tasks, wait until the scheduler is there again, and leave out what was done meanwhile."""
@@ -344,5 +344,5 @@ class Dispatcher:
         self._connection.reopen(
             MAX_SECONDS_WITHOUT_SCHEDULER, lambda: self._listener.show("Waiting for the scheduler", [])
         )
-        self._todo = deque(entry for entry in self._todo if self._find_missing(entry[1]))
+        self._todo = deque(entry for entry in self._todo if self._list_missing(entry[1]))
         self._listener.tell("The scheduler is back.")

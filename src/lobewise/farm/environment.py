@@ -16,11 +16,11 @@ PEER = ("Open Image Denoise", "pyoidn")
 def describe_environment(*, with_oidn: bool) -> dict[str, str]:
     """Return the versions of this process by name; ``with_oidn`` includes Open Image Denoise, or "none"."""
     versions = {"lobewise": lobewise.__version__, "Python": shorten_version(platform.python_version())}
-    versions |= {name: _find_version(distribution) for name, distribution in DISTRIBUTIONS.items()}
+    versions |= {name: _look_up_version(distribution) for name, distribution in DISTRIBUTIONS.items()}
     if with_oidn:
         from lobewise.peers import has_oidn
 
-        versions[PEER[0]] = _find_version(PEER[1]) if has_oidn() else "none"
+        versions[PEER[0]] = _look_up_version(PEER[1]) if has_oidn() else "none"
     return versions
 
 
@@ -37,7 +37,7 @@ def compare_environments(here: Mapping[str, str], there: Mapping[str, str]) -> s
     return ""
 
 
-def _find_version(distribution: str) -> str:
+def _look_up_version(distribution: str) -> str:
     try:
         return version(distribution)
     except PackageNotFoundError:

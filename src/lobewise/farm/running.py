@@ -118,12 +118,12 @@ def filter_on_farm(
     LobewiseError
         If the scheduler does not answer, or no worker can be used.
     """
-    frames = _find_frames(job)
+    frames = _list_frames(job)
     run = _Run(job, frames, remark, progress)
     with run.ledger.lock():
         try:
             run.ledger.put_token(run.token)
-            done = run.find_done()
+            done = run.list_done()
             if done:
                 tell(f"Going on: {len(done)} of {len(frames)} frames are done, as {str(run.ledger.folder)!r} says.")
             if job.by_shot and len(run.tasks) == 1:
@@ -143,7 +143,7 @@ def filter_on_farm(
     return FarmReport(frames=len(frames), written=written, failures=run.failures, last=run.last)
 
 
-def _find_frames(job: FarmJob) -> list[Numbered]:
+def _list_frames(job: FarmJob) -> list[Numbered]:
     """Return the frames of a sequence with absolute paths: workers run in other folders."""
     if not job.source.folder.is_absolute() or not job.output.folder.is_absolute():
         raise InputError(
@@ -180,15 +180,15 @@ class _Run:
         self._proofs: dict[tuple[int, ...], dict[int, str]] = {}
         self.last = Told()
 
-    def find_done(self) -> frozenset[int]:
+    def list_done(self) -> frozenset[int]:
         """Return the frames that are done already."""
         recorded = self.ledger.list_recorded()
         for task in self.tasks:
             if recorded.issuperset(task.numbers[:1]):
-                self.find_missing(task)
+                self.list_missing(task)
         return frozenset(self.done)
 
-    def find_missing(self, task: Task) -> tuple[int, ...]:
+    def list_missing(self, task: Task) -> tuple[int, ...]:
         """Return the frames of a task that are not done on disk, and note those that are.
 
         Raises FileError if a later run has taken over, which the lock does not prevent on disks without locks.
@@ -218,7 +218,7 @@ class _Run:
             connection,
             Terms(environment=self._environment, check=check),
             make_order=self._make_order,
-            find_missing=self.find_missing,
+            list_missing=self.list_missing,
             listener=Listener(tell=tell, hear=self._hear, show=self._show),
             by_runs=self._job.by_runs,
         )

@@ -50,10 +50,10 @@ def describe_worker(folder: Path, token: str, source: Path, size: int, with_oidn
     with_oidn : bool
         Whether the version of Open Image Denoise matters.
     """
-    return describe_environment(with_oidn=with_oidn), _find_fault(folder, token, source, size)
+    return describe_environment(with_oidn=with_oidn), _describe_fault(folder, token, source, size)
 
 
-def _find_fault(folder: Path, token: str, source: Path, size: int) -> str:
+def _describe_fault(folder: Path, token: str, source: Path, size: int) -> str:
     # Network drives remember what a folder held; opening the folder makes them look again.
     refresh_folders(source.parent, folder.parent, folder)
     if not source.is_file():
@@ -92,7 +92,7 @@ def _run(order: Order) -> Outcome:
             news = work.filter_frames(
                 task.numbers,
                 first=order.first,
-                memory=_find_memory(order.memory),
+                memory=_look_up_memory(order.memory),
                 checkpoint=ledger.name_checkpoint(task.numbers[0]),
                 done=lambda number: ledger.record(number, proofs[number], work.list_outputs(number)),
             )
@@ -131,7 +131,7 @@ def _limit_threads() -> None:
     os.environ.setdefault("OIDN_SET_AFFINITY", "0")
 
 
-def _find_memory(memory: float | None) -> float | None:
+def _look_up_memory(memory: float | None) -> float | None:
     """Return the GiB that this process may take: as the user says, else the limit of the worker, else None."""
     if memory is not None:
         return memory

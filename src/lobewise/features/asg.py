@@ -7,7 +7,7 @@ from typing import NamedTuple
 from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import LOG2_E, log2
 from lobewise.features.base import Offset, Stage, Vector
-from lobewise.features.lobe import CovarianceFeature, HitPlanes, find_step
+from lobewise.features.lobe import CovarianceFeature, HitPlanes, compute_step
 from lobewise.lobes.vectors import dot
 
 
@@ -48,7 +48,7 @@ class AsgFeature(CovarianceFeature):
         return AsgPlanes(axis, diagonal, beside, two * hl.sqrt(determinant), HitPlanes(*hit) if hit else None)
 
     def log2_similarity(self, i: AsgPlanes, j: AsgPlanes, parameters: Vector, offset: Offset, stage: Stage) -> hl.Expr:
-        d, _, square = find_step(i, j)
+        d, _, square = compute_step(i, j)
         quadratic, invariant = _compare(i, j, d)
         least = i.s * j.s
         inverse = hl.f32(1.0) / hl.max(invariant, least)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import HALIDE, log2
 from lobewise.features.base import Offset, Stage, Vector
-from lobewise.features.lobe import CovarianceFeature, HitPlanes, LobeFeature, find_step
+from lobewise.features.lobe import CovarianceFeature, HitPlanes, LobeFeature, compute_step
 from lobewise.frame import FloatArray
 from lobewise.lobes.covariance import split_covariance
 from lobewise.lobes.hits import HitField
@@ -46,7 +46,7 @@ class _GgxSimilarity(LobeFeature):
         return (GGX_UNIT * self.beta,)
 
     def log2_similarity(self, i: GgxPlanes, j: GgxPlanes, parameters: Vector, offset: Offset, stage: Stage) -> hl.Expr:
-        d, square, _ = find_step(i, j)
+        d, square, _ = compute_step(i, j)
         on_i, on_j, both = dot(d, i.t), dot(d, j.t), dot(i.t, j.t)
         quadratic = (i.large + j.large) * square - (on_i * on_i + on_j * on_j)
         invariant = (i.large + j.small) * (j.large + i.small) - both * both

@@ -9,7 +9,7 @@ from typing import ClassVar, NamedTuple, Protocol
 from lobewise.backend.compiler import hl
 from lobewise.features.base import DeclaredFeature, Vector
 from lobewise.frame import FloatArray
-from lobewise.lobes.hits import HitField, find_hit_shift
+from lobewise.lobes.hits import HitField, compute_hit_shift
 from lobewise.lobes.vectors import dot, subtract
 
 
@@ -80,11 +80,11 @@ class CovarianceFeature(LobeFeature):
     hits: HitField | None = None
 
 
-def find_step(i: LobePlanes, j: LobePlanes) -> LobeStep:
+def compute_step(i: LobePlanes, j: LobePlanes) -> LobeStep:
     """Return the difference of two lobes."""
     d = subtract(j.axis, i.axis)
     square = dot(d, d)
     if i.hit is None or j.hit is None:
         return LobeStep(d, square, square)
-    d = [p + q for p, q in zip(d, find_hit_shift(i.axis, j.axis, i.hit, j.hit, square), strict=True)]
+    d = [p + q for p, q in zip(d, compute_hit_shift(i.axis, j.axis, i.hit, j.hit, square), strict=True)]
     return LobeStep(d, dot(d, d), square)

@@ -14,7 +14,7 @@ from lobewise.frame import FloatArray
 from lobewise.lobes.vectors import dot, subtract
 
 
-class Place(NamedTuple):
+class PointPlanes(NamedTuple):
     """The planes of a point."""
 
     place: Vector
@@ -58,11 +58,13 @@ class PositionFeature(DeclaredFeature):
     def get_parameters(self) -> tuple[float, ...]:
         return (math.sqrt(0.5 * LOG2_E) / (self.sigma * self.pixel_angle),)
 
-    def prepare(self, inputs: Vector, parameters: Vector) -> Place:
+    def prepare(self, inputs: Vector, parameters: Vector) -> PointPlanes:
         *place, depth = inputs
-        return Place(place, parameters[0] / hl.max(depth, hl.f32(1e-20)))
+        return PointPlanes(place, parameters[0] / hl.max(depth, hl.f32(1e-20)))
 
-    def log2_similarity(self, i: Place, j: Place, parameters: Vector, offset: Offset, stage: Stage) -> hl.Expr:
+    def log2_similarity(
+        self, i: PointPlanes, j: PointPlanes, parameters: Vector, offset: Offset, stage: Stage
+    ) -> hl.Expr:
         d = subtract(j.place, i.place)
         return -dot(d, d) * (i.inverse * j.inverse)
 

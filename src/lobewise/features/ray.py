@@ -9,15 +9,15 @@ from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import HALIDE
 from lobewise.features.base import DeclaredFeature, Offset, Stage, Vector
 from lobewise.frame import FloatArray
-from lobewise.lobes.directions import face_viewer, find_tangent
+from lobewise.lobes.directions import compute_tangent, face_viewer
 from lobewise.lobes.vectors import cross, dot, scale
 
 LOBE_SPREAD = 0.1
 """Alpha by which lobes are widened before their values along a ray are compared. Without it a neighbour's ray meets a
 sharp lobe seldom, so that few rays count and the result is noisy."""
-MAX_RATIO = 4.0
+MAX_RAY_WEIGHT = 4.0
 """Largest factor of a weight, which bounds fireflies."""
-MIN_COSINE = 1e-3
+MIN_RAY_COSINE = 1e-3
 """Smallest cosine of the angle between normal and viewing direction."""
 NO_RAY = -1.0
 """Inverse value of a lobe where no ray is known."""
@@ -60,7 +60,7 @@ class RayFeature(DeclaredFeature):
     normal : array, shape (height, width, 3)
         Unit normals; see `lobewise.lobes.directions.face_viewer`.
     tangent : array, shape (height, width, 3)
-        Direction of ``alpha_u``, of any length; see `lobewise.lobes.directions.find_tangent`.
+        Direction of ``alpha_u``, of any length; see `lobewise.lobes.directions.compute_tangent`.
     alpha_u, alpha_v : array, shape (height, width)
         Clamped to [0, 1].
     direction : array, shape (height, width, 3)
@@ -80,7 +80,7 @@ class RayFeature(DeclaredFeature):
     alpha_v: FloatArray
     direction: FloatArray
     spread: float = LOBE_SPREAD
-    most: float = MAX_RATIO
+    most: float = MAX_RAY_WEIGHT
 
     @property
     def neutral(self) -> tuple[float, ...]:
@@ -89,18 +89,18 @@ class RayFeature(DeclaredFeature):
     def prepare(self, inputs: Vector, parameters: Vector) -> RayPlanes:
         view, raw_normal, raw_tangent, *alphas, direction = self.split(inputs)
         normal, cosine = face_viewer(HALIDE, raw_normal, view)
-        tangent, _ = find_tangent(HALIDE, raw_tangent, normal)
+        tangent, _ = compute_tangent(HALIDE, raw_tangent, normal)
         one = hl.f32(1.0)
         widening = square(parameters[0])
         inverses = [one / hl.sqrt(square(hl.clamp(alpha, hl.f32(0.0), one)) + widening) for alpha in alphas]
-        size = inverses[0] * inverses[1] / hl.max(cosine, hl.f32(MIN_COSINE))
+        size = inverses[0] * inverses[1] / hl.max(cosine, hl.f32(MIN_RAY_COSINE))
         u, v = scale(tangent, inverses[0]), scale(cross(normal, tangent), inverses[1])
         lobe = RayPlanes(view, u, v, normal, size, direction, one)
         known = dot(direction, direction) > hl.f32(0.5)
-        return lobe._replace(inverse=hl.select(known, one / evaluate_lobe(lobe, direction), hl.f32(NO_RAY)))
+        return lobe._replace(inverse=hl.select(known, one / evaluate_ray_lobe(lobe, direction), hl.f32(NO_RAY)))
 
     def make_factor(self, i: RayPlanes, j: RayPlanes, parameters: Vector) -> hl.Expr:
-        ratio = hl.min(evaluate_lobe(i, j.direction) * j.inverse, parameters[1])
+        ratio = hl.min(evaluate_ray_lobe(i, j.direction) * j.inverse, parameters[1])
         return hl.select(j.inverse > hl.f32(0.0), ratio, hl.f32(1.0))
 
     def log2_similarity(self, i: RayPlanes, j: RayPlanes, parameters: Vector, offset: Offset, stage: Stage) -> hl.Expr:
@@ -111,7 +111,7 @@ def square(value: hl.Expr) -> hl.Expr:
     return value * value
 
 
-def evaluate_lobe(lobe: RayPlanes, direction: Vector) -> hl.Expr:
+def evaluate_ray_lobe(lobe: RayPlanes, direction: Vector) -> hl.Expr:
     """Return ``D(h) / (4 cos_v)`` times ``4 pi``, > 0."""
     half = [p + q for p, q in zip(direction, lobe.view, strict=True)]
     slopes = square(dot(half, lobe.u)) + square(dot(half, lobe.v)) + square(dot(half, lobe.normal))

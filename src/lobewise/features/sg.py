@@ -8,7 +8,7 @@ from typing import NamedTuple
 from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import LOG2_E, log2
 from lobewise.features.base import Offset, Stage, Vector
-from lobewise.features.lobe import HitPlanes, LobeFeature, find_step
+from lobewise.features.lobe import HitPlanes, LobeFeature, compute_step
 from lobewise.frame import FloatArray
 from lobewise.lobes.hits import HitField
 
@@ -59,6 +59,6 @@ class SgFeature(LobeFeature):
         return SgPlanes(axis, width, numerator, HitPlanes(*hit) if hit else None)
 
     def log2_similarity(self, i: SgPlanes, j: SgPlanes, parameters: Vector, offset: Offset, stage: Stage) -> hl.Expr:
-        square = find_step(i, j).square
+        square = compute_step(i, j).square
         width = i.width + j.width
         return i.numerator + j.numerator - parameters[0] * log2(width) - square * (hl.f32(1.0) / width)

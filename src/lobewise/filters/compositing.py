@@ -25,7 +25,7 @@ MEAN_EMISSION_SPP = 16.0
 pixel: at straight edges they are worth twice as many samples, at lamps smaller than a pixel no more."""
 UNKNOWN_SPP = 16.0
 """Samples per pixel that emission counts as if their number is not known."""
-REACH = 1
+COVERAGE_REACH = 1
 """Distance of the farthest pixel whose light is mixed in, rows or columns."""
 
 

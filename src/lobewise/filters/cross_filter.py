@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 
 from lobewise import engine
 from lobewise.backend.buffers import Image, device_scope, take_image, take_mask
-from lobewise.engine.here import MAX_VECTOR_PIXELS, Pass
+from lobewise.engine.here import MAX_VECTOR_PIXELS, KernelPass
 from lobewise.errors import require_choice
 from lobewise.features.arrays import give_features, give_scalars
 from lobewise.features.base import Feature, describe_structure
 from lobewise.filters.cross_pass import COLORS, PassKey, Reads, Writes, chain_passes, make_pass
-from lobewise.filters.forms import ATROUS_RADIUS, Taps, list_passes
+from lobewise.filters.forms import ATROUS_RADIUS, Taps, list_form_passes
 from lobewise.filters.glue import define_apart
 from lobewise.filters.scheduling import STRIP_ROWS
 from lobewise.frame import FloatArray
-from lobewise.settings import FORMS
+from lobewise.settings import FORM_NAMES
 
 MIN_TILE_STRIPS = 16
 """Smallest number of strips in a tile of the separable form."""
@@ -98,9 +98,9 @@ def run_filter(
     -------
     FilterOutput
     """
-    if form not in FORMS:
-        require_choice("form", form, FORMS)
-    size, taps = (mask.shape[0], mask.shape[1]), list_passes(form, radius)
+    if form not in FORM_NAMES:
+        require_choice("form", form, FORM_NAMES)
+    size, taps = (mask.shape[0], mask.shape[1]), list_form_passes(form, radius)
     images: dict[str, Image] = {"source": take_image("radiance", radiance, (*size, COLORS)), "mask": take_mask(mask)}
     images |= give_features("tap", features, size)
     if albedo is not None:
@@ -123,7 +123,7 @@ def run_filter(
     )
     keys = chain_passes(whole, [each for each, _, _ in taps], mirror=on_processor)
     passes = [
-        Pass(key, partial(make_pass, key, features), reach, step, describe_pass(each, reach, step))
+        KernelPass(key, partial(make_pass, key, features), reach, step, describe_pass(each, reach, step))
         for key, (each, reach, step) in zip(keys, taps, strict=True)
     ]
     tiles = _list_tiles(*size) if form == "separable" and isinstance(size[0], int) else []

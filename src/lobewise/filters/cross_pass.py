@@ -32,7 +32,7 @@ from lobewise.settings import LARGEST_RADIUS
 COLORS = 3
 SUM_CHANNELS = 5
 WEIGHT = 3
-SQUARED_WEIGHT = 4
+SQUARED_WEIGHT_CHANNEL = 4
 
 ALBEDO_FLOOR = 1e-3
 """Albedo below which a pixel does not reveal the light that it receives; its weight is 0."""
@@ -133,8 +133,8 @@ class PassInputs:
     """Further images, as ``source`` is; none where it holds sums."""
 
 
-def find_luminance(colour: Sequence[hl.Expr]) -> hl.Expr:
-    return vectors.find_luminance(expressions.HALIDE, colour)
+def compute_expression_luminance(colour: Sequence[hl.Expr]) -> hl.Expr:
+    return vectors.compute_luminance(expressions.HALIDE, colour)
 
 
 def demodulate(
@@ -199,7 +199,7 @@ def make_pass(key: PassKey, features: Sequence[Feature], target: hl.Target) -> S
     reach, step = (hl.i32(ATROUS_RADIUS), inputs.step) if is_sparse else (inputs.radius, hl.i32(1))
     taps = TapSums(inputs.mask, key.taps, reach, step, count_lanes(target))
     image = _read_image(key, inputs, taps)
-    profile = _find_profile(U) + _find_profile(V) if is_sparse else None
+    profile = _compute_log_spline(U) + _compute_log_spline(V) if is_sparse else None
     log_weight = taps.compare("tap", features, inputs.scalars, inputs.arrays, profile)
     if inputs.strictness is not None:
         width, height = inputs.mask.width(), inputs.mask.height()
@@ -210,7 +210,7 @@ def make_pass(key: PassKey, features: Sequence[Feature], target: hl.Target) -> S
         single = key.reads is not Reads.SUMS
         planes = [min(k, WEIGHT) if single and k < SUM_CHANNELS else k for k in range(key.channels)]
         factors = [weight] * key.channels
-        factors[SQUARED_WEIGHT] = weight * weight
+        factors[SQUARED_WEIGHT_CHANNEL] = weight * weight
         return [factor * image[column, k, line] for factor, k in zip(factors, planes, strict=True)]
 
     out, *rest = _write(key, inputs, taps.add(log_weight, take, mirrored=key.mirrored))
@@ -231,7 +231,7 @@ def _read_image(key: PassKey, inputs: PassInputs, taps: TapSums) -> hl.Func:
         radiance, good = demodulate(inputs.source, albedo, at, hl.f32(ALBEDO_FLOOR))
         values = [*radiance, hl.f32(1.0), hl.f32(1.0)]
         if key.moment:
-            luminance = find_luminance(radiance)
+            luminance = compute_expression_luminance(radiance)
             values.append(luminance * luminance)
         if not key.more:
             return hl.select(good & usable, hl.mux(C, values), hl.f32(0.0))
@@ -244,7 +244,7 @@ def _read_image(key: PassKey, inputs: PassInputs, taps: TapSums) -> hl.Func:
     return taps.read("image", key.channels, take)
 
 
-def _find_profile(offset: hl.Expr) -> hl.Expr:
+def _compute_log_spline(offset: hl.Expr) -> hl.Expr:
     """Return log2 of the B-spline weight at an offset from -2 to 2."""
     centre, near, far = (hl.f32(math.log2(weight)) for weight in ATROUS_PROFILE)
     distance = hl.abs(offset)
@@ -282,7 +282,7 @@ def _divide(key: PassKey, inputs: PassInputs, sums: Sequence[hl.Expr]) -> list[h
         mean = [value / total for value in values]
         return mean if tints is None else [value * tint for value, tint in zip(mean, tints, strict=True)]
 
-    effective, own = count_samples(weight, sums[SQUARED_WEIGHT]), key.own_channels
+    effective, own = count_samples(weight, sums[SQUARED_WEIGHT_CHANNEL]), key.own_channels
     found = [*divide(sums[:COLORS], weight), weight, effective, *(value / weight for value in sums[SUM_CHANNELS:own])]
     for first in range(own, len(sums), COLORS + 1):
         *values, total = sums[first : first + COLORS + 1]

@@ -31,7 +31,7 @@ from lobewise.backend.jit import Scheduled
 from lobewise.backend.signature import Signature
 from lobewise.features.arrays import declare_features, declare_scalars, give_features, give_scalars
 from lobewise.features.base import Feature, describe_structure
-from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS, demodulate, find_luminance
+from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS, compute_expression_luminance, demodulate
 from lobewise.filters.forms import Taps
 from lobewise.filters.planes import C, X, Y
 from lobewise.filters.scheduling import count_lanes
@@ -39,10 +39,10 @@ from lobewise.filters.weigh import TapSums, U, V
 from lobewise.frame import FloatArray
 from lobewise.settings import LARGEST_RADIUS
 
-HALVES = 2
+HALF_COUNT = 2
 GUIDE_CHANNELS = COLORS + 1
 """Channels of a guide: three colours and their variance."""
-SUMS = COLORS + 2
+SUMS_OF_HALF = COLORS + 2
 """Sums of one half: weighted radiance, weight, squared weight."""
 MORE_AT_ONCE = 4
 """Further images that a pass averages by the same weights: the sums of more do not fit a processor's registers."""
@@ -223,19 +223,22 @@ def make_dual_buffer(key: DualBufferKey, groups: Mapping[str, Sequence[Feature]]
     log_weight = place + exponent * lobes
     if given is not None:
         guide = taps.read("guide", GUIDE_CHANNELS, lambda at, _: given[C, at[0], at[1]])
-        log_weight = log_weight - taps.stage(_find_distance(guide, step, noise))
+        log_weight = log_weight - taps.stage(_compute_distance(guide, step, noise))
 
     def take(weight: hl.Expr, column: hl.Expr, line: hl.Expr) -> list[hl.Expr]:
         taken: list[hl.Expr] = []
         for first in range(0, planes, COLORS + 1):
             counted = weight * images[column, first + COLORS, line]
             taken += [*(weight * images[column, first + k, line] for k in range(COLORS)), counted]
-            taken += [counted * counted] if first < HALVES * (COLORS + 1) else []
+            taken += [counted * counted] if first < HALF_COUNT * (COLORS + 1) else []
         return taken
 
     sums = taps.add(log_weight, take)
-    found = _find_means([HalfSums(*sums[:SUMS]), HalfSums(*sums[SUMS : 2 * SUMS])], _find_share(albedo, (X, Y)))
-    for first in range(HALVES * SUMS, len(sums), COLORS + 1):
+    found = _compute_means(
+        [HalfSums(*sums[:SUMS_OF_HALF]), HalfSums(*sums[SUMS_OF_HALF : 2 * SUMS_OF_HALF])],
+        _compute_albedo_luminance(albedo, (X, Y)),
+    )
+    for first in range(HALF_COUNT * SUMS_OF_HALF, len(sums), COLORS + 1):
         *colour, total = sums[first : first + COLORS + 1]
         found.append([hl.select(total > hl.f32(0.0), value / total, hl.f32(0.0)) for value in colour])
     out[C, X, Y] = hl.Tuple([hl.select(mask[X, Y] != 0, hl.mux(C, image), hl.f32(0.0)) for image in found])
@@ -255,13 +258,13 @@ def _read_images(
     values: list[hl.Expr] = []
     for image in images:
         radiance, good = demodulate(image, albedo, at, hl.f32(ALBEDO_FLOOR))
-        share = _find_share(albedo, at)
+        share = _compute_albedo_luminance(albedo, at)
         radiance = _fill_unknown(radiance, [albedo[k, at[0], at[1]] for k in range(COLORS)])
         values += [hl.select(good & usable, value * share, hl.f32(0.0)) for value in (*radiance, hl.f32(1.0))]
     return values
 
 
-def _find_distance(guide: hl.Func, step: hl.Expr, noise: hl.Expr) -> hl.Expr:
+def _compute_distance(guide: hl.Func, step: hl.Expr, noise: hl.Expr) -> hl.Expr:
     """Return the distance of a pixel and a tap in the guide: beyond noise, in units of noise, times log2(e).
 
     ``noise`` is the factor of the variance.
@@ -284,13 +287,13 @@ def _fill_unknown(light: Sequence[hl.Expr], tints: Sequence[hl.Expr]) -> list[hl
     return [hl.select(each, value, mean) for each, value in zip(known, light, strict=True)]
 
 
-def _find_share(albedo: hl.Func, at: tuple[hl.Expr, hl.Expr]) -> hl.Expr:
+def _compute_albedo_luminance(albedo: hl.Func, at: tuple[hl.Expr, hl.Expr]) -> hl.Expr:
     """Return the luminance of the albedo at a pixel; bad channels count as 0."""
     tints = [albedo[k, at[0], at[1]] for k in range(COLORS)]
-    return find_luminance([hl.select(expressions.is_bad(tint), hl.f32(0.0), tint) for tint in tints])
+    return compute_expression_luminance([hl.select(expressions.is_bad(tint), hl.f32(0.0), tint) for tint in tints])
 
 
-def _find_means(halves: Sequence[HalfSums], share: hl.Expr) -> list[list[hl.Expr]]:
+def _compute_means(halves: Sequence[HalfSums], share: hl.Expr) -> list[list[hl.Expr]]:
     """Return the output images. A half whose weights are all 0 takes the mean of the other half."""
     zero, one = hl.f32(0.0), hl.f32(1.0)
     totals = [half.weight for half in halves]
@@ -306,7 +309,7 @@ def _find_means(halves: Sequence[HalfSums], share: hl.Expr) -> list[list[hl.Expr
     ]
     found = [
         [hl.select(totals[half] > zero, means[half][k], means[1 - half][k]) for k in range(COLORS)]
-        for half in range(HALVES)
+        for half in range(HALF_COUNT)
     ]
     weight = hl.f32(0.5) * (totals[0] + totals[1]) / hl.max(share, hl.f32(ALBEDO_FLOOR))
     # If one half is empty, both means are the other half's. The empty half has the larger spread.

@@ -24,12 +24,12 @@ from lobewise.backend.expressions import is_good
 from lobewise.backend.jit import Scheduled
 from lobewise.backend.pointwise import LARGEST_FLOAT, Grid, Vector, select_or_nan
 from lobewise.backend.signature import Signature
-from lobewise.filters.cross_pass import ALBEDO_FLOOR, demodulate, find_luminance
+from lobewise.filters.cross_pass import ALBEDO_FLOOR, compute_expression_luminance, demodulate
 from lobewise.filters.planes import C, X, Y
 from lobewise.filters.scheduling import LINE, STRIP, STRIP_ROWS, schedule_stencil, spread_pixels
 from lobewise.frame import FloatArray
 
-REACH = 6
+FIREFLY_REACH = 6
 """Pixels from the centre of the window to its edge: about the radius of a filter kernel."""
 MAX_RATIO_TO_WINDOW = 2.0
 """Largest luminance of a pixel over that of the second brightest other pixel of its window. The brightest is ignored,
@@ -73,7 +73,7 @@ class BoundedHalves(NamedTuple):
     @property
     def energy_lost(self) -> float:
         """Share of the luminance that was taken away, in [0, 1]."""
-        return find_energy_lost([self.tally])
+        return compute_energy_lost([self.tally])
 
 
 @returns_host_images
@@ -140,7 +140,11 @@ def cut_samples(color: FloatArray, bounded: FloatArray) -> FloatArray:
 def define_cut(grid: Grid) -> list[Vector]:
     color, bounded = grid.read("color"), grid.read("bounded")
     # Divide before multiplying: products of huge pixels overflow.
-    most = find_luminance(bounded) / hl.max(find_luminance(color), hl.f32(1e-30)) * hl.f32(MAX_RATIO_TO_BOUNDED)
+    most = (
+        compute_expression_luminance(bounded)
+        / hl.max(compute_expression_luminance(color), hl.f32(1e-30))
+        * hl.f32(MAX_RATIO_TO_BOUNDED)
+    )
     cut = [hl.select(most < hl.f32(1.0), value * most, value) for value in color]
     return [[select_or_nan(is_good(bounded), value) for value in cut]]
 
@@ -154,7 +158,7 @@ def take_halves(halves: tuple[Image, Image], albedo: FloatArray | None, mask: ND
     return {**images, "mask": take_mask(mask)}
 
 
-def find_energy_lost(tallies: Sequence[NDArray[np.float64]]) -> float:
+def compute_energy_lost(tallies: Sequence[NDArray[np.float64]]) -> float:
     """Return the share of the light of all layers that was taken away, in [0, 1], from their tallies."""
     before, taken = (sum(float(tally[:, k].sum()) for tally in tallies) for k in range(2))
     return min(taken / before, 1.0) if before > 0.0 else 0.0
@@ -253,11 +257,13 @@ def define_light(halves: Sequence[hl.ImageParam], albedo: hl.ImageParam | None, 
     raw: list[hl.Expr] = []
     for half in halves:
         radiance, good = demodulate(half, albedo, at, hl.f32(ALBEDO_FLOOR))
-        luminance = find_luminance(radiance)
+        luminance = compute_expression_luminance(radiance)
         # The luminance of finite channels may overflow to infinity.
         good = good & inside & (mask[at] != 0) & (luminance < hl.f32(LARGEST_FLOAT))
         lights.append(hl.select(good, luminance, hl.f32(UNCOUNTED)))
-        raw.append(hl.select(good, find_luminance([half[k, at[0], at[1]] for k in range(3)]), hl.f32(0.0)))
+        raw.append(
+            hl.select(good, compute_expression_luminance([half[k, at[0], at[1]] for k in range(3)]), hl.f32(0.0))
+        )
     light = hl.Func("light")
     light[X, Y] = hl.Tuple([*lights, *raw])
     return light
@@ -289,7 +295,7 @@ def _define_crowds(both: hl.Func) -> list[hl.Func]:
     """Return the crowds of the 1, 2, 4 ... pixels from (x, y) on to the right; a few of them make up a window's row."""
     crowds = [hl.Func("crowd1")]
     crowds[0][X, Y] = hl.Tuple([both[X, Y], hl.f32(UNCOUNTED), hl.f32(both[X, Y] >= hl.f32(0.0))])
-    while 1 << len(crowds) <= 2 * REACH + 1:
+    while 1 << len(crowds) <= 2 * FIREFLY_REACH + 1:
         length = 1 << len(crowds)
         crowds.append(hl.Func(f"crowd{length}"))
         first, second = (_read_crowd(crowds[-2], X + k, Y) for k in (0, length // 2))
@@ -310,7 +316,10 @@ def _define_row(crowds: Sequence[hl.Func]) -> hl.Func:
         return read_crowds
 
     row = hl.Func("row")
-    whole, beside = gather(-REACH, 2 * REACH + 1), [*gather(-REACH, REACH), *gather(1, REACH)]
+    whole, beside = (
+        gather(-FIREFLY_REACH, 2 * FIREFLY_REACH + 1),
+        [*gather(-FIREFLY_REACH, FIREFLY_REACH), *gather(1, FIREFLY_REACH)],
+    )
     row[X, Y] = hl.Tuple([*_join_all(whole), *_join_all(beside)])
     return row
 
@@ -318,7 +327,7 @@ def _define_row(crowds: Sequence[hl.Func]) -> hl.Func:
 def _define_factor(light: hl.Func, row: hl.Func) -> hl.Func:
     """Return the factor of each half, in (0, 1]."""
     window, factor = hl.Func("window"), hl.Func("factor")
-    rows = [_read_crowd(row, X, Y + k) for k in range(-REACH, REACH + 1) if k != 0]
+    rows = [_read_crowd(row, X, Y + k) for k in range(-FIREFLY_REACH, FIREFLY_REACH + 1) if k != 0]
     others = _join_all([_read_crowd(row, X, Y, len(Crowd._fields)), *rows])
     bound = hl.max(others.second, hl.f32(0.0)) * hl.f32(MAX_RATIO_TO_WINDOW)
     window[X, Y] = hl.select(others.count >= hl.f32(MIN_WINDOW_PIXELS), bound, hl.f32(LARGEST_FLOAT))

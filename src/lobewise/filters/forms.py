@@ -25,8 +25,8 @@ class Taps(Enum):
     """5x5 pixels, ``step`` pixels apart, with B-spline weights."""
 
 
-def list_passes(form: str, radius: int) -> list[tuple[Taps, int, int]]:
-    """Return taps, radius and step of each pass of a form of `lobewise.settings.FORMS`."""
+def list_form_passes(form: str, radius: int) -> list[tuple[Taps, int, int]]:
+    """Return taps, radius and step of each pass of a form of `lobewise.settings.FORM_NAMES`."""
     if form == "full":
         return [(Taps.SQUARE, radius, 1)]
     if form == "separable":

@@ -13,11 +13,11 @@ from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS
 
 
 def define_bad(grid: Grid) -> list[Vector]:
-    """Return where a pixel of any image is NaN, infinite or negative; see `find_bad_pixels`."""
+    """Return where a pixel of any image is NaN, infinite or negative; see `mark_bad_pixels`."""
     return [[hl.u8(~reduce(and_, (is_good(grid.read(name)) for name in grid.images)))]]
 
 
-def define_both(grid: Grid) -> list[Vector]:
+def define_common_mask(grid: Grid) -> list[Vector]:
     """Return where all masks hold."""
     return [[hl.u8(reduce(and_, (grid.read_one(name) != 0 for name in grid.images)))]]
 
@@ -36,7 +36,7 @@ def read_parts(grid: Grid, prefix: str) -> list[Vector]:
 
 
 def read_rest(grid: Grid) -> Vector:
-    """Return the light that is in none of the parts ``noisy0`` and so on of ``color``; see `find_rest`."""
+    """Return the light that is in none of the parts ``noisy0`` and so on of ``color``; see `compute_rest`."""
     zero = hl.f32(0.0)
     rest = grid.read("color")
     for part in read_parts(grid, "noisy"):
@@ -78,7 +78,7 @@ def define_filtered_sum(grid: Grid, count: int) -> list[Vector]:
     untouched = reduce(and_, (weight <= hl.f32(0.0) for weight in weights))
     outputs = [total, [hl.u8(~is_good(total) | ((grid.read_one("bad") != 0) & untouched))]]
     if count > 1:
-        outputs += [[value] for value in find_support(grid, weights)]
+        outputs += [[value] for value in compute_support(grid, weights)]
     elif grid.has("exact") or grid.has("color"):
         outputs += [weights, [grid.read_one("effective0")]]
     return outputs + (parts if len(outputs) > 2 else [])
@@ -97,13 +97,13 @@ def _add_colors(first: Vector, second: Vector) -> Vector:
 
 
 def define_support(grid: Grid, count: int) -> list[Vector]:
-    """Return weight sum and effective samples of the least supported of ``count`` layers; see `find_support`."""
+    """Return weight sum and effective samples of the least supported of ``count`` layers; see `compute_support`."""
     supports = [grid.read(f"support{number}") for number in range(count)]
     weights, samples = ([support[k] for support in supports] for k in range(2))
-    return [[value] for value in find_support(grid, weights, samples)]
+    return [[value] for value in compute_support(grid, weights, samples)]
 
 
-def find_support(grid: Grid, weights: Sequence[hl.Expr], samples: Sequence[hl.Expr] | None = None) -> list[hl.Expr]:
+def compute_support(grid: Grid, weights: Sequence[hl.Expr], samples: Sequence[hl.Expr] | None = None) -> list[hl.Expr]:
     """Return weight sum and effective samples of the least supported layer that reflects anything at a pixel.
 
     Where no layer's lobe reflects (a light, the background) those of the first layer count.
@@ -173,7 +173,7 @@ def define_good(grid: Grid) -> list[Vector]:
 
 
 def define_whole_albedo(grid: Grid, least: float) -> list[Vector]:
-    """Return the albedo of all light; see `find_whole_albedo`."""
+    """Return the albedo of all light; see `compute_whole_albedo`."""
     known: Sequence[Vector] = [grid.read(name) for name in grid.images]
     albedo = known[0] if len(known) == 1 else [a + b for a, b in zip(*known, strict=True)]
     bound = hl.f32(least)
@@ -217,7 +217,8 @@ def define_shifted(grid: Grid) -> list[Vector]:
 
 
 def define_near_hits(grid: Grid, most: float) -> list[Vector]:
-    """Return albedo and normal of reflected surfaces: their own values in mirrors, else averages; see `find_seen`."""
+    """Return albedo and normal of reflected surfaces: their own values in mirrors, else averages; see
+    `make_seen_feature`."""
     near = grid.read("near")
     averages = [hl.f32(2.0) * value - hl.f32(1.0) for value in grid.read("shifted")]
     widths = [grid.read_one(name) for name in ("alpha_u", "alpha_v") if grid.has(name)]
@@ -266,7 +267,7 @@ def define_channel(grid: Grid, number: int) -> list[Vector]:
 
 
 def define_share_taken(grid: Grid, most: float) -> list[Vector]:
-    """Return the share of the noisy image that is taken back; see `find_share_lost`."""
+    """Return the share of the noisy image that is taken back; see `estimate_share_lost`."""
     zero, color = hl.f32(0.0), grid.read("color")
     share = hl.select(is_good(color), grid.read("shares")[0], zero)
     if grid.has("certain"):
@@ -288,7 +289,7 @@ def define_mixed(grid: Grid) -> list[Vector]:
 
 
 def define_takers(grid: Grid, most: float) -> list[Vector]:
-    """Return the share of each pixel's light that takes part in sharing; see `find_takers`."""
+    """Return the share of each pixel's light that takes part in sharing; see `compute_takers`."""
     part = grid.read("part")
     light = _add_doubles(part, is_good(part))
     bound = hl.f64(3.0)

@@ -43,11 +43,11 @@ because a few bright samples lie side by side by chance."""
 MIN_PAIR_RATIO, MAX_HALVES_RATIO = 10.0, 1.25
 """Smallest luminance of two neighbours over the mean of the surroundings, if the halves of each pixel agree; and the
 largest luminance of the brighter half over that of the darker for which halves agree."""
-MIN_EDGE_RATIO = 1.5
+MIN_HIGHLIGHT_EDGE_RATIO = 1.5
 """Smallest luminance of a highlight's edge, a pixel beside such a block, over the mean of the surroundings."""
-BLOCK, SHARED_BLOCK = 2, 3
+BLOCK_WIDTH, SHARED_BLOCK_WIDTH = 2, 3
 """Width of a block, pixels. The second counts if pixels share their noise, because a firefly then fills 2x2 pixels."""
-REACH = max(RING_RADIUS, SHARED_BLOCK - 1) + 1
+HIGHLIGHT_REACH = max(RING_RADIUS, SHARED_BLOCK_WIDTH - 1) + 1
 """Distance of the farthest pixel that affects a pixel, rows or columns."""
 
 
@@ -88,10 +88,11 @@ def split_highlights(
     """Return two halves of the samples without the light of small highlights, and the light of the highlights.
 
     A pixel belongs to a highlight if one of these holds, all relative to the mean of the surroundings: it lies in a
-    block of `BLOCK` x `BLOCK` pixels that are all `MIN_BLOCK_RATIO` times as bright; it is one of three pixels of a
-    block that are `MIN_CORNER_RATIO` times as bright; it touches such a pixel and is `MIN_EDGE_RATIO` times as bright.
-    Luminances over albedo are compared. The darker half of a pixel counts, so that light which one half alone has seen
-    is no highlight. The light above the mean of the surroundings is split off.
+    block of `BLOCK_WIDTH` x `BLOCK_WIDTH` pixels that are all `MIN_BLOCK_RATIO` times as bright; it is one of three
+    pixels of a block that are `MIN_CORNER_RATIO` times as bright; it touches such a pixel and is
+    `MIN_HIGHLIGHT_EDGE_RATIO` times as bright. Luminances over albedo are compared. The darker half of a pixel counts,
+    so that light which one half alone has seen is no highlight. The light above the mean of the surroundings is split
+    off.
 
     Parameters
     ----------
@@ -103,7 +104,7 @@ def split_highlights(
     mask : bool array, shape (height, width)
         False where a pixel does not belong to the layer: it neither counts nor changes.
     shared : bool
-        Neighbouring pixels share their noise: blocks are `SHARED_BLOCK` pixels wide, and all their pixels must be
+        Neighbouring pixels share their noise: blocks are `SHARED_BLOCK_WIDTH` pixels wide, and all their pixels must be
         bright.
     single : bool
         Pixels have one sample each: all pixels of a block must be `MIN_SINGLE_RATIO` times as bright.
@@ -201,7 +202,7 @@ def _define_level(rows: hl.Func) -> hl.Func:
 
 def _define_blocks(least: hl.Func, kinds: Kinds) -> hl.Func:
     """Return the smallest and second smallest luminance of the block whose first corner is a pixel."""
-    side, blocks = SHARED_BLOCK if kinds.shared else BLOCK, hl.Func("blocks")
+    side, blocks = SHARED_BLOCK_WIDTH if kinds.shared else BLOCK_WIDTH, hl.Func("blocks")
     values = [least[X + column, Y + row] for row in range(side) for column in range(side)]
     lowest, second = values[0], hl.f32(LARGEST_FLOAT)
     for value in values[1:]:
@@ -212,7 +213,7 @@ def _define_blocks(least: hl.Func, kinds: Kinds) -> hl.Func:
 
 def _define_core(least: hl.Func, blocks: hl.Func, level: hl.Func, agreed: hl.Func, kinds: Kinds) -> hl.Func:
     """Return whether a block or pair that contains the pixel is a highlight, 1 or 0."""
-    side, core = SHARED_BLOCK if kinds.shared else BLOCK, hl.Func("core")
+    side, core = SHARED_BLOCK_WIDTH if kinds.shared else BLOCK_WIDTH, hl.Func("core")
     whole = three = hl.f32(0.0)
     for row in range(side):
         for column in range(side):
@@ -243,7 +244,7 @@ def _define_share(both: hl.Func, level: hl.Func, core: hl.Func) -> hl.Func:
     for row in (-1, 0, 1):
         for column in (-1, 0, 1):
             near = hl.max(near, core[X + column, Y + row])
-    edge = (near > hl.f32(0.0)) & (around < here / hl.f32(MIN_EDGE_RATIO))
+    edge = (near > hl.f32(0.0)) & (around < here / hl.f32(MIN_HIGHLIGHT_EDGE_RATIO))
     taken = (core[X, Y] > hl.f32(0.0)) | edge
     share[X, Y] = hl.select(taken & (here > around), hl.f32(1.0) - around / hl.max(here, hl.f32(1e-30)), hl.f32(0.0))
     return share

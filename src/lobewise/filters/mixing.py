@@ -24,13 +24,13 @@ from lobewise.errors import InputError
 from lobewise.filters.planes import C, X, Y
 from lobewise.frame import FloatArray
 
-LAYERS = 3
+LAYER_COUNT = 3
 """Layers of a network: two hidden ones and the output."""
-LEAK = 0.01
+PERCEPTRON_LEAK = 0.01
 """Slope of the activation of hidden units below 0 (leaky ReLU)."""
 
 
-class Network(NamedTuple):
+class Perceptron(NamedTuple):
     """A perceptron with two hidden layers, its inputs centred and scaled.
 
     Parameters
@@ -57,22 +57,22 @@ class Network(NamedTuple):
         sizes = [inputs, *(bias.size for bias in self.biases[:-1]), candidates]
         expected = [(inputs,), (inputs,), *pairwise(sizes), *((size,) for size in sizes[1:])]
         arrays = self.name_arrays().values()
-        if len(sizes) != LAYERS + 1 or 0 in sizes or [array.shape for array in arrays] != expected:
+        if len(sizes) != LAYER_COUNT + 1 or 0 in sizes or [array.shape for array in arrays] != expected:
             raise InputError(
                 "network",
-                expected=f"{LAYERS} layers from {inputs} inputs to {candidates} outputs",
+                expected=f"{LAYER_COUNT} layers from {inputs} inputs to {candidates} outputs",
                 got="arrays of shapes " + ", ".join(str(array.shape) for array in arrays),
                 action="use one that was trained for these candidates and extras",
             )
 
 
-def find_shares(seen: FloatArray, network: Network, count: int) -> FloatArray:
+def compute_shares(seen: FloatArray, network: Perceptron, count: int) -> FloatArray:
     """Return the softmax of a network's outputs at every pixel, shape (height, width, count), in [0, 1].
 
     Parameters
     ----------
     seen : array, shape (height, width, features)
-    network : Network
+    network : Perceptron
     count : int
         Outputs of the network, at least 2.
 
@@ -108,7 +108,7 @@ def make_shares(sizes: Sequence[int], target: hl.Target) -> Scheduled:
         summed[X, C, Y] = bias[C]
         summed[X, C, Y] = summed[X, C, Y] + weights[C, over.x] * layer[X, over.x, Y]
         value = summed[X, C, Y]
-        active[X, C, Y] = value if number == LAYERS - 1 else hl.max(value, hl.f32(LEAK) * value)
+        active[X, C, Y] = value if number == LAYER_COUNT - 1 else hl.max(value, hl.f32(PERCEPTRON_LEAK) * value)
         stages += [(summed, count), (active, count)]
         layer = active
     highest = reduce(hl.max, (layer[X, k, Y] for k in range(outputs)))

@@ -16,7 +16,7 @@ from lobewise.backend.jit import Scheduled
 from lobewise.backend.pointwise import LARGEST_FLOAT
 from lobewise.backend.signature import Signature
 from lobewise.engine.numbers import choose_larger
-from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS, demodulate, find_luminance
+from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS, compute_expression_luminance, demodulate
 from lobewise.filters.dual_buffer import GUIDE_CHANNELS
 from lobewise.filters.planes import C, X, Y
 from lobewise.filters.scheduling import COLUMNS, ROWS, STRIP, count_lanes, keep_planes, keep_rows, schedule_stencil
@@ -27,9 +27,9 @@ BLUR_RADIUS = 3
 _PROFILE = [math.exp(-0.5 * k * k) for k in range(-BLUR_RADIUS, BLUR_RADIUS + 1)]
 VARIANCE_BLUR = tuple(weight / sum(_PROFILE) for weight in _PROFILE)
 """Gaussian of standard deviation 1 pixel, which blurs the variance."""
-MIN_VARIANCE = 5e-4
+MIN_LOG_VARIANCE = 5e-4
 """Smallest variance of the mean of logarithms: relative differences below about 4 % are never distinguished."""
-MIN_VARIANCE_WITHOUT_HALVES = 1e-4
+MIN_LOG_VARIANCE_WITHOUT_HALVES = 1e-4
 """Smallest variance for an image without halves, whose noise is estimated from more pixels than with halves."""
 LOG_OFFSET_SHARE = 0.04
 """Offset added before taking the logarithm, as a share of the mean light of the whole image."""
@@ -88,7 +88,7 @@ def make_light_sums(tinted: bool, target: hl.Target) -> Scheduled:
     total, count = hl.f32(0.0), hl.f32(0.0)
     for half in images[:2]:
         radiance, good = demodulate(half, images[2] if tinted else None, at, hl.f32(ALBEDO_FLOOR))
-        light = find_luminance(radiance)
+        light = compute_expression_luminance(radiance)
         # The luminance of finite channels may overflow to infinity.
         good = good & (light < hl.f32(LARGEST_FLOAT))
         total = total + hl.select(good, light, hl.f32(0.0))
@@ -150,17 +150,17 @@ def _count_light(sums: Image, mask: NDArray[np.bool_]) -> NDArray[np.float64]:
 
 def measure_level(sums: Image, mask: NDArray[np.bool_]) -> float:
     """Return the mean light of a layer; see `add_light`, which makes the sums. It is 0 if no pixel counts."""
-    return find_level(_count_light(sums, mask))
+    return compute_mean_light(_count_light(sums, mask))
 
 
-def find_level(rows: NDArray[np.float64]) -> float:
+def compute_mean_light(rows: NDArray[np.float64]) -> float:
     """Return the mean light of rows measured by `measure_light`; 0 if no pixel counts."""
     light, count = rows.sum(axis=0)
     return float(light / max(count, 1.0))
 
 
 @returns_host_images
-def make_noise_guide(a: Image, b: Image, level: float, *, floor: float = MIN_VARIANCE) -> Image:
+def make_noise_guide(a: Image, b: Image, level: float, *, floor: float = MIN_LOG_VARIANCE) -> Image:
     """Return the mean of ``ln(a + d)`` and ``ln(b + d)``, and its variance, shape (height, width, 4).
 
     ``d`` is ``LOG_OFFSET_SHARE * level``: scaling the image only adds a constant to the guide. The variance is a
@@ -171,18 +171,18 @@ def make_noise_guide(a: Image, b: Image, level: float, *, floor: float = MIN_VAR
     a, b : array, shape (height, width, 3)
         Two filtered halves, finite, >= 0.
     level : float
-        Mean light of the samples of the whole image (`find_level`), >= 0; the same for every part of an image.
+        Mean light of the samples of the whole image (`compute_mean_light`), >= 0; the same for every part of an image.
     floor : float
         Added to the variance.
     """
     shape = (*a.shape[:2], COLORS)
     images = {name: take_image("half", image, shape) for name, image in (("a", a), ("b", b))}
-    numbers = {"offset": find_log_offset(level), "floor": floor}
+    numbers = {"offset": compute_log_offset(level), "floor": floor}
     made = engine.kernel(("noise guide",), make_scheduled_noise_guide, images, numbers, text="noise guide")
     guide: Image = made["guide"]
     return guide
 
 
-def find_log_offset(level: float) -> float:
+def compute_log_offset(level: float) -> float:
     """Return the offset under the logarithms of an image with mean light ``level``."""
     return choose_larger(LOG_OFFSET_SHARE * level, 1e-30)

@@ -1,8 +1,8 @@
 """The values of a pixel that taps read: the features' arrays as planes, side by side in each row.
 
 Guides are the input channels of all features, replaced by neutral values where a pixel has no meaning. Planes are the
-results of `Feature.prepare` for the guides. Where taps reach beyond the image, either coordinates are clamped or `Rows`
-fills the margins.
+results of `Feature.prepare` for the guides. Where taps reach beyond the image, either coordinates are clamped or
+`Columns` fills the margins.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def clamp_likely(x: hl.Expr, length: hl.Expr) -> hl.Expr:
     return hl.clamp(hl.likely(x), 0, length - 1)
 
 
-class Rows:
+class Columns:
     """The columns of an image in parts that need no clamping, for processors.
 
     A clamped load becomes one load for each lane of a vector, and needs code for the left, the middle and the right of
@@ -153,7 +153,7 @@ class GuidePlanes:
     layouts: list[Layout]
     """Layout of each feature."""
     row_guides: list[hl.Func] = field(default_factory=list)
-    """Guides by part of `Rows.parts`, if there are rows; ``guides`` is None then."""
+    """Guides by part of `Columns.parts`, if there are rows; ``guides`` is None then."""
 
     def read(self, layout: Layout, x: hl.Expr, y: hl.Expr) -> Pixel:
         """Return the planes of one feature at a pixel."""
@@ -169,7 +169,7 @@ def make_guide_planes(
     arrays: Sequence[hl.ImageParam],
     *,
     inside: bool = False,
-    rows: Rows | None = None,
+    rows: Columns | None = None,
 ) -> GuidePlanes:
     """Return the planes of every feature on the grid of ``mask``.
 
@@ -205,7 +205,7 @@ def make_guide_planes(
 def make_image(
     name: str,
     mask: hl.ImageParam,
-    rows: Rows | None,
+    rows: Columns | None,
     take: Callable[[tuple[hl.Expr, hl.Expr], hl.Expr], hl.Expr],
 ) -> hl.Func:
     """Return a function of (x, c, y) from ``take(pixel, usable)``, called with a pixel and whether it has meaning.

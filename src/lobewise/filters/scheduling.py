@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from lobewise.backend.compiler import declare_vars, hl
-from lobewise.filters.planes import C, GuidePlanes, Rows, X, Y
+from lobewise.filters.planes import C, Columns, GuidePlanes, X, Y
 
 STRIP_ROWS = 32
 """Rows that a thread of a processor takes at a time."""
@@ -60,7 +60,7 @@ def schedule_stencil(
             func.compute_at(out, loop).vectorize(X, lanes).never_partition_all()
 
 
-def fill_planes(planes: GuidePlanes, rows: Rows, strips: tuple[hl.Func, hl.Var]) -> None:
+def fill_planes(planes: GuidePlanes, rows: Columns, strips: tuple[hl.Func, hl.Var]) -> None:
     """Compute planes per strip, the planes of a row side by side; ``strips`` is the loop over strips.
 
     In the input the channels of a pixel lie together: a vector of pixels is deinterleaved once, not once per plane.
@@ -77,8 +77,8 @@ def fill_planes(planes: GuidePlanes, rows: Rows, strips: tuple[hl.Func, hl.Var])
             guides.vectorize(X, rows.lanes)
 
 
-def fill_rows(func: hl.Func, channels: int, rows: Rows) -> None:
-    """Compute a function of `Rows`, the channels of a row side by side, in whole vectors as far as possible."""
+def fill_rows(func: hl.Func, channels: int, rows: Columns) -> None:
+    """Compute a function of `Columns`, the channels of a row side by side, in whole vectors as far as possible."""
     func.bound(C, 0, channels).reorder_storage(X, C, Y).align_storage(X, rows.lanes).align_bounds(X, rows.lanes)
     for number, domain in enumerate((*rows.margins, *rows.parts)):
         update = func.update(number).unroll(C)

@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from lobewise.chunks import Chunk, run_chunks
 from lobewise.filters.compositing import UNKNOWN_SPP
 from lobewise.frame import FloatArray
-from lobewise.guides.squares import find_largest, sum_square
-from lobewise.lobes.vectors import find_image_luminance
+from lobewise.guides.squares import compute_square_maximum, sum_square
+from lobewise.lobes.vectors import compute_image_luminance
 
 MIN_BLUR_RADIUS = 1.5
 """Radius, pixels, from which a pixel counts as out of focus."""
@@ -39,16 +39,16 @@ BRIGHT_SHARE = 1.0 / 3.0
 """Luminance over the largest within `BRIGHT_RADIUS` pixels from which a pixel counts as bright."""
 BRIGHT_RADIUS, VIEW_RADIUS = 2, 5
 """The latter is the distance within which a dark pixel looks for bright ones all around, rows or columns."""
-DIRECTIONS = 8
+DIRECTION_COUNT = 8
 RANK = 4
 """Rank, from the brightest, of the neighbour that bounds a pixel's luminance."""
-SPREAD_RADIUS, MAX_GAIN = 2, 0.25
+SPREAD_RADIUS, MAX_SHARE_GIVEN = 2, 0.25
 """Radius of the square that the excess is handed out over, pixels, and the largest share of its own luminance that a
 pixel gets of one other: what is more stays where it was."""
 RIM = 4
 """Distance from a pixel out of focus, rows or columns, within which a pixel may belong to the rim of a disc, unless it
 is known to be in focus."""
-REACH = MAX_TURNS + VIEW_RADIUS + 2 * SPREAD_RADIUS + 1
+SPECK_REACH = MAX_TURNS + VIEW_RADIUS + 2 * SPREAD_RADIUS + 1
 """Distance of the farthest pixel that affects a pixel, rows or columns."""
 
 
@@ -72,7 +72,7 @@ class Sharing:
         return exchange(light, self.turns) * self.gain[..., None]
 
 
-def find_sharing(light: FloatArray, blur_radius: FloatArray, spp: int | None) -> Sharing:
+def choose_sharing(light: FloatArray, blur_radius: FloatArray, spp: int | None) -> Sharing:
     """Return how the light that no surface scatters is shared.
 
     Parameters
@@ -86,9 +86,9 @@ def find_sharing(light: FloatArray, blur_radius: FloatArray, spp: int | None) ->
     """
     turns = count_turns(light, blur_radius, spp)
     blurred = np.isfinite(blur_radius) & (blur_radius >= MIN_BLUR_RADIUS)
-    near = find_largest(blurred, RIM)
+    near = compute_square_maximum(blurred, RIM)
     near &= ~(blur_radius < MIN_BLUR_RADIUS)
-    return Sharing(turns, _find_gain(find_image_luminance(exchange(light, turns)), near))
+    return Sharing(turns, _compute_gain(compute_image_luminance(exchange(light, turns)), near))
 
 
 def exchange(light: FloatArray, turns: NDArray[np.int64]) -> FloatArray:
@@ -104,21 +104,21 @@ def exchange(light: FloatArray, turns: NDArray[np.int64]) -> FloatArray:
 def count_turns(light: FloatArray, blur_radius: FloatArray, spp: int | None) -> NDArray[np.int64]:
     """Return how often each pixel shares its light, (height, width); 0 for not at all.
 
-    Parameters are those of `find_sharing`.
+    Parameters are those of `choose_sharing`.
     """
     known = np.isfinite(blur_radius) & (blur_radius >= MIN_BLUR_RADIUS)
     radius = np.where(known, blur_radius, np.float32(0.0)).astype(np.float64)
     turns = np.minimum(TURNS * np.cbrt(radius / (spp or UNKNOWN_SPP)) ** 2, MAX_TURNS).astype(np.int64)
     if turns.any():
-        bright = np.where(turns > 0, find_image_luminance(light), np.float32(0.0))
-        turns[~_find_sharing(bright)] = 0
+        bright = np.where(turns > 0, compute_image_luminance(light), np.float32(0.0))
+        turns[~_mark_sharing(bright)] = 0
     return turns
 
 
-def _find_sharing(bright: FloatArray) -> NDArray[np.bool_]:
+def _mark_sharing(bright: FloatArray) -> NDArray[np.bool_]:
     """Return which pixels share, (height, width), by their luminance: those that are bright, or amid bright ones."""
     height, width = bright.shape
-    padded, least = np.pad(bright, VIEW_RADIUS), BRIGHT_SHARE * find_largest(bright, BRIGHT_RADIUS)
+    padded, least = np.pad(bright, VIEW_RADIUS), BRIGHT_SHARE * compute_square_maximum(bright, BRIGHT_RADIUS)
     sharing, views = np.empty((height, width), np.bool_), _list_views()
 
     def find(chunk: Chunk) -> None:
@@ -127,7 +127,7 @@ def _find_sharing(bright: FloatArray) -> NDArray[np.bool_]:
         for (y, x), sides in views.items():
             there = padded[rows.start + y : rows.stop + y, columns.start + x : columns.stop + x]
             seen |= (there >= floor).view(np.uint8) * sides
-        sharing[chunk] = (floor > 0.0) & ((bright[chunk] >= floor) | (seen == np.uint8((1 << DIRECTIONS) - 1)))
+        sharing[chunk] = (floor > 0.0) & ((bright[chunk] >= floor) | (seen == np.uint8((1 << DIRECTION_COUNT) - 1)))
 
     run_chunks(find, height, width)
     return sharing
@@ -135,7 +135,7 @@ def _find_sharing(bright: FloatArray) -> NDArray[np.bool_]:
 
 def _list_views() -> dict[tuple[int, int], np.uint8]:
     """Return by step from the corner of the view the directions, a bit for each, that a pixel there lies ahead of."""
-    turns = [2.0 * math.pi * number / DIRECTIONS for number in range(DIRECTIONS)]
+    turns = [2.0 * math.pi * number / DIRECTION_COUNT for number in range(DIRECTION_COUNT)]
     views = {}
     for y in range(-VIEW_RADIUS, VIEW_RADIUS + 1):
         for x in range(-VIEW_RADIUS, VIEW_RADIUS + 1):
@@ -146,21 +146,23 @@ def _list_views() -> dict[tuple[int, int], np.uint8]:
     return views
 
 
-def _find_gain(bright: FloatArray, near: NDArray[np.bool_]) -> FloatArray:
+def _compute_gain(bright: FloatArray, near: NDArray[np.bool_]) -> FloatArray:
     """Return the factors by which pixels hand out what is above their bound, (height, width), by their luminance."""
     gain = np.ones_like(bright)
     if not near.any():
         return gain
-    bound = _find_bound(bright)
+    bound = _compute_bound(bright)
     bounded = np.where(near, np.minimum(bright, bound), bright)
     takes = np.where(near, bounded, np.float32(0.0))
     taken = sum_square(takes, SPREAD_RADIUS)
-    share = np.minimum(np.divide(bright - bounded, taken, out=np.zeros_like(bright), where=taken > 0.0), MAX_GAIN)
+    share = np.minimum(
+        np.divide(bright - bounded, taken, out=np.zeros_like(bright), where=taken > 0.0), MAX_SHARE_GIVEN
+    )
     total = bright - share * taken + takes * sum_square(share, SPREAD_RADIUS)
     return np.asarray(np.divide(total, bright, out=gain, where=bright > 0.0))
 
 
-def _find_bound(bright: FloatArray) -> FloatArray:
+def _compute_bound(bright: FloatArray) -> FloatArray:
     """Return the luminance of the neighbour of rank `RANK`, of the eight around each pixel; borders are repeated."""
     height, width = bright.shape
     padded = np.pad(bright, 1, mode="edge")

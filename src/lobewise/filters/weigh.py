@@ -13,7 +13,7 @@ from lobewise.backend import expressions
 from lobewise.backend.compiler import declare_vars, hl
 from lobewise.features.base import Feature, Stage
 from lobewise.filters.forms import Taps
-from lobewise.filters.planes import C, GuidePlanes, Rows, X, Y, make_guide_planes, make_image
+from lobewise.filters.planes import C, Columns, GuidePlanes, X, Y, make_guide_planes, make_image
 from lobewise.filters.scheduling import STRIP_ROWS, fill_planes, fill_rows, keep_planes, spread_channels
 from lobewise.settings import LARGEST_RADIUS
 
@@ -53,7 +53,7 @@ class TapSums:
     def __init__(self, mask: hl.ImageParam, taps: Taps, reach: hl.Expr, step: hl.Expr, lanes: int) -> None:
         self._mask, self._taps, self._reach, self._step = mask, taps, reach, step
         across = hl.i32(0) if taps is Taps.VERTICAL else step * reach
-        self._rows = Rows(mask.width(), across, lanes) if lanes else None
+        self._rows = Columns(mask.width(), across, lanes) if lanes else None
         self._images: list[tuple[hl.Func, int]] = []
         self._planes: list[GuidePlanes] = []
         self._stages: list[hl.Func] = []

@@ -28,7 +28,7 @@ class Halves:
     origin: str
 
 
-def find_halves(frame: Frame, lights: Mapping[str, FloatArray]) -> Halves:
+def choose_halves(frame: Frame, lights: Mapping[str, FloatArray]) -> Halves:
     """Return two independent images of a frame: the halves of its samples, or else the colours of a checkerboard.
 
     The halves of the samples are used only if the frame has them for all of the layers: then all layers of a half come

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.frame import FloatArray, Frame
-from lobewise.guides.squares import average_square, find_largest
+from lobewise.guides.squares import average_square, compute_square_maximum
 
 MAX_DIFFERENCE = 0.03
 """Largest difference between alike neighbours, in every colour, relative to the brighter one."""
@@ -60,7 +60,7 @@ def keep_lamps(frame: Frame) -> tuple[Frame, int]:
         return frame, 0
     known = [albedo for albedo in (guides.diffuse_albedo, guides.specular_albedo) if albedo is not None]
     albedo = lift_albedo(np.sum(known, axis=0, dtype=np.float32)) if known else None
-    lamps = find_lamps(frame.radiance.color, albedo)
+    lamps = mark_lamps(frame.radiance.color, albedo)
     if not lamps.any():
         return frame, 0
     normal = np.where(lamps[..., None], np.float32(0.0), guides.normal)
@@ -83,7 +83,7 @@ def lift_albedo(albedo: FloatArray) -> FloatArray:
 
 
 @np.errstate(invalid="ignore", over="ignore")
-def find_lamps(color: FloatArray, albedo: FloatArray | None = None) -> Mask:
+def mark_lamps(color: FloatArray, albedo: FloatArray | None = None) -> Mask:
     """Return which pixels show lamps or their edges, (height, width).
 
     Parameters
@@ -98,24 +98,24 @@ def find_lamps(color: FloatArray, albedo: FloatArray | None = None) -> Mask:
     light, color = (np.where(good[..., None], image, np.float32(0.0)) for image in (light, color))
     bright = light.mean(axis=-1)
     around = average_square(bright, MEAN_RADIUS)
-    lamps = _outshine(bright, around, _find_smooth(light) & (bright > 0.0), MIN_CONTRAST)
+    lamps = _outshine(bright, around, _mark_smooth(light) & (bright > 0.0), MIN_CONTRAST)
     if not lamps.any():
         return lamps
     # The mean around an edge contains the lamp itself, so edges are compared with means further away.
-    return lamps | _outshine(bright, around, _find_edges(color, lamps), MIN_EDGE_CONTRAST)
+    return lamps | _outshine(bright, around, _mark_edges(color, lamps), MIN_EDGE_CONTRAST)
 
 
-def _find_edges(color: FloatArray, lamps: Mask) -> Mask:
+def _mark_edges(color: FloatArray, lamps: Mask) -> Mask:
     """Return which pixels are near enough to a lamp for its edge, and not too bright.
 
     Radiance is compared, without division: coverage mixes radiance, and the albedo of a lamp says nothing of its light.
     """
     radiance = color.mean(axis=-1)
-    brightest = find_largest(np.where(lamps, radiance, np.float32(0.0)), EDGE_WIDTH)
+    brightest = compute_square_maximum(np.where(lamps, radiance, np.float32(0.0)), EDGE_WIDTH)
     return np.asarray((brightest > 0.0) & (radiance <= MAX_EDGE_EXCESS * brightest) & ~lamps)
 
 
-def _find_smooth(light: FloatArray) -> Mask:
+def _mark_smooth(light: FloatArray) -> Mask:
     """Return which pixels have enough alike neighbours."""
     count = np.zeros(light.shape[:2], dtype=np.int8)
     padded = np.pad(light, ((1, 1), (1, 1), (0, 0)), constant_values=-1.0)

@@ -14,13 +14,13 @@ from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import HALIDE
 from lobewise.backend.pointwise import LARGEST_FLOAT, Grid, Vector, is_finite
 from lobewise.camera import Camera
-from lobewise.engine.numbers import find_hypotenuse, make_single, square_single
+from lobewise.engine.numbers import compute_hypotenuse, make_single, square_single
 from lobewise.errors import InputError, MissingChannelError
 from lobewise.frame import FloatArray, GBuffer, LobeKind
 from lobewise.guides.surfaces import is_surface, is_surface_depth, make_ray
-from lobewise.lobes.covariance import find_round_covariance, make_covariance_lobe, split_covariance
-from lobewise.lobes.directions import face_viewer, find_tangent, reflect
-from lobewise.lobes.gaussian import LAMBERT_SIMILARITY_SHARPNESS, find_ggx_variance
+from lobewise.lobes.covariance import compute_round_covariance, make_covariance_lobe, split_covariance
+from lobewise.lobes.directions import compute_tangent, face_viewer, reflect
+from lobewise.lobes.gaussian import LAMBERT_SIMILARITY_SHARPNESS, compute_ggx_variance
 from lobewise.lobes.vectors import cross, dot, scale
 from lobewise.settings.choices import get_similarity
 
@@ -30,7 +30,7 @@ NORMAL_ERROR = 1e-3
 
 def default_tau(camera: Camera, height: int) -> float:
     """Return the band-limit, radians: the angle of a pixel and twice `NORMAL_ERROR`, added in square."""
-    return find_hypotenuse(camera.get_pixel_angle(height), 2.0 * NORMAL_ERROR)
+    return compute_hypotenuse(camera.get_pixel_angle(height), 2.0 * NORMAL_ERROR)
 
 
 @dataclass(frozen=True)
@@ -200,7 +200,7 @@ def define_spread(grid: Grid) -> list[Vector]:
     covariance, determinant = grid.read("covariance"), grid.read_one("determinant")
     trace = covariance[0] + covariance[3] + covariance[5]
     # A pixel without a lobe has axis 0 and spread 0, so its values do not change.
-    round_part = find_round_covariance(spread, axis)
+    round_part = compute_round_covariance(spread, axis)
     return [
         [value + more for value, more in zip(covariance, round_part, strict=True)],
         [determinant + spread * (trace + spread)],
@@ -257,12 +257,12 @@ def make_split_field(gbuffer: GBuffer, camera: Camera, taus: Sequence[float]) ->
 
 def define_split_lobes(grid: Grid, count: int) -> list[Vector]:
     """Return validity, surface, mask, axis, t, and both eigenvalues for each of ``count`` band-limits."""
-    which, axis, shape = find_lobe(grid, "ggx")
+    which, axis, shape = compute_lobe(grid, "ggx")
     which, *lobe = grid.share([which, *axis, *shape])
     axis, covariance, determinant = lobe[:3], lobe[3:9], lobe[9]
     large, t = split_covariance(HALIDE, axis, covariance)
     large, small, *t = grid.share([large, determinant / hl.max(large, hl.f32(1e-30)), *t])
-    outputs: list[Vector] = [*_find_masks(grid, which), *([value] for value in (*axis, *t))]
+    outputs: list[Vector] = [*_compute_masks(grid, which), *([value] for value in (*axis, *t))]
     for k in range(count):
         # The Lambert lobe has no band-limit. A pixel without a lobe is harmless.
         noise = hl.select(which == SPECULAR_LOBE, grid.get(f"noise{k}")[0], hl.f32(0.0))
@@ -335,24 +335,24 @@ def collect_guides(
 
 def define_lobes(grid: Grid, similarity: str) -> list[Vector]:
     """Return validity, surface, mask, axis and shape: the sharpness, or the covariance and its determinant."""
-    which, axis, shape = find_lobe(grid, similarity)
-    return [*_find_masks(grid, which), axis, *([shape[:6], shape[6:]] if len(shape) > 1 else [shape])]
+    which, axis, shape = compute_lobe(grid, similarity)
+    return [*_compute_masks(grid, which), axis, *([shape[:6], shape[6:]] if len(shape) > 1 else [shape])]
 
 
-def _find_masks(grid: Grid, which: hl.Expr) -> list[Vector]:
+def _compute_masks(grid: Grid, which: hl.Expr) -> list[Vector]:
     """Return where there is a lobe, where a surface, and where both."""
     lobe, surface = which != NO_LOBE, is_surface(grid)
     return [[hl.u8(lobe)], [hl.u8(surface)], [hl.u8(surface & lobe)]]
 
 
-def find_lobe(grid: Grid, similarity: str) -> tuple[hl.Expr, list[hl.Expr], list[hl.Expr]]:
+def compute_lobe(grid: Grid, similarity: str) -> tuple[hl.Expr, list[hl.Expr], list[hl.Expr]]:
     """Return the kind of a pixel's lobe, its axis and its shape.
 
     The shape is the sharpness, or the covariance and its determinant. That of a GGX mixture is the variance without the
     band-limit, and the product of both alphas.
     """
     fallback = grid.get("diffuse_fallback")[0] != 0 if "diffuse_fallback" in grid.numbers else hl.Expr(False)
-    normal, view, cosine, surface = _find_directions(grid)
+    normal, view, cosine, surface = _compute_directions(grid)
     kind = grid.read_one("kind") if grid.has("kind") else None
     alphas, known = read_alphas(grid, kind)
     record = get_similarity(similarity)
@@ -362,7 +362,7 @@ def find_lobe(grid: Grid, similarity: str) -> tuple[hl.Expr, list[hl.Expr], list
         finite = is_finite(axis[0] + axis[1] + axis[2] + shape[-1])
     else:
         noise = hl.f32(0.0) if record.is_mixture else grid.get("noise")[0]
-        variance = find_ggx_variance(HALIDE, cosine, alphas, noise)
+        variance = compute_ggx_variance(HALIDE, cosine, alphas, noise)
         axis = reflect(normal, view, cosine)
         shape = [variance, alphas[0] * alphas[1]] if record.is_mixture else [1.0 / variance]
         neutral = [1.0] * len(shape)
@@ -384,12 +384,12 @@ def find_lobe(grid: Grid, similarity: str) -> tuple[hl.Expr, list[hl.Expr], list
     flat = [hl.f32(LAMBERT_SIMILARITY_SHARPNESS)] * len(shape)
     if record.has_covariance:
         variance = hl.f32(1.0 / LAMBERT_SIMILARITY_SHARPNESS)
-        flat = [*find_round_covariance(variance, normal), variance * variance]
+        flat = [*compute_round_covariance(variance, normal), variance * variance]
     axis = [choose(value, diffuse, 0.0) for value, diffuse in zip(axis, normal, strict=True)]
     return which, axis, [choose(*each) for each in zip(shape, flat, neutral, strict=True)]
 
 
-def _find_directions(grid: Grid) -> tuple[Vector, Vector, hl.Expr, hl.Expr]:
+def _compute_directions(grid: Grid) -> tuple[Vector, Vector, hl.Expr, hl.Expr]:
     """Return the unit normal, the unit view direction, their cosine, and whether the pixel sees a surface."""
     raw = grid.read("normal")
     square = dot(raw, raw)
@@ -429,7 +429,7 @@ def _make_covariance(
     beckmann = hl.Expr(False) if kind is None else kind == hl.f32(LobeKind.BECKMANN)
     tangents = None
     if grid.has("tangent"):
-        tangent, directed = find_tangent(HALIDE, grid.read("tangent"), normal)
+        tangent, directed = compute_tangent(HALIDE, grid.read("tangent"), normal)
         tangent = grid.share(tangent)
         tangents = tangent, cross(normal, tangent)
         # Without a tangent only the area of the lobe is known: use an isotropic lobe of the same area.

@@ -23,12 +23,12 @@ from lobewise.errors import InputError
 from lobewise.fitting.arrays import normalize
 from lobewise.fitting.table import evaluate_table
 from lobewise.frame import FloatArray, GBuffer, LobeKind
-from lobewise.guides.lobe_fields import LAMBERT_LOBE, NO_LOBE, check_lobe_guides, collect_guides, find_lobe
-from lobewise.guides.surfaces import find_surface_pixels
+from lobewise.guides.lobe_fields import LAMBERT_LOBE, NO_LOBE, check_lobe_guides, collect_guides, compute_lobe
+from lobewise.guides.surfaces import mark_surface_pixels
 from lobewise.lobe_table import LobeTable
 from lobewise.lobes.gaussian import LAMBERT_SIMILARITY_SHARPNESS, integrate_gaussian
 from lobewise.lobes.mixture import LAMBERT_AMPLITUDE, LAMBERT_SHARPNESS, spread_ggx_mixture
-from lobewise.lobes.vectors import dot, find_luminance, scale
+from lobewise.lobes.vectors import compute_luminance, dot, scale
 from lobewise.settings import MAX_LOBES
 
 
@@ -139,7 +139,7 @@ def _read_tables(gbuffer: GBuffer, camera: Camera, tables: Sequence[LobeTable]) 
     assert material is not None and normal is not None
     height, width = material.shape
     planes = np.zeros((max(table.lobe_count for table in tables), 5, height, width), np.float32)
-    surface, eye = find_surface_pixels(gbuffer, (height, width)), camera.position.astype(np.float32)
+    surface, eye = mark_surface_pixels(gbuffer, (height, width)), camera.position.astype(np.float32)
     rays = camera.make_ray_directions(width, height)
 
     def fill(chunk: Chunk) -> None:
@@ -170,10 +170,10 @@ def define_mixture(grid: Grid, lobes: int) -> list[Vector]:
 
     All lobes of a pixel have one axis, unless there are tables or diffuse lobes. Without an image the albedo is 1.
     """
-    which, mixture = _find_specular(grid, lobes)
+    which, mixture = _compute_specular(grid, lobes)
     there = [which != NO_LOBE] * len(mixture)
     if grid.has("diffuse_albedo"):
-        diffuse, is_lit = _find_diffuse(grid)
+        diffuse, is_lit = _compute_diffuse(grid)
         mixture, there = [*mixture, diffuse], [*there, is_lit]
     zero = hl.f32(0.0)
     sums = [hl.select(has, x + y + z + value, zero) for has, (x, y, z, _, value) in zip(there, mixture, strict=True)]
@@ -190,11 +190,11 @@ def define_mixture(grid: Grid, lobes: int) -> list[Vector]:
     return [[valid], axes, [lobe[3] for lobe in lobe_values], [lobe[4] for lobe in lobe_values]]
 
 
-def _find_specular(grid: Grid, lobes: int) -> tuple[hl.Expr, list[Vector]]:
-    """Return the kind of a pixel's lobe (see `find_lobe`) and its lobes: axis, sharpness and amplitude."""
-    which, axis, (area, alpha_square) = find_lobe(grid, "sg_mixture")
+def _compute_specular(grid: Grid, lobes: int) -> tuple[hl.Expr, list[Vector]]:
+    """Return the kind of a pixel's lobe (see `compute_lobe`) and its lobes: axis, sharpness and amplitude."""
+    which, axis, (area, alpha_square) = compute_lobe(grid, "sg_mixture")
     (noise,) = grid.get("noise")
-    albedo = find_luminance(HALIDE, grid.read("specular_albedo")) if grid.has("specular_albedo") else hl.f32(1.0)
+    albedo = compute_luminance(HALIDE, grid.read("specular_albedo")) if grid.has("specular_albedo") else hl.f32(1.0)
     sharpness, amplitude = spread_ggx_mixture(HALIDE, area, alpha_square, albedo, lobes=lobes, noise=noise)
     if grid.has("kind"):
         # The lobes of Beckmann surfaces and mirrors, and the diffuse lobe, are a single Gaussian already.
@@ -220,9 +220,9 @@ def _limit_band(lobe: Vector, noise: hl.Expr) -> Vector:
     return [*axis, hl.select(sharpness > hl.f32(0.0), sharpness * factor, hl.f32(1.0)), amplitude * factor]
 
 
-def _find_diffuse(grid: Grid) -> tuple[Vector, hl.Expr]:
+def _compute_diffuse(grid: Grid) -> tuple[Vector, hl.Expr]:
     """Return the diffuse lobe of a pixel, and whether the surface reflects diffuse light."""
-    normal, tint = grid.read("normal"), find_luminance(HALIDE, grid.read("diffuse_albedo"))
+    normal, tint = grid.read("normal"), compute_luminance(HALIDE, grid.read("diffuse_albedo"))
     square = dot(normal, normal)
     is_lit = (tint > hl.f32(0.0)) & is_finite(tint) & (square > hl.f32(1e-6)) & is_finite(square)
     axis = scale(normal, 1.0 / hl.sqrt(square))

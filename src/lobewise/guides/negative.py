@@ -23,7 +23,7 @@ from lobewise.frame import FloatArray, Frame
 from lobewise.radiance import Radiance, RadianceLayer
 from lobewise.sparse_frame import AnyFrame, SparseFrame
 
-REACH = 2
+NEGATIVE_REACH = 2
 """Distance of the farthest pixel that decides whether a pixel is damaged, rows or columns."""
 MAX_RATIO_BELOW = 4.0
 """Largest negative light of a pixel, over the second largest light around it and over its own light, that is no damage.
@@ -70,7 +70,7 @@ def split_negative(frame: AnyFrame) -> tuple[Any, Any]:
     return first, second
 
 
-def find_damaged(image: FloatArray) -> NDArray[np.bool_]:
+def mark_damaged(image: FloatArray) -> NDArray[np.bool_]:
     """Return which pixels of an image, (height, width, 3), are so far below 0 that they are damage, (height, width)."""
     finite = np.where(np.isfinite(image), image, np.float32(0.0))
     below, above = -finite.min(axis=-1), finite.max(axis=-1)
@@ -78,10 +78,10 @@ def find_damaged(image: FloatArray) -> NDArray[np.bool_]:
     damaged = np.zeros(image.shape[:2], np.bool_)
     if not doubtful.any():
         return damaged
-    light = np.pad(np.maximum(below, above), REACH)
+    light = np.pad(np.maximum(below, above), NEGATIVE_REACH)
     rows, columns = np.nonzero(doubtful)
-    steps = range(2 * REACH + 1)
-    around = [light[rows + y, columns + x] for y in steps for x in steps if (y, x) != (REACH, REACH)]
+    steps = range(2 * NEGATIVE_REACH + 1)
+    around = [light[rows + y, columns + x] for y in steps for x in steps if (y, x) != (NEGATIVE_REACH, NEGATIVE_REACH)]
     damaged[rows, columns] = below[doubtful] > MAX_RATIO_BELOW * np.sort(np.array(around), axis=0)[-2]
     return damaged
 
@@ -101,7 +101,7 @@ def _list_light(frame: AnyFrame) -> list[FloatArray]:
 
 def _split_image(image: FloatArray, below: Sequence[FloatArray] = ()) -> Split:
     """Return an image without light below 0, and this light; ``below`` is the light below 0 of both of its halves."""
-    known = np.isfinite(image) & ~find_damaged(image)[..., None]
+    known = np.isfinite(image) & ~mark_damaged(image)[..., None]
     least = np.mean(below, axis=0, dtype=np.float32) if below else np.float32(0.0)
     with np.errstate(invalid="ignore"):
         taken = np.where(known, np.maximum(-image, least), np.float32(0.0))

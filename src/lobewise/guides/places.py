@@ -53,7 +53,7 @@ def project_step(grid: Grid, step: Vector) -> tuple[list[hl.Expr], hl.Expr]:
     return place, (ahead > one - one) & is_finite(place[0]) & is_finite(place[1])
 
 
-def find_surface_places(
+def compute_surface_places(
     camera: Camera, previous: Camera, places: tuple[FloatArray, FloatArray], motion: FloatArray | None
 ) -> tuple[FloatArray, FloatArray | None]:
     """Return where surfaces were in the previous frame, and by how many pixels objects moved by themselves.
@@ -143,7 +143,7 @@ def _choose_side(grid: Grid, sides: Any) -> hl.Expr:
     return hl.select(near > edge * far, second, far > edge * near, first, flatter)
 
 
-def find_virtual_places(
+def compute_virtual_places(
     position: FloatArray,
     curvature: FloatArray,
     hit_distance: FloatArray,

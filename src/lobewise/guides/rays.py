@@ -20,7 +20,7 @@ MIN_DIFFUSE_ALBEDO = 1e-3
 """Diffuse albedo from which a surface counts as having a diffuse lobe."""
 
 
-def find_ray_weights(frame: SparseFrame) -> FloatArray | None:
+def compute_ray_weights(frame: SparseFrame) -> FloatArray | None:
     """Return the weights by which the samples of a frame count, (rows, columns); None if the frame has no rays.
 
     They are the weights of the rays where a surface also has a diffuse lobe, as far as the frame tells, and 1

@@ -57,7 +57,7 @@ class MovedReflections(NamedTuple):
     """Whether hit or mirror has moved, and the place lies in the image, (height, width)."""
 
 
-def find_moved_reflections(
+def compute_moved_reflections(
     mirrors: tuple[Mirror, Mirror],
     curvature: FloatArray,
     hit_distance: FloatArray,
@@ -67,7 +67,7 @@ def find_moved_reflections(
 ) -> MovedReflections:
     """Return where each pixel's reflection was in the previous frame, and the distance of its hit from the mirror then.
 
-    Without any motion of objects these are the places of `lobewise.guides.places.find_virtual_places`.
+    Without any motion of objects these are the places of `lobewise.guides.places.compute_virtual_places`.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def find_moved_reflections(
     reflected_motion : array, shape (height, width, 3)
         Previous minus present position of the hits, world units; values that are not finite count as 0.
     surface : pair of arrays, shape (height, width, 2) and (height, width)
-        Results of `lobewise.guides.places.find_surface_places`: the previous places of the surface points, and their
+        Results of `lobewise.guides.places.compute_surface_places`: the previous places of the surface points, and their
         own motion in pixels, or None if no surface has moved by itself.
     cameras : pair of Camera
         The cameras of this frame and of the previous one.
@@ -184,11 +184,11 @@ def _read_mirror_before(grid: Grid, normal: Vector) -> tuple[list[hl.Expr], list
         [hl.f64(component) for component in grid.read(name, x, y)] for name in ("position_before", "normal_before")
     )
     least = hl.f64(grid.get("least_cosine")[0]) * hl.sqrt(dot(normal, normal) * dot(facing, facing))
-    alike = inside & (_find_largest_motion(grid) > grid.get("least_motion")[0]) & (dot(facing, normal) > least)
+    alike = inside & (_compute_largest_motion(grid) > grid.get("least_motion")[0]) & (dot(facing, normal) > least)
     return point, facing, alike
 
 
-def _find_largest_motion(grid: Grid) -> hl.Expr:
+def _compute_largest_motion(grid: Grid) -> hl.Expr:
     """Return the largest own motion of the pixels in a cross around a pixel."""
     width, height = grid.size
     largest = grid.read_one("own")

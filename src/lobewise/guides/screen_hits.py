@@ -38,7 +38,7 @@ MIN_OPENING = 2.0
 """Curvature times distance from the camera above which a mirror images everything near its focus."""
 
 
-def find_screen_hits(
+def estimate_screen_hits(
     camera: Camera, position: FloatArray, depth: FloatArray, normal: FloatArray, curvature: FloatArray
 ) -> FloatArray:
     """Return the distance to what each pixel reflects, (height, width), world units.

@@ -14,7 +14,7 @@ from lobewise.frame import FloatArray
 Array = TypeVar("Array", bound=NDArray[Any])
 
 
-def find_largest(image: Array, radius: int) -> Array:
+def compute_square_maximum(image: Array, radius: int) -> Array:
     """Return the maximum over the square from ``radius`` pixels before each pixel to ``radius`` pixels after it."""
     largest: Array = _join(image, radius, np.maximum, "edge")
     return largest

@@ -20,7 +20,7 @@ from lobewise.camera import Camera
 from lobewise.frame import FloatArray, Frame, GBuffer
 from lobewise.guides.lamps import describe_lamps, keep_lamps
 from lobewise.guides.squares import count_neighbours
-from lobewise.guides.surfaces import find_surface_pixels, put_backdrop
+from lobewise.guides.surfaces import mark_surface_pixels, put_backdrop
 from lobewise.sparse_frame import AnyFrame
 
 FROM_PLACES = "There are no normals; those of the surfaces through the positions stand for them."
@@ -39,7 +39,7 @@ the pixel belongs to the fog, and its samples are black by chance. Sky between l
 an albedo is no sky, whatever its neighbours without a surface are."""
 MIN_SHARE_NAMED = 0.01
 """Share of the pixels above which the user is told."""
-REACH = MAX_DISTANCE_PIXELS
+STAND_IN_REACH = MAX_DISTANCE_PIXELS
 """Distance of the farthest pixel that decides on the guides of a pixel, rows or columns."""
 
 FrameT = TypeVar("FrameT", bound=AnyFrame)
@@ -54,7 +54,7 @@ def stand_in_normals(frame: FrameT) -> tuple[FrameT, tuple[str, ...]]:
     if guides.normal is not None:
         return frame, ()
     if camera is not None and guides.is_placed:
-        normal, note = compute_surface_normals(_find_positions(guides, camera, frame.shape), camera), FROM_PLACES
+        normal, note = compute_surface_normals(_compute_positions(guides, camera, frame.shape), camera), FROM_PLACES
     else:
         normal = np.zeros((*frame.shape, 3), np.float32)
         normal[..., 2] = 1.0
@@ -75,8 +75,8 @@ def stand_in_surfaces(frame: FrameT) -> tuple[FrameT, tuple[str, ...]]:
     """
     if not isinstance(frame, Frame) or frame.radiance.parts is None:
         return frame, ()
-    known = find_surface_pixels(frame.gbuffer, frame.shape)
-    unknown = None if known.all() else _find_unknown(frame, known)
+    known = mark_surface_pixels(frame.gbuffer, frame.shape)
+    unknown = None if known.all() else _mark_unknown(frame, known)
     if unknown is None:
         return frame, ()
     guides = {name: getattr(frame.gbuffer, name) for name in SURFACE_GUIDES}
@@ -103,7 +103,7 @@ def stand_in_surfaces(frame: FrameT) -> tuple[FrameT, tuple[str, ...]]:
     return filled, (note,) if share >= MIN_SHARE_NAMED else ()
 
 
-def _find_unknown(frame: Frame, known: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
+def _mark_unknown(frame: Frame, known: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
     """Return which pixels have scattered light but no surface, and black ones among them; None where there is none."""
     parts = [layer.radiance for layer in frame.layers] or list(frame.radiance.parts or ())
     lit = np.logical_or.reduce([_has_any(part > 0.0) for part in parts])
@@ -129,7 +129,7 @@ def _cut_shifted(shape: tuple[int, int], down: int, right: int) -> tuple[slice, 
     return rows, columns
 
 
-def _find_positions(guides: GBuffer, camera: Camera, shape: tuple[int, int]) -> FloatArray:
+def _compute_positions(guides: GBuffer, camera: Camera, shape: tuple[int, int]) -> FloatArray:
     if guides.position is not None:
         return guides.position
     assert guides.depth is not None

@@ -31,7 +31,7 @@ def make_ray(grid: Grid, kind: hl.Type) -> list[hl.Expr]:
     return [hl.cast(kind, first + x * right + y * down) for first, right, down in parts]
 
 
-def find_surface_pixels(gbuffer: GBuffer, size: tuple[int, int]) -> NDArray[np.bool_]:
+def mark_surface_pixels(gbuffer: GBuffer, size: tuple[int, int]) -> NDArray[np.bool_]:
     """Return which pixels of an image of ``size`` see a surface with finite guides."""
     images = {"depth": gbuffer.depth, "position": gbuffer.position, "normal": gbuffer.normal}
     if all(image is None for image in images.values()):
@@ -59,7 +59,7 @@ def is_surface(grid: Grid) -> hl.Expr:
     return surface
 
 
-def find_places(gbuffer: GBuffer, camera: Camera) -> tuple[FloatArray, FloatArray]:
+def compute_points(gbuffer: GBuffer, camera: Camera) -> tuple[FloatArray, FloatArray]:
     """Return surface points (height, width, 3) and depths. The G-buffer has at least one; the other is computed."""
     position, depth = gbuffer.position, gbuffer.depth
     if position is None:
@@ -84,7 +84,7 @@ def _define_depths(grid: Grid) -> list[Vector]:
     return [[hl.f32(hl.sqrt(dot(step, step)))]]
 
 
-def find_inverse_hits(distance: FloatArray, depth: FloatArray | None = None, nearest: float = 0.0) -> FloatArray:
+def compute_inverse_hits(distance: FloatArray, depth: FloatArray | None = None, nearest: float = 0.0) -> FloatArray:
     """Return 1/t of every hit distance t, (height, width); 0 if the ray missed or the distance is unknown.
 
     With ``depth``, t is at least ``nearest`` times the depth.
@@ -110,7 +110,7 @@ def define_inverse_hits(grid: Grid) -> list[Vector]:
     return [[hl.select(known & is_finite(inverse), inverse, hl.f32(0.0))]]
 
 
-def find_tolerances(alpha_u: FloatArray, alpha_v: FloatArray | None, least: float, slope: float) -> FloatArray:
+def compute_tolerances(alpha_u: FloatArray, alpha_v: FloatArray | None, least: float, slope: float) -> FloatArray:
     """Return ``least + slope * alpha`` with the larger alpha, (height, width). NaN counts as alpha 0."""
     images = {"alpha_u": alpha_u, "alpha_v": alpha_v}
     numbers = {"least": least, "slope": slope}
@@ -127,7 +127,7 @@ def define_tolerances(grid: Grid) -> list[Vector]:
     return [[hl.f32(grid.get("least")[0]) + hl.f32(grid.get("slope")[0]) * widest]]
 
 
-def find_footprints(
+def compute_footprints(
     surface: NDArray[np.bool_],
     depth: FloatArray,
     pixel_angle: float,

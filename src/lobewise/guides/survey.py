@@ -22,6 +22,7 @@ TELLING = ("normal", "position", "depth")
 """Guides that are named where they have one value everywhere."""
 LOBE_ALBEDOS = ("diffuse_albedo", "specular_albedo")
 ALBEDOS = (*LOBE_ALBEDOS, "mean_diffuse_albedo", "mean_specular_albedo", "denoiser_albedo")
+"""Guides that are means over a pixel's samples, or over its area, in [0, 1]: they have noise at edges of textures."""
 STRIDE = 16
 """Pixels between two pixels of a first look, which settles most images."""
 MIN_NORMALS = 60

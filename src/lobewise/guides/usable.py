@@ -18,7 +18,7 @@ from lobewise.backend.prebuilt import has_kernels
 from lobewise.frame import FloatArray, Frame, GBuffer
 from lobewise.guides.squares import count_neighbours
 from lobewise.guides.stand_ins import stand_in_normals, stand_in_surfaces
-from lobewise.guides.surfaces import find_surface_pixels
+from lobewise.guides.surfaces import mark_surface_pixels
 from lobewise.guides.survey import GuideSurvey
 from lobewise.sparse_frame import AnyFrame
 
@@ -26,7 +26,7 @@ MAX_ALBEDO = 1.1
 """Largest possible albedo. Noise of samples and 16-bit floats let albedos exceed 1 by a few per cent."""
 MIN_ALBEDO = -1e-3
 """Smallest possible albedo. Rounding and pixel filters with negative lobes go a little below 0."""
-ALBEDOS = ("diffuse_albedo", "specular_albedo", "mean_diffuse_albedo", "mean_specular_albedo", "hit_albedo")
+CHECKED_ALBEDOS = ("diffuse_albedo", "specular_albedo", "mean_diffuse_albedo", "mean_specular_albedo", "hit_albedo")
 ALPHAS = ("alpha_u", "alpha_v")
 MAX_NORMAL_LENGTH = 1.5
 """Longest normal that is taken as it is. Longer ones would give cosines far above 1; means are shorter than 1."""
@@ -95,7 +95,7 @@ def check_guides(frame: FrameT) -> CheckedGuides[FrameT]:
         )
     unusable: tuple[str, ...] = ()
     if has_unusable(frame):
-        unusable = tuple(map(str, find_unusable(frame)))
+        unusable = tuple(map(str, list_unusable(frame)))
         frame = bound_guides(frame)
     seen = frame.gbuffer
     frame, normal_notes = stand_in_normals(frame)
@@ -108,7 +108,7 @@ def has_unusable(frame: AnyFrame) -> bool:
     """Return whether any guide of a frame has an impossible value."""
     guides = frame.gbuffer
     layers = frame.layers if isinstance(frame, Frame) else ()
-    albedos = [*(getattr(guides, name) for name in ALBEDOS), *(layer.albedo for layer in layers)]
+    albedos = [*(getattr(guides, name) for name in CHECKED_ALBEDOS), *(layer.albedo for layer in layers)]
     ranges: list[tuple[FloatArray | None, float, float]] = [(albedo, MIN_ALBEDO, MAX_ALBEDO) for albedo in albedos]
     ranges += [(getattr(guides, name), 0.0, 1.0) for name in ALPHAS]
     ranges.append((guides.normal, -MAX_NORMAL_LENGTH, MAX_NORMAL_LENGTH))
@@ -116,7 +116,7 @@ def has_unusable(frame: AnyFrame) -> bool:
         return True
     if guides.depth is None:
         return False
-    return _has_odd(guides.depth, 0.0, np.inf) or bool(_find_lost(frame, guides.depth).any())
+    return _has_odd(guides.depth, 0.0, np.inf) or bool(_mark_lost(frame, guides.depth).any())
 
 
 def _has_odd(image: FloatArray, least: float, most: float) -> bool:
@@ -125,14 +125,14 @@ def _has_odd(image: FloatArray, least: float, most: float) -> bool:
     return not (float(image.min()) >= least and float(image.max()) <= most)
 
 
-def _find_lost(frame: AnyFrame, depth: FloatArray) -> NDArray[np.bool_]:
+def _mark_lost(frame: AnyFrame, depth: FloatArray) -> NDArray[np.bool_]:
     """Return which pixels have a depth of a surface, but no normal or no place."""
     with np.errstate(invalid="ignore"):
         there = (depth > 0.0) & (depth < np.inf)
-    return np.asarray(there & ~find_surface_pixels(frame.gbuffer, frame.shape), np.bool_)
+    return np.asarray(there & ~mark_surface_pixels(frame.gbuffer, frame.shape), np.bool_)
 
 
-def find_unusable(frame: AnyFrame, rows: slice = slice(None)) -> list[Unusable]:
+def list_unusable(frame: AnyFrame, rows: slice = slice(None)) -> list[Unusable]:
     """Return the impossible values in the guides of a frame, counted in some of its rows."""
     return [each for each in _list_unusable(frame, rows) if each.count]
 
@@ -153,7 +153,7 @@ def bound_guides(frame: FrameT) -> FrameT:
     vectors.
     """
     guides: dict[str, Any] = {
-        name: _bound(getattr(frame.gbuffer, name)) for name in ALBEDOS if _is_out(getattr(frame.gbuffer, name))
+        name: _bound(getattr(frame.gbuffer, name)) for name in CHECKED_ALBEDOS if _is_out(getattr(frame.gbuffer, name))
     }
     if _is_long(frame.gbuffer.normal):
         guides["normal"] = _normalise(frame.gbuffer.require("normal", "a frame"))
@@ -178,7 +178,7 @@ def _is_out(albedo: FloatArray | None) -> bool:
 
 def _list_unusable(frame: AnyFrame, rows: slice) -> Iterator[Unusable]:
     guides = frame.gbuffer
-    albedos = [(name, getattr(guides, name)) for name in ALBEDOS]
+    albedos = [(name, getattr(guides, name)) for name in CHECKED_ALBEDOS]
     if isinstance(frame, Frame):
         albedos += [(f"the albedo of the layer {layer.name!r}", layer.albedo) for layer in frame.layers]
     for name, albedo in albedos:
@@ -217,7 +217,7 @@ def _list_odd_normals(frame: AnyFrame, rows: slice) -> Iterator[Unusable]:
         yield Unusable("normal", f"longer than {MAX_NORMAL_LENGTH:g}", _count(long), "it is normalised there")
     if guides.depth is None:
         return
-    lost = _find_lost(frame, guides.depth)
+    lost = _mark_lost(frame, guides.depth)
     if lost.any():
         alone = (lost & (count_neighbours(lost, NEIGHBOURS_RADIUS) <= MAX_NEIGHBOURS_WITHOUT_NORMAL))[rows]
         length = np.abs(guides.normal[rows]).max(axis=-1)

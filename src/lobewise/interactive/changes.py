@@ -65,13 +65,13 @@ class SceneChanges:
         still = all(np.array_equal(getattr(seen.camera, name), getattr(camera, name)) for name in names)
         return seen.changes == self.count and still
 
-    def find_moved(self, seen: Seen, shapes: FloatArray) -> NDArray[np.bool_]:
+    def mark_moved(self, seen: Seen, shapes: FloatArray) -> NDArray[np.bool_]:
         """Return which of some shapes have moved since an earlier frame; ``shapes`` are numbers as in `FirstHits`."""
-        moves = self._places.find_moves(seen.transforms)
+        moves = self._places.compute_moves(seen.transforms)
         return np.isin(shapes, [number for number, _ in number_moves(self._stages.scene, moves)])
 
     def add_motion(self, hits: FirstHits, seen: Seen | None) -> FirstHits:
         """Return first hits with the motion since an earlier frame, also of reflections, if shapes have moved since."""
-        moves = self._places.find_moves(seen.transforms) if seen is not None else {}
+        moves = self._places.compute_moves(seen.transforms) if seen is not None else {}
         # Without motion the filter takes all surfaces for still ones, which costs less.
         return self._stages.add_motion(hits, seen.camera, moves) if seen is not None and moves else hits

@@ -16,12 +16,12 @@ from lobewise.filters.history.light import LightPast, blend_light
 from lobewise.frame import Frame, Radiance
 from lobewise.interactive.settings import UNFILTERED, InteractiveSettings
 from lobewise.render.stages import DirectLight, FirstHits
-from lobewise.settings import DenoiseSettings, Similarity
+from lobewise.settings import DenoiseSettings, SimilarityName
 from lobewise.settings.choices import get_similarity
 
 RADIUS = 2
 """Kernel radius, pixels: with 2 the kernel covers a stratified block. A radius of 3 has no lower error."""
-SIMILARITY: Similarity = "sg"
+SIMILARITY: SimilarityName = "sg"
 """The similarity that compares lobes. Over so few pixels its error equals that of `ggx` on brushed metal and is lower
 on the showroom's floor, in three quarters of the time."""
 SIGMA = 1.5

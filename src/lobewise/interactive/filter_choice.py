@@ -46,14 +46,14 @@ class FilterChoice:
             chosen = replace(chosen, screen_sigma=INTERPOLATION_SIGMA * settings.scale)
         if settings.tau != "auto" or not settings.limit_lobes:
             return chosen
-        limit = self._find_limit(settings.method, settings.spp)
+        limit = self._measure_limit(settings.method, settings.spp)
         return replace(chosen, tau=limit) if limit > 0.0 else chosen
 
-    def _find_limit(self, name: str, spp: int) -> float:
+    def _measure_limit(self, name: str, spp: int) -> float:
         """Return the band-limit of a method, radians, measured again after a change of the scene."""
         measured_at, limit = self._limits.get((name, spp), (-1, math.inf))
         if measured_at != self._changes.count and limit > 0.0:  # a method without limit never gets one
-            found = self._stages.find_band_limit(self._methods.get(name), spp)
+            found = self._stages.get_band_limit(self._methods.get(name), spp)
             if not abs(found - limit) <= LIMIT_TOLERANCE * limit < math.inf:
                 limit = found
             self._limits[name, spp] = self._changes.count, limit

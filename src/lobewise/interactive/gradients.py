@@ -73,7 +73,7 @@ class Change:
     error: FloatArray
 
 
-def find_changes(
+def compute_changes(
     former: Shaded,
     radiance: Radiance,
     depth: FloatArray,
@@ -159,10 +159,10 @@ def relight_sums(sums: FloatArray, change: Change) -> FloatArray:
     """
     old = split_sums(sums)
     light = [value * change.ratio[..., k] for k, value in enumerate(old.light)]
-    squared = _find_luminance([change.ratio[..., k] for k in range(3)]) ** 2
+    squared = _compute_luminance([change.ratio[..., k] for k in range(3)]) ** 2
     lit = old._replace(red=light[0], green=light[1], blue=light[2], moment=old.moment * squared)
     inverse = np.float32(1.0) / np.maximum(old.weight, np.float32(1e-30))
-    before, now = (_find_luminance(each.light) * inverse for each in (old, lit))
+    before, now = (_compute_luminance(each.light) * inverse for each in (old, lit))
     effective = np.maximum(old.weight / np.maximum(old.squared_weight, np.float32(1e-30)) * old.weight, np.float32(1.0))
     variance = np.maximum(lit.moment * inverse - now**2, np.float32(0.0)) / effective
     added = (change.error * before) ** 2
@@ -171,7 +171,7 @@ def relight_sums(sums: FloatArray, change: Change) -> FloatArray:
     return np.moveaxis(np.stack([value * share for value in lit]), 0, -1)
 
 
-def _find_luminance(light: Sequence[Any]) -> Any:
+def _compute_luminance(light: Sequence[Any]) -> Any:
     """Return the luminance of three images of colours."""
     return sum(np.float32(part) * value for part, value in zip(LUMINANCE, light, strict=True))
 

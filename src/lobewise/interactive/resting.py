@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.denoising.bad_pixels import find_good
+from lobewise.denoising.bad_pixels import mark_good
 from lobewise.frame import FloatArray
 from lobewise.sparse_frame import SparseFrame
 
@@ -78,11 +78,11 @@ class Resting:
 def _add_samples(own: FloatArray, own_count: FloatArray, sparse: SparseFrame, again: Again | None) -> None:
     """Add the samples of a frame to the sums, in place."""
     color = sparse.radiance.color
-    good = find_good(color)
+    good = mark_good(color)
     own[sparse.shaded] += np.where(good[..., None], color, np.float32(0.0))
     own_count[sparse.shaded] += good
     if again is not None:
         rows, columns, radiance = again
-        good = find_good(radiance)
+        good = mark_good(radiance)
         own[rows, columns] += np.where(good[..., None], radiance, np.float32(0.0)).sum(axis=1)
         own_count[rows, columns] += good.sum(axis=1)

@@ -22,7 +22,7 @@ from lobewise.interactive.changes import SceneChanges, Seen
 from lobewise.interactive.direct_filter import settle_direct
 from lobewise.interactive.filter_choice import FilterChoice
 from lobewise.interactive.frames import STAGES, InteractiveFrame, watch
-from lobewise.interactive.gradients import Shaded, find_changes, follows_hits, relight
+from lobewise.interactive.gradients import Shaded, compute_changes, follows_hits, relight
 from lobewise.interactive.lens import LensMean
 from lobewise.interactive.methods import Methods
 from lobewise.interactive.repairing import repair
@@ -253,7 +253,7 @@ class Session:
         with watch(seconds, "indirect"):
             for settings in asked:
                 self._methods.advance(settings.method)
-        chains = [self._find_chain(index, settings, camera) for index, settings in enumerate(asked)]
+        chains = [self._get_chain(index, settings, camera) for index, settings in enumerate(asked)]
         with watch(seconds, "indirect"):
             for chain in chains:
                 if chain.seen is not None and chain.seen.changes != self._changes.count:
@@ -273,7 +273,7 @@ class Session:
             frames.append(self._finish(chain, moved))
         return frames
 
-    def _find_chain(self, index: int, settings: InteractiveSettings, camera: Camera) -> _Chain:
+    def _get_chain(self, index: int, settings: InteractiveSettings, camera: Camera) -> _Chain:
         """Return the stream number ``index``, with these settings and camera; its mean starts anew if they changed."""
         chain = self._chains.get(index)
         chosen = self._choice.choose(settings)
@@ -359,11 +359,11 @@ class Session:
         rows, columns = former.depth.shape
         light = self._stages.shade_indirect(method, *former.pixels, former.spp, former.seed)
         radiance = make_radiance(method, light, (rows, columns))
-        depth, shapes = self._stages.find_surfaces(*former.pixels, former.camera)
+        depth, shapes = self._stages.trace_surfaces(*former.pixels, former.camera)
         shapes = np.concatenate([shapes.reshape(-1, rows, columns), former.shapes])
-        moved = self._changes.find_moved(seen, shapes) if follows_hits(chain.chosen.similarity) else None
+        moved = self._changes.mark_moved(seen, shapes) if follows_hits(chain.chosen.similarity) else None
         size = self._size[1], self._size[0]
-        relight(chain.temporal, find_changes(former, radiance, depth.reshape(rows, columns), size, moved))
+        relight(chain.temporal, compute_changes(former, radiance, depth.reshape(rows, columns), size, moved))
 
     def _upsample(self, chain: _Chain, sparse: SparseFrame) -> Result:
         settings = chain.settings

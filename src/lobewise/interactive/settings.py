@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal, get_args
 
 from lobewise.errors import require_choice
-from lobewise.settings import SIMILARITIES, Auto, Declared, DenoiseSettings, Knob, Similarity, document
+from lobewise.settings import SIMILARITY_NAMES, Auto, Declared, DenoiseSettings, Knob, SimilarityName, document
 from lobewise.settings.choices import MAX_SCALE_PIXELS
 
 Method = Literal["paths", "voxel_cones", "virtual_lights"]
@@ -44,7 +44,7 @@ class InteractiveSettings(Declared):
         ),
     ] = 4
     spp: Annotated[int, Knob("Samples of each shaded pixel.", low=1, high=1 << 16, label="Samples")] = 1
-    similarity: Similarity | Auto | Unfiltered = "ggx"
+    similarity: SimilarityName | Auto | Unfiltered = "ggx"
     beta: float | Auto = "auto"
     radius: int = 5
     screen_sigma: float | Auto = "auto"
@@ -85,7 +85,7 @@ class InteractiveSettings(Declared):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_choice("similarity", self.similarity, ("auto", *SIMILARITIES, UNFILTERED))
+        require_choice("similarity", self.similarity, ("auto", *SIMILARITY_NAMES, UNFILTERED))
         self.make_filter_settings()
 
     def make_filter_settings(self) -> DenoiseSettings:

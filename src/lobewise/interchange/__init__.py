@@ -4,13 +4,13 @@ from lobewise.interchange.describing import describe_file
 from lobewise.interchange.imported import Imported
 from lobewise.interchange.reading import import_file, read_frame
 from lobewise.interchange.replacing import write_result
-from lobewise.interchange.showing import find_noisy_pass, read_image
+from lobewise.interchange.showing import name_noisy_pass, read_image
 
 __all__ = [
     "Imported",
     "describe_file",
-    "find_noisy_pass",
     "import_file",
+    "name_noisy_pass",
     "read_frame",
     "read_image",
     "write_result",

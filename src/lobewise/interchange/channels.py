@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
 from lobewise.io.exr.container import Container, Part
-from lobewise.io.exr.layout import find_beauty
+from lobewise.io.exr.layout import look_up_beauty
 
 COMPONENTS = {
     "red": "r", "green": "g", "blue": "b", "alpha": "a",
@@ -78,7 +78,7 @@ class Pass:
     def obstacle(self) -> str:
         """Why the channels cannot form an image, worded to follow "the pass is"; empty if they can."""
         names = set(self.channels.values())
-        return next((self.part.find_obstacle(one) for one in self.part.channels if one.name in names), "")
+        return next((self.part.describe_obstacle(one) for one in self.part.channels if one.name in names), "")
 
     def matches(self, pattern: str) -> bool:
         """Return whether the path, with or without its prefix, matches a pattern with the wildcards * and ?."""
@@ -104,7 +104,7 @@ def list_views(container: Container) -> tuple[str, ...]:
     declared = [name for part in container.parts for name in part.views]
     of_parts = [part.view for part in container.parts if part.view]
     if of_parts and not declared:
-        beauty = find_beauty(container.parts)
+        beauty = look_up_beauty(container.parts)
         declared = [beauty.view if beauty else of_parts[0]]
     names = [channel.name for part in container.parts for channel in part.channels]
     of_names = [match[1] for name in names if (match := BLENDERS_VIEW.fullmatch(name))]
@@ -130,7 +130,7 @@ def _group(container: Container, *, unread: bool) -> list[Pass]:
     passes: dict[tuple[int, str, str], Pass] = {}
     for part in container.parts:
         for channel in part.channels:
-            if bool(part.find_obstacle(channel)) == unread:
+            if bool(part.describe_obstacle(channel)) == unread:
                 view, name = _take_view(channel.name, names)
                 view = view or part.view or views[0]
                 path, component = _split(name, _name_part(part, view) if container.multipart else "")

@@ -25,7 +25,7 @@ from lobewise.io.exr.describe import (
     list_similarities,
 )
 from lobewise.io.exr.describe import describe_file as describe_own
-from lobewise.io.exr.layout import find_beauty
+from lobewise.io.exr.layout import look_up_beauty
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.files import PathLike
 
@@ -70,7 +70,7 @@ def inspect_file(
     is_foreign = preset is not None or mapping or camera is not None or half is not None or also
     if not container.parts or (not is_foreign and is_own(container)):
         own = describe_own(path)
-        marks = _list_refusals(check_own_mark(container)) if find_beauty(container.parts) else ()
+        marks = _list_refusals(check_own_mark(container)) if look_up_beauty(container.parts) else ()
         left = describe_own_left_noisy(container)
         return replace(own, notes=(*left, *own.notes, *marks), refusals=(*own.refusals, *marks)), None
     selections = list_selections(path, preset=preset, mapping=mapping, all_layers=all_layers)
@@ -136,7 +136,7 @@ def describe_import(imported: Imported, others: Sequence[Imported] = ()) -> File
             RoleDescription(what, one.label, "; ".join(CONVERSIONS[word] for word in one.convert))
             for what, one in _list_found(channels, imported)
         ),
-        version=_find_version(channels.preset, container),
+        version=_read_version(channels.preset, container),
         uses=list_uses(channels, frame),
         layers=tuple(layer.name for layer in frame.layers) or (("diffuse", "specular") if frame.radiance.parts else ()),
         exact=tuple(dict.fromkeys(name.partition("/")[0] for name in frame.unscattered)),
@@ -173,17 +173,17 @@ def _list_further_notes(imported: Imported, others: Sequence[Imported]) -> list[
     """Return the notes on further views of a kind that the first does not have, each with the name of its view."""
     assert imported.map is not None
     first = imported.map.selection
-    known = {first.find_kind(note) for note in (*imported.frame.notes, *imported.notes)}
+    known = {first.name_kind(note) for note in (*imported.frame.notes, *imported.notes)}
     notes: list[str] = []
     for other in others:
         assert other.map is not None
         own = other.map.selection
-        new = [note for note in (*other.frame.notes, *other.notes) if own.find_kind(note) not in known]
+        new = [note for note in (*other.frame.notes, *other.notes) if own.name_kind(note) not in known]
         notes += [own.begin_note(note, first) for note in new]
     return notes
 
 
-def _find_version(preset: Preset, container: Container) -> str:
+def _read_version(preset: Preset, container: Container) -> str:
     """Return the renderer's version from the header, cut off before any bracket; empty if the header has none."""
     values = {item.name: item.value for part in container.parts for item in part.attributes if item.type == "string"}
     for name in preset.versions:

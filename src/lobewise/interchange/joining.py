@@ -48,7 +48,7 @@ def add_also(imported: Imported, patterns: Sequence[str], read: ImageReader) -> 
             )
         for one, channels in taken:
             image, found_one = read(Found(one, channels)), Found(one, channels)
-            owner, albedo = _find_owner(imported, one)
+            owner, albedo = _look_up_owner(imported, one)
             if owner is None:
                 name, divided = one.path, "the image"
                 whole[name] = image
@@ -64,7 +64,7 @@ def add_also(imported: Imported, patterns: Sequence[str], read: ImageReader) -> 
     return replace(imported, frame=frame, outputs=outputs, notes=tuple(notes))
 
 
-def _find_owner(imported: Imported, one: Pass) -> tuple[str | None, Found | None]:
+def _look_up_owner(imported: Imported, one: Pass) -> tuple[str | None, Found | None]:
     """Return the layer of a pass and the albedo that divides its light. The layer is None for a pass of the image.
 
     The layer is the one with the longest pass name that begins the name of this pass.

@@ -24,8 +24,8 @@ from lobewise.interchange.preset import (
     LayerRule,
     Preset,
     Rule,
-    find_preset,
     load_presets,
+    look_up_preset,
     require_conversion,
 )
 from lobewise.interchange.selections import Selection, choose_view, keep_layer, list_images, list_selections
@@ -134,7 +134,7 @@ class ChannelMap:
 def choose_preset(container: Container, passes: Iterable[Pass], asked: PathLike | None = None) -> tuple[Preset, str]:
     """Return the preset of a file and the reason: an option, a header attribute, pass names, or the generic default."""
     if asked is not None:
-        return find_preset(asked), "it was asked for"
+        return look_up_preset(asked), "it was asked for"
     attributes = [item for part in container.parts for item in part.attributes]
     for preset in load_presets().values():
         for pattern in preset.attributes:
@@ -185,7 +185,7 @@ def map_channels(
     passes, unread = ([one for one in each if one.view == view] for each in (everything, unread))
     own = {role: parse_mapping(role, text, passes, unread) for role, text in (mapping or {}).items()}
     images = list_images(chosen, passes)
-    color, prefix = _find_color(container, images, passes, own.get("color"), layer)
+    color, prefix = _choose_color(container, images, passes, own.get("color"), layer)
     for role, mapped in own.items():
         if apart := _compare_pixels(mapped.source.part, color.source.part):
             raise InputError(
@@ -198,15 +198,15 @@ def map_channels(
     beside = keep_beside(passes, color.source.part)
     roles = {"color": color}
     for role, rules in chosen.roles.items():
-        found = own.get(role) or _find_role(role, rules, beside, prefix)
+        found = own.get(role) or _look_up_role(role, rules, beside, prefix)
         if found is not None and role != "color":
             roles[role] = found
     roles |= {role: found for role, found in own.items() if role not in roles}
     layers: dict[str, FoundLayer] = {}
     for rule in chosen.layers:
-        if (one := _find_layer(rule, beside, prefix)) is not None:
+        if (one := _look_up_layer(rule, beside, prefix)) is not None:
             layers.setdefault(rule.name, one)
-    mattes = [_find_matte(name, beside, prefix) for name in chosen.cryptomatte]
+    mattes = [_list_matte(name, beside, prefix) for name in chosen.cryptomatte]
     return ChannelMap(
         chosen,
         reason,
@@ -217,7 +217,7 @@ def map_channels(
         selection=Selection(view, prefix.removesuffix(".")),
         selections=list_selections(container, chosen, everything),
         beside=tuple(beside),
-        shown=None if "color" in own else _find_shown(chosen, color, beside, prefix),
+        shown=None if "color" in own else _look_up_shown(chosen, color, beside, prefix),
         refused=_list_refused_roles(chosen, roles, color, [*passes, *unread])
         | _list_refused_layers(chosen, layers, beside),
     )
@@ -272,7 +272,7 @@ def _pick(role: str, one: Pass, component: str | None = None) -> tuple[str, ...]
     return one.pick(ORDERS.get(role, COLOR))
 
 
-def _find_color(
+def _choose_color(
     container: Container,
     images: Mapping[str, tuple[Pass, Rule]],
     passes: Sequence[Pass],
@@ -295,7 +295,7 @@ def _find_color(
     )
 
 
-def _find_shown(preset: Preset, color: Found, passes: Sequence[Pass], prefix: str) -> Found | None:
+def _look_up_shown(preset: Preset, color: Found, passes: Sequence[Pass], prefix: str) -> Found | None:
     """Return the image that viewers show, if it is not the noisy image itself."""
     for pattern in preset.shown:
         for one in passes:
@@ -305,24 +305,24 @@ def _find_shown(preset: Preset, color: Found, passes: Sequence[Pass], prefix: st
     return None
 
 
-def _find_pass(pattern: str, passes: Sequence[Pass], prefix: str) -> list[Pass]:
+def _list_matching(pattern: str, passes: Sequence[Pass], prefix: str) -> list[Pass]:
     """Return the passes that match a pattern, sorted so that the given prefix comes first."""
     alike = [one for one in passes if one.matches(pattern)]
     return sorted(alike, key=lambda one: one.get_prefix(pattern) != prefix)
 
 
-def _find_role(role: str, rules: Iterable[Rule], passes: Sequence[Pass], prefix: str) -> Found | None:
+def _look_up_role(role: str, rules: Iterable[Rule], passes: Sequence[Pass], prefix: str) -> Found | None:
     for rule in rules:
-        for one in _find_pass(rule.source, passes, prefix):
+        for one in _list_matching(rule.source, passes, prefix):
             channels = _pick(role, one, rule.component)
             if channels is not None:
                 return Found(one, channels, rule.convert)
     return None
 
 
-def _find_layer(rule: LayerRule, passes: Sequence[Pass], prefix: str) -> FoundLayer | None:
-    light = [_find_role("color", [Rule(name)], passes, prefix) for name in rule.light]
-    albedo = _find_role("color", [Rule(rule.albedo)], passes, prefix) if rule.albedo else None
+def _look_up_layer(rule: LayerRule, passes: Sequence[Pass], prefix: str) -> FoundLayer | None:
+    light = [_look_up_role("color", [Rule(name)], passes, prefix) for name in rule.light]
+    albedo = _look_up_role("color", [Rule(rule.albedo)], passes, prefix) if rule.albedo else None
     if None in light or not light or (rule.times_albedo and albedo is None):
         return None
     return FoundLayer(rule, tuple(found for found in light if found), albedo)
@@ -378,7 +378,7 @@ def _list_refused_layers(preset: Preset, layers: Mapping[str, FoundLayer], passe
     refused: dict[str, str] = {}
     for rule in preset.layers:
         needed = [*rule.light, *([rule.albedo] if rule.albedo and rule.times_albedo else [])]
-        missing = [name for name in needed if _find_role("color", [Rule(name)], passes, "") is None]
+        missing = [name for name in needed if _look_up_role("color", [Rule(name)], passes, "") is None]
         if rule.name in layers or rule.name in refused or not (preset.is_users or len(missing) < len(needed)):
             continue
         words = "passes" if len(missing) > 1 else "pass"
@@ -386,11 +386,11 @@ def _list_refused_layers(preset: Preset, layers: Mapping[str, FoundLayer], passe
     return refused
 
 
-def _find_matte(name: str, passes: Sequence[Pass], prefix: str) -> tuple[Found, ...]:
+def _list_matte(name: str, passes: Sequence[Pass], prefix: str) -> tuple[Found, ...]:
     """Return the passes of one Cryptomatte. Each pass holds two ranks, each an id and a coverage."""
     ranks: dict[str, Found] = {}
     for number in range(16):
-        for one in _find_pass(f"{name}{number:02d}", passes, prefix):
+        for one in _list_matching(f"{name}{number:02d}", passes, prefix):
             channels = one.pick(("rgba",))
             if channels is not None:
                 ranks.setdefault(f"{number}", Found(one, channels))

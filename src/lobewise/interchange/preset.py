@@ -158,7 +158,7 @@ def load_presets() -> dict[str, Preset]:
     return presets
 
 
-def find_preset(name: PathLike) -> Preset:
+def look_up_preset(name: PathLike) -> Preset:
     """Return the preset of this name, or the preset in a file whose name ends in ``.toml``.
 
     Raises

@@ -20,11 +20,11 @@ from lobewise.interchange.importing.steps import import_foreign
 from lobewise.interchange.joining import add_also, join_halves
 from lobewise.interchange.lighting import name_pass
 from lobewise.interchange.mapping import map_channels
-from lobewise.interchange.selections import Selection, find_mapped_view
-from lobewise.interchange.siblings import find_family
+from lobewise.interchange.selections import Selection, look_up_mapped_view
+from lobewise.interchange.siblings import look_up_family
 from lobewise.io.exr.container import Channel, Container, Part, Window
 from lobewise.io.exr.frames import read_whole
-from lobewise.io.exr.layout import find_beauty, name_file, plan_reading, require_shaded
+from lobewise.io.exr.layout import look_up_beauty, name_file, plan_reading, require_shaded
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.schema import SCHEMA
 from lobewise.io.files import PathLike
@@ -42,8 +42,8 @@ def is_own(container: Container) -> bool:
     """
     if any(item.name == SCHEMA for part in container.parts for item in part.attributes):
         return True
-    beauty = find_beauty(container.parts)
-    if beauty is None or map_channels(find_family(container).container).preset.name != "generic":
+    beauty = look_up_beauty(container.parts)
+    if beauty is None or map_channels(look_up_family(container).container).preset.name != "generic":
         return False
     return any(slot.owner != "radiance" for _, slots in plan_reading(container, beauty) for slot in slots)
 
@@ -149,11 +149,11 @@ def list_selections(
     container = read_container(path)
     if preset is None and not mapping and is_own(container):
         return (Selection(),)
-    family = find_family(container).container
+    family = look_up_family(container).container
     with name_file(path):
         first = map_channels(family, preset=preset, mapping=mapping)
     views = dict.fromkeys(each.view for each in first.selections)
-    if find_mapped_view(list_passes(family), mapping or {}):
+    if look_up_mapped_view(list_passes(family), mapping or {}):
         views = {}
     if len(first.selections) > MAX_SELECTIONS:
         raise InputError(
@@ -205,7 +205,7 @@ def import_file(
         As `read_frame`; also if no pass matches a pattern of ``also``.
     """
     container = read_container(path)
-    family = find_family(container)
+    family = look_up_family(container)
     read = ImageReader(family.decode)
     if preset is None and not mapping and is_own(container):
         require_shaded(container)

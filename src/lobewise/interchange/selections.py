@@ -39,7 +39,7 @@ class Selection:
         ).label
         return f"{label[:1].upper()}{label[1:]}: {note}"
 
-    def find_kind(self, note: str) -> str:
+    def name_kind(self, note: str) -> str:
         """Return a note without figures and without the names, which differ where the same is true of several views."""
         for name in filter(None, (self.layer, self.view)):
             note = note.replace(f"{name}.", "").replace(f".{name}", "")
@@ -67,10 +67,10 @@ def choose_view(
     """
     if asked is not None:
         return require_choice("view", asked, views)
-    return find_mapped_view(passes, mapping) or views[0]
+    return look_up_mapped_view(passes, mapping) or views[0]
 
 
-def find_mapped_view(passes: Iterable[Pass], mapping: Mapping[str, str]) -> str:
+def look_up_mapped_view(passes: Iterable[Pass], mapping: Mapping[str, str]) -> str:
     """Return the view of the first channel or pass that the user mapped by its name in one view; empty for none."""
     names = {name.strip() for text in mapping.values() for name in text.partition(":")[0].split(",")}
     for one in passes:
@@ -117,11 +117,11 @@ def keep_layer(passes: Sequence[Pass], preset: Preset, prefix: str, prefixes: It
     """
     known = {prefix, *prefixes}
 
-    def find_owner(one: Pass) -> str:
+    def name_owner(one: Pass) -> str:
         return max((each for each in known if one.path.startswith(each)), key=len, default="")
 
     images = [rule.source for rule in preset.roles.get("color", ())]
-    own = [one for one in passes if find_owner(one) == prefix]
+    own = [one for one in passes if name_owner(one) == prefix]
     if all(any(map(one.matches, images)) for one in own):
         return list(passes)
-    return [one for one in passes if find_owner(one) in ("", prefix)]
+    return [one for one in passes if name_owner(one) in ("", prefix)]

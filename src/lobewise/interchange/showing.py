@@ -6,7 +6,7 @@ from lobewise.frame import FloatArray
 from lobewise.interchange.imported import ImageReader
 from lobewise.interchange.mapping import map_channels
 from lobewise.interchange.reading import is_own
-from lobewise.interchange.siblings import find_family
+from lobewise.interchange.siblings import look_up_family
 from lobewise.io.exr.frames import read_image as read_own_image
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.files import PathLike
@@ -16,7 +16,7 @@ def read_image(path: PathLike) -> FloatArray:
     """Return the image of any EXR file that viewers show: float32, shape (height, width, 3).
 
     If the renderer denoised its image and kept the noisy one in another pass, this is the denoised image.
-    `find_noisy_pass` names the noisy one.
+    `name_noisy_pass` names the noisy one.
 
     Raises
     ------
@@ -28,11 +28,11 @@ def read_image(path: PathLike) -> FloatArray:
     container = read_container(path)
     if is_own(container):
         return read_own_image(path)
-    family = find_family(container)
+    family = look_up_family(container)
     return ImageReader(family.decode)(map_channels(family.container).target)
 
 
-def find_noisy_pass(path: PathLike) -> tuple[str, str] | None:
+def name_noisy_pass(path: PathLike) -> tuple[str, str] | None:
     """Return the labels of the shown image and of the noisy pass; None if the shown image is the noisy one.
 
     Raises
@@ -45,5 +45,5 @@ def find_noisy_pass(path: PathLike) -> tuple[str, str] | None:
     container = read_container(path)
     if is_own(container):
         return None
-    channels = map_channels(find_family(container).container)
+    channels = map_channels(look_up_family(container).container)
     return None if channels.shown is None else (channels.shown.label, channels.roles["color"].label)

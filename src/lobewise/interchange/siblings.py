@@ -37,7 +37,7 @@ class Family:
         return decode_part(*self.homes.get(part.index, (self.container, part)), names)
 
 
-def find_family(container: Container) -> Family:
+def look_up_family(container: Container) -> Family:
     """Return a file with the files of its other passes: ``beach_RGB.exr`` with ``beach_ALBEDO.exr`` and so on.
 
     Neighbouring files are used only if the file holds one plain RGB(A) image, they have its data window, and they
@@ -47,7 +47,7 @@ def find_family(container: Container) -> Family:
         return Family(container)
     for preset in load_presets().values():
         for word in preset.files:
-            siblings = _find_parts(container, preset, word) if word in container.path.stem else {}
+            siblings = _look_up_parts(container, preset, word) if word in container.path.stem else {}
             if siblings and all(any(fnmatchcase(name, wanted) for name in siblings) for wanted in preset.passes):
                 main = _name_part(container.parts[0], 0, word)
                 homes = {FIRST_SIBLING_INDEX + number: home for number, home in enumerate(siblings.values())}
@@ -63,11 +63,11 @@ def find_family(container: Container) -> Family:
 def list_family(path: Path) -> list[Path]:
     """Return the paths of a file and of the files read with it; the file alone if it cannot be read."""
     container = _read(path)
-    homes = () if container is None else find_family(container).homes.values()
+    homes = () if container is None else look_up_family(container).homes.values()
     return [path, *(other.path for other, _ in homes)]
 
 
-def _find_parts(container: Container, preset: Preset, word: str) -> dict[str, tuple[Container, Part]]:
+def _look_up_parts(container: Container, preset: Preset, word: str) -> dict[str, tuple[Container, Part]]:
     """Return the neighbouring files of a preset's passes. Their names have the pass in place of ``word``."""
     parts = {}
     head, _, tail = container.path.stem.rpartition(word)

@@ -52,7 +52,7 @@ def take_silhouettes(channels: ChannelMap, read: ImageReader) -> tuple[Silhouett
         ids, shares = [plane.view(np.uint32) for plane in planes[0::2]], planes[1::2]
         if any(plane.any() for plane in shares):
             notes.append(f"Silhouettes are told by Cryptomatte ({passes[0].label} and {len(passes) - 1} more).")
-            return Silhouettes(find_coverage(ids, shares), find_object_share(shares)), notes
+            return Silhouettes(compute_coverage(ids, shares), compute_object_share(shares)), notes
     silhouettes, alpha_notes = _take_alpha_silhouettes(channels, read)
     return silhouettes, [*notes, *alpha_notes]
 
@@ -71,10 +71,10 @@ def _take_alpha_silhouettes(channels: ChannelMap, read: ImageReader) -> tuple[Si
         return Silhouettes(), []
     note = f"Silhouettes against the background are told by {alpha_pass.label}; no Cryptomatte tells the others."
     ids, shares = [np.ones(alpha.shape, np.uint32)], [alpha]
-    return Silhouettes(find_coverage(ids, shares), find_object_share(shares)), [note]
+    return Silhouettes(compute_coverage(ids, shares), compute_object_share(shares)), [note]
 
 
-def find_coverage(ids: Sequence[NDArray[np.uint32]], shares: Sequence[FloatArray]) -> FloatArray:
+def compute_coverage(ids: Sequence[NDArray[np.uint32]], shares: Sequence[FloatArray]) -> FloatArray:
     """Return the shares of every pixel's area that belong to the surfaces of its 3x3 neighbours.
 
     A pixel is owned by the object with the largest share of it. The share of any other object goes, in equal parts, to
@@ -106,7 +106,7 @@ def find_coverage(ids: Sequence[NDArray[np.uint32]], shares: Sequence[FloatArray
             got=f"{len(ids)} ids and {len(shares)} shares of the shapes {sorted({each.shape for each in planes})}",
             action="read id and share of every rank",
         )
-    owner, edges = _find_owners(ids, shares)
+    owner, edges = _choose_owners(ids, shares)
     coverage = np.zeros((*owner.shape, 9), np.float32)
     coverage[..., 4] = 1.0
     rows, columns = np.nonzero(edges)
@@ -122,7 +122,7 @@ def find_coverage(ids: Sequence[NDArray[np.uint32]], shares: Sequence[FloatArray
     return coverage
 
 
-def find_object_share(shares: Sequence[FloatArray]) -> FloatArray:
+def compute_object_share(shares: Sequence[FloatArray]) -> FloatArray:
     """Return the largest share of every pixel's area that belongs to one object or to the background.
 
     Parameters
@@ -160,7 +160,7 @@ def _list_objects(ids: NDArray[np.uint32], shares: FloatArray) -> tuple[NDArray[
     return np.concatenate([ids, np.zeros_like(ids[:, :1])], axis=-1), parts / np.maximum(total + rest, np.float32(1e-6))
 
 
-def _find_owners(
+def _choose_owners(
     ids: Sequence[NDArray[np.uint32]], shares: Sequence[FloatArray]
 ) -> tuple[NDArray[np.uint32], NDArray[np.bool_]]:
     """Return the object, or background, with the largest share of every pixel, and which pixels show several."""

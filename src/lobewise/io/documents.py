@@ -118,13 +118,13 @@ def _parse(parse: Callable[[], Any], kind: str, what: str, action: str) -> Any:
         got = str(problem)
     except ValueError as problem:
         # The parsers' own messages change from version to version: tell only the place.
-        got = f"text that is no {kind}{_find_place(problem)}"
+        got = f"text that is no {kind}{_read_place(problem)}"
     except MemoryError:
         got = "more than there is memory for"
     raise FileError(what, expected=kind, got=_make_printable(got), action=action)
 
 
-def _find_place(problem: ValueError) -> str:
+def _read_place(problem: ValueError) -> str:
     """Return where a parser stopped, such as " from line 1, column 20 on"; empty if it does not tell."""
     if isinstance(problem, json.JSONDecodeError):
         if not problem.doc[problem.pos :].strip():

@@ -56,7 +56,7 @@ def require_readable(path: PathLike, *, what: str = "input", holds: str = "") ->
             with file.open("rb"):
                 return file
     except FileNotFoundError:
-        near = _find_sibling(file)
+        near = _choose_sibling(file)
         expected, got = "an existing file", "no such file"
         action = f"did you mean {near!r}?" if near else "check the path"
     except (OSError, ValueError) as problem:
@@ -118,9 +118,9 @@ def require_other_files(
 
     Inputs that do not exist are ignored.
     """
-    known = {place: path for path in inputs if (place := _find_place(path)) is not None}
+    known = {place: path for path in inputs if (place := _identify_file(path)) is not None}
     for path in outputs:
-        place = _find_place(path)
+        place = _identify_file(path)
         if place in known:
             read = known[place]
             by = "" if str(read) == str(path) else f" {str(read)!r}"
@@ -132,7 +132,7 @@ def require_other_files(
             )
 
 
-def _find_place(path: PathLike) -> tuple[int, int] | None:
+def _identify_file(path: PathLike) -> tuple[int, int] | None:
     """Return the device and inode of a file, which identify it under any name; None if it does not exist."""
     try:
         status = os.stat(path)
@@ -217,7 +217,7 @@ def write_text(path: PathLike, text: str, *, what: str = "output") -> None:
         stream.write(text.encode("utf-8", "backslashreplace"))
 
 
-def _find_sibling(file: Path) -> str | None:
+def _choose_sibling(file: Path) -> str | None:
     """Return the file in the folder whose name is most similar; None if no name is similar."""
     import difflib
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
-from lobewise.errors import FileError, InputError, find_nearest
+from lobewise.errors import FileError, InputError, choose_nearest
 from lobewise.io.files import PathLike, say_reason
 
 # Placeholder of the number: #### as in Blender, or %04d as in C and ffmpeg.
@@ -119,7 +119,7 @@ class FramePattern:
         numbered = sorted((int(match[1]), self.folder / match[0]) for match in map(name.fullmatch, names) if match)
         if numbered:
             return numbered
-        near = self._find_near(names)
+        near = self._choose_near(names)
         raise FileError(
             f"sequence {str(self)!r}",
             expected=f"files such as {self.name(1).name!r}",
@@ -127,7 +127,7 @@ class FramePattern:
             action=f"did you mean {near!r}?" if near else "check the path",
         )
 
-    def _find_near(self, names: list[str]) -> str | None:
+    def _choose_near(self, names: list[str]) -> str | None:
         """Return the pattern of other numbered files with the most similar name; None if no name is similar.
 
         Only letters and digits before the ending are compared, because every pattern has a run of # and the ending.
@@ -138,7 +138,7 @@ class FramePattern:
             other = re.sub(r"[0-9]+(?!.*[0-9])", lambda run: "#" * len(run[0]), name)
             if other != name and Path(other).suffix.casefold() == own.suffix.casefold():
                 patterns.setdefault(_take_letters(other), other)
-        near = find_nearest(_take_letters(own.name), patterns)
+        near = choose_nearest(_take_letters(own.name), patterns)
         return str(self.folder / patterns[near]) if near is not None else None
 
 

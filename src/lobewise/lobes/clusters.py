@@ -12,14 +12,14 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from lobewise.lobes.gaussian import find_share_on_sphere, integrate_gaussian
+from lobewise.lobes.gaussian import compute_share_on_sphere, integrate_gaussian
 from lobewise.lobes.mixture import GGX_MIXTURES
 from lobewise.lobes.numbers import Namespace
 from lobewise.lobes.vectors import Vector, combine, dot
 
 MAX_SHARPNESS = 1e6
 """Largest sharpness of a distribution of directions, inverse square radians: a milliradian."""
-MIN_SHARPNESS = 0.1
+MIN_EXACT_SHARPNESS = 0.1
 """Sharpness below which the mean direction has a length of a third of the sharpness, to 1e-4."""
 MIN_HALF_COSINE_SQUARE = 1e-4
 """Smallest squared cosine of half the angle between two directions whose offset in a plane is found."""
@@ -39,27 +39,27 @@ def convolve_sharpness(first: Any, second: Any) -> Any:
     return first * second / (first + second)
 
 
-def find_mean_length(xp: Namespace, sharpness: Any) -> Any:
+def compute_mean_length(xp: Namespace, sharpness: Any) -> Any:
     """Return ``coth l - 1 / l``: the length, 0 to 1, of the mean of directions spread as a spherical Gaussian.
 
-    Exact (Mardia and Jupp 2000, "Directional Statistics", section 9.3) above `MIN_SHARPNESS`, and below to 1e-4.
+    Exact (Mardia and Jupp 2000, "Directional Statistics", section 9.3) above `MIN_EXACT_SHARPNESS`, and below to 1e-4.
     """
-    safe = xp.maximum(sharpness, xp.number(MIN_SHARPNESS))
-    share = find_share_on_sphere(xp, safe)
-    return xp.where(sharpness < xp.number(MIN_SHARPNESS), sharpness / 3.0, (2.0 - share) / share - 1.0 / safe)
+    safe = xp.maximum(sharpness, xp.number(MIN_EXACT_SHARPNESS))
+    share = compute_share_on_sphere(xp, safe)
+    return xp.where(sharpness < xp.number(MIN_EXACT_SHARPNESS), sharpness / 3.0, (2.0 - share) / share - 1.0 / safe)
 
 
-def find_sharpness_of_mean(xp: Namespace, length: Any) -> Any:
+def compute_sharpness_of_mean(xp: Namespace, length: Any) -> Any:
     """Return the sharpness whose mean direction has a length in [0, 1], at most `MAX_SHARPNESS`.
 
     Source: Banerjee et al. 2005, "Clustering on the Unit Hypersphere using von Mises-Fisher Distributions":
-    ``(3 r - r^3) / (1 - r^2)``. Approximate: within 5 % of the inverse of `find_mean_length`.
+    ``(3 r - r^3) / (1 - r^2)``. Approximate: within 5 % of the inverse of `compute_mean_length`.
     """
     square = length * length
     return length * (3.0 - square) / xp.maximum(1.0 - square, xp.number(2.0 / MAX_SHARPNESS))
 
 
-def find_positive_mean(xp: Namespace, mean: Any, variance: Any) -> Any:
+def compute_positive_mean(xp: Namespace, mean: Any, variance: Any) -> Any:
     """Return the mean of ``max(x, 0)`` of a number x with a mean and a variance. Approximate.
 
     ``(m + sqrt(m^2 + 2 s^2 / pi)) / 2``: exact for a Gaussian of mean 0, and far from 0. For a cosine whose direction
@@ -68,15 +68,15 @@ def find_positive_mean(xp: Namespace, mean: Any, variance: Any) -> Any:
     return 0.5 * (mean + xp.sqrt(mean * mean + (2.0 / math.pi) * xp.maximum(variance, 0.0)))
 
 
-def find_positive_share(mean: Any, positive_mean: Any) -> Any:
-    """Return the probability that a number is above 0, by its mean and the `find_positive_mean` of it. Approximate.
+def compute_positive_share(mean: Any, positive_mean: Any) -> Any:
+    """Return the probability that a number is above 0, by its mean and the `compute_positive_mean` of it. Approximate.
 
     It is the derivative of the positive mean by the mean: 1/2 at mean 0.
     """
     return positive_mean / (2.0 * positive_mean - mean + TINY)
 
 
-def find_cosine_variance(cosine: Any, length: Any, across: Any, part: Any) -> Any:
+def compute_cosine_variance(cosine: Any, length: Any, across: Any, part: Any) -> Any:
     """Return the variance of n.w over directions w spread about an axis.
 
     Exact for a spherical Gaussian with the shares below (Mardia and Jupp 2000, section 9.3).
@@ -86,7 +86,7 @@ def find_cosine_variance(cosine: Any, length: Any, across: Any, part: Any) -> An
     cosine : number
         Cosine between n and the axis.
     length : number
-        `find_mean_length` of the sharpness of w.
+        `compute_mean_length` of the sharpness of w.
     across : number
         Variance of w along one direction across the axis: ``length / sharpness``.
     part : number
@@ -100,7 +100,9 @@ def evaluate_gaussian(xp: Namespace, cosine: Any, sharpness: Any) -> Any:
     return _exp(xp, sharpness * (cosine - 1.0)) / integrate_gaussian(xp, sharpness)
 
 
-def find_offset(xp: Namespace, axis: Vector, basis: tuple[Vector, Vector], direction: Vector) -> tuple[Any, Any, Any]:
+def project_direction(
+    xp: Namespace, axis: Vector, basis: tuple[Vector, Vector], direction: Vector
+) -> tuple[Any, Any, Any]:
     """Return the two coordinates of a direction in the plane across an axis, and ``1 + axis.direction``.
 
     The distance from 0 is the chord between direction and axis. ``basis`` holds two unit vectors across the axis.
@@ -115,7 +117,7 @@ def project_covariance(
 ) -> list[Any]:
     """Return xx, xy and yy of a covariance (six numbers) seen along a direction, in the turned basis of an axis.
 
-    The basis is turned with the axis to the direction on the shortest way. ``twice`` is that of `find_offset`.
+    The basis is turned with the axis to the direction on the shortest way. ``twice`` is that of `project_direction`.
     """
     between = combine((1.0, axis), (1.0, direction))
     first, second = (combine((1.0, side), (-dot(side, direction) / twice, between)) for side in basis)
@@ -138,7 +140,7 @@ def evaluate_lobe(xp: Namespace, offset: tuple[Any, Any], lobe: Vector, light: V
     ----------
     xp : Namespace
     offset : two numbers
-        See `find_offset`.
+        See `project_direction`.
     lobe, light : three numbers
         ``xx``, ``xy``, ``yy`` of the covariances of the lobe (`lobewise.lobes.covariance`) and of the light, square
         radians. The sum must be regular.
@@ -152,7 +154,7 @@ def evaluate_lobe(xp: Namespace, offset: tuple[Any, Any], lobe: Vector, light: V
         narrower = xp.where(beckmann, 1.0, xp.number(1.0 / exponent))
         share = xp.where(beckmann, 1.0 if number == 0 else 0.0, xp.number(weight / exponent / total))
         xx, xy, yy = (narrower * part + more for part, more in zip(lobe, light, strict=True))
-        determinant = _find_determinant(xp, xx, xy, yy)
+        determinant = _compute_determinant(xp, xx, xy, yy)
         x, y = offset
         square = (x * x * yy - 2.0 * (x * y) * xy + y * y * xx) / determinant
         value = value + share * _exp(xp, -0.5 * square) / (xp.number(2.0 * math.pi) * xp.sqrt(determinant))
@@ -165,14 +167,14 @@ def bound_lobe(xp: Namespace, offset: tuple[Any, Any], lobe: Vector, variance: A
     It estimates `evaluate_lobe` for clusters of any shape of this variance, and never vanishes.
     """
     xx, xy, yy = lobe[0] + variance, lobe[1], lobe[2] + variance
-    determinant = _find_determinant(xp, xx, xy, yy)
+    determinant = _compute_determinant(xp, xx, xy, yy)
     x, y = offset
     square = (x * x * yy - 2.0 * (x * y) * xy + y * y * xx) / determinant
     tail = 1.0 + 0.5 * square
     return 1.0 / (xp.number(2.0 * math.pi) * xp.sqrt(determinant) * (tail * tail))
 
 
-def _find_determinant(xp: Namespace, xx: Any, xy: Any, yy: Any) -> Any:
+def _compute_determinant(xp: Namespace, xx: Any, xy: Any, yy: Any) -> Any:
     """Return a determinant that rounding leaves above 0 if both principal variances are at least `MIN_VARIANCE`."""
     return xp.maximum(xx * yy - xy * xy, xp.number(0.5 * MIN_VARIANCE) * (xx + yy))
 

@@ -43,7 +43,7 @@ class CovarianceLobe(NamedTuple):
     """Product of the two principal variances."""
 
 
-def find_round_covariance(variance: Any, axis: Vector) -> list[Any]:
+def compute_round_covariance(variance: Any, axis: Vector) -> list[Any]:
     """Return the six components of ``variance (I - axis axis^T)``."""
     x, y, z = axis
     vx, vy, vz = scale(axis, variance)
@@ -57,7 +57,7 @@ def _add_outer(covariance: Vector, weight: Any, a: Vector) -> list[Any]:
     return [value + more for value, more in zip(covariance, outer, strict=True)]
 
 
-def find_dominant_normal(xp: Namespace, view: Vector, alphas: Vector) -> list[Any]:
+def compute_dominant_normal(xp: Namespace, view: Vector, alphas: Vector) -> list[Any]:
     """Return the dominant visible normal of GGX, about which the lobe is reflected. Approximate.
 
     Source: Tokuyoshi's public shaders: ``m = normalize(au^2 vx, av^2 vy, sqrt(au^2 vx^2 + av^2 vy^2 + vz^2) + vz)``.
@@ -167,7 +167,7 @@ def _make_isotropic_lobe(
     # cancellation, and no 0/0 at n = v.
     lifted = (floored_square - view_cosine * view_cosine) / xp.maximum(1.0 - cosine * cosine, 0.5)
     excess = 2.0 * square * deficit * ((a * a - b * b) * inverse_square + lifted) / (across_scale * along_scale)
-    covariance = _add_outer(find_round_covariance(along, axis), excess, cross(view, normal))
+    covariance = _add_outer(compute_round_covariance(along, axis), excess, cross(view, normal))
     return CovarianceLobe(axis, covariance, across * along)
 
 
@@ -190,7 +190,7 @@ def _make_anisotropic_lobe(
     normal, view, cosine = facing
     squares = [alpha * alpha for alpha in alphas]
     cosine_u, cosine_v = dot(tangent, view), dot(bitangent, view)
-    mu, mv, mn = find_dominant_normal(xp, (cosine_u, cosine_v, cosine), alphas)
+    mu, mv, mn = compute_dominant_normal(xp, (cosine_u, cosine_v, cosine), alphas)
     m = combine((mu, tangent), (mv, bitangent), (mn, normal))
     view_cosine = mu * cosine_u + mv * cosine_v + mn * cosine
     axis = combine((2.0 * view_cosine, m), (-1.0, view))
@@ -198,7 +198,7 @@ def _make_anisotropic_lobe(
     floored = xp.maximum(view_cosine, xp.number(MIN_VIEW_COSINE))
     lift = floored - view_cosine
     product = 16.0 * floored * floored * squares[0] * squares[1]
-    covariance = find_round_covariance(limit * product, axis)
+    covariance = compute_round_covariance(limit * product, axis)
     trace: Any = 0.0
     for vector, component, along, weight in (
         (tangent, mu, cosine_u, squares[0] * deficits[1]),
@@ -214,7 +214,7 @@ def _make_anisotropic_lobe(
         trace = trace + share * dot(image, image)
         covariance = _add_outer(covariance, share, image)
     inverse = 1.0 / (deficits[0] * deficits[1] + limit * trace + limit * limit * product)
-    blur = find_round_covariance(noise, axis)
+    blur = compute_round_covariance(noise, axis)
     covariance = [0.5 * inverse * value + more for value, more in zip(covariance, blur, strict=True)]
     # Compute determinant and trace of the 2x2 part before the band-limit is added.
     plain = 0.25 * product * inverse

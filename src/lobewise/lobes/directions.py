@@ -23,7 +23,7 @@ def face_viewer(xp: Namespace, normal: Vector, view: Vector) -> tuple[list[Any],
     return scale(bent, inverse), (cosine + lift) * inverse
 
 
-def find_tangent(xp: Namespace, raw: Vector, normal: Vector) -> tuple[list[Any], Any]:
+def compute_tangent(xp: Namespace, raw: Vector, normal: Vector) -> tuple[list[Any], Any]:
     """Return the tangent made perpendicular to the unit normal, of unit length, and whether the raw one was usable.
 
     If the raw tangent is 0 or along the normal, the result is an arbitrary vector perpendicular to the normal.

@@ -19,7 +19,7 @@ _SHARP = 40.0
 """Exponent above which ``1 - exp(-x)`` rounds to 1, in double precision too."""
 
 
-def find_ggx_variance(xp: Namespace, cosine: Any, alphas: Vector, noise: Any) -> Any:
+def compute_ggx_variance(xp: Namespace, cosine: Any, alphas: Vector, noise: Any) -> Any:
     """Return ``1 / sharpness`` of the single spherical Gaussian of a GGX reflection, square radians. Approximate.
 
     Source: Wang et al. 2009: normals of sharpness ``2 / alpha^2``, and the spherical warp, which divides it by
@@ -31,7 +31,7 @@ def find_ggx_variance(xp: Namespace, cosine: Any, alphas: Vector, noise: Any) ->
     return warp * (alphas[0] * alphas[1]) + noise
 
 
-def find_share_on_sphere(xp: Namespace, sharpness: Any) -> Any:
+def compute_share_on_sphere(xp: Namespace, sharpness: Any) -> Any:
     """Return ``1 - exp(-2 l)``: the integral of a lobe over the sphere, over the limit ``2 pi / l`` of sharp lobes."""
     return -xp.expm1(-xp.minimum(2.0 * sharpness, _SHARP))
 
@@ -41,4 +41,4 @@ def integrate_gaussian(xp: Namespace, sharpness: Any) -> Any:
 
     Exact. In float32 a sharpness below 0.01 loses digits, but lobes of reflections are sharper.
     """
-    return xp.number(4.0 * math.pi) * (find_share_on_sphere(xp, sharpness) / (2.0 * sharpness))
+    return xp.number(4.0 * math.pi) * (compute_share_on_sphere(xp, sharpness) / (2.0 * sharpness))

@@ -23,7 +23,7 @@ class HitField(NamedTuple):
     """1/t, shape (height, width); 0 where nothing is hit or known, which switches the term off."""
 
 
-def find_hit_shift(
+def compute_hit_shift(
     axis_i: Vector, axis_j: Vector, hit_i: tuple[Vector, Any], hit_j: tuple[Vector, Any], square: Any
 ) -> list[Any]:
     """Return the shift added to ``z_j - z_i``: the step between the surface points over t, projected across the lobes.

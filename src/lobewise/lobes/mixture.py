@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from lobewise.lobes.gaussian import find_share_on_sphere, integrate_gaussian
+from lobewise.lobes.gaussian import compute_share_on_sphere, integrate_gaussian
 from lobewise.lobes.numbers import Namespace
 
 GGX_MIXTURES = {
@@ -70,7 +70,7 @@ def spread_ggx_mixture(
         steepness = xp.maximum(exponent * deficit, MIN_SHARPNESS * area)
         sharpness.append(steepness / (area + noise * steepness))
         # Compute the integral of the lobe before the band-limit, over ``area``, which is 0 for a mirror.
-        inside = find_share_on_sphere(xp, steepness / xp.maximum(area, xp.number(MIN_AREA)))
+        inside = compute_share_on_sphere(xp, steepness / xp.maximum(area, xp.number(MIN_AREA)))
         shares.append(weight * inside / steepness)
     total, reached = sum(shares), sum(weight / exponent for exponent, weight in rows)
     amplitude = [

@@ -10,7 +10,7 @@ MIN_ALPHA = 1e-3
 """Smallest alpha of common implementations of the "principled" BSDF."""
 
 
-def find_principled_alphas(xp: Namespace, roughness: Any, anisotropy: Any) -> tuple[Any, Any]:
+def compute_principled_alphas(xp: Namespace, roughness: Any, anisotropy: Any) -> tuple[Any, Any]:
     """Return (alpha_u, alpha_v) of a perceptual ``roughness`` and an ``anisotropy``, both in [0, 1].
 
     Source: Burley 2012, "Physically Based Shading at Disney", section 5.4: ``aspect = sqrt(1 - 0.9 anisotropy)``,

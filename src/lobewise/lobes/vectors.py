@@ -37,12 +37,12 @@ def scale(vector: Vector, factor: Any) -> list[Any]:
     return [component * factor for component in vector]
 
 
-def find_luminance(xp: Namespace, colour: Vector) -> Any:
+def compute_luminance(xp: Namespace, colour: Vector) -> Any:
     """Return the luminance of linear red, green and blue."""
     return dot([xp.number(share) for share in LUMINANCE], colour)
 
 
-def find_image_luminance(image: NDArray[np.float32]) -> NDArray[np.float32]:
+def compute_image_luminance(image: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the luminance, shape (...), of an image in NumPy, linear, shape (..., 3)."""
     return np.asarray(image @ np.array(LUMINANCE, np.float32))
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from lobewise import engine
 from lobewise.denoising.automatic import resolve_settings
-from lobewise.denoising.bad_pixels import find_good
+from lobewise.denoising.bad_pixels import mark_good
 from lobewise.denoising.layers import make_layers
 from lobewise.errors import InputError
 from lobewise.filters.cross_filter import FilterOutput, run_filter
@@ -55,7 +55,7 @@ class LinearFilter:
             got = ", ".join(layer.name for layer in layers)
             raise InputError("frame", expected="radiance in one layer", got=got, action="leave its parts out")
         self._layer = layers[0]
-        self._good = find_good(frame.radiance.color)
+        self._good = mark_good(frame.radiance.color)
         self._sums = self._run(self._mark(np.zeros_like(frame.radiance.color)), self._layer.albedo).weight_sum
         self._kept: NDArray[np.bool_] = self._sums <= 0.0
         holes = int(np.count_nonzero(self._kept & ~self._good))

@@ -115,18 +115,18 @@ def get_camera(scene: Any, *, lens: bool = False) -> Camera:
     fov_y = 2.0 * np.arctan(half_width * height / width)
     camera = Camera(position=matrix[:3, 3], forward=matrix[:3, 2], up=matrix[:3, 1], fov_y=float(fov_y))
 
-    def find_directions(film: NDArray[np.float64]) -> NDArray[np.float64]:
+    def compute_directions(film: NDArray[np.float64]) -> NDArray[np.float64]:
         rays, _ = sensor.sample_ray(0.0, 0.5, mi.Point2f(film.astype(np.float32)), mi.Point2f(0.5))
         return np.array(rays.d, dtype=np.float64).T
 
-    edges = find_directions(np.array([[0.0, 1.0], [0.0, 1.0]]))
+    edges = compute_directions(np.array([[0.0, 1.0], [0.0, 1.0]]))
     # Project opposite corners onto the plane at distance 1. Their mean is the centre of the image.
     plane = edges / (edges @ camera.forward)[:, None] @ np.stack([camera.right, camera.up], axis=-1)
     shift = plane.mean(axis=0)
     if np.abs(shift).max() > RAY_TOLERANCE:
         camera = replace(camera, shift=(float(shift[0]), float(shift[1])))
     corners = np.array([[0, 0, width - 1, width - 1], [0, height - 1, 0, height - 1]])
-    directions = find_directions((corners + 0.5) / [[width], [height]])
+    directions = compute_directions((corners + 0.5) / [[width], [height]])
     x, y = camera.get_plane(width, height)
     # Only four rays are compared: to make all of them would take longer than to move the camera.
     rays = camera.forward + x[corners[0], None] * camera.right + y[corners[1], None] * camera.up

@@ -17,7 +17,7 @@ from lobewise.render.camera import is_flat
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import dispatch_surface, dispatch_transmission
 from lobewise.render.materials.surface import Surface
-from lobewise.render.tracing.points import MAX_LAYERS, MIN_SURFACE_OPACITY, find_points
+from lobewise.render.tracing.points import MAX_LAYERS, MIN_SURFACE_OPACITY, trace_points
 from lobewise.render.tracing.rays import hides_emitters, make_ray
 
 RAYS = 16
@@ -124,7 +124,7 @@ def trace_coverage(
     end = min(sum(pixels) + size[0] + 1, size[0] * size[1])
     width, height, first = (dr.opaque(mi.UInt32, number) for number in (*size, begin))
     centre = dr.arange(mi.UInt32, end - begin) + first
-    points = find_points(scene, materials, centre, (width, height))
+    points = trace_points(scene, materials, centre, (width, height))
     centres = _make_look(points.si, points.surface)
     dr.eval(centres)
 
@@ -135,12 +135,12 @@ def trace_coverage(
     neighbours, inside = _gather_neighbours(centres, column, row, mi.Int32(width), mi.Int32(height), mi.Int32(first))
 
     def take(index: Any, sums: _Sums) -> tuple[_Sums]:
-        x, y = find_place(index)
+        x, y = place_ray(index)
         ray = make_ray(scene, pixel, (width, height), mi.Point2f(x, y))
         layers = _look_through(scene, materials, ray)
         look = _make_look(layers.si, layers.surface)
         footprint = angle * dr.norm(layers.si.p - (eye if flat else ray.o))
-        distances = [_find_distance(look, neighbours[k], footprint) + _find_shift(x, y, k) for k in range(9)]
+        distances = [_compute_distance(look, neighbours[k], footprint) + _compute_shift(x, y, k) for k in range(9)]
         # Assign the ray to the pixel itself unless a neighbour is nearer.
         best, least = mi.UInt32(4), distances[4]
         for k in (0, 1, 2, 3, 5, 6, 7, 8):
@@ -183,7 +183,7 @@ def _gather_neighbours(
     return neighbours, inside
 
 
-def find_place(index: Any) -> tuple[Any, Any]:
+def place_ray(index: Any) -> tuple[Any, Any]:
     """Return the place of the pattern's ray ``index`` in a pixel, right and down from its corner, in (0, 1).
 
     Source: Hammersley's points, a (0, 4, 2)-net in base 2 (Niederreiter 1992, section 4.1): each of the pixel's 4x4,
@@ -243,7 +243,7 @@ def _make_look(si: Any, surface: Surface) -> _Look:
     return _Look(found, **{name: dr.select(found, value, 0.0) for name, value in seen.items()})
 
 
-def _find_distance(look: _Look, centre: _Look, footprint: Any) -> Any:
+def _compute_distance(look: _Look, centre: _Look, footprint: Any) -> Any:
     """Return the squared distance between the surfaces of a ray and of a pixel centre; 0 if both miss.
 
     Departs: the chord between the normals approximates their angle; at a right angle it is a tenth shorter.
@@ -259,7 +259,7 @@ def _find_distance(look: _Look, centre: _Look, footprint: Any) -> Any:
     return distance + dr.select(look.found != centre.found, MISS_DISTANCE, 0.0)
 
 
-def _find_shift(x: Any, y: Any, k: int) -> Any:
+def _compute_shift(x: Any, y: Any, k: int) -> Any:
     """Return the part of the squared distance that the way on the screen to the centre of neighbour ``k`` adds."""
     down, right = _NEIGHBOURS[k]
     return SCREEN_WEIGHT * (dr.square(x - 0.5 - right) + dr.square(y - 0.5 - down))

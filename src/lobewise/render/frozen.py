@@ -22,13 +22,13 @@ WARN_AFTER = 200
 class Recorded:
     """A Dr.Jit function that is recorded once and then replayed. If Dr.Jit cannot record it, it runs every time.
 
-    ``function`` takes Dr.Jit arrays and returns a PyTree of them. ``find_state`` returns the objects that ``function``
+    ``function`` takes Dr.Jit arrays and returns a PyTree of them. ``get_state`` returns the objects that ``function``
     reads beside its arguments, such as the scene and other Dr.Jit arrays. With ``records`` false nothing is recorded.
     """
 
-    def __init__(self, function: Callable[..., Any], find_state: Callable[[], Any], *, records: bool = True) -> None:
+    def __init__(self, function: Callable[..., Any], get_state: Callable[[], Any], *, records: bool = True) -> None:
         self._plain = function
-        self._find_state = find_state
+        self._get_state = get_state
         self._records = records
         self.forget()
 
@@ -37,7 +37,7 @@ class Recorded:
         self._run = self._plain
         if self._records:
             self._run = dr.freeze(
-                self._plain, state_fn=lambda *_, **__: self._find_state(), limit=MAX_RECORDINGS, warn_after=WARN_AFTER
+                self._plain, state_fn=lambda *_, **__: self._get_state(), limit=MAX_RECORDINGS, warn_after=WARN_AFTER
             )
 
     def run(self, *arguments: Any) -> Any:

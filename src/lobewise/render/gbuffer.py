@@ -27,8 +27,8 @@ from lobewise.motion import compute_motion
 from lobewise.render.bridge import dr, mi
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import dispatch_surface
-from lobewise.render.materials.surface import find_seen_albedo, is_mirror
-from lobewise.render.tracing.points import MIN_SURFACE_OPACITY, Points, find_points
+from lobewise.render.materials.surface import compute_seen_albedo, is_mirror
+from lobewise.render.tracing.points import MIN_SURFACE_OPACITY, Points, trace_points
 from lobewise.render.tracing.rays import invert_distance
 
 Moves = Mapping[str, ArrayLike]
@@ -47,7 +47,7 @@ def trace_guides(
     """
     width, height = (dr.opaque(mi.UInt32, length) for length in size)
     pixel = dr.arange(mi.UInt32, pixels[1]) + dr.opaque(mi.UInt32, pixels[0])
-    points = find_points(scene, materials, pixel, (width, height))
+    points = trace_points(scene, materials, pixel, (width, height))
     eye = mi.Point3f(*(float(value) for value in camera.position))
     shiny, mirrored = trace_mirror_rays(scene, points)
     guides = _collect_guides(points, eye, shiny, mirrored)
@@ -56,7 +56,7 @@ def trace_guides(
     seen = shiny & mirrored.is_valid()
     surface = dispatch_surface(materials, mirrored.bsdf(), mirrored, seen)
     guides["mirror_normal"] = dr.select(seen, surface.normal, 0.0)
-    guides["mirror_albedo"] = dr.select(seen, find_seen_albedo(surface, mirrored), 0.0)
+    guides["mirror_albedo"] = dr.select(seen, compute_seen_albedo(surface, mirrored), 0.0)
     passes = seen & (is_mirror(surface) | (surface.opacity < MIN_SURFACE_OPACITY))
     guides["mirror_ends"] = dr.select(shiny & ~passes, mi.Float(1), 0.0)
     guides["seen_shape"] = dr.select(passes, 0.0, guides["seen_shape"])
@@ -64,7 +64,7 @@ def trace_guides(
     return guides
 
 
-def find_guides(scene: Any, points: Points, eye: Any) -> dict[str, Any]:
+def compute_guides(scene: Any, points: Points, eye: Any) -> dict[str, Any]:
     """Return the guides of points, as in `trace_guides` but with albedos, not evaluated yet.
 
     Depths are distances from ``eye``, the camera's position. Mitsuba's rays begin at the near plane instead.
@@ -122,7 +122,7 @@ def move_back(scene: Any, shape: FloatArray, position: FloatArray, moves: Moves)
     return np.asarray(before)
 
 
-def find_reflected_motion(
+def compute_reflected_motion(
     scene: Any, guides: GBuffer, seen: tuple[FloatArray, FloatArray], eye: NDArray[np.float64], moves: Moves
 ) -> FloatArray:
     """Return the previous minus the present position of what each pixel's mirror ray hits, (height, width, 3).
@@ -168,7 +168,7 @@ def add_motion(
     shapes : array, shape (height, width)
         As ``shape`` of `trace_guides`.
     seen : pair of arrays, shape (height, width)
-        As for `find_reflected_motion`.
+        As for `compute_reflected_motion`.
     cameras : pair of Camera
         The cameras of this frame and of the previous one.
     moves : Moves
@@ -179,7 +179,7 @@ def add_motion(
     motion = compute_motion(camera, previous, before, guides.require("depth", "motion"))
     if not moves:
         return replace(guides, motion=motion)
-    reflected = find_reflected_motion(scene, guides, seen, camera.position, moves)
+    reflected = compute_reflected_motion(scene, guides, seen, camera.position, moves)
     return replace(guides, motion=motion, reflected_motion=reflected)
 
 

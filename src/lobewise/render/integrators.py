@@ -122,7 +122,7 @@ def _choose_light(scene: Any, integrator: str, max_depth: int | None) -> Light:
             action = "add one to the scene, or leave the choice out"
             raise InputError("integrator", expected="one in the scene", got="none", action=action)
         return Light(max_depth or DEPTH, told=_tell_media(scene))
-    depth = None if integrator == "scene" else _find_depth(scene, own)
+    depth = None if integrator == "scene" else _look_up_depth(scene, own)
     if integrator == "paths" or depth is not None:
         other = f"Light by paths, as asked for; the scene's own {name_integrator(own)} would give other light."
         return Light(max_depth or depth or DEPTH, told=other if depth is None else _tell_media(scene))
@@ -175,7 +175,7 @@ def plan_pixels(scene: Any, what: str, integrator: str = "auto", max_depth: int 
     light = plan_light(scene, integrator, max_depth)
     if light.own is None:
         return light
-    own = find_sampler(light.own)
+    own = choose_sampler(light.own)
     if own is None:
         raise InputError(
             "integrator",
@@ -201,7 +201,7 @@ def _is_python(integrator: Any) -> bool:
     return module.partition(".")[0] != "mitsuba" or "python" in module
 
 
-def _find_depth(scene: Any, integrator: Any) -> int | None:
+def _look_up_depth(scene: Any, integrator: Any) -> int | None:
     """Return the length of the paths that estimate an integrator's light; None if paths do not estimate it."""
     kind = _get_class(integrator)
     text = str(integrator)
@@ -266,13 +266,13 @@ def _tell_media(scene: Any) -> str:
     return f"There are participating media, which {whose} not render; put 'volpath' into the scene to see them."
 
 
-def find_path_depth(scene: Any) -> int:
+def read_path_depth(scene: Any) -> int:
     """Return the longest path, vertices after the camera, of the scene's integrator; `DEPTH` if it has none."""
     own = scene.integrator()
-    return (None if own is None else _find_depth(scene, own)) or DEPTH
+    return (None if own is None else _look_up_depth(scene, own)) or DEPTH
 
 
-def find_sampler(integrator: Any) -> Any:
+def choose_sampler(integrator: Any) -> Any:
     """Return the integrator whose ``sample`` gives the light of single rays, or None if there is none.
 
     An integrator that Mitsuba wrote in Python is replaced by the one in C++ that estimates the same light.
@@ -286,24 +286,24 @@ def find_sampler(integrator: Any) -> Any:
     return integrator if plain else None
 
 
-def find_own_light(scene: Any) -> Any:
+def choose_own_light(scene: Any) -> Any:
     """Return the integrator that must render the light of a scene ray by ray, because paths do not estimate it.
 
     None if paths do, or if the scene's integrator renders no single rays. The width of a lens makes no difference.
     """
     own = scene.integrator()
-    if own is None or _find_depth(scene, own) is not None or not _makes_light(own):
+    if own is None or _look_up_depth(scene, own) is not None or not _makes_light(own):
         return None
-    return find_sampler(own)
+    return choose_sampler(own)
 
 
-def find_lens_light(scene: Any) -> Any:
+def choose_lens_light(scene: Any) -> Any:
     """Return the integrator for the light through a scene's lens, or None if the scene is not seen through a lens."""
     if not has_lens(scene):
         return None
     own = scene.integrator()
-    sampled = find_sampler(own) if own is not None and _makes_light(own) else None
-    return mi.load_dict({"type": "path", "max_depth": find_path_depth(scene)}) if sampled is None else sampled
+    sampled = choose_sampler(own) if own is not None and _makes_light(own) else None
+    return mi.load_dict({"type": "path", "max_depth": read_path_depth(scene)}) if sampled is None else sampled
 
 
 def tell_unseen(scene: Any) -> str:
@@ -314,13 +314,13 @@ def tell_unseen(scene: Any) -> str:
     """
     own = scene.integrator()
     said = []
-    sampled = find_own_light(scene)
+    sampled = choose_own_light(scene)
     if sampled is not None:
         said.append(
             f"With the method 'paths' all light is that of the scene's own {name_integrator(own)}; "
             "other methods show light of surfaces alone."
         )
-    elif own is not None and _find_depth(scene, own) is None:
+    elif own is not None and _look_up_depth(scene, own) is None:
         said.append(f"The pictures show light by paths, not by the scene's own {name_integrator(own)}.")
     if sampled is None and _has_media(scene):
         said.append(_tell_media(scene))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.errors import FileError, InputError, find_nearest, require_choice, require_integer
+from lobewise.errors import FileError, InputError, choose_nearest, require_choice, require_integer
 from lobewise.render.variant import load_mitsuba
 from lobewise.scenes import describe_movers, describe_scene, list_moving_scenes, list_scenes
 
@@ -118,7 +118,7 @@ class MovingScene:
         """Return the ``mitsuba.Scene`` at a time."""
         return load_scene(self.name, width=self.width, height=self.height, time=time)
 
-    def find_moves(self, time: float, before: float) -> dict[str, NDArray[np.float64]]:
+    def compute_moves(self, time: float, before: float) -> dict[str, NDArray[np.float64]]:
         """Return the matrix that maps world points at ``time`` to ``before`` for each moving shape, by its id."""
         load_mitsuba()
         now, then = (
@@ -217,7 +217,7 @@ def _refuse_unused(path: Path, parameters: Mapping[str, str], problem: str) -> N
     if not unused or "unused" not in problem:
         return
     known = sorted(set(re.findall(r"\$\{?(\w+)", path.read_text("utf-8", "replace"))))
-    near = find_nearest(unused[0], known)
+    near = choose_nearest(unused[0], known)
     raise InputError(
         f"parameter {unused[0]!r}",
         expected=f"one of {', '.join(known)}, which {str(path)!r} uses"

@@ -23,7 +23,7 @@ from lobewise.render.images import to_image
 from lobewise.render.integrators import LIGHTS, Light, name_integrator
 from lobewise.render.materials.bsdfs import list_shapes, read_scene_materials
 from lobewise.render.tracing.own_samples import OwnSamples, sample_own
-from lobewise.render.tracing.points import Points, find_first_opaque, find_points
+from lobewise.render.tracing.points import Points, trace_first_opaque, trace_points
 from lobewise.render.tracing.rays import draw_point, make_opaque, make_rng
 
 CHUNK_SAMPLES = 1 << 22
@@ -192,7 +192,7 @@ def forget_lobes_of_media(scene: Any, frame: Frame) -> Frame:
     size = dr.opaque(mi.UInt32, width), dr.opaque(mi.UInt32, height)
     names = [name for name in _WITHOUT_LOBE if getattr(guides, name) is not None]
     with dr.suspend_grad():
-        points = find_points(scene, read_scene_materials(scene), pixel, size)
+        points = trace_points(scene, read_scene_materials(scene), pixel, size)
         kept = {name: mi.Float(np.ravel(getattr(guides, name))) for name in names}
         found = {name: to_image(value).reshape(height, width) for name, value in forget_lobes(kept, points).items()}
     return frame.with_changes(gbuffer=replace(guides, **found))
@@ -245,7 +245,7 @@ def render_lens_guides(scene: Any, *, samples: int, seed: int, moved: bool = Fal
         x = (mi.Float(pixel % columns) + place.x) / mi.Float(columns)
         y = (mi.Float(pixel // columns) + place.y) / mi.Float(rows)
         ray, _ = sensor.sample_ray(0.0, 0.5, mi.Point2f(x, y), draw_point(rng))
-        si, surface = find_first_opaque(scene, materials, ray)
+        si, surface = trace_first_opaque(scene, materials, ray)
         found = si.is_valid()
         shine = dr.select(found, dr.mean(surface.specular_albedo), 0.0)
         sums.found += dr.select(found, 1.0, 0.0)

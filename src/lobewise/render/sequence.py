@@ -106,7 +106,7 @@ def _render_path(
         if index > 0:
             # Take the camera in the sensor's single precision: still objects must not seem to move.
             since["previous_camera"] = previous or _round_camera(current, cameras[index - 1])
-            since["moves"] = moving.find_moves(index, index - 1) if moving is not None else None
+            since["moves"] = moving.compute_moves(index, index - 1) if moving is not None else None
         set_camera(current, cameras[index])
         frame = render(current, index, since)
         previous = frame.camera

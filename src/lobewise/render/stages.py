@@ -18,18 +18,18 @@ from lobewise.lobe_table import LobeTable
 from lobewise.render.bridge import dr, mi, take_numbers
 from lobewise.render.camera import LENS, get_camera, get_image_size, get_sensor, is_flat, set_camera, use_sensor
 from lobewise.render.frozen import Frozen
-from lobewise.render.gbuffer import Moves, add_motion, find_guides
-from lobewise.render.integrators import check_scene, find_lens_light, find_own_light, find_path_depth
+from lobewise.render.gbuffer import Moves, add_motion, compute_guides
+from lobewise.render.integrators import check_scene, choose_lens_light, choose_own_light, read_path_depth
 from lobewise.render.materials.bsdfs import list_lobe_tables, read_scene_materials
 from lobewise.render.own_light import forget_lobes, make_pinhole_sensor
-from lobewise.render.tracing.direct import Boxes, find_lamp_boxes, find_shifts, list_lamps, shade_direct
+from lobewise.render.tracing.direct import Boxes, draw_shifts, list_lamp_boxes, list_lamps, shade_direct
 from lobewise.render.tracing.own_samples import OwnLight, sample_own
 from lobewise.render.tracing.points import (
     Indirect,
     IndirectMethod,
     assign_to_lobes,
     can_be_transparent,
-    find_points,
+    trace_points,
 )
 from lobewise.render.tracing.rays import make_opaque
 
@@ -88,7 +88,7 @@ NO_PIXEL = (1 << 32) - 1
 """Number that no pixel has."""
 
 LIMIT_PIXELS = 32
-"""Columns and rows of the pixels at which `Stages.find_band_limit` measures."""
+"""Columns and rows of the pixels at which `Stages.get_band_limit` measures."""
 
 _GUIDES = {
     "depth": 1,
@@ -155,11 +155,11 @@ class Stages:
         check_scene(scene)
         self.scene = scene
         self.start_camera = get_camera(scene, lens=True)
-        self.max_depth = find_path_depth(scene)
+        self.max_depth = read_path_depth(scene)
         """Longest path, vertices after the camera."""
-        self.own_light = find_own_light(scene)
+        self.own_light = choose_own_light(scene)
         """The scene's integrator if only it renders all light of the scene, otherwise None."""
-        self._lens_light = find_lens_light(scene)
+        self._lens_light = choose_lens_light(scene)
         self._lens = get_sensor(scene)
         self._sensor = choose_sensor(scene, self.start_camera)
         self.start_size = get_image_size(scene)
@@ -170,7 +170,7 @@ class Stages:
         # Dr.Jit does not find all arrays of an orthographic sensor.
         self._records = not is_flat(scene)
         self._first = Frozen(self._trace_first, lambda: (scene, self._sensor), records=self._records)
-        self._surfaces = Frozen(self._find_surfaces, lambda: (scene, self._sensor), records=self._records)
+        self._surfaces = Frozen(self._trace_surfaces, lambda: (scene, self._sensor), records=self._records)
         self._indirect: dict[str, tuple[IndirectMethod, Frozen]] = {}
 
     def forget_recordings(self) -> None:
@@ -193,8 +193,8 @@ class Stages:
         pixel = dr.arange(mi.UInt32, width * height)
         dr.eval(pixel)
         eye = [dr.opaque(mi.Float, float(value)) for value in camera.position]
-        shifts = [dr.opaque(mi.Float, value) for value in find_shifts(seed)]
-        boxes = find_lamp_boxes(self.scene, self._lamps)
+        shifts = [dr.opaque(mi.Float, value) for value in draw_shifts(seed)]
+        boxes = list_lamp_boxes(self.scene, self._lamps)
         counts = (*_GUIDES.values(), 3, 3, 3)
         targets = [dr.empty(mi.Float, 3 * width * height) for count in counts if count == 3]
         with use_sensor(self._sensor):
@@ -235,7 +235,7 @@ class Stages:
         if known is None or known[0] is not method:
 
             def shade(pixel: Any, width: Any, height: Any, samples: Any, seed: Any) -> list[Any]:
-                points = find_points(self.scene, self.materials, pixel, (width, height))
+                points = trace_points(self.scene, self.materials, pixel, (width, height))
                 light = method.shade(points, samples=samples, seed=seed)
                 if self._looks_through:
                     parts = assign_to_lobes(points.surface, light.diffuse, light.specular)
@@ -258,7 +258,7 @@ class Stages:
         shapes = (-1, 3), (-1, 3), (-1,), (-1, 3), (-1,)
         return IndirectLight(*(values.reshape(shape) for values, shape in zip(found, shapes, strict=False)))
 
-    def find_surfaces(
+    def trace_surfaces(
         self, rows: NDArray[np.intp], columns: NDArray[np.intp], camera: Camera
     ) -> tuple[FloatArray, FloatArray]:
         """Return the depths of some pixels, (count,), and the numbers of shapes, (2, count), as in `FirstHits`.
@@ -296,19 +296,19 @@ class Stages:
         with use_sensor(self._sensor):
             return get_image_size(self.scene)
 
-    def find_band_limit(self, method: IndirectMethod, samples: int) -> float:
+    def get_band_limit(self, method: IndirectMethod, samples: int) -> float:
         """Return a method's band-limit, radians, measured at a grid of pixels."""
         width, height = self._get_size()
         columns, rows = min(width, LIMIT_PIXELS), min(height, LIMIT_PIXELS)
         grid = np.arange(rows)[:, None] * height // rows * width + np.arange(columns) * width // columns
         pixel = mi.UInt32(grid.ravel().astype(np.uint32))
         with use_sensor(self._sensor):
-            points = find_points(self.scene, self.materials, pixel, _make_opaque_size(width, height))
-        return method.find_band_limit(points, samples)
+            points = trace_points(self.scene, self.materials, pixel, _make_opaque_size(width, height))
+        return method.get_band_limit(points, samples)
 
-    def _find_surfaces(self, pixel: Any, width: Any, height: Any, x: Any, y: Any, z: Any) -> list[Any]:
-        points = find_points(self.scene, self.materials, pixel, (width, height))
-        guides = find_guides(self.scene, points, mi.Point3f(x, y, z))
+    def _trace_surfaces(self, pixel: Any, width: Any, height: Any, x: Any, y: Any, z: Any) -> list[Any]:
+        points = trace_points(self.scene, self.materials, pixel, (width, height))
+        guides = compute_guides(self.scene, points, mi.Point3f(x, y, z))
         return [guides[name] for name in ("depth", "shape", "seen_shape")]
 
     def _trace_first(
@@ -323,8 +323,8 @@ class Stages:
         boxes: Boxes | None,
         *shifts: Any,
     ) -> list[Any]:
-        points = find_points(self.scene, self.materials, pixel, (width, height))
-        guides = find_guides(self.scene, points, mi.Point3f(x, y, z))
+        points = trace_points(self.scene, self.materials, pixel, (width, height))
+        guides = compute_guides(self.scene, points, mi.Point3f(x, y, z))
         inverse = guides["mirror_inverse"]
         missed = dr.select(guides["mirror_count"] > 0, dr.inf, 0.0)
         guides["hit_distance"] = dr.select(inverse > 0, dr.rcp(inverse), missed)

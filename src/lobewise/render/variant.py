@@ -107,7 +107,7 @@ def rank_llvm_libraries(paths: Iterable[str]) -> list[str]:
     return [path for _, path in usable]
 
 
-def find_llvm() -> str:
+def locate_llvm() -> str:
     """Return the path of a libLLVM that Mitsuba can use: that in `LIBRARY_VARIABLE` if it is set.
 
     Raises
@@ -170,6 +170,6 @@ def load_mitsuba(device: str = "auto") -> Any:
         raise DeviceError("device 'cuda'", expected="an NVIDIA GPU and its driver", got=got, action="pass device='cpu'")
     chosen = "cuda" if has_cuda else "cpu"
     if chosen == "cpu" and sys.platform != "win32":  # on Windows Dr.Jit searches PATH for LLVM-C.dll itself
-        os.environ[LIBRARY_VARIABLE] = find_llvm()
+        os.environ[LIBRARY_VARIABLE] = locate_llvm()
     mi.set_variant(VARIANTS[chosen])
     return mi

@@ -89,7 +89,7 @@ def make_page(report: Report, *, progress: Callable[[int, int], None] | None = N
         errors[picture.key] = np.sqrt(make_error_map(picture.image, report.reference.image, "rel_mse"))
         styles.append(_make_style(f"e-{picture.key}", encode_png(index_errors(errors[picture.key]), palette)))
     height, width = report.reference.image.shape[:2]
-    spot = _find_largest_gain(errors.get(report.left), errors.get(report.right), height, width)
+    spot = _locate_largest_gain(errors.get(report.left), errors.get(report.right), height, width)
     data = {
         "width": width,
         "height": height,
@@ -154,7 +154,7 @@ def _make_style(name: str, png: bytes) -> str:
     return f".{name}{{background-image:url(data:image/png;base64,{base64.b64encode(png).decode('ascii')})}}"
 
 
-def _find_largest_gain(left: FloatArray | None, right: FloatArray | None, height: int, width: int) -> list[int]:
+def _locate_largest_gain(left: FloatArray | None, right: FloatArray | None, height: int, width: int) -> list[int]:
     """Return the centre (x, y) of the square where the errors of two pictures differ most."""
     if left is None or right is None or height < MAGNIFIER_PIXELS or width < MAGNIFIER_PIXELS:
         return [width // 2, height // 2]

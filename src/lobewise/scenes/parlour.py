@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.scenes import parts
-from lobewise.scenes.parts import Item, Vector, find_swing
+from lobewise.scenes.parts import Item, Vector, compute_swing
 
 
 def make_parquet(planks: int = 30, length: int = 8, texels: int = 20) -> NDArray[np.float64]:
@@ -53,7 +53,7 @@ def make_chair(center: Vector, turn: float, bsdf: Item) -> dict[str, Item]:
 
 def make_movers(time: float) -> dict[str, Item]:
     """Return the moving shapes: the pearl slides over the lacquered table, behind the fruit; the stool turns."""
-    swing = find_swing(time, 32.0)
+    swing = compute_swing(time, 32.0)
     pearl = (0.55 - 0.024 * swing, 0.88, 0.45 - 0.007 * swing)
     stool = (1.7 - 0.012 * swing, 0.2, 1.85)
     return {

@@ -20,7 +20,7 @@ IOR_OF_METALS = {
 }
 
 
-def find_swing(time: float, frames: float) -> float:
+def compute_swing(time: float, frames: float) -> float:
     """Return a time that runs from 0 to ``frames`` and back again, repeatedly."""
     return frames - abs(time % (2.0 * frames) - frames)
 

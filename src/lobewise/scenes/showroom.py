@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.scenes import parts
-from lobewise.scenes.parts import Item, find_swing
+from lobewise.scenes.parts import Item, compute_swing
 
 SMOOTHEST = 0.03
 ROUGHEST = 0.6
@@ -50,7 +50,7 @@ def make_stripes(colors: tuple[tuple[float, float, float], ...], repeats: int) -
 
 def make_movers(time: float) -> dict[str, Item]:
     """Return the moving shapes: the green ball slides to the left over smooth tiles and back, the cube turns."""
-    slid = 0.028 * find_swing(time, 32.0)
+    slid = 0.028 * compute_swing(time, 32.0)
     return {
         "plastic": parts.sphere((-0.5 - slid, 0.45, 0.9), 0.45, parts.plastic((0.10, 0.42, 0.12), 0.06)),
         "cube": parts.box(

@@ -31,14 +31,14 @@ def make_studio(rows: int = 256) -> NDArray[np.float64]:
     u, v = np.meshgrid((np.arange(2 * rows) + 0.5) / (2 * rows), (np.arange(rows) + 0.5) / rows)
     azimuth, elevation = 360.0 * u, 90.0 - 180.0 * v
 
-    def find_inside(distance: NDArray[np.float64], softness: float = 1.5) -> NDArray[np.float64]:
+    def compute_inside(distance: NDArray[np.float64], softness: float = 1.5) -> NDArray[np.float64]:
         """Return 1 inside an outline and 0 outside, softened, from the distance to the outline in degrees."""
         t = np.clip(0.5 - distance / softness, 0.0, 1.0)
         return t * t * (3.0 - 2.0 * t)
 
-    def find_rectangle(middle: float, height: float, half_width: float, half_height: float) -> NDArray[np.float64]:
+    def compute_rectangle(middle: float, height: float, half_width: float, half_height: float) -> NDArray[np.float64]:
         across = np.abs((azimuth - middle + 180.0) % 360.0 - 180.0) - half_width
-        return find_inside(np.maximum(across, np.abs(elevation - height) - half_height))
+        return compute_inside(np.maximum(across, np.abs(elevation - height) - half_height))
 
     up = np.clip(elevation / 90.0, 0.0, 1.0)[..., None] ** 0.6
     sky = (1.0 - up) * np.array([0.62, 0.50, 0.38]) + up * np.array([0.16, 0.24, 0.42])
@@ -48,20 +48,22 @@ def make_studio(rows: int = 256) -> NDArray[np.float64]:
     panel = (azimuth // 12.0).astype(int)
     hues = np.array([[0.9, 0.3, 0.12], [0.12, 0.3, 0.6], [0.95, 0.8, 0.4], [0.06, 0.06, 0.07], [0.2, 0.5, 0.3]])
     hue = hues[panel % 5]
-    row = (find_inside(np.abs(elevation + 2.0) - 9.0) * find_inside(np.abs(azimuth % 12.0 - 6.0) - 4.6))[..., None]
+    row = (compute_inside(np.abs(elevation + 2.0) - 9.0) * compute_inside(np.abs(azimuth % 12.0 - 6.0) - 4.6))[
+        ..., None
+    ]
     radiance = radiance + row * (hue - radiance)
     for middle, height, half_width, half_height, color in _SOFT_BOXES:
-        inside = find_rectangle(middle, height, half_width, half_height)[..., None]
+        inside = compute_rectangle(middle, height, half_width, half_height)[..., None]
         radiance = radiance + inside * (np.array(color) - radiance)
     # A window of three by two panes.
     for column in range(3):
         for line in range(2):
-            pane = find_rectangle(52.0 + 13.0 * column, 28.0 + 17.0 * line, 5.4, 7.2)[..., None]
+            pane = compute_rectangle(52.0 + 13.0 * column, 28.0 + 17.0 * line, 5.4, 7.2)[..., None]
             radiance = radiance + pane * (np.array([10.0, 10.8, 12.0]) - radiance)
     angle = np.deg2rad(elevation), np.deg2rad(azimuth - 215.0)
     toward, lifted = np.deg2rad(52.0), np.sin(angle[0])
     cosine = np.sin(toward) * lifted + np.cos(toward) * np.cos(angle[0]) * np.cos(angle[1])
-    sun = find_inside(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))) - 0.5 * SUN_DEGREES)[..., None]
+    sun = compute_inside(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))) - 0.5 * SUN_DEGREES)[..., None]
     return np.asarray(radiance + sun * np.array([130.0, 112.0, 84.0]), dtype=np.float64)
 
 

@@ -14,17 +14,17 @@ from textwrap import fill
 from typing import Annotated, Any, Literal, TypedDict, get_args, get_origin, get_type_hints
 
 from lobewise.errors import InputError, name_value, require_choice
-from lobewise.settings.choices import FormName, QualityName, SimilarityName, get_quality
+from lobewise.settings.choices import FORM_NAMES as FORM_NAMES
+from lobewise.settings.choices import FormName as FormName
+from lobewise.settings.choices import QualityName as QualityName
+from lobewise.settings.choices import SimilarityName as SimilarityName
+from lobewise.settings.choices import get_quality
 
 Auto = Literal["auto"]
-Quality = QualityName
-Similarity = SimilarityName
-Form = FormName
 
-QUALITIES: tuple[Quality, ...] = get_args(Quality)
-SIMILARITIES: tuple[Similarity, ...] = get_args(Similarity)
-FORMS: tuple[Form, ...] = get_args(Form)
-OIDN_QUALITY: Quality = "balanced"
+QUALITY_NAMES: tuple[QualityName, ...] = get_args(QualityName)
+SIMILARITY_NAMES: tuple[SimilarityName, ...] = get_args(SimilarityName)
+OIDN_QUALITY: QualityName = "balanced"
 """The quality of our own image that is mixed with the image of Open Image Denoise, where none is named. The network of
 "high" made the mixture no better (docs/decisions.md)."""
 LARGEST_RADIUS = 64
@@ -168,7 +168,7 @@ class DenoiseSettings(Declared):
     """Parameters of `denoise`."""
 
     quality: Annotated[
-        Quality | Auto,
+        QualityName | Auto,
         Knob(
             'How much work goes into the noise: "fast" little, "balanced" more, "high" most, "auto" the best that is '
             'here. "fast" weighs by guides alone, in one pass, as the paper does. "balanced" filters two halves of the '
@@ -179,7 +179,7 @@ class DenoiseSettings(Declared):
         ),
     ] = "auto"
     similarity: Annotated[
-        Similarity | Auto,
+        SimilarityName | Auto,
         Knob(
             "What two pixels must share to be averaged. Compared on specular pixels are shading normals, one spherical "
             "Gaussian per lobe, a sum of them, one anisotropic spherical Gaussian, or the GGX covariance of the lobe. "
@@ -188,7 +188,7 @@ class DenoiseSettings(Declared):
         ),
     ] = "auto"
     form: Annotated[
-        Form,
+        FormName,
         Knob(
             "Which neighbours count: all (2r+1)^2, a row and then a column, or five 5x5 levels of doubling step "
             "(radius 62). Full is best; separable and atrous, of quality fast, take less time.",
@@ -297,8 +297,8 @@ class DenoiseSettings(Declared):
 class ResolvedSettings(DenoiseSettings):
     """`DenoiseSettings` with every "auto" replaced for a frame. Only `lobewise.denoising.automatic` makes them."""
 
-    quality: Quality
-    similarity: Similarity
+    quality: QualityName
+    similarity: SimilarityName
     beta: float
     diffuse_beta: float
     screen_sigma: float
@@ -365,9 +365,9 @@ for _kind in (DenoiseSettings, TemporalSettings):
 class DenoiseChanges(TypedDict, total=False):
     """Fields of `DenoiseSettings` as keyword arguments, written out for type checkers."""
 
-    quality: Quality | Auto
-    similarity: Similarity | Auto
-    form: Form
+    quality: QualityName | Auto
+    similarity: SimilarityName | Auto
+    form: FormName
     radius: int
     beta: float | Auto
     diffuse_beta: float | Auto

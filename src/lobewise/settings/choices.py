@@ -13,7 +13,7 @@ QualityName = Literal["fast", "balanced", "high"]
 SimilarityName = Literal["normal", "sg", "sg_mixture", "asg", "ggx"]
 FormName = Literal["full", "separable", "atrous"]
 
-FORMS: tuple[FormName, ...] = get_args(FormName)
+FORM_NAMES: tuple[FormName, ...] = get_args(FormName)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,7 +98,9 @@ SIMILARITIES: Mapping[str, Similarity] = {
 QUALITIES: Mapping[str, Quality] = {
     each.name: each
     for each in (
-        Quality(name="fast", forms=FORMS, reads_halves=False, work_bytes_per_pixel=250, seconds_per_megapixel=0.55),
+        Quality(
+            name="fast", forms=FORM_NAMES, reads_halves=False, work_bytes_per_pixel=250, seconds_per_megapixel=0.55
+        ),
         Quality(name="balanced", reads_halves=True, work_bytes_per_pixel=480, seconds_per_megapixel=1.7),
         Quality(name="high", reads_halves=True, refines=True, work_bytes_per_pixel=850, seconds_per_megapixel=2.3),
     )

@@ -39,8 +39,8 @@ def finish_bands(
 class Finisher:
     """Holds filtered rows until the rows around their holes have arrived."""
 
-    def __init__(self, find_mean: Callable[[], FloatArray]) -> None:
-        self._find_mean = find_mean
+    def __init__(self, compute_mean: Callable[[], FloatArray]) -> None:
+        self._compute_mean = compute_mean
         self._images: dict[str, FloatArray] = {}
         self._holes: NDArray[np.bool_] = np.zeros((0, 0), bool)
         self._context = 0
@@ -65,7 +65,7 @@ class Finisher:
         if self._holes[first:stop].any():
             begin, end = max(first - REFILL_REACH, 0), min(stop + REFILL_REACH, count)
             around = self._images["color"][begin:end], self._holes[begin:end]
-            done["color"] = refill(*around, self._find_mean())[first - begin : stop - begin]
+            done["color"] = refill(*around, self._compute_mean())[first - begin : stop - begin]
         for field in [name for name in done if name.startswith("below ")]:
             done[field.removeprefix("below ")] = done[field.removeprefix("below ")] - done.pop(field)
         keep = max(stop - REFILL_REACH, 0)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import NamedTuple
 
-from lobewise.denoising.evidence import STRIP_ROWS
+from lobewise.denoising.evidence import NOTED_STRIP_ROWS
 from lobewise.denoising.inputs import Images, list_images
-from lobewise.denoising.plan import GIB, find_reach
+from lobewise.denoising.plan import GIB, compute_steps_reach
 from lobewise.filters.refinement.shape import MULTIPLE
-from lobewise.guides.negative import REACH as NEGATIVE_REACH
-from lobewise.guides.stand_ins import REACH as STAND_IN_REACH
+from lobewise.guides.negative import NEGATIVE_REACH
+from lobewise.guides.stand_ins import STAND_IN_REACH
 from lobewise.io.exr.bands import BandReader
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_quality
@@ -67,7 +67,7 @@ class Limits(NamedTuple):
     """Of a band."""
 
 
-def find_limits(memory: float | None) -> Limits:
+def choose_limits(memory: float | None) -> Limits:
     """Return what filtering may take in a process that may take ``memory`` GiB; None for no limit.
 
     More memory than the defaults need changes nothing, so that the choice between whole frames and bands stays the
@@ -92,16 +92,16 @@ def choose_rows(reader: BandReader, settings: ResolvedSettings, memory: float) -
     """Return the rows of a band that, with the rows around it, fits ``memory`` GiB; at least `MIN_ROWS`."""
     _, width = reader.shape
     fitting = int(memory * GIB / (width * estimate_bytes(reader, settings)))
-    return max(fitting - 2 * find_band_reach(settings), MIN_ROWS)
+    return max(fitting - 2 * compute_band_reach(settings), MIN_ROWS)
 
 
-def find_band_reach(settings: ResolvedSettings) -> int:
+def compute_band_reach(settings: ResolvedSettings) -> int:
     """Return how many rows around a band are read: the reach of the filters and of the notes to the user.
 
     Filters without halves do not read the evidence, but the note on blurred detail does, in strips.
     """
-    noted = 0 if get_quality(settings.quality).reads_halves else STRIP_ROWS
-    return find_reach(settings) + CHECKED_REACH + noted
+    noted = 0 if get_quality(settings.quality).reads_halves else NOTED_STRIP_ROWS
+    return compute_steps_reach(settings) + CHECKED_REACH + noted
 
 
 def cut_bands(height: int, rows: int) -> Bands:
@@ -110,7 +110,7 @@ def cut_bands(height: int, rows: int) -> Bands:
     return list(pairwise(height * number // count for number in range(count + 1)))
 
 
-def widen(band: tuple[int, int], reach: int, height: int) -> tuple[int, int]:
+def widen_band(band: tuple[int, int], reach: int, height: int) -> tuple[int, int]:
     """Return a band with ``reach`` more rows to each side, within the image, from a multiple of `MULTIPLE` on.
 
     The levels of the refining network have blocks of so many rows. A frame without halves is split by the colours of a

@@ -23,9 +23,9 @@ from lobewise.denoising.automatic import (
 )
 from lobewise.denoising.bad_pixels import (
     blacken_bad,
+    compute_mean_color,
     describe_bad,
-    find_bad_pixels,
-    find_mean_color,
+    mark_bad_pixels,
     require_some_good,
     sum_colors,
 )
@@ -36,23 +36,22 @@ from lobewise.denoising.inputs import describe_lacks, list_images, list_unused
 from lobewise.denoising.light_loss import (
     MIN_SHARE_BOUNDED,
     Loss,
-    Rows,
+    RowSums,
+    compute_loss,
+    compute_share_missing,
     describe_loss,
-    find_loss,
-    find_share_missing,
     sum_light,
 )
 from lobewise.denoising.noisy import make_bounded_layers, measure_layer
 from lobewise.denoising.refining.unguided import LEFT_OUT, MIN_SHARE, count_isolated, judge_guides
 from lobewise.denoising.refining.whole_image import WholeImage, join_measured, measure_rows
-from lobewise.filters.fireflies import REACH as FIREFLY_REACH
-from lobewise.filters.fireflies import find_energy_lost
-from lobewise.filters.noise_guides import find_level
+from lobewise.filters.fireflies import FIREFLY_REACH, compute_energy_lost
+from lobewise.filters.noise_guides import compute_mean_light
 from lobewise.frame import FloatArray
 from lobewise.guides.negative import split_negative
 from lobewise.guides.stand_ins import stand_in_surfaces
 from lobewise.guides.survey import GuideSurvey
-from lobewise.guides.usable import Unusable, bound_guides, find_unusable, join_unusable
+from lobewise.guides.usable import Unusable, bound_guides, join_unusable, list_unusable
 from lobewise.interchange.checks import check_own_mark
 from lobewise.interchange.importing.leftovers import describe_own_left_noisy
 from lobewise.io.exr.bands import BandReader, BandWriter
@@ -69,11 +68,11 @@ from lobewise.streaming.plan import (
     MEASURED_ROWS,
     Bands,
     choose_rows,
+    compute_band_reach,
     cut_bands,
-    find_band_reach,
     forgets,
     list_measured,
-    widen,
+    widen_band,
 )
 
 if TYPE_CHECKING:
@@ -183,12 +182,12 @@ def denoise_file(
             chosen = resolve_all(probe, asked, spp=judge_noise(variances, probe.spp))
         below = resolve_all(replace(probe, variance=None), replace(asked, quality="fast", with_oidn=False))
         whole = measure().whole if guided else None
-        share_bounded = find_energy_lost(measure().tallies) if guided else 0.0
+        share_bounded = compute_energy_lost(measure().tallies) if guided else 0.0
         seen = _Seen(survey, share_bounded >= MIN_SHARE_BOUNDED, get_quality(chosen.quality).refines)
         held = KeptBands(waiting)
         bad_count = _filter(reader, held, _Settings(chosen, below), whole, bands, tell, seen)
         with engine.on(chosen.device):
-            losses = seen.find_losses()
+            losses = seen.compute_losses()
             finish_bands(reader, held, writer, Finisher(lambda: measure().mean_color), [each.gain for each in losses])
         writer.finish(output, asdict(chosen))
     notes = (*describe_lacks(probe, named), *describe_bad(bad_count, height * reader.shape[1]))
@@ -197,7 +196,7 @@ def denoise_file(
         shape=reader.shape,
         bands=len(bands),
         bad_pixel_count=bad_count,
-        energy_lost=find_share_missing(losses),
+        energy_lost=compute_share_missing(losses),
         settings=asdict(chosen),
         seconds=time.perf_counter() - start,
         notes=seen.list_notes(reader, share_bounded, notes),
@@ -218,8 +217,8 @@ class _Measured:
     """Measurements of the whole frame; the quality "fast" makes them only where a setting needs them."""
 
     whole: WholeImage
-    tallies: tuple[Rows, ...]
-    variances: Rows
+    tallies: tuple[RowSums, ...]
+    variances: RowSums
     mean_color: FloatArray
     notes: tuple[str, ...]
 
@@ -234,9 +233,9 @@ class _Seen:
     """Whether bounding took so much from fireflies that the light before and after is compared."""
     refined: bool
     """Whether the network refines the layers."""
-    light: list[Rows] = field(default_factory=list)
-    blurred: list[Rows] = field(default_factory=list)
-    missing: list[list[Rows]] = field(default_factory=list)
+    light: list[RowSums] = field(default_factory=list)
+    blurred: list[RowSums] = field(default_factory=list)
+    missing: list[list[RowSums]] = field(default_factory=list)
     """Results of `sum_missing` for the layers of each band."""
     unusable: list[Unusable] = field(default_factory=list)
 
@@ -254,10 +253,10 @@ class _Seen:
             *describe_blurred(np.concatenate(self.blurred) if self.blurred else np.zeros((0, 2))),
         )
 
-    def find_losses(self) -> list[Loss]:
+    def compute_losses(self) -> list[Loss]:
         """Return the light of every layer; empty with the quality "fast"."""
         rows = [np.concatenate(each) for each in zip(*self.missing, strict=True)]
-        return [find_loss(each, refined=self.refined) for each in rows]
+        return [compute_loss(each, refined=self.refined) for each in rows]
 
 
 def _measure(
@@ -266,19 +265,19 @@ def _measure(
     """Read a frame once and sum it row by row, to the same bits as of the whole frame."""
     height, width = reader.shape
     guided = get_quality(settings.quality).reads_halves
-    lights: list[list[Rows]] = []
-    tallies: list[list[Rows]] = []
-    colors: list[Rows] = []
-    rows: list[Rows] = []
-    variances: list[Rows] = []
-    isolated: list[Rows] = []
+    lights: list[list[RowSums]] = []
+    tallies: list[list[RowSums]] = []
+    colors: list[RowSums] = []
+    rows: list[RowSums] = []
+    variances: list[RowSums] = []
+    isolated: list[RowSums] = []
     bad_count = 0
     for number, band in enumerate(bands):
-        top, bottom = widen(band, CHECKED_REACH + (FIREFLY_REACH if guided else 0), height)
+        top, bottom = widen_band(band, CHECKED_REACH + (FIREFLY_REACH if guided else 0), height)
         bounded = bound_guides(survey.apply(reader.read_frame(top, bottom)))
         frame, _ = split_negative(stand_in_surfaces(bounded)[0])
         core = slice(band[0] - top, band[1] - top)
-        bad_count += int(np.count_nonzero(find_bad_pixels(frame)[core]))
+        bad_count += int(np.count_nonzero(mark_bad_pixels(frame)[core]))
         colors.append(sum_colors(frame.radiance.color)[core])
         if guided:
             layers = make_bounded_layers(frame, settings)
@@ -290,15 +289,15 @@ def _measure(
         elif frame.variance is not None:
             variances.append(list_relative_variances(reader.read_frame(*band)))
         if number + 1 < len(bands):
-            reader.forget(widen(bands[number + 1], CHECKED_REACH + FIREFLY_REACH, height)[0])
+            reader.forget(widen_band(bands[number + 1], CHECKED_REACH + FIREFLY_REACH, height)[0])
         tell("Measuring", band[1], height)
     require_some_good(bad_count, height * width, "pixel")
-    levels = tuple(find_level(np.concatenate(light)) for light in zip(*lights, strict=True))
+    levels = tuple(compute_mean_light(np.concatenate(light)) for light in zip(*lights, strict=True))
     return _Measured(
         join_measured(levels, np.concatenate(rows) if rows else np.zeros((0, 4)), reader.camera, height),
         tuple(np.concatenate(tally) for tally in zip(*tallies, strict=True)),
         np.concatenate(variances) if variances else np.empty(0),
-        find_mean_color(np.concatenate(colors)),
+        compute_mean_color(np.concatenate(colors)),
         (LEFT_OUT,) if isolated and judge_guides(np.concatenate(isolated)) >= MIN_SHARE else (),
     )
 
@@ -314,17 +313,17 @@ def _filter(
 ) -> int:
     """Filter and keep band after band; return the number of bad pixels. ``seen`` collects the notes."""
     height, width = reader.shape
-    reach, bad_count = find_band_reach(settings.above), 0
+    reach, bad_count = compute_band_reach(settings.above), 0
     tell("Filtering", 0, height)
     for number, band in enumerate(bands):
-        top, bottom = widen(band, reach, height)
+        top, bottom = widen_band(band, reach, height)
         core = slice(band[0] - top, band[1] - top)
         images, bad = _filter_band(reader, settings, whole, (top, bottom), core, seen)
         held.add(images)
         bad_count += bad
         del images
         if number + 1 < len(bands):
-            reader.forget(widen(bands[number + 1], reach, height)[0])
+            reader.forget(widen_band(bands[number + 1], reach, height)[0])
         tell("Filtering", band[1], height)
     require_some_good(bad_count, height * width, "pixel")
     return bad_count
@@ -344,16 +343,16 @@ def _filter_band(
     share of its light that takes part in sharing. "below color" and so on is the filtered light below 0 of a field.
     """
     frame = seen.survey.apply(reader.read_frame(*rows))
-    seen.unusable += find_unusable(frame, core)
+    seen.unusable += list_unusable(frame, core)
     frame, _ = stand_in_surfaces(bound_guides(frame))
     frame, below = split_negative(frame)
     if forgets(settings.above):
         reader.forget(reader.shape[0])
-    bad = find_bad_pixels(frame)
+    bad = mark_bad_pixels(frame)
     with engine.on(settings.above.device):
         band_result = filter_rows(frame, settings.above, (), bad, whole=whole)
-        _, holes = band_result.find_holes()
-    takers = band_result.find_takers()
+        _, holes = band_result.mark_holes()
+    takers = band_result.compute_takers()
     seen.missing.append(band_result.sum_missing(takers, core))
     if seen.measures_light:
         seen.light.append(sum_light(frame, band_result.image, bad, core))
@@ -366,7 +365,7 @@ def _filter_band(
         images |= nothing
     else:
         with engine.on(settings.below.device):
-            filtered = filter_rows(below, settings.below, (), find_bad_pixels(below))
+            filtered = filter_rows(below, settings.below, (), mark_bad_pixels(below))
         fields = _name_fields(filtered, core)
         images |= {f"below {field}": image for field, image in fields.items()}
     images |= {f"taker{number}": taker[core] for number, taker in enumerate(takers)}

@@ -19,8 +19,8 @@ from lobewise.filters.history.reprojection_pass import AGREEMENT
 from lobewise.filters.history.sums import HISTORY_CHANNELS, get_channel, get_sums, join_channels
 from lobewise.frame import FloatArray, GBuffer
 from lobewise.guides.lobe_fields import SplitField
-from lobewise.guides.places import add_grid, estimate_curvature, find_surface_places, find_virtual_places
-from lobewise.guides.reflections import Mirror, find_moved_reflections
+from lobewise.guides.places import add_grid, compute_surface_places, compute_virtual_places, estimate_curvature
+from lobewise.guides.reflections import Mirror, compute_moved_reflections
 from lobewise.lobe_table import LobeTable
 from lobewise.settings import ResolvedSettings, TemporalSettings
 from lobewise.temporal.validation import (
@@ -31,7 +31,7 @@ from lobewise.temporal.validation import (
     update_footprints,
 )
 
-MIN_AGREEMENT = 0.1
+MIN_PAST_AGREEMENT = 0.1
 """Agreement above which a pixel counts as found in the frame before, 0 to 1."""
 MAX_SHARE_SAMPLES = 256
 """About the rows and columns of the shorter side that are counted for that: a share needs no more."""
@@ -138,7 +138,7 @@ class HistoryReprojection:
         # Where surfaces and reflections were a frame ago.
         with engine.part("history: places of a frame ago"):
             if past is not None and past.guides.shape == guides.shape and past.similarity == settings.similarity:
-                self._places, self.allowance = find_all_places(guides, past.guides)
+                self._places, self.allowance = compute_all_places(guides, past.guides)
             # What recognises pixels there.
             self.validation = make_validation_features(guides, settings, temporal, self.allowance, masks, lobes)
         if past is None or self._places is None:
@@ -196,7 +196,9 @@ class HistoryReprojection:
         if found is None or self._places is None:
             return 0.0
         images = [get_channel(found, AGREEMENT), self._places.surface, mask]
-        share: float = engine.total(measure_share, images, [MIN_AGREEMENT, MAX_STEP, MAX_SHARE_SAMPLES], name="share")
+        share: float = engine.total(
+            measure_share, images, [MIN_PAST_AGREEMENT, MAX_STEP, MAX_SHARE_SAMPLES], name="share"
+        )
         return share
 
     def _forget(self) -> None:
@@ -267,20 +269,20 @@ def measure_share(
         About the rows and columns of the shorter side that are counted.
     """
     some = (slice(None, None, max(1, min(mask.shape) // most_samples)),) * 2
-    near = _find_near(places, longest_step * max(mask.shape), some)
+    near = _mark_near(places, longest_step * max(mask.shape), some)
     again, surface = (agreement[some] > least_agreement) & near, mask[some]
     # A frame of sky alone is no cut.
     return float(np.mean(again[surface])) if surface.any() else 1.0
 
 
-def _find_near(places: FloatArray, reach: float, some: tuple[slice, slice]) -> NDArray[np.bool_]:
+def _mark_near(places: FloatArray, reach: float, some: tuple[slice, slice]) -> NDArray[np.bool_]:
     """Return which of some pixels moved less than ``reach`` pixels."""
     rows, columns = (np.arange(size, dtype=np.float32)[each] for size, each in zip(places.shape, some, strict=False))
     across = np.abs(places[(*some, 0)] - columns) < reach
     return np.asarray(across & (np.abs(places[(*some, 1)] - rows[:, None]) < reach))
 
 
-def find_all_places(guides: Guides, before: Guides) -> tuple[_Places | None, FloatArray | None]:
+def compute_all_places(guides: Guides, before: Guides) -> tuple[_Places | None, FloatArray | None]:
     """Return the earlier places of surfaces and reflections, and the own motion of surfaces, pixels."""
     motion, camera, previous = guides.gbuffer.motion, guides.camera, before.camera
     if camera is None or previous is None or not guides.is_placed:
@@ -288,7 +290,7 @@ def find_all_places(guides: Guides, before: Guides) -> tuple[_Places | None, Flo
             return None, None
         return _Places(add_grid(motion)), None
     position, _ = guides.places
-    surface, allowance = find_surface_places(camera, previous, guides.places, motion)
+    surface, allowance = compute_surface_places(camera, previous, guides.places, motion)
     distance, normal = guides.gbuffer.hit_distance, guides.gbuffer.normal
     if distance is None or normal is None:
         return _Places(surface), allowance
@@ -296,9 +298,9 @@ def find_all_places(guides: Guides, before: Guides) -> tuple[_Places | None, Flo
     moved = guides.gbuffer.reflected_motion
     normal_before = None if moved is None else before.gbuffer.normal
     if moved is None or normal_before is None or not before.is_placed:
-        return _Places(surface, find_virtual_places(position, curvature, distance, camera, previous)), allowance
+        return _Places(surface, compute_virtual_places(position, curvature, distance, camera, previous)), allowance
     mirrors = Mirror(position, normal), Mirror(before.places[0], normal_before)
-    found = find_moved_reflections(mirrors, curvature, distance, moved, (surface, allowance), (camera, previous))
+    found = compute_moved_reflections(mirrors, curvature, distance, moved, (surface, allowance), (camera, previous))
     return _Places(surface, found.places, found.hit_distance, found.has_moved & _is_narrow(guides.gbuffer)), allowance
 
 

@@ -18,7 +18,7 @@ from lobewise.denoising.bad_pixels import (
     blacken_bad,
     describe_bad,
     fill_holes,
-    find_bad_pixels,
+    mark_bad_pixels,
     require_some_good,
 )
 from lobewise.denoising.layers import (
@@ -30,13 +30,13 @@ from lobewise.denoising.layers import (
 )
 from lobewise.denoising.plain import FilteredSum, add_up
 from lobewise.denoising.recipe import filter_below
-from lobewise.denoising.refining.totals import find_averaged_rest
+from lobewise.denoising.refining.totals import compute_averaged_rest
 from lobewise.engine.numbers import choose_larger, choose_smaller
 from lobewise.errors import InputError, require_choice, require_kind
 from lobewise.features import Feature
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.filters.history.accumulation import AccumulatedOutput, KnownKernel, SampleGrid
-from lobewise.filters.history.joining import JoinedLayers, find_reflecting
+from lobewise.filters.history.joining import JoinedLayers, mark_reflecting
 from lobewise.filters.history.sums import add_to_sums, split_sums
 from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.guides.lobe_fields import SplitField
@@ -45,7 +45,7 @@ from lobewise.guides.usable import CheckedGuides, check_guides
 from lobewise.settings import DenoiseSettings, ResolvedSettings, TemporalChanges, TemporalSettings
 from lobewise.sparse_frame import AnyFrame, SparseFrame
 from lobewise.temporal.past import HistoryReprojection, Past, pack_past, unpack_past
-from lobewise.temporal.validation import Guides, find_same_tau
+from lobewise.temporal.validation import Guides, compute_same_tau
 from lobewise.upsampling import DEFAULT_RADIUS, UNSCATTERED, join_sparse, spread, tint_radiance, tint_samples, upsample
 
 if TYPE_CHECKING:
@@ -185,11 +185,11 @@ class TemporalFilter:
         frame, below = split_negative(frame)
         if isinstance(frame, SparseFrame):
             frame = tint_samples(frame)
-        bad = find_bad_pixels(Frame(frame.radiance))
+        bad = mark_bad_pixels(Frame(frame.radiance))
         require_some_good(int(np.count_nonzero(bad)), bad.size, "sample")
         guides = Guides(frame.gbuffer, frame.camera, frame.lobe_tables)
         # The lobes are compared within the frame and between frames, by two band-limits.
-        lobes = split_lobes(frame, chosen.similarity, chosen.tau, find_same_tau(guides, chosen))
+        lobes = split_lobes(frame, chosen.similarity, chosen.tau, compute_same_tau(guides, chosen))
         how = self._plan(frame, chosen)
         layers = make_named_layers(frame, chosen, features, lobes, how.own)
         reprojection = HistoryReprojection(
@@ -282,7 +282,7 @@ class TemporalFilter:
         # The automatic screen sigma is proportional to the radius.
         sigma = chosen.screen_sigma * known / chosen.radius if is_auto and known > 0 else chosen.screen_sigma
         kernel = KnownKernel(known, chosen.screen_sigma, sigma)
-        return Growth(self.temporal.strictness, find_own_weight(frame), kernel)
+        return Growth(self.temporal.strictness, compute_own_weight(frame), kernel)
 
     def _ask(self, frame: AnyFrame) -> DenoiseSettings:
         """Return the settings that the user asked for."""
@@ -316,7 +316,7 @@ class TemporalFilter:
         else:
             told = list(outputs.values())
             emission = frame.gbuffer.mean_emission
-            exact = None if emission is None else find_averaged_rest(frame)
+            exact = None if emission is None else compute_averaged_rest(frame)
             support = added = add_up(frame, list(layers.values()), told, bad, exact)
             image, holes = added.image, added.holes
             parts = dict(zip(layers, map(blacken_bad, added.parts), strict=True))
@@ -347,7 +347,7 @@ def make_named_layers(
     # A pixel that reflects almost nothing would wait for its own samples.
     floor = ALBEDO_FLOOR / own
     for name, layer in named.items():
-        named[name] = replace(layer, mask=find_reflecting(layer.mask, layer.albedo, floor))
+        named[name] = replace(layer, mask=mark_reflecting(layer.mask, layer.albedo, floor))
     return named | {layer.name: layer for layer in make_rest_layers(cast(SparseFrame, frame), settings, features)}
 
 
@@ -389,14 +389,14 @@ def join_history(
     options: dict[str, Any] = {"radius": settings.radius, "growth": how.strictness, "own": how.own}
     if history is not None:
         # A light that went out shows in the samples alone.
-        trust = grid.find_trust(layer.radiance, history, how.own, layer.weights)
+        trust = grid.compute_trust(layer.radiance, history, how.own, layer.weights)
         options |= {"history": history, "trust": trust}
     if frame.is_sparse:
         return grid.accumulate(layer.radiance, known=how.known, weights=layer.weights, **options)
     return grid.accumulate_filtered(layer.radiance, form=settings.form, **options)
 
 
-def find_own_weight(frame: AnyFrame) -> float:
+def compute_own_weight(frame: AnyFrame) -> float:
     """Return the weight of a pixel's own sample, >= 1: a borrowed one has an error of its own beside the noise."""
     without_noise = frame.variance is not None and not frame.variance.color.any()
     return weigh_own(0.0 if without_noise else expect_noise(estimate_spp(frame)))

@@ -29,10 +29,10 @@ from lobewise.frame import FloatArray, Frame, GBuffer, Guided, Radiance
 from lobewise.guides.lobe_fields import SplitField, default_tau
 from lobewise.guides.surfaces import (
     Backdrop,
-    find_footprints,
-    find_inverse_hits,
-    find_places,
-    find_tolerances,
+    compute_footprints,
+    compute_inverse_hits,
+    compute_points,
+    compute_tolerances,
     put_backdrop,
 )
 from lobewise.lobe_table import LobeTable
@@ -69,7 +69,7 @@ class Guides(Guided):
     @cached_property
     def places(self) -> tuple[FloatArray, FloatArray]:
         """The surface points (height, width, 3) and their depths."""
-        return find_places(self.gbuffer, self.require_camera("places"))
+        return compute_points(self.gbuffer, self.require_camera("places"))
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class ValidationFeatures:
         )
 
 
-def find_same_tau(guides: Guided, settings: ResolvedSettings) -> float:
+def compute_same_tau(guides: Guided, settings: ResolvedSettings) -> float:
     """Return the band-limit of lobes that are compared between frames, radians: a pixel's."""
     return default_tau(guides.camera, guides.height) if guides.camera is not None else settings.tau
 
@@ -141,7 +141,7 @@ def make_validation_features(
     names : collection of str
         Names of the layers: "diffuse" among them if diffuse and specular radiance are split.
     lobes : SplitField, optional
-        The lobes for the band-limit of `find_same_tau`, if they were made beforehand.
+        The lobes for the band-limit of `compute_same_tau`, if they were made beforehand.
     spread : bool
         Whether lobes are as wide as what a pixel's area reflects; see `lobewise.guides.lobe_fields.spread_lobes`.
     """
@@ -152,7 +152,7 @@ def make_validation_features(
         settings,
         beta=temporal.beta,
         diffuse_beta=temporal.beta,
-        tau=find_same_tau(guides, settings),
+        tau=compute_same_tau(guides, settings),
         hit_distance=can_use_hits(frame),
     )
     if lobes is None and not spread:
@@ -189,11 +189,11 @@ def follow_hits(
     gbuffer : GBuffer
         The guides of this frame, with ``reflected_motion``.
     hit_distance : array, shape (height, width)
-        Distance of each hit in the frame before; see `lobewise.guides.reflections.find_moved_reflections`.
+        Distance of each hit in the frame before; see `lobewise.guides.reflections.compute_moved_reflections`.
     """
     step = gbuffer.require("reflected_motion", "a history that follows hits")
     step = np.where(np.isfinite(step).all(axis=-1, keepdims=True), step, np.float32(0.0))
-    inverse = find_inverse_hits(hit_distance)
+    inverse = compute_inverse_hits(hit_distance)
 
     def follow(feature: Feature) -> Feature:
         if isinstance(feature, HitDistanceFeature):
@@ -238,7 +238,7 @@ def update_footprints(
     """
     angle = guides.require_camera("a plane").get_pixel_angle(guides.height)
     into = None if plane is None else plane.footprint
-    return find_footprints(surface, guides.places[1], angle, allowance, 1.0 / temporal.plane_sigma, into)
+    return compute_footprints(surface, guides.places[1], angle, allowance, 1.0 / temporal.plane_sigma, into)
 
 
 def _make_hit_features(guides: Guides) -> tuple[Feature, ...]:
@@ -246,5 +246,5 @@ def _make_hit_features(guides: Guides) -> tuple[Feature, ...]:
     distance, alpha_u, alpha_v = (getattr(guides.gbuffer, name) for name in ("hit_distance", "alpha_u", "alpha_v"))
     if alpha_u is None:
         return ()
-    tolerances = find_tolerances(alpha_u, alpha_v, HIT_TOLERANCE, HIT_TOLERANCE_PER_LOBE)
-    return (HitDistanceFeature(find_inverse_hits(distance), tolerances),)
+    tolerances = compute_tolerances(alpha_u, alpha_v, HIT_TOLERANCE, HIT_TOLERANCE_PER_LOBE)
+    return (HitDistanceFeature(compute_inverse_hits(distance), tolerances),)

@@ -12,7 +12,7 @@ import numpy as np
 
 from lobewise.errors import LobewiseError
 from lobewise.interactive.settings import UNFILTERED, Unfiltered
-from lobewise.settings import Similarity
+from lobewise.settings import SimilarityName
 from lobewise.viewer.cameras import CameraMap, place_camera, read_pose
 from lobewise.viewer.door.incoming import Control
 from lobewise.viewer.guest import Guest, has_moved
@@ -300,14 +300,14 @@ class Audience:
                     self._tell(slow, f"{doing}: {busy:.0f} s \u2026")
 
 
-BASELINE: Similarity = "normal"
+BASELINE: SimilarityName = "normal"
 """Similarity that the right of the wipe shows at first."""
 
 
 def choose_other(found: Description, look: Look) -> Look:
     """Return the first look right of the wipe: the normal-aware filter, or no filter if the left side has it."""
     has_baseline = BASELINE in found.similarities and look.similarity != BASELINE
-    plain: Similarity | Unfiltered = BASELINE if has_baseline else UNFILTERED
+    plain: SimilarityName | Unfiltered = BASELINE if has_baseline else UNFILTERED
     return replace(look, similarity=plain)
 
 

@@ -60,11 +60,11 @@ class CameraMap:
             self._scale = _DISTANCE * float(np.tan(0.5 * FRAME_FOV)) / half_height
             self._far = gap / _DISTANCE, camera.fov_y
             look_at = self._scale * (camera.position + gap * camera.forward)
-            self.start = Pose(look_at - _DISTANCE * camera.forward, look_at, find_up(camera), FRAME_FOV)
+            self.start = Pose(look_at - _DISTANCE * camera.forward, look_at, choose_up(camera), FRAME_FOV)
             return
         self._scale = _DISTANCE / gap
         position = self._scale * camera.position
-        self.start = Pose(position, position + _DISTANCE * camera.forward, find_up(camera), camera.fov_y)
+        self.start = Pose(position, position + _DISTANCE * camera.forward, choose_up(camera), camera.fov_y)
 
     def to_camera(self, pose: Pose) -> Camera | None:
         """Return the camera of a scene.
@@ -93,7 +93,7 @@ class CameraMap:
         return Window(max(width, 1), max(height, 1), zoom, (x, y))
 
 
-def find_up(camera: Camera) -> Vector:
+def choose_up(camera: Camera) -> Vector:
     """Return the world axis that is nearest to a camera's up, as the axis of orbits.
 
     Scenes do not say which axis is up. The axis is right if the camera is rolled by less than 45 degrees.

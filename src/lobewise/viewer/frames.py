@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from lobewise.denoising import resolve_settings
-from lobewise.denoising.bad_pixels import find_good
+from lobewise.denoising.bad_pixels import mark_good
 from lobewise.denoising.recipe import denoise_quietly
 from lobewise.errors import InputError, LobewiseError, MissingChannelError
 from lobewise.frame import FloatArray, Frame, Radiance, Result
@@ -26,11 +26,11 @@ from lobewise.interactive.views import (
 )
 from lobewise.interchange import Imported, import_file, write_result
 from lobewise.io.exr import write_frame
-from lobewise.io.exr.layout import find_beauty
+from lobewise.io.exr.layout import look_up_beauty
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.schema import SPARSE
 from lobewise.io.exr.sparse import read_sparse_frame
-from lobewise.settings import FORMS, QUALITIES, DenoiseSettings
+from lobewise.settings import FORM_NAMES, QUALITY_NAMES, DenoiseSettings
 from lobewise.sparse_frame import SparseFrame
 from lobewise.upsampling import DEFAULT_RADIUS, upsample
 from lobewise.viewer.looks import FRAME_SIMILARITIES, FrameLook, Look
@@ -53,7 +53,7 @@ class FrameTarget:
         self._path, self._reading = path, reading or FrameReading()
         self._frame: Frame | SparseFrame
         self._notes: tuple[str, ...] = ()
-        beauty = find_beauty(read_container(path).parts)
+        beauty = look_up_beauty(read_container(path).parts)
         if beauty is not None and beauty.get(SPARSE) is not None:
             if self._reading.is_given:
                 raise InputError(
@@ -95,8 +95,8 @@ class FrameTarget:
             width=frame.width,
             height=frame.height,
             similarities=similarities,
-            qualities=("fast",) if sparse else ("auto", *QUALITIES),
-            forms=("full",) if sparse else FORMS,
+            qualities=("fast",) if sparse else ("auto", *QUALITY_NAMES),
+            forms=("full",) if sparse else FORM_NAMES,
             views=tuple(name for name, there in has.items() if there),
             sparse=sparse,
             hit_distance=lobes and guides.hit_distance is not None,
@@ -177,7 +177,7 @@ class FrameTarget:
         frame = self._frame
         if look.similarity == "none":
             ones = np.ones(frame.shape, np.float32)
-            return Result(self._noisy, ones, ones, ~find_good(self._noisy), asdict(look), 0.0)
+            return Result(self._noisy, ones, ones, ~mark_good(self._noisy), asdict(look), 0.0)
         settings = DenoiseSettings(**asdict(look))
         if isinstance(frame, SparseFrame):
             return upsample(frame, settings)

@@ -6,9 +6,9 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, get_args
 
 from lobewise.interactive.settings import InteractiveSettings, Unfiltered
-from lobewise.settings import SIMILARITIES, Auto, DenoiseSettings, Similarity, list_knobs
+from lobewise.settings import SIMILARITY_NAMES, Auto, DenoiseSettings, SimilarityName, list_knobs
 
-SCENE_SIMILARITIES = (*reversed(SIMILARITIES), *get_args(Unfiltered))
+SCENE_SIMILARITIES = (*reversed(SIMILARITY_NAMES), *get_args(Unfiltered))
 FRAME_SIMILARITIES = ("auto", *SCENE_SIMILARITIES)
 SCENE_CONTROLS = ["method", "scale", "spp", "similarity", "radius", "beta", "temporal", "adaptive", "filter_direct"]
 """Fields of `InteractiveSettings` that have a control on the page, in the order of the controls."""
@@ -21,7 +21,7 @@ class FrameLook:
     The similarity "none" shows the frame as it is. A sparsely shaded frame has the quality "fast" and the form "full".
     """
 
-    similarity: Similarity | Auto | Unfiltered = "auto"
+    similarity: SimilarityName | Auto | Unfiltered = "auto"
     quality: str = "balanced"
     form: str = DenoiseSettings.form
     radius: int = DenoiseSettings.radius

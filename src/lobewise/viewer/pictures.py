@@ -110,8 +110,8 @@ def fit_window(picture: Pixels, window: Window) -> Pixels:
     out = np.empty((rows, columns, 3), np.uint8)
     out[:] = BARS
     if inside_rows.any() and inside_columns.any():
-        top, bottom = _find_run(inside_rows)
-        left, right = _find_run(inside_columns)
+        top, bottom = _locate_run(inside_rows)
+        left, right = _locate_run(inside_columns)
         rows_taken, columns_taken = row[inside_rows].astype(int), column[inside_columns].astype(int)
         if times == 1.0:
             # Slices are several times faster than lists of indices.
@@ -122,7 +122,7 @@ def fit_window(picture: Pixels, window: Window) -> Pixels:
     return out
 
 
-def _find_run(inside: NDArray[np.bool_]) -> tuple[int, int]:
+def _locate_run(inside: NDArray[np.bool_]) -> tuple[int, int]:
     """Return the first index of the only run of True, and the index after it."""
     places = np.flatnonzero(inside)
     return int(places[0]), int(places[-1]) + 1

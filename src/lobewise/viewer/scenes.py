@@ -25,7 +25,7 @@ from lobewise.viewer.shots import Shot
 class Motion:
     """The places of moving shapes at every moment."""
 
-    find_places: Callable[[float], dict[str, Matrix]]
+    compute_places: Callable[[float], dict[str, Matrix]]
     """Returns the matrix from each shape's place in the loaded scene to its place at a moment, frames from 0."""
     length: float | None
     """The moment after which the motion begins again, frames; None for a motion that goes on."""
@@ -59,11 +59,11 @@ def load_moving(name: str, size: tuple[int | None, int | None], moving: str | No
     if moving == BY_THEMSELVES:
         scene = MovingScene(name, width, height)
         # The matrices lead from any moment to any other.
-        return scene.load(), Motion(lambda moment: scene.find_moves(0.0, moment), None)
+        return scene.load(), Motion(lambda moment: scene.compute_moves(0.0, moment), None)
     paths = read_object_paths(moving)
     loaded = load_scene(name, width=width, height=height, merge=False)
     PlacedScene(loaded, paths)  # refuses places that a shape cannot take
-    return loaded, Motion(lambda moment: paths.find_places(1.0 + moment), float(paths.last_frame))
+    return loaded, Motion(lambda moment: paths.compute_places(1.0 + moment), float(paths.last_frame))
 
 
 class SceneTarget:
@@ -153,7 +153,7 @@ class SceneTarget:
             return
         before = self._moments.get(request.client)
         moment = 0.0 if before is None else self._motion.advance(before, request.speed)
-        session.set_transforms(self._motion.find_places(moment))
+        session.set_transforms(self._motion.compute_places(moment))
         self._moments[request.client] = moment
 
     def forget(self, client: int) -> None:

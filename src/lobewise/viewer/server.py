@@ -103,7 +103,7 @@ class Viewer:
         """
         if importlib.util.find_spec("viser") is None:
             raise MissingDependencyError("viser is not installed; pip install 'lobewise[viewer]'.")
-        port = find_port(self._host, self._asked_port)
+        port = choose_port(self._host, self._asked_port)
         try:
             # Start the worker first, because it takes longer than the page.
             self._audience.link.start()
@@ -191,7 +191,7 @@ class Viewer:
         self._audience.join(server)
 
 
-def find_port(host: str, port: int) -> int:
+def choose_port(host: str, port: int) -> int:
     """Return ``port``, or the next one that is free on the host.
 
     Raises InputError if there is no such host here, or no port of the next hundred is free.

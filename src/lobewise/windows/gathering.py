@@ -12,14 +12,14 @@ from lobewise.filters.windows.sampling import sample_cubic
 from lobewise.frame import FloatArray
 from lobewise.guides.places import make_grid
 from lobewise.windows.layers import LayerImages
-from lobewise.windows.places import find_reflections
+from lobewise.windows.places import compute_reflections
 from lobewise.windows.shots import Shot
 
 MAX_SHARE_EQUAL = 0.2
 """Share of the lit surface pixels that may have exactly the same light in two frames. Above it both have one noise."""
-MIN_ALBEDO = 0.05
+MIN_DIVIDING_ALBEDO = 0.05
 """Smallest albedo that radiance is divided by. A pixel whose centre has no albedo may show light of its other part."""
-MIN_AGREEMENT = 0.02
+MIN_GATHERED_AGREEMENT = 0.02
 """Agreement below which a pixel counts as not found."""
 SHARP_AGREEMENT = 0.8
 """Agreement above which a reflection is interpolated: half a pixel would show on a sharp one."""
@@ -69,7 +69,7 @@ class Neighbour:
         Wide lobes show the same light at the surface's own place. Places of reflections are less even, so that pixels
         would take one sample twice, and share its noise.
         """
-        found = find_reflections(self._shot, self._other)
+        found = compute_reflections(self._shot, self._other)
         if found is None:
             return np.full_like(self._places, np.nan)
         return np.where(self._shot.is_sharp[..., None], found, np.float32(np.nan))
@@ -140,7 +140,7 @@ class Neighbour:
         places = np.rint(places)
         sums, weight = reproject_images(images, places, before.pixels, now.pixels, virtual=virtual)
         agreement = np.clip(weight, np.float32(0.0), np.float32(1.0))
-        seen = agreement > MIN_AGREEMENT
+        seen = agreement > MIN_GATHERED_AGREEMENT
         inverse = np.divide(np.float32(1.0), weight, out=np.zeros_like(agreement), where=seen)
         return [each * inverse[..., None] for each in sums], np.where(seen, agreement, np.float32(0.0))
 
@@ -162,9 +162,9 @@ def divide(image: FloatArray, albedo: FloatArray | None) -> FloatArray:
     """Return radiance over albedo, (height, width, 3)."""
     if albedo is None:
         return image
-    return np.asarray(image / np.maximum(np.nan_to_num(albedo), np.float32(MIN_ALBEDO)), np.float32)
+    return np.asarray(image / np.maximum(np.nan_to_num(albedo), np.float32(MIN_DIVIDING_ALBEDO)), np.float32)
 
 
 def multiply(image: FloatArray, albedo: FloatArray | None) -> FloatArray:
     """Return what `divide` took as radiance."""
-    return image if albedo is None else image * np.maximum(np.nan_to_num(albedo), np.float32(MIN_ALBEDO))
+    return image if albedo is None else image * np.maximum(np.nan_to_num(albedo), np.float32(MIN_DIVIDING_ALBEDO))

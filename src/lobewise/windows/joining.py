@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.denoising.bad_pixels import find_good
-from lobewise.filters.windows.weighing import compare_pilots, find_noise, find_relative_bias
+from lobewise.denoising.bad_pixels import mark_good
+from lobewise.filters.windows.weighing import compare_pilots, estimate_relative_bias, estimate_variance
 from lobewise.frame import FloatArray, Frame, Result
-from lobewise.windows.gathering import MIN_ALBEDO, Neighbour, divide, multiply
-from lobewise.windows.layers import ALBEDOS, PILOT, RADIANCE, LayerImages, put_back
-from lobewise.windows.places import find_places
+from lobewise.guides.survey import ALBEDOS
+from lobewise.windows.gathering import MIN_DIVIDING_ALBEDO, Neighbour, divide, multiply
+from lobewise.windows.layers import PILOT, RADIANCE, LayerImages, put_back
+from lobewise.windows.places import compute_places
 from lobewise.windows.shots import Shot
 
 MIN_SHARE_FOUND = 0.4
@@ -69,7 +70,7 @@ def join_frames(shots: Mapping[int, Shot], index: int) -> JoinedFrame:
         Number of the frame.
     """
     shot = shots[index]
-    near = find_neighbours(shots, index)
+    near = list_neighbours(shots, index)
     repeated = tuple(number - index for number, each in near.items() if each.repeats)
     near = {number: each for number, each in near.items() if not each.repeats}
     own = list(shot.layers.values())
@@ -93,14 +94,14 @@ def join_frames(shots: Mapping[int, Shot], index: int) -> JoinedFrame:
     )
 
 
-def find_neighbours(shots: Mapping[int, Shot], index: int) -> dict[int, Neighbour]:
+def list_neighbours(shots: Mapping[int, Shot], index: int) -> dict[int, Neighbour]:
     """Return the other frames that continue a frame, by number; none behind a cut."""
     shot = shots[index]
     found: dict[int, Neighbour] = {}
     for step in (-1, 1):
         number = index + step
         while number in shots and shots[number].frame.shape == shot.frame.shape:
-            places = find_places(shots, index, number)
+            places = compute_places(shots, index, number)
             if places is None:
                 break
             # The similarity follows the guides: frames with other guides cannot be compared.
@@ -144,7 +145,7 @@ class _Guides:
                 total = total + values * agreement[..., None]
                 weight = weight + agreement
         # Radiance was divided by the frame's own albedo: at edges of textures the mean may be many times larger.
-        own, small = np.nan_to_num(image), np.float32(MIN_ALBEDO)
+        own, small = np.nan_to_num(image), np.float32(MIN_DIVIDING_ALBEDO)
         mean = np.clip(total / weight[..., None], own / MAX_ALBEDO_RATIO - small, own * MAX_ALBEDO_RATIO + small)
         joined: FloatArray = np.clip(mean, np.float32(0.0), np.float32(1.0))
         self._done[id(image)] = joined
@@ -171,16 +172,16 @@ def _join_layer(
     edge, _, _ = shot.edges
     others = {number: layers[layer.name] for number, layers in named.items() if layer.name in layers}
     slots = [slot for slot in layer.images if all(slot in other.images for other in others.values())]
-    good = find_good(layer.images[RADIANCE])
+    good = mark_good(layer.images[RADIANCE])
     own = {slot: _even_out(layer.images[slot], layer.albedo, edge, good) for slot in slots}
     weight = good.astype(np.float32)
     totals = {slot: image * weight[..., None] for slot, image in own.items() if slot != PILOT}
     squares, weights = weight.copy(), {}
-    noise = find_noise(own[RADIANCE], own[PILOT])
+    noise = estimate_variance(own[RADIANCE], own[PILOT])
     for number, other in others.items():
         images, agreement = near[number].gather_layer(other, slots)
         images = _bound(images, noise)
-        bias = find_relative_bias(own[RADIANCE], images[RADIANCE], np.where(good, agreement, np.float32(0.0)))
+        bias = estimate_relative_bias(own[RADIANCE], images[RADIANCE], np.where(good, agreement, np.float32(0.0)))
         seen = compare_pilots(own[PILOT], images[PILOT], agreement) / noise - np.float32(PILOT_NOISE)
         # At edges pilots differ by the noise of their albedos.
         bias = np.where(edge, bias, np.maximum(bias, seen))
@@ -245,7 +246,7 @@ def _join_also(
     totals: dict[str, FloatArray] = {}
     before = _add_albedos(shot.layers)
     edge, _, _ = shot.edges
-    good = np.logical_and.reduce([find_good(image) for image in own.also.values()])
+    good = np.logical_and.reduce([mark_good(image) for image in own.also.values()])
     total = good.astype(np.float32)
     for name, image in own.also.items():
         totals[name] = _even_out(image, before, edge, good) * total[..., None]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.denoising.layers import find_whole_albedo
+from lobewise.denoising.layers import compute_whole_albedo
 from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.images import Images
 from lobewise.radiance import RadianceLayer, sum_layers
@@ -16,14 +16,6 @@ from lobewise.radiance import RadianceLayer, sum_layers
 RADIANCE, PILOT, HALVES = "radiance", "pilot", ("half_a", "half_b")
 PART = "part/"
 """Beginning of the names of images that belong to a layer."""
-ALBEDOS = (
-    "diffuse_albedo",
-    "specular_albedo",
-    "mean_diffuse_albedo",
-    "mean_specular_albedo",
-    "denoiser_albedo",
-)
-"""Guides that are means over a pixel's samples, or over its area, in [0, 1]: they have noise at edges of textures."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +53,7 @@ def list_layers(frame: Frame, pilot: Result) -> dict[str, LayerImages]:
         return {layer.name: _take_layer(layer, pilot.layers[layer.name]) for layer in frame.layers}
     parts = {"diffuse": frame.gbuffer.diffuse_albedo, "specular": frame.gbuffer.specular_albedo}
     if frame.radiance.parts is None:
-        parts = {"color": find_whole_albedo(frame.gbuffer)}
+        parts = {"color": compute_whole_albedo(frame.gbuffer)}
     found = {}
     for name, albedo in parts.items():
         sources = {RADIANCE: frame.radiance, "half_a": frame.half_a, "half_b": frame.half_b}

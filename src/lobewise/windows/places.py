@@ -8,11 +8,11 @@ import numpy as np
 
 from lobewise.filters.windows.following import follow_back, follow_on
 from lobewise.frame import FloatArray
-from lobewise.guides.places import find_surface_places, find_virtual_places, make_grid
+from lobewise.guides.places import compute_surface_places, compute_virtual_places, make_grid
 from lobewise.windows.shots import Shot
 
 
-def find_places(shots: Mapping[int, Shot], index: int, other: int) -> FloatArray | None:
+def compute_places(shots: Mapping[int, Shot], index: int, other: int) -> FloatArray | None:
     """Return column and row of each pixel's surface point in another frame, (height, width, 2).
 
     Still surfaces are projected by the camera of the other frame. Surfaces that move are followed frame by frame.
@@ -33,7 +33,7 @@ def find_places(shots: Mapping[int, Shot], index: int, other: int) -> FloatArray
     first, second = shot.frame.camera, shots[other].frame.camera
     still = None
     if first is not None and second is not None and shot.is_placed:
-        still, _ = find_surface_places(first, second, shot.guides.places, None)
+        still, _ = compute_surface_places(first, second, shot.guides.places, None)
         if not shot.moves.any():
             return still
     moved = _follow(shots, index, other)
@@ -42,7 +42,7 @@ def find_places(shots: Mapping[int, Shot], index: int, other: int) -> FloatArray
     return np.where(shot.moves[..., None], moved, still)
 
 
-def find_reflections(shot: Shot, other: Shot) -> FloatArray | None:
+def compute_reflections(shot: Shot, other: Shot) -> FloatArray | None:
     """Return column and row of each pixel's reflection in another frame, (height, width, 2); NaN where it is unknown.
 
     None without cameras.
@@ -50,7 +50,7 @@ def find_reflections(shot: Shot, other: Shot) -> FloatArray | None:
     first, second = shot.frame.camera, other.frame.camera
     if first is None or second is None or not shot.is_placed:
         return None
-    return find_virtual_places(shot.guides.places[0], shot.curvature, shot.hits, first, second)
+    return compute_virtual_places(shot.guides.places[0], shot.curvature, shot.hits, first, second)
 
 
 def _follow(shots: Mapping[int, Shot], index: int, other: int) -> FloatArray | None:

@@ -128,7 +128,7 @@ class WindowFilter:
         if used:
             whole = denoise_checked(CheckedGuides(joined.frame), self._settings)
             unused = tuple(name for name in whole.unused if name not in USED_BETWEEN_FRAMES)
-            result = replace(mix_results(joined.alone, whole, find_share(joined.frames)), unused=unused)
+            result = replace(mix_results(joined.alone, whole, compute_joined_share(joined.frames)), unused=unused)
         below = self._kept[id(frames[index])].below
         if below is not None:
             # Light below 0 is dim: other frames would lower its noise by little.
@@ -176,7 +176,7 @@ class WindowFilter:
         return notes
 
 
-def find_share(frames: FloatArray) -> FloatArray:
+def compute_joined_share(frames: FloatArray) -> FloatArray:
     """Return the share of the denoised joined frame in the result, (height, width), in [0, 1].
 
     Pixels that few frames show have more noise than their surroundings, and a denoiser that sees little noise around

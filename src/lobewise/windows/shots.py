@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from lobewise.camera import Camera
 from lobewise.denoising.automatic import resolve_settings
 from lobewise.denoising.recipe import denoise_checked
-from lobewise.filters.windows.edges import find_edges
+from lobewise.filters.windows.edges import mark_edges
 from lobewise.frame import FloatArray, Frame, Result
-from lobewise.guides.places import estimate_curvature, find_surface_places
-from lobewise.guides.screen_hits import find_screen_hits
-from lobewise.guides.squares import find_largest
+from lobewise.guides.places import compute_surface_places, estimate_curvature
+from lobewise.guides.screen_hits import estimate_screen_hits
+from lobewise.guides.squares import compute_square_maximum
 from lobewise.guides.usable import CheckedGuides
-from lobewise.settings import DenoiseSettings, Similarity, TemporalSettings
+from lobewise.settings import DenoiseSettings, SimilarityName, TemporalSettings
 from lobewise.temporal.validation import Guides, ValidationFeatures, make_validation_features
 from lobewise.windows.layers import LayerImages, list_layers
 
@@ -52,7 +52,7 @@ class Shot:
     """
 
     def __init__(
-        self, frame: Frame, previous: Camera | None, similarity: Similarity, settings: DenoiseSettings, reach: int
+        self, frame: Frame, previous: Camera | None, similarity: SimilarityName, settings: DenoiseSettings, reach: int
     ) -> None:
         self.frame = frame
         self.guides = Guides(frame.gbuffer, frame.camera, frame.lobe_tables)
@@ -72,13 +72,13 @@ class Shot:
         motion, camera = self.frame.gbuffer.motion, self.frame.camera
         if motion is None or camera is None or self._previous is None or not self.is_placed:
             return np.zeros(self.frame.shape, np.float32)
-        _, distance = find_surface_places(camera, self._previous, self.guides.places, motion)
+        _, distance = compute_surface_places(camera, self._previous, self.guides.places, motion)
         assert distance is not None
         # At a cut the camera jumps, and motion vectors know nothing of it.
         distance = np.where(distance < MAX_STEP_SHARE * max(self.frame.shape), distance, np.float32(0.0))
         # At edges renderers average the motion of both surfaces, which is that of none: ask the pixels inside of them.
         edge, _, _ = self.edges
-        inside = find_largest(np.where(edge, np.float32(-1.0), distance), EDGE_REACH_PIXELS)
+        inside = compute_square_maximum(np.where(edge, np.float32(-1.0), distance), EDGE_REACH_PIXELS)
         return np.where(edge & (inside >= 0.0), inside, distance)
 
     @cached_property
@@ -126,7 +126,7 @@ class Shot:
         position, depth = self.guides.places
         camera = self.guides.require_camera("reflections over time")
         normal = self.frame.gbuffer.require("normal", "reflections over time")
-        found = find_screen_hits(camera, position, depth, normal, self.curvature)
+        found = estimate_screen_hits(camera, position, depth, normal, self.curvature)
         told = self.frame.gbuffer.hit_distance
         return found if told is None else np.where(told > 0.0, told, found)
 
@@ -140,7 +140,7 @@ class Shot:
         position, depth = self.guides.places
         normal = self.frame.gbuffer.require("normal", "edges")
         angle = self.guides.require_camera("edges").get_pixel_angle(height)
-        edge, way = find_edges(position, depth, normal, self.frame.gbuffer.object_share, angle)
+        edge, way = mark_edges(position, depth, normal, self.frame.gbuffer.object_share, angle)
         rows = np.clip(rows + way[..., 1].astype(np.intp), 0, height - 1)
         columns = np.clip(columns + way[..., 0].astype(np.intp), 0, width - 1)
         return edge, rows, columns

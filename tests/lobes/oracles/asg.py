@@ -277,7 +277,7 @@ def asg_approx_similarity(
     beta : array_like
         Bandwidth exponent, > 0.
     shift : array_like, shape (..., 3), optional
-        Added to the difference of the axes in c (`find_hit_shift`).
+        Added to the difference of the axes in c (`compute_hit_shift`).
 
     Notes
     -----

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lobewise.fitting.ggx import are_above, evaluate_microfacet, make_positive
-from lobewise.lobes.covariance import find_dominant_normal
+from lobewise.lobes.covariance import compute_dominant_normal
 from lobewise.lobes.gaussian import MIN_WARP_COSINE
 from lobewise.lobes.numbers import NUMPY
 
@@ -115,7 +115,7 @@ def oren_nayar_brdf(view: ArrayLike, light: ArrayLike, sigma: ArrayLike) -> Arra
 def ggx_dominant_visible_normal(
     view: ArrayLike, alpha_u: ArrayLike, alpha_v: ArrayLike | None = None, *, corrected: bool = True
 ) -> Array:
-    """Return `lobewise.lobes.covariance.find_dominant_normal` (..., 3); not ``corrected``: the plain form.
+    """Return `lobewise.lobes.covariance.compute_dominant_normal` (..., 3); not ``corrected``: the plain form.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def ggx_dominant_visible_normal(
     """
     view, alpha_u, alpha_v = as_reals(view, alpha_u, alpha_u if alpha_v is None else alpha_v)
     if corrected:
-        m = find_dominant_normal(NUMPY, [view[..., k] for k in range(3)], [alpha_u, alpha_v])
+        m = compute_dominant_normal(NUMPY, [view[..., k] for k in range(3)], [alpha_u, alpha_v])
         return np.stack(np.broadcast_arrays(*m), axis=-1)
     x, y = alpha_u**2 * view[..., 0], alpha_v**2 * view[..., 1]
     z = np.sqrt(x * view[..., 0] + y * view[..., 1] + view[..., 2] ** 2) + view[..., 2]

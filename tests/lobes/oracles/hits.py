@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from .vectors import Array, as_reals, dot
 
 
-def find_hit_shift(
+def compute_hit_shift(
     axis_i: ArrayLike,
     axis_j: ArrayLike,
     position_i: ArrayLike,

@@ -144,7 +144,7 @@ def sg_slide_similarity(
     """Return ``(2 sqrt(li lj) / (li + lj))^beta exp(-beta li lj (1 - c) / (li + lj))``, in [0, 1].
 
     Source: Tokuyoshi 2015, the filter weight; it is the similarity of sharp lobes to the power ``beta``.
-    ``shift``, shape (..., 3), is added to the difference of the axes (`find_hit_shift`).
+    ``shift``, shape (..., 3), is added to the difference of the axes (`compute_hit_shift`).
     Validity: at beta = 1 the error is between ``-0.184 / l`` (beside the axis) and ``+0.062 / l`` (at wide angles, and
     at most 0.020) for the smaller sharpness l; at a ratio of 2 it reaches -0.042 at 2, -0.0074 at 10, -0.0007 at 100.
     """

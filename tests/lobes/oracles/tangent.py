@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lobewise.lobes.covariance import find_round_covariance, make_covariance_lobe
+from lobewise.lobes.covariance import compute_round_covariance, make_covariance_lobe
 from lobewise.lobes.numbers import NUMPY, NUMPY_SINGLE
 
 from .vectors import Array, as_reals, contract, dot, normalize
@@ -155,7 +155,7 @@ def tangent_ggx_similarity(
     beta : array_like
         Bandwidth exponent, > 0.
     shift : array_like, shape (..., 3), optional
-        Added to the difference of the axes (`find_hit_shift`).
+        Added to the difference of the axes (`compute_hit_shift`).
 
     Notes
     -----
@@ -173,12 +173,12 @@ def tangent_ggx_similarity(
 def _split_eigenvalues(lobe: TangentLobe) -> tuple[Array, Array, Array]:
     """Return the eigenvalues a >= b of the covariance, and ``S - b P``, whose rank is 1."""
     trace = lobe.covariance[..., 0] + lobe.covariance[..., 3] + lobe.covariance[..., 5]
-    mean = np.stack(find_round_covariance(0.5 * trace, _split(lobe.axis)), axis=-1)
+    mean = np.stack(compute_round_covariance(0.5 * trace, _split(lobe.axis)), axis=-1)
     # from the deviation from the mean: free of cancellation between lobes that are nearly round
     gap = np.sqrt(2.0 * contract(lobe.covariance - mean, lobe.covariance - mean))
     large = 0.5 * (trace + gap)
     small = lobe.determinant / large
-    return large, small, lobe.covariance - np.stack(find_round_covariance(small, _split(lobe.axis)), axis=-1)
+    return large, small, lobe.covariance - np.stack(compute_round_covariance(small, _split(lobe.axis)), axis=-1)
 
 
 def tangent_approx_similarity(

@@ -158,7 +158,7 @@ def test_a_denoised_frame_keeps_the_squares(
     bsdf = {"type": "pplastic", "distribution": "ggx", "alpha": alpha, "diffuse_reflectance": 0.0}
     scene = make_box_scene({"plate": {"type": "rectangle", "to_world": to_world, "bsdf": bsdf}}, size=64)
     frame = render_frame(scene, spp=16, seed=4)
-    monkeypatch.setattr(fitted, "find_places", lambda *_: None)
+    monkeypatch.setattr(fitted, "probe_places", lambda *_: None)
     monkeypatch.setattr(fitted, "_fits", type(fitted._fits)())
     single = render_frame(scene, spp=16, seed=4)
     assert np.array_equal(frame.radiance.color, single.radiance.color)
@@ -234,11 +234,11 @@ class TestPositions:
         assert not read({"type": "pplastic", "alpha": CHECKER}).fitted.fit.parts.positional
 
     def test_the_extent_is_that_of_the_scene(self, mi: Any) -> None:
-        from lobewise.render.materials.bsdfs import _find_extent
+        from lobewise.render.materials.bsdfs import _measure_extent
 
         ball = {"type": "sphere", "center": [3.0, -7.0, 1.0], "radius": 2.0}
-        assert np.isclose(_find_extent(mi.load_dict({"type": "scene", "ball": ball})), 9.0)
-        assert _find_extent(mi.load_dict({"type": "scene"})) == 1.0
+        assert np.isclose(_measure_extent(mi.load_dict({"type": "scene", "ball": ball})), 9.0)
+        assert _measure_extent(mi.load_dict({"type": "scene"})) == 1.0
 
     def test_attributes_of_meshes_are_named(self, mi: Any) -> None:
         from lobewise.render.integrators import tell_unseen
@@ -315,7 +315,7 @@ class TestMathematics:
         si = dr.zeros(mi.SurfaceInteraction3f, len(u))
         si.wi = mi.Vector3f(0, 0, 1)
         si.uv = mi.Point2f(np.stack([u, u]).astype(np.float32))
-        spot = material.fitted.find_spot(bsdf, si, mi.Bool(True))
+        spot = material.fitted.look_up_spot(bsdf, si, mi.Bool(True))
         pairs = [np.tile(each, (len(u), 1)) for each in (places.view, places.light)]
         uv = np.repeat(np.stack([u, u], axis=1), len(places.view), axis=0)
         values = evaluate_bsdf(bsdf, *pairs, place=uv)[:, 0].reshape(len(u), -1) * places.light[:, 2]

@@ -38,11 +38,11 @@ def evaluate(mi: Any, bsdf: Any, si: Any, wo: Any, lobes: Any = None) -> np.ndar
     return np.array(bsdf.eval(context, si, wo), dtype=np.float64).T
 
 
-def find_share(mi: Any, bsdf: Any, si: Any, wo: Any) -> np.ndarray:
+def compute_share(mi: Any, bsdf: Any, si: Any, wo: Any) -> np.ndarray:
     from lobewise.render.materials.bsdfs import read_material
-    from lobewise.render.materials.dispatch import find_diffuse_share
+    from lobewise.render.materials.dispatch import compute_diffuse_share
 
-    share = np.array(find_diffuse_share(read_material(bsdf), si, wo, mi.Bool(True)), dtype=np.float64).T
+    share = np.array(compute_diffuse_share(read_material(bsdf), si, wo, mi.Bool(True)), dtype=np.float64).T
     return np.broadcast_to(share, (COUNT, 3))
 
 
@@ -80,7 +80,7 @@ def test_share_is_that_of_mitsubas_diffuse_lobes(mi: Any, directions: tuple[Any,
     glossy = evaluate(mi, bsdf, si, wo, mi.BSDFFlags.Glossy)
     assert np.count_nonzero(total) > COUNT // 2
     assert np.allclose(total, diffuse + glossy, rtol=1e-4)
-    share = find_share(mi, bsdf, si, wo)
+    share = compute_share(mi, bsdf, si, wo)
     assert np.allclose(share * total, diffuse, atol=SHARE)
 
 
@@ -100,7 +100,7 @@ def test_principled_diffuse_is_all_that_is_left_without_a_boundary(
     theirs = evaluate(mi, bsdf, si, wo)
     assert np.count_nonzero(theirs) > COUNT // 2
     assert np.allclose(ours, theirs, rtol=1e-4, atol=1e-6)
-    assert np.allclose(find_share(mi, bsdf, si, wo)[theirs > 1e-6], 1.0, atol=SHARE)
+    assert np.allclose(compute_share(mi, bsdf, si, wo)[theirs > 1e-6], 1.0, atol=SHARE)
 
 
 @pytest.mark.parametrize("metallic", [0.0, 0.5, 1.0])
@@ -111,7 +111,7 @@ def test_share_of_principled_is_its_diffuse_part(mi: Any, directions: tuple[Any,
     bare = mi.load_dict({**PRINCIPLED, "metallic": 0.0, "specular": 0.0})
     expected = (1.0 - metallic) * evaluate(mi, bare, si, wo)
     total = evaluate(mi, bsdf, si, wo)
-    assert np.allclose(find_share(mi, bsdf, si, wo) * total, expected, atol=SHARE)
+    assert np.allclose(compute_share(mi, bsdf, si, wo) * total, expected, atol=SHARE)
 
 
 def test_share_of_thin_principled_is_its_part_without_transmission(mi: Any, directions: tuple[Any, Any]) -> None:
@@ -122,7 +122,7 @@ def test_share_of_thin_principled_is_its_part_without_transmission(mi: Any, dire
     total = 0.75 * alone + 0.25 * glossy
     np.testing.assert_allclose(evaluate(mi, bsdf, si, wo), total, rtol=1e-4, atol=1e-6)
     expected = np.divide(0.75 * alone, total, out=np.zeros_like(total), where=total > 0.0)
-    np.testing.assert_allclose(find_share(mi, bsdf, si, wo), expected, atol=SHARE)
+    np.testing.assert_allclose(compute_share(mi, bsdf, si, wo), expected, atol=SHARE)
     assert expected.std() > 0.1
 
 
@@ -144,7 +144,7 @@ def test_share_of_wrapped_principled(mi: Any, directions: tuple[Any, Any], wrap:
     bsdf, bare = make(specular=0.8), make(specular=0.0)
     total, expected = evaluate(mi, bsdf, si, wo), evaluate(mi, bare, si, wo)
     assert np.count_nonzero(expected) > COUNT // 4
-    assert np.allclose(find_share(mi, bsdf, si, wo) * total, expected, atol=SHARE)
+    assert np.allclose(compute_share(mi, bsdf, si, wo) * total, expected, atol=SHARE)
 
 
 def test_share_of_blended_principled(mi: Any, directions: tuple[Any, Any]) -> None:
@@ -152,7 +152,7 @@ def test_share_of_blended_principled(mi: Any, directions: tuple[Any, Any]) -> No
     bsdf = mi.load_dict({"type": "blendbsdf", "weight": 0.3, "a": {**PRINCIPLED, "specular": 0.9}, "b": METAL})
     bare = mi.load_dict({**PRINCIPLED, "specular": 0.0})
     total, expected = evaluate(mi, bsdf, si, wo), 0.7 * evaluate(mi, bare, si, wo)
-    assert np.allclose(find_share(mi, bsdf, si, wo) * total, expected, atol=SHARE)
+    assert np.allclose(compute_share(mi, bsdf, si, wo) * total, expected, atol=SHARE)
 
 
 @pytest.mark.parametrize(("bsdf_dict", "share"), [(DIFFUSE, 1.0), (METAL, 0.0), ({"type": "plastic"}, 1.0)])
@@ -160,4 +160,4 @@ def test_share_of_one_lobe_is_all_or_nothing(
     mi: Any, directions: tuple[Any, Any], bsdf_dict: dict[str, Any], share: float
 ) -> None:
     si, wo = directions
-    assert np.all(find_share(mi, mi.load_dict(bsdf_dict), si, wo) == share)
+    assert np.all(compute_share(mi, mi.load_dict(bsdf_dict), si, wo) == share)

@@ -40,14 +40,14 @@ def test_keys_are_interpolated(mi: Any, tmp_path: Path) -> None:
         (4.5, slide(1, 0, -2) @ turn(270.0, about) @ middle @ stretch(1, 1.5, 2) @ np.linalg.inv(middle)),
         (9, slide(1, 0, -2) @ turn(90.0, about) @ middle @ stretch(1, 2, 3) @ np.linalg.inv(middle)),
     ):
-        np.testing.assert_allclose(paths.find_places(frame)["cube"], expected, atol=1e-12, err_msg=str(frame))
+        np.testing.assert_allclose(paths.compute_places(frame)["cube"], expected, atol=1e-12, err_msg=str(frame))
 
 
 def test_turns_are_right_handed_about_any_axis(mi: Any, tmp_path: Path) -> None:
     """Against Mitsuba's own rotations."""
     keys = [{"frame": 1, "degrees": 30, "scale": 2}]
     for axis in ([1, 0, 0], [0, 0, 2], [1, -2, 3]):
-        found = read(mi, tmp_path, {"a": {"axis": axis, "keys": keys}}).find_places(1)["a"]
+        found = read(mi, tmp_path, {"a": {"axis": axis, "keys": keys}}).compute_places(1)["a"]
         expected = np.array(
             mi.ScalarTransform4f().rotate((np.array(axis) / np.linalg.norm(axis)).tolist(), 30).matrix
         ) @ stretch(2, 2, 2)
@@ -58,7 +58,7 @@ def test_matrices_are_those_of_the_frames(mi: Any, tmp_path: Path) -> None:
     steps = [slide(0.1 * k, 0, 0) for k in range(3)]
     paths = read(mi, tmp_path, {"a": {"matrices": [step.tolist() for step in steps]}})
     for frame, step in enumerate(steps, start=1):
-        np.testing.assert_array_equal(paths.find_places(frame)["a"], step)
+        np.testing.assert_array_equal(paths.compute_places(frame)["a"], step)
     paths.require_frames(3)
     with pytest.raises(InputError, match="at least 4 matrices, one for each frame, got 3"):
         paths.require_frames(4)

@@ -108,9 +108,9 @@ def test_moves_lead_back(mi: Any) -> None:
     first, second = turn(20.0, (0, 0, 0)), slide(0, 0, 1) @ turn(70.0, (1, 0, 0))
     places.place({"ball": first})
     before = dict(places.transforms)
-    assert places.find_moves(before) == {}
+    assert places.compute_moves(before) == {}
     places.place({"ball": second, "cube": first})
-    moves = places.find_moves(before)
+    moves = places.compute_moves(before)
     point = np.array([0.3, -0.2, 0.4, 1.0])
     np.testing.assert_allclose(moves["ball"] @ second @ point, first @ point, atol=1e-12)
     np.testing.assert_allclose(moves["cube"] @ first @ point, point, atol=1e-12)
@@ -132,7 +132,9 @@ def test_an_instance_moves_and_tells_its_motion(mi: Any) -> None:
     before = dict(places.transforms)
     places.place({"near": slide(0.0, 0.1, 0.0) @ stretch(1.0, 1.5, 1.0)})
     camera = get_camera(scene)
-    guides = render_frame(scene, spp=1, aov_only=True, previous_camera=camera, moves=places.find_moves(before)).gbuffer
+    guides = render_frame(
+        scene, spp=1, aov_only=True, previous_camera=camera, moves=places.compute_moves(before)
+    ).gbuffer
     squeezed = (guides.position - (0.0, 0.1, 2.0)) / (1.0, 1.5, 1.0)
     near = (np.linalg.norm(squeezed, axis=-1) < 0.41) & (guides.depth > 0)
     assert near.sum() > 50

@@ -51,7 +51,7 @@ def render(mi: Any, *, spp: int = 8, max_depth: int = 8, aov_only: bool = False,
     return render_frame(scene, spp=spp, max_depth=max_depth, aov_only=aov_only).gbuffer
 
 
-def find_floor(gbuffer: GBuffer) -> np.ndarray:
+def mark_floor(gbuffer: GBuffer) -> np.ndarray:
     """Return which pixels see the floor in all of their area: the rows well below the wall."""
     row = np.arange(gbuffer.shape[0])[:, None] + np.zeros(gbuffer.shape)
     floor = row > 12
@@ -63,7 +63,7 @@ def find_floor(gbuffer: GBuffer) -> np.ndarray:
 def test_mirror_sees_the_wall(mi: Any, aov_only: bool) -> None:
     floor, wall = make_plane(mi, bsdf=MIRROR), make_plane(mi, z=WALL_Z, bsdf=paint(RED))
     gbuffer = render(mi, floor=floor, wall=wall, aov_only=aov_only)
-    on_floor = find_floor(gbuffer)
+    on_floor = mark_floor(gbuffer)
     assert np.allclose(gbuffer.hit_albedo[on_floor], RED, atol=EXACT)
     assert np.allclose(gbuffer.hit_normal[on_floor], (0, 0, 1), atol=EXACT)
     # The wall reflects nothing specularly, so it sees nothing.
@@ -80,7 +80,7 @@ def test_both_lobes_count_and_the_normal_faces_the_ray(mi: Any) -> None:
         wall=make_plane(mi, z=WALL_Z, away=True, bsdf=plastic),
         spp=64,
     )
-    on_floor = find_floor(gbuffer)
+    on_floor = mark_floor(gbuffer)
     assert np.allclose(gbuffer.hit_normal[on_floor], (0, 0, 1), atol=EXACT)
     # Row 2 sees the wall nearly head-on, and so does row 13 in the floor.
     both = gbuffer.diffuse_albedo[2] + gbuffer.specular_albedo[2]
@@ -90,7 +90,7 @@ def test_both_lobes_count_and_the_normal_faces_the_ray(mi: Any) -> None:
 
 def test_what_sees_nothing_is_black(mi: Any) -> None:
     gbuffer = render(mi, floor=make_plane(mi, bsdf=MIRROR), sky={"type": "constant"})
-    on_floor = find_floor(gbuffer)
+    on_floor = mark_floor(gbuffer)
     assert np.isinf(gbuffer.hit_distance[on_floor]).all()
     assert not gbuffer.hit_albedo.any()
     assert not gbuffer.hit_normal.any()
@@ -101,7 +101,7 @@ def test_what_sees_nothing_is_black(mi: Any) -> None:
 def test_light_source_is_white_on_the_side_that_shines(mi: Any, away: bool) -> None:
     wall = make_plane(mi, z=WALL_Z, away=away, bsdf={"type": "twosided", "inner": paint(RED)})
     gbuffer = render(mi, floor=make_plane(mi, bsdf=MIRROR), wall=shine(wall, 0.01))
-    on_floor = find_floor(gbuffer)
+    on_floor = mark_floor(gbuffer)
     assert np.allclose(gbuffer.hit_albedo[on_floor], RED if away else 1.0, atol=EXACT)
     assert np.allclose(gbuffer.hit_normal[on_floor], (0, 0, 1), atol=EXACT)
 
@@ -116,7 +116,7 @@ def test_mirrors_are_followed_as_deep_as_paths_go(mi: Any, aov_only: bool) -> No
         "back": make_plane(mi, z=30.0, away=True, bsdf=paint(RED)),
     }
     gbuffer = render(mi, **items, aov_only=aov_only)
-    on_floor = find_floor(gbuffer)
+    on_floor = mark_floor(gbuffer)
     assert np.allclose(gbuffer.hit_position[on_floor][:, 2], WALL_Z, atol=1e-3)
     assert np.allclose(gbuffer.hit_albedo[on_floor], RED, atol=EXACT)
     assert np.allclose(gbuffer.hit_normal[on_floor], (0, 0, -1), atol=EXACT)
@@ -136,7 +136,7 @@ def test_path_that_ends_by_chance_sees_the_mirror_where_it_ends(mi: Any) -> None
         ceiling={"type": "rectangle", "to_world": ceiling, "bsdf": mirror},
         max_depth=64,
     )
-    on_floor = find_floor(gbuffer)
+    on_floor = mark_floor(gbuffer)
     assert np.allclose(gbuffer.hit_albedo[on_floor], 0.2, atol=EXACT)
     assert np.allclose(np.abs(gbuffer.hit_normal[on_floor][:, [0, 2]]), 0.0, atol=EXACT)
 
@@ -158,7 +158,7 @@ def test_what_stands_behind_a_pane(mi: Any, pane: dict[str, Any]) -> None:
         pane=make_plane(mi, z=WALL_Z, bsdf=pane),
         wall=make_plane(mi, z=WALL_Z - 1.0, bsdf=paint(RED)),
     )
-    on_floor = find_floor(gbuffer)
+    on_floor = mark_floor(gbuffer)
     assert np.allclose(gbuffer.hit_albedo[on_floor], RED, atol=EXACT)
     assert np.allclose(gbuffer.hit_normal[on_floor], (0, 0, 1), atol=EXACT)
 

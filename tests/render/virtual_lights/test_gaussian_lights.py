@@ -13,11 +13,11 @@ from tests.render.virtual_lights.test_virtual_lights import (
     PATHS_NOISE,
     assert_nothing_is_compiled_twice,
     expect_one_light,
-    find_paths,
     get_image,
     make_cornell_box,
     make_corner,
     make_lights,
+    render_paths,
     total,
     view,
 )
@@ -90,7 +90,7 @@ def test_drawn_clusters_are_the_sum_over_all(mi: Any, alpha: float | None) -> No
 @pytest.mark.nightly
 def test_light_comes_near_paths(cornell: Any) -> None:
     points = view(cornell)
-    paths = total(find_paths(cornell, points, samples=1024))
+    paths = total(render_paths(cornell, points, samples=1024))
     errors = []
     for count in (256, 2048, 16384):
         image = total(make_clusters(cornell, count=count).shade(points, samples=64, seed=0))
@@ -107,7 +107,7 @@ def test_glossy_surfaces_have_less_error_than_by_point_lights(mi: Any, alpha: fl
     points = view(scene)
     metal = (np.array(points.surface.alpha_u) > 0)[None]
     assert 0.1 < metal.mean() < 0.5
-    paths = total(find_paths(scene, points, samples=2048))
+    paths = total(render_paths(scene, points, samples=2048))
     spikes = total(make_lights(scene).shade(points, samples=1, seed=0))
     all_spikes = total(make_lights(scene).shade(points, samples=1, seed=0, all_lights=True))
     found = total(make_clusters(scene).shade(points, samples=1, seed=0))
@@ -121,7 +121,7 @@ def test_glossy_surfaces_have_less_error_than_by_point_lights(mi: Any, alpha: fl
 def test_same_seed_same_bits_whatever_the_order(cornell: Any) -> None:
     from lobewise.render.bridge import dr, mi
     from lobewise.render.materials.bsdfs import read_scene_materials
-    from lobewise.render.tracing.points import find_points
+    from lobewise.render.tracing.points import trace_points
 
     method = make_clusters(cornell, count=256)
     first = total(method.shade(view(cornell), samples=2, seed=7))
@@ -130,7 +130,7 @@ def test_same_seed_same_bits_whatever_the_order(cornell: Any) -> None:
     assert not np.array_equal(total(method.shade(view(cornell), samples=2, seed=8)), first)
     order = np.random.default_rng(0).permutation(32 * 32)[:100].astype(np.uint32)
     size = (dr.opaque(mi.UInt32, 32), dr.opaque(mi.UInt32, 32))
-    some = find_points(cornell, read_scene_materials(cornell), mi.UInt32(order), size)
+    some = trace_points(cornell, read_scene_materials(cornell), mi.UInt32(order), size)
     np.testing.assert_array_equal(total(method.shade(some, samples=2, seed=7)), first[:, order])
 
 
@@ -146,7 +146,7 @@ def test_mirrors_show_what_is_lit(mi: Any, bsdf: dict[str, Any]) -> None:
     points = view(scene)
     mirror = np.abs(np.array(points.si.n)[2]) > 0.5
     assert 0.2 < mirror.mean() < 0.9
-    paths = find_paths(scene, points, samples=4096)
+    paths = render_paths(scene, points, samples=4096)
     found = make_clusters(scene, count=4096).shade(points, samples=64, seed=0)
     assert get_image(found.diffuse)[:, mirror].max() == 0.0
     lit, expected = get_image(found.specular)[:, mirror], get_image(paths.specular)[:, mirror]
@@ -195,6 +195,6 @@ def test_bad_options_are_told(mi: Any, options: dict[str, Any], told: str) -> No
 def test_clusters_need_no_band_limit(mi: Any) -> None:
     scene = make_corner(mi)
     method = make_clusters(scene, count=16)
-    assert method.find_band_limit(view(scene), 1) == 0.0
+    assert method.get_band_limit(view(scene), 1) == 0.0
     with pytest.raises(InputError, match="clusters need no band-limit"):
         method.count_lights_seen(view(scene))

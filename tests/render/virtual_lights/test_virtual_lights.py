@@ -36,11 +36,11 @@ def view(scene: Any) -> Any:
     from lobewise.render.bridge import dr, mi
     from lobewise.render.camera import get_image_size
     from lobewise.render.materials.bsdfs import read_scene_materials
-    from lobewise.render.tracing.points import find_points
+    from lobewise.render.tracing.points import trace_points
 
     width, height = get_image_size(scene)
     size = tuple(dr.opaque(mi.UInt32, length) for length in (width, height))
-    return find_points(scene, read_scene_materials(scene), dr.arange(mi.UInt32, width * height), size)
+    return trace_points(scene, read_scene_materials(scene), dr.arange(mi.UInt32, width * height), size)
 
 
 def make_lights(scene: Any, **options: Any) -> Any:
@@ -50,7 +50,7 @@ def make_lights(scene: Any, **options: Any) -> Any:
     return VirtualLights(scene, read_scene_materials(scene), **options)
 
 
-def find_paths(scene: Any, points: Any, *, samples: int, max_depth: int = 8) -> Any:
+def render_paths(scene: Any, points: Any, *, samples: int, max_depth: int = 8) -> Any:
     """Return indirect light of the same points by paths."""
     from lobewise.render.materials.bsdfs import read_scene_materials
     from lobewise.render.tracing.paths import PathLight
@@ -81,7 +81,7 @@ def cornell(mi: Any) -> Any:
 @pytest.fixture(scope="module")
 def cornell_paths(cornell: Any) -> np.ndarray:
     """Return the path tracer's picture, of the same pixel centres."""
-    return total(find_paths(cornell, view(cornell), samples=1024))
+    return total(render_paths(cornell, view(cornell), samples=1024))
 
 
 @pytest.fixture(scope="module")
@@ -347,7 +347,7 @@ def test_samples_are_parts_of_the_whole(cornell: Any) -> None:
 def test_same_seed_same_bits_whatever_the_order(cornell: Any) -> None:
     from lobewise.render.bridge import dr, mi
     from lobewise.render.materials.bsdfs import read_scene_materials
-    from lobewise.render.tracing.points import find_points
+    from lobewise.render.tracing.points import trace_points
 
     method = make_lights(cornell, count=256, compensate=True)
     first = total(method.shade(view(cornell), samples=2, seed=7))
@@ -356,7 +356,7 @@ def test_same_seed_same_bits_whatever_the_order(cornell: Any) -> None:
     assert not np.array_equal(total(method.shade(view(cornell), samples=2, seed=8)), first)
     order = np.random.default_rng(0).permutation(32 * 32)[:100].astype(np.uint32)
     size = (dr.opaque(mi.UInt32, 32), dr.opaque(mi.UInt32, 32))
-    some = find_points(cornell, read_scene_materials(cornell), mi.UInt32(order), size)
+    some = trace_points(cornell, read_scene_materials(cornell), mi.UInt32(order), size)
     np.testing.assert_array_equal(total(method.shade(some, samples=2, seed=7)), first[:, order])
     other = make_lights(cornell, count=256, seed=1)
     assert not np.array_equal(np.array(other.lights.si.p), np.array(method.lights.si.p))
@@ -389,7 +389,7 @@ def test_mirrors_show_what_is_lit(mi: Any) -> None:
     scene = make_corner(mi, cone=30.0, bsdf={"type": "conductor", "material": "Al"})
     points = view(scene)
     method = make_lights(scene, count=4096, clamp=0.0)
-    paths = find_paths(scene, points, samples=4096)
+    paths = render_paths(scene, points, samples=4096)
     found = method.shade(points, samples=64, seed=0)
     mirror = np.abs(np.array(points.si.n)[2]) > 0.5
     assert 0.2 < mirror.mean() < 0.9
@@ -439,7 +439,7 @@ def test_any_surface_and_emitter_agrees_with_paths(mi: Any, make_box_scene: Box,
     scene = make_box_scene(items, size=16)
     points = view(scene)
     method = make_lights(scene, count=1 << 15, clamp=0.1, compensate=True)
-    found, paths = method.shade(points, samples=128, seed=0), find_paths(scene, points, samples=4096)
+    found, paths = method.shade(points, samples=128, seed=0), render_paths(scene, points, samples=4096)
     for name, tolerance in (("diffuse", PATHS_NOISE), ("specular", SPIKES)):
         mine, theirs = get_image(getattr(found, name)), get_image(getattr(paths, name))
         assert theirs.mean() > 0.003
@@ -452,7 +452,7 @@ def test_a_sky_lights_a_room(mi: Any, make_box_scene: Box) -> None:
     scene = make_box_scene({"light": {"type": "constant", "radiance": {"type": "rgb", "value": 0.5}}}, size=16)
     points = view(scene)
     found = total(make_lights(scene, count=4096).shade(points, samples=16, seed=0))
-    assert found.mean() == pytest.approx(total(find_paths(scene, points, samples=256)).mean(), rel=PATHS_NOISE)
+    assert found.mean() == pytest.approx(total(render_paths(scene, points, samples=256)).mean(), rel=PATHS_NOISE)
 
 
 def test_black_surfaces_give_no_light(mi: Any) -> None:
@@ -465,7 +465,7 @@ def test_black_surfaces_give_no_light(mi: Any) -> None:
 def test_what_is_recorded_can_be_replayed(mi: Any) -> None:
     from lobewise.render.bridge import dr
     from lobewise.render.materials.bsdfs import read_scene_materials
-    from lobewise.render.tracing.points import find_points
+    from lobewise.render.tracing.points import trace_points
 
     scene = make_corner(mi, cone=30.0)
     points = view(scene)
@@ -474,7 +474,7 @@ def test_what_is_recorded_can_be_replayed(mi: Any) -> None:
 
     @dr.freeze(state_fn=lambda *_, **__: (scene, method.state))
     def replay(pixel: Any, width: Any, samples: Any, seed: Any) -> list[Any]:
-        points = find_points(scene, materials, pixel, (width, width))
+        points = trace_points(scene, materials, pixel, (width, width))
         light = method.shade(points, samples=samples, seed=seed)
         return [light.diffuse, light.specular]
 
@@ -511,18 +511,18 @@ def test_wrong_numbers_are_errors(cornell: Any, wrong: dict[str, Any]) -> None:
 
 
 def test_sharpness_limit_is_where_a_lobe_holds_one_light() -> None:
-    from lobewise.render.virtual_lights.instant_radiosity import find_sharpness_limit
+    from lobewise.render.virtual_lights.instant_radiosity import compute_sharpness_limit
 
     for lights in (4.0, 8.0, 100.0):
-        sharpness = 1.0 / find_sharpness_limit(lights) ** 2
+        sharpness = 1.0 / compute_sharpness_limit(lights) ** 2
         # Effective solid angle of the spherical Gaussian by quadrature, times lights per steradian.
         cosine = -1.0 + 2.0 * (np.arange(20000) + 0.5) / 20000
         lobe = np.exp(sharpness * (cosine - 1.0))
         solid_angle = 2.0 * math.pi * 2.0 * lobe.mean() ** 2 / (lobe**2).mean()
         assert lights / (2.0 * math.pi) * solid_angle == pytest.approx(1.0, rel=1e-3)
-    assert find_sharpness_limit(0.01) == 1.0
+    assert compute_sharpness_limit(0.01) == 1.0
     with pytest.raises(InputError, match="above 0"):
-        find_sharpness_limit(0.0)
+        compute_sharpness_limit(0.0)
 
 
 def test_lights_seen_are_counted_by_their_worth(hollow: Any) -> None:

@@ -52,7 +52,7 @@ def shade(mi: Any) -> Callable[..., tuple[Any, Any]]:
     import drjit as dr
 
     from lobewise.render.materials.bsdfs import read_scene_materials
-    from lobewise.render.tracing.points import find_points
+    from lobewise.render.tracing.points import trace_points
     from lobewise.render.voxels.cones import VoxelCones
 
     def run(scene: Any, *, samples: int = 4, seed: int = 1, method: Any = None, **options: Any) -> Any:
@@ -60,7 +60,7 @@ def shade(mi: Any) -> Callable[..., tuple[Any, Any]]:
         method = method or VoxelCones(scene, materials, **options)
         width, height = (int(length) for length in scene.sensors()[0].film().crop_size())
         size = dr.opaque(mi.UInt32, width), dr.opaque(mi.UInt32, height)
-        points = find_points(scene, materials, dr.arange(mi.UInt32, width * height), size)
+        points = trace_points(scene, materials, dr.arange(mi.UInt32, width * height), size)
         light = method.shade(points, samples=samples, seed=seed)
         images = {
             "diffuse": np.array(light.diffuse).T.reshape(height, width, 3),
@@ -154,7 +154,7 @@ def test_another_seed_size_and_count_need_no_other_kernel(mi: Any, shade: Cones)
     import drjit as dr
 
     from lobewise.render.materials.bsdfs import read_scene_materials
-    from lobewise.render.tracing.points import find_points
+    from lobewise.render.tracing.points import trace_points
     from lobewise.render.voxels.cones import VoxelCones
 
     scene = make_cornell(mi)
@@ -163,7 +163,7 @@ def test_another_seed_size_and_count_need_no_other_kernel(mi: Any, shade: Cones)
 
     def run(pixels: int, samples: int, seed: int) -> list[Any]:
         size = dr.opaque(mi.UInt32, 48), dr.opaque(mi.UInt32, 48)
-        points = find_points(scene, materials, dr.arange(mi.UInt32, pixels), size)
+        points = trace_points(scene, materials, dr.arange(mi.UInt32, pixels), size)
         dr.eval(points)
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             dr.kernel_history_clear()
@@ -180,13 +180,13 @@ def test_a_pixel_does_not_depend_on_the_others(mi: Any, shade: Cones) -> None:
     import drjit as dr
 
     from lobewise.render.materials.bsdfs import read_scene_materials
-    from lobewise.render.tracing.points import find_points
+    from lobewise.render.tracing.points import trace_points
 
     scene = make_cornell(mi)
     images, method = shade(scene, samples=2, seed=7, resolution=32, bounces=0)
     pixels = np.array([1999, 3, 1200, 1200, 777])
     size = dr.opaque(mi.UInt32, 48), dr.opaque(mi.UInt32, 48)
-    points = find_points(scene, read_scene_materials(scene), mi.UInt32(pixels.astype(np.uint32)), size)
+    points = trace_points(scene, read_scene_materials(scene), mi.UInt32(pixels.astype(np.uint32)), size)
     few = np.array(method.shade(points, samples=2, seed=7).diffuse).T
     np.testing.assert_array_equal(few, images["diffuse"].reshape(-1, 3)[pixels])
 
@@ -290,13 +290,13 @@ def test_hit_distance_of_a_mirror_is_that_of_rays(mi: Any, shade: Cones, make_bo
 
 def test_rays_count_the_area_of_a_ball(mi: Any) -> None:
     from lobewise.render.materials.bsdfs import read_scene_materials
-    from lobewise.render.voxels.hits import RAYS, Caster, cast_hits, find_bounds
+    from lobewise.render.voxels.hits import RAYS, Caster, cast_hits, measure_bounds
 
     both = {"type": "twosided", "inner": gray(0.5)}
     scene = mi.load_dict(
         {"type": "scene", "ball": {"type": "sphere", "radius": 1.5, "center": [1, 2, 3], "bsdf": both}}
     )
-    bounds = find_bounds(scene, 64)
+    bounds = measure_bounds(scene, 64)
     calls: list[None] = []
     hits = cast_hits(Caster(scene, read_scene_materials(scene)), bounds, lambda: calls.append(None))
     assert len(calls) == 3
@@ -348,7 +348,7 @@ def test_larger_voxels_show_the_nearer_of_two(mi: Any) -> None:
 
 
 def test_diffuse_cones_share_the_hemisphere_as_the_cosine_does(mi: Any, rng: np.random.Generator) -> None:
-    from lobewise.render.voxels.march import DIFFUSE_CONES, find_diffuse_axis
+    from lobewise.render.voxels.march import DIFFUSE_CONES, draw_diffuse_axis
 
     count = 1 << 14
     normal = np.array([0.48, -0.6, 0.64])
@@ -356,7 +356,7 @@ def test_diffuse_cones_share_the_hemisphere_as_the_cosine_does(mi: Any, rng: np.
     draws = [mi.Float(rng.permutation(even).astype(np.float32)) for _ in range(3)]
     axes = []
     for number in range(DIFFUSE_CONES):
-        axis = find_diffuse_axis(
+        axis = draw_diffuse_axis(
             mi.Vector3f(*normal.tolist()), mi.UInt32(number), draws[0], mi.Point2f(draws[1], draws[2])
         )
         axes.append(np.array(axis, dtype=np.float64))
@@ -375,14 +375,14 @@ def test_diffuse_cones_share_the_hemisphere_as_the_cosine_does(mi: Any, rng: np.
 
 
 def test_specular_cones_are_the_lobes_of_the_library(mi: Any, rng: np.random.Generator) -> None:
-    from lobewise.render.voxels.march import DIFFUSE_TAN, MIN_TAN, find_reflection
+    from lobewise.render.voxels.march import DIFFUSE_TAN, MIN_TAN, compute_reflection
 
     alpha_u, alpha_v = rng.uniform(0.01, 0.4, (2, 500))
     cosine, azimuth = rng.uniform(0.3, 1.0, 500), rng.uniform(0.0, 2.0 * np.pi, 500)
     sine = np.sqrt(1.0 - cosine**2)
     view = np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), cosine])
     arrays = (mi.Float(alpha.astype(np.float32)) for alpha in (alpha_u, alpha_v))
-    axis, tangent = find_reflection(
+    axis, tangent = compute_reflection(
         mi.Vector3f(view.astype(np.float32)), mi.Vector3f(0, 0, 1), mi.Vector3f(1, 0, 0), *arrays
     )
     expected, sharpness = reflect_ggx_sg(view.T, alpha_u, alpha_v, dominant=True, fit="volume")

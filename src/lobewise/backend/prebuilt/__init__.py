@@ -69,7 +69,7 @@ def name_symbol(identity: str) -> str:
 
 
 @cache
-def find_library() -> Library | None:
+def choose_library() -> Library | None:
     """Return the best library that this processor runs; None if kernels must be compiled.
 
     Raises
@@ -83,18 +83,18 @@ def find_library() -> Library | None:
 def has_kernels() -> bool:
     """Return whether kernels can run here: the package brought them along, or a compiler is installed."""
     try:
-        return has_compiler() or find_library() is not None
+        return has_compiler() or choose_library() is not None
     except MissingDependencyError:
         return False
 
 
 def open_library(folder: Path) -> Library | None:
-    """Return the best library of a folder; see `find_library`."""
+    """Return the best library of a folder; see `choose_library`."""
     try:
         index = json.loads((folder / INDEX_NAME).read_bytes())
     except FileNotFoundError:
         return None
-    problem = _find_problem(index)
+    problem = _describe_problem(index)
     if not problem:
         for level in index["levels"]:
             code = ctypes.CDLL(str(folder / level["file"]))
@@ -112,7 +112,7 @@ def open_library(folder: Path) -> Library | None:
     )
 
 
-def _find_problem(index: Mapping[str, Any]) -> str:
+def _describe_problem(index: Mapping[str, Any]) -> str:
     """Return why the libraries of an index cannot be used, or an empty text."""
     if index["system"] != name_system():
         return f"kernels for {index['system']} on {name_system()}"

@@ -90,13 +90,13 @@ def _is_own(source: Path) -> bool:
 def _is_large(source: Path, settings: dict[str, Any], memory: float | None) -> bool:
     from lobewise.denoising.automatic import ask
     from lobewise.io.exr.bands import BandReader
-    from lobewise.streaming import find_limits, list_images, needs_bands
+    from lobewise.streaming import choose_limits, list_images, needs_bands
 
     request = ask(None, settings, whole=False)
     try:
         reader = BandReader(source, wanted=list_images(request))
         # Normals that stand in for missing ones are found in the whole image.
-        return ("gbuffer", "normal") in reader.images and needs_bands(reader, request, find_limits(memory).whole)
+        return ("gbuffer", "normal") in reader.images and needs_bands(reader, request, choose_limits(memory).whole)
     except LobewiseError:
         # A whole frame may be readable nevertheless; if it is not, reading it raises the error again.
         return False
@@ -119,7 +119,7 @@ class FileInBands:
 
     def denoise(self, progress: Callable[[str, int, int], None] | None = None) -> DenoisedFile:
         """Denoise the file into its target; see `lobewise.streaming.denoise_file`."""
-        from lobewise.streaming import denoise_file, find_limits
+        from lobewise.streaming import choose_limits, denoise_file
 
         bands = parse_bands(self.bands)
         return denoise_file(
@@ -127,7 +127,7 @@ class FileInBands:
             self.target,
             lobe_tables=self.tables,
             rows=bands if isinstance(bands, int) else None,
-            memory=find_limits(self.memory).band,
+            memory=choose_limits(self.memory).band,
             progress=progress,
             **self.settings,
         )

@@ -97,13 +97,13 @@ class Farm:
 
     def open(self) -> AbstractContextManager[Connection]:
         """Return the connection to the workers; see `lobewise.farm.connection` for the errors."""
-        from lobewise.farm.connection import connect, find_memory, require_distributed, start_local
+        from lobewise.farm.connection import connect, divide_memory, require_distributed, start_local
 
         require_distributed()
         if self.farm is not None:
             return connect(self.farm)
         assert self.workers is not None
-        memory = find_memory(self.workers) if self.memory is None else int(self.memory * GIB)
+        memory = divide_memory(self.workers) if self.memory is None else int(self.memory * GIB)
         return start_local(self.workers, memory_bytes=memory)
 
 

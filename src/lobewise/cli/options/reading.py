@@ -170,7 +170,7 @@ class PassReading(Reading):
         imported = import_file(
             path,
             **options,
-            half=None if self.half is None else self._find_half(path, source),
+            half=None if self.half is None else self._locate_half(path, source),
             lobe_tables=tables,
             also=self.also or (),
             light_passes=light_passes,
@@ -185,10 +185,10 @@ class PassReading(Reading):
         known = {one.told: f"{one.what}, {one.mended}" for one in imported.findings}
         first = next(iter(denoised), selection)
         for note in imported.remarks:
-            remarks.tell_of(selection, first, note, known.get(note, note), find_number(path, source))
+            remarks.tell_of(selection, first, note, known.get(note, note), look_up_number(path, source))
         return imported
 
-    def _find_half(self, path: Path, source: Path) -> Path:
+    def _locate_half(self, path: Path, source: Path) -> Path:
         """Return the file of the second render that belongs to a file of the first."""
         from lobewise.io.sequence import is_pattern
 
@@ -200,7 +200,7 @@ class PassReading(Reading):
                 got=f"{str(self.half)!r} for {str(source)!r}",
                 action="name both alike",
             )
-        return find_counterpart(path, source, self.half)
+        return locate_counterpart(path, source, self.half)
 
 
 def _list_words(options: Mapping[str, Iterable[object] | None]) -> list[str]:
@@ -214,7 +214,7 @@ def read_tables(material: Sequence[Path]) -> list[LobeTable] | None:
     return [read_lobe_table(path) for path in material] or None
 
 
-def find_counterpart(path: Path, source: Path, other: Path) -> Path:
+def locate_counterpart(path: Path, source: Path, other: Path) -> Path:
     """Return the file of ``other`` that has the number of ``path`` in the sequence ``source``.
 
     Where ``source`` is a single file, ``other`` is returned.
@@ -226,7 +226,7 @@ def find_counterpart(path: Path, source: Path, other: Path) -> Path:
     return FramePattern.parse(other).name(FramePattern.parse(source).read_number(path))
 
 
-def find_number(path: Path, source: Path) -> int | None:
+def look_up_number(path: Path, source: Path) -> int | None:
     """Return the number of a file of the sequence ``source``; None where that is a single file."""
     from lobewise.io.sequence import FramePattern, is_pattern
 

@@ -124,7 +124,7 @@ class Picture:
         return Pictures(stops=stops, first=first)
 
 
-def find_first(source: Path, output: Path) -> Path:
+def name_first_output(source: Path, output: Path) -> Path:
     """Return the first file that will be written: the output itself, or the first file of an output sequence."""
     from lobewise.io.sequence import FramePattern, is_pattern
 

@@ -50,7 +50,7 @@ class Remarks:
 
         For other views than the ``first``, print only notes of a new kind, with the name of the view.
         """
-        kind = selection.find_kind(note)
+        kind = selection.name_kind(note)
         if selection == first:
             self.tell(note, key, frame)
         elif kind not in self._kinds:

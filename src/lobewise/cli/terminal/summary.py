@@ -161,7 +161,7 @@ def _describe_lack(lack: Lack) -> str:
 
 def _describe_result(description: FileDescription) -> str:
     """Return the passes that hold the result, and the passes that are only copied."""
-    layer = _find_view_layer(description)
+    layer = _name_view_layer(description)
     first, *others = description.outputs
     pass_name = first.rpartition(".")[0].removeprefix(layer) or first
     pass_name += f" and {len(others)} more passes of light" if others else ""
@@ -188,7 +188,7 @@ def _name_pass(part: PartDescription, channel: ChannelDescription) -> str:
     return channel.name.rpartition(".")[0] or part.name or channel.name
 
 
-def _find_view_layer(description: FileDescription) -> str:
+def _name_view_layer(description: FileDescription) -> str:
     """Return the common beginning of the names of all passes, such as ``ViewLayer.``; empty where there is none."""
     heads = [_name_pass(part, channel).split(".")[:-1] for part in description.parts for channel in part.channels]
     shared = takewhile(lambda words: len(set(words)) == 1, zip(*heads, strict=False))

@@ -18,7 +18,7 @@ from lobewise.guides.lobe_fields import make_sg_field
 
 MIN_ALBEDO_SUM = 1e-4
 """Sum of both luminances up to which no lobe has a share of the albedo."""
-MIN_SHARPNESS = 1e-6
+MIN_KNOWN_SHARPNESS = 1e-6
 """Smallest sharpness of a lobe."""
 
 
@@ -109,7 +109,7 @@ def collect_inputs(
     return RefinementInputs(**dict(zip(names, found, strict=True)))
 
 
-def find_lobes(frame: Frame, tau: float) -> tuple[FloatArray | None, FloatArray | None]:
+def compute_lobes(frame: Frame, tau: float) -> tuple[FloatArray | None, FloatArray | None]:
     """Return axis and base-2 logarithm of the sharpness of the specular lobes, 0 where there is none.
 
     None both where the frame has no roughness, or no camera with places of surfaces.
@@ -119,11 +119,11 @@ def find_lobes(frame: Frame, tau: float) -> tuple[FloatArray | None, FloatArray 
     field = make_sg_field(frame.gbuffer, frame.camera, tau=tau, diffuse_fallback=False)
     images = {**give_channels("axis", field.axis), "sharpness": field.sharpness, "valid": field.valid}
     names, text = ["lobe_axis", "lobe_sharpness"], "lobes that the network reads"
-    axis, sharpness = engine.pixels(define_known_lobes, images, {}, MIN_SHARPNESS, names=names, text=text)
+    axis, sharpness = engine.pixels(define_known_lobes, images, {}, MIN_KNOWN_SHARPNESS, names=names, text=text)
     return axis, sharpness
 
 
-def sum_light(parts: Sequence[FloatArray]) -> FloatArray:
+def sum_parts(parts: Sequence[FloatArray]) -> FloatArray:
     """Return the sum of the parts, finite and >= 0."""
     total = blacken_bad(parts[0])
     for part in parts[1:]:

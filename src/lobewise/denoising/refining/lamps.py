@@ -20,20 +20,20 @@ EDGE_PIXELS = 2
 NEAR_PIXELS = 8
 """Largest distance of a pixel to a large lamp that it belongs to. With 5 pixels, edges of windows behind thin bars stay
 noisy (``living-room-2`` of the public interiors)."""
-REACH = NEAR_PIXELS + 2
-"""Pixels that `find_small` reads in each direction."""
+LAMPS_REACH = NEAR_PIXELS + 2
+"""Pixels that `mark_small_lamps` reads in each direction."""
 
 Mask = NDArray[np.bool_]
 
 
-def find_shining(rest: FloatArray, parts: Sequence[FloatArray]) -> Mask:
+def mark_shining(rest: FloatArray, parts: Sequence[FloatArray]) -> Mask:
     """Return which pixels have more light that no surface scatters than other light, (height, width)."""
     images = {"rest": rest, **{f"part{number}": part for number, part in enumerate(parts)}}
     (shining,) = engine.pixels(define_shining, images, {}, names=["shining"], text="pixels of lamps and sky")
     return shining
 
 
-def find_small(shining: Mask) -> Mask:
+def mark_small_lamps(shining: Mask) -> Mask:
     """Return which shining pixels are small lamps: further than `NEAR_PIXELS` from 3x3 shining ones.
 
     The network takes so small a lamp for a firefly. Near a large lamp, single shining pixels are its noisy edge.
@@ -44,12 +44,12 @@ def find_small(shining: Mask) -> Mask:
     return small
 
 
-def find_edges(shining: Mask) -> Mask:
+def mark_lamp_edges(shining: Mask) -> Mask:
     """Return which pixels are at most `EDGE_PIXELS` from a shining one."""
     return widen_mask(shining, EDGE_PIXELS)
 
 
-def find_refined(masks: Sequence[Mask], shining: Mask | None = None) -> Mask:
+def mark_refined(masks: Sequence[Mask], shining: Mask | None = None) -> Mask:
     """Return which pixels are refined: those of surfaces, and those at most `EDGE_PIXELS` from a surface.
 
     The inside of a lamp, of a sky or of a photograph behind the scene has no noise. Its edge has, because samples of

@@ -12,23 +12,23 @@ from numpy.typing import NDArray
 
 from lobewise import engine
 from lobewise.denoising.layers import Layer
-from lobewise.denoising.refining.inputs import collect_inputs, find_lobes
-from lobewise.denoising.refining.lamps import find_edges, find_refined, find_shining, find_small
+from lobewise.denoising.refining.inputs import collect_inputs, compute_lobes
+from lobewise.denoising.refining.lamps import mark_lamp_edges, mark_refined, mark_shining, mark_small_lamps
 from lobewise.denoising.refining.whole_image import WholeImage
 from lobewise.filters.refinement.run import pack_weights, refine_image
 from lobewise.filters.refinement.steps import define_refined
 from lobewise.frame import FloatArray, Frame
 
-WEIGHTS = "refinement.npz"
+REFINEMENT_WEIGHTS = "refinement.npz"
 """File of the network, in the folder of the package `lobewise.denoising`."""
-MAX_BLACK_RADIANCE = 1e-36
+MAX_BLACK_FILTERED = 1e-36
 """Radiance up to which filtered light counts as black and stays so."""
 
 
 @cache
 def load_weights() -> FloatArray:
     """Return the weights of the network as the kernels read them."""
-    with files("lobewise.denoising").joinpath(WEIGHTS).open("rb") as file:
+    with files("lobewise.denoising").joinpath(REFINEMENT_WEIGHTS).open("rb") as file:
         arrays = np.load(file, allow_pickle=False)
         return pack_weights({name: arrays[name].astype(np.float32) for name in arrays.files})
 
@@ -69,10 +69,10 @@ def refine_light(
         The light that no surface scatters.
     whole : WholeImage
     """
-    shining = None if rest is None else find_shining(rest, parts)
-    small = None if shining is None else find_small(shining)
+    shining = None if rest is None else mark_shining(rest, parts)
+    small = None if shining is None else mark_small_lamps(shining)
     inputs = collect_inputs(frame, noisy, parts, rest, small)
-    axis, sharpness = find_lobes(frame, whole.tau)
+    axis, sharpness = compute_lobes(frame, whole.tau)
     image = refine_image(
         {**vars(inputs), "lobe_axis": axis, "lobe_sharpness": sharpness},
         load_weights(),
@@ -83,13 +83,13 @@ def refine_light(
     images = {
         "image": image,
         "filtered": inputs.filtered,
-        "refined": find_refined([layer.mask for layer in layers], shining),
+        "refined": mark_refined([layer.mask for layer in layers], shining),
         **{f"part{number}": part for number, part in enumerate(parts)},
         "rest": rest,
         "small": small,
     }
     names = [*(f"{layer.name}_refined" for layer in layers), *([] if rest is None else ["rest_refined"])]
     text = "light as the network refined it"
-    found = engine.pixels(define_refined, images, {}, MAX_BLACK_RADIANCE, names=names, text=text)
-    edges = None if shining is None else find_edges(shining)
+    found = engine.pixels(define_refined, images, {}, MAX_BLACK_FILTERED, names=names, text=text)
+    edges = None if shining is None else mark_lamp_edges(shining)
     return Refined(found[: len(parts)], None if rest is None else found[-1], edges)

@@ -10,7 +10,7 @@ from lobewise.filters.glue import define_composed, define_good, define_rest
 from lobewise.frame import FloatArray, Frame
 
 
-def find_rest(frame: Frame) -> FloatArray | None:
+def compute_rest(frame: Frame) -> FloatArray | None:
     """Return what is in none of the parts of a frame (emission, background), finite and >= 0; None without parts.
 
     A negative part is no light: subtracting it would add light that is not in the total.
@@ -23,8 +23,8 @@ def find_rest(frame: Frame) -> FloatArray | None:
     return rest
 
 
-def find_averaged_rest(frame: Frame, exact: FloatArray | None = None) -> FloatArray | None:
-    """Return what `find_rest` does, averaged with `GBuffer.mean_emission` where the frame has it.
+def compute_averaged_rest(frame: Frame, exact: FloatArray | None = None) -> FloatArray | None:
+    """Return what `compute_rest` does, averaged with `GBuffer.mean_emission` where the frame has it.
 
     ``exact`` is the light in no layer, (height, width, 3), if it is known apart.
     """
@@ -32,7 +32,7 @@ def find_averaged_rest(frame: Frame, exact: FloatArray | None = None) -> FloatAr
         text = "emission and background, which are not filtered"
         (good,) = engine.pixels(define_good, {"image": exact}, {}, names=["rest"], text=text)
         return good
-    rest, emission = find_rest(frame), frame.gbuffer.mean_emission
+    rest, emission = compute_rest(frame), frame.gbuffer.mean_emission
     return rest if rest is None or emission is None else average_emission(rest, emission, frame.spp)
 
 

@@ -15,12 +15,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.denoising.refining.whole_image import Rows
+from lobewise.denoising.refining.whole_image import RowSums
 from lobewise.filters.specks import MIN_BLUR_RADIUS
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.guides.squares import average_square
-from lobewise.guides.surfaces import find_surface_pixels
-from lobewise.lobes.vectors import find_image_luminance
+from lobewise.guides.surfaces import mark_surface_pixels
+from lobewise.lobes.vectors import compute_image_luminance
 
 Mask = NDArray[np.bool_]
 
@@ -48,7 +48,7 @@ LEFT_OUT = (
 """What a user of bands is told."""
 
 
-def find_unguided_share(color: FloatArray, guides: GBuffer) -> FloatArray:
+def compute_unguided_share(color: FloatArray, guides: GBuffer) -> FloatArray:
     """Return the share of the image of the color alone at every pixel, (height, width), in [0, 1].
 
     Parameters
@@ -58,7 +58,7 @@ def find_unguided_share(color: FloatArray, guides: GBuffer) -> FloatArray:
     guides : GBuffer
         As the file has them: nothing stands in for missing ones.
     """
-    found = _find_isolated(color, guides)
+    found = _mark_isolated(color, guides)
     least = np.full(color.shape[:2], judge_guides(_count_rows(found)), np.float32)
     if found.surface.all():
         return least
@@ -69,7 +69,7 @@ def find_unguided_share(color: FloatArray, guides: GBuffer) -> FloatArray:
     return np.where(found.surface, least, rise)
 
 
-def find_share_filtered(rest: FloatArray, image: FloatArray, blur_radius: FloatArray | None) -> FloatArray:
+def compute_share_filtered(rest: FloatArray, image: FloatArray, blur_radius: FloatArray | None) -> FloatArray:
     """Return the share of an image that filters changed, (height, width): all but the light in focus of no surface.
 
     Parameters
@@ -82,17 +82,17 @@ def find_share_filtered(rest: FloatArray, image: FloatArray, blur_radius: FloatA
         As `lobewise.GBuffer.blur_radius`. Where the lens blurs, or nobody knows, all light counts as filtered.
     """
     tiny = np.float32(np.finfo(np.float32).tiny)
-    exact = np.divide(find_image_luminance(rest), np.maximum(find_image_luminance(image), tiny))
+    exact = np.divide(compute_image_luminance(rest), np.maximum(compute_image_luminance(image), tiny))
     share = np.float32(1.0) - np.clip(exact, np.float32(0.0), np.float32(1.0))
     return share if blur_radius is None else np.where(blur_radius < MIN_BLUR_RADIUS, share, np.float32(1.0))
 
 
-def count_isolated(color: FloatArray, guides: GBuffer) -> Rows:
-    """Return for each row what `judge_guides` reads, (height, 4): see `find_unguided_share`."""
-    return _count_rows(_find_isolated(color, guides))
+def count_isolated(color: FloatArray, guides: GBuffer) -> RowSums:
+    """Return for each row what `judge_guides` reads, (height, 4): see `compute_unguided_share`."""
+    return _count_rows(_mark_isolated(color, guides))
 
 
-def judge_guides(rows: Rows) -> float:
+def judge_guides(rows: RowSums) -> float:
     """Return the share of the image of the color alone on surfaces, from 0 to `MAX_SHARE`.
 
     Parameters
@@ -100,15 +100,15 @@ def judge_guides(rows: Rows) -> float:
     rows : (height, 4)
         Pixels of surfaces, isolated ones among them, pixels without a surface, and isolated ones among these.
     """
-    return MAX_SHARE * min(max(_find_shares(rows)) / SHARE_ISOLATED, 1.0)
+    return MAX_SHARE * min(max(_count_isolated_shares(rows)) / SHARE_ISOLATED, 1.0)
 
 
-def sees_fog(rows: Rows) -> bool:
+def sees_fog(rows: RowSums) -> bool:
     """Return whether light without a surface is noise, by the result of `count_isolated`."""
-    return _find_shares(rows)[1] >= NOISY_FROM
+    return _count_isolated_shares(rows)[1] >= NOISY_FROM
 
 
-def _find_shares(rows: Rows) -> tuple[float, float]:
+def _count_isolated_shares(rows: RowSums) -> tuple[float, float]:
     """Return the share of isolated pixels of surfaces and of those without; 0 where too few pixels tell."""
     surfaces, noisy, others, noisy_others = map(float, rows.sum(axis=0))
     is_told = others >= MIN_SHARE_WITHOUT_SURFACE * (surfaces + others)
@@ -125,27 +125,27 @@ class _Isolated(NamedTuple):
     noisy_background: Mask
 
 
-def _find_isolated(color: FloatArray, guides: GBuffer) -> _Isolated:
+def _mark_isolated(color: FloatArray, guides: GBuffer) -> _Isolated:
     shape = color.shape[:2]
     if guides.normal is None or shape[1] < 3:
         nothing = np.zeros(shape, np.bool_)
         return _Isolated(nothing, nothing, nothing, nothing, nothing)
-    surface = find_surface_pixels(guides, shape)
+    surface = mark_surface_pixels(guides, shape)
     with np.errstate(invalid="ignore", over="ignore"):  # a bad pixel is isolated from nothing
-        told, noisy = _find_odd(guides.normal, surface, MIN_SQUARED_DIFFERENCE, is_relative=False)
+        told, noisy = _mark_odd(guides.normal, surface, MIN_SQUARED_DIFFERENCE, is_relative=False)
         if surface.all():
             nothing = np.zeros(shape, np.bool_)
             return _Isolated(surface, told, noisy, nothing, nothing)
-        light = find_image_luminance(color)
-        others = _find_odd(light[..., None], ~surface, MIN_RELATIVE_DIFFERENCE**2, is_relative=True)
+        light = compute_image_luminance(color)
+        others = _mark_odd(light[..., None], ~surface, MIN_RELATIVE_DIFFERENCE**2, is_relative=True)
     return _Isolated(surface, told, noisy, *others)
 
 
-def _count_rows(found: _Isolated) -> Rows:
+def _count_rows(found: _Isolated) -> RowSums:
     return np.stack([np.count_nonzero(mask, axis=1) for mask in found[1:]], axis=1).astype(np.float64)
 
 
-def _find_odd(image: FloatArray, mask: Mask, least: float, *, is_relative: bool) -> tuple[Mask, Mask]:
+def _mark_odd(image: FloatArray, mask: Mask, least: float, *, is_relative: bool) -> tuple[Mask, Mask]:
     """Return which pixels have both neighbours in the row inside the mask, and which of them are isolated.
 
     ``least`` is the smallest squared difference to both neighbours; with ``is_relative`` over the largest square of the

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lobewise import engine
 from lobewise.camera import Camera
-from lobewise.denoising.bad_pixels import find_good
+from lobewise.denoising.bad_pixels import mark_good
 from lobewise.frame import FloatArray, Frame
 from lobewise.guides.lobe_fields import default_tau
 
@@ -18,7 +18,7 @@ MIN_BRIGHTNESS = 1e-36
 """Smallest brightness of an image, radiance; a black image has none."""
 MAX_RATIO_TO_NEXT = 2.0
 """Largest root of the light of a row's brightest pixel, over that of the next."""
-Rows = NDArray[np.float64]
+RowSums = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,15 +56,15 @@ def measure_whole(frame: Frame, levels: Sequence[float]) -> WholeImage:
 
 def measure_brightness(color: FloatArray) -> float:
     """Return the brightness of an image: the squared mean of the root of its light."""
-    return _find_brightness(_sum_roots(color))
+    return _compute_brightness(_sum_roots(color))
 
 
 def measure_log_depth(depth: FloatArray) -> float:
     """Return the mean logarithm of the depth of surfaces."""
-    return _find_log_depth(_sum_logarithms(depth))
+    return _compute_mean_log_depth(_sum_logarithms(depth))
 
 
-def measure_rows(frame: Frame) -> Rows:
+def measure_rows(frame: Frame) -> RowSums:
     """Return for each row: roots of the light, their number, logarithms of the depth, their number; summed, (rows, 4).
 
     The sums of rows have the same bits however an image is cut into bands of rows.
@@ -74,9 +74,9 @@ def measure_rows(frame: Frame) -> Rows:
     return np.concatenate([_sum_roots(frame.radiance.color), logarithms], axis=1)
 
 
-def _sum_roots(color: FloatArray) -> Rows:
+def _sum_roots(color: FloatArray) -> RowSums:
     height, width = color.shape[:2]
-    good = find_good(color)
+    good = mark_good(color)
     # The sum of three channels near the largest number would overflow.
     light = np.where(good[..., None], color, np.float32(0.0)).astype(np.float64).mean(axis=-1)
     roots = np.sqrt(light)
@@ -86,27 +86,27 @@ def _sum_roots(color: FloatArray) -> Rows:
     return np.stack([roots.sum(axis=1, dtype=np.float64), np.full(height, float(width))], axis=1)
 
 
-def _sum_logarithms(depth: FloatArray) -> Rows:
+def _sum_logarithms(depth: FloatArray) -> RowSums:
     seen = (depth > 0.0) & np.isfinite(depth)
     logarithms = np.log(np.where(seen, depth, np.float32(1.0))).sum(axis=1, dtype=np.float64)
     return np.stack([logarithms, np.count_nonzero(seen, axis=1)], axis=1)
 
 
-def _find_brightness(rows: Rows) -> float:
+def _compute_brightness(rows: RowSums) -> float:
     roots, count = rows.sum(axis=0)
     return float((roots / max(count, 1.0)) ** 2) + MIN_BRIGHTNESS
 
 
-def _find_log_depth(rows: Rows) -> float:
+def _compute_mean_log_depth(rows: RowSums) -> float:
     logarithms, seen = rows.sum(axis=0)
     return float(logarithms / seen) if seen else 0.0
 
 
-def join_measured(levels: Sequence[float], rows: Rows, camera: Camera | None, height: int) -> WholeImage:
+def join_measured(levels: Sequence[float], rows: RowSums, camera: Camera | None, height: int) -> WholeImage:
     """Return what was measured of a whole image from the results of `measure_rows` of all its rows."""
     return WholeImage(
         levels=levels,
-        brightness=_find_brightness(rows[:, :2]),
-        mean_log_depth=_find_log_depth(rows[:, 2:]),
+        brightness=_compute_brightness(rows[:, :2]),
+        mean_log_depth=_compute_mean_log_depth(rows[:, 2:]),
         tau=0.0 if camera is None else default_tau(camera, height),
     )

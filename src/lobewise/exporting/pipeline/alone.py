@@ -10,8 +10,8 @@ from lobewise.denoising.layers import (
     Layer,
     compare_specular,
     filter_layer,
-    find_surface,
     make_position_features,
+    mark_surface,
 )
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.features import DiffuseFeature, Feature
@@ -45,7 +45,7 @@ def filter_alone(
         Divides the light before the filter and multiplies it after.
     """
     if settings.similarity == "diffuse":
-        surface = find_surface(frame)
+        surface = mark_surface(frame)
         normal = frame.gbuffer.require("normal", "similarity 'diffuse'")
         compared = Compared((DiffuseFeature(normal, resolved.diffuse_beta),), surface, surface)
     else:

@@ -26,7 +26,7 @@ from lobewise.engine.numbers import (
     Number,
     choose_given,
     choose_larger,
-    find_hypotenuse,
+    compute_hypotenuse,
     round_single,
 )
 from lobewise.guides.lobe_fields import NORMAL_ERROR
@@ -178,7 +178,7 @@ class Constants:
     @property
     def pixel_tau(self) -> Number:
         """Band-limit of lobes that a pixel asks for; see `lobewise.guides.lobe_fields.default_tau`."""
-        return self.derive("pixel_tau", find_hypotenuse(self.pixel_angle, 2.0 * NORMAL_ERROR))
+        return self.derive("pixel_tau", compute_hypotenuse(self.pixel_angle, 2.0 * NORMAL_ERROR))
 
     @property
     def beta(self) -> Number:
@@ -221,7 +221,7 @@ class Constants:
 
     @property
     def own_weight(self) -> Number:
-        """Weight of a pixel's own sample; see `lobewise.temporal.recipe.find_own_weight`."""
+        """Weight of a pixel's own sample; see `lobewise.temporal.recipe.compute_own_weight`."""
         return self.derive("own", weigh_own(expect_noise(self.get("samples_per_pixel"))))
 
 

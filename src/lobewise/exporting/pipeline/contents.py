@@ -7,7 +7,7 @@ from typing import Any
 
 import lobewise
 from lobewise.backend.devices import VULKAN_BLOCK, VULKAN_MULTIPLE
-from lobewise.engine.graph import Image
+from lobewise.engine.graph import GraphImage
 from lobewise.exporting.folder import DOCS, fill_template
 from lobewise.exporting.pipeline.pipeline import Pipeline
 from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, SPP, WIDTH
@@ -63,7 +63,7 @@ def describe_contents(pipeline: Pipeline) -> dict[str, Any]:
     }
 
 
-def _describe_image(image: Image) -> dict[str, Any]:
+def _describe_image(image: GraphImage) -> dict[str, Any]:
     shape = [axis if isinstance(axis, int) else str(axis) for axis in image.shape]
     return {"name": image.name, "type": image.type, "shape": shape, "unit": image.unit, "meaning": image.text}
 
@@ -87,11 +87,11 @@ def list_contents(pipeline: Pipeline) -> Iterator[str]:
             yield f"   {each.text}: {ways}" + (" (only if needed)" if each.when else "")
 
 
-def _name(images: tuple[Image, ...]) -> str:
+def _name(images: tuple[GraphImage, ...]) -> str:
     return ", ".join(dict.fromkeys(image.memory.name for image in images))
 
 
-def _write_shape(image: Image) -> str:
+def _write_shape(image: GraphImage) -> str:
     return " x ".join(map(str, image.shape))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from lobewise.backend.devices import VULKAN_BLOCK, VULKAN_MULTIPLE
-from lobewise.engine.graph import Image, Operation
+from lobewise.engine.graph import GraphImage, Operation
 from lobewise.exporting.folder import fill_template
 from lobewise.exporting.pipeline.pipeline import Pipeline
 
@@ -105,7 +105,7 @@ def _check(call: str) -> list[str]:
     return [f"code = {call};", "if (code) {", '    return fail(p, "copying an image", code);', "}"]
 
 
-def _list_images(images: Iterable[Image]) -> str:
+def _list_images(images: Iterable[GraphImage]) -> str:
     """Return a list of images in C that ends with -1."""
     names = dict.fromkeys(f"IMAGE_{image.name}" for image in images)
     return f"(const int[]){{{', '.join([*names, '-1'])}}}"

@@ -19,7 +19,7 @@ from lobewise.denoising.light_loss import (
     MAX_TAKERS_GAIN,
 )
 from lobewise.denoising.refining.whole_image import MAX_RATIO_TO_NEXT, MIN_BRIGHTNESS
-from lobewise.engine.graph import Graph, Image, Length, Operation
+from lobewise.engine.graph import Graph, GraphImage, Length, Operation
 from lobewise.engine.numbers import write_number
 from lobewise.engine.recorder import CompiledKernel
 from lobewise.exporting.folder import fill_template, read_template
@@ -52,17 +52,17 @@ def write_header(pipeline: Pipeline) -> str:
     )
 
 
-def _describe(image: Image) -> str:
+def _describe(image: GraphImage) -> str:
     words = {"height": "height", "width": "width", "rows": "rows", "columns": "columns"}
     shape = " x ".join(words.get(str(axis), str(axis)) for axis in image.shape)
     return f"{shape}: {image.text}" + (f" ({image.unit})" if image.unit else "")
 
 
-def _declare_given(image: Image) -> str:
+def _declare_given(image: GraphImage) -> str:
     return f"    const float *{image.name}; /* {_describe(image)} */"
 
 
-def _declare_result(image: Image) -> str:
+def _declare_result(image: GraphImage) -> str:
     return f"    float *{image.name}; /* {_describe(image)} */"
 
 
@@ -156,7 +156,7 @@ def _write_held(name: str, values: NDArray[np.float32]) -> str:
     return f"static const float HELD_VALUES_{name}[] = {{\n    " + ",\n    ".join(lines) + "\n};"
 
 
-def _describe_image(pipeline: Pipeline, image: Image) -> str:
+def _describe_image(pipeline: Pipeline, image: GraphImage) -> str:
     shape = ", ".join(map(_name_axis, image.shape))
     numbers = (
         pipeline.get_place(image),
@@ -230,12 +230,12 @@ def _write_operation(pipeline: Pipeline, operation: Operation) -> list[str]:
     cropped: list[str] = []
     arguments: list[str] = []
     for _, value in operation.arguments:
-        if isinstance(value, Image) and operation.in_box:
+        if isinstance(value, GraphImage) and operation.in_box:
             number = len(cropped)
             cropped.append(f"parts[{number}] = crop(p, IMAGE_{value.name}, dims[{number}]);")
             arguments.append(f"&parts[{number}]")
         else:
-            arguments.append(f"&i[IMAGE_{value.name}]" if isinstance(value, Image) else value)
+            arguments.append(f"&i[IMAGE_{value.name}]" if isinstance(value, GraphImage) else value)
     lines = []
     if cropped:
         lines = [f"halide_dimension_t dims[{len(cropped)}][4];", f"halide_buffer_t parts[{len(cropped)}];", *cropped]

@@ -12,15 +12,15 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 from lobewise import engine
-from lobewise.denoising.layers import find_surface
-from lobewise.engine.graph import Graph, Image
+from lobewise.denoising.layers import mark_surface
+from lobewise.engine.graph import Graph, GraphImage
 from lobewise.engine.numbers import Number
 from lobewise.engine.recorder import Recorder
 from lobewise.exporting.pipeline.constants import Constants
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.features import Feature
 from lobewise.filters.glue import define_bad, define_composed, define_mean
-from lobewise.guides.surfaces import find_places
+from lobewise.guides.surfaces import compute_points
 from lobewise.settings import ResolvedSettings
 
 SIZE = "height", "width"
@@ -237,7 +237,7 @@ class PipelineGuides:
     @property
     def places(self) -> Any:
         """The surface points and their depths."""
-        return find_places(self.gbuffer, self.camera)
+        return compute_points(self.gbuffer, self.camera)
 
     @cached_property
     def features(self) -> tuple[Feature, ...]:
@@ -268,7 +268,7 @@ class PipelineGuides:
         """The radiance, which has the names of `lobewise.Radiance`."""
         return self if self.light is None else self.light
 
-    def with_light(self, color: Image, diffuse: Image, specular: Image) -> PipelineGuides:
+    def with_light(self, color: GraphImage, diffuse: GraphImage, specular: GraphImage) -> PipelineGuides:
         """Return the frame with other light of its samples."""
         light = SimpleNamespace(color=color, diffuse=diffuse, specular=specular, parts=(diffuse, specular))
         return replace(self, light=light)
@@ -282,7 +282,7 @@ class PipelineGuides:
         return SimpleNamespace(weight=self.graph.give("ray_weight", *SAMPLES, text=text, unit=">= 0"), direction=None)
 
     @property
-    def parts(self) -> tuple[Image, Image] | None:
+    def parts(self) -> tuple[GraphImage, GraphImage] | None:
         """The light of two layers; None where all light comes in one image."""
         if self.settings.layers == "color":
             return None
@@ -303,7 +303,7 @@ class PipelineGuides:
             normal_exponent=constants.get("normal_exponent"),
         )
 
-    def give_light(self, name: str, text: str) -> Image:
+    def give_light(self, name: str, text: str) -> GraphImage:
         """Return an image of radiance: of the samples. All light is summed up where emission comes by itself."""
         if name.endswith("color") and self.settings.emission:
             prefix = name.removesuffix("color")
@@ -314,12 +314,12 @@ class PipelineGuides:
         size = SIZE if self.settings.upsample == 1 else SAMPLES
         return self.graph.give(name, *size, 3, text=f"{text}, linear radiance", unit="any")
 
-    def _compute(self, define: Any, images: dict[str, Image], name: str, text: str) -> Image:
+    def _compute(self, define: Any, images: dict[str, GraphImage], name: str, text: str) -> GraphImage:
         (found,) = engine.pixels(define, images, {}, names=[name], text=text)
         return found  # type: ignore[return-value]  # recorded images stand for arrays
 
     @property
-    def emission(self) -> Image:
+    def emission(self) -> GraphImage:
         """Light that no surface scattered."""
         return self.gbuffer.emission  # type: ignore[no-any-return]
 
@@ -333,7 +333,7 @@ class PipelineGuides:
         """The other half."""
         return GivenHalf(self, HALVES[1]) if self.settings.reads_halves else None
 
-    def take_light(self, name: str, text: str) -> Image:
+    def take_light(self, name: str, text: str) -> GraphImage:
         """Return some light of all samples: an image of the caller, or the mean of two."""
         if self.half_a is None:
             return self.give_light(name, text)
@@ -341,33 +341,33 @@ class PipelineGuides:
         return self._compute(define_mean, halves, name, f"{name} light of all samples")
 
     @property
-    def color(self) -> Image:
+    def color(self) -> GraphImage:
         """All noisy light."""
         return self.take_light("color", "all noisy light: diffuse, specular, emission and background")
 
     @property
-    def bad(self) -> Image:
+    def bad(self) -> GraphImage:
         """Pixels whose radiance is NaN, infinite or negative."""
         light = [layer.radiance for layer in self.layers] or self.parts or ()
         images = {f"light{number}": image for number, image in enumerate((self.color, *light))}
         return self._compute(define_bad, images, "bad", "bad pixels")
 
     @property
-    def normal(self) -> Image:
+    def normal(self) -> GraphImage:
         """Shading normals."""
         return self.gbuffer.normal  # type: ignore[no-any-return]
 
     @property
-    def depth(self) -> Image:
+    def depth(self) -> GraphImage:
         """Distances of surfaces."""
         return self.gbuffer.depth  # type: ignore[no-any-return]
 
     @property
-    def position(self) -> Image:
+    def position(self) -> GraphImage:
         """Surface points."""
-        return find_places(self.gbuffer, self.camera)[0]  # type: ignore[return-value]
+        return compute_points(self.gbuffer, self.camera)[0]  # type: ignore[return-value]
 
     @property
-    def surface(self) -> Image:
+    def surface(self) -> GraphImage:
         """Pixels with a surface."""
-        return find_surface(self)  # type: ignore[arg-type, return-value]
+        return mark_surface(self)  # type: ignore[arg-type, return-value]

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from lobewise.engine.graph import Image
+from lobewise.engine.graph import GraphImage
 from lobewise.engine.numbers import Condition
 from lobewise.exporting.pipeline.frame import SIZE, PipelineGuides
 from lobewise.filters.history.reprojection import ComparedPixels
@@ -23,7 +23,7 @@ class GivenPast:
     guides : PipelineGuides
         Of the frame before only the camera is known.
     similarity : str
-    sums : mapping of str to Image
+    sums : mapping of str to GraphImage
         Sums of each layer, by its name.
     frame : PipelineGuides
         The frame itself.
@@ -31,7 +31,7 @@ class GivenPast:
 
     guides: Any
     similarity: str
-    sums: Mapping[str, Image]
+    sums: Mapping[str, GraphImage]
     frame: PipelineGuides
     validation = True
     exists = Condition("p->has_past")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
 
-from lobewise.engine.graph import Graph, Image, Operation
+from lobewise.engine.graph import Graph, GraphImage, Operation
 from lobewise.engine.memory import MemoryPlan, plan_memory
 from lobewise.engine.recorder import CompiledKernel
 from lobewise.exporting.pipeline.constants import Constants, Setting, list_settings
@@ -47,7 +47,7 @@ class Pipeline:
         return plan_memory(self.graph, 1.0 / self.settings.upsample**2)
 
     @cached_property
-    def images(self) -> list[Image]:
+    def images(self) -> list[GraphImage]:
         """Every image, in the order of the table in C."""
         return self.graph.list_images()
 
@@ -95,7 +95,7 @@ class Pipeline:
         """The graphics API of the target; None for a processor."""
         return get_gpu_api(self.target)
 
-    def get_place(self, image: Image) -> str:
+    def get_place(self, image: GraphImage) -> str:
         """Return the name in C of the memory of an image."""
         memory = image.memory
         if memory.source == "made":

@@ -27,7 +27,7 @@ from lobewise.filters.history.accumulation import KnownKernel
 from lobewise.settings import TemporalSettings
 from lobewise.temporal.past import HistoryReprojection
 from lobewise.temporal.recipe import Growth, join_history, make_named_layers
-from lobewise.temporal.validation import find_same_tau
+from lobewise.temporal.validation import compute_same_tau
 from lobewise.upsampling import join_sparse, tint_samples, upsample_by_guides
 
 
@@ -130,8 +130,8 @@ def filter_over_time(guides: PipelineGuides) -> Any:
     resolved, whole = guides.resolved, cast(Any, guides)
     if guides.is_sparse:
         whole = tint_samples(whole)
-    how = find_growth(guides)
-    lobes = split_lobes(whole, guides.settings.similarity, resolved.tau, find_same_tau(whole, resolved))
+    how = compute_growth(guides)
+    lobes = split_lobes(whole, guides.settings.similarity, resolved.tau, compute_same_tau(whole, resolved))
     layers = make_named_layers(whole, resolved, guides.features, lobes, how.own)
     constants, past = guides.constants, cast(Any, make_past(guides))
     names = {"beta": "history_beta", **{name: name for name in ("memory", "plane_sigma", "strictness", "cut_share")}}
@@ -150,7 +150,7 @@ def filter_over_time(guides: PipelineGuides) -> Any:
         return add_up(whole, list(layers.values()), outputs, cast(Any, guides.bad))
 
 
-def find_growth(guides: PipelineGuides) -> Growth:
+def compute_growth(guides: PipelineGuides) -> Growth:
     """Return how samples join a history.
 
     The standard deviation on the screen of pixels that have a history follows their radius, unless the user sets that

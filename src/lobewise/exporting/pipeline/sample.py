@@ -17,7 +17,7 @@ from lobewise.exporting.pipeline.frame import Features, no_features
 from lobewise.exporting.pipeline.scene import CUT, HEIGHT, SPP, WIDTH, make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.frame import FloatArray, Frame, GBuffer, LobeKind, Radiance
-from lobewise.guides.surfaces import find_places
+from lobewise.guides.surfaces import compute_points
 from lobewise.radiance import RadianceLayer
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 from lobewise.sparse_frame import AnyFrame, Rays, SparseFrame
@@ -86,7 +86,7 @@ def prepare_frame(settings: PipelineSettings, frame: Frame) -> Frame:
         frame = replace(frame, half_a=both[0], half_b=both[1])
         radiance = average_light(*both)
     if settings.position:
-        place, _ = find_places(guides, frame.require_camera("positions"))
+        place, _ = compute_points(guides, frame.require_camera("positions"))
         changes["position"] = place
     if settings.anisotropic:
         alpha, normal = (guides.require(name, "brushed surfaces") for name in ("alpha_u", "normal"))
@@ -96,7 +96,7 @@ def prepare_frame(settings: PipelineSettings, frame: Frame) -> Frame:
     if settings.coverage:
         changes |= cover_pixels(guides)
     if settings.lobe_kind:
-        changes["lobe_kind"] = find_kinds(guides)
+        changes["lobe_kind"] = choose_kinds(guides)
     if settings.is_filter:
         # The filter has one light and one albedo.
         kind = "specular" if settings.record.has_lobes else "diffuse"
@@ -171,7 +171,7 @@ def show_reflections(guides: GBuffer) -> dict[str, FloatArray]:
     return {"hit_albedo": np.roll(albedo, 9, axis=0), "hit_normal": np.roll(normal, 9, axis=0)}
 
 
-def find_kinds(guides: GBuffer) -> FloatArray:
+def choose_kinds(guides: GBuffer) -> FloatArray:
     """Return kinds of lobes: diffuse surfaces have none, the smoothest are mirrors."""
     alpha = guides.require("alpha_u", "kinds of lobes")
     diffuse = np.float32(LobeKind.NONE)

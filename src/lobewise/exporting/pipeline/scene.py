@@ -103,7 +103,7 @@ def make_frame(number: int, *, size: tuple[int, int] = (HEIGHT, WIDTH), halves: 
         alpha_u=alpha.astype(np.float32),
         diffuse_albedo=albedos[0].astype(np.float32),
         specular_albedo=albedos[1].astype(np.float32),
-        motion=find_motion(place, ray, hit.which, there, number),
+        motion=compute_motion(place, ray, hit.which, there, number),
         mean_emission=emission.astype(np.float32),
         hit_distance=np.where(there, second.distance, 0.0).astype(np.float32),
     )
@@ -169,7 +169,7 @@ def _join(diffuse: NDArray[np.float64], specular: NDArray[np.float64], emission:
     return Radiance(color, diffuse=parts[0], specular=parts[1])
 
 
-def find_motion(
+def compute_motion(
     place: NDArray[np.float64], ray: NDArray[np.float64], which: NDArray[np.intp], there: NDArray[np.bool_], number: int
 ) -> FloatArray:
     """Return from every pixel to its surface's pixel in the frame before: columns and rows."""

@@ -6,8 +6,16 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from lobewise.errors import InputError
-from lobewise.settings import LARGEST_RADIUS, MAX_LOBES, Declared, Form, Knob, ResolvedSettings, document
-from lobewise.settings import Similarity as SimilarityName
+from lobewise.settings import (
+    LARGEST_RADIUS,
+    MAX_LOBES,
+    Declared,
+    FormName,
+    Knob,
+    ResolvedSettings,
+    SimilarityName,
+    document,
+)
 from lobewise.settings.choices import MAX_SCALE_PIXELS, Quality, Similarity, get_quality, get_similarity
 
 LAYERS = {"apart": ("diffuse", "specular"), "named": ("diffuse", "glossy", "transmission"), "color": ("color",)}
@@ -33,7 +41,7 @@ class PipelineSettings(Declared):
         SimilarityName | Literal["diffuse"],
         Knob('What two pixels must share to be averaged; "diffuse" with the plan filter.'),
     ] = "ggx"
-    form: Annotated[Form, Knob("Which neighbours count.")] = "full"
+    form: Annotated[FormName, Knob("Which neighbours count.")] = "full"
     radius: Annotated[
         int,
         Knob(

@@ -34,7 +34,7 @@ from lobewise.exporting.shaders.steps import (
     make_trust_pass,
     make_upsample_pass,
 )
-from lobewise.settings import FORMS
+from lobewise.settings import FORM_NAMES
 
 
 def make_filter_chain(form: str, lobes: Lobes) -> Chain:
@@ -136,5 +136,5 @@ def make_chain(name: str, *, form: str | None = None, similarity: str = "ggx") -
     require_choice("chain", name, tuple(CHAINS))
     require_choice("similarity of a chain", similarity, tuple(LOBES))
     make, usual = _MAKERS[name]
-    require_choice("form", form or usual, FORMS)
+    require_choice("form", form or usual, FORM_NAMES)
     return make(form or usual, LOBES[similarity])

@@ -164,7 +164,7 @@ def compute_constants(
         Camera of the frame before. Without it the history counts for nothing.
     temporal : TemporalSettings, optional
     own : float
-        Result of `lobewise.temporal.recipe.find_own_weight`.
+        Result of `lobewise.temporal.recipe.compute_own_weight`.
     scale, place
         Those of a `SparseFrame`.
     """

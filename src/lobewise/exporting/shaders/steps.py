@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from lobewise.exporting.shaders.declarations import copy_template
 from lobewise.exporting.shaders.images import list_sums
 from lobewise.exporting.shaders.passes import Image, Lifetime, Pass
-from lobewise.filters.forms import ATROUS_RADIUS, Taps, list_passes
+from lobewise.filters.forms import ATROUS_RADIUS, Taps, list_form_passes
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ def make_filter_passes(layer: Layer, form: str, power: str, **more: str) -> tupl
     ----------
     layer : Layer
     form : str
-        One of `lobewise.settings.FORMS`.
+        One of `lobewise.settings.FORM_NAMES`.
     power : str
         Expression of the power to which a pixel raises its weights.
     **more
@@ -129,7 +129,7 @@ def make_filter_passes(layer: Layer, form: str, power: str, **more: str) -> tupl
     passes: list[Pass] = []
     images: list[Image] = []
     read, source = "lobewise_read_radiance", {"radiance": layer.name, "albedo": f"{layer.name}_albedo"}
-    for taps, _, step in list_passes(form, 0):
+    for taps, _, step in list_form_passes(form, 0):
         told = _describe_taps(taps, step)
         after = f"{layer.name}_{told.name}"
         images += list_sums(after, f"{layer.name} light, summed over {told.over}", Lifetime.FRAME)

@@ -23,7 +23,7 @@ from lobewise.frame import Frame, Radiance
 from lobewise.io.files import PathLike
 from lobewise.settings import DenoiseSettings, TemporalSettings
 from lobewise.sparse_frame import AnyFrame, SparseFrame, list_places
-from lobewise.temporal.recipe import find_own_weight
+from lobewise.temporal.recipe import compute_own_weight
 from lobewise.upsampling import DEFAULT_RADIUS
 
 SEQUENCE = Path(lobewise.__file__).parents[2] / "examples" / "web" / "showroom-sequence.bin.gz"
@@ -70,7 +70,7 @@ def make_blocks(chain: Chain, frames: Sequence[AnyFrame]) -> list[bytes]:
             resolve_settings(frame, PAGE_SETTINGS[chain.name], scale),
             previous=previous,
             temporal=TemporalSettings(),
-            own=find_own_weight(frame),
+            own=compute_own_weight(frame),
             scale=scale,
             place=place,
         )

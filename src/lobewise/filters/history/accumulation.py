@@ -31,7 +31,7 @@ from lobewise.filters.history.sums import (
     join_channels,
     split_history,
     take_planes,
-    widen,
+    widen_to_vector,
 )
 from lobewise.frame import FloatArray
 
@@ -120,14 +120,14 @@ class SampleGrid:
         whole: dict[str, HostImage] = {"own_mask": take_mask(mask), **tint, **guides}
         self._taps = {each.replace("own", "tap"): self._pick(image) for each, image in whole.items()}
         self.size: tuple[int, int] = self._taps["tap_mask"].shape
-        self._whole = {each: widen(image) for each, image in whole.items()}
+        self._whole = {each: widen_to_vector(image) for each, image in whole.items()}
 
     def _pick(self, image: HostImage, *, stacked: bool = False) -> HostImage:
         """Return an image, or with ``stacked`` the planes of a stack (count, height, width), at the shaded pixels."""
         return engine.pick(image, self._scale, self._place, stacked=stacked) if self._scale > 1 else image
 
     @device_scope()
-    def find_trust(
+    def compute_trust(
         self, samples: FloatArray, history: FloatArray, own: float, weights: FloatArray | None = None
     ) -> FloatArray:
         """Return how far samples confirm the history, 0 to 1, at the shaded pixels, (rows, columns).
@@ -142,7 +142,7 @@ class SampleGrid:
             See `accumulate`.
         """
         weighed = {} if weights is None else {"weights": take_image("weights of rays", weights, self.size)}
-        pixels = {name.replace("tap", "own"): widen(image) for name, image in self._taps.items()}
+        pixels = {name.replace("tap", "own"): widen_to_vector(image) for name, image in self._taps.items()}
         images = {
             "samples": self._take_samples(samples),
             "history": take_dense(self._pick(take_planes(history), stacked=True)),
@@ -261,7 +261,7 @@ class SampleGrid:
             "share": share,
             "unit": unit,
         }
-        images = {each: widen(image) for each, image in sources.items()}
+        images = {each: widen_to_vector(image) for each, image in sources.items()}
         images |= {"history": self._take_history(history), "own_mask": self._whole["own_mask"]}
         images |= {} if albedo is None else {"own_albedo": albedo}
         # Strict order of floats: the sums come from several passes, and must not differ more than the passes do.

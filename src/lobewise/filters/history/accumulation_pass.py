@@ -28,8 +28,8 @@ from lobewise.backend.compiler import hl
 from lobewise.backend.jit import Scheduled
 from lobewise.backend.signature import Signature
 from lobewise.features.base import Feature
-from lobewise.filters.cross_pass import ALBEDO_FLOOR, count_samples, demodulate, find_luminance
-from lobewise.filters.history.accumulation_taps import Blocks, TapGrid, Taps, declare_count, declare_mask
+from lobewise.filters.cross_pass import ALBEDO_FLOOR, compute_expression_luminance, count_samples, demodulate
+from lobewise.filters.history.accumulation_taps import Blocks, TapDomain, TapGrid, declare_count, declare_mask
 from lobewise.filters.history.sums import HISTORY_CHANNELS, Sums
 from lobewise.filters.history.vectors import LANE, Pixels, Place
 from lobewise.filters.planes import X, Y
@@ -87,7 +87,7 @@ MIN_KNOWN_FRAMES = 0.5
 """Frames in the history of a pixel, trusted and faded, from which the pixel has the kernel of known pixels."""
 NO_TAPS = -1
 """Reach of a pixel without a meaning."""
-TILE_ROWS, TILE_COLUMNS = 8, 256
+SAMPLE_TILE_ROWS, SAMPLE_TILE_COLUMNS = 8, 256
 """Size of the tiles whose samples are repeated over the width of their blocks together, pixels."""
 NARROWED = "share", "unit"
 """The output planes of the pass before a filter: trust in the history, and unit."""
@@ -119,7 +119,7 @@ def make_accumulation(features: Sequence[Feature], tinted: bool, weighed: bool, 
 
     def take(at: Place, usable: hl.Expr) -> Sample:
         light, weight, good = SampleImages(samples, tap_albedo, weights).read(at, hl.f32(ALBEDO_FLOOR))
-        luminance = find_luminance(light)
+        luminance = compute_expression_luminance(light)
         values = (*light, one, luminance * luminance)
         seen = (hl.select(good & usable, weight * value, zero) for value in values)
         return Sample(*seen, *(hl.select(usable, value, zero) for value in (trust[at], one)))
@@ -132,17 +132,17 @@ def make_accumulation(features: Sequence[Feature], tinted: bool, weighed: bool, 
     reach = hl.Func("reach")
     reach[pixels.at] = hl.select(usable, hl.select(is_known, known_radius, radius), NO_TAPS)
     pixels.once.append(reach)
-    widest = pixels.find_largest("widest", reach, NO_TAPS)
+    widest = pixels.compute_largest("widest", reach, NO_TAPS)
     # Nothing is gathered where no pixel of a vector has a meaning.
     trust_reach = hl.select(widest < 0, NO_TAPS, trust_radius)
-    needed = Taps(hl.max(widest, trust_reach), hl.max(radius, trust_radius))
+    needed = TapDomain(hl.max(widest, trust_reach), hl.max(radius, trust_radius))
     grid = TapGrid(signature, features, (mask, pixels, blocks), needed, take)
-    share = gather_trust(grid, Taps(trust_reach, trust_radius))
+    share = gather_trust(grid, TapDomain(trust_reach, trust_radius))
     faded = before.fade(share)
-    unit, *faded_sums = pixels.keep("unit", find_unit(faded.frames, growth), *faded)
+    unit, *faded_sums = pixels.keep("unit", compute_full_weight(faded.frames, growth), *faded)
     precision = hl.select(is_known, known_precision, zero)
     known = KnownPixel(reach[pixels.at], precision)
-    gathered = gather_samples(grid, Taps(widest, radius), unit, known)
+    gathered = gather_samples(grid, TapDomain(widest, radius), unit, known)
 
     shaded = (shift[0] == 0) & (shift[1] == 0) & (block[0] < columns) & (block[1] < rows)
     sample_images = SampleImages(samples, albedo, weights)
@@ -166,12 +166,14 @@ def make_narrowing(features: Sequence[Feature], target: hl.Target) -> Scheduled:
     def take(at: Place, usable: hl.Expr) -> Trust:
         return Trust(*(hl.select(usable, value, hl.f32(0.0)) for value in (trust[at], hl.f32(1.0))))
 
-    taps = Taps(radius, radius)
+    taps = TapDomain(radius, radius)
     grid = TapGrid(signature, features, (mask, pixels, Blocks(signature, pixels)), taps, take)
     share = gather_trust(grid, taps)
     faded_frames = frames[pixels.place] * share
     # Use the exact square root for the usual growth 0.5: the filter's results must not depend on an estimate of `pow`.
-    unit = hl.select(growth == hl.f32(0.5), hl.sqrt(faded_frames + hl.f32(1.0)), find_unit(faded_frames, growth))
+    unit = hl.select(
+        growth == hl.f32(0.5), hl.sqrt(faded_frames + hl.f32(1.0)), compute_full_weight(faded_frames, growth)
+    )
     return _finish(signature, pixels, dict(zip(NARROWED, (share, unit), strict=True)), grid)
 
 
@@ -229,7 +231,7 @@ def make_trust(features: Sequence[Feature], tinted: bool, weighed: bool, target:
         parts = [*(hl.max(step, zero) for step in steps), *(hl.max(-step, zero) for step in steps), *squares, one]
         return [*(hl.select(known, weight * part, zero) for part in parts), *before]
 
-    taps = Taps(radius, radius)
+    taps = TapDomain(radius, radius)
     grid = TapGrid(signature, features, (mask, pixels, Blocks(signature, pixels)), taps, take)
     return _finish(signature, pixels, {"trust": compare_with_history(grid, taps, mask[pixels.place] != 0)}, grid)
 
@@ -259,7 +261,7 @@ def _weigh_tap(grid: TapGrid, u: hl.Expr, v: hl.Expr, exponent: hl.Expr | None =
     return weight if grid.factor is None else weight * grid.factor[at]
 
 
-def gather_trust(grid: TapGrid, taps: Taps) -> hl.Expr:
+def gather_trust(grid: TapGrid, taps: TapDomain) -> hl.Expr:
     """Return the mean trust of the samples near a pixel, the factor of its history; 1 without samples.
 
     The last values that taps read are those of `Trust`.
@@ -272,7 +274,7 @@ def gather_trust(grid: TapGrid, taps: Taps) -> hl.Expr:
     return hl.select(total > hl.f32(0.0), trust / total, hl.f32(1.0))
 
 
-def find_unit(frames: hl.Expr, growth: hl.Expr) -> hl.Expr:
+def compute_full_weight(frames: hl.Expr, growth: hl.Expr) -> hl.Expr:
     """Return the weight of a sample that matches fully, for a history of so many frames."""
     one = hl.f32(1.0)
     return hl.select(frames == hl.f32(0.0), one, hl.pow(frames + one, growth))
@@ -300,11 +302,11 @@ class KnownPixel(NamedTuple):
     """Subtracted from the base-2 logarithm of a weight, times the squared screen distance in pixels."""
 
 
-def gather_samples(grid: TapGrid, taps: Taps, power: hl.Expr, known: KnownPixel) -> Gathered:
+def gather_samples(grid: TapGrid, taps: TapDomain, power: hl.Expr, known: KnownPixel) -> Gathered:
     """Return this frame's sums over taps; weights without their factors are raised to ``power``."""
 
     def weigh(u: hl.Expr, v: hl.Expr) -> hl.Expr:
-        across, down = grid.blocks.find_offset(u, v)
+        across, down = grid.blocks.compute_tap_offset(u, v)
         exponent = grid.log_weight[(*grid.pixels.at, u, v)]
         exponent = exponent - known.precision * (across * across + down * down)
         exponent = hl.select(hl.max(hl.abs(u), hl.abs(v)) <= known.radius, exponent, hl.f32(NO_WEIGHT_LOG2))
@@ -320,7 +322,7 @@ def gather_samples(grid: TapGrid, taps: Taps, power: hl.Expr, known: KnownPixel)
     return Gathered(light, moment, total, count_samples(total, squares), are_means=False)
 
 
-def compare_with_history(grid: TapGrid, taps: Taps, usable: hl.Expr) -> hl.Expr:
+def compare_with_history(grid: TapGrid, taps: TapDomain, usable: hl.Expr) -> hl.Expr:
     """Return the trust of a shaded pixel, 0 to 1: 1 if samples and history around differ by no more than noise."""
     zero, one = hl.f32(0.0), hl.f32(1.0)
 
@@ -397,7 +399,7 @@ def weigh_own_sample(
     own_weight = bonus * unit * weight
     good = good & usable & (own_weight > zero)
     own_weight, *light = pixels.keep("sample", *(hl.select(good, value, zero) for value in (own_weight, *light)))
-    luminance = find_luminance(light)
+    luminance = compute_expression_luminance(light)
     weighted = [own_weight * value for value in light]
     return Sums._make(
         [*weighted, own_weight, own_weight * (own_weight + unit + unit), own_weight * luminance * luminance, zero]
@@ -415,7 +417,7 @@ def accumulate(
         bad = ~expressions.is_good(tints)
         tints = pixels.keep("tint", *(hl.select(bad, hl.f32(0.0), value) for value in tints))
         mean = [value * tint for value, tint in zip(mean, tints, strict=True)]
-        luminance = find_luminance(tints)
+        luminance = compute_expression_luminance(tints)
         variance = variance * luminance * luminance
     return [*sums, *mean, sums.weight / unit, effective, variance]
 
@@ -425,7 +427,7 @@ def summarize(sums: Sums) -> tuple[list[hl.Expr], hl.Expr, hl.Expr]:
     zero, one = hl.f32(0.0), hl.f32(1.0)
     some = sums.weight > zero
     mean = [hl.select(some, value / sums.weight, zero) for value in sums.light]
-    luminance = find_luminance(mean)
+    luminance = compute_expression_luminance(mean)
     spread = hl.select(some, sums.moment / sums.weight - luminance * luminance, zero)
     # Divide before multiplying, because the square of a large weight overflows. Bound the number below by 1, because
     # interpolation between pixels of a history may take it lower.
@@ -457,8 +459,8 @@ def _finish(
     yi, yo, yt, ys = (hl.Var(name) for name in ("yi", "yo", "yt", "ys"))
     # No two vectors of a row differ where they overlap.
     update = out.update().allow_race_conditions()
-    update.split(column, tile, vector, TILE_COLUMNS // pixels.lanes, tail)
-    update.split(Y, ys, yt, STRIP_ROWS, tail).split(yt, yo, yi, TILE_ROWS, tail)
+    update.split(column, tile, vector, SAMPLE_TILE_COLUMNS // pixels.lanes, tail)
+    update.split(Y, ys, yt, STRIP_ROWS, tail).split(yt, yo, yi, SAMPLE_TILE_ROWS, tail)
     update.reorder(lane, yi, vector, yo, tile, ys).vectorize(lane).parallel(ys).never_partition_all()
     for func in pixels.judged:
         func.compute_at(out, yi).update().atomic().vectorize(func.rvars()[0])

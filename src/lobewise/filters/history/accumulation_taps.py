@@ -19,7 +19,7 @@ from lobewise.filters.weigh import U, V
 
 
 @dataclass(frozen=True)
-class Taps:
+class TapDomain:
     """A domain of taps, offsets in samples across and down.
 
     Parameters
@@ -77,7 +77,7 @@ class Blocks:
         """
         return hl.i32(hl.floor((hl.f32(at) + hl.f32(0.5)) / hl.f32(self.factor)))
 
-    def find_offset(self, u: hl.Expr, v: hl.Expr) -> Place:
+    def compute_tap_offset(self, u: hl.Expr, v: hl.Expr) -> Place:
         """Return the offset of a tap, pixels across and down."""
         across, down = (
             self.spacing * hl.f32(step) + hl.f32(shift) for step, shift in zip((u, v), self.shift, strict=True)
@@ -94,7 +94,7 @@ class TapGrid:
         Of the kernel. The guides of shaded pixels and of all pixels are declared in the signature.
     grids : tuple
         Mask of all pixels, the pixels, and their blocks.
-    needed : Taps
+    needed : TapDomain
         Taps of which any sum reads the weight.
     take : callable
         Returns the values of a sample, beside the planes of its features.
@@ -105,7 +105,7 @@ class TapGrid:
         signature: Signature,
         features: Sequence[Feature],
         grids: tuple[hl.ImageParam, Pixels, Blocks],
-        needed: Taps,
+        needed: TapDomain,
         take: Callable[[Place, hl.Expr], Sequence[hl.Expr]],
     ) -> None:
         mask, self.pixels, self.blocks = grids
@@ -124,7 +124,7 @@ class TapGrid:
             return [(self._own.read(layout, *here), layout.read(there.__getitem__)) for layout in self._taps.layouts]
 
         def compare(u: hl.Expr, v: hl.Expr) -> hl.Expr:
-            return _compare(features, pair(u, v), scalars, self.blocks.find_offset(u, v))
+            return _compare(features, pair(u, v), scalars, self.blocks.compute_tap_offset(u, v))
 
         self.log_weight = self._define_taps("log_weight", needed, compare)
         self.factor: hl.Func | None = None
@@ -151,7 +151,7 @@ class TapGrid:
         """Return the values of the tap at an offset in samples."""
         return self._read_planes(u, v, self._taps.plane_count, self._value_count)
 
-    def _define_taps(self, name: str, taps: Taps, compute: Callable[[hl.Expr, hl.Expr], hl.Expr]) -> hl.Func:
+    def _define_taps(self, name: str, taps: TapDomain, compute: Callable[[hl.Expr, hl.Expr], hl.Expr]) -> hl.Func:
         """Return a function of pixels and taps. Without vectors each value is computed where it is read."""
         func, at = hl.Func(name), self.pixels.at
         if self.pixels.lanes == 1:
@@ -165,7 +165,7 @@ class TapGrid:
     def add(
         self,
         name: str,
-        taps: Taps,
+        taps: TapDomain,
         weigh: Callable[[hl.Expr, hl.Expr], hl.Expr],
         take: Callable[[hl.Expr, list[hl.Expr]], Sequence[hl.Expr]],
     ) -> list[hl.Expr]:

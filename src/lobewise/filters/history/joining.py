@@ -18,7 +18,7 @@ from lobewise.backend.pointwise import Grid, Vector, give_channels
 from lobewise.engine.numbers import make_single
 from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.cross_pass import COLORS
-from lobewise.filters.glue import find_support
+from lobewise.filters.glue import compute_support
 from lobewise.frame import FloatArray
 
 
@@ -104,7 +104,7 @@ def join_layers(
     return JoinedLayers(image, tuple(radiances), weight_sum, effective, variance, holes)
 
 
-def find_reflecting(mask: NDArray[np.bool_], albedo: FloatArray | None, floor: float) -> NDArray[np.bool_]:
+def mark_reflecting(mask: NDArray[np.bool_], albedo: FloatArray | None, floor: float) -> NDArray[np.bool_]:
     """Return where pixels of a mask have an albedo with a channel above ``floor``; the mask itself without albedo."""
     if albedo is None:
         return mask
@@ -137,7 +137,7 @@ def define_joined(grid: Grid, layers: int, lobes: int, is_black_beside: bool) ->
         usable = expressions.is_good(mean)
         parts.append([hl.select(usable, value, zero) for value in mean])
     holes = hl.u8(~(supported & expressions.is_good(total)))
-    support = [[value] for value in find_support(grid, weights[:lobes])]
+    support = [[value] for value in compute_support(grid, weights[:lobes])]
     if grid.has("variance0"):
         support.append([_add([grid.read_one(f"variance{number}") for number in range(layers)])])
     return [total, [holes], *support, *parts]

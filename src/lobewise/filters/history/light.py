@@ -20,9 +20,9 @@ from lobewise.camera import Camera
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.filters.history.reprojection_pass import TAPS
 from lobewise.frame import FloatArray, GBuffer
-from lobewise.guides.places import find_surface_places
+from lobewise.guides.places import compute_surface_places
 from lobewise.guides.surfaces import is_surface_depth
-from lobewise.lobes.vectors import dot, find_luminance, subtract
+from lobewise.lobes.vectors import compute_luminance, dot, subtract
 
 MAX_FRAMES = 8.0
 """Frames in the longest mean."""
@@ -34,7 +34,7 @@ DIFFUSE_SPREAD, SPECULAR_SPREAD = 2.0, 1.0
 """Standard deviations within the square by which the mean may differ from the mean of the square."""
 MAX_DEPTH_CHANGE = 0.02
 """Relative difference of distances from the camera within which a pixel of the frame before shows the same surface."""
-MAX_RATIO = 100.0
+MAX_BRIGHTENING = 100.0
 """Largest factor by which light is made brighter."""
 LIGHTS = ("diffuse", "specular")
 DIFFUSE, SPECULAR, DIFFUSE_FRAMES, SPECULAR_FRAMES, DISTANCE = range(5)
@@ -78,7 +78,7 @@ def blend_light(
     (means,) = engine.pixels(_define_light, {**images, **place}, {"eye": eye})
     if past is None or past.means.shape != means.shape:
         return diffuse, specular, LightPast(means, camera)
-    places, _ = find_surface_places(camera, past.camera, (place["position"], place["depth"]), None)
+    places, _ = compute_surface_places(camera, past.camera, (place["position"], place["depth"]), None)
     images = {"diffuse": diffuse, "specular": specular, "position": place["position"], "now": means, "places": places}
     images |= {"means": past.means, "alpha_u": gbuffer.alpha_u, "alpha_v": gbuffer.alpha_v}
     numbers = {"eye": eye, "old_eye": np.asarray(past.camera.position, np.float32), "samples": np.float32(samples)}
@@ -90,7 +90,7 @@ def _define_light(grid: Grid) -> list[Vector]:
     """Return a past of one frame; light that is not finite counts as 0."""
     luminances = []
     for name in ("diffuse", "specular"):
-        both = [find_luminance(HALIDE, grid.read(each)) for each in (name, f"{name}_albedo")]
+        both = [compute_luminance(HALIDE, grid.read(each)) for each in (name, f"{name}_albedo")]
         ratio = both[0] / hl.max(both[1], hl.f32(ALBEDO_FLOOR))
         luminances.append(hl.select(is_finite(ratio), ratio, hl.f32(0.0)))
     view = subtract(grid.read("position"), grid.get("eye"))
@@ -104,14 +104,14 @@ def _define_light_history(grid: Grid) -> list[Vector]:
     light, distance = now[:DIFFUSE_FRAMES], now[DISTANCE]
     view = subtract(grid.read("position"), grid.get("eye"))
     *old, diffuse, specular, turn = _gather_old(grid, view, distance)
-    lengths = _find_lengths(grid, [diffuse, specular], turn)
+    lengths = _compute_lengths(grid, [diffuse, specular], turn)
     (samples,) = grid.get("samples")
     new, images = [], []
-    for name, value, mean, count, (low, high) in zip(LIGHTS, light, old, lengths, _find_bounds(grid), strict=True):
+    for name, value, mean, count, (low, high) in zip(LIGHTS, light, old, lengths, _compute_bounds(grid), strict=True):
         bounded = hl.clamp(mean, low, high)
         mixed = bounded + samples / (samples + count - one) * (value - bounded)
         mixed = hl.select(diffuse > zero, mixed, value)
-        ratio = hl.select(value > zero, hl.min(mixed / value, hl.f32(MAX_RATIO)), one)
+        ratio = hl.select(value > zero, hl.min(mixed / value, hl.f32(MAX_BRIGHTENING)), one)
         new.append(mixed)
         images.append([color * ratio for color in grid.read(name)])
     return [[*new, *lengths, distance], *images]
@@ -148,7 +148,7 @@ def _gather_old(grid: Grid, view: Vector, distance: hl.Expr) -> list[hl.Expr]:
     return grid.share([*old, hl.sqrt(dot(moved, moved))])
 
 
-def _find_lengths(grid: Grid, old: Vector, turn: hl.Expr) -> list[hl.Expr]:
+def _compute_lengths(grid: Grid, old: Vector, turn: hl.Expr) -> list[hl.Expr]:
     """Return the frames of the new means of diffuse and of specular light, from those of the ``old`` means."""
     one, alpha = hl.f32(1.0), hl.sqrt(grid.read_one("alpha_u") * grid.read_one("alpha_v"))
     diffuse, specular = (hl.min(length, hl.f32(MAX_FRAMES - 1.0)) + one for length in old)
@@ -156,7 +156,7 @@ def _find_lengths(grid: Grid, old: Vector, turn: hl.Expr) -> list[hl.Expr]:
     return [diffuse, hl.min(specular, hl.select(is_finite(allowed), allowed, one))]
 
 
-def _find_bounds(grid: Grid) -> list[tuple[hl.Expr, hl.Expr]]:
+def _compute_bounds(grid: Grid) -> list[tuple[hl.Expr, hl.Expr]]:
     """Return the least and the largest mean of each light that this frame's light around the pixel allows."""
     values = grid.read("now", *grid.inside)[:DIFFUSE_FRAMES]
     sums = grid.average([*values, *(value * value for value in values)], RADIUS_PIXELS)

@@ -15,7 +15,7 @@ from lobewise.backend.buffers import HostImage, device_scope, download, take_ima
 from lobewise.features.arrays import give_features, give_scalars
 from lobewise.features.base import Feature, describe_structure
 from lobewise.filters.history.reprojection_pass import make_preparation, make_reprojection
-from lobewise.filters.history.sums import Sums, cut, join_channels, split_history, widen
+from lobewise.filters.history.sums import Sums, cut, join_channels, split_history, widen_to_vector
 from lobewise.frame import FloatArray
 
 IMAGES_AT_ONCE = 4
@@ -47,7 +47,7 @@ class ComparedPixels:
 
         The masks of recorded layers lie within those of their features.
         """
-        within = self.mask & widen(take_mask(mask)) if isinstance(mask, np.ndarray) else mask
+        within = self.mask & widen_to_vector(take_mask(mask)) if isinstance(mask, np.ndarray) else mask
         return replace(self, mask=within)
 
 
@@ -62,11 +62,11 @@ def prepare_pixels(mask: NDArray[np.bool_], features: Sequence[Feature], name: s
         If an array of a feature has another size than the mask.
     """
     shape = (mask.shape[0], mask.shape[1])
-    wide = widen(take_mask(mask))
+    wide = widen_to_vector(take_mask(mask))
     if not any(feature.get_arrays() for feature in features):
         return ComparedPixels(tuple(features), wide, None, shape)
     held = {each: download(image) for each, image in give_features("own", features, shape).items()}
-    arrays = {each: widen(image) for each, image in held.items()}
+    arrays = {each: widen_to_vector(image) for each, image in held.items()}
     key = "preparation", *map(describe_structure, features)
     make = partial(make_preparation, features)
     images: dict[str, Any] = {"mask": wide, **arrays}
@@ -151,7 +151,7 @@ def reproject_images(
     for start in range(0, len(images), IMAGES_AT_ONCE):
         some = [take_image("image", image, (*before.shape, 3)) for image in images[start : start + IMAGES_AT_ONCE]]
         names = [f"image{number}_{letter}" for number in range(len(some)) for letter in "rgb"]
-        held = np.stack([widen(image)[..., channel] for image in some for channel in range(3)])
+        held = np.stack([widen_to_vector(image)[..., channel] for image in some for channel in range(3)])
         planes = _gather(held, names, places, before, now, virtual, 1.0, "images")
         found += [join_channels(planes[first : first + 3]) for first in range(0, len(names), 3)]
     return found, planes[-1]
@@ -171,7 +171,9 @@ def _gather(
     size = now.shape
     virtual_from = None if virtual is None else virtual[1]
     ways = {"places": places} if virtual is None else {"places": places, "virtual_places": virtual[0]}
-    images: dict[str, HostImage] = {name: widen(take_image(name, way, (*size, 2))) for name, way in ways.items()}
+    images: dict[str, HostImage] = {
+        name: widen_to_vector(take_image(name, way, (*size, 2))) for name, way in ways.items()
+    }
     images |= {"past": past, "mask": now.mask, "mask_before": before.mask}
     if now.planes is not None and before.planes is not None:
         images |= {"planes": now.planes, "planes_before": before.planes}

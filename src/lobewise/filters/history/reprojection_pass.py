@@ -238,7 +238,7 @@ def _vectorize(out: hl.Func, pixels: Pixels, ways: Sequence[Way]) -> None:
         way.runs.way.compute_at(out, vector)
 
 
-def _find_spot(raw: hl.Expr, length: hl.Expr, usable: hl.Expr) -> tuple[hl.Expr, hl.Expr]:
+def _split_place(raw: hl.Expr, length: hl.Expr, usable: hl.Expr) -> tuple[hl.Expr, hl.Expr]:
     """Return the column or row of a place's first pixel, and the fraction beyond it.
 
     Places far outside the image, and NaN, must not become an index. A pixel that is not usable has no place.
@@ -258,7 +258,7 @@ def _make_way(frames: _Frames, place: hl.ImageParam, start: int, pixels: Pixels,
     spots = hl.Func(f"{name}_spots")
     extents = frames.columns, frames.rows
     usable = frames.mask[own] != 0
-    spots[at] = hl.Tuple([value for k in range(2) for value in _find_spot(place[(k, *own)], extents[k], usable)])
+    spots[at] = hl.Tuple([value for k in range(2) for value in _split_place(place[(k, *own)], extents[k], usable)])
     sums = hl.Func(f"{name}_sums")
     sums[at] = hl.Tuple([hl.f32(0.0)] * (len(frames.names) + 1))
     way = Way(spots, sums)

@@ -10,7 +10,7 @@ from lobewise.backend.buffers import HostImage
 from lobewise.backend.devices import count_host_lanes
 from lobewise.errors import InputError
 from lobewise.frame import FloatArray
-from lobewise.lobes.vectors import find_image_luminance
+from lobewise.lobes.vectors import compute_image_luminance
 
 
 class Sums(NamedTuple):
@@ -75,14 +75,14 @@ def add_to_sums(
     light = np.where(good[:, None], light, np.float32(0.0))
     weight = np.where(good, weight, np.float32(0.0))
     unit = np.maximum(history[(*where, Sums._fields.index("frames"))], np.float32(1.0)) ** np.float32(growth)
-    luminance = find_image_luminance(light)
+    luminance = compute_image_luminance(light)
     total = weight * unit
     added = [*(total * light[:, k] for k in range(3)), total, total * unit, total * luminance**2]
     for channel, value in enumerate(added):
         history[(*where, channel)] += value
 
 
-def widen(image: HostImage) -> HostImage:
+def widen_to_vector(image: HostImage) -> HostImage:
     """Return an image that is at least as wide as a vector, by repeating its last column.
 
     Recorded images stay as they are: pipelines refuse narrow ones.
@@ -94,7 +94,7 @@ def widen(image: HostImage) -> HostImage:
 
 
 def cut(image: Any, width: int, axis: int = -1) -> Any:
-    """Return an image, or a stack of planes, without the columns that `widen` added."""
+    """Return an image, or a stack of planes, without the columns that `widen_to_vector` added."""
     if not isinstance(image, np.ndarray) or image.shape[axis] == width:
         return image
     return image[(slice(None),) * (axis % image.ndim) + (slice(width),)]
@@ -137,7 +137,7 @@ def split_history(history: FloatArray, size: tuple[int, int]) -> FloatArray:
             got=f"shape {history.shape}",
             action="give those of this image",
         )
-    planes: FloatArray = take_planes(widen(history[..., :HISTORY_CHANNELS]))
+    planes: FloatArray = take_planes(widen_to_vector(history[..., :HISTORY_CHANNELS]))
     if planes.dtype == np.float32 and planes.strides[2] == planes.itemsize:
         return planes
     return np.ascontiguousarray(planes, dtype=np.float32)

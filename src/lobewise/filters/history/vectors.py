@@ -42,9 +42,9 @@ class Pixels:
     @property
     def place(self) -> Place:
         """Column and row of a pixel."""
-        return self.find_column(LANE, VECTOR), Y
+        return self.compute_column(LANE, VECTOR), Y
 
-    def find_column(self, lane: hl.Expr, vector: hl.Expr) -> hl.Expr:
+    def compute_column(self, lane: hl.Expr, vector: hl.Expr) -> hl.Expr:
         """Return the column of a pixel. The last vector of a row ends with the row."""
         if self.lanes == 1:
             return vector
@@ -57,7 +57,7 @@ class Pixels:
         self.once.append(func)
         return _read(func, self.at)
 
-    def find_largest(self, name: str, value: hl.Func, least: int) -> hl.Expr:
+    def compute_largest(self, name: str, value: hl.Func, least: int) -> hl.Expr:
         """Return the largest value of a vector's pixels, int32, or ``least``; the value itself without vectors."""
         if self.lanes == 1:
             return value[self.at]
@@ -77,7 +77,7 @@ class Pixels:
             return out
         domain = hl.RDom([(0, self.lanes), (0, (self.width + (self.lanes - 1)) / self.lanes)], "pixels")
         out[X, Y] = hl.Tuple([hl.undef(hl.Float(32))] * len(values))
-        out[self.find_column(domain.x, domain.y), Y] = hl.Tuple(_read(result, (domain.x, domain.y, Y)))
+        out[self.compute_column(domain.x, domain.y), Y] = hl.Tuple(_read(result, (domain.x, domain.y, Y)))
         return out
 
 

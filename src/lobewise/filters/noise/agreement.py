@@ -19,26 +19,26 @@ from lobewise.filters.noise.pooling import (
     add_channels,
     average_light,
     blur_image,
+    compute_squared_slope,
     count_weights,
     estimate_noise,
-    find_slope,
     gather_noise,
     take_logarithm,
 )
 from lobewise.frame import FloatArray
 
-LEVELS = (0, 2, 3)
+AGREEMENT_LEVELS = (0, 2, 3)
 """Blurs whose results become features: `blur_image` runs in turn with taps 1, 2, 4 and 8 pixels apart."""
-FEATURES_PER_LEVEL = 7
-COUNT = FEATURES_PER_LEVEL * len(LEVELS) + 3
+AGREEMENT_FEATURES_PER_LEVEL = 7
+AGREEMENT_FEATURES = AGREEMENT_FEATURES_PER_LEVEL * len(AGREEMENT_LEVELS) + 3
 """Features of a pixel."""
-MAX_STANDARD_ERRORS = 6.0
+MAX_STEP_CERTAINTY = 6.0
 """Largest certainty of a step, standard errors."""
 MAX_RELATIVE_SQUARE = 1e6
 """Largest square over the squared local luminance: a few pixels must not dominate their neighbourhood."""
 
 
-def find_agreement(
+def compute_agreement(
     one: FloatArray,
     other: FloatArray,
     noisy: FloatArray,
@@ -47,11 +47,11 @@ def find_agreement(
     level: float,
     shared: bool = False,
 ) -> FloatArray:
-    """Return features for a mixture of two images at every pixel, shape (height, width, `COUNT`).
+    """Return features for a mixture of two images at every pixel, shape (height, width, `AGREEMENT_FEATURES`).
 
     Features are base-2 logarithms unless a range is given, of squares over the squared local luminance. At each width:
     the squared difference of the images; the variance of the noisy image; the best step from ``one`` to ``other``, in
-    [-1, 2]; the step in standard errors, within +-`MAX_STANDARD_ERRORS`; the squared difference of the noisy image to
+    [-1, 2]; the step in standard errors, within +-`MAX_STEP_CERTAINTY`; the squared difference of the noisy image to
     ``one``, and to ``other``; the squared slope of ``one``. Then, once: the local luminance over ``level``; whether
     there are halves, and whether neighbours share noise, each 1 or 0.
 
@@ -62,7 +62,7 @@ def find_agreement(
     noisy : array, shape (height, width, 3)
         The image that both were made from. NaN, infinite and negative pixels do not count.
     halves : two arrays, shape (height, width, 3), optional
-        As in `lobewise.filters.noise.evidence.find_noisy_share`.
+        As in `lobewise.filters.noise.evidence.estimate_noisy_share`.
     level : float
         About the mean luminance of the whole image, > 0.
     shared : bool
@@ -78,11 +78,11 @@ def find_agreement(
     floor = np.float32(min(max((DARK_SHARE * level) ** 2, 1e-24), 1e30))
     sums, light = engine.pixels(_define_sums, images, {"floor": floor})
     held: dict[str, FloatArray | None] = {"light": light}
-    for number in range(max(LEVELS) + 1):
+    for number in range(max(AGREEMENT_LEVELS) + 1):
         sums = blur_image(sums, 2**number)
-        if number in LEVELS:
+        if number in AGREEMENT_LEVELS:
             held[f"sums{number}"] = sums
-    counts = [count_weights(number) / factor for number in LEVELS]
+    counts = [count_weights(number) / factor for number in AGREEMENT_LEVELS]
     numbers = {
         "counts": np.array(counts, np.float32),
         "level": np.float32(max(level, 1e-12)),
@@ -110,7 +110,7 @@ def _define_sums(grid: Grid) -> list[Vector]:
         product * product,
         add_channels([p * p for p in to_one]) * unit,
         add_channels([p * p for p in to_other]) * unit,
-        find_slope(grid, "one") * unit,
+        compute_squared_slope(grid, "one") * unit,
     ]
     bounded = [value if k in (2, 3) else hl.min(value, hl.f32(MAX_RELATIVE_SQUARE)) for k, value in enumerate(values)]
     return [[hl.select(good, value, hl.f32(0.0)) for value in bounded], [luminance]]
@@ -118,10 +118,10 @@ def _define_sums(grid: Grid) -> list[Vector]:
 
 def _define_features(grid: Grid) -> list[Vector]:
     values: list[hl.Expr] = []
-    for count, number in zip(grid.get("counts"), LEVELS, strict=True):
+    for count, number in zip(grid.get("counts"), AGREEMENT_LEVELS, strict=True):
         apart, noise, product, square, to_one, to_other, slope = grid.read(f"sums{number}")
         error = hl.sqrt(hl.max(square, hl.f32(1e-20)) / count)
-        bound = hl.f32(MAX_STANDARD_ERRORS)
+        bound = hl.f32(MAX_STEP_CERTAINTY)
         values += [
             take_logarithm(apart, MIN_RELATIVE_SQUARE),
             take_logarithm(noise, MIN_RELATIVE_SQUARE),

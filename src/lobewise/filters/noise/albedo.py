@@ -35,7 +35,7 @@ MAX_RATIO_TO_MEDIAN = 4.0
 """Largest variance of a pixel over the median of its 3x3 pixels: a detail of one pixel is not noise."""
 NORMAL_SHARPNESS = 4.0
 """Factor of the squared distance of two normals in the exponent of a weight."""
-DIRECTIONS = ((1, 0), (0, 1), (1, 1), (1, -1))
+DIFFERENCE_DIRECTIONS = ((1, 0), (0, 1), (1, 1), (1, -1))
 """Columns and rows to the next pixel of a second difference."""
 _NEAR = [(dx, dy) for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
 _SORTED_PAIRS = (
@@ -70,7 +70,7 @@ class _Noise(NamedTuple):
     """The stages of the variance of each pixel's noise."""
 
     seconds: hl.Func
-    """Squared second differences along `DIRECTIONS`."""
+    """Squared second differences along `DIFFERENCE_DIRECTIONS`."""
     rough: hl.Func
     bounded: hl.Func
     variance: hl.Func
@@ -115,7 +115,7 @@ def make_cleaning(target: hl.Target) -> Scheduled:
     out.reorder(C, column, row, outer, strip).unroll(C).vectorize(column, lanes).parallel(strip).never_partition_all()
     out.output_buffer().dim(1).set_stride(COLORS)
     keep_rows(planes.compute_at(out, outer), 2 * COLORS + 1, lanes)
-    keep_rows(noise.seconds.compute_at(out, outer), len(DIRECTIONS), lanes)
+    keep_rows(noise.seconds.compute_at(out, outer), len(DIFFERENCE_DIRECTIONS), lanes)
     for func in noise[1:]:
         func.compute_at(out, outer).vectorize(X, lanes).never_partition_all()
     keep_rows(sums.compute_at(out, outer), COLORS + 1, lanes)
@@ -134,7 +134,7 @@ def _square_distance(planes: hl.Func, there: tuple[hl.Expr, hl.Expr], first: int
 def _define_noise(planes: hl.Func) -> _Noise:
     noise = _Noise(*(hl.Func(name) for name in _Noise._fields))
     values = []
-    for dx, dy in DIRECTIONS:
+    for dx, dy in DIFFERENCE_DIRECTIONS:
         twice = [
             hl.f32(2.0) * planes[X, k, Y] - planes[X + dx, k, Y + dy] - planes[X - dx, k, Y - dy] for k in range(COLORS)
         ]
@@ -143,7 +143,7 @@ def _define_noise(planes: hl.Func) -> _Noise:
     # A second difference of independent noise has six times its variance.
     means = [
         sum((noise.seconds[X + dx, k, Y + dy] for dx, dy in _NEAR), hl.f32(0.0)) * hl.f32(1.0 / 54.0)
-        for k in range(len(DIRECTIONS))
+        for k in range(len(DIFFERENCE_DIRECTIONS))
     ]
     noise.rough[X, Y] = hl.min(*means)
     nine = [noise.rough[X + dx, Y + dy] for dx, dy in _NEAR]

@@ -25,20 +25,20 @@ from lobewise.backend.expressions import is_good
 from lobewise.backend.pointwise import Grid, Vector
 from lobewise.engine.numbers import choose_larger, choose_smaller, make_single
 from lobewise.filters.glue import define_channel
-from lobewise.filters.mixing import Network, make_shares
+from lobewise.filters.mixing import Perceptron, make_shares
 from lobewise.filters.noise.pooling import (
     DARK_SHARE,
     MIN_RELATIVE_SQUARE,
+    POOLING_REACH,
     add_channels,
     average_light,
     blur_image,
+    compute_squared_slope,
     count_weights,
     estimate_noise,
-    find_slope,
     gather_noise,
     take_logarithm,
 )
-from lobewise.filters.noise.pooling import REACH as POOLING_REACH
 from lobewise.frame import FloatArray
 
 OFFSETS = (
@@ -50,16 +50,16 @@ OFFSETS = (
     ((2, 2), (2, -2)),
 )
 """Shifts of the correlations, columns and rows, in pairs at a right angle."""
-LEVELS = (0, 1, 3)
+DETAIL_LEVELS = (0, 1, 3)
 """Blurs whose results become features: `blur_image` runs in turn with taps 1, 2, 4 and 8 pixels apart."""
-FEATURES_PER_LEVEL = 6 + 3 * len(OFFSETS)
-COUNT = FEATURES_PER_LEVEL * len(LEVELS) + 4
+DETAIL_FEATURES_PER_LEVEL = 6 + 3 * len(OFFSETS)
+DETAIL_FEATURES = DETAIL_FEATURES_PER_LEVEL * len(DETAIL_LEVELS) + 4
 """Features of a pixel."""
-REACH: int = 2 * POOLING_REACH + 2 * (2 ** (max(LEVELS) + 1) - 1)
+DETAIL_REACH: int = 2 * POOLING_REACH + 2 * (2 ** (max(DETAIL_LEVELS) + 1) - 1)
 """Distance of the farthest pixel that affects a pixel's features, rows or columns."""
 MAX_RELATIVE_DIFFERENCE = 1e3
 """Largest difference over the local luminance: a few pixels must not dominate their neighbourhood."""
-MAX_STANDARD_ERRORS = 8.0
+MAX_MEAN_CERTAINTY = 8.0
 """Largest certainty of a mean, standard errors."""
 MIN_RATIO, MIN_RELATIVE_LIGHT = 1e-3, 1e-4
 """Smallest arguments of logarithms: a ratio of squares, a luminance over the image's."""
@@ -67,7 +67,7 @@ BAND_ROWS, FEATURE_ROWS = 256, 64
 """Rows whose neighbourhoods are averaged at once, and rows whose features are held in memory at once."""
 
 
-def find_detail(
+def compute_detail(
     filtered: FloatArray,
     noisy: FloatArray,
     *,
@@ -79,7 +79,7 @@ def find_detail(
 
     Features are base-2 logarithms unless a range is given. At each width: the squared difference over squared local
     luminance; for each pair of `OFFSETS` the mean correlation of both shifts, in [-1, 1], this mean in standard errors,
-    within +-`MAX_STANDARD_ERRORS`, and half the distance of the two correlations in standard errors; the sum of all
+    within +-`MAX_MEAN_CERTAINTY`, and half the distance of the two correlations in standard errors; the sum of all
     squared correlations; the variance of the noisy image over the squared difference; the excess of the squared
     difference over the variance, over the squared difference, in [-1, 1], and in standard errors; the squared slope of
     the filtered image over squared local luminance. Then, once: the pixel's own squared difference; local luminance
@@ -102,7 +102,7 @@ def find_detail(
     Yields
     ------
     rows : slice
-    features : array, shape (rows, width, `COUNT`)
+    features : array, shape (rows, width, `DETAIL_FEATURES`)
 
     Raises
     ------
@@ -111,8 +111,8 @@ def find_detail(
     """
     images, numbers, floor = _take_arguments(filtered, noisy, halves, level, shared=shared)
     for top in range(0, len(noisy), BAND_ROWS):
-        bottom, first = min(top + BAND_ROWS, len(noisy)), max(top - REACH, 0)
-        pooled = _pool({name: each[first : bottom + REACH] for name, each in images.items()}, floor)
+        bottom, first = min(top + BAND_ROWS, len(noisy)), max(top - DETAIL_REACH, 0)
+        pooled = _pool({name: each[first : bottom + DETAIL_REACH] for name, each in images.items()}, floor)
         for start in range(top, bottom, FEATURE_ROWS):
             rows = slice(start, min(start + FEATURE_ROWS, bottom))
             inside = slice(rows.start - first, rows.stop - first)
@@ -123,7 +123,7 @@ def find_detail(
 def predict_shares(
     filtered: FloatArray,
     noisy: FloatArray,
-    network: Network,
+    network: Perceptron,
     *,
     halves: tuple[FloatArray, FloatArray] | None = None,
     level: float,
@@ -131,7 +131,7 @@ def predict_shares(
 ) -> FloatArray:
     """Return the shares of the noisy and of the filtered image that a network predicts, (height, width, 2), in [0, 1].
 
-    Parameters are those of `find_detail`, and a network of two outputs.
+    Parameters are those of `compute_detail`, and a network of two outputs.
 
     Raises
     ------
@@ -139,8 +139,8 @@ def predict_shares(
         If the images differ in size, or the network has another number of inputs or outputs.
     """
     images, numbers, floor = _take_arguments(filtered, noisy, halves, level, shared=shared)
-    network.require_fit(COUNT, 2)
-    sizes = COUNT, *(len(bias) for bias in network.biases)
+    network.require_fit(DETAIL_FEATURES, 2)
+    sizes = DETAIL_FEATURES, *(len(bias) for bias in network.biases)
 
     def predict(pooled: dict[str, FloatArray]) -> FloatArray:
         shares: FloatArray = engine.chain(
@@ -152,12 +152,12 @@ def predict_shares(
             network.name_arrays(),
             rows=FEATURE_ROWS,
             name="seen",
-            channels=COUNT,
+            channels=DETAIL_FEATURES,
             texts=("features of the difference", "a small network says how much to take back"),
         )
         return shares
 
-    shares: FloatArray = engine.in_bands(lambda band: _pool(band, floor), predict, images, BAND_ROWS, REACH)
+    shares: FloatArray = engine.in_bands(lambda band: _pool(band, floor), predict, images, BAND_ROWS, DETAIL_REACH)
     return shares
 
 
@@ -168,7 +168,7 @@ def _take_arguments(
     noise_images, factor = gather_noise(halves, None, shared=shared)
     level = choose_smaller(choose_larger(level, 1e-12), 1e12)
     numbers = {
-        "counts": np.array([count_weights(number) for number in LEVELS], np.float32),
+        "counts": np.array([count_weights(number) for number in DETAIL_LEVELS], np.float32),
         "factor": np.float32(factor),
         "level": make_single(level),
         "flags": np.array([halves is not None, shared], np.float32),
@@ -186,9 +186,9 @@ def _pool(images: Mapping[str, FloatArray], floor: Any) -> dict[str, FloatArray]
     (sums,) = engine.pixels(define_products, held, bounds, names=["products"])
     (own,) = engine.pixels(define_channel, {"image": sums}, {}, 0, names=["own"], text="squared difference")
     pooled: dict[str, FloatArray] = {"own": own, "light": light}
-    for number in range(max(LEVELS) + 1):
+    for number in range(max(DETAIL_LEVELS) + 1):
         sums = blur_image(sums, 2**number)
-        if number in LEVELS:
+        if number in DETAIL_LEVELS:
             pooled[f"sums{number}"] = sums
     return pooled
 
@@ -224,7 +224,7 @@ def define_products(grid: Grid) -> list[Vector]:
     noise, luminance = grid.read_one("noise"), grid.read_one("light")
     excess = square - noise
     unit = hl.f32(1.0) / (luminance * luminance + grid.get("floor")[0])
-    slope = hl.min(find_slope(grid, "filtered") * unit, hl.f32(MAX_RELATIVE_DIFFERENCE**2))
+    slope = hl.min(compute_squared_slope(grid, "filtered") * unit, hl.f32(MAX_RELATIVE_DIFFERENCE**2))
     values = [square, *products, spread, noise, excess, excess * excess, slope]
     return [values]
 
@@ -232,12 +232,12 @@ def define_products(grid: Grid) -> list[Vector]:
 def define_features(grid: Grid) -> list[Vector]:
     values: list[hl.Expr] = []
     (factor,) = grid.get("factor")
-    bound, one = hl.f32(MAX_STANDARD_ERRORS), hl.f32(1.0)
-    for count, number in zip(grid.get("counts"), LEVELS, strict=True):
+    bound, one = hl.f32(MAX_MEAN_CERTAINTY), hl.f32(1.0)
+    for count, number in zip(grid.get("counts"), DETAIL_LEVELS, strict=True):
         square, *products, spread, noise, excess, excess_square, slope = grid.read(f"sums{number}")
         whole = hl.max(square, hl.f32(1e-12))
 
-        def find_certainty(mean: hl.Expr, square: hl.Expr, count: hl.Expr) -> hl.Expr:
+        def compute_certainty(mean: hl.Expr, square: hl.Expr, count: hl.Expr) -> hl.Expr:
             return hl.clamp(mean / hl.sqrt(hl.max(square, hl.f32(1e-20)) / count), -bound, bound)
 
         values.append(take_logarithm(square, MIN_RELATIVE_SQUARE))
@@ -246,12 +246,12 @@ def define_features(grid: Grid) -> list[Vector]:
         for first, second in zip(products[::2], products[1::2], strict=True):
             mean, half = hl.f32(0.5) * (first + second), hl.f32(0.5) * hl.abs(first - second)
             values.append(hl.clamp(mean / whole, -one, one))
-            values += [find_certainty(mean, varies, count), find_certainty(half, varies, count)]
+            values += [compute_certainty(mean, varies, count), compute_certainty(half, varies, count)]
         values.append(take_logarithm(_add_squares(products) / (whole * whole), MIN_RATIO))
         values += [
             take_logarithm(noise / whole, MIN_RATIO),
             hl.clamp(excess / whole, -one, one),
-            find_certainty(excess, excess_square, count / factor),
+            compute_certainty(excess, excess_square, count / factor),
             take_logarithm(slope, MIN_RELATIVE_SQUARE),
         ]
     values.append(take_logarithm(grid.read_one("own"), MIN_RELATIVE_SQUARE))

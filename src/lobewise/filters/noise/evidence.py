@@ -25,8 +25,8 @@ from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import is_good
 from lobewise.backend.pointwise import Grid, Vector
 from lobewise.engine.numbers import choose_larger, choose_smaller, make_single
-from lobewise.filters.noise.pooling import REACH as POOLING_REACH
 from lobewise.filters.noise.pooling import (
+    POOLING_REACH,
     add_channels,
     average_light,
     blur_image,
@@ -43,14 +43,14 @@ BLUR_COUNT = 4
 1, 2.2, 4.6 and 9.2 pixels."""
 FIRST_BLUR = 1
 """First blur that counts: fewer than 60 products do not estimate their own spread well."""
-REACH: int = POOLING_REACH + 2 * (2**BLUR_COUNT - 1)
+EVIDENCE_REACH: int = POOLING_REACH + 2 * (2**BLUR_COUNT - 1)
 """Distance of the farthest pixel that affects a pixel's share, rows or columns."""
 COUNTED_BLOCKS = (16, 32)
 """Sides of the blocks of `count_certain`, pixels. They hold about as many pixels as the blurs that count average."""
 _MIN_SQUARE = 1e-30
 
 
-def find_noisy_share(
+def estimate_noisy_share(
     filtered: FloatArray,
     noisy: FloatArray,
     *,
@@ -93,7 +93,9 @@ def find_noisy_share(
         If the images differ in size.
     """
     least = make_single(choose_smaller(choose_larger(floor, 1e-24), 1e30))
-    sums, factor = _find_excess(filtered, noisy, gather_noise(halves, variance, shared=shared), least, by_darker=False)
+    sums, factor = _compute_excess(
+        filtered, noisy, gather_noise(halves, variance, shared=shared), least, by_darker=False
+    )
     levels = {}
     for number in range(BLUR_COUNT):
         levels[f"sums{number}"] = sums = blur_image(sums, 2**number)
@@ -111,10 +113,10 @@ def count_certain(
 
     Blocks of `COUNTED_BLOCKS` pixels count as a whole. Differences are divided by the smaller luminance of both images,
     so that a filtered image that is too bright does not make its own error look small. Parameters are those of
-    `find_noisy_share`.
+    `estimate_noisy_share`.
     """
     noise = gather_noise(None, variance, shared=shared)
-    sums, factor = _find_excess(filtered, noisy, noise, np.float32(floor), by_darker=True)
+    sums, factor = _compute_excess(filtered, noisy, noise, np.float32(floor), by_darker=True)
     certain_pixels, sizes = np.zeros(noisy.shape[:2], np.bool_), np.ones(noisy.shape[:2], np.float32)
     block = 1
     for size in COUNTED_BLOCKS:
@@ -130,7 +132,7 @@ def count_certain(
     return int(np.count_nonzero(certain_pixels))
 
 
-def _find_excess(
+def _compute_excess(
     filtered: FloatArray,
     noisy: FloatArray,
     noise: tuple[Mapping[str, Any], float],

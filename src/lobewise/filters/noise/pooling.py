@@ -13,7 +13,7 @@ from lobewise.backend import expressions
 from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import HALIDE, is_good
 from lobewise.backend.pointwise import Grid, Vector
-from lobewise.filters.noise.residuals import SHARED_NOISE_VARIANCE, find_residual
+from lobewise.filters.noise.residuals import SHARED_NOISE_VARIANCE, compute_residual
 from lobewise.frame import FloatArray
 
 BLUR_WEIGHTS = (0.0625, 0.25, 0.375, 0.25, 0.0625)
@@ -26,7 +26,7 @@ may share samples."""
 DARK_SHARE = 0.03
 """Share of the image's mean luminance that features of a network add, in square, to the squared local luminance that
 they divide by."""
-REACH: int = max(RESIDUAL_STEP, len(BLUR_WEIGHTS) // 2)
+POOLING_REACH: int = max(RESIDUAL_STEP, len(BLUR_WEIGHTS) // 2)
 """Distance of the farthest pixel that a residual or the local light reads, rows or columns."""
 MIN_RELATIVE_SQUARE = 1e-8
 """Smallest square over the squared local luminance that a logarithm distinguishes."""
@@ -92,7 +92,7 @@ def average_light(grid: Grid, name: str) -> hl.Expr:
     return total
 
 
-def find_slope(grid: Grid, name: str) -> hl.Expr:
+def compute_squared_slope(grid: Grid, name: str) -> hl.Expr:
     """Return the squared slope of an image's channels, summed."""
     read, total = grid.keep(grid.read(name, *grid.inside)), hl.f32(0.0)
     for dx, dy in ((1, 0), (0, 1)):
@@ -122,7 +122,7 @@ def square_residual(grid: Grid, name: str) -> tuple[list[hl.Expr], hl.Expr]:
     read_good = grid.keep([hl.cast(hl.UInt(8), is_good(noisy) & is_good(filtered))])
     steps = (-RESIDUAL_STEP, 0, RESIDUAL_STEP)
     good = reduce(and_, (read_good(grid.x + i, grid.y + j)[0] != hl.u8(0) for j in steps for i in steps))
-    residual = find_residual(HALIDE, lambda dx, dy: read(grid.x + dx, grid.y + dy), RESIDUAL_STEP)
+    residual = compute_residual(HALIDE, lambda dx, dy: read(grid.x + dx, grid.y + dy), RESIDUAL_STEP)
     return [value * value for value in residual], good
 
 

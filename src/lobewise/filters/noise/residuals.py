@@ -24,7 +24,7 @@ from lobewise.frame import FloatArray
 from lobewise.lobes.numbers import Namespace
 from lobewise.lobes.vectors import combine
 
-REACH = SHARED_STEP = 2
+RESIDUAL_REACH = SHARED_STEP = 2
 """Pixels between the taps of a residual if neighbours share their noise, otherwise 1; and the farthest pixel read."""
 SHARED_NOISE_VARIANCE = 3.2
 """Factor of the variance of a mean if neighbours share their noise: the sum of a pixel's correlations with all pixels,
@@ -37,7 +37,7 @@ DIFFERENCES = (1.0, -2.0, 1.0)
 _MIN_LIGHT = 1e-12
 
 
-def find_residual(xp: Namespace, take: Callable[[int, int], Vector], step: int) -> list[Any]:
+def compute_residual(xp: Namespace, take: Callable[[int, int], Vector], step: int) -> list[Any]:
     """Return the residual of each channel; its variance is that of the noise.
 
     ``take`` returns the channels so many columns and rows from the pixel, or what stands in for them.
@@ -46,7 +46,7 @@ def find_residual(xp: Namespace, take: Callable[[int, int], Vector], step: int) 
     return combine(*((xp.number(q * p / 6.0), take(step * x, step * y)) for y, q in places for x, p in places))
 
 
-def find_squared_residual(
+def compute_squared_residual(
     image: FloatArray, albedo: FloatArray | None, mask: NDArray[np.bool_], *, shared: bool = False
 ) -> FloatArray:
     """Return the squared residual of radiance over albedo, times albedo, so that it is filtered like radiance.
@@ -76,14 +76,14 @@ def find_squared_residual(
 
 
 def _define_residual(grid: Grid, shared: bool) -> list[Vector]:
-    residual, _, good = _find_residual(grid, SHARED_STEP if shared else 1)
+    residual, _, good = _compute_residual(grid, SHARED_STEP if shared else 1)
     scale = hl.f32(SHARED_NOISE_VARIANCE if shared else 1.0)
     floor = hl.f32(ALBEDO_FLOOR)
     tints = [hl.max(tint, floor) for tint in grid.read("albedo")] if grid.has("albedo") else [hl.f32(1.0)] * COLORS
     return [[select_or_nan(good, scale * value * value * tint) for value, tint in zip(residual, tints, strict=True)]]
 
 
-def _find_residual(
+def _compute_residual(
     grid: Grid, step: int, convert: Callable[[hl.Expr], hl.Expr] = lambda value: value
 ) -> tuple[list[hl.Expr], list[hl.Expr], hl.Expr]:
     """Return residual, value and whether the pixel is good; the value is radiance over albedo, converted."""
@@ -103,7 +103,7 @@ def _find_residual(
         there = read_good(*near)[0] != hl.u8(0)
         return [hl.select(there, value, mine) for value, mine in zip(read(*near), own, strict=True)]
 
-    return find_residual(HALIDE, take, step), own, good
+    return compute_residual(HALIDE, take, step), own, good
 
 
 def split_samples(
@@ -117,7 +117,7 @@ def split_samples(
     Parameters
     ----------
     image, albedo, mask, shared
-        As in `find_squared_residual`.
+        As in `compute_squared_residual`.
     dark : float
         Offset under the logarithm, > 0.
     """
@@ -130,7 +130,7 @@ def split_samples(
 
 def _define_samples(grid: Grid, shared: bool) -> list[Vector]:
     (dark,) = grid.get("dark")
-    residual, logs, good = _find_residual(grid, SHARED_STEP if shared else 1, lambda value: hl.log(value + dark))
+    residual, logs, good = _compute_residual(grid, SHARED_STEP if shared else 1, lambda value: hl.log(value + dark))
     zero = hl.f32(0.0)
     return [
         [

@@ -16,10 +16,10 @@ from lobewise.backend.compiler import hl
 from lobewise.backend.jit import Scheduled
 from lobewise.backend.signature import Signature
 from lobewise.filters.planes import C, X, Y, clamp_likely
-from lobewise.filters.refinement.shape import BLOCK, WEIGHT_ROWS
+from lobewise.filters.refinement.shape import BLOCK_OUTPUTS, WEIGHT_ROWS
 from lobewise.filters.scheduling import ALIGNMENT, count_lanes, spread_pixels
 
-LEAK = 0.1
+CONVOLUTION_LEAK = 0.1
 """Slope of the activation below 0 (leaky ReLU)."""
 MAX_SIDE = 3
 """Largest side of the square of taps, pixels."""
@@ -56,7 +56,7 @@ def make_convolution(target: hl.Target) -> Scheduled:
     signature = Signature("convolution of the refining network")
     first = signature.image("first", "first_height", "first_channels", "first_columns")
     second = signature.image("second", "second_height", "second_channels", "second_columns")
-    weights = signature.image("weights", WEIGHT_ROWS, BLOCK)
+    weights = signature.image("weights", WEIGHT_ROWS, BLOCK_OUTPUTS)
     start, side = signature.count("start", 0, WEIGHT_ROWS - 1), signature.count("side", 1, MAX_SIDE)
     reading = signature.count("reading", min(Reading), max(Reading))
     first_width, width, height = (signature.count(name, 1) for name in ("first_width", "width", "height"))
@@ -71,15 +71,15 @@ def make_convolution(target: hl.Target) -> Scheduled:
         (surround(second, size, "second_near"), taken),
     ]
     sums, out, before = hl.Func("sums"), hl.Func("out"), hl.i32(0)
-    row = start + C // BLOCK * (1 + side * side * (inputs[0][1] + inputs[1][1]))
-    sums[X, C, Y] = weights[C % BLOCK, row]
+    row = start + C // BLOCK_OUTPUTS * (1 + side * side * (inputs[0][1] + inputs[1][1]))
+    sums[X, C, Y] = weights[C % BLOCK_OUTPUTS, row]
     for number, (source, channels) in enumerate(inputs):
         taps = hl.RDom([(0, side), (0, side), (0, channels)], f"taps{number}")
         place = ((before + taps.z) * side + taps.y) * side + taps.x
         near = source[X + taps.x - side // 2, taps.z, Y + taps.y - side // 2]
-        sums[X, C, Y] = sums[X, C, Y] + weights[C % BLOCK, row + 1 + place] * near
+        sums[X, C, Y] = sums[X, C, Y] + weights[C % BLOCK_OUTPUTS, row + 1 + place] * near
         before = channels
-    out[X, C, Y] = hl.max(sums[X, C, Y], hl.f32(LEAK) * sums[X, C, Y])
+    out[X, C, Y] = hl.max(sums[X, C, Y], hl.f32(CONVOLUTION_LEAK) * sums[X, C, Y])
 
     # Schedule
     chosen = [reading == each.value for each in Reading if each is not Reading.BLOCKS]
@@ -120,7 +120,7 @@ def keep_copy(func: hl.Func, channels: int | hl.Expr, at: tuple[hl.Func, hl.Var]
 def _spread(out: hl.Func, sums: hl.Func, cases: Sequence[hl.Expr]) -> None:
     """On graphics cards keep the sums of a block of channels of a pixel in one thread's registers."""
     co, ci = hl.Var("co"), hl.Var("ci")
-    out.split(C, co, ci, BLOCK, hl.TailStrategy.RoundUp).reorder(ci, X, Y, co).unroll(ci)
+    out.split(C, co, ci, BLOCK_OUTPUTS, hl.TailStrategy.RoundUp).reorder(ci, X, Y, co).unroll(ci)
     sums.compute_at(out, spread_pixels(out, X, Y)).unroll(C)
     out.gpu_blocks(co)
     for number in range(sums.num_update_definitions()):

@@ -17,8 +17,8 @@ from lobewise.backend.compiler import hl
 from lobewise.backend.jit import Scheduled
 from lobewise.filters.cross_pass import COLORS
 from lobewise.filters.refinement.convolutions import Reading, make_convolution, pad_columns
-from lobewise.filters.refinement.pyramid import STRIP_ROWS, SUMS, make_averages, make_filter, make_sums
-from lobewise.filters.refinement.shape import LAYERS, LEVELS
+from lobewise.filters.refinement.pyramid import FILTER_STRIP_ROWS, SUMS_OF_IMAGE, make_averages, make_filter, make_sums
+from lobewise.filters.refinement.shape import LAYERS, LEVEL_COUNT
 from lobewise.frame import FloatArray
 
 SMALL_LEVEL, SMALL_STRIP_ROWS = 3, 2
@@ -27,14 +27,14 @@ NEUTRAL = np.ones((1, 1, COLORS), np.float32)
 """The tint of all levels but the finest, whose every pixel it stands for."""
 
 
-class Size(NamedTuple):
+class LevelSize(NamedTuple):
     """Rows and columns of a level: numbers, or names of axes where the recipe is recorded."""
 
     height: Any
     width: Any
 
 
-class Network:
+class RefiningNetwork:
     """The network on one image.
 
     Parameters
@@ -47,30 +47,30 @@ class Network:
 
     def __init__(self, weights: FloatArray, images: Mapping[str, Any]) -> None:
         self._weights, self._images = engine.hold("refinement_weights", weights), images
-        self._sizes = [Size(*images["tint"].shape[:2])]
-        for _ in range(LEVELS - 1):
-            self._sizes.append(Size(*map(engine.halve, self._sizes[-1])))
+        self._sizes = [LevelSize(*images["tint"].shape[:2])]
+        for _ in range(LEVEL_COUNT - 1):
+            self._sizes.append(LevelSize(*map(engine.halve, self._sizes[-1])))
         self._free: dict[tuple[int, ...], list[Image]] = {}
 
     def run(self) -> Image:
         """Return the refined image, (height, width, 3)."""
-        features = self._find_features()
+        features = self._compute_features()
         # Memory that the filters do not need again.
         self._free.clear()
         sums, vectors = [self._weigh_light(features[0])], [self._images["vectors"]]
-        for level in range(1, LEVELS):
+        for level in range(1, LEVEL_COUNT):
             sums.append(self._average(sums[-1], level))
             vectors.append(self._average(vectors[-1], level))
-        filtered = self._filter(LEVELS - 1, features[-1], sums[-1], vectors[-1], None)
-        for level in reversed(range(LEVELS - 1)):
+        filtered = self._filter(LEVEL_COUNT - 1, features[-1], sums[-1], vectors[-1], None)
+        for level in reversed(range(LEVEL_COUNT - 1)):
             filtered = self._filter(level, features[level], sums[level], vectors[level], filtered)
         return filtered
 
-    def _find_features(self) -> list[Image]:
+    def _compute_features(self) -> list[Image]:
         """Return the features of each level."""
         planes, skipped = self._images["planes"], {}
         last = self._convolve("stem", 1, planes, reading=Reading.BLOCKS)
-        for level in range(1, LEVELS):
+        for level in range(1, LEVEL_COUNT):
             reading = Reading.HALVED if level > 1 else Reading.SAME
             joined = self._convolve(f"down.{level - 1}.0", level, last, reading=reading)
             if level == 1:
@@ -78,7 +78,7 @@ class Network:
             last = skipped[level] = self._convolve(f"down.{level - 1}.1", level, joined)
             self._give_back(joined)
         features = [last]
-        for level in reversed(range(1, LEVELS - 1)):
+        for level in reversed(range(1, LEVEL_COUNT - 1)):
             joined = self._convolve(f"up.{level - 1}.0", level, features[0], skipped[level], reading=Reading.ENLARGED)
             self._give_back(skipped[level])
             features.insert(0, self._convolve(f"up.{level - 1}.1", level, joined))
@@ -103,7 +103,7 @@ class Network:
             "width": size.width,
             "height": size.height,
             "channels_of_second": 0 if second is None else second.shape[1],
-            "strip_rows": SMALL_STRIP_ROWS if level >= SMALL_LEVEL else STRIP_ROWS,
+            "strip_rows": SMALL_STRIP_ROWS if level >= SMALL_LEVEL else FILTER_STRIP_ROWS,
         }
         images = {"first": first, "second": first if second is None else second, "weights": self._weights}
         return self._call(make_convolution, level, layer.outputs, images, numbers, f"layer {name}")
@@ -111,7 +111,7 @@ class Network:
     def _weigh_light(self, features: Image) -> Image:
         """Return the sums of the finest level."""
         images = {"features": features, "light": self._images["light"], "weights": self._weights}
-        return self._call(make_sums, 0, 2 * SUMS, images, {}, "weighted light")
+        return self._call(make_sums, 0, 2 * SUMS_OF_IMAGE, images, {}, "weighted light")
 
     def _average(self, source: Image, level: int) -> Image:
         """Return the sums or vectors of a level from those of the level below."""

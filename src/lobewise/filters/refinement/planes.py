@@ -82,7 +82,7 @@ def make_planes(key: PlanesKey, target: hl.Target) -> Scheduled:
 
     before, after = (divide([image[k, X, Y] for k in range(COLORS)]) for image in (noisy, filtered))
     (depth,) = read("depth")
-    log_depth = _find_log_depth(depth, mean_log_depth) if "depth" in images else hl.f32(0.0)
+    log_depth = _compute_log_depth(depth, mean_log_depth) if "depth" in images else hl.f32(0.0)
     change = sum(divide(read("change")), hl.f32(0.0))
     flags = [hl.f32(float(name in images)) for name in ("albedo", "depth", "roughness", "change")]
     planes = [
@@ -112,7 +112,7 @@ def make_planes(key: PlanesKey, target: hl.Target) -> Scheduled:
     return Scheduled(list(outputs.values()), signature)
 
 
-def _find_log_depth(depth: hl.Expr, mean: hl.Expr) -> hl.Expr:
+def _compute_log_depth(depth: hl.Expr, mean: hl.Expr) -> hl.Expr:
     """Return the logarithm of the depth over the mean depth."""
     bound = hl.f32(MAX_LOG_DEPTH)
     logarithm = hl.f32(math.log(2.0)) * expressions.log2(hl.max(depth, hl.f32(1e-20))) - mean

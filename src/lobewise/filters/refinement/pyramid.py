@@ -21,7 +21,7 @@ from lobewise.filters.cross_pass import COLORS
 from lobewise.filters.planes import C, X, Y, clamp_likely
 from lobewise.filters.refinement.convolutions import Size, keep_copy, surround
 from lobewise.filters.refinement.shape import (
-    BLOCK,
+    BLOCK_OUTPUTS,
     COARSE_SIDE,
     FILTERED_SIDE,
     GROUPS,
@@ -42,9 +42,9 @@ MIN_SOURCE = 1e-3
 """Smallest source weight."""
 SOURCE_BIAS = 2.0
 """Added before the logistic function, so that an untrained source weight is near 1."""
-SUMS = COLORS + 1
+SUMS_OF_IMAGE = COLORS + 1
 """Weighted light and weight of the noisy image; the filtered image has as many."""
-STRIP_ROWS, LOGITS_TOGETHER = 8, 8
+FILTER_STRIP_ROWS, LOGITS_TOGETHER = 8, 8
 """Rows that a thread of a processor takes at a time, and logits of one vector whose sums it keeps in registers."""
 
 
@@ -54,8 +54,8 @@ def make_sums(target: hl.Target) -> Scheduled:
     signature = Signature("sums of the refining network")
     features = signature.image("features", "height", UNITS[0], "columns")
     light = signature.image("light", "height", 2 * COLORS, "width")
-    weights = signature.image("weights", WEIGHT_ROWS, BLOCK)
-    signature.output("sums", "height", 2 * SUMS, "columns")
+    weights = signature.image("weights", WEIGHT_ROWS, BLOCK_OUTPUTS)
+    signature.output("sums", "height", 2 * SUMS_OF_IMAGE, "columns")
 
     # Algorithm
     logits = _define_logits(features, weights, hl.i32(LAYERS["heads.0"].start))
@@ -64,16 +64,16 @@ def make_sums(target: hl.Target) -> Scheduled:
     values: list[hl.Expr] = []
     for number in range(2):
         logit = logits[X, HEAD.sources + number, Y] + hl.f32(SOURCE_BIAS)
-        weight = hl.f32(MIN_SOURCE) + _find_logistic(logit)
+        weight = hl.f32(MIN_SOURCE) + _compute_logistic(logit)
         values += [weight * light_near[X, COLORS * number + k, Y] for k in range(COLORS)] + [weight]
     sums[X, C, Y] = hl.mux(C, values)
 
     # Schedule
     if target.has_gpu_feature():
-        _spread_logits(logits, sums, spread_channels(sums, 2 * SUMS))
+        _spread_logits(logits, sums, spread_channels(sums, 2 * SUMS_OF_IMAGE))
     else:
         lanes = count_lanes(target)
-        strip, vector = _spread_vectors(sums, 2 * SUMS, lanes, hl.TailStrategy.RoundUp)
+        strip, vector = _spread_vectors(sums, 2 * SUMS_OF_IMAGE, lanes, hl.TailStrategy.RoundUp)
         logits.compute_at(sums, vector).reorder_storage(X, C, Y).reorder(X, C, Y).vectorize(X, lanes).unroll(C)
         logits.update().reorder(X, C, *logits.rvars(), Y).vectorize(X, lanes).unroll(C)
         keep_copy(light_near, 2 * COLORS, (sums, strip), lanes)
@@ -112,11 +112,11 @@ def make_filter(target: hl.Target) -> Scheduled:
     # Signature
     signature = Signature("filter of the refining network")
     features = signature.image("features", "height", "units", "columns")
-    sums = signature.image("sums", "height", 2 * SUMS, "sums_columns")
+    sums = signature.image("sums", "height", 2 * SUMS_OF_IMAGE, "sums_columns")
     vectors = signature.image("vectors", "height", VECTORS, "vectors_columns")
     above = signature.image("above", "above_height", "above_width", COLORS)
     tint = signature.image("tint", "tint_height", "tint_width", COLORS)
-    weights = signature.image("weights", WEIGHT_ROWS, BLOCK)
+    weights = signature.image("weights", WEIGHT_ROWS, BLOCK_OUTPUTS)
     start, width = signature.count("start", 0, WEIGHT_ROWS - 1), signature.count("width", 1)
     has_above = signature.count("has_above", 0, 1)
     signature.output("filtered", "height", "width", COLORS)
@@ -151,7 +151,7 @@ def make_filter(target: hl.Target) -> Scheduled:
     total.compute_at(out, vector).vectorize(X, lanes)
     for number in range(total.num_update_definitions()):
         total.update(number).reorder(X, *total.rvars(number), Y).vectorize(X, lanes)
-    for func, channels in ((light, 2 * SUMS), (compared, VECTORS), (larger, SUMS), (tinted, COLORS)):
+    for func, channels in ((light, 2 * SUMS_OF_IMAGE), (compared, VECTORS), (larger, SUMS_OF_IMAGE), (tinted, COLORS)):
         keep_copy(func, channels, (out, strip), lanes)
     return Scheduled([out], signature)
 
@@ -159,7 +159,7 @@ def make_filter(target: hl.Target) -> Scheduled:
 def _spread_vectors(out: hl.Func, channels: int, lanes: int, tail: hl.TailStrategy) -> tuple[hl.Var, hl.Var]:
     """Run strips of rows in parallel, and all channels of a vector together. Return both loops."""
     ys, yi, xo, xi = (hl.Var(name) for name in ("ys", "yi", "xo", "xi"))
-    out.bound(C, 0, channels).split(Y, ys, yi, STRIP_ROWS, hl.TailStrategy.GuardWithIf)
+    out.bound(C, 0, channels).split(Y, ys, yi, FILTER_STRIP_ROWS, hl.TailStrategy.GuardWithIf)
     out.split(X, xo, xi, lanes, tail).reorder(C, xi, xo, yi, ys)
     out.vectorize(xi).unroll(C).parallel(ys).never_partition_all()
     return ys, xo
@@ -173,14 +173,14 @@ def _spread_logits(logits: hl.Func, out: hl.Func, thread: hl.Var) -> None:
 def _define_logits(features: hl.ImageParam, weights: hl.ImageParam, start: hl.Expr) -> hl.Func:
     """Return the convolution that gives the logits of a pixel; ``start`` is the first row of its weights."""
     channels, sums = features.dim(1).extent(), hl.Func("logits")
-    row = start + C // BLOCK * (1 + channels)
+    row = start + C // BLOCK_OUTPUTS * (1 + channels)
     taps = hl.RDom([(0, channels)], "units")
-    sums[X, C, Y] = weights[C % BLOCK, row]
-    sums[X, C, Y] = sums[X, C, Y] + weights[C % BLOCK, row + 1 + taps.x] * features[X, taps.x, Y]
+    sums[X, C, Y] = weights[C % BLOCK_OUTPUTS, row]
+    sums[X, C, Y] = sums[X, C, Y] + weights[C % BLOCK_OUTPUTS, row + 1 + taps.x] * features[X, taps.x, Y]
     return sums
 
 
-def _find_logistic(value: hl.Expr) -> hl.Expr:
+def _compute_logistic(value: hl.Expr) -> hl.Expr:
     """Return ``1 / (1 + exp(-value))``."""
     small = expressions.exp2(hl.f32(-expressions.LOG2_E) * hl.abs(value))
     high = hl.f32(1.0) / (hl.f32(1.0) + small)
@@ -190,18 +190,18 @@ def _find_logistic(value: hl.Expr) -> hl.Expr:
 def _define_total(logits: hl.Func, exponents: hl.Func, light: hl.Func, compared: hl.Func, larger: hl.Func) -> hl.Func:
     """Return the sums of weighted light and weight over all taps."""
     total = hl.Func("total")
-    total[X, Y] = hl.Tuple([hl.f32(0.0)] * SUMS)
+    total[X, Y] = hl.Tuple([hl.f32(0.0)] * SUMS_OF_IMAGE)
     for number, (side, first) in enumerate(((NOISY_SIDE, HEAD.noisy), (FILTERED_SIDE, HEAD.filtered))):
         taps = hl.RDom([(0, side), (0, side)], f"taps{number}")
         x, y = X + taps.x - side // 2, Y + taps.y - side // 2
-        distance = _find_distance(exponents, compared, (x, y))
-        weight = _find_weight(logits[X, first + taps.y * side + taps.x, Y], distance)
-        _add(total, [weight * light[x, SUMS * number + k, y] for k in range(SUMS)])
+        distance = _compute_distance(exponents, compared, (x, y))
+        weight = _compute_weight(logits[X, first + taps.y * side + taps.x, Y], distance)
+        _add(total, [weight * light[x, SUMS_OF_IMAGE * number + k, y] for k in range(SUMS_OF_IMAGE)])
     taps = hl.RDom([(0, COARSE_SIDE), (0, COARSE_SIDE)], "taps_above")
     # The pixels around a pixel's parent are two columns or rows apart in the enlarged level.
     x, y = X + 2 * (taps.x - 1), Y + 2 * (taps.y - 1)
-    weight = _find_weight(logits[X, HEAD.coarse + taps.y * COARSE_SIDE + taps.x, Y], hl.f32(0.0))
-    _add(total, [weight * larger[x, k, y] for k in range(SUMS)])
+    weight = _compute_weight(logits[X, HEAD.coarse + taps.y * COARSE_SIDE + taps.x, Y], hl.f32(0.0))
+    _add(total, [weight * larger[x, k, y] for k in range(SUMS_OF_IMAGE)])
     return total
 
 
@@ -209,7 +209,7 @@ def _add(total: hl.Func, terms: list[hl.Expr]) -> None:
     total[X, Y] = hl.Tuple([total[X, Y][k] + term for k, term in enumerate(terms)])
 
 
-def _find_weight(logit: hl.Expr, distance: hl.Expr) -> hl.Expr:
+def _compute_weight(logit: hl.Expr, distance: hl.Expr) -> hl.Expr:
     """Return ``exp(logit - distance)``, all divided by ``exp(MAX_LOGIT)``: only the ratios of weights count."""
     bounded = hl.clamp(logit, hl.f32(-MAX_LOGIT), hl.f32(MAX_LOGIT))
     return expressions.exp2(hl.f32(expressions.LOG2_E) * (bounded - distance - hl.f32(MAX_LOGIT)))
@@ -223,7 +223,7 @@ def _define_exponents(logits: hl.Func) -> hl.Func:
     return exponents
 
 
-def _find_distance(exponents: hl.Func, vectors: hl.Func, at: tuple[hl.Expr, hl.Expr]) -> hl.Expr:
+def _compute_distance(exponents: hl.Func, vectors: hl.Func, at: tuple[hl.Expr, hl.Expr]) -> hl.Expr:
     """Return the sum of squared distances of the vectors of two pixels, each group times its exponent."""
     total, first = hl.f32(0.0), 0
     for number, count in enumerate(GROUPS):

@@ -11,14 +11,14 @@ from lobewise import engine
 from lobewise.backend.buffers import Image, device_scope, returns_host_images, take_image
 from lobewise.errors import InputError
 from lobewise.filters.cross_pass import COLORS
-from lobewise.filters.refinement.network import Network
+from lobewise.filters.refinement.network import RefiningNetwork
 from lobewise.filters.refinement.planes import OPTIONAL, PlanesKey, make_planes
-from lobewise.filters.refinement.shape import BLOCK, HEAD, LAYERS, WEIGHT_ROWS, LayerShape, place_logits
+from lobewise.filters.refinement.shape import BLOCK_OUTPUTS, HEAD, LAYERS, WEIGHT_ROWS, LayerShape, place_logits
 from lobewise.frame import FloatArray
 
 
 def pack_weights(arrays: Mapping[str, FloatArray]) -> FloatArray:
-    """Return the array that the kernels read, shape (`WEIGHT_ROWS`, `BLOCK`).
+    """Return the array that the kernels read, shape (`WEIGHT_ROWS`, `BLOCK_OUTPUTS`).
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def pack_weights(arrays: Mapping[str, FloatArray]) -> FloatArray:
     InputError
         If a layer is missing or has another shape.
     """
-    packed = np.zeros((WEIGHT_ROWS, BLOCK), dtype=np.float32)
+    packed = np.zeros((WEIGHT_ROWS, BLOCK_OUTPUTS), dtype=np.float32)
     for name, layer in LAYERS.items():
         square = (2, 2) if name == "stem" else (layer.side, layer.side)
         inputs = layer.inputs // (4 if name == "stem" else 1)
@@ -45,8 +45,8 @@ def pack_weights(arrays: Mapping[str, FloatArray]) -> FloatArray:
         places = _place_outputs(layer)
         rows[places, 0] = arrays[f"{name}.bias"]
         rows[places, 1:] = arrays[f"{name}.weight"].reshape(layer.outputs, -1)
-        blocks = rows.reshape(-1, BLOCK, rows.shape[1]).swapaxes(1, 2)
-        packed[layer.start : layer.stop] = blocks.reshape(-1, BLOCK)
+        blocks = rows.reshape(-1, BLOCK_OUTPUTS, rows.shape[1]).swapaxes(1, 2)
+        packed[layer.start : layer.stop] = blocks.reshape(-1, BLOCK_OUTPUTS)
     return packed
 
 
@@ -98,6 +98,6 @@ def refine_image(
         lent[name] = take_image(name, there[name], (*size, channels) if channels else size)
     key = PlanesKey(known)
     numbers = {"brightness": brightness, "mean_log_depth": mean_log_depth, "noise_is_shared": float(shared)}
-    return Network(
+    return RefiningNetwork(
         weights, engine.kernel(key, partial(make_planes, key), lent, numbers, text="planes of the network")
     ).run()

@@ -65,7 +65,7 @@ def define_inputs(grid: Grid, least: float) -> list[Vector]:
     if widths:
         planes.append(widths if len(widths) == 1 else [hl.sqrt(hl.max(widths[0] * widths[1], zero))])
     if len(albedos) == 2:
-        first, second = (_find_luminance([hl.max(value, zero) for value in albedo]) for albedo in albedos)
+        first, second = (_compute_luminance([hl.max(value, zero) for value in albedo]) for albedo in albedos)
         planes.append([second / hl.max(first + second, hl.f32(least))])
     if grid.has("half_a", "half_b"):
         pairs = zip(grid.read("half_a"), grid.read("half_b"), strict=True)
@@ -73,13 +73,13 @@ def define_inputs(grid: Grid, least: float) -> list[Vector]:
     return planes
 
 
-def _find_luminance(colour: Vector) -> hl.Expr:
+def _compute_luminance(colour: Vector) -> hl.Expr:
     red, green, blue = (hl.f32(weight) * value for weight, value in zip(LUMINANCE, colour, strict=True))
     return red + green + blue
 
 
 def define_known_lobes(grid: Grid, least: float) -> list[Vector]:
-    """Return axis and base-2 logarithm of the sharpness of lobes, 0 where there is none; see `find_lobes`."""
+    """Return axis and base-2 logarithm of the sharpness of lobes, 0 where there is none; see `compute_lobes`."""
     sharpness = grid.read_one("sharpness")
     known = (grid.read_one("valid") != 0) & is_finite(sharpness)
     # Without a logarithm of a number that is not finite.

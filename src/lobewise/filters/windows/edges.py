@@ -22,7 +22,7 @@ MIN_NEARER = 0.01
 """Part of the depth by which a neighbour must be nearer to be in front."""
 
 
-def find_edges(
+def mark_edges(
     position: FloatArray, depth: FloatArray, normal: FloatArray, object_share: FloatArray | None, pixel_angle: float
 ) -> tuple[NDArray[np.bool_], FloatArray]:
     """Return the pixels at edges of surfaces, and the way to the neighbour that is in front.
@@ -55,17 +55,19 @@ def find_edges(
 def _define_edges(grid: Grid) -> list[Vector]:
     far, zero = hl.f32(1e30), hl.f32(0.0)
 
-    def find_depth(raw: hl.Expr) -> hl.Expr:
+    def compute_depth(raw: hl.Expr) -> hl.Expr:
         return hl.select(is_surface_depth(raw), raw, far)
 
     own, normal = grid.read("position"), grid.read("normal")
-    depth = find_depth(grid.read_one("depth"))
+    depth = compute_depth(grid.read_one("depth"))
     edge = hl.Expr(False)
     if grid.has("share"):
         edge = edge | (grid.read_one("share") < hl.f32(MIN_OBJECT_SHARE))
     best, way = depth, [zero, zero]
     at = grid.inside
-    read = grid.keep([find_depth(grid.read("depth", *at)[0]), *grid.read("normal", *at), *grid.read("position", *at)])
+    read = grid.keep(
+        [compute_depth(grid.read("depth", *at)[0]), *grid.read("normal", *at), *grid.read("position", *at)]
+    )
     for dy in (-1, 0, 1):
         for dx in (-1, 0, 1):
             if dx == dy == 0:

@@ -10,9 +10,9 @@ from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, is_finite
 from lobewise.frame import FloatArray
 
-SNAP_PIXELS = 0.01
+SNAP_SAMPLE_PIXELS = 0.01
 """Distance from a pixel's centre below which a place is the pixel itself: rounding must not blur a still image."""
-TAPS = 4
+TAP_COUNT = 4
 """Rows and columns that a sample reads."""
 
 
@@ -43,7 +43,9 @@ def sample_cubic(image: FloatArray, places: FloatArray) -> tuple[FloatArray, NDA
 
 def _define_sample(grid: Grid) -> list[Vector]:
     width, height = grid.size
-    starts = [_find_start(value, extent) for value, extent in zip(grid.read("places"), (width, height), strict=True)]
+    starts = [
+        _split_coordinate(value, extent) for value, extent in zip(grid.read("places"), (width, height), strict=True)
+    ]
     inside = starts[0][2] & starts[1][2]
     (column, across, _), (row, down, _) = starts
     totals: list[hl.Expr] = []
@@ -58,12 +60,12 @@ def _define_sample(grid: Grid) -> list[Vector]:
     return [[hl.select(known, total, hl.f32(0.0)) for total in totals], [hl.u8(known)]]
 
 
-def _find_start(raw: hl.Expr, extent: hl.Expr) -> tuple[hl.Expr, hl.Expr, hl.Expr]:
+def _split_coordinate(raw: hl.Expr, extent: hl.Expr) -> tuple[hl.Expr, hl.Expr, hl.Expr]:
     """Return the pixel at or before a coordinate, the way on to it, and whether it is in the image."""
     inside = (raw > hl.f32(-0.5)) & (raw < hl.f32(extent) - hl.f32(0.5))
     value = hl.select(inside, raw, hl.f32(0.0))
     whole = hl.floor(value + hl.f32(0.5))
-    value = hl.select(hl.abs(value - whole) < hl.f32(SNAP_PIXELS), whole, value)
+    value = hl.select(hl.abs(value - whole) < hl.f32(SNAP_SAMPLE_PIXELS), whole, value)
     first = hl.floor(value)
     return hl.i32(first), value - first, inside
 

@@ -18,9 +18,9 @@ from lobewise.backend.pointwise import Grid, Vector
 from lobewise.filters.noise.pooling import add_channels, average_light, blur_image, count_weights
 from lobewise.frame import FloatArray
 
-LEVELS = 2
+WIDTH_COUNT = 2
 """Widths at which differences of samples are averaged: standard deviations of 1 and 2.2 pixels."""
-MAX_RELATIVE_DIFFERENCE = 6.0
+MAX_SAMPLE_DIFFERENCE = 6.0
 """Largest difference, over the local light, that counts: few bright samples must not decide about a neighbourhood."""
 MIN_RELATIVE_VARIANCE = 1e-6
 """Smallest variance of a difference of samples, over the squared local light."""
@@ -30,7 +30,7 @@ MIN_LIGHT = 1e-4
 """Smallest local light, over the mean light of the image."""
 
 
-def find_noise(samples: FloatArray, pilot: FloatArray) -> FloatArray:
+def estimate_variance(samples: FloatArray, pilot: FloatArray) -> FloatArray:
     """Return the variance of samples, the mean over the channels and over pixels nearby, (height, width), > 0.
 
     Parameters
@@ -38,13 +38,13 @@ def find_noise(samples: FloatArray, pilot: FloatArray) -> FloatArray:
     samples, pilot : array, shape (height, width, 3)
         Samples, and what a first denoising made of them; finite.
     """
-    (squares,) = engine.pixels(_define_noise, {"samples": samples, "pilot": pilot}, {"floor": _find_floor(pilot)})
+    (squares,) = engine.pixels(_define_noise, {"samples": samples, "pilot": pilot}, {"floor": _compute_floor(pilot)})
     for level in (1, 2):
         squares = blur_image(squares, level)
     return np.asarray(squares)
 
 
-def _find_floor(image: FloatArray) -> np.float32:
+def _compute_floor(image: FloatArray) -> np.float32:
     """Return the local light below which an image counts as dark; its square neither under- nor overflows."""
     return np.float32(min(max(MIN_LIGHT * float(np.mean(image, dtype=np.float64)), 1e-16), 1e16))
 
@@ -88,7 +88,7 @@ def _define_mean(grid: Grid) -> list[Vector]:
     return [[square / hl.max(weight, hl.f32(1e-6))]]
 
 
-def find_relative_bias(own: FloatArray, other: FloatArray, agreement: FloatArray) -> FloatArray:
+def estimate_relative_bias(own: FloatArray, other: FloatArray, agreement: FloatArray) -> FloatArray:
     """Return the squared bias of the samples of another frame over their variance, (height, width), >= 0.
 
     Parameters
@@ -99,9 +99,9 @@ def find_relative_bias(own: FloatArray, other: FloatArray, agreement: FloatArray
         How well the surfaces match, 0 to 1. Pixels with agreement 0 do not count.
     """
     images = {"own": own, "other": other, "agreement": agreement}
-    sums, squares = engine.pixels(_define_differences, images, {"floor": _find_floor(own)})
+    sums, squares = engine.pixels(_define_differences, images, {"floor": _compute_floor(own)})
     bias = np.zeros(agreement.shape, np.float32)
-    for level in range(LEVELS):
+    for level in range(WIDTH_COUNT):
         sums, squares = (blur_image(image, 2**level) for image in (sums, squares))
         images = {"sums": sums, "squares": squares, "before": bias}
         (bias,) = engine.pixels(_define_relative, images, {"count": np.float32(count_weights(level))})
@@ -112,7 +112,7 @@ def _define_differences(grid: Grid) -> list[Vector]:
     """Return weighted relative differences, and weighted squares with the weight."""
     light = average_light(grid, "own") + grid.get("floor")[0]
     weight = grid.read_one("agreement")
-    most = hl.f32(MAX_RELATIVE_DIFFERENCE)
+    most = hl.f32(MAX_SAMPLE_DIFFERENCE)
     apart = [hl.clamp((q - p) / light, -most, most) for p, q in zip(grid.read("own"), grid.read("other"), strict=True)]
     seen = weight > hl.f32(0.0)
     sums = [hl.select(seen, weight * value, hl.f32(0.0)) for value in apart]

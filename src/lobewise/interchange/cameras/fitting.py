@@ -98,7 +98,7 @@ def fit_camera(
         turn = np.array([-1.0, 1.0, 1.0]) if mirrored else np.ones(3)
         scaled = turn * (world - center) / spread
         tolerance = 2.0 * MAX_FIT_ERROR / mask.shape[0]
-        start = _find_start(scaled, x, y, tolerance) if blurred else _solve_projective(scaled, x, y)
+        start = _estimate_start(scaled, x, y, tolerance) if blurred else _solve_projective(scaled, x, y)
         if start is None:
             return None
         # Right, up and forward of a camera in a right-handed world are a left-handed triple.
@@ -170,7 +170,7 @@ def fit_orthographic(
     return CameraFit(camera, shown, mirrored, orthographic=True) if shown < MAX_FIT_ERROR else None
 
 
-def find_camera(
+def fit_any_camera(
     position: FloatArray, mask: NDArray[np.bool_], depth: FloatArray | None, pixel_aspect: float = 1.0
 ) -> CameraFit | None:
     """Return the camera that sees given points at given pixels: a pinhole, unless an orthographic camera fits better.
@@ -205,7 +205,7 @@ def _choose_pixels(mask: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[n
     return rows[::step], columns[::step]
 
 
-def _find_start(points: Matrix, x: Matrix, y: Matrix, tolerance: float) -> tuple[Matrix, Matrix, float] | None:
+def _estimate_start(points: Matrix, x: Matrix, y: Matrix, tolerance: float) -> tuple[Matrix, Matrix, float] | None:
     """Return what `_solve_projective` does of all points, or where it fails of the best of many draws of few points.
 
     Points out of focus lie off their pixels, and a least-squares fit to all sees none where it lies.

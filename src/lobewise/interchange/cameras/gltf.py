@@ -58,7 +58,7 @@ def read_gltf_camera(path: Path) -> Camera:
     if "aspectRatio" in perspective:
         aspect = require_number(f"{what}, aspectRatio", perspective["aspectRatio"])
         fov_x = 2.0 * math.atan(math.tan(0.5 * fov_y) * aspect)
-    matrix = _find_placement(nodes, numbers[0], what)
+    matrix = _compute_placement(nodes, numbers[0], what)
     return Camera(matrix[:3, 3], -matrix[:3, 2], matrix[:3, 1], fov_y, fov_x)
 
 
@@ -81,7 +81,7 @@ def _read_text(path: Path, what: str) -> bytes:
         return stream.read(size)
 
 
-def _find_placement(nodes: list[Any], number: int, what: str) -> Matrix:
+def _compute_placement(nodes: list[Any], number: int, what: str) -> Matrix:
     """Return the transform of a node and all nodes above it, (4, 4), for column vectors."""
     parents: dict[int, int] = {}
     for above, node in enumerate(nodes):

@@ -129,7 +129,7 @@ def _read_sensor(values: _Values, sensor: Element, defaults: _Defaults, what: st
         angle, axis = math.degrees(2.0 * math.atan(0.5 * math.hypot(36.0, 24.0) / focal)), "diagonal"
     else:
         angle, axis = values.get_number("fov", 50.0, 0.0, 180.0), values.get_text("fov_axis", "x")
-    half_width = _find_half_width(math.tan(math.radians(angle) / 2.0), axis, width / height)
+    half_width = _compute_half_width(math.tan(math.radians(angle) / 2.0), axis, width / height)
     half_height = half_width * height / width
     part = [film.get_number(f"crop_{name}", whole, 0.0) for name, whole in (("width", width), ("height", height))]
     start = [film.get_number(f"crop_offset_{axis}", 0.0) for axis in "xy"]
@@ -146,7 +146,7 @@ def _read_sensor(values: _Values, sensor: Element, defaults: _Defaults, what: st
     )
 
 
-def _find_half_width(half: float, axis: str, aspect: float) -> float:
+def _compute_half_width(half: float, axis: str, aspect: float) -> float:
     """Return half the width at distance 1 of a half extent along an axis by Mitsuba's names."""
     if axis == "smaller":
         axis = "y" if aspect > 1.0 else "x"

@@ -24,7 +24,7 @@ def leave_out_denoised_light(container: Container, channels: ChannelMap) -> Chan
     If the renderer had denoised its image, lobewise wrote its result there, and the file still has the noisy image.
     The noisy image is then filtered as a whole, because no noisy passes of light are left.
     """
-    is_image_denoised, is_light_denoised = _find_denoised(container, channels)
+    is_image_denoised, is_light_denoised = _look_up_denoised(container, channels)
     if is_image_denoised or not is_light_denoised:
         return channels
     return replace(channels, layers=(), roles={name: one for name, one in channels.roles.items() if name not in LIGHT})
@@ -32,7 +32,7 @@ def leave_out_denoised_light(container: Container, channels: ChannelMap) -> Chan
 
 def check_mark(container: Container, channels: ChannelMap) -> list[Finding]:
     """Return a finding if lobewise has denoised the image of another renderer's file, or its passes of light."""
-    is_image_denoised, is_light_denoised = _find_denoised(container, channels)
+    is_image_denoised, is_light_denoised = _look_up_denoised(container, channels)
     if is_image_denoised:
         note = f"{SAYS_MARK}: give the noisy render, or say by --map color=... which image is noisy."
         return [Finding(MARKED, note, mended=False)]
@@ -45,7 +45,7 @@ def check_mark(container: Container, channels: ChannelMap) -> list[Finding]:
     return [Finding(MARKED, note, mended=True)]
 
 
-def _find_denoised(container: Container, channels: ChannelMap) -> tuple[bool, bool]:
+def _look_up_denoised(container: Container, channels: ChannelMap) -> tuple[bool, bool]:
     """Return whether the file's mark lists the image, and whether it lists a pass of its light."""
     replaced = read_replaced(container) or {}
 

@@ -70,7 +70,7 @@ class Fit:
         gain = np.sqrt(self.fitted[flip]) - np.sqrt(self.fitted[base])
         return float(gain.sum() / (np.sqrt(len(gain)) * gain.std() + 1e-30))
 
-    def find_flip(self, base: str = LIES) -> str:
+    def choose_flip(self, base: str = LIES) -> str:
         """Return the orientation that explains clearly more than ``base``, else ``base``."""
         best = max(FLIPS, key=self.get_explained)
         better, worse = self.get_explained(best), self.get_explained(base)
@@ -126,11 +126,11 @@ def _choose_flips(whole: Mapping[str, Numbers], light: Mapping[str, Numbers]) ->
     alone = {role: _fit(feature, light) for role, feature in blocks.items()}
     anchor = next((role for role in ANCHORS if role in whole), None)
     if anchor is None:
-        return {role: fit.find_flip() for role, fit in alone.items()}
+        return {role: fit.choose_flip() for role, fit in alone.items()}
     # Compare each guide with the anchor, and then all guides that agree with the anchor with the image.
     target = _cut_flipped(whole[anchor])
     fits = {role: _fit(blocks[role], target) for role in whole if role != anchor}
-    turns = {anchor: LIES} | {role: fit.find_flip() for role, fit in fits.items()}
+    turns = {anchor: LIES} | {role: fit.choose_flip() for role, fit in fits.items()}
     bound = [anchor, *(role for role, fit in fits.items() if fit.is_bound(turns[role]))]
     joined = np.concatenate([_cut_blocks(whole[role][FLIPS[turns[role]]]) for role in bound], axis=-1)
     together = _fit(joined, light)
@@ -139,15 +139,15 @@ def _choose_flips(whole: Mapping[str, Numbers], light: Mapping[str, Numbers]) ->
         # Where guides disagree, the orientation of some of them is likely to be right.
         if together.get_score(turn, base) > MIN_SCORE_OF_DISSENT:
             base = turn
-    votes = {together.find_flip(base): together.get_score(together.find_flip(base), base)}
+    votes = {together.choose_flip(base): together.get_score(together.choose_flip(base), base)}
     for role in bound:
         own = combine(turns[role], base)
-        chosen = alone[role].find_flip(own)
+        chosen = alone[role].choose_flip(own)
         if chosen != own:
             votes[combine(turns[role], chosen)] = alone[role].get_score(chosen, own)
     flip = max(votes, key=lambda voted: votes[voted])
     flips = {role: combine(turn, flip) for role, turn in turns.items()}
-    return flips | {role: fit.find_flip(flips[role]) for role, fit in alone.items() if role not in bound}
+    return flips | {role: fit.choose_flip(flips[role]) for role, fit in alone.items() if role not in bound}
 
 
 def combine(first: str, second: str) -> str:
@@ -188,11 +188,11 @@ def _make_feature(role: str, thin: FloatArray) -> Numbers:
         return np.where(there, np.log(np.where(there, values, np.float32(1.0))), np.float32(0.0))
     values = np.where(far, np.float32(0.0), values)
     if role == "position":
-        return _find_facing(values)
+        return _compute_facing(values)
     return np.asarray(values.clip(-1.0, 1.0))
 
 
-def _find_facing(position: Numbers) -> Numbers:
+def _compute_facing(position: Numbers) -> Numbers:
     """Return the normals of the surface through positions, (height, width, 3)."""
     across, down = (np.gradient(position, axis=axis) for axis in (1, 0))
     facing, length = compute_normals(across, down)

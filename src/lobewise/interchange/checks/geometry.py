@@ -65,7 +65,7 @@ def choose_centers(shape: tuple[int, int], reach: int, max_count: int = MAX_PIXE
     return grid_rows[inside], grid_columns[inside]
 
 
-def find_patches(position: FloatArray, camera: Camera) -> Patches:
+def list_patches(position: FloatArray, camera: Camera) -> Patches:
     """Return the pixels whose positions lie on flat surfaces, and the normals of these surfaces.
 
     Parameters

@@ -76,7 +76,7 @@ def check_values(
     """
     changed, findings = {}, []
     for role, image in images.items():
-        bad = _find_bad(image, infinite=role not in ("depth", "position"))
+        bad = _mark_bad(image, infinite=role not in ("depth", "position"))
         if bad is None:
             continue
         count = int(bad.sum())
@@ -87,7 +87,7 @@ def check_values(
     return changed, findings
 
 
-def _find_bad(image: FloatArray, *, infinite: bool) -> Mask | None:
+def _mark_bad(image: FloatArray, *, infinite: bool) -> Mask | None:
     """Return which pixels are NaN, or with ``infinite`` also infinite. Return None if no pixel is."""
     with np.errstate(all="ignore"):
         # One fast sum is enough for most images. A comparison with NaN is false.

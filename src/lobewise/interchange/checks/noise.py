@@ -74,7 +74,7 @@ def check_noise(frame: Frame, *, has_normals: bool, has_others: bool = False) ->
     tiles = _choose_tiles(frame.shape)
     guides = (frame.gbuffer.normal, frame.gbuffer.diffuse_albedo, frame.gbuffer.specular_albedo)
     known = [_cut(image, tiles) for image in guides if image is not None]
-    seen = find_scattering(frame)
+    seen = mark_scattering(frame)
     scatters = np.stack([seen[tile] for tile in tiles]) if tiles else np.zeros((0, 3, 3), np.bool_)
     correlation, noise = _measure(_cut(frame.radiance.color, tiles), known, scatters)
     if len(noise) < MIN_TILES:
@@ -112,7 +112,7 @@ def check_noise(frame: Frame, *, has_normals: bool, has_others: bool = False) ->
     return False, []
 
 
-def find_scattering(frame: Frame) -> NDArray[np.bool_]:
+def mark_scattering(frame: Frame) -> NDArray[np.bool_]:
     """Return which pixels, (height, width), show a surface that scatters most of the light that is seen there."""
     guides = frame.gbuffer
     there = np.ones(frame.shape, np.bool_) if guides.normal is None else (guides.normal != 0.0).any(axis=-1)
@@ -159,8 +159,8 @@ def _measure(color: Numbers, guides: list[Numbers], scatters: NDArray[np.bool_])
         return np.zeros(0, np.float32), np.zeros(0, np.float32)
     light = gray / (gray + np.median(lit))
     shown = np.where(scatters, light, np.float32(0.0))
-    second, inside = _find_differences(shown, guides)
-    turned = _find_differences(shown.swapaxes(1, 2), [guide.swapaxes(1, 2) for guide in guides])
+    second, inside = _compute_differences(shown, guides)
+    turned = _compute_differences(shown.swapaxes(1, 2), [guide.swapaxes(1, 2) for guide in guides])
     sums = _sum_products(second, inside) + _sum_products(*turned)
     shows = (sums[2] > MIN_SHARE_INSIDE_SURFACE * light[0].size) & (sums[1] > 0.0)
     if not shows.any():
@@ -172,7 +172,7 @@ def _measure(color: Numbers, guides: list[Numbers], scatters: NDArray[np.bool_])
     return sums[0][shows] / sums[1][shows], noise.astype(np.float32)
 
 
-def _find_differences(light: Numbers, guides: list[Numbers]) -> tuple[Numbers, NDArray[np.bool_]]:
+def _compute_differences(light: Numbers, guides: list[Numbers]) -> tuple[Numbers, NDArray[np.bool_]]:
     """Return second differences along rows, (tiles, rows, columns - 2), and whether each lies inside a surface."""
     inside = light > MIN_BRIGHTNESS
     joined = inside[..., 1:] & inside[..., :-1]

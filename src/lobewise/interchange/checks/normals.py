@@ -165,13 +165,13 @@ def judge_normals(
     assumed : Guess
         The space that the preset or the user gives.
     """
-    first = Judged(assumed, *_score(_find_cosines(raw, bases[assumed.space], surface, assumed.axes[None]))[0])
+    first = Judged(assumed, *_score(_compute_cosines(raw, bases[assumed.space], surface, assumed.axes[None]))[0])
     if first.score > 1.0 - MIN_SCORE_GAIN:
         return first, first
     every = list_axes()
     judged: list[tuple[float, Judged]] = []
     for space, basis in bases.items():
-        cosines = _find_cosines(raw, basis, surface, np.stack(every))
+        cosines = _compute_cosines(raw, basis, surface, np.stack(every))
         scores = [_score(part) for part in (cosines, np.abs(cosines))]
         for k, axes in enumerate(every):
             one, either = (Judged(Guess(space, axes, both), *scores[both][k]) for both in (False, True))
@@ -183,7 +183,7 @@ def judge_normals(
     return first, best if best.score >= first.score + MIN_SCORE_GAIN else first
 
 
-def _find_cosines(raw: FloatArray, basis: Matrix, surface: FloatArray, axes: Matrix) -> FloatArray:
+def _compute_cosines(raw: FloatArray, basis: Matrix, surface: FloatArray, axes: Matrix) -> FloatArray:
     """Return the cosines (n, k) between raw normals and surface normals, for k choices of axes (k, 3, 3)."""
     local = (basis * surface[:, None, :]).sum(axis=-1)
     return np.asarray((raw[:, :, None] * local[:, None, :]).reshape(len(raw), 9) @ axes.reshape(len(axes), 9).T)

@@ -54,7 +54,7 @@ def check_range(roughness: FloatArray, label: str) -> list[Finding]:
     return [Finding("roughness out of range", f"{note}: clamped.", mended=True)]
 
 
-def find_second(channels: ChannelMap) -> Found | None:
+def look_up_second(channels: ChannelMap) -> Found | None:
     """Return the pass of the mean roughness over all lobes, if another pass is used as the roughness."""
     rules = [rule for rule in channels.preset.roles.get("roughness", ()) if "cycles_roughness" in rule.convert]
     taken = channels.roles.get("roughness")

@@ -25,7 +25,7 @@ RADIUS_OVER_MEDIAN = {NEAR: 1.63, FAR: 2.0**0.5}
 any number from its centre."""
 
 
-def find_blur_radius(offset: FloatArray) -> FloatArray | None:
+def estimate_blur_radius(offset: FloatArray) -> FloatArray | None:
     """Return the radius of the area that the lens blurs each pixel over, None if all neighbours agree.
 
     It is measured around a pixel by medians: at the edge of a thing in focus, what lies behind does not count.
@@ -65,12 +65,12 @@ def _measure(around: FloatArray, rows: NDArray[np.intp], columns: NDArray[np.int
     steps = range(FAR - reach, FAR + reach + 1)
     seen = np.stack([around[rows + y, columns + x] for y in steps for x in steps])
     # Few positions have no median of their own that is worth much: the camera counts as exact.
-    away = np.linalg.norm(seen - _find_median(seen) if reach == NEAR else seen, axis=-1)
+    away = np.linalg.norm(seen - _compute_median(seen) if reach == NEAR else seen, axis=-1)
     known = np.count_nonzero(np.isfinite(away), axis=0) >= MIN_KNOWN[reach]
-    return np.where(known, np.float32(RADIUS_OVER_MEDIAN[reach]) * _find_median(away), np.float32(np.nan))
+    return np.where(known, np.float32(RADIUS_OVER_MEDIAN[reach]) * _compute_median(away), np.float32(np.nan))
 
 
-def _find_median(values: FloatArray) -> FloatArray:
+def _compute_median(values: FloatArray) -> FloatArray:
     """Return the lower median over the first axis of what is not NaN; NaN of nothing."""
     ordered = np.sort(values, axis=0)  # NaN comes last
     middle = (np.count_nonzero(~np.isnan(values), axis=0) - 1) // 2

@@ -11,7 +11,7 @@ from lobewise.guides.lamps import describe_lamps, keep_lamps
 from lobewise.interchange.cameras.header import read_sample_count
 from lobewise.interchange.checks.lacks import describe_alone, list_lacks
 from lobewise.interchange.checks.noise import check_noise
-from lobewise.interchange.checks.roughness import check_range, check_roughness, find_second, name_assumption
+from lobewise.interchange.checks.roughness import check_range, check_roughness, look_up_second, name_assumption
 from lobewise.interchange.importing.draft import Draft, Outcome
 from lobewise.interchange.lighting import (
     PartOutput,
@@ -71,7 +71,7 @@ def check_roughness_range(draft: Draft) -> Outcome:
 
 def check_roughness_meaning(draft: Draft) -> Outcome:
     """Check by a second pass whether the roughness is perceptual, alpha or glossiness."""
-    second = find_second(draft.channels)
+    second = look_up_second(draft.channels)
     if second is None or draft.microfacet_alpha is None:
         return Outcome(draft)
     alpha, findings = check_roughness(
@@ -85,7 +85,7 @@ def check_roughness_meaning(draft: Draft) -> Outcome:
     return Outcome(replace(draft, microfacet_alpha=alpha), findings)
 
 
-def find_silhouettes(draft: Draft) -> Outcome:
+def estimate_silhouettes(draft: Draft) -> Outcome:
     """Find which surfaces share a pixel. Light that is not told apart is not resolved by silhouettes."""
     if not draft.light.layers and not (draft.has("diffuse") and draft.has("specular")):
         return Outcome(draft)

@@ -12,7 +12,7 @@ from lobewise.interchange.importing.finishing import (
     check_roughness_meaning,
     check_roughness_range,
     choose_albedos,
-    find_silhouettes,
+    estimate_silhouettes,
     lend_lone_albedo,
     list_outputs,
     make_frame,
@@ -36,7 +36,7 @@ from lobewise.interchange.importing.surface_checks import check_depth, check_nor
 from lobewise.interchange.importing.surfaces import (
     choose_camera,
     derive_depth,
-    find_blur,
+    estimate_blur,
     take_depth,
     take_normals,
     take_positions,
@@ -59,7 +59,7 @@ STEPS = (
     Step(lend_lone_albedo, needs=("albedo",)),
     # Surfaces, converted to world space
     Step(take_positions, needs=("position",)),
-    Step(find_blur, needs=("world_position",)),
+    Step(estimate_blur, needs=("world_position",)),
     Step(choose_camera, section=Section.SURFACES),
     Step(take_depth, needs=("depth",), section=Section.SURFACES),
     Step(derive_depth, needs=("world_position", "camera")),
@@ -73,7 +73,7 @@ STEPS = (
     Step(take_roughness, needs=("roughness",), section=Section.CHANNELS),
     Step(check_roughness_range, needs=("roughness", "microfacet_alpha")),
     Step(check_roughness_meaning, needs=("roughness", "microfacet_alpha")),
-    Step(find_silhouettes, section=Section.CHANNELS),
+    Step(estimate_silhouettes, section=Section.CHANNELS),
     Step(tell_assumed_roughness, section=Section.CHANNELS),
     # The frame as a whole
     Step(make_frame),

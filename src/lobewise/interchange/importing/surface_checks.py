@@ -7,7 +7,7 @@ from dataclasses import replace
 from lobewise.guides.stand_ins import compute_surface_normals
 from lobewise.interchange.checks.depths import check_depth_by_normal, check_depth_by_position
 from lobewise.interchange.checks.finding import Finding, list_names
-from lobewise.interchange.checks.geometry import find_patches
+from lobewise.interchange.checks.geometry import list_patches
 from lobewise.interchange.checks.normals import check_normals, take_assumed
 from lobewise.interchange.checks.precision import measure_grain
 from lobewise.interchange.importing.draft import Draft, Outcome
@@ -63,7 +63,7 @@ def check_normal_space(draft: Draft) -> Outcome:
         normal,
         found.label,
         take_assumed(found.convert),
-        find_patches(surface, camera),
+        list_patches(surface, camera),
         camera,
         draft.header_camera.camera if draft.header_camera else None,
         lambda: compute_surface_normals(surface, camera),

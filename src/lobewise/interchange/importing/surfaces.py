@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray
-from lobewise.interchange.cameras.fitting import MAX_FIT_ERROR, CameraFit, find_camera, fit_camera, measure_fit
+from lobewise.interchange.cameras.fitting import MAX_FIT_ERROR, CameraFit, fit_any_camera, fit_camera, measure_fit
 from lobewise.interchange.cameras.header import Located, read_camera_attributes
 from lobewise.interchange.checks.precision import measure_grain
-from lobewise.interchange.importing.blur import find_blur_radius
+from lobewise.interchange.importing.blur import estimate_blur_radius
 from lobewise.interchange.importing.draft import Draft, Outcome
 from lobewise.interchange.values import MIN_EMPTY_DISTANCE, convert_depth, convert_plain, convert_space
 from lobewise.io.exr.header import read_pixel_aspect
@@ -28,18 +28,18 @@ Mask = NDArray[np.bool_]
 def take_positions(draft: Draft) -> Outcome:
     """Convert the positions, and set them to 0 where there is no surface."""
     position = convert_plain(draft.images["position"], draft.roles["position"].convert)
-    surface = _find_surface(position, draft.images.get("depth"))
+    surface = _mark_surface(position, draft.images.get("depth"))
     return Outcome(replace(draft, world_position=np.where(surface[..., None], position, np.float32(0.0))))
 
 
-def _find_surface(position: FloatArray, depth: FloatArray | None) -> Mask:
+def _mark_surface(position: FloatArray, depth: FloatArray | None) -> Mask:
     there = np.isfinite(position).all(axis=-1) & (np.abs(position) < MIN_EMPTY_DISTANCE).all(axis=-1)
     if depth is not None:
         return np.asarray(there & np.isfinite(depth) & (depth > 0.0) & (depth < MIN_EMPTY_DISTANCE))
     return np.asarray(there & (position != 0.0).any(axis=-1))
 
 
-def find_blur(draft: Draft) -> Outcome:
+def estimate_blur(draft: Draft) -> Outcome:
     """Find how far the lens blurs every pixel, by the spread of the positions around where a pinhole sees them."""
     position = draft.world_position
     assert position is not None
@@ -52,7 +52,9 @@ def find_blur(draft: Draft) -> Outcome:
     height, width = draft.shape
     seen = project_points(fit.camera, _mirror(position) if fit.mirrored else position, width, height)
     seen -= np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1).astype(np.float32)
-    return Outcome(replace(draft, blur_radius=find_blur_radius(np.where(mask[..., None], seen, np.float32(np.nan)))))
+    return Outcome(
+        replace(draft, blur_radius=estimate_blur_radius(np.where(mask[..., None], seen, np.float32(np.nan))))
+    )
 
 
 def choose_camera(draft: Draft) -> Outcome:
@@ -81,7 +83,7 @@ def _choose_camera(draft: Draft, header: Located | None, pixel_aspect: float) ->
         moved = _mirror(position) if header.mirrored else position
         if measure_fit(header.camera, moved, mask) < MAX_FIT_ERROR:
             return _use_header(draft, header, moved, "; positions agree with it.")
-    fit = find_camera(position, mask, draft.images.get("depth"), pixel_aspect)
+    fit = fit_any_camera(position, mask, draft.images.get("depth"), pixel_aspect)
     if fit is not None:
         return _use_fit(draft, fit, position, header)
     if header is not None:

@@ -138,7 +138,7 @@ class Part:
         item = self.get("multiView")
         return _unpack_texts(item.value) if item and item.type == "stringvector" else ()
 
-    def find_obstacle(self, channel: Channel) -> str:
+    def describe_obstacle(self, channel: Channel) -> str:
         """Return why no image can be made of a channel, to follow "the channel is"; empty if one can be made."""
         if self.deep:
             return "deep, with any number of samples in each pixel"

@@ -9,12 +9,12 @@ from lobewise.camera import Camera
 from lobewise.errors import LobewiseError
 from lobewise.io.exr.container import Attribute, Container, Part, Window, show_name
 from lobewise.io.exr.header import read_camera, read_lobe_tables, read_spp
-from lobewise.io.exr.layout import find_beauty, plan_reading
+from lobewise.io.exr.layout import look_up_beauty, plan_reading
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.schema import CAMERA, SLOTS, SPP
 from lobewise.io.files import PathLike
 from lobewise.lobe_table import LobeTable
-from lobewise.settings import SIMILARITIES
+from lobewise.settings import SIMILARITY_NAMES
 
 _LAYOUTS = {
     "int": "i", "float": "f", "double": "d", "v2i": "2i", "v2f": "2f", "v2d": "2d", "v3i": "3i", "v3f": "3f",
@@ -187,7 +187,7 @@ def describe_file(path: PathLike) -> FileDescription:
         If the file is missing, unreadable, damaged, truncated or of zero size.
     """
     container = read_container(path)
-    beauty = find_beauty(container.parts)
+    beauty = look_up_beauty(container.parts)
     notes: list[str] = []
     refusals: list[str] = []
     used: dict[tuple[int, str], str] = {}
@@ -264,7 +264,7 @@ def list_similarities(gbuffer: set[str], camera: Camera | None) -> tuple[str, ..
     Missing normals are computed from places, or are all alike.
     """
     has_lobes = "alpha_u" in gbuffer and camera is not None and gbuffer & {"depth", "position"}
-    return SIMILARITIES if has_lobes else ("normal",)
+    return SIMILARITY_NAMES if has_lobes else ("normal",)
 
 
 def _note_lobes(gbuffer: set[str], camera: Camera | None, similarities: tuple[str, ...]) -> str:

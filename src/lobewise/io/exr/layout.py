@@ -20,7 +20,7 @@ from lobewise.io.files import PathLike
 from lobewise.lobe_table import LobeTable
 
 
-def find_beauty(parts: Iterable[Part]) -> Part | None:
+def look_up_beauty(parts: Iterable[Part]) -> Part | None:
     """Return the part that holds the image: the first part with channels R, G and B that have a value per pixel."""
     for part in parts:
         names = {channel.name for channel in part.channels if channel.is_whole}
@@ -134,7 +134,7 @@ def plan_reading(container: Container, beauty: Part) -> list[tuple[Part, list[Sl
 
 def require_beauty(container: Container) -> Part:
     """Return the part that holds the image; raise MissingChannelError where none has R, G and B."""
-    part = find_beauty(container.parts)
+    part = look_up_beauty(container.parts)
     if part is not None:
         return part
     action = "rename the channels of the image to R, G and B"

@@ -176,5 +176,5 @@ def _take_over(item: Attribute, spool: ChunkSpool) -> Attribute:
     """Return an attribute for the copy: channels, compression and chunk count are new, all others stay."""
     if item.name == "chunkCount":
         return replace(item, value=struct.pack("<i", len(spool.chunks)))
-    written = spool.find_made(item.name) if item.name in ("channels", "compression") else None
+    written = spool.look_up_made(item.name) if item.name in ("channels", "compression") else None
     return item if written is None else written

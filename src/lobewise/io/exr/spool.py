@@ -32,7 +32,7 @@ class ChunkSpool:
         """Every chunk, in the order of the chunk table of the whole part, with its offset in the stream."""
         return tuple(sorted((chunk for batch in self._batches for chunk in batch), key=lambda chunk: chunk.index))
 
-    def find_made(self, name: str) -> Attribute | None:
+    def look_up_made(self, name: str) -> Attribute | None:
         """Return an attribute as the library wrote it, or None."""
         return None if self.made is None else self.made.get(name)
 

@@ -262,7 +262,7 @@ def list_shapes(scene: Any) -> list[Any]:
     return shapes + inner
 
 
-def _find_extent(scene: Any) -> float:
+def _measure_extent(scene: Any) -> float:
     """Return the largest coordinate of a scene's surfaces; 1 if there is none."""
     box = scene.bbox()
     corners = np.abs(np.array([box.min, box.max]))
@@ -274,7 +274,7 @@ def read_scene_materials(scene: Any) -> dict[int, Material]:
     """Return the materials of a scene's shapes, by the address of the BSDF object. Errors as in `read_material`."""
     materials: dict[int, Material] = {}
     fits: list[Fit] = []
-    extent = _find_extent(scene)
+    extent = _measure_extent(scene)
     for shape in list_shapes(scene):
         bsdf = shape.bsdf()
         if bsdf is not None and bsdf.ptr not in materials:

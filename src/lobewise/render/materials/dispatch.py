@@ -57,7 +57,7 @@ def evaluate_principled_diffuse(material: Material, si: Any, wo: Any, active: An
     return dr.select((si.wi.z > 0) & (wo.z > 0), value, 0.0)
 
 
-def find_diffuse_share(material: Material, si: Any, wo: Any, active: Any) -> Any:
+def compute_diffuse_share(material: Material, si: Any, wo: Any, active: Any) -> Any:
     """Return the diffuse share of ``f(wi, wo)``, per colour, in [0, 1], for smooth (non-delta) lobes.
 
     ``wo`` is local to ``si``, as in Mitsuba's BSDFs. Nested BSDFs pass shares up, not values, so factors of a wrapper
@@ -85,22 +85,22 @@ def find_diffuse_share(material: Material, si: Any, wo: Any, active: Any) -> Any
     if material.plugin == "twosided":
         inner, _ = enter_twosided(si, frame)
         turned = mi.Vector3f(wo.x, wo.y, dr.mulsign(wo.z, si.wi.z))
-        shares = [find_diffuse_share(child, inner, turned, active) for child in material.nested]
+        shares = [compute_diffuse_share(child, inner, turned, active) for child in material.nested]
         return dr.select(si.wi.z > 0, shares[0], shares[1])
     if material.plugin in ("normalmap", "bumpmap"):
         inner, _, local = enter_perturbed(material, si, frame, active)
-        return find_diffuse_share(material.nested[0], inner, local.to_local(wo), active)
+        return compute_diffuse_share(material.nested[0], inner, local.to_local(wo), active)
     if material.plugin == "mask":
-        return find_diffuse_share(material.nested[0], si, wo, active)
+        return compute_diffuse_share(material.nested[0], si, wo, active)
     weight = dr.clip(read_number(material, "weight", si, active), 0.0, 1.0)
     first, second = material.nested
     value = first.bsdf.eval(everything, si, wo, active) * (1.0 - weight)
     other = second.bsdf.eval(everything, si, wo, active) * weight
-    part = value * find_diffuse_share(first, si, wo, active) + other * find_diffuse_share(second, si, wo, active)
+    part = value * compute_diffuse_share(first, si, wo, active) + other * compute_diffuse_share(second, si, wo, active)
     return _divide(part, value + other)
 
 
-def find_null_transmission(material: Material, si: Any, active: Any) -> Any:
+def compute_null_transmission(material: Material, si: Any, active: Any) -> Any:
     """Return the share of light that passes a surface unscattered (Color3f), towards the viewer at ``si.wi``.
 
     Mitsuba's normal and bump maps answer 0 for what passes the BSDF inside them, so the nested BSDFs are asked. A BSDF
@@ -110,15 +110,15 @@ def find_null_transmission(material: Material, si: Any, active: Any) -> Any:
         return mi.Color3f(0)
     if material.plugin in ("normalmap", "bumpmap"):
         inner, _, _ = enter_perturbed(material, si, make_world_frame(si), active)
-        return find_null_transmission(material.nested[0], inner, active)
+        return compute_null_transmission(material.nested[0], inner, active)
     if material.plugin == "mask":
         opacity = dr.clip(read_number(material, "opacity", si, active), 0.0, 1.0)
-        return dr.lerp(mi.Color3f(1), find_null_transmission(material.nested[0], si, active), opacity)
+        return dr.lerp(mi.Color3f(1), compute_null_transmission(material.nested[0], si, active), opacity)
     if material.plugin == "blendbsdf":
         weight = dr.clip(read_number(material, "weight", si, active), 0.0, 1.0)
-        return dr.lerp(*(find_null_transmission(child, si, active) for child in material.nested), weight)
+        return dr.lerp(*(compute_null_transmission(child, si, active) for child in material.nested), weight)
     if material.fitted is not None and not material.fitted.fit.parts.knows_transmission:
-        spot = material.fitted.find_spot(material.bsdf, si, active)
+        spot = material.fitted.look_up_spot(material.bsdf, si, active)
         return mi.Color3f(1.0 - material.fitted.look_up(si, active, spot)[OPACITY])
     return mi.Color3f(material.bsdf.eval_null_transmission(si, active))
 
@@ -144,13 +144,13 @@ def dispatch_surface(materials: dict[int, Material], bsdf: Any, si: Any, active:
 
 
 def dispatch_share(materials: dict[int, Material], bsdf: Any, si: Any, wo: Any, active: Any) -> Any:
-    """Return `find_diffuse_share` at hits on any of the materials."""
-    return _dispatch(materials, find_diffuse_share, lambda: mi.Color3f(0), bsdf, si, wo, active)
+    """Return `compute_diffuse_share` at hits on any of the materials."""
+    return _dispatch(materials, compute_diffuse_share, lambda: mi.Color3f(0), bsdf, si, wo, active)
 
 
 def dispatch_transmission(materials: dict[int, Material], bsdf: Any, si: Any, active: Any) -> Any:
-    """Return `find_null_transmission` at hits on any of the materials; zeros in inactive lanes."""
-    return _dispatch(materials, find_null_transmission, lambda: mi.Color3f(0), bsdf, si, active)
+    """Return `compute_null_transmission` at hits on any of the materials; zeros in inactive lanes."""
+    return _dispatch(materials, compute_null_transmission, lambda: mi.Color3f(0), bsdf, si, active)
 
 
 def split_scattering(materials: dict[int, Material], bsdf: Any, si: Any, wo: Any, active: Any) -> tuple[Any, Any]:
@@ -158,7 +158,7 @@ def split_scattering(materials: dict[int, Material], bsdf: Any, si: Any, wo: Any
 
     def scatter(material: Material, si: Any, wo: Any, active: Any) -> tuple[Any, Any]:
         value = material.bsdf.eval(mi.BSDFContext(), si, wo, active)
-        return mi.Color3f(value), find_diffuse_share(material, si, wo, active)
+        return mi.Color3f(value), compute_diffuse_share(material, si, wo, active)
 
     found: tuple[Any, Any] = _dispatch(materials, scatter, lambda: (mi.Color3f(0), mi.Color3f(0)), bsdf, si, wo, active)
     return found

@@ -23,20 +23,20 @@ from lobewise.frame import FloatArray, LobeKind
 from lobewise.lobe_table import LobeTable
 from lobewise.lobes.vectors import LUMINANCE
 from lobewise.render.materials.place_tables import make_tables
-from lobewise.render.materials.places import Places, find_places
+from lobewise.render.materials.places import Places, probe_places
 from lobewise.render.materials.probe import (
     Parts,
     Samples,
     are_same,
     digest_bsdf,
     evaluate_bsdf,
-    find_parts,
     is_positional,
+    list_parts,
     make_evaluate,
     repeat_place,
     sample_bsdf,
 )
-from lobewise.render.materials.tints import find_tints
+from lobewise.render.materials.tints import compute_tints
 
 LOBES = 3
 """Lobes per view. A mixture has room for these and a diffuse lobe."""
@@ -126,7 +126,7 @@ _fits: OrderedDict[str, Fit] = OrderedDict()
 def fit_bsdf(bsdf: Any, extent: float = 1.0) -> Fit:
     """Return the lobes fitted to a BSDF. BSDFs with equal values are fitted once.
 
-    The BSDF is evaluated at uv = (0.5, 0.5), and at the nodes of `find_places` if textures change the shape of lobes.
+    The BSDF is evaluated at uv = (0.5, 0.5), and at the nodes of `probe_places` if textures change the shape of lobes.
     ``extent`` is the largest coordinate of hits, for BSDFs that depend on the position. UnsupportedBsdfError if the
     BSDF cannot be evaluated or sampled; MissingDependencyError without SciPy.
     """
@@ -186,15 +186,15 @@ def list_fitted_views(evaluate: Evaluate, cosines: Array) -> Array:
 
 
 def _make_fit(bsdf: Any, extent: float = 1.0) -> Fit:
-    parts = find_parts(bsdf, extent)
-    places = find_places(bsdf, parts, extent) if parts.textured and parts.glossy else None
+    parts = list_parts(bsdf, extent)
+    places = probe_places(bsdf, parts, extent) if parts.textured and parts.glossy else None
     if places is None:
         return _fit_place(bsdf, parts)
     # Lobes can be interpolated if all places have the same views.
     shapes = (make_specular_evaluate(bsdf, parts, place=place) for place in places.place)
     isotropic = all(evaluate is None or is_isotropic(evaluate) for evaluate in shapes)
     if not isotropic and len(places.place) > MAX_BRUSHED_NODES:
-        places = find_places(bsdf, parts, extent, most=MAX_BRUSHED_NODES)
+        places = probe_places(bsdf, parts, extent, most=MAX_BRUSHED_NODES)
         assert places is not None
     fits = tuple(
         _fit_place(bsdf, parts, place, isotropic=isotropic, level=level)
@@ -217,7 +217,7 @@ def _fit_place(
     evaluate = make_specular_evaluate(bsdf, parts, place=place)
     if isotropic is None:
         isotropic = evaluate is None or is_isotropic(evaluate)
-    turn = 0.0 if evaluate is None or isotropic else _find_long_axis(evaluate)
+    turn = 0.0 if evaluate is None or isotropic else _compute_long_axis(evaluate)
     cosines, azimuths = make_views(isotropic), np.zeros(1) if isotropic else make_azimuths()
     rows = np.zeros((cosines.size, azimuths.size, _COLUMNS))
     table = None
@@ -225,7 +225,7 @@ def _fit_place(
         evaluate = make_specular_evaluate(bsdf, parts, turn=turn, place=place)
         assert evaluate is not None
         table = _fit_table(evaluate, cosines, None if isotropic else azimuths)
-        rows[..., ALPHA] = _find_alphas(table, cosines, azimuths)
+        rows[..., ALPHA] = _compute_alphas(table, cosines, azimuths)
         rows[..., SPECULAR] = get_albedo(table, cosines[:, None], azimuths)
     views = _make_view_grid(cosines, azimuths + turn)
     _complete_albedos(rows, bsdf, parts, views, _SAMPLE_COUNTS[isotropic], place)
@@ -235,7 +235,7 @@ def _fit_place(
         found = level > _MIN_COLOR * level.max()
         rows[..., SPECULAR] = np.where(found, rows[..., SPECULAR] / np.where(found, level, 1.0), ratio)
     elif parts.textured and parts.glossy:
-        tints = find_tints(bsdf, parts, views) / np.maximum(rows[..., OPACITY].reshape(-1, 1), 1e-6)
+        tints = compute_tints(bsdf, parts, views) / np.maximum(rows[..., OPACITY].reshape(-1, 1), 1e-6)
         rows[..., TINT] = tints.reshape(*rows.shape[:2], -1)
     kind = LobeKind.GGX if table is not None else LobeKind.DELTA if parts.delta else LobeKind.NONE
     return Fit(parts, kind, table, turn, rows.astype(np.float32))
@@ -256,7 +256,7 @@ def _fit_table(evaluate: Evaluate, cosines: Array, azimuths: Array | None) -> Lo
     return order_lobes(replace(part, azimuth=azimuths.astype(np.float32), **whole))
 
 
-def _find_alphas(table: LobeTable, cosines: Array, azimuths: Array) -> Array:
+def _compute_alphas(table: LobeTable, cosines: Array, azimuths: Array) -> Array:
     """Return alphas (V, P, 2) along and across the tangent, or in and across the plane of incidence if isotropic."""
     alpha = get_equivalent_alphas(table, cosines[:, None], azimuths)
     if table.is_isotropic:
@@ -281,17 +281,17 @@ def _complete_albedos(
     opacity = 1.0 - samples.null.mean(axis=1)
     beyond = samples.delta | (samples.light[..., 2] < 0.0)
     specular = np.where((beyond & ~samples.null)[..., None], samples.weight, 0.0)
-    specular *= 1.0 - _find_diffuse_shares(bsdf, parts, views, samples, place)
+    specular *= 1.0 - _compute_diffuse_shares(bsdf, parts, views, samples, place)
     flat[:, SPECULAR] += specular.mean(axis=1)
     # Samples that pass through add to no albedo: divide by the share of the others.
     flat[:, SPECULAR] /= np.maximum(opacity, 1e-6)[:, None]
     flat[:, SPECULAR] = np.clip(flat[:, SPECULAR], 0.0, 1.0)
     flat[:, OPACITY] = opacity
     if parts.diffuse:
-        flat[:, SPREAD] = _find_spreads(bsdf, parts, views, place)
+        flat[:, SPREAD] = _compute_spreads(bsdf, parts, views, place)
 
 
-def _find_diffuse_shares(bsdf: Any, parts: Parts, views: Array, samples: Samples, place: Array | None) -> Array:
+def _compute_diffuse_shares(bsdf: Any, parts: Parts, views: Array, samples: Samples, place: Array | None) -> Array:
     """Return the diffuse share of each sample, shape (V, N, 3); 0 for mirrors."""
     smooth = ~samples.delta[..., None]
     if not (parts.diffuse and parts.glossy):
@@ -304,7 +304,7 @@ def _find_diffuse_shares(bsdf: Any, parts: Parts, views: Array, samples: Samples
     return np.asarray(np.where(smooth, np.clip(share, 0.0, 1.0), 0.0))
 
 
-def _find_spreads(bsdf: Any, parts: Parts, views: Array, place: Array | None) -> Array:
+def _compute_spreads(bsdf: Any, parts: Parts, views: Array, place: Array | None) -> Array:
     """Return the diffuse albedo of each view over the value for light along the normal, shape (V, 3).
 
     The value is multiplied again at each hit, so that textures are seen. If it is 0 at the place, the ratio
@@ -324,7 +324,7 @@ def _find_spreads(bsdf: Any, parts: Parts, views: Array, place: Array | None) ->
     return np.asarray(np.divide(albedo, upward, out=np.full_like(albedo, math.pi), where=upward > 0.0))
 
 
-def _find_long_axis(evaluate: Evaluate) -> float:
+def _compute_long_axis(evaluate: Evaluate) -> float:
     """Return the azimuth of the longer axis of the lobe seen from above, in [0, pi); 0 for a round lobe."""
     nodes = make_nodes(1.0)
     light = nodes.light[nodes.light[:, 2] > 0.0]

@@ -43,7 +43,7 @@ class FittedLobes:
         self._numbers = mi.UInt32([0] if fit.varying is None else fit.varying.numbers.ravel())
         dr.eval(self._rows, self._turns, self._numbers)
 
-    def find_spot(self, bsdf: Any, si: Any, active: Any) -> Spot | None:
+    def look_up_spot(self, bsdf: Any, si: Any, active: Any) -> Spot | None:
         """Return the places of hits by the BSDF's answers there; None if the lobes have one shape everywhere."""
         varying = self.fit.varying
         if varying is None:
@@ -93,7 +93,7 @@ class FittedLobes:
         part = place - mi.Float(left)
         return [dr.lerp(low, high, part) for low, high in zip(read(left), read(right), strict=True)]
 
-    def find_tangent(self, si: Any, active: Any, spot: Spot | None = None) -> Any:
+    def compute_tangent(self, si: Any, active: Any, spot: Spot | None = None) -> Any:
         """Return the local direction of the first alpha, which is also azimuth 0 of the table."""
         if not self.fit.is_isotropic:
             if spot is None:
@@ -107,14 +107,14 @@ class FittedLobes:
         scale = dr.select(length > 1e-6, dr.rcp(length), 0.0)
         return mi.Vector3f(dr.select(length > 1e-6, si.wi.x * scale, 1.0), si.wi.y * scale, 0.0)
 
-    def find_number(self, first: int, active: Any, spot: Spot | None = None) -> Any:
+    def look_up_number(self, first: int, active: Any, spot: Spot | None = None) -> Any:
         """Return the numbers of the hits' lobe tables. ``first`` is that of the first table; 0 if there are none."""
         if spot is None:
             return mi.Float(first)
         place = spot.edge * (STEPS + 1) + mi.UInt32(dr.floor(spot.share * STEPS + 0.5))
         return mi.Float(first + dr.gather(mi.UInt32, self._numbers, place, active))
 
-    def find_albedos(
+    def compute_albedos(
         self, bsdf: Any, si: Any, row: list[Any], active: Any, spot: Spot | None = None
     ) -> tuple[Any, Any]:
         """Return (diffuse, specular) albedo from the columns of `look_up` and the BSDF's textures at the hits."""

@@ -20,7 +20,7 @@ from lobewise.render.materials.fitted import (
     make_specular_evaluate,
     make_views,
 )
-from lobewise.render.materials.probe import find_parts
+from lobewise.render.materials.probe import list_parts
 
 _MAX_SHOWN_NAMES = 5
 """Number of ids that an error message lists."""
@@ -66,8 +66,8 @@ def open_scene_material(reference: str) -> SceneMaterial:
             got=repr(reference),
             action="pass for example scene.xml#paint",
         )
-    bsdf = _find_bsdf(load_scene(scene), scene, name)
-    evaluate = make_specular_evaluate(bsdf, find_parts(bsdf))
+    bsdf = _look_up_bsdf(load_scene(scene), scene, name)
+    evaluate = make_specular_evaluate(bsdf, list_parts(bsdf))
     if evaluate is None:
         expected = "a glossy lobe"
         got = "mirrors or diffuse lobes alone"
@@ -77,7 +77,7 @@ def open_scene_material(reference: str) -> SceneMaterial:
     return SceneMaterial(name, evaluate, cosines, None if isotropic else make_azimuths())
 
 
-def _find_bsdf(scene: Any, scene_name: str, name: str) -> Any:
+def _look_up_bsdf(scene: Any, scene_name: str, name: str) -> Any:
     found: dict[str, dict[int, Any]] = {}
     for shape in list_shapes(scene):
         bsdf = shape.bsdf()

@@ -72,7 +72,7 @@ class Places:
     """For all places that are not black the edge, and the share of its second node, (n, 2)."""
 
 
-def find_places(bsdf: Any, parts: Parts, extent: float = 1.0, *, most: int = MAX_NODES) -> Places | None:
+def probe_places(bsdf: Any, parts: Parts, extent: float = 1.0, *, most: int = MAX_NODES) -> Places | None:
     """Return the nodes of a BSDF's texture, or None if its glossy lobes have one shape.
 
     The first node is the centre of the texture, unless the centre is black. A BSDF that depends on the position is
@@ -96,7 +96,7 @@ def find_places(bsdf: Any, parts: Parts, extent: float = 1.0, *, most: int = MAX
     edges = _join_nodes(signature[chosen])
     some = np.concatenate([np.arange(0, len(place), max(1, len(place) // _CHOICE_COUNT)), chosen])
     probes = _choose_probes(values[some], values[chosen], edges)
-    weight = _find_weights(bsdf, parts, place[some[::4]], values[some[::4]][:, probes], bool(light[0, 2] < 0.0))
+    weight = _compute_weights(bsdf, parts, place[some[::4]], values[some[::4]][:, probes], bool(light[0, 2] < 0.0))
     short = make_signature(values[:, probes])
     edge, share, _ = locate(short, short[chosen], edges)
     return Places(
@@ -150,7 +150,7 @@ def _evaluate_pairs(bsdf: Any, parts: Parts, view: Array, light: Array, place: A
     return np.asarray(values.reshape(len(place), len(view), 3))
 
 
-def _find_weights(bsdf: Any, parts: Parts, place: Array, values: Array, through: bool) -> Array:
+def _compute_weights(bsdf: Any, parts: Parts, place: Array, values: Array, through: bool) -> Array:
     """Return weights (M,) whose sum with ``values`` (n, M) is nearest to the albedos of the places (n, 2 or 5).
 
     The albedos are means over the views of the probes; differences are relative.

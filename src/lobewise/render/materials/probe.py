@@ -163,7 +163,7 @@ class Parts:
         return mi.BSDFFlags.Glossy if self.diffuse else None
 
 
-def find_parts(bsdf: Any, extent: float = 1.0) -> Parts:
+def list_parts(bsdf: Any, extent: float = 1.0) -> Parts:
     """Return the lobes and properties of a BSDF. ``extent`` is that of `is_positional`."""
     diffuse, glossy, delta = list_flags(bsdf)
     view, light = _make_probe_directions()

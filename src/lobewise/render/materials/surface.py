@@ -8,7 +8,7 @@ from typing import Any
 
 from lobewise.frame import LobeKind
 from lobewise.lobes.albedo import ggx_directional_albedo
-from lobewise.lobes.roughness import find_principled_alphas
+from lobewise.lobes.roughness import compute_principled_alphas
 from lobewise.render.bridge import DRJIT, dr, mi, starts_as
 from lobewise.render.materials.bsdfs import FITTED, Material, make_diffuse_context
 from lobewise.render.materials.fitted import OPACITY
@@ -57,17 +57,17 @@ def make_world_frame(si: Any) -> WorldFrame:
     return WorldFrame(mi.Vector3f(si.sh_frame.s), mi.Vector3f(si.sh_frame.t), mi.Vector3f(si.sh_frame.n))
 
 
-def find_f0_dielectric(eta: Any) -> Any:
+def compute_f0_dielectric(eta: Any) -> Any:
     """Return the reflectance at normal incidence of a boundary of relative index ``eta``."""
     return dr.square((eta - 1.0) / (eta + 1.0))
 
 
-def find_f0_conductor(eta: Any, k: Any) -> Any:
+def compute_f0_conductor(eta: Any, k: Any) -> Any:
     """Return the reflectance at normal incidence of a conductor of complex index ``eta - i k``."""
     return (dr.square(eta - 1.0) + dr.square(k)) / (dr.square(eta + 1.0) + dr.square(k))
 
 
-def find_principled_eta(material: Material) -> Any:
+def compute_principled_eta(material: Material) -> Any:
     """Return the index of refraction of a principled BSDF, from ``eta`` or ``specular`` (Burley 2012)."""
     if "eta" in material.numbers:
         return material.numbers["eta"]
@@ -94,7 +94,7 @@ def _read_alphas(material: Material, si: Any, active: Any) -> tuple[Any, Any]:
     return read_number(material, "alpha_u", si, active), read_number(material, "alpha_v", si, active)
 
 
-def _find_glossy_albedo(material: Material, cos_view: Any, alpha_u: Any, alpha_v: Any, f0: Any) -> Any:
+def _compute_glossy_albedo(material: Material, cos_view: Any, alpha_u: Any, alpha_v: Any, f0: Any) -> Any:
     """Return the albedo of a rough boundary by the fit for isotropic GGX.
 
     Departs: two alphas are replaced by their root mean square. Compared with sampling, this albedo is off by at most
@@ -128,7 +128,7 @@ def _describe_conductor(material: Material, si: Any, frame: WorldFrame, active: 
         fresnel = [mi.fresnel_conductor(cos_view, mi.Complex2f(eta[i], k[i])) for i in range(3)]
         return _make_surface(material, frame, specular_albedo=mi.Color3f(*fresnel) * tint)
     alpha_u, alpha_v = _read_alphas(material, si, active)
-    albedo = _find_glossy_albedo(material, cos_view, alpha_u, alpha_v, find_f0_conductor(eta, k))
+    albedo = _compute_glossy_albedo(material, cos_view, alpha_u, alpha_v, compute_f0_conductor(eta, k))
     return _make_surface(material, frame, alpha_u=alpha_u, alpha_v=alpha_v, specular_albedo=albedo * tint)
 
 
@@ -144,9 +144,9 @@ def _describe_dielectric(material: Material, si: Any, frame: WorldFrame, active:
     reflected = mi.Color3f(mi.fresnel(si.wi.z, eta)[0])
     if material.plugin == "roughdielectric":
         alpha_u, alpha_v = _read_alphas(material, si, active)
-        f0 = mi.Color3f(find_f0_dielectric(eta))
+        f0 = mi.Color3f(compute_f0_dielectric(eta))
         # The fit ignores total reflection, so a rough boundary seen from inside is treated as a smooth one.
-        outside = _find_glossy_albedo(material, cos_view, alpha_u, alpha_v, f0)
+        outside = _compute_glossy_albedo(material, cos_view, alpha_u, alpha_v, f0)
         reflected = dr.select(si.wi.z > 0, outside, reflected)
     albedo = reflected * tint + (1.0 - reflected) * tint_through
     return _make_surface(material, frame, alpha_u=alpha_u, alpha_v=alpha_v, specular_albedo=albedo)
@@ -160,7 +160,7 @@ def _describe_plastic(material: Material, si: Any, frame: WorldFrame, active: An
     if material.plugin == "plastic":
         reflected = mi.Color3f(mi.fresnel(cos_view, eta)[0])
     else:
-        reflected = _find_glossy_albedo(material, cos_view, alpha, alpha, mi.Color3f(find_f0_dielectric(eta)))
+        reflected = _compute_glossy_albedo(material, cos_view, alpha, alpha, mi.Color3f(compute_f0_dielectric(eta)))
     upward = material.bsdf.eval(make_diffuse_context(), si, mi.Vector3f(0, 0, 1), active)
     return _make_surface(
         material,
@@ -179,15 +179,15 @@ def _describe_principled(material: Material, si: Any, frame: WorldFrame, active:
     metallic = read_number(material, "metallic", si, active)
     transmission = read_number(material, "spec_trans", si, active)
     tint = read_number(material, "spec_tint", si, active)
-    alpha_u, alpha_v = find_principled_alphas(
+    alpha_u, alpha_v = compute_principled_alphas(
         DRJIT, read_number(material, "roughness", si, active), read_number(material, "anisotropic", si, active)
     )
-    dielectric = find_f0_dielectric(find_principled_eta(material))
+    dielectric = compute_f0_dielectric(compute_principled_eta(material))
     luminance = mi.luminance(base)
     hue = dr.select(luminance > 0, base / luminance, 1.0)
     f0 = metallic * base + (1.0 - metallic) * dielectric * dr.lerp(mi.Color3f(1), hue, tint)
     through = (1.0 - metallic) * transmission
-    reflected = _find_glossy_albedo(material, cos_view, alpha_u, alpha_v, f0)
+    reflected = _compute_glossy_albedo(material, cos_view, alpha_u, alpha_v, f0)
     specular = reflected + through * dr.sqrt(base) * (1.0 - reflected)
     return _make_surface(
         material,
@@ -210,9 +210,9 @@ def _describe_thin(material: Material, si: Any, frame: WorldFrame, active: Any) 
     base = read_color(material, "base_color", si, active)
     through = read_number(material, "spec_trans", si, active)
     roughness, anisotropy = (read_number(material, name, si, active) for name in ("roughness", "anisotropic"))
-    alpha_u, alpha_v = find_principled_alphas(DRJIT, roughness, anisotropy)
-    f0 = find_f0_dielectric(read_number(material, "eta", si, active))
-    reflected = _find_glossy_albedo(material, cos_view, alpha_u, alpha_v, mi.Color3f(f0))
+    alpha_u, alpha_v = compute_principled_alphas(DRJIT, roughness, anisotropy)
+    f0 = compute_f0_dielectric(read_number(material, "eta", si, active))
+    reflected = _compute_glossy_albedo(material, cos_view, alpha_u, alpha_v, mi.Color3f(f0))
     return _make_surface(
         material,
         frame,
@@ -230,21 +230,21 @@ def _describe_null(material: Material, si: Any, frame: WorldFrame, active: Any) 
 def _describe_fitted(material: Material, si: Any, frame: WorldFrame, active: Any) -> Surface:
     fitted = material.fitted
     assert fitted is not None
-    spot = fitted.find_spot(material.bsdf, si, active)
+    spot = fitted.look_up_spot(material.bsdf, si, active)
     row = fitted.look_up(si, active, spot)
-    diffuse, specular = fitted.find_albedos(material.bsdf, si, row, active, spot)
+    diffuse, specular = fitted.compute_albedos(material.bsdf, si, row, active, spot)
     # Lobes are fitted to the front, so a back side that reflects has the same lobes.
     seen = mi.Bool(True) if fitted.fit.parts.behind else si.wi.z > 0
     return _make_surface(
         material,
         frame,
-        tangent=frame.to_world(fitted.find_tangent(si, active, spot)),
+        tangent=frame.to_world(fitted.compute_tangent(si, active, spot)),
         alpha_u=row[0],
         alpha_v=row[1],
         specular_albedo=specular & seen,
         diffuse_albedo=diffuse & seen,
         opacity=row[OPACITY],
-        material=fitted.find_number(material.number, active, spot),
+        material=fitted.look_up_number(material.number, active, spot),
     )
 
 
@@ -372,7 +372,7 @@ def is_mirror(surface: Surface) -> Any:
     return (surface.lobe_kind == float(LobeKind.DELTA)) & (dr.max(surface.diffuse_albedo) <= 0)
 
 
-def find_seen_albedo(surface: Surface, si: Any) -> Any:
+def compute_seen_albedo(surface: Surface, si: Any) -> Any:
     """Return the albedo for `GBuffer.hit_albedo`: diffuse plus specular in [0, 1], and 1 for light sources.
 
     With 1, light sources of any strength differ most from dark surfaces beside them.

@@ -21,17 +21,17 @@ _PLACE_COUNT = 24
 _SAMPLE_COUNT = 128
 
 
-def find_tints(bsdf: Any, parts: Parts, views: Array) -> Array:
+def compute_tints(bsdf: Any, parts: Parts, views: Array) -> Array:
     """Return the two weights of each view (V, 3), shape (V, 2), both >= 0.
 
     They multiply the values, times the cosine, for light along the normal and in the mirror direction. The sum is the
     albedo of the glossy lobes, of transmission, and of mirrors.
     """
     uv = spread_points(_PLACE_COUNT, 2)
-    return np.stack([_find_tint(bsdf, parts, view, uv) for view in views])
+    return np.stack([_compute_tint(bsdf, parts, view, uv) for view in views])
 
 
-def _find_tint(bsdf: Any, parts: Parts, view: Array, uv: Array) -> Array:
+def _compute_tint(bsdf: Any, parts: Parts, view: Array, uv: Array) -> Array:
     nodes = make_nodes(float(view[2]), angular=32)
     above = nodes.light[:, 2] > 0.0
     # The nodes belong to a view with y = 0: turn them to the view.

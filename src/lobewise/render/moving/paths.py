@@ -44,7 +44,7 @@ class ObjectPath:
     axis: NDArray[np.float64]
     about: NDArray[np.float64]
 
-    def find_place(self, frame: float) -> Matrix:
+    def compute_place(self, frame: float) -> Matrix:
         """Return the place at a frame, counted from 1. Before the first key and after the last one nothing moves."""
         if len(self.matrices):
             return np.asarray(self.matrices[round(frame) - 1])
@@ -70,9 +70,9 @@ class ObjectPaths:
     """Name of the file in messages."""
     paths: Mapping[str, ObjectPath]
 
-    def find_places(self, frame: float) -> dict[str, Matrix]:
+    def compute_places(self, frame: float) -> dict[str, Matrix]:
         """Return the matrix from each shape's place in the scene to its place at a frame, counted from 1."""
-        return {name: path.find_place(frame) for name, path in self.paths.items()}
+        return {name: path.compute_place(frame) for name, path in self.paths.items()}
 
     @property
     def last_frame(self) -> float:
@@ -108,18 +108,20 @@ class PlacedScene:
             for path in self.paths.paths.values():
                 frames = range(1, len(path.matrices) + 1) if len(path.matrices) else path.frames
                 for frame in frames:
-                    self._places.check({name: p.find_place(frame) for name, p in self.paths.paths.items() if p is path})
+                    self._places.check(
+                        {name: p.compute_place(frame) for name, p in self.paths.paths.items() if p is path}
+                    )
         except LobewiseError as problem:
             raise InputError(f"{self.paths.name}: {problem}") from None
 
     def load(self, time: float = 0.0) -> Any:
         """Return the scene with its shapes at a time, in frames from 0."""
-        self._places.place(self.paths.find_places(time + 1))
+        self._places.place(self.paths.compute_places(time + 1))
         return self.scene
 
-    def find_moves(self, time: float, before: float) -> dict[str, Matrix]:
+    def compute_moves(self, time: float, before: float) -> dict[str, Matrix]:
         """Return the matrix that maps world points at ``time`` to ``before`` for each shape, by its id."""
-        now, then = (self.paths.find_places(at + 1) for at in (time, before))
+        now, then = (self.paths.compute_places(at + 1) for at in (time, before))
         return {name: then[name] @ np.linalg.inv(matrix) for name, matrix in now.items()}
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lobewise.camera import MAX_COORDINATE
-from lobewise.errors import InputError, find_nearest, name_value
+from lobewise.errors import InputError, choose_nearest, name_value
 from lobewise.render.bridge import dr, mi
 
 Matrix = NDArray[np.float64]
@@ -57,7 +57,7 @@ def check_transform(name: str, value: ArrayLike) -> Matrix:
     return matrix
 
 
-def find_box(shape: Any) -> Box:
+def measure_box(shape: Any) -> Box:
     """Return the corners (2, 3) of a shape's box. Meshes that Mitsuba has merged have no valid box of their own."""
     if shape.is_mesh():
         vertices = np.array(shape.vertex_positions_buffer(), dtype=np.float64).reshape(-1, 3)
@@ -95,7 +95,7 @@ class ShapePlaces:
             return self._shapes[name]
         known = sorted(self._shapes)
         listed = ", ".join(known[:MAX_LISTED_IDS]) + (" ..." if len(known) > MAX_LISTED_IDS else "")
-        near = find_nearest(name, known)
+        near = choose_nearest(name, known)
         raise InputError(
             "shape",
             expected=f"the id of a shape: {listed}" if known else "a shape with an id",
@@ -140,18 +140,18 @@ class ShapePlaces:
             return {}
         if self._parameters is None:
             self._parameters = mi.traverse(self._scene)
-        before = {name: find_box(self._shapes[name]) for name in moved}
+        before = {name: measure_box(self._shapes[name]) for name in moved}
         for name in moved:
             self._write(name, checked[name])
             self.transforms[name] = checked[name]
         self._parameters.update()
-        return {name: (before[name], find_box(self._shapes[name])) for name in moved}
+        return {name: (before[name], measure_box(self._shapes[name])) for name in moved}
 
     def get_transform(self, name: str) -> Matrix:
         """Return the matrix from a shape's first place to its present one."""
         return self.transforms.get(name, np.eye(4))
 
-    def find_moves(self, before: Mapping[str, Matrix]) -> dict[str, Matrix]:
+    def compute_moves(self, before: Mapping[str, Matrix]) -> dict[str, Matrix]:
         """Return the matrix that maps present world points to earlier ones, of each shape that moved since.
 
         ``before`` is a copy of `transforms` at the earlier time.
@@ -165,7 +165,7 @@ class ShapePlaces:
 
     def _write(self, name: str, matrix: Matrix) -> None:
         """Set the parameters of one shape, without telling the scene."""
-        keys = self._find_keys(name)
+        keys = self._list_keys(name)
         start = self._starts.setdefault(name, {key: self._read(key, keys[key]) for key in keys})
         if "to_world" in keys:
             value = np.asarray(matrix @ start["to_world"], dtype=np.float32)
@@ -192,7 +192,7 @@ class ShapePlaces:
             self._parameters[key] = mi.Float(numbers)
             self.keeps_addresses = False
 
-    def _find_keys(self, name: str) -> dict[str, str]:
+    def _list_keys(self, name: str) -> dict[str, str]:
         """Return the names of a shape's own parameters among those of the scene, by their names in the shape."""
         shape, found = self._shapes[name], {}
         for key, (_, _, node, _) in self._parameters.properties.items():

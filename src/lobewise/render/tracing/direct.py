@@ -92,7 +92,7 @@ def list_lamps(scene: Any) -> list[Any] | None:
     return None if scene.environment() is not None else [shape for shape in scene.shapes() if shape.is_emitter()]
 
 
-def find_lamp_boxes(scene: Any, lamps: Sequence[Any] | None) -> Boxes | None:
+def list_lamp_boxes(scene: Any, lamps: Sequence[Any] | None) -> Boxes | None:
     """Return opaque boxes around the lamps of `list_lamps`, where they are now; None if there is a sky."""
     if lamps is None:
         return None
@@ -129,7 +129,7 @@ def shade_direct(
     The 4x4 pixels of a block draw 16 well distributed samples. All blocks draw the same, so that a filter of this size
     averages stratified noise (interleaved sampling: Keller and Heidrich 2001). A surface with a narrow lobe, or under a
     sky, also traces one ray sampled from the BSDF. The power heuristic weighs both samples (Veach 1997). ``width`` is
-    the opaque width of the image; ``shifts`` are those of `find_shifts`, ``boxes`` those of `find_lamp_boxes`.
+    the opaque width of the image; ``shifts`` are those of `draw_shifts`, ``boxes`` those of `list_lamp_boxes`.
 
     Where surfaces let light pass (masks, panes), all surfaces on the camera's ray are lit, each as strongly as those in
     front of it let its light through.
@@ -208,7 +208,7 @@ def _shade_surface(
     )
 
 
-def find_shifts(seed: int) -> list[float]:
+def draw_shifts(seed: int) -> list[float]:
     """Return four shifts in [0, 1) of all samples of a frame, for `shade_direct`. Use another seed for every frame.
 
     The steps from seed to seed are irrational, and in another direction than the steps from pixel to pixel.

@@ -113,7 +113,7 @@ class OwnLight:
         self._scene = scene
         self._integrator = integrator
 
-    def find_band_limit(self, points: Points, samples: int) -> float:
+    def get_band_limit(self, points: Points, samples: int) -> float:
         """Return 0, because directions are sampled by the lobes; see `IndirectMethod`."""
         return 0.0
 

@@ -13,7 +13,7 @@ from typing import Any
 from lobewise.render.bridge import dr, follow, mi, repeat, starts_as
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import dispatch_share, dispatch_surface
-from lobewise.render.materials.surface import find_seen_albedo, is_mirror
+from lobewise.render.materials.surface import compute_seen_albedo, is_mirror
 from lobewise.render.tracing.light_sampling import Scattering, Vertex, make_eye, meet_emitter, scatter
 from lobewise.render.tracing.points import Indirect, Points, average_samples
 from lobewise.render.tracing.rays import draw_point, hides_emitters, invert_distance, make_opaque, make_ray, make_rng
@@ -227,7 +227,7 @@ class _Bounces:
         seen.further &= path.active
         last = seen.seeks & ~seen.further
         path.sample.totals.hit_normal += dr.select(last, seen.surface.normal, 0.0)
-        path.sample.totals.hit_albedo += dr.select(last, find_seen_albedo(seen.surface, si), 0.0)
+        path.sample.totals.hit_albedo += dr.select(last, compute_seen_albedo(seen.surface, si), 0.0)
         path.seeks = path.looks_specular | seen.further
 
 
@@ -313,7 +313,7 @@ class PathLight:
         self._materials = materials
         self._settings = PathSettings(max_depth=max_depth, min_bounces=2, through=through, surfaces=False, rays=True)
 
-    def find_band_limit(self, points: Points, samples: int) -> float:
+    def get_band_limit(self, points: Points, samples: int) -> float:
         """Return 0, because directions are sampled by the lobes; see `IndirectMethod`."""
         return 0.0
 

@@ -109,7 +109,7 @@ class IndirectMethod(Protocol):
     def state(self) -> Any:
         """Dr.Jit arrays that `shade` reads beside the scene (a PyTree), for replay by ``dr.freeze``; or None."""
 
-    def find_band_limit(self, points: Points, samples: int) -> float:
+    def get_band_limit(self, points: Points, samples: int) -> float:
         """Return the width of a lobe, radians, below which it shows single samples of the method; 0 for none.
 
         Light that is not sampled by the BRDF comes from few directions, and a sharp lobe sees single ones.
@@ -138,7 +138,7 @@ class _Layers:
     active: Any = starts_as("Bool", True)
 
 
-def find_first_opaque(scene: Any, materials: dict[int, Material], ray: Any) -> tuple[Any, Surface]:
+def trace_first_opaque(scene: Any, materials: dict[int, Material], ray: Any) -> tuple[Any, Surface]:
     """Return the first hit that is more opaque than not, and its guides."""
 
     def pass_through(state: _Layers) -> None:
@@ -164,14 +164,14 @@ def can_be_transparent(materials: dict[int, Material]) -> bool:
     return any(material.can_be_transparent for material in materials.values())
 
 
-def find_points(scene: Any, materials: dict[int, Material], pixel: Any, size: tuple[Any, Any]) -> Points:
+def trace_points(scene: Any, materials: dict[int, Material], pixel: Any, size: tuple[Any, Any]) -> Points:
     """Return the first surfaces at the centres of pixels, given by their row-major numbers.
 
     ``size`` is width and height of the image, opaque, so that kernels are not compiled for each size.
     """
     ray = make_ray(scene, pixel, size, mi.Point2f(0.5))
     if can_be_transparent(materials):
-        si, surface = find_first_opaque(scene, materials, ray)
+        si, surface = trace_first_opaque(scene, materials, ray)
         return Points(pixel, ray, si, si.bsdf(), surface, si.is_valid())
     hit = scene.ray_intersect_preliminary(ray)
     si = hit.compute_surface_interaction(ray)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.lobes.clusters import MAX_SHARPNESS, find_mean_length, find_sharpness_of_mean
+from lobewise.lobes.clusters import MAX_SHARPNESS, compute_mean_length, compute_sharpness_of_mean
 from lobewise.lobes.numbers import NUMPY
 from lobewise.lobes.vectors import LUMINANCE
 
@@ -72,7 +72,7 @@ class Clusters:
         """Number of clusters."""
         return len(self.members)
 
-    def find_variance(self) -> float:
+    def compute_variance(self) -> float:
         """Return the mean variance of a cluster's places along its plane, weighted by flux, square scene units."""
         leaves = slice(-self.count, None)
         flux = (self.diffuse + self.glossy)[leaves].sum(axis=1)
@@ -127,7 +127,7 @@ def _sum_leaves(lights: Lights, order: NDArray[np.intp], real: Array, weight: Ar
     place = (lights.position - center)[order]
     diffuse, glossy = real[..., None] * lights.diffuse[order], real[..., None] * lights.glossy[order]
     # The mean of a lobe is shorter the wider the lobe, so sums of means convolve lobes with the spread of their axes.
-    length = find_mean_length(NUMPY, lights.sharpness[order])
+    length = compute_mean_length(NUMPY, lights.sharpness[order])
     parts = [
         weight[..., None],
         weight[..., None] ** 2,
@@ -162,7 +162,7 @@ def _describe(sums: Array, center: Array, members: NDArray[np.uint32]) -> Cluste
         normal_length=normal_length,
         glossy=glossy,
         axis=axis,
-        sharpness=np.minimum(find_sharpness_of_mean(NUMPY, axis_length), MAX_SHARPNESS),
+        sharpness=np.minimum(compute_sharpness_of_mean(NUMPY, axis_length), MAX_SHARPNESS),
         members=members,
     )
 

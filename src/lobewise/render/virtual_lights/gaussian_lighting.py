@@ -15,17 +15,17 @@ import numpy as np
 
 from lobewise.lobes.clusters import (
     bound_lobe,
+    compute_cosine_variance,
+    compute_mean_length,
+    compute_positive_mean,
+    compute_positive_share,
     convolve_sharpness,
     evaluate_gaussian,
     evaluate_lobe,
-    find_cosine_variance,
-    find_mean_length,
-    find_offset,
-    find_positive_mean,
-    find_positive_share,
     project_covariance,
+    project_direction,
 )
-from lobewise.lobes.gaussian import find_share_on_sphere
+from lobewise.lobes.gaussian import compute_share_on_sphere
 from lobewise.lobes.vectors import LUMINANCE
 from lobewise.render.bridge import DRJIT, dr, mi, repeat
 from lobewise.render.materials.bsdfs import Material
@@ -66,7 +66,7 @@ class GaussianLighting:
         self._numbers = {
             "count": dr.opaque(mi.UInt32, self.clusters.count),
             "levels": dr.opaque(mi.UInt32, self.clusters.count.bit_length() - 1),
-            "width": dr.opaque(mi.Float, math.sqrt(SPREAD * self.clusters.find_variance())),
+            "width": dr.opaque(mi.Float, math.sqrt(SPREAD * self.clusters.compute_variance())),
             "size": dr.opaque(mi.UInt32, self.clusters.members.shape[1]),
         }
 
@@ -140,7 +140,9 @@ class GaussianLighting:
         received = mi.luminance(at.diffuse) * (dr.inv_pi * cosine * place.share)
         # Halves of the node may lie beyond the reach.
         shown = above * dr.maximum(weigh_distance(dr.rsqrt(place.inverse), at.reach), MIN_WEIGHT)
-        x, y, _ = find_offset(DRJIT, split(at.axis), (split(at.basis[0]), split(at.basis[1])), split(place.towards))
+        x, y, _ = project_direction(
+            DRJIT, split(at.axis), (split(at.basis[0]), split(at.basis[1])), split(place.towards)
+        )
         variance = (SPREAD / COSINE_SPREAD) / place.sharpness
         lobe = bound_lobe(DRJIT, (x, y), split(at.lobe), variance)
         return emitted * place.inverse * (received + mi.luminance(at.specular) * (shown * lobe))
@@ -158,7 +160,7 @@ class GaussianLighting:
         cosine, above = place.receive()
         diffuse = arriving * at.diffuse * (dr.inv_pi * cosine * place.share)
         axis, basis, towards = split(at.axis), (split(at.basis[0]), split(at.basis[1])), split(place.towards)
-        x, y, twice = find_offset(DRJIT, axis, basis, towards)
+        x, y, twice = project_direction(DRJIT, axis, basis, towards)
         seen = [SPREAD * place.inverse * part for part in project_covariance(axis, basis, towards, twice, covariance)]
         lobe = evaluate_lobe(DRJIT, (x, y), split(at.lobe), seen, at.beckmann)
         specular = arriving * at.specular * (lobe * above * weigh_distance(dr.rsqrt(place.inverse), at.reach))
@@ -194,30 +196,32 @@ class _Place:
         self.towards = away * dr.sqrt(self.inverse)
         self.sharpness = dr.clip(square / variance, MIN_SHARPNESS, MAX_SHARPNESS)
         # A light all around gives a surface no more than its own radiance.
-        self.share = find_share_on_sphere(DRJIT, self.sharpness)
-        self._length = find_mean_length(DRJIT, self.sharpness)
+        self.share = compute_share_on_sphere(DRJIT, self.sharpness)
+        self._length = compute_mean_length(DRJIT, self.sharpness)
         self._along = dr.dot(self.towards, self._normal)
 
-    def _find_variance(self, cosine: Any, tilt: Any) -> Any:
+    def _compute_variance(self, cosine: Any, tilt: Any) -> Any:
         """Return the variance of the cosine of a vector whose cosine with the node's normal is ``tilt``."""
         part = 1.0 - dr.square(cosine) - self._flatness * dr.square(tilt - cosine * self._along)
         across = self._length / self.sharpness
-        return find_cosine_variance(cosine, self._length, across, dr.maximum(part, 0.0))
+        return compute_cosine_variance(cosine, self._length, across, dr.maximum(part, 0.0))
 
     def receive(self) -> tuple[Any, Any]:
         """Return the mean positive cosine of the receiver, and which part of the node is above its horizon."""
         cosine = dr.dot(self._at.normal, self.towards)
         mean = self._length * cosine
-        positive = find_positive_mean(DRJIT, mean, self._find_variance(cosine, dr.dot(self._at.normal, self._normal)))
-        return positive, find_positive_share(mean, positive)
+        positive = compute_positive_mean(
+            DRJIT, mean, self._compute_variance(cosine, dr.dot(self._at.normal, self._normal))
+        )
+        return positive, compute_positive_share(mean, positive)
 
     def emit_diffuse(self) -> Any:
         """Return the radiant intensity towards the receiver per diffuse flux."""
         # The normals of a node spread by (1 - length^2) / 2 along each direction across their mean.
         turned = 0.5 * (1.0 - dr.square(self._normal_length)) * (1.0 - dr.square(self._along))
-        variance = self._find_variance(self._along, 1.0) + turned
+        variance = self._compute_variance(self._along, 1.0) + turned
         mean = -self._along * self._length * self._normal_length
-        return dr.inv_pi * find_positive_mean(DRJIT, mean, variance)
+        return dr.inv_pi * compute_positive_mean(DRJIT, mean, variance)
 
     def emit_glossy(self) -> Any:
         """Return the radiant intensity towards the receiver per glossy flux."""

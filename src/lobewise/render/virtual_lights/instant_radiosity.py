@@ -20,7 +20,7 @@ from lobewise.render.tracing.points import Indirect, Points, average_samples
 from lobewise.render.tracing.rays import make_opaque
 from lobewise.render.virtual_lights.gaussian_lighting import GaussianLighting
 from lobewise.render.virtual_lights.gaussian_walk import GaussianWalk
-from lobewise.render.virtual_lights.light_paths import LightPaths, LightSet, find_sphere
+from lobewise.render.virtual_lights.light_paths import LightPaths, LightSet, measure_sphere
 from lobewise.render.virtual_lights.point_walk import PointWalk
 from lobewise.render.virtual_lights.shading import Lighting
 
@@ -139,7 +139,7 @@ class VirtualLights:
         self._walk: PointWalk | GaussianWalk = self._make_cluster_walk() if self._has_clusters else self._make_walk()
 
     def _make_walk(self) -> PointWalk:
-        _, half_diagonal = find_sphere(self._scene)
+        _, half_diagonal = measure_sphere(self._scene)
         shortest, radius = 2.0 * self._clamp * half_diagonal, 2.0 * self._radius * half_diagonal
         lighting = Lighting(self._scene, self._materials, self._lights, shortest=shortest, radius=radius)
         return PointWalk(self._scene, self._materials, lighting, self._numbers, compensates=self._compensates)
@@ -176,15 +176,15 @@ class VirtualLights:
         end, seed_value = make_opaque(samples), make_opaque(seed)
         return average_samples(lambda index: self._walk.take(points, index, end, seed_value, all_lights), end)
 
-    def find_band_limit(self, points: Points, samples: int) -> float:
-        """Return `find_sharpness_limit` of the lights that points see, radians; 0 for clusters, which have no
+    def get_band_limit(self, points: Points, samples: int) -> float:
+        """Return `compute_sharpness_limit` of the lights that points see, radians; 0 for clusters, which have no
         spikes."""
         if self._has_clusters:
             return 0.0
-        return find_sharpness_limit(self.count_lights_seen(points, samples=samples))
+        return compute_sharpness_limit(self.count_lights_seen(points, samples=samples))
 
     def count_lights_seen(self, points: Points, *, samples: int = 1, all_lights: bool = False) -> float:
-        """Return the effective number of lights that a pixel sees, for `find_sharpness_limit`.
+        """Return the effective number of lights that a pixel sees, for `compute_sharpness_limit`.
 
         It is ``(sum L_k)^2 / sum L_k^2`` with the light ``L_k`` of each light at a point, median over points. Hidden,
         distant or averted lights count little. BSDFs and cosines of the points are left out. Some hundred lit points
@@ -197,7 +197,7 @@ class VirtualLights:
         return float(np.median(lit)) if lit.size else 1.0
 
 
-def find_sharpness_limit(lights: float) -> float:
+def compute_sharpness_limit(lights: float) -> float:
     """Return the band-limit tau (radians) of lobes that are lit by a number of lights, for `lobewise.denoise`.
 
     Each light takes ``2 pi / lights`` steradians of a receiver's hemisphere. A lobe of sharpness ``lambda`` covers

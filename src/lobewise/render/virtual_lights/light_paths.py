@@ -59,7 +59,7 @@ class _Walk:
     bounce: Any = starts_as("UInt32")
 
 
-def _find_primes(number: int) -> list[int]:
+def _list_primes(number: int) -> list[int]:
     found: list[int] = []
     candidate = 2
     while len(found) < number:
@@ -79,7 +79,7 @@ def make_halton(count: int, dimensions: int, seed: int) -> NDArray[np.float32]:
     """
     rng = np.random.default_rng(seed)
     points = np.empty((count, dimensions), dtype=np.float32)
-    for dimension, base in enumerate(_find_primes(dimensions)):
+    for dimension, base in enumerate(_list_primes(dimensions)):
         value = np.zeros(count)
         rest, scale = np.arange(count), 1.0
         # Digits beyond the precision of a float change nothing.
@@ -91,7 +91,7 @@ def make_halton(count: int, dimensions: int, seed: int) -> NDArray[np.float32]:
     return points
 
 
-def find_sphere(scene: Any) -> tuple[NDArray[np.float64], float]:
+def measure_sphere(scene: Any) -> tuple[NDArray[np.float64], float]:
     """Return centre and radius of the sphere around the bounding box of all shapes.
 
     Departs from ``scene.bbox()``, which lacks the meshes that Mitsuba 3.9 merges: their boxes are not valid.
@@ -200,7 +200,7 @@ class LightPaths:
         return origin, direction, flux
 
     def _widen(self, ray: Any, emitter: Any) -> Any:
-        """Move the origins of rays from infinite emitters onto `find_sphere`, and return the factor of their power.
+        """Move the origins of rays from infinite emitters onto `measure_sphere`, and return the factor of their power.
 
         Mitsuba starts them on the scene's own bounding sphere, which may be too small.
         """
@@ -210,7 +210,7 @@ class LightPaths:
         if box.valid():
             old_center = np.asarray(box.center(), dtype=np.float64).ravel()
             old_radius = max(old_radius, math.dist(np.ravel(box.min), np.ravel(box.max)) / 2.0)
-        center, radius = find_sphere(self._scene)
+        center, radius = measure_sphere(self._scene)
         flags, kinds = emitter.flags(), mi.EmitterFlags
         distant = mi.has_flag(flags, kinds.Infinite) | mi.has_flag(flags, kinds.DeltaDirection)
         grown = dr.opaque(mi.Float, radius / old_radius)

@@ -11,7 +11,7 @@ from lobewise.frame import LobeKind
 from lobewise.lobes.albedo import ggx_directional_albedo
 from lobewise.lobes.clusters import MIN_VARIANCE, multiply_covariance
 from lobewise.lobes.covariance import CovarianceLobe, make_covariance_lobe
-from lobewise.lobes.directions import face_viewer, find_tangent
+from lobewise.lobes.directions import compute_tangent, face_viewer
 from lobewise.lobes.vectors import cross
 from lobewise.render.bridge import DRJIT, dr, mi
 from lobewise.render.materials.bsdfs import Material
@@ -65,7 +65,7 @@ def lets_through(bsdf: Any) -> Any:
 
 def make_receiver(si: Any, surface: Surface, bsdf: Any, width: Any) -> Receiver:
     """Return a hit as a receiver of light of clusters whose Gaussians have a standard deviation ``width``."""
-    normal, lobe = _find_lobe(surface, si.to_world(si.wi), gaussian=False)
+    normal, lobe = _compute_lobe(surface, si.to_world(si.wi), gaussian=False)
     beckmann = surface.lobe_kind == float(LobeKind.BECKMANN)
     axis = mi.Vector3f(*lobe.axis)
     basis = mi.coordinate_system(axis)
@@ -96,7 +96,7 @@ def make_receiver(si: Any, surface: Surface, bsdf: Any, width: Any) -> Receiver:
 def read_lights(materials: dict[int, Material], lights: LightSet) -> Lights:
     """Return what clusters need of a set of lights: flux and directions of what their surfaces scatter."""
     surface = dispatch_surface(materials, lights.bsdf, lights.si, mi.Bool(True))
-    normal, lobe = _find_lobe(surface, lights.si.to_world(lights.incoming), gaussian=True)
+    normal, lobe = _compute_lobe(surface, lights.si.to_world(lights.incoming), gaussian=True)
     # No light can lie on a mirror, and light that passes through a surface leaves on its other side.
     no_lobe = (
         lets_through(lights.bsdf)
@@ -118,10 +118,10 @@ def read_lights(materials: dict[int, Material], lights: LightSet) -> Lights:
     )
 
 
-def _find_lobe(surface: Surface, view: Any, *, gaussian: bool) -> tuple[Any, CovarianceLobe]:
+def _compute_lobe(surface: Surface, view: Any, *, gaussian: bool) -> tuple[Any, CovarianceLobe]:
     """Return the normal on the side of a direction in world space, and the lobe that reflects it."""
     normal, cosine = face_viewer(DRJIT, split(surface.normal), split(view))
-    tangent, _ = find_tangent(DRJIT, split(surface.tangent), normal)
+    tangent, _ = compute_tangent(DRJIT, split(surface.tangent), normal)
     lobe = make_covariance_lobe(
         DRJIT,
         normal,

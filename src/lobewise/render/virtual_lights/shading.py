@@ -47,8 +47,8 @@ class Lighting:
 
         Lights deeper than ``most_depth`` do not count. Only spheres draw from ``rng``.
         """
-        first = self._find_first(run, runs)
-        end = dr.select(active, self._find_first(run + 1, runs), first)
+        first = self._trace_first(run, runs)
+        end = dr.select(active, self._trace_first(run + 1, runs), first)
 
         # The loop over point lights needs no random numbers, so it does not carry the generator.
         shine = self._shine_sphere if self._has_spheres else self._shine_point
@@ -67,8 +67,8 @@ class Lighting:
     def count_worth(self, points: Points, run: Any, runs: Any) -> Any:
         """Return the effective number of lights in a run at points, ``(sum L)^2 / sum L^2`` of the arriving light."""
         si = points.si
-        first = self._find_first(run, runs)
-        end = dr.select(points.active, self._find_first(run + 1, runs), first)
+        first = self._trace_first(run, runs)
+        end = dr.select(points.active, self._trace_first(run + 1, runs), first)
 
         def add(index: Any, total: Any, squares: Any) -> tuple[Any, ...]:
             light = self._fetch(index)
@@ -82,7 +82,7 @@ class Lighting:
         total, squares = repeat(add, first, end, mi.Float(0), mi.Float(0), label="worth")
         return dr.select(squares > 0, dr.square(total) / squares, 0.0)
 
-    def _find_first(self, run: Any, runs: Any) -> Any:
+    def _trace_first(self, run: Any, runs: Any) -> Any:
         return mi.UInt32(mi.UInt64(run) * mi.UInt64(self._number) // mi.UInt64(runs))
 
     def _fetch(self, index: Any) -> LightSet:

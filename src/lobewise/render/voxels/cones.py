@@ -16,12 +16,12 @@ from lobewise.render.moving.shapes import Box
 from lobewise.render.tracing.points import Indirect, Points
 from lobewise.render.tracing.rays import make_opaque, make_rng
 from lobewise.render.voxels.grid import Grid
-from lobewise.render.voxels.hits import Caster, cast_hits, contains, find_bounds, recast_hits
+from lobewise.render.voxels.hits import Caster, cast_hits, contains, measure_bounds, recast_hits
 from lobewise.render.voxels.lighting import SideLights, Surfaces, VoxelLight, make_surfaces
 from lobewise.render.voxels.march import (
     MIN_TAN,
+    compute_reflection,
     draw_jitter,
-    find_reflection,
     gather_diffuse,
     trace_cone,
 )
@@ -146,13 +146,13 @@ class VoxelCones:
                 progress(done, total)
 
         with dr.suspend_grad():
-            bounds = find_bounds(self._scene, self._resolution)
+            bounds = measure_bounds(self._scene, self._resolution)
             hits = cast_hits(self._caster, bounds, report)
             light = self._make_light(make_surfaces(bounds, hits))
             light.solve(report)
         return light
 
-    def find_band_limit(self, points: Points, samples: int) -> float:
+    def get_band_limit(self, points: Points, samples: int) -> float:
         """Return 0, because directions are sampled by the lobes; see `IndirectMethod`."""
         return 0.0
 
@@ -166,7 +166,7 @@ class VoxelCones:
         view = -points.ray.d
         mirror = surface.lobe_kind == float(LobeKind.DELTA)
         alphas = (dr.select(mirror, 0.0, alpha) for alpha in (surface.alpha_u, surface.alpha_v))
-        axis, tangent = find_reflection(view, shading, surface.tangent, *alphas)
+        axis, tangent = compute_reflection(view, shading, surface.tangent, *alphas)
 
         def take(index: Any, diffuse: Any, specular: Any, inverse: Any) -> tuple[Any, Any, Any]:
             rng = make_rng(points.pixel, index, seed_value)

@@ -128,7 +128,7 @@ def gather_pairs(hits: Hits) -> Pairs:
     return Pairs(hits.key[first], first, count, position, normal, opacity, (albedos[0], albedos[1]))
 
 
-def _find_parents(cells: NDArray[np.int64], resolution: int) -> NDArray[np.int64]:
+def _number_parents(cells: NDArray[np.int64], resolution: int) -> NDArray[np.int64]:
     """Return the numbers of the voxels of the next level that contain the given voxels."""
     x, y, z = cells % resolution, cells // resolution % resolution, cells // resolution**2
     half = resolution // 2
@@ -149,7 +149,7 @@ def plan_layout(bounds: Bounds, pairs: Pairs) -> Layout:
         levels.append(Level(cells, take_numbers(mi.UInt32, cells), rows, start))
         rows, start = rows + len(cells), start + each**3
         filled = np.zeros((each // 2) ** 3, np.bool_)
-        filled[_find_parents(cells, each)] = True
+        filled[_number_parents(cells, each)] = True
         cells = np.flatnonzero(filled)
     return Layout(
         bounds=bounds,
@@ -161,7 +161,7 @@ def plan_layout(bounds: Bounds, pairs: Pairs) -> Layout:
     )
 
 
-def find_depth(pairs: Pairs) -> Floats:
+def compute_depth(pairs: Pairs) -> Floats:
     """Return the optical depth of every pair.
 
     If a share ``c`` of the rays through a voxel hits an opaque surface in it, the opacity is ``1 - (1 - c)^2``.
@@ -186,15 +186,15 @@ def make_faces(layout: Layout, pairs: Pairs) -> Faces:
         position=take_vectors(mi.Vector3f, pairs.position.repeat(2, axis=0).T),
         normal=take_vectors(mi.Vector3f, np.stack([unit, -unit], axis=1).reshape(-1, 3).T),
         albedo=take_vectors(mi.Color3f, np.stack(pairs.albedos, axis=1).reshape(-1, 3).T),
-        depth=take_numbers(mi.Float, find_depth(pairs).repeat(2)),
-        planes=_find_planes(layout, pairs),
+        depth=take_numbers(mi.Float, compute_depth(pairs).repeat(2)),
+        planes=_compute_planes(layout, pairs),
         first=take_numbers(mi.UInt32, pairs.first.repeat(2)),
         end=take_numbers(mi.UInt32, (pairs.first + pairs.count).repeat(2)),
         side=take_numbers(mi.UInt32, sides),
     )
 
 
-def _find_planes(layout: Layout, pairs: Pairs) -> Any:
+def _compute_planes(layout: Layout, pairs: Pairs) -> Any:
     """Return `Grid.planes` from the means of level 0."""
     values = np.concatenate([pairs.normal.T, pairs.position.T, np.ones((1, len(pairs.key)))]) * pairs.count
     axis = pairs.key % 3
@@ -203,7 +203,7 @@ def _find_planes(layout: Layout, pairs: Pairs) -> Any:
         sums[k][:, layout.rows_of_pairs[axis == k]] = values[:, axis == k]
     size = layout.bounds.resolution
     for below, above in zip(layout.levels, layout.levels[1:], strict=False):
-        places = np.searchsorted(above.cells, _find_parents(below.cells, size))
+        places = np.searchsorted(above.cells, _number_parents(below.cells, size))
         rows = slice(above.first_row, above.first_row + len(above.cells))
         for total in sums.reshape(21, -1):
             part = total[below.first_row : below.first_row + len(below.cells)]

@@ -14,7 +14,7 @@ from lobewise.render.bridge import dr, give_vectors, mi, take_vectors
 from lobewise.render.frozen import Recorded
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import dispatch_surface
-from lobewise.render.moving.shapes import Box, find_box
+from lobewise.render.moving.shapes import Box, measure_box
 from lobewise.render.tracing.rays import make_rng
 from lobewise.render.voxels.refraction import can_refract, refract
 
@@ -93,10 +93,10 @@ def _join_hits(parts: Sequence[Hits], chosen: NDArray[np.intp] | None = None) ->
     return Hits(**{name: np.take(values, order, axis=-1) for name, values in joined.items()})
 
 
-def find_bounds(scene: Any, resolution: int) -> Bounds:
+def measure_bounds(scene: Any, resolution: int) -> Bounds:
     """Return the cube around a scene's surfaces, slightly enlarged; InputError if no surface has a finite size."""
     # The scene's own box includes point lights and cameras, which need no voxels, and an infinite sky.
-    boxes = np.array([find_box(shape) for shape in scene.shapes()]).reshape(-1, 2, 3)
+    boxes = np.array([measure_box(shape) for shape in scene.shapes()]).reshape(-1, 2, 3)
     boxes = boxes[np.isfinite(boxes).all(axis=(1, 2))]
     extent = float((boxes[:, 1].max(axis=0) - boxes[:, 0].min(axis=0)).max()) if len(boxes) else 0.0
     if not extent > 0.0:
@@ -143,7 +143,7 @@ def _look_at_side(materials: dict[int, Material], si: Any, bsdf: Any, front: Any
     return seen, dispatch_surface(materials, bsdf, seen, si.is_valid())
 
 
-def _find_transmittance(bsdf: Any, si: Any, lane: Any) -> Any:
+def _compute_transmittance(bsdf: Any, si: Any, lane: Any) -> Any:
     rng = make_rng(lane, mi.UInt32(0), mi.UInt32(0))
     chosen, weight = refract(bsdf, si, rng, si.is_valid())
     return dr.clip(weight * dr.square(chosen.eta), 0.0, 1.0)
@@ -156,14 +156,14 @@ class Caster:
         self._scene = scene
         self._materials = materials
         self._clear = can_refract(scene)
-        self._look = Recorded(self._find_layer, lambda: scene)
+        self._look = Recorded(self._trace_layer, lambda: scene)
 
     def cast(self, ray: Any) -> Iterator[dict[str, Any]]:
         """Yield the first surfaces that rays hit, the second ones and so on, with ``axis``, that of the ray."""
         axis = dr.select(ray.d.x > 0.5, mi.UInt32(0), dr.select(ray.d.y > 0.5, mi.UInt32(1), mi.UInt32(2)))
         origin, direction = ray.o, ray.d
         # Recorded functions read meshes from their first addresses, which only stay the same on processors.
-        look = self._look.run if dr.backend_v(axis) == dr.JitBackend.LLVM else self._find_layer
+        look = self._look.run if dr.backend_v(axis) == dr.JitBackend.LLVM else self._trace_layer
         for _ in range(MAX_HITS):
             if not dr.width(origin):
                 return
@@ -181,14 +181,14 @@ class Caster:
             dr.eval(layer)
             yield layer
 
-    def _find_layer(self, origin: Any, direction: Any, lane: Any) -> tuple[dict[str, Any], Any, Any]:
+    def _trace_layer(self, origin: Any, direction: Any, lane: Any) -> tuple[dict[str, Any], Any, Any]:
         """Return the surfaces that rays hit, where there are any, and the origins of the rays behind them."""
         si = self._scene.ray_intersect(mi.Ray3f(origin, direction))
         bsdf, valid = si.bsdf(), si.is_valid()
         front = dr.dot(si.n, direction) < 0
         seen, first = _look_at_side(self._materials, si, bsdf, front)
         _, second = _look_at_side(self._materials, si, bsdf, ~front)
-        through = _find_transmittance(bsdf, seen, lane) if self._clear else mi.Color3f(0)
+        through = _compute_transmittance(bsdf, seen, lane) if self._clear else mi.Color3f(0)
         kept = dr.maximum(1.0 - mi.luminance(through), 1e-3)
         found = {
             "position": mi.Vector3f(si.p),
@@ -239,7 +239,7 @@ def recast_hits(caster: Caster, bounds: Bounds, hits: Hits, boxes: Sequence[Box]
     """
     if not boxes:
         return hits
-    columns = [_find_columns(bounds, axis, boxes) for axis in range(3)]
+    columns = [_mark_columns(bounds, axis, boxes) for axis in range(3)]
     size, axis = bounds.resolution, hits.axis
     place = np.stack([hits.cell % size, hits.cell // size % size, hits.cell // size**2])
     index = np.arange(len(hits))
@@ -249,7 +249,7 @@ def recast_hits(caster: Caster, bounds: Bounds, hits: Hits, boxes: Sequence[Box]
     return _join_hits([hits, new], np.flatnonzero(np.append(~crossed, np.ones(len(new), np.bool_))))
 
 
-def _find_columns(bounds: Bounds, axis: int, boxes: Sequence[Box]) -> NDArray[np.bool_]:
+def _mark_columns(bounds: Bounds, axis: int, boxes: Sequence[Box]) -> NDArray[np.bool_]:
     """Return which columns of voxels along an axis cross a box; see `_list_rays`."""
     size = bounds.resolution
     columns = np.zeros((size, size), np.bool_)

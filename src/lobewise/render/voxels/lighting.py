@@ -134,7 +134,7 @@ class VoxelLight:
 
     def solve(self, report: Callable[[], None]) -> None:
         """Compute all light; ``report`` is called after the direct light and after every bounce."""
-        self._direct = self._find_direct()
+        self._direct = self._compute_direct()
         report()
         series, grid = [self._direct], fill_grid(self.surfaces.layout, self.surfaces.faces, self._direct)
         for _ in range(self._bounces):
@@ -164,7 +164,7 @@ class VoxelLight:
         Until then the light that bounced before counts, times the ratio of all direct light now and before.
         """
         before = self._total
-        self._direct = self._find_direct()
+        self._direct = self._compute_direct()
         ratio = np.divide(self._total, before, out=np.ones(3), where=before > 0.0)
         # Opaque, so that no kernel is compiled for each ratio.
         self._bounced *= mi.Color3f(*(dr.opaque(mi.Float, float(part)) for part in np.minimum(ratio, MAX_RATIO)))
@@ -201,7 +201,7 @@ class VoxelLight:
     def _fill(self) -> Grid:
         return fill_grid(self.surfaces.layout, self.surfaces.faces, self._direct + self._bounced)
 
-    def _find_direct(self) -> Any:
+    def _compute_direct(self) -> Any:
         if not len(self.surfaces.hits):
             return self._direct
         direct = average_radiance(self.surfaces.faces, self._lights.find(self.surfaces.hits))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from lobewise.lobes.covariance import find_dominant_normal
+from lobewise.lobes.covariance import compute_dominant_normal
 from lobewise.render.bridge import DRJIT, dr, mi, repeat, starts_as
 from lobewise.render.tracing.rays import draw_point
 from lobewise.render.voxels.grid import DIRECTIONS, Grid
@@ -185,7 +185,7 @@ def draw_jitter(rng: Any) -> tuple[Any, ...]:
     return tuple(rng.next_float32() for _ in range(4))
 
 
-def find_diffuse_axis(normal: Any, number: Any, turn: Any, point: Any) -> Any:
+def draw_diffuse_axis(normal: Any, number: Any, turn: Any, point: Any) -> Any:
     """Return the axis of a diffuse cone, drawn at random from the cone's part of the hemisphere.
 
     ``number`` is the number of the cone (0 to 5), ``turn`` the rotation of all six about the normal, in [0, 1), and
@@ -213,7 +213,7 @@ def gather_diffuse(grid: Grid, origin: Any, normal: Any, shading: Any, rng: Any,
     turn = rng.next_float32()
 
     def take(number: Any, total: Any, rng: Any) -> tuple[Any, Any]:
-        axis = find_diffuse_axis(shading, number, turn, draw_point(rng))
+        axis = draw_diffuse_axis(shading, number, turn, draw_point(rng))
         cone = trace_cone(grid, origin, normal, axis, mi.Float(DIFFUSE_TAN), draw_jitter(rng), active)
         return total + cone.radiance, rng
 
@@ -221,7 +221,7 @@ def gather_diffuse(grid: Grid, origin: Any, normal: Any, shading: Any, rng: Any,
     return total / DIFFUSE_CONES
 
 
-def find_reflection(view: Any, normal: Any, tangent: Any, alpha_u: Any, alpha_v: Any) -> tuple[Any, Any]:
+def compute_reflection(view: Any, normal: Any, tangent: Any, alpha_u: Any, alpha_v: Any) -> tuple[Any, Any]:
     """Return the axis of a reflection lobe, and the tangent of the half angle of the cone that approximates it.
 
     Source: Tokuyoshi's public shaders, for the dominant visible normal ``m`` of GGX, about which the view is reflected,
@@ -232,7 +232,7 @@ def find_reflection(view: Any, normal: Any, tangent: Any, alpha_u: Any, alpha_v:
     across = dr.cross(normal, tangent)
     local = mi.Vector3f(dr.dot(view, tangent), dr.dot(view, across), dr.maximum(dr.dot(view, normal), 1e-3))
     product = alpha_u * alpha_v
-    m = mi.Vector3f(*find_dominant_normal(DRJIT, (local.x, local.y, local.z), (alpha_u, alpha_v)))
+    m = mi.Vector3f(*compute_dominant_normal(DRJIT, (local.x, local.y, local.z), (alpha_u, alpha_v)))
     cosine = dr.maximum(dr.dot(m, local), 0.1)
     sharpness = 2.0 * (1.0 - product) / dr.maximum(product, 1e-8) * m.z / (4.0 * cosine)
     half = 1.0 - dr.rcp(dr.maximum(sharpness, 1.0))
