@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
@@ -304,3 +304,49 @@ def test_no_name_of_a_similarity_or_quality_is_compared() -> None:
     ]
     compared = {str(path): list_compared_names(list_nodes(path), names) for path in list_modules()}
     assert {path: found for path, found in compared.items() if found} == {}
+
+
+PUBLIC_FINDERS = {"find_disoccluded", "find_orbit_centre", "find_specular_pixels", "find_unsupported"}
+"""Functions that users call, and that keep their names."""
+CORE = {
+    *("settings", "metrics", "lobes", "backend", "features", "engine", "guides", "filters", "denoising", "upsampling"),
+    *("adaptive", "temporal", "windows", "streaming"),
+}
+"""Rooms in which a name means one thing."""
+ONE_MEANING = {"Vector"}
+"""Names with several definitions of one meaning: the components of a vector, of Halide or of any library."""
+
+
+def list_definitions(tree: ast.Module) -> Iterator[tuple[str, str]]:
+    """Yield the public names at the top of a module, and their values; functions and classes have no value."""
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            names, value = {node.name}, ""
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            names = {part.id for target in targets for part in ast.walk(target) if isinstance(part, ast.Name)}
+            value = ast.unparse(node.value) if node.value else ""
+        else:
+            continue
+        yield from ((name, value) for name in names if not name.startswith("_"))
+
+
+def list_ambiguous(trees: Iterable[ast.Module]) -> set[str]:
+    """Return the names that several modules define, unless as the same constant."""
+    values: dict[str, list[str]] = {}
+    for tree in trees:
+        for name, value in dict(list_definitions(tree)).items():
+            values.setdefault(name, []).append(value)
+    return {name for name, each in values.items() if len(each) > 1 and ("" in each or len(set(each)) > 1)}
+
+
+def test_no_function_says_find() -> None:
+    """`find` says neither compute nor estimate, measure, mark, choose, list or look up."""
+    nodes = (node for path in list_modules() for node in list_nodes(path) if isinstance(node, ast.FunctionDef))
+    assert {node.name for node in nodes if re.match("_?find_", node.name)} == PUBLIC_FINDERS
+
+
+def test_a_name_of_the_core_means_one_thing() -> None:
+    texts = ["A = 1\nB = 1\nC: int = 1", "A = 2\nB = 1\ndef c(): ...", "class c: ..."]
+    assert list_ambiguous(map(ast.parse, texts)) == {"A", "c"}
+    assert list_ambiguous(read_tree(path) for path in list_modules() if get_room(path) in CORE) == ONE_MEANING
