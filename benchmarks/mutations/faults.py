@@ -72,8 +72,8 @@ FILTERS = (
     Mutation(
         "the albedo is not multiplied back",
         "filters/cross_pass.py",
-        "mean = [value * hl.select(expressions.is_bad(t), hl.f32(0.0), t) for value, t",
-        "mean = [value for value, t",
+        "tints = [hl.select(expressions.is_bad(tint), hl.f32(0.0), tint) for tint in tints]",
+        "tints = [hl.f32(1.0) for tint in tints]",
         ("filters/test_cross_filter.py", "filters/test_upsampling.py"),
     ),
     Mutation(

@@ -10,6 +10,7 @@ VALIDATION = ("fog", "hair", "street", "jewels", "bokeh", "foliage")
 """Nothing may ever be tuned or trained on frames of these kinds."""
 TRAINING = (
     "product", "room", "glass", "brushed", "toys", "wax", "archviz", "gallery", "screens", "film",
+    "bristles", "steam", "party",
 )  # fmt: skip
 ORDER = (*VALIDATION, *TRAINING)
 """A kind's place is part of its seeds: a new kind comes last."""
@@ -60,6 +61,9 @@ KINDS = {
     "gallery": Kind("rooms", 360, (0.25, 0.4), sizes=4),
     "screens": Kind("rooms", 300, (0.12, 0.28)),
     "film": Kind("tables", 300, (0.15, 0.3)),
+    "bristles": Kind("trouble", 300),
+    "steam": Kind("trouble", 300, (0.15, 0.35), sizes=4, volume=True),
+    "party": Kind("trouble", 360, (0.1, 0.28), sizes=4),
 }
 
 
