@@ -32,6 +32,7 @@ from lobewise.filters.cross_pass import PassKey, Reads, Writes, make_pass
 from lobewise.filters.fireflies import compute_energy_lost
 from lobewise.filters.forms import Taps
 from lobewise.filters.history import sums
+from lobewise.filters.history.accumulation_pass import make_accumulation
 from lobewise.filters.history.reprojection_pass import make_reprojection
 from lobewise.guides import lobe_fields
 from lobewise.guides.surfaces import mark_surface_pixels
@@ -163,6 +164,7 @@ KERNELS = {
     "cross filter": list_definitions((PassKey, GgxFeature, SgMixtureFeature), make_pass),
     "fireflies": list_definitions(("fireflies", True), fireflies.make_fireflies),
     "reprojection": list_definitions(("reprojection", GgxFeature), make_reprojection),
+    "accumulation": list_definitions(("accumulation", GgxFeature), make_accumulation),
     "lobes": list_definitions((lobe_fields.define_lobes,), pointwise.make_pointwise),
 }
 """What some kernels are made from."""
@@ -220,7 +222,7 @@ class TestSources:
         before = describe_definitions(KERNELS[kernel])
         edit(monkeypatch, module, old, new)
         # Checks of features raise errors; a feature counts as a whole.
-        is_part = module is errors and kernel in ("cross filter", "reprojection")
+        is_part = module is errors and kernel in ("cross filter", "reprojection", "accumulation")
         assert (describe_definitions(KERNELS[kernel]) == before) is not is_part
 
     @pytest.mark.parametrize(
@@ -233,7 +235,7 @@ class TestSources:
             ("cross filter", scheduling, "STRIP_ROWS = 32", "STRIP_ROWS = 16"),
             ("fireflies", jit, "pipeline.compile_to_object(", "pipeline.compile_to_an_object("),
             ("fireflies", fireflies, "REACH = 6", "REACH = 5"),
-            ("reprojection", sums, "faded.squared_weight * share", "faded.squared_weight"),
+            ("accumulation", sums, "faded.squared_weight * share", "faded.squared_weight"),
         ],
     )
     def test_what_is_compiled_counts_however_deep(self, monkeypatch, kernel, module, old, new):

@@ -113,6 +113,8 @@ def filter_plain_layer(
 ) -> tuple[FilterOutput, list[FilteredOther]]:
     """Return a layer after the filter by its guides alone, and further images after the same filter."""
     output = filter_layer(layer, settings, images[:MORE_AT_ONCE])
+    if not images:
+        return output, []
     found, lost = list(output.more), (output.weight_sum <= 0.0)[..., None]
     if rest := images[MORE_AT_ONCE:]:
         further, others = filter_plain_layer(replace(layer, radiance=rest[0]), settings, rest[1:])
