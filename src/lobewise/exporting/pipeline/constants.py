@@ -130,8 +130,8 @@ class Constants:
 
     def get(self, name: str) -> Number:
         """Return a number that the user sets."""
-        (found,) = (each for each in SPATIAL + OVER_TIME if each.name == name)
-        value = self.spp if name == "samples_per_pixel" else found.default
+        (setting,) = (candidate for candidate in SPATIAL + OVER_TIME if candidate.name == name)
+        value = self.spp if name == "samples_per_pixel" else setting.default
         return Number(value, f"p->settings.{name}")
 
     def derive(self, name: str, number: float) -> Number:
@@ -154,8 +154,8 @@ class Constants:
         values = {"eye": self.camera.position, "forward": self.camera.forward}
         values |= self.camera.get_ray_numbers(self.size) | self.camera.get_projection_numbers(self.size)
         view = "p->view_before" if before else "p->view"
-        found = [Number(float(value), f"{view}.{name}[{k}]") for k, value in enumerate(np.atleast_1d(values[name]))]
-        return [round_single(each) for each in found] if single else found
+        numbers = [Number(float(value), f"{view}.{name}[{k}]") for k, value in enumerate(np.atleast_1d(values[name]))]
+        return [round_single(number) for number in numbers] if single else numbers
 
     def get_rays(self) -> dict[str, list[Number]]:
         """Return the numbers of `lobewise.camera.Camera.get_ray_numbers`."""

@@ -40,7 +40,8 @@ def describe_contents(pipeline: Pipeline) -> dict[str, Any]:
         "results": [_describe_image(each) for each in graph.results.values()],
         "state": [_describe_image(written) for written, _ in graph.kept],
         "numbers": [
-            {"name": each.name, "default": each.default, "meaning": each.text} for each in pipeline.user_settings
+            {"name": setting.name, "default": setting.default, "meaning": setting.text}
+            for setting in pipeline.user_settings
         ],
         "bytes_per_pixel": {"between steps": memory.made_bytes, "state": memory.kept_bytes},
         "kernels": {kernel.symbol: kernel.name for kernel in pipeline.kernels},
@@ -49,13 +50,13 @@ def describe_contents(pipeline: Pipeline) -> dict[str, Any]:
                 "name": stage,
                 "steps": [
                     {
-                        "what": each.text,
-                        "function": each.function,
-                        "reads": [image.name for image in each.reads],
-                        "writes": [image.name for image in each.writes],
-                        **({"only if": each.when} if each.when else {}),
+                        "what": operation.text,
+                        "function": operation.function,
+                        "reads": [image.name for image in operation.reads],
+                        "writes": [image.name for image in operation.writes],
+                        **({"only if": operation.when} if operation.when else {}),
                     }
-                    for each in operations
+                    for operation in operations
                 ],
             }
             for stage, operations in pipeline.stages
@@ -82,9 +83,11 @@ def list_contents(pipeline: Pipeline) -> Iterator[str]:
     yield f"Kernels: {len(pipeline.kernels)}."
     for number, (stage, operations) in enumerate(pipeline.stages, 1):
         yield f"{number}. {stage}"
-        for each in operations:
-            ways = f"{_name(each.reads)} -> {_name(each.writes)}" if each.writes else _name(each.reads)
-            yield f"   {each.text}: {ways}" + (" (only if needed)" if each.when else "")
+        for operation in operations:
+            ways = (
+                f"{_name(operation.reads)} -> {_name(operation.writes)}" if operation.writes else _name(operation.reads)
+            )
+            yield f"   {operation.text}: {ways}" + (" (only if needed)" if operation.when else "")
 
 
 def _name(images: tuple[GraphImage, ...]) -> str:

@@ -138,12 +138,12 @@ def _list_lengths(pipeline: Pipeline) -> list[Length]:
 
 
 def _list_places(pipeline: Pipeline) -> str:
-    given = [*pipeline.graph.given, *pipeline.graph.results]
-    kept = [image.name for pair in pipeline.graph.kept for image in pair]
+    frame_images = [*pipeline.graph.given, *pipeline.graph.results]
+    state_images = [image.name for pair in pipeline.graph.kept for image in pair]
     lines = [f"    PLACE_{number}," for number in range(pipeline.memory.count)]
-    lines += [f"    KEPT_{each}," for each in kept]
+    lines += [f"    KEPT_{each}," for each in state_images]
     lines += [f"    FLAT_{each}," for each in pipeline.graph.flats]
-    outside = [f"HELD_{each}" for each in pipeline.graph.held] + [f"GIVEN_{each}" for each in given]
+    outside = [f"HELD_{each}" for each in pipeline.graph.held] + [f"GIVEN_{each}" for each in frame_images]
     lines += [f"    {outside[0]}, FIRST_OUTSIDE = {outside[0]},", *(f"    {each}," for each in outside[1:])]
     return "\n".join(lines)
 
@@ -171,8 +171,10 @@ def _describe_image(pipeline: Pipeline, image: GraphImage) -> str:
 
 def _declare_kernel(kernel: CompiledKernel) -> str:
     words = [
-        f"{_TYPES[each.type]} {each.name}" if each.role == "number" else f"struct halide_buffer_t *{each.name}"
-        for each in kernel.parameters
+        f"{_TYPES[parameter.type]} {parameter.name}"
+        if parameter.role == "number"
+        else f"struct halide_buffer_t *{parameter.name}"
+        for parameter in kernel.parameters
     ]
     return f"int {kernel.symbol}({', '.join(words)});"
 
@@ -202,12 +204,12 @@ def _list_routines(graph: Graph, name: str) -> str:
     """Return the C functions that steps call, and those that these call."""
     parts = _MARK.split(read_template("pipeline/routines.c"))
     texts = dict(zip(parts[1::2], parts[2::2], strict=True))
-    wanted = {operation.function for operation in graph.operations if not operation.is_kernel}
-    unknown = wanted - set(texts)
+    called = {operation.function for operation in graph.operations if not operation.is_kernel}
+    unknown = called - set(texts)
     assert not unknown, f"no C functions {unknown}"
-    while more := {other for each in wanted for other in texts if f"{other}(" in texts[each]} - wanted:
-        wanted |= more
-    text = "\n".join(text.rstrip() + "\n" for key, text in texts.items() if key in wanted)
+    while more := {other for each in called for other in texts if f"{other}(" in texts[each]} - called:
+        called |= more
+    text = "\n".join(text.rstrip() + "\n" for key, text in texts.items() if key in called)
     return Template(text).substitute(name=name, **ROUTINE_NUMBERS)
 
 
@@ -257,7 +259,10 @@ def _write_operation(pipeline: Pipeline, operation: Operation) -> list[str]:
 def _write_checks(pipeline: Pipeline) -> str:
     name = pipeline.name
     conditional = {
-        image.name for each in pipeline.graph.operations if "p->frame->" in each.when for image in each.writes
+        image.name
+        for operation in pipeline.graph.operations
+        if "p->frame->" in operation.when
+        for image in operation.writes
     }
     lines = []
     for image in (*pipeline.graph.given.values(), *pipeline.graph.results.values()):
@@ -284,17 +289,17 @@ def _write_given(pipeline: Pipeline) -> str:
             "    p->rows = (p->height - frame->row + SCALE - 1) / SCALE;",
             "    p->columns = (p->width - frame->column + SCALE - 1) / SCALE;",
         ]
-    for each in pipeline.graph.given:
+    for name in pipeline.graph.given:
         # Kernels do not write to it; Halide's buffers have no other kind of pointer.
-        lines.append(f"    memcpy(&p->memory[GIVEN_{each}], &frame->{each}, sizeof(void *));")
-    lines += [f"    p->memory[GIVEN_{each}] = frame->{each};" for each in pipeline.graph.results]
+        lines.append(f"    memcpy(&p->memory[GIVEN_{name}], &frame->{name}, sizeof(void *));")
+    lines += [f"    p->memory[GIVEN_{name}] = frame->{name};" for name in pipeline.graph.results]
     places = set(pipeline.blocks.values())
-    lines += [f"    mark_host(p, GIVEN_{each});" for each in pipeline.graph.given if f"GIVEN_{each}" in places]
-    for each in pipeline.graph.held:
+    lines += [f"    mark_host(p, GIVEN_{name});" for name in pipeline.graph.given if f"GIVEN_{name}" in places]
+    for name in pipeline.graph.held:
         lines += [
             "    {",
-            f"        const float *values = HELD_VALUES_{each};",
-            f"        memcpy(&p->memory[HELD_{each}], &values, sizeof(void *));",
+            f"        const float *values = HELD_VALUES_{name};",
+            f"        memcpy(&p->memory[HELD_{name}], &values, sizeof(void *));",
             "    }",
         ]
     return "\n".join(lines)

@@ -90,7 +90,7 @@ class GivenGuides:
         if name.startswith("_"):
             raise AttributeError(name)
         settings = self.settings
-        asked = {
+        available = {
             "position": settings.position,
             "alpha_v": settings.anisotropic,
             "tangent": settings.anisotropic,
@@ -105,7 +105,7 @@ class GivenGuides:
         }
         if name == "mean_emission" and settings.upsample > 1:
             name = "emission"
-        if name not in GUIDES or not asked.get(name, True):
+        if name not in GUIDES or not available.get(name, True):
             return None
         if name == "alpha_u" and not settings.anisotropic:
             name = "alpha"
@@ -315,8 +315,8 @@ class PipelineGuides:
         return self.graph.give(name, *size, 3, text=f"{text}, linear radiance", unit="any")
 
     def _compute(self, define: Any, images: dict[str, GraphImage], name: str, text: str) -> GraphImage:
-        (found,) = engine.pixels(define, images, {}, names=[name], text=text)
-        return found  # type: ignore[return-value]  # recorded images stand for arrays
+        (image,) = engine.pixels(define, images, {}, names=[name], text=text)
+        return image  # type: ignore[return-value]  # recorded images stand for arrays
 
     @property
     def emission(self) -> GraphImage:

@@ -54,7 +54,10 @@ class Pipeline:
     @cached_property
     def stages(self) -> list[tuple[str, list[Operation]]]:
         """Steps by the part of the plan that they belong to."""
-        return [(name, list(each)) for name, each in groupby(self.graph.operations, key=lambda each: each.stage)]
+        return [
+            (name, list(operations))
+            for name, operations in groupby(self.graph.operations, key=lambda operation: operation.stage)
+        ]
 
     @property
     def least_width(self) -> int:
@@ -85,7 +88,12 @@ class Pipeline:
 
         An image has the block of its place. A plane of a stack has a block of its own.
         """
-        used = [image for each in self.graph.operations if each.on_device for image in (*each.reads, *each.writes)]
+        used = [
+            image
+            for operation in self.graph.operations
+            if operation.on_device
+            for image in (*operation.reads, *operation.writes)
+        ]
         parts = dict.fromkeys(image.name for image in used if image.whole is not None)
         own = {name: f"PLACES + {number}" for number, name in enumerate(parts)}
         return {image.name: own.get(image.name, self.get_place(image)) for image in used}

@@ -79,17 +79,17 @@ def record_frame(guides: PipelineGuides) -> None:
         record_filter(guides)
         return
     if settings.history:
-        found = filter_over_time(guides)
+        filtered = filter_over_time(guides)
     elif guides.is_sparse:
-        found = upsample_by_guides(tint_samples(frame), guides.resolved, guides.features)
+        filtered = upsample_by_guides(tint_samples(frame), guides.resolved, guides.features)
     else:
         exact = guides.emission if settings.emission else None
         _, clean = filter_whole(frame, guides.resolved, guides.features, cast(Any, guides.bad), exact=cast(Any, exact))
         give_parts(guides, clean.parts)
         return
-    give_parts(guides, found.parts)
+    give_parts(guides, filtered.parts)
     with engine.part("fill holes"):
-        fill_holes(found.image, found.holes, frame)
+        fill_holes(filtered.image, filtered.holes, frame)
 
 
 def record_filter(guides: PipelineGuides) -> None:
@@ -99,11 +99,11 @@ def record_filter(guides: PipelineGuides) -> None:
     light: Any = graph.give("radiance", *SIZE, 3, text=text, unit="any")
     text = "albedo of the radiance: it is divided by it, and multiplied afterwards; a black pixel has no weight"
     albedo: Any = graph.give("albedo", *SIZE, 3, text=text, unit="0 to 1") if settings.albedo else None
-    found = filter_alone(cast(Any, guides), settings, guides.resolved, guides.features, light, albedo)
+    filtered = filter_alone(cast(Any, guides), settings, guides.resolved, guides.features, light, albedo)
     made: Any = {
-        "image": (found.image, "the filtered radiance; 0 where no pixel counts"),
-        "weight_sum": (found.weight_sum, "the sum of the weights, or NULL"),
-        "effective_samples": (found.effective_samples, "(sum w)^2 / sum w^2 of the weights w, or NULL"),
+        "image": (filtered.image, "the filtered radiance; 0 where no pixel counts"),
+        "weight_sum": (filtered.weight_sum, "the sum of the weights, or NULL"),
+        "effective_samples": (filtered.effective_samples, "(sum w)^2 / sum w^2 of the weights w, or NULL"),
     }
     with engine.part("results"):
         for name, (image, text) in made.items():

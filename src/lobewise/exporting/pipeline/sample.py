@@ -156,13 +156,13 @@ def cover_pixels(guides: GBuffer) -> dict[str, FloatArray]:
     """Return shares of pixels that near surfaces cover, and the albedos over pixel areas that follow."""
     share = np.random.default_rng(9).uniform(0.0, 0.2, (*(guides.shape or (0, 0)), 9))
     share[..., 4] += 1.0 - share.sum(axis=-1)
-    found = {"coverage": share.astype(np.float32)}
+    images = {"coverage": share.astype(np.float32)}
     for name in ("diffuse_albedo", "specular_albedo"):
         albedo = np.pad(guides.require(name, "coverage"), ((1, 1), (1, 1), (0, 0)), mode="edge")
         near = [albedo[k // 3 :, k % 3 :][: share.shape[0], : share.shape[1]] for k in range(9)]
         parts = [share[..., k : k + 1] * each for k, each in enumerate(near)]
-        found[f"mean_{name}"] = np.sum(parts, axis=0).astype(np.float32)
-    return found
+        images[f"mean_{name}"] = np.sum(parts, axis=0).astype(np.float32)
+    return images
 
 
 def show_reflections(guides: GBuffer) -> dict[str, FloatArray]:
@@ -217,16 +217,16 @@ def run_recipe(
     settings: PipelineSettings, frames: Sequence[AnyFrame], features: Features = no_features
 ) -> list[FloatArray]:
     """Return what Python makes of frames, one after the other."""
-    wanted = make_settings(settings)
+    chosen = make_settings(settings)
     if settings.is_filter:
-        return [run_filter(settings, frame, resolve_settings(frame, wanted), features) for frame in frames]
+        return [run_filter(settings, frame, resolve_settings(frame, chosen), features) for frame in frames]
     if settings.history:
-        over_time = TemporalFilter(wanted)
+        over_time = TemporalFilter(chosen)
         return [over_time.add(frame, features=features(frame)).image for frame in frames]
     return [
-        upsample(frame, wanted, features=features(frame)).image
+        upsample(frame, chosen, features=features(frame)).image
         if isinstance(frame, SparseFrame)
-        else denoise_checked(check_frame(frame, wanted), wanted, features(frame)).image
+        else denoise_checked(check_frame(frame, chosen), chosen, features(frame)).image
         for frame in frames
     ]
 
@@ -254,12 +254,12 @@ def collect_images(graph: Graph, frame: AnyFrame, emission: FloatArray | None = 
     for layer in getattr(frame, "layers", ()):
         named |= {layer.name: layer.radiance, f"{layer.name}_albedo": layer.albedo}
         named |= {f"half_a_{layer.name}": layer.half_a, f"half_b_{layer.name}": layer.half_b}
-    found = {}
+    inputs = {}
     for name in graph.given:
         image = named.get(name) if name in named else getattr(guides, name)
         assert image is not None, f"the example has no image {name}"
-        found[name] = image
-    return found
+        inputs[name] = image
+    return inputs
 
 
 __all__ = ["FRAMES", "HEIGHT", "SPP", "WIDTH", "SampleFrame", "make_sample"]

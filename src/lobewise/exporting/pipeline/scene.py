@@ -55,9 +55,9 @@ def place_camera(number: int) -> Camera:
 
 def place_balls(number: int) -> list[tuple[NDArray[np.float64], float, float]]:
     """Return centre, radius and roughness of the balls of a frame."""
-    found = [(np.array(centre), radius, alpha) for centre, radius, alpha in BALLS]
-    centre, radius, alpha = found[-1]
-    return [*found[:-1], (centre + number * BALL_STEP, radius, alpha)]
+    balls = [(np.array(centre), radius, alpha) for centre, radius, alpha in BALLS]
+    centre, radius, alpha = balls[-1]
+    return [*balls[:-1], (centre + number * BALL_STEP, radius, alpha)]
 
 
 def trace(origin: NDArray[np.float64], ray: NDArray[np.float64], number: int) -> Traced:

@@ -171,9 +171,9 @@ class PipelineSettings(Declared):
         """Refuse what a single filter does not have."""
         usual = PipelineSettings()
         only = ("plan", "similarity", "form", "radius", "lobes", "albedo", *GUIDES_OF_FILTER)
-        for each in vars(self).keys() - set(only):
-            if getattr(self, each) != getattr(usual, each):
-                raise _refuse(each, f"{each} with the plan filter", "choose the plan fast, or leave it out")
+        for name in vars(self).keys() - set(only):
+            if getattr(self, name) != getattr(usual, name):
+                raise _refuse(name, f"{name} with the plan filter", "choose the plan fast, or leave it out")
 
     @property
     def is_filter(self) -> bool:

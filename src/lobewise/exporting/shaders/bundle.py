@@ -91,18 +91,18 @@ def pack_frames(frames: Sequence[Frame]) -> bytes:
         "width": first.width,
         "height": first.height,
         "spp": first.spp,
-        "channels": [[name, each.count, each.is_smooth] for name, each in CHANNELS.items()],
+        "channels": [[name, channel.count, channel.is_smooth] for name, channel in CHANNELS.items()],
         "cameras": [_describe_camera(frame) for frame in frames],
     }
     text = json.dumps(header).encode()
     parts = [len(text).to_bytes(4, "little"), text]
     for frame in frames:
         images = collect_images(frame)
-        for name, each in CHANNELS.items():
-            planes = round_half(np.atleast_3d(images[name]), each.bits)
-            for k in range(each.count):
+        for name, channel in CHANNELS.items():
+            planes = round_half(np.atleast_3d(images[name]), channel.bits)
+            for k in range(channel.count):
                 plane = planes[..., k]
-                if each.is_smooth:
+                if channel.is_smooth:
                     plane = np.diff(plane, axis=1, prepend=np.uint16(0))
                 parts += [(plane >> 8).astype(np.uint8).tobytes(), (plane & 255).astype(np.uint8).tobytes()]
     return gzip.compress(b"".join(parts), 9, mtime=0)
@@ -130,16 +130,18 @@ def read_frames(path: Path) -> list[Frame]:
     height, width = header["height"], header["width"]
     planes = np.frombuffer(data, np.uint8, offset=4 + length).reshape(-1, 2, height, width)
     frames, at = [], 0
-    for told in header["cameras"]:
+    for described in header["cameras"]:
         images: dict[str, FloatArray] = {}
         for name, count, is_smooth in header["channels"]:
-            found = planes[at : at + count].astype(np.uint16)
-            bits = found[:, 0] << 8 | found[:, 1]
+            byte_planes = planes[at : at + count].astype(np.uint16)
+            bits = byte_planes[:, 0] << 8 | byte_planes[:, 1]
             if is_smooth:
                 bits = np.cumsum(bits, axis=2, dtype=np.uint16)
             images[name] = np.moveaxis(bits.view(np.float16), 0, -1).astype(np.float32)
             at += count
-        camera = Camera(told["position"], told["forward"], told["up"], told["fov_y"], told["fov_x"])
+        camera = Camera(
+            described["position"], described["forward"], described["up"], described["fov_y"], described["fov_x"]
+        )
         frames.append(_make_frame(images, camera, header["spp"]))
     return frames
 

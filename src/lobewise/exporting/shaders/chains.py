@@ -96,8 +96,8 @@ def make_upsample_chain(form: str, lobes: Lobes) -> Chain:
     screen = "lobewise_compare_screen(offset, constants.screen_sigma)"
     guides = [*list_guides(lobes.guides, Lifetime.KEPT), REFLECTIONS]
     sparse = {"here": "lobewise_find_pixel(pixel)", "other": "lobewise_find_pixel(tap)"}
-    given = [replace(image, extent=SAMPLES) if image.name in LAYERS else image for image in GIVEN]
-    images = [*given, MOTION, HITS, *guides, *keep(guides)]
+    inputs = [replace(image, extent=SAMPLES) if image.name in LAYERS else image for image in GIVEN]
+    images = [*inputs, MOTION, HITS, *guides, *keep(guides)]
     passes = [make_guides_pass(lobes, OWN_FOOTPRINT, ["motion"]), make_reflections_pass()]
     for layer in lobes.layers:
         images += [

@@ -123,7 +123,7 @@ def write_vector(values: Sequence[float]) -> str:
 @cache
 def read_library(name: str) -> Mapping[str, Declaration]:
     """Return the declarations of a file of ``templates``, by name and in order."""
-    found: dict[str, Declaration] = {}
+    declarations: dict[str, Declaration] = {}
     comment: list[str] = []
     body: list[str] = []
     named = ""
@@ -137,9 +137,9 @@ def read_library(name: str) -> Mapping[str, Declaration]:
             named = next(group for group in match.groups() if group)
         body.append(line)
         if line.startswith("const ") or line in ("}", "};"):
-            found[named] = Declaration(named, "\n".join([*comment, *body]))
+            declarations[named] = Declaration(named, "\n".join([*comment, *body]))
             comment, body = [], []
-    return found
+    return declarations
 
 
 def gather(libraries: Sequence[str], text: str) -> str:
@@ -148,16 +148,16 @@ def gather(libraries: Sequence[str], text: str) -> str:
     for library in libraries:
         known |= read_library(library)
     places = {name: place for place, name in enumerate(known)}
-    found: dict[str, str] = {}
+    texts: dict[str, str] = {}
 
     def add(declaration: Declaration) -> None:
         for name in sorted(declaration.uses, key=places.__getitem__):
-            if name not in found:
+            if name not in texts:
                 add(known[name])
-                found[name] = known[name].text
+                texts[name] = known[name].text
 
     add(Declaration("", text))
     # Constants come first, without gaps.
-    constants = [name for name in known if name in found and known[name].is_constant]
-    others = [declared for name, declared in found.items() if name not in constants]
-    return "\n\n".join(["\n".join(found[name] for name in constants), *others])
+    constants = [name for name in known if name in texts and known[name].is_constant]
+    others = [declared for name, declared in texts.items() if name not in constants]
+    return "\n\n".join(["\n".join(texts[name] for name in constants), *others])

@@ -103,9 +103,9 @@ def keep(images: Sequence[Image]) -> list[Image]:
 
 def list_history(layer: str) -> list[Image]:
     """Return the images of a layer's history: what was found of it, and what is kept of it."""
-    told = f"{layer} light of this frame and its history"
+    meaning = f"{layer} light of this frame and its history"
     trust = Image(
         name=f"{layer}_trust", comment="how far the samples confirm the history, 0 to 1 (x)", lifetime=Lifetime.FRAME
     )
-    kept = list_sums(f"{layer}_kept", told, Lifetime.KEPT)
-    return [*list_sums(f"{layer}_history", f"history of {layer} light", Lifetime.FRAME), trust, *kept, *keep(kept)]
+    state = list_sums(f"{layer}_kept", meaning, Lifetime.KEPT)
+    return [*list_sums(f"{layer}_history", f"history of {layer} light", Lifetime.FRAME), trust, *state, *keep(state)]

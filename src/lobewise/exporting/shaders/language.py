@@ -99,39 +99,39 @@ def translate_line(line: str, language: str, *, inside: bool = False) -> str:
         return translate_line(code.rstrip(), language) + gap + mark + comment
 
     def spell(text: str) -> str:
-        text = _WORD.sub(lambda found: spell_type(found[0], language), text).replace("bits_of(", _BITS[language] + "(")
+        text = _WORD.sub(lambda match: spell_type(match[0], language), text).replace("bits_of(", _BITS[language] + "(")
         return _LOADED.sub(_LOAD[language], text)
 
     def declare(kind: str, variable: str) -> str:
         name = spell_type(kind, language)
         return f"{variable}: {name}" if language == "wgsl" else f"{name} {variable}"
 
-    if found := _FUNCTION.match(code):
-        result, function, given = found.groups()
-        parameters = ", ".join(declare(*parameter.split(" ")) for parameter in given.split(", ") if parameter)
+    if match := _FUNCTION.match(code):
+        result, function, parameter_list = match.groups()
+        parameters = ", ".join(declare(*parameter.split(" ")) for parameter in parameter_list.split(", ") if parameter)
         if language == "wgsl":
             return f"fn {function}({parameters}) -> {spell_type(result, language)} {{"
         return f"{spell_type(result, language)} {function}({parameters}) {{"
-    if found := _CONSTANT.match(code):
-        kind, constant, value = found.groups()
+    if match := _CONSTANT.match(code):
+        kind, constant, value = match.groups()
         word = {"hlsl": "static const", "glsl": "const", "wgsl": "const"}[language]
         return f"{word} {declare(kind, constant)} = {spell(value)};"
-    if inside and (found := _MEMBER.match(line)):
-        kind, member, rest = found.groups()
+    if inside and (match := _MEMBER.match(line)):
+        kind, member, rest = match.groups()
         return f"    {declare(kind, member)}{',' if language == 'wgsl' else ';'}{rest}"
     if inside and language == "wgsl" and code == "};":
         return "}"
-    if found := _VALUE.match(code):
-        indent, how, kind, variable, value = found.groups()
+    if match := _VALUE.match(code):
+        indent, how, kind, variable, value = match.groups()
         word = f"{how} " if language == "wgsl" else ""
-        given = "" if value is None else f" = {spell(value)}"
-        return f"{indent}{word}{declare(kind, variable)}{given};"
-    if found := _LOOP.match(code):
-        indent, variable, first, last, step = found.groups()
+        assigned = "" if value is None else f" = {spell(value)}"
+        return f"{indent}{word}{declare(kind, variable)}{assigned};"
+    if match := _LOOP.match(code):
+        indent, variable, first, last, step = match.groups()
         word = "var " if language == "wgsl" else ""
         return f"{indent}for ({word}{declare('int', variable)} = {spell(first)}; {spell(last)}; {spell(step)}) {{"
-    if found := _STORED.match(code):
-        indent, image, pixel, value = found.groups()
+    if match := _STORED.match(code):
+        indent, image, pixel, value = match.groups()
         return indent + _STORE[language].format(image, pixel, spell(value))
     return spell(code) + mark + comment
 

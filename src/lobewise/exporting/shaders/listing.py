@@ -15,16 +15,18 @@ def count_bytes(chain: Chain) -> tuple[int, int]:
 
     Images of lifetime "frame" may share memory once no later pass reads them. Samples count as pixels.
     """
-    kept = [image for image in chain.images if image.lifetime in (Lifetime.KEPT, Lifetime.BEFORE)]
-    last_reader = {image: number for number, each in enumerate(chain.passes) for image in each.reads.values()}
+    state = [image for image in chain.images if image.lifetime in (Lifetime.KEPT, Lifetime.BEFORE)]
+    last_reader = {
+        image: number for number, shader_pass in enumerate(chain.passes) for image in shader_pass.reads.values()
+    }
     alive: set[str] = set()
     most = 0
-    for number, each in enumerate(chain.passes):
-        written = [chain.get_image(name) for name in each.writes.values()]
+    for number, shader_pass in enumerate(chain.passes):
+        written = [chain.get_image(name) for name in shader_pass.writes.values()]
         alive |= {image.name for image in written if image.lifetime is Lifetime.FRAME}
         most = max(most, sum(BYTES[chain.get_image(name).format] for name in alive))
         alive = {name for name in alive if last_reader.get(name, -1) > number}
-    return most, sum(BYTES[image.format] for image in kept)
+    return most, sum(BYTES[image.format] for image in state)
 
 
 def list_chain(chain: Chain, language: str) -> Iterator[str]:
@@ -35,9 +37,12 @@ def list_chain(chain: Chain, language: str) -> Iterator[str]:
         for image in chain.images:
             if image.lifetime is lifetime:
                 yield f"  {image.name}: {image.extent[0]} x {image.extent[1]}, {image.comment}"
-    within, kept = count_bytes(chain)
-    yield f"Memory: {within} bytes for each pixel within a frame, {kept} from frame to frame, beside inputs and result."
+    within, between = count_bytes(chain)
+    memory = f"{within} bytes for each pixel within a frame, {between} from frame to frame"
+    yield f"Memory: {memory}, beside inputs and result."
     yield f"Passes: {len(chain.passes)}."
-    for number, each in enumerate(chain.passes, 1):
-        reads, writes = (", ".join(dict.fromkeys(images.values())) for images in (each.reads, each.writes))
-        yield f"{number}. {each.name}: {reads} -> {writes}"
+    for number, shader_pass in enumerate(chain.passes, 1):
+        reads, writes = (
+            ", ".join(dict.fromkeys(images.values())) for images in (shader_pass.reads, shader_pass.writes)
+        )
+        yield f"{number}. {shader_pass.name}: {reads} -> {writes}"

@@ -115,13 +115,13 @@ class Chain:
         """Return an image by its name."""
         return next(image for image in self.images if image.name == name)
 
-    def list_bindings(self, each: Pass) -> list[Binding]:
+    def list_bindings(self, shader_pass: Pass) -> list[Binding]:
         """Return the images of a pass in the order of their bindings, from 1 on: those that it reads come first."""
-        read = [Binding(name, self.get_image(image).comment) for name, image in each.reads.items()]
+        read = [Binding(name, self.get_image(image).comment) for name, image in shader_pass.reads.items()]
         written = []
-        for name, image in each.writes.items():
-            found = self.get_image(image)
-            written.append(Binding(name, found.comment, found.format))
+        for name, image in shader_pass.writes.items():
+            declared = self.get_image(image)
+            written.append(Binding(name, declared.comment, declared.format))
         return [*read, *written]
 
 
@@ -132,14 +132,14 @@ HEADERS = {
 }
 
 
-def write_pass(chain: Chain, each: Pass, language: str) -> str:
+def write_pass(chain: Chain, shader_pass: Pass, language: str) -> str:
     """Return the file of a pass: a whole program in "hlsl", "glsl" or "wgsl"."""
-    body = read_template(each.body, each.parts)
-    libraries = [*LIBRARIES, *(f"{name}.shader" for name in each.libraries)]
+    body = read_template(shader_pass.body, shader_pass.parts)
+    libraries = [*LIBRARIES, *(f"{name}.shader" for name in shader_pass.libraries)]
     functions = translate_text(gather(libraries, body), language)
-    comment = "".join(f"// {line}\n" for line in each.comment.splitlines())
+    comment = "".join(f"// {line}\n" for line in shader_pass.comment.splitlines())
     first, *lines = body.splitlines()
-    assert first == "main {", f"{each.body} must begin with its entry point"
-    main = write_entry(language, WORKGROUP, each.extent) + translate_text("\n".join(lines), language)
-    bindings = write_bindings(chain.constants, chain.list_bindings(each), language)
+    assert first == "main {", f"{shader_pass.body} must begin with its entry point"
+    main = write_entry(language, WORKGROUP, shader_pass.extent) + translate_text("\n".join(lines), language)
+    bindings = write_bindings(chain.constants, chain.list_bindings(shader_pass), language)
     return f"{HEADERS[language]}{comment}\n{bindings}\n{functions}\n{main}"

@@ -130,16 +130,16 @@ def make_filter_passes(layer: Layer, form: str, power: str, **more: str) -> tupl
     images: list[Image] = []
     read, source = "lobewise_read_radiance", {"radiance": layer.name, "albedo": f"{layer.name}_albedo"}
     for taps, _, step in list_form_passes(form, 0):
-        told = _describe_taps(taps, step)
-        after = f"{layer.name}_{told.name}"
-        images += list_sums(after, f"{layer.name} light, summed over {told.over}", Lifetime.FRAME)
+        described = _describe_taps(taps, step)
+        after = f"{layer.name}_{described.name}"
+        images += list_sums(after, f"{layer.name} light, summed over {described.over}", Lifetime.FRAME)
         passes.append(
             Pass(
                 name=after,
-                comment=f"Sums similar pixels over {told.over}: {layer.light}.\n"
+                comment=f"Sums similar pixels over {described.over}: {layer.light}.\n"
                 "weight = place on the screen * place in the scene * overlap of the lobes",
-                body=told.body,
-                parts={**told.parts, "power": power, "read": read},
+                body=described.body,
+                parts={**described.parts, "power": power, "read": read},
                 libraries=layer.libraries,
                 reads={**layer.bind_guides(), **source, **more},
                 writes={"added_light": f"{after}_light", "added_more": f"{after}_more"},

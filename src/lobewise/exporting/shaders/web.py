@@ -46,15 +46,17 @@ PAGE_SCALE = 2
 
 def take_samples(frames: Sequence[Frame]) -> list[SparseFrame]:
     """Return the frames with the light of one pixel in every block, another one in every frame."""
-    taken = []
+    samples_of_frames = []
     for number, frame in enumerate(frames):
         place = list_places(PAGE_SCALE)[number % PAGE_SCALE**2]
         shaded = slice(place[0], None, PAGE_SCALE), slice(place[1], None, PAGE_SCALE)
         light = frame.radiance
         assert light.diffuse is not None and light.specular is not None
         samples = Radiance(light.color[shaded], diffuse=light.diffuse[shaded], specular=light.specular[shaded])
-        taken.append(SparseFrame(samples, frame.gbuffer, PAGE_SCALE, place=place, camera=frame.camera, spp=frame.spp))
-    return taken
+        samples_of_frames.append(
+            SparseFrame(samples, frame.gbuffer, PAGE_SCALE, place=place, camera=frame.camera, spp=frame.spp)
+        )
+    return samples_of_frames
 
 
 def make_blocks(chain: Chain, frames: Sequence[AnyFrame]) -> list[bytes]:
@@ -85,13 +87,14 @@ def _bundle_chain(name: str, title: str, frames: Sequence[Frame]) -> dict[str, A
     chain = make_chain(name, form=settings.form)
     sparse = take_samples(frames) if name == "upsample" else []
     texts = {
-        name_file(number, each, "wgsl"): write_pass(chain, each, "wgsl") for number, each in enumerate(chain.passes, 1)
+        name_file(number, shader_pass, "wgsl"): write_pass(chain, shader_pass, "wgsl")
+        for number, shader_pass in enumerate(chain.passes, 1)
     }
     blocks = [base64.b64encode(block).decode() for block in make_blocks(chain, sparse or frames)]
-    told = {"title": title, "chain": describe_chain(chain, "wgsl"), "files": texts, "blocks": blocks}
+    entry = {"title": title, "chain": describe_chain(chain, "wgsl"), "files": texts, "blocks": blocks}
     if not sparse:
-        return {**told, "scale": 1, "places": []}
-    return {**told, "scale": PAGE_SCALE, "places": [frame.place for frame in sparse]}
+        return {**entry, "scale": 1, "places": []}
+    return {**entry, "scale": PAGE_SCALE, "places": [frame.place for frame in sparse]}
 
 
 def export_web(output: PathLike, *, force: bool = False) -> list[str]:
@@ -121,20 +124,20 @@ def export_web(output: PathLike, *, force: bool = False) -> list[str]:
     first = frames[0]
     spp = f"{first.spp} sample" + ("" if first.spp == 1 else "s")
     parts = {"spp": spp, "width": first.width, "height": first.height, "frames": len(frames)}
-    told = {**{name: str(value) for name, value in parts.items()}, "version": lobewise.__version__, "docs": DOCS}
+    values = {**{name: str(value) for name, value in parts.items()}, "version": lobewise.__version__, "docs": DOCS}
     show = copy_template("web/show.wgsl")
     texts = {
-        "index.html": read_template("web/index.html", told),
+        "index.html": read_template("web/index.html", values),
         "player.js": copy_template("web/player.js"),
         "sequence.js": f'"use strict";\nconst SEQUENCE = "{base64.b64encode(packed).decode()}";\n',
         "passes.js": f'"use strict";\nconst PASSES = {json.dumps({"show": show, "chains": chains}, indent=1)};\n',
         "passes/show.wgsl": show,
         MARK: json.dumps({"lobewise": lobewise.__version__, "target": WEB}) + "\n",
     }
-    for each in chains:
-        folder = f"passes/{each['chain']['chain']}"
-        texts |= {f"{folder}/{name}": text for name, text in each["files"].items()}
-        texts[f"{folder}/chain.json"] = json.dumps(each["chain"], indent=2) + "\n"
+    for chain in chains:
+        folder = f"passes/{chain['chain']['chain']}"
+        texts |= {f"{folder}/{name}": text for name, text in chain["files"].items()}
+        texts[f"{folder}/chain.json"] = json.dumps(chain["chain"], indent=2) + "\n"
     with open_folder(output, force=force) as place:
         for name, text in texts.items():
             place(name).parent.mkdir(parents=True, exist_ok=True)

@@ -20,9 +20,9 @@ DESCRIPTION = "chain.json"
 """The file that describes a chain to programs."""
 
 
-def name_file(number: int, each: Pass, language: str) -> str:
+def name_file(number: int, shader_pass: Pass, language: str) -> str:
     """Return the name of a pass's file; numbers count from 1."""
-    return f"{number:02d}_{each.name}.{language}"
+    return f"{number:02d}_{shader_pass.name}.{language}"
 
 
 def describe_chain(chain: Chain, language: str) -> dict[str, Any]:
@@ -39,25 +39,27 @@ def describe_chain(chain: Chain, language: str) -> dict[str, Any]:
         "meaning": chain.comment,
         "constants": {"binding": 0, "bytes": offsets[""], "fields": constants},
         "images": [_describe_image(image) for image in chain.images],
-        "passes": [_describe_pass(chain, number, each, language) for number, each in enumerate(chain.passes, 1)],
+        "passes": [
+            _describe_pass(chain, number, shader_pass, language) for number, shader_pass in enumerate(chain.passes, 1)
+        ],
     }
 
 
 def _describe_image(image: Image) -> dict[str, Any]:
-    told: dict[str, Any] = {"name": image.name, "format": image.format, "lifetime": image.lifetime.value}
-    told |= {"width": image.extent[0], "height": image.extent[1], "meaning": image.comment}
-    return {**told, "before": image.before} if image.before else told
+    description: dict[str, Any] = {"name": image.name, "format": image.format, "lifetime": image.lifetime.value}
+    description |= {"width": image.extent[0], "height": image.extent[1], "meaning": image.comment}
+    return {**description, "before": image.before} if image.before else description
 
 
-def _describe_pass(chain: Chain, number: int, each: Pass, language: str) -> dict[str, Any]:
-    images = {**each.reads, **each.writes}
+def _describe_pass(chain: Chain, number: int, shader_pass: Pass, language: str) -> dict[str, Any]:
+    images = {**shader_pass.reads, **shader_pass.writes}
     return {
-        "name": each.name,
-        "file": name_file(number, each, language),
+        "name": shader_pass.name,
+        "file": name_file(number, shader_pass, language),
         "entry": "main",
-        "meaning": each.comment.splitlines()[0],
+        "meaning": shader_pass.comment.splitlines()[0],
         "workgroup": [*WORKGROUP, 1],
-        "dispatch": [*_list_groups(each), "1"],
+        "dispatch": [*_list_groups(shader_pass), "1"],
         "bindings": [
             {
                 "binding": place,
@@ -65,19 +67,19 @@ def _describe_pass(chain: Chain, number: int, each: Pass, language: str) -> dict
                 "image": images[binding.name],
                 "access": "read" if binding.format is None else "write",
             }
-            for place, binding in enumerate(chain.list_bindings(each), 1)
+            for place, binding in enumerate(chain.list_bindings(shader_pass), 1)
         ],
     }
 
 
-def _list_groups(each: Pass) -> list[str]:
-    return [f"ceil({side} / {count})" for side, count in zip(each.extent, WORKGROUP, strict=True)]
+def _list_groups(shader_pass: Pass) -> list[str]:
+    return [f"ceil({side} / {count})" for side, count in zip(shader_pass.extent, WORKGROUP, strict=True)]
 
 
 def write_readme(chain: Chain, language: str) -> str:
     """Return the README of a chain."""
     offsets = lay_out(chain.constants)
-    kept = [image for image in chain.images if image.lifetime is Lifetime.BEFORE]
+    state = [image for image in chain.images if image.lifetime is Lifetime.BEFORE]
     images = [
         f"| `{image.name}` | {image.lifetime.value} | {image.format} | {image.extent[0]} x {image.extent[1]} "
         f"| {image.comment} |"
@@ -87,19 +89,19 @@ def write_readme(chain: Chain, language: str) -> str:
         f"| {offsets[one.name]} | `{one.name}` | {one.kind} | {one.comment} | {one.python} |" for one in chain.constants
     ]
     passes = []
-    for number, each in enumerate(chain.passes, 1):
-        bound = {**each.reads, **each.writes}
+    for number, shader_pass in enumerate(chain.passes, 1):
+        bound = {**shader_pass.reads, **shader_pass.writes}
         bindings = ", ".join(
             f"{place} `{binding.name}`" + ("" if binding.name == bound[binding.name] else f" = `{bound[binding.name]}`")
-            for place, binding in enumerate(chain.list_bindings(each), 1)
+            for place, binding in enumerate(chain.list_bindings(shader_pass), 1)
         )
-        groups = ", ".join(_list_groups(each))
-        file = name_file(number, each, language)
-        passes.append(f"| `{file}` | {each.comment.splitlines()[0]} | {groups} | {bindings} |")
+        groups = ", ".join(_list_groups(shader_pass))
+        file = name_file(number, shader_pass, language)
+        passes.append(f"| `{file}` | {shader_pass.comment.splitlines()[0]} | {groups} | {bindings} |")
     within, stays = count_bytes(chain)
     swap = ""
-    if kept:
-        names = ", ".join(f"`{image.before}`" for image in kept)
+    if state:
+        names = ", ".join(f"`{image.before}`" for image in state)
         swap = read_template("swap.md", {"names": names})
     return read_template(
         "chain_readme.md",
@@ -155,12 +157,12 @@ def export_chain(
     """
     require_choice("shader language", language, SHADER_LANGUAGES)
     made = make_chain(chain, form=form, similarity=similarity)
-    told = describe_chain(made, language)
+    description = describe_chain(made, language)
     texts = {
-        name_file(number, each, language): write_pass(made, each, language)
-        for number, each in enumerate(made.passes, 1)
+        name_file(number, shader_pass, language): write_pass(made, shader_pass, language)
+        for number, shader_pass in enumerate(made.passes, 1)
     }
-    texts[DESCRIPTION] = json.dumps(told, indent=2) + "\n"
+    texts[DESCRIPTION] = json.dumps(description, indent=2) + "\n"
     texts["README.md"] = write_readme(made, language)
     texts[MARK] = json.dumps({"lobewise": lobewise.__version__, "target": language, "chain": chain}) + "\n"
     with open_folder(output, force=force) as place:
