@@ -289,8 +289,8 @@ RENDERING = (
     Mutation(
         "depths begin at the near plane instead of the camera",
         "render/gbuffer.py",
-        '"depth": dr.select(found, dr.norm(si.p - eye), 0.0)',
-        '"depth": dr.select(found, si.t, 0.0)',
+        '"depth": dr.select(is_hit, dr.norm(si.p - eye), 0.0)',
+        '"depth": dr.select(is_hit, si.t, 0.0)',
         ("render/test_gbuffer.py",),
     ),
     Mutation(

@@ -79,8 +79,8 @@ def repeat(take: Callable[..., tuple[Any, ...]], first: Any, end: Any, *state: A
     def step(index: Any, *state: Any) -> tuple[Any, ...]:
         return index + 1, *take(index, *state)
 
-    _, *found = dr.while_loop((first, *state), lambda index, *_: index < end, step, label=label)
-    return tuple(found)
+    _, *end_state = dr.while_loop((first, *state), lambda index, *_: index < end, step, label=label)
+    return tuple(end_state)
 
 
 def take_vectors(kind: Any, values: NDArray[Any]) -> Any:

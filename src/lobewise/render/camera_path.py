@@ -30,8 +30,8 @@ def find_orbit_centre(scene: Any) -> Vector:
     """Return the surface point in the middle of the image, or the middle of the scene if there is no surface."""
     camera = get_camera(scene, lens=True)
     ray = mi.Ray3f(mi.Point3f(*map(float, camera.position)), mi.Vector3f(*map(float, camera.forward)))
-    found = scene.ray_intersect(ray)
-    point = found.p if bool(found.is_valid()[0]) else scene.bbox().center()
+    hit = scene.ray_intersect(ray)
+    point = hit.p if bool(hit.is_valid()[0]) else scene.bbox().center()
     return np.array(point, dtype=np.float64).reshape(3)
 
 

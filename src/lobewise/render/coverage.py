@@ -155,16 +155,16 @@ def trace_coverage(
         return (sums,)
 
     (sums,) = repeat(take, mi.UInt32(0), RAYS, _Sums(), label="coverage")
-    found = {
+    means = {
         "coverage": [count / RAYS for count in sums.counts],
         "mean_normal": sums.normal / RAYS,
         "mean_diffuse_albedo": dr.clip(sums.diffuse_albedo / RAYS, 0.0, 1.0),
         "mean_specular_albedo": dr.clip(sums.specular_albedo / RAYS, 0.0, 1.0),
     }
     if emission:
-        found["mean_emission"] = sums.emission / RAYS
-    dr.eval(found)
-    return found
+        means["mean_emission"] = sums.emission / RAYS
+    dr.eval(means)
+    return means
 
 
 def _gather_neighbours(
@@ -203,9 +203,9 @@ def _look_through(scene: Any, materials: dict[int, Material], ray: Any) -> _Laye
 
     def add(state: _Layers) -> _Layers:
         si = scene.ray_intersect(state.ray, mi.RayFlags.All, True, state.active)
-        found = state.active & si.is_valid()
-        surface = dispatch_surface(materials, si.bsdf(state.ray), si, found)
-        share = dr.select(found, state.light * surface.opacity, 0.0)
+        is_hit = state.active & si.is_valid()
+        surface = dispatch_surface(materials, si.bsdf(state.ray), si, is_hit)
+        share = dr.select(is_hit, state.light * surface.opacity, 0.0)
         emitted = si.emitter(scene, state.active).eval(si, state.active)
         if hides_emitters(scene):
             emitted = dr.select(si.is_valid(), emitted, 0.0)
@@ -215,13 +215,13 @@ def _look_through(scene: Any, materials: dict[int, Material], ray: Any) -> _Laye
         state.specular_albedo += share * surface.specular_albedo
         state.light *= 1.0 - surface.opacity
         if transparent:
-            state.passing *= dispatch_transmission(materials, si.bsdf(state.ray), si, found)
+            state.passing *= dispatch_transmission(materials, si.bsdf(state.ray), si, is_hit)
         state.count += 1
         state.si = dr.select(state.settled, state.si, si)
         state.surface = dr.select(state.settled, state.surface, surface)
-        state.settled |= ~found | (surface.opacity >= MIN_SURFACE_OPACITY)
+        state.settled |= ~is_hit | (surface.opacity >= MIN_SURFACE_OPACITY)
         state.ray = si.spawn_ray(state.ray.d)
-        state.active = found & (state.light > MIN_LIGHT_SHARE) & (state.count < MAX_LAYERS)
+        state.active = is_hit & (state.light > MIN_LIGHT_SHARE) & (state.count < MAX_LAYERS)
         return state
 
     if not transparent:
@@ -231,7 +231,7 @@ def _look_through(scene: Any, materials: dict[int, Material], ray: Any) -> _Laye
 
 
 def _make_look(si: Any, surface: Surface) -> _Look:
-    found = si.is_valid()
+    is_hit = si.is_valid()
     seen = {
         "position": mi.Vector3f(si.p),
         "normal": surface.normal,
@@ -240,7 +240,7 @@ def _make_look(si: Any, surface: Surface) -> _Look:
         "lobe_kind": surface.lobe_kind,
         "material": surface.material,
     }
-    return _Look(found, **{name: dr.select(found, value, 0.0) for name, value in seen.items()})
+    return _Look(is_hit, **{name: dr.select(is_hit, value, 0.0) for name, value in seen.items()})
 
 
 def _compute_distance(look: _Look, centre: _Look, footprint: Any) -> Any:

@@ -74,8 +74,8 @@ def compute_guides(scene: Any, points: Points, eye: Any) -> dict[str, Any]:
 
 def trace_mirror_rays(scene: Any, points: Points) -> tuple[Any, Any]:
     """Return at which points a mirror ray was traced (those with a specular lobe), and its hits."""
-    si, surface, found = points.si, points.surface, points.active
-    shiny = found & (surface.lobe_kind != float(LobeKind.NONE))
+    si, surface, is_hit = points.si, points.surface, points.active
+    shiny = is_hit & (surface.lobe_kind != float(LobeKind.NONE))
     view = -points.ray.d
     out = 2.0 * dr.dot(view, surface.normal) * surface.normal - view
     shiny &= dr.dot(out, si.n) * dr.dot(view, si.n) > 0  # a strong normal map can mirror the ray into the surface
@@ -83,13 +83,13 @@ def trace_mirror_rays(scene: Any, points: Points) -> tuple[Any, Any]:
 
 
 def _collect_guides(points: Points, eye: Any, shiny: Any, mirrored: Any) -> dict[str, Any]:
-    si, surface, found = points.si, points.surface, points.active
+    si, surface, is_hit = points.si, points.surface, points.active
     inverse = invert_distance(mirrored, shiny & mirrored.is_valid())
     names = (field.name for field in fields(surface) if field.name != "opacity")
     return {
-        **{name: dr.select(found, getattr(surface, name), 0.0) for name in names},
-        "depth": dr.select(found, dr.norm(si.p - eye), 0.0),
-        "position": dr.select(found, si.p, 0.0),
+        **{name: dr.select(is_hit, getattr(surface, name), 0.0) for name in names},
+        "depth": dr.select(is_hit, dr.norm(si.p - eye), 0.0),
+        "position": dr.select(is_hit, si.p, 0.0),
         # An instance moves, the shapes of its group do not.
         "shape": _number_shapes_of(si),
         "seen_shape": dr.select(shiny & mirrored.is_valid(), _number_shapes_of(mirrored), 0.0),
@@ -139,7 +139,7 @@ def compute_reflected_motion(
         As for `move_back`, which tells the errors.
     """
     shape, distance = seen
-    found = np.zeros((*shape.shape, 3), np.float32)
+    motion = np.zeros((*shape.shape, 3), np.float32)
     for number, matrix in number_moves(scene, moves):
         pixels = (shape == number) & np.isfinite(distance)
         position, normal = (
@@ -149,8 +149,8 @@ def compute_reflected_motion(
         ray /= np.maximum(np.linalg.norm(ray, axis=-1, keepdims=True), 1e-30)
         out = ray - 2.0 * np.sum(ray * normal, axis=-1, keepdims=True) * normal
         hit = position + distance[pixels, None].astype(np.float64) * out
-        found[pixels] = hit @ (matrix[:3, :3] - np.eye(3)).T + matrix[:3, 3]
-    return found
+        motion[pixels] = hit @ (matrix[:3, :3] - np.eye(3)).T + matrix[:3, 3]
+    return motion
 
 
 def add_motion(
@@ -188,7 +188,7 @@ def number_moves(scene: Any, moves: Moves) -> Iterator[tuple[int, NDArray[np.flo
 
     InputError as `move_back`.
     """
-    numbers = {each.id(): int(_number_shapes(mi.ShapePtr(each))[0]) for each in scene.shapes()}
+    numbers = {shape.id(): int(_number_shapes(mi.ShapePtr(shape))[0]) for shape in scene.shapes()}
     for name, move in moves.items():
         require_choice("moves", name, numbers)
         matrix = np.asarray(move, dtype=np.float64)

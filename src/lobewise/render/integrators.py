@@ -147,8 +147,8 @@ def _plan_lens(own: Any, integrator: str, max_depth: int | None) -> Light:
         _refuse_depth(own, max_depth)
     _require_light(own)
     whose = name_integrator(own)
-    told = f"Light through the lens by {whose}: one image, not split by lobe; guides are means over the lens."
-    return Light(DEPTH, own, lens=True, told=told)
+    sentence = f"Light through the lens by {whose}: one image, not split by lobe; guides are means over the lens."
+    return Light(DEPTH, own, lens=True, told=sentence)
 
 
 def _refuse_depth(own: Any, max_depth: int | None) -> None:
@@ -225,8 +225,8 @@ def _look_up_depth(scene: Any, integrator: Any) -> int | None:
 
 def _read_depth(text: str) -> int | None:
     """Return the depth from the text description of an integrator."""
-    found = re.search(r"max_depth = (-?\d+)", text)
-    return _bound(int(found[1])) if found else None
+    match = re.search(r"max_depth = (-?\d+)", text)
+    return _bound(int(match[1])) if match else None
 
 
 def _bound(depth: int) -> int | None:

@@ -158,7 +158,7 @@ def _translate(value: Any, name: str = "") -> Any:
         return value
     if value.get("type") == "mesh":
         return _make_mesh(value)
-    return {key: _translate(each, key) for key, each in value.items()}
+    return {key: _translate(item, key) for key, item in value.items()}
 
 
 def _make_transform(steps: tuple[tuple[Any, ...], ...]) -> Any:

@@ -193,9 +193,11 @@ def forget_lobes_of_media(scene: Any, frame: Frame) -> Frame:
     names = [name for name in _WITHOUT_LOBE if getattr(guides, name) is not None]
     with dr.suspend_grad():
         points = trace_points(scene, read_scene_materials(scene), pixel, size)
-        kept = {name: mi.Float(np.ravel(getattr(guides, name))) for name in names}
-        found = {name: to_image(value).reshape(height, width) for name, value in forget_lobes(kept, points).items()}
-    return frame.with_changes(gbuffer=replace(guides, **found))
+        lobe_guides = {name: mi.Float(np.ravel(getattr(guides, name))) for name in names}
+        changed = {
+            name: to_image(value).reshape(height, width) for name, value in forget_lobes(lobe_guides, points).items()
+        }
+    return frame.with_changes(gbuffer=replace(guides, **changed))
 
 
 def forget_lobes(guides: dict[str, Any], points: Points) -> dict[str, Any]:
@@ -246,31 +248,31 @@ def render_lens_guides(scene: Any, *, samples: int, seed: int, moved: bool = Fal
         y = (mi.Float(pixel // columns) + place.y) / mi.Float(rows)
         ray, _ = sensor.sample_ray(0.0, 0.5, mi.Point2f(x, y), draw_point(rng))
         si, surface = trace_first_opaque(scene, materials, ray)
-        found = si.is_valid()
-        shine = dr.select(found, dr.mean(surface.specular_albedo), 0.0)
-        sums.found += dr.select(found, 1.0, 0.0)
-        sums.depth += dr.select(found, dr.norm(si.p - eye), 0.0)
-        sums.position += dr.select(found, mi.Vector3f(si.p), 0.0)
-        sums.normal += dr.select(found, surface.normal, 0.0)
+        is_hit = si.is_valid()
+        shine = dr.select(is_hit, dr.mean(surface.specular_albedo), 0.0)
+        sums.found += dr.select(is_hit, 1.0, 0.0)
+        sums.depth += dr.select(is_hit, dr.norm(si.p - eye), 0.0)
+        sums.position += dr.select(is_hit, mi.Vector3f(si.p), 0.0)
+        sums.normal += dr.select(is_hit, surface.normal, 0.0)
         sums.shine += shine
         sums.alpha_u += shine * surface.alpha_u
         sums.alpha_v += shine * surface.alpha_v
-        sums.diffuse_albedo += dr.select(found, surface.diffuse_albedo, 0.0)
-        sums.specular_albedo += dr.select(found, surface.specular_albedo, 0.0)
+        sums.diffuse_albedo += dr.select(is_hit, surface.diffuse_albedo, 0.0)
+        sums.specular_albedo += dr.select(is_hit, surface.specular_albedo, 0.0)
         return (sums,)
 
     with dr.suspend_grad():
         (sums,) = repeat(take, mi.UInt32(0), dr.opaque(mi.UInt32, samples), _Sums(), label="lens")
         dr.eval(sums)
-    found, shine = to_image(sums.found), to_image(sums.shine)
-    there = found > MIN_HIT_SHARE * samples
+    hit_count, shine = to_image(sums.found), to_image(sums.shine)
+    there = hit_count > MIN_HIT_SHARE * samples
 
     def divide(value: Any, by: FloatArray, default: float) -> FloatArray:
         image = to_image(value)
         by, valid = (by[:, None], there[:, None]) if image.ndim == 2 else (by, there)
         return np.where(valid & (by > 0.0), image / np.maximum(by, np.float32(1e-9)), np.float32(default))
 
-    images = {name: divide(getattr(sums, name), found, 0.0) for name in ("depth", "position", "normal")}
+    images = {name: divide(getattr(sums, name), hit_count, 0.0) for name in ("depth", "position", "normal")}
     images |= {name: divide(getattr(sums, name), shine, 1.0) for name in ("alpha_u", "alpha_v")}
     for name in ("diffuse_albedo", "specular_albedo"):
         images[name] = np.clip(to_image(getattr(sums, name)) / np.float32(samples), 0.0, 1.0)

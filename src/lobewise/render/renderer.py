@@ -295,10 +295,10 @@ def render_sparse_frame(
     if plan.own is not None:
         pixels = np.add.outer(np.arange(row, height, scale) * width, np.arange(column, width, scale))
         advance = _make_advance(progress, pixels.size * spp)
-        found = sample_pixels(scene, plan, pixels.ravel().astype(np.uint32), **light_of, advance=advance)
+        sampled = sample_pixels(scene, plan, pixels.ravel().astype(np.uint32), **light_of, advance=advance)
         images = {
             f"{name}.color": value.reshape(rows, columns, 3)
-            for name, value in (("radiance", found.color), ("variance", found.variance))
+            for name, value in (("radiance", sampled.color), ("variance", sampled.variance))
             if value is not None
         }
     else:

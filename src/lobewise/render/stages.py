@@ -244,8 +244,8 @@ class Stages:
                 # Light that is the same at all points, such as that of a lobe that no surface has, would keep the width
                 # of the first call.
                 there = pixel != NO_PIXEL
-                found = [getattr(light, each.name) for each in fields(Indirect)]
-                return [dr.select(there, each, dr.nan) for each in found if each is not None]
+                light_parts = [getattr(light, each.name) for each in fields(Indirect)]
+                return [dr.select(there, each, dr.nan) for each in light_parts if each is not None]
 
             frozen = Frozen(shade, lambda: (self.scene, self._sensor, method.state), records=self._records)
             known = self._indirect[method.name] = method, frozen
@@ -254,9 +254,9 @@ class Stages:
         seed = take_numbers(mi.UInt32, np.tile(np.array(seeds, np.uint32), rows.size))
         size = _make_opaque_size(width, height)
         with use_sensor(self._sensor):
-            found = known[1](pixel, *size, make_opaque(samples), seed)
+            light_parts = known[1](pixel, *size, make_opaque(samples), seed)
         shapes = (-1, 3), (-1, 3), (-1,), (-1, 3), (-1,)
-        return IndirectLight(*(values.reshape(shape) for values, shape in zip(found, shapes, strict=False)))
+        return IndirectLight(*(values.reshape(shape) for values, shape in zip(light_parts, shapes, strict=False)))
 
     def trace_surfaces(
         self, rows: NDArray[np.intp], columns: NDArray[np.intp], camera: Camera

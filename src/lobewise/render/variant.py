@@ -83,10 +83,10 @@ def list_llvm_libraries() -> list[str]:
     patterns = list(_SEARCH_PATTERNS.get(sys.platform, ()))
     if os.environ.get("CONDA_PREFIX"):
         patterns.append(os.path.join(os.environ["CONDA_PREFIX"], "lib", "libLLVM*"))
-    found = [path for pattern in patterns for path in sorted(glob.glob(pattern))]
+    paths = [path for pattern in patterns for path in sorted(glob.glob(pattern))]
     if sys.platform == "linux":
-        found += _list_linker_cache()
-    return list(dict.fromkeys(found))
+        paths += _list_linker_cache()
+    return list(dict.fromkeys(paths))
 
 
 def _list_linker_cache() -> list[str]:

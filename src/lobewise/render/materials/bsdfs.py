@@ -144,7 +144,7 @@ def list_nested(bsdf: Any) -> list[Any]:
     """Return a BSDF object and all BSDFs nested in it."""
     objects, _ = _list_parameters(bsdf)
     inner = [item for _, item in sorted(objects.items()) if isinstance(item, mi.BSDF)]
-    return [bsdf, *(found for item in inner for found in list_nested(item))]
+    return [bsdf, *(nested for item in inner for nested in list_nested(item))]
 
 
 def _read_lobe_kind(plugin: str, text: str) -> LobeKind:
@@ -154,8 +154,8 @@ def _read_lobe_kind(plugin: str, text: str) -> LobeKind:
         return LobeKind.GGX
     if plugin in ("roughconductor", "roughdielectric", "roughplastic"):
         # Only the text description of the object names the microfacet distribution.
-        found = re.search(r"distribution = (\w+)", text)
-        return LobeKind.GGX if found and found.group(1) == "ggx" else LobeKind.BECKMANN
+        match = re.search(r"distribution = (\w+)", text)
+        return LobeKind.GGX if match and match.group(1) == "ggx" else LobeKind.BECKMANN
     return LobeKind.NONE
 
 
@@ -216,11 +216,11 @@ def read_material(bsdf: Any, fits: list[Fit] | None = None, extent: float = 1.0)
         return _fit_material(bsdf, fits, extent)
     objects, numbers = _list_parameters(bsdf)
     names = _NESTED.get(plugin, ())
-    wanted = set(_NUMBERS.get(plugin, ()))
+    parameter_names = set(_NUMBERS.get(plugin, ()))
     if plugin == "principled":
-        wanted = {"eta"} if "eta" in numbers else {"specular"}
-    parameters = mi.traverse(bsdf) if wanted else {}
-    values = {name: mi.Float(parameters[name]) for name in sorted(wanted)}
+        parameter_names = {"eta"} if "eta" in numbers else {"specular"}
+    parameters = mi.traverse(bsdf) if parameter_names else {}
+    values = {name: mi.Float(parameters[name]) for name in sorted(parameter_names)}
     lobe_kind = _read_lobe_kind(plugin, "" if names else str(bsdf))
     spread = 0.0
     if "plastic" in plugin:
@@ -301,7 +301,7 @@ def _list_fitted(bsdf: Any) -> list[Any]:
     if plugin is None:
         return [bsdf]
     objects = _list_parameters(bsdf)[0] if plugin in _NESTED else {}
-    return [found for name in _NESTED.get(plugin, ()) for found in _list_fitted(objects[name])]
+    return [fitted for name in _NESTED.get(plugin, ()) for fitted in _list_fitted(objects[name])]
 
 
 def _list_attributes(item: Any) -> list[str]:

@@ -160,5 +160,7 @@ def split_scattering(materials: dict[int, Material], bsdf: Any, si: Any, wo: Any
         value = material.bsdf.eval(mi.BSDFContext(), si, wo, active)
         return mi.Color3f(value), compute_diffuse_share(material, si, wo, active)
 
-    found: tuple[Any, Any] = _dispatch(materials, scatter, lambda: (mi.Color3f(0), mi.Color3f(0)), bsdf, si, wo, active)
-    return found
+    scattered: tuple[Any, Any] = _dispatch(
+        materials, scatter, lambda: (mi.Color3f(0), mi.Color3f(0)), bsdf, si, wo, active
+    )
+    return scattered

@@ -232,8 +232,8 @@ def _fit_place(
     if level is not None:
         # A colour that is missing at this place has the ratio of the luminance.
         ratio = (rows[..., SPECULAR] @ LUMINANCE)[..., None] / float(level @ LUMINANCE)
-        found = level > _MIN_COLOR * level.max()
-        rows[..., SPECULAR] = np.where(found, rows[..., SPECULAR] / np.where(found, level, 1.0), ratio)
+        is_lit = level > _MIN_COLOR * level.max()
+        rows[..., SPECULAR] = np.where(is_lit, rows[..., SPECULAR] / np.where(is_lit, level, 1.0), ratio)
     elif parts.textured and parts.glossy:
         tints = compute_tints(bsdf, parts, views) / np.maximum(rows[..., OPACITY].reshape(-1, 1), 1e-6)
         rows[..., TINT] = tints.reshape(*rows.shape[:2], -1)

@@ -38,8 +38,8 @@ class FittedLobes:
     def __init__(self, fit: Fit) -> None:
         self.fit = fit
         fits = (fit,) if fit.varying is None else fit.varying.fits
-        self._rows = mi.Float(np.concatenate([each.rows.ravel() for each in fits]))
-        self._turns = mi.Float([each.turn for each in fits])
+        self._rows = mi.Float(np.concatenate([single.rows.ravel() for single in fits]))
+        self._turns = mi.Float([single.turn for single in fits])
         self._numbers = mi.UInt32([0] if fit.varying is None else fit.varying.numbers.ravel())
         dr.eval(self._rows, self._turns, self._numbers)
 

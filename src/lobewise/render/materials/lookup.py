@@ -78,21 +78,21 @@ def open_scene_material(reference: str) -> SceneMaterial:
 
 
 def _look_up_bsdf(scene: Any, scene_name: str, name: str) -> Any:
-    found: dict[str, dict[int, Any]] = {}
+    bsdfs: dict[str, dict[int, Any]] = {}
     for shape in list_shapes(scene):
         bsdf = shape.bsdf()
         if bsdf is not None:
-            found.setdefault(str(shape.id()), {})[bsdf.ptr] = bsdf
+            bsdfs.setdefault(str(shape.id()), {})[bsdf.ptr] = bsdf
             for inner in list_nested(bsdf):
-                found.setdefault(str(inner.id()), {})[inner.ptr] = inner
-    found.pop("", None)
-    if name not in found:
-        near = difflib.get_close_matches(name, found, n=_MAX_SHOWN_NAMES, cutoff=0.0)
+                bsdfs.setdefault(str(inner.id()), {})[inner.ptr] = inner
+    bsdfs.pop("", None)
+    if name not in bsdfs:
+        near = difflib.get_close_matches(name, bsdfs, n=_MAX_SHOWN_NAMES, cutoff=0.0)
         expected = f"the id of one of its BSDFs or shapes, such as {', '.join(near)}" if near else "named BSDFs"
         action = "correct the id" if near else "give the BSDF an id in the scene"
         raise InputError(f"scene {scene_name!r}", expected=expected, got=repr(name), action=action)
-    if len(found[name]) > 1:
+    if len(bsdfs[name]) > 1:
         expected = f"one BSDF with the id {name!r}"
-        got = str(len(found[name]))
+        got = str(len(bsdfs[name]))
         raise InputError(f"scene {scene_name!r}", expected=expected, got=got, action="name the shape that carries it")
-    return next(iter(found[name].values()))
+    return next(iter(bsdfs[name].values()))

@@ -162,8 +162,8 @@ def _compute_weights(bsdf: Any, parts: Parts, place: Array, values: Array, throu
         x, y = math.cos(azimuth), math.sin(azimuth)
         light = nodes.light[above] @ np.asarray([[x, y, 0.0], [-y, x, 0.0], [0.0, 0.0, 1.0]])
         view = np.tile(_make_view(cosine, azimuth), (len(light), 1))
-        found = _evaluate_pairs(bsdf, parts, view, light * [1.0, 1.0, -1.0 if through else 1.0], place)
-        albedo += (found @ np.asarray(LUMINANCE)) @ nodes.weight[above] / len(_VIEWS)
+        reflected = _evaluate_pairs(bsdf, parts, view, light * [1.0, 1.0, -1.0 if through else 1.0], place)
+        albedo += (reflected @ np.asarray(LUMINANCE)) @ nodes.weight[above] / len(_VIEWS)
     lit = albedo > 0.0
     return solve_nonnegative(values[lit] / albedo[lit, None], np.ones(int(lit.sum())))
 
@@ -243,10 +243,10 @@ def _choose_probes(values: Array, nodes: Array, edges: NDArray[np.intp]) -> list
     chosen = [int((nodes / nodes.max(axis=1, keepdims=True)).min(axis=0).argmax())]
     while len(chosen) < _MAX_PROBES:
         rest = [column for column in everything if column not in chosen]
-        found = [compare([*chosen, column]) for column in rest]
-        costs = [error / _MAX_PLACE_ERROR + 1.0 / max(ratio, 1e-9) for error, ratio in found]
+        scores = [compare([*chosen, column]) for column in rest]
+        costs = [error / _MAX_PLACE_ERROR + 1.0 / max(ratio, 1e-9) for error, ratio in scores]
         best = int(np.argmin(costs))
         chosen.append(rest[best])
-        if found[best][0] <= _MAX_PLACE_ERROR and found[best][1] >= _MIN_RATIO:
+        if scores[best][0] <= _MAX_PLACE_ERROR and scores[best][1] >= _MIN_RATIO:
             break
     return chosen

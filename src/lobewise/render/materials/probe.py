@@ -117,8 +117,8 @@ def sample_bsdf(bsdf: Any, view: Array, count: int, *, place: Array | None = Non
         square = mi.Point2f(np.ascontiguousarray(points[:, 1:].T))
         hits = make_hits(np.repeat(view, count, axis=0), None if place is None else np.repeat(place, count, axis=0))
         choice = mi.Float(points[:, 0])
-        found, weight = bsdf.sample(make_context(importance=True), hits, choice, square, mi.Bool(True))
-        return mi.UInt32(found.sampled_type), mi.Vector3f(found.wo), mi.Color3f(weight)
+        drawn, weight = bsdf.sample(make_context(importance=True), hits, choice, square, mi.Bool(True))
+        return mi.UInt32(drawn.sampled_type), mi.Vector3f(drawn.wo), mi.Color3f(weight)
 
     total = len(view) * count
     flags, light, weight = _try(bsdf, run)
@@ -167,8 +167,8 @@ def list_parts(bsdf: Any, extent: float = 1.0) -> Parts:
     """Return the lobes and properties of a BSDF. ``extent`` is that of `is_positional`."""
     diffuse, glossy, delta = list_flags(bsdf)
     view, light = _make_probe_directions()
-    asked = (None, mi.BSDFFlags.Diffuse, mi.BSDFFlags.Glossy)
-    whole, *some = (evaluate_bsdf(bsdf, view, light, lobes) for lobes in asked)
+    lobe_sets = (None, mi.BSDFFlags.Diffuse, mi.BSDFFlags.Glossy)
+    whole, *some = (evaluate_bsdf(bsdf, view, light, lobes) for lobes in lobe_sets)
     good = np.isfinite(whole)
     heeds = are_same((some[0] + some[1])[good], whole[good])
     flip = np.asarray([1.0, 1.0, -1.0])
@@ -185,12 +185,12 @@ def is_positional(bsdf: Any, extent: float = 1.0) -> bool:
     """Return whether a BSDF depends on the position at one uv, in the cube from ``-extent`` to ``extent``."""
     view, light = _make_probe_directions()
     position = extent * (2.0 * spread_points(len(view), 3) - 1.0)
-    found = [
+    values = [
         evaluate_bsdf(bsdf, view, light, place=np.concatenate([np.full((len(view), 2), 0.5), each], axis=1))
         for each in (0.0 * position, position)
     ]
-    good = np.isfinite(found[0]) & np.isfinite(found[1])
-    return not are_same(found[0][good], found[1][good])
+    good = np.isfinite(values[0]) & np.isfinite(values[1])
+    return not are_same(values[0][good], values[1][good])
 
 
 def _knows_transmission(bsdf: Any, view: Array) -> bool:

@@ -58,9 +58,9 @@ def solve_nonnegative(columns: Array, target: Array) -> Array:
     # If all weights of the best sum are above 0, it is the best sum of these columns without the condition.
     for size in range(count, 0, -1):
         for chosen in map(list, combinations(range(count), size)):
-            found = np.linalg.lstsq(columns[:, chosen], target, rcond=1e-6)[0]
-            miss = float(np.sum((columns[:, chosen] @ found - target) ** 2))
-            if np.all(found >= 0.0) and miss < least:
+            weights = np.linalg.lstsq(columns[:, chosen], target, rcond=1e-6)[0]
+            miss = float(np.sum((columns[:, chosen] @ weights - target) ** 2))
+            if np.all(weights >= 0.0) and miss < least:
                 best, least = np.zeros(count), miss
-                best[chosen] = found
+                best[chosen] = weights
     return best

@@ -194,12 +194,12 @@ class ShapePlaces:
 
     def _list_keys(self, name: str) -> dict[str, str]:
         """Return the names of a shape's own parameters among those of the scene, by their names in the shape."""
-        shape, found = self._shapes[name], {}
+        shape, keys = self._shapes[name], {}
         for key, (_, _, node, _) in self._parameters.properties.items():
             last = key.rpartition(".")[2]
             if last in ("to_world", "vertex_positions", "vertex_normals") and node is shape:
-                found[last] = key
-        return found
+                keys[last] = key
+        return keys
 
     def _read(self, last: str, key: str) -> Any:
         value = self._parameters[key]

@@ -142,17 +142,17 @@ def shade_direct(
 
     def shade_layer(state: _Layers) -> None:
         si = scene.ray_intersect(state.ray, state.active)
-        found = state.active & si.is_valid()
+        is_hit = state.active & si.is_valid()
         bsdf = si.bsdf(state.ray)
-        surface = dispatch_surface(materials, bsdf, si, found)
-        light = _shade_surface(scene, materials, si, bsdf, surface, found, numbers, boxes)
+        surface = dispatch_surface(materials, bsdf, si, is_hit)
+        light = _shade_surface(scene, materials, si, bsdf, surface, is_hit, numbers, boxes)
         state.emitted += dr.select(state.active, state.light * light.emitted, 0.0)
-        state.diffuse += dr.select(found, state.light * light.diffuse, 0.0)
-        state.specular += dr.select(found, state.light * light.specular, 0.0)
-        state.light *= dispatch_transmission(materials, bsdf, si, found)
+        state.diffuse += dr.select(is_hit, state.light * light.diffuse, 0.0)
+        state.specular += dr.select(is_hit, state.light * light.specular, 0.0)
+        state.light *= dispatch_transmission(materials, bsdf, si, is_hit)
         state.ray = si.spawn_ray(state.ray.d)
         state.count += 1
-        state.active = found & (dr.max(state.light) > MIN_LIGHT_SHARE) & (state.count < MAX_LAYERS)
+        state.active = is_hit & (dr.max(state.light) > MIN_LIGHT_SHARE) & (state.count < MAX_LAYERS)
 
     end = follow(_Layers(points.ray), shade_layer, "layers")
     return Direct(end.emitted, *assign_to_lobes(points.surface, end.diffuse, end.specular))
@@ -179,19 +179,19 @@ def _shade_surface(
     shiny = active & (narrow | (scene.environment() is not None))
     choice = dr.select(active, numbers.choice, 0.0)
     # A surface that traces no BSDF sample takes the light sample with its full weight.
-    found = scatter(scene, si, bsdf, active, lit=lit, numbers=(numbers.light, choice, numbers.bsdf), alone=~shiny)
-    seen = dr.select(found.lit, found.value * found.radiance * found.weight, 0.0)
-    share = dispatch_share(materials, bsdf, si, found.to_light, found.lit)
+    scattering = scatter(scene, si, bsdf, active, lit=lit, numbers=(numbers.light, choice, numbers.bsdf), alone=~shiny)
+    seen = dr.select(scattering.lit, scattering.value * scattering.radiance * scattering.weight, 0.0)
+    share = dispatch_share(materials, bsdf, si, scattering.to_light, scattering.lit)
     diffuse, specular = seen * share, seen * (1.0 - share)
 
-    ray = found.ray
-    following = shiny & (dr.max(found.factor) > 0) & ~found.is_null & _may_meet_lamp(ray, boxes)
+    ray = scattering.ray
+    following = shiny & (dr.max(scattering.factor) > 0) & ~scattering.is_null & _may_meet_lamp(ray, boxes)
 
     def meet(state: _Met) -> None:
-        emission, weight = meet_emitter(scene, scene.ray_intersect(ray, state.active), found.vertex, state.active)
-        hit_share = dispatch_share(materials, bsdf, si, found.chosen.wo, state.active & ~found.is_delta)
-        hit_share = dr.select(found.is_delta, 0.0, hit_share)
-        light = found.factor * emission * weight
+        emission, weight = meet_emitter(scene, scene.ray_intersect(ray, state.active), scattering.vertex, state.active)
+        hit_share = dispatch_share(materials, bsdf, si, scattering.chosen.wo, state.active & ~scattering.is_delta)
+        hit_share = dr.select(scattering.is_delta, 0.0, hit_share)
+        light = scattering.factor * emission * weight
         state.diffuse, state.specular = light * hit_share, light * (1.0 - hit_share)
         state.active = mi.Bool(False)
 

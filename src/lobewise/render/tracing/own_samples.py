@@ -92,8 +92,8 @@ def _launch(scene: Any, integrator: Any, pixel: Any, rounds: int, seed: int, cen
     # The integrator hides lamps by itself, and media in front of them are seen.
     ray = make_ray(scene, lanes, (width, height), place, sampler.next_2d(), hides=False)
     with dr.suspend_grad():
-        found = integrator.sample(scene, sampler, mi.RayDifferential3f(ray), sensor.get_medium())[0]
-        light = np.array(dr.zeros(mi.Color3f, count * rounds) + mi.Color3f(found), dtype=np.float64)
+        sampled = integrator.sample(scene, sampler, mi.RayDifferential3f(ray), sensor.get_medium())[0]
+        light = np.array(dr.zeros(mi.Color3f, count * rounds) + mi.Color3f(sampled), dtype=np.float64)
     return light.T.reshape(rounds, count, 3)
 
 

@@ -116,13 +116,13 @@ class _Bounces:
             self._add_light(path, path.bounces, path.share, path.throughput * emitted * weight)
         going = si.is_valid() & (path.depth + 1 < self.max_depth)
         bsdf = si.bsdf(path.ray)
-        found = self._scatter(path, si, bsdf, going)
+        scattering = self._scatter(path, si, bsdf, going)
         if settings.radiance:
-            self._add_sampled_light(path, bsdf, found, going & (path.bounces == 0))
+            self._add_sampled_light(path, bsdf, scattering, going & (path.bounces == 0))
         seen: _Seen | None = None
         if settings.guides:
-            seen = self._describe(path, bsdf, found, going & (path.bounces == 0))
-        self._go_on(path, found, going, seen)
+            seen = self._describe(path, bsdf, scattering, going & (path.bounces == 0))
+        self._go_on(path, scattering, going, seen)
         if seen is not None and settings.surfaces:
             self._add_seen(path, si, seen)
         path.hit = self.scene.ray_intersect_preliminary(path.ray, False, path.active)
@@ -163,57 +163,59 @@ class _Bounces:
         numbers = light_point, path.rng.next_float32(), draw_point(path.rng)
         return scatter(self.scene, si, bsdf, going, lit=lit, numbers=numbers)
 
-    def _add_sampled_light(self, path: _Path, bsdf: Any, found: Scattering, first: Any) -> None:
-        arriving = path.throughput * found.value * found.radiance * found.weight
+    def _add_sampled_light(self, path: _Path, bsdf: Any, scattering: Scattering, first: Any) -> None:
+        arriving = path.throughput * scattering.value * scattering.radiance * scattering.weight
         share = path.share
         if self.settings.guides:
-            own = dispatch_share(self.materials, bsdf, found.si, found.to_light, first & found.lit)
+            own = dispatch_share(self.materials, bsdf, scattering.si, scattering.to_light, first & scattering.lit)
             share = dr.select(first, own, share)
-        self._add_light(path, path.bounces + 1, share, dr.select(found.lit, arriving, 0.0))
+        self._add_light(path, path.bounces + 1, share, dr.select(scattering.lit, arriving, 0.0))
 
-    def _describe(self, path: _Path, bsdf: Any, found: Scattering, first: Any) -> _Seen:
+    def _describe(self, path: _Path, bsdf: Any, scattering: Scattering, first: Any) -> _Seen:
         """Set the diffuse share of the first scattering, add albedos, and find whether the path follows a mirror."""
-        scatters = first & ~found.is_null
-        share = dispatch_share(self.materials, bsdf, found.si, found.chosen.wo, scatters & ~found.is_delta)
-        path.share = dr.select(scatters, dr.select(found.is_delta, 0.0, share), path.share)
+        scatters = first & ~scattering.is_null
+        share = dispatch_share(
+            self.materials, bsdf, scattering.si, scattering.chosen.wo, scatters & ~scattering.is_delta
+        )
+        path.share = dr.select(scatters, dr.select(scattering.is_delta, 0.0, share), path.share)
         seen = _Seen(path.seeks, None, mi.Bool(False))
-        reflects = dr.max(found.factor) > 0
+        reflects = dr.max(scattering.factor) > 0
         if self.settings.surfaces:
-            seen.seeks = path.seeks & found.si.is_valid()
-            seen.surface = dispatch_surface(self.materials, bsdf, found.si, scatters | seen.seeks)
+            seen.seeks = path.seeks & scattering.si.is_valid()
+            seen.surface = dispatch_surface(self.materials, bsdf, scattering.si, scatters | seen.seeks)
             totals = path.sample.totals
             totals.diffuse_albedo += dr.select(scatters, seen.surface.diffuse_albedo, 0.0)
             totals.specular_albedo += dr.select(scatters, seen.surface.specular_albedo, 0.0)
-            seen.further = seen.seeks & (found.is_null | (is_mirror(seen.surface) & reflects))
-        kind, flags = found.chosen.sampled_type, mi.BSDFFlags
+            seen.further = seen.seeks & (scattering.is_null | (is_mirror(seen.surface) & reflects))
+        kind, flags = scattering.chosen.sampled_type, mi.BSDFFlags
         mirrors = mi.has_flag(kind, flags.GlossyReflection) | mi.has_flag(kind, flags.DeltaReflection)
         path.looks_specular = scatters & mirrors & reflects
-        self._keep_ray(path, bsdf, found, scatters)
+        self._keep_ray(path, bsdf, scattering, scatters)
         return seen
 
     @staticmethod
-    def _keep_ray(path: _Path, bsdf: Any, found: Scattering, scatters: Any) -> None:
+    def _keep_ray(path: _Path, bsdf: Any, scattering: Scattering, scatters: Any) -> None:
         """Keep the sampled direction as the path's first ray, if the pass keeps rays."""
         ray, flags = path.sample.ray, mi.BSDFFlags
         if ray is None:
             return
         transmits = mi.has_flag(bsdf.flags(), flags.GlossyTransmission)
         transmits |= mi.has_flag(bsdf.flags(), flags.DeltaTransmission)
-        ray.direction = dr.select(scatters & ~transmits, found.ray.d, ray.direction)
-        ray.specular = dr.select(scatters, found.factor * (1.0 - path.share), ray.specular)
+        ray.direction = dr.select(scatters & ~transmits, scattering.ray.d, ray.direction)
+        ray.specular = dr.select(scatters, scattering.factor * (1.0 - path.share), ray.specular)
 
-    def _go_on(self, path: _Path, found: Scattering, going: Any, seen: _Seen | None) -> None:
+    def _go_on(self, path: _Path, scattering: Scattering, going: Any, seen: _Seen | None) -> None:
         """Go on in the sampled direction, or end the path by Russian roulette."""
-        path.ray = found.ray
-        path.throughput *= found.factor
-        path.eta *= found.chosen.eta
-        path.last = found.vertex
-        path.depth += dr.select(found.si.is_valid(), mi.UInt32(1), 0)
+        path.ray = scattering.ray
+        path.throughput *= scattering.factor
+        path.eta *= scattering.chosen.eta
+        path.last = scattering.vertex
+        path.depth += dr.select(scattering.si.is_valid(), mi.UInt32(1), 0)
         if not self.settings.radiance:
             further = mi.Bool(False) if seen is None else seen.further
-            path.active = going & (((path.bounces == 0) & (found.is_null | path.looks_specular)) | further)
-        path.passed |= found.is_null & (path.bounces > 0)
-        path.bounces += dr.select(found.is_null, mi.UInt32(0), 1)
+            path.active = going & (((path.bounces == 0) & (scattering.is_null | path.looks_specular)) | further)
+        path.passed |= scattering.is_null & (path.bounces > 0)
+        path.bounces += dr.select(scattering.is_null, mi.UInt32(0), 1)
         if self.settings.radiance:
             strongest = dr.max(path.throughput)
             keep = dr.minimum(strongest * dr.square(path.eta), 0.95)
@@ -325,12 +327,12 @@ class PathLight:
 
         def take(index: Any) -> tuple[Any, ...]:
             rng = make_rng(points.pixel, index, seed_value)
-            found = trace_path(self._scene, self._materials, points.ray, rng, settings, max_depth, points.hit)
-            assert found.ray is not None
+            traced = trace_path(self._scene, self._materials, points.ray, rng, settings, max_depth, points.hit)
+            assert traced.ray is not None
             # Radiance that passes a boundary is divided by the square of the index, and the albedo is not.
-            known = (albedo > 0) & (dr.squared_norm(found.ray.direction) > 0)
-            weight = dr.select(known, dr.sum(found.ray.specular) / albedo, 1.0)
-            lobes, totals = found.lobes, found.totals
-            return lobes.diffuse, lobes.specular, totals.hit_count, totals.hit_inverse, found.ray.direction, weight
+            known = (albedo > 0) & (dr.squared_norm(traced.ray.direction) > 0)
+            weight = dr.select(known, dr.sum(traced.ray.specular) / albedo, 1.0)
+            lobes, totals = traced.lobes, traced.totals
+            return lobes.diffuse, lobes.specular, totals.hit_count, totals.hit_inverse, traced.ray.direction, weight
 
         return average_samples(take, make_opaque(samples), rays=True)

@@ -90,8 +90,8 @@ def average_samples(take_sample: Callable[[Any], tuple[Any, ...]], samples: Any,
     diffuse, specular, hits, inverse, *ray = repeat(take, mi.UInt32(0), samples, *start, *more, label="samples")
     share = dr.rcp(mi.Float(samples))
     distance = dr.select(inverse > 0, hits / inverse, dr.inf)
-    found = (value * share for value in ray)
-    return Indirect(diffuse * share, specular * share, dr.select(hits > 0, distance, 0.0), *found)
+    ray_means = (value * share for value in ray)
+    return Indirect(diffuse * share, specular * share, dr.select(hits > 0, distance, 0.0), *ray_means)
 
 
 class IndirectMethod(Protocol):

@@ -113,12 +113,14 @@ def _sort(lights: Lights, leaves: int) -> tuple[NDArray[np.intp], Array]:
     order = np.concatenate([np.arange(count), extra])[None]
     real = np.concatenate([np.ones(count), np.zeros(len(extra))])[None]
     while len(order) < leaves:
-        groups, each = order.shape
+        groups, group_size = order.shape
         values = features[order]
         widest = values.var(axis=1).argmax(axis=1)
         key = np.take_along_axis(values, widest[:, None, None], axis=2)[..., 0]
         rank = np.argsort(key, axis=1, kind="stable")
-        order, real = (np.take_along_axis(part, rank, axis=1).reshape(2 * groups, each // 2) for part in (order, real))
+        order, real = (
+            np.take_along_axis(part, rank, axis=1).reshape(2 * groups, group_size // 2) for part in (order, real)
+        )
     return order, real
 
 

@@ -135,29 +135,33 @@ class GaussianWalk:
 
         # Sample direct light, which counts as indirect after the first scattering, and the next direction.
         numbers = draw_point(walk.rng), walk.rng.next_float32(), draw_point(walk.rng)
-        found = scatter(scene, si, bsdf, walk.active, lit=lit & (walk.bounces >= 1), numbers=numbers)
-        self._add(walk, found.lit, found.value * found.radiance * (found.weight * near), mi.Color3f(0))
-        self._go_on(walk, found, at, near)
-        walk.travelled = dr.select(found.is_null, distance, 0.0)
+        scattering = scatter(scene, si, bsdf, walk.active, lit=lit & (walk.bounces >= 1), numbers=numbers)
+        self._add(
+            walk, scattering.lit, scattering.value * scattering.radiance * (scattering.weight * near), mi.Color3f(0)
+        )
+        self._go_on(walk, scattering, at, near)
+        walk.travelled = dr.select(scattering.is_null, distance, 0.0)
 
-    def _go_on(self, walk: _Walk, found: Scattering, at: Receiver, near: Any) -> None:
+    def _go_on(self, walk: _Walk, scattering: Scattering, at: Receiver, near: Any) -> None:
         """Continue along the sampled direction if the lobe is followed, or to hit an emitter.
 
         No cluster shows what mirrors reflect, so their rays count fully.
         """
-        is_delta, is_null = found.is_delta, found.is_null
-        share = dispatch_share(self._materials, found.si.bsdf(), found.si, found.chosen.wo, walk.active & ~is_delta)
+        is_delta, is_null = scattering.is_delta, scattering.is_null
+        share = dispatch_share(
+            self._materials, scattering.si.bsdf(), scattering.si, scattering.chosen.wo, walk.active & ~is_delta
+        )
         walk.kept = dr.select(is_delta, 1.0, dr.select(at.reach > 0, (1.0 - share) * near, 0.0))
         walk.mix = dr.select(is_null, walk.mix, dr.select(is_delta, 1.0, near))
         walk.reach = dr.select(is_null, walk.reach, dr.select(is_delta, dr.inf, at.reach))
         first = (walk.bounces == 0) & ~is_null
-        walk.active &= (dr.max(found.factor) > 0) & ((dr.max(walk.kept) > 0) | ~first)
+        walk.active &= (dr.max(scattering.factor) > 0) & ((dr.max(walk.kept) > 0) | ~first)
         walk.looks = walk.active & first & is_delta
-        walk.ray = found.ray
-        walk.throughput *= found.factor
+        walk.ray = scattering.ray
+        walk.throughput *= scattering.factor
         walk.depth += 1
         walk.bounces += dr.select(is_null, mi.UInt32(0), 1)
-        walk.last = found.vertex
+        walk.last = scattering.vertex
         walk.start = mi.Bool(False)
 
     def _add(self, walk: _Walk, active: Any, value: Any, diffuse: Any) -> None:

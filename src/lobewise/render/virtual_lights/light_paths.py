@@ -60,13 +60,13 @@ class _Walk:
 
 
 def _list_primes(number: int) -> list[int]:
-    found: list[int] = []
+    primes: list[int] = []
     candidate = 2
-    while len(found) < number:
-        if all(candidate % prime for prime in found):
-            found.append(candidate)
+    while len(primes) < number:
+        if all(candidate % prime for prime in primes):
+            primes.append(candidate)
         candidate += 1
-    return found
+    return primes
 
 
 def make_halton(count: int, dimensions: int, seed: int) -> NDArray[np.float32]:
@@ -129,19 +129,19 @@ class LightPaths:
         """Return the lights that the paths leave; InputError if no light leaves the emitters."""
         origin, direction, flux = self._trace_rays()
         strongest = dr.max(flux)
-        kept = dr.compress((strongest > 0) & dr.isfinite(strongest))
-        number = len(kept)
+        lit_slots = dr.compress((strongest > 0) & dr.isfinite(strongest))
+        number = len(lit_slots)
         if not number:
-            kept = mi.UInt32(0)
-        ray = mi.Ray3f(dr.gather(mi.Point3f, origin, kept), dr.gather(mi.Vector3f, direction, kept))
+            lit_slots = mi.UInt32(0)
+        ray = mi.Ray3f(dr.gather(mi.Point3f, origin, lit_slots), dr.gather(mi.Vector3f, direction, lit_slots))
         si = self._scene.ray_intersect(ray)
         lights = LightSet(
             si=si,
             bsdf=si.bsdf(),
             incoming=mi.Vector3f(si.wi),
             cosine=dr.abs(dr.dot(si.n, ray.d)),
-            flux=dr.gather(mi.Color3f, flux, kept) if number else mi.Color3f(0),
-            depth=kept % dr.opaque(mi.UInt32, self._slots) + 1,
+            flux=dr.gather(mi.Color3f, flux, lit_slots) if number else mi.Color3f(0),
+            depth=lit_slots % dr.opaque(mi.UInt32, self._slots) + 1,
             number=number,
         )
         dr.make_opaque(*lights.arrays)
@@ -174,14 +174,14 @@ class LightPaths:
         def bounce(walk: _Walk) -> None:
             si = scene.ray_intersect(walk.ray)
             bsdf = si.bsdf(walk.ray)
-            found = si.is_valid()
+            is_hit = si.is_valid()
             slot = path * slots + walk.bounce
-            kept = found & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-            dr.scatter(origin, walk.ray.o, slot, kept)
-            dr.scatter(direction, walk.ray.d, slot, kept)
-            dr.scatter(flux, walk.throughput * power, slot, kept)
+            leaves_light = is_hit & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+            dr.scatter(origin, walk.ray.o, slot, leaves_light)
+            dr.scatter(direction, walk.ray.d, slot, leaves_light)
+            dr.scatter(flux, walk.throughput * power, slot, leaves_light)
 
-            going = found & (walk.bounce + 1 < slots)
+            going = is_hit & (walk.bounce + 1 < slots)
             place = _OF_EMISSION + _OF_BOUNCE * walk.bounce
             quasi = place + _OF_BOUNCE <= dimensions
             numbers = []

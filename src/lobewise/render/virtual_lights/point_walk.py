@@ -91,8 +91,8 @@ class PointWalk:
         return self._lighting.count_worth(points, run, runs)
 
     def _count_runs(self, samples: Any, all_lights: bool) -> Any:
-        each = samples * LIGHTS_PER_SAMPLE
-        runs = dr.maximum((self._numbers["number"] + each - 1) // each, 1)
+        lights_per_run = samples * LIGHTS_PER_SAMPLE
+        runs = dr.maximum((self._numbers["number"] + lights_per_run - 1) // lights_per_run, 1)
         return mi.UInt32(1) if all_lights else runs
 
     def _walk(self, points: Points, rng: Any, run: Any, runs: Any) -> _Walk:
@@ -125,8 +125,8 @@ class PointWalk:
         # Keep the part of the throughput that the clamp of virtual lights removes.
         geometry = walk.last_cosine * dr.abs(dr.dot(si.n, walk.ray.d)) / dr.square(si.t)
         beyond = 1.0 - dr.minimum(self._lighting.bound / geometry, 1.0)
-        kept = dr.select(walk.last.is_delta, 1.0, beyond if self._compensates else 0.0)
-        walk.throughput *= dr.select(later, kept, 1.0)
+        part_beyond_clamp = dr.select(walk.last.is_delta, 1.0, beyond if self._compensates else 0.0)
+        walk.throughput *= dr.select(later, part_beyond_clamp, 1.0)
         walk.active = met & (walk.depth + 2 <= max_depth) & (dr.max(walk.throughput) > 0)
         bsdf = si.bsdf()
 
@@ -141,24 +141,24 @@ class PointWalk:
 
         # Sample direct light, which counts as indirect after the first scattering, and the next direction.
         numbers = draw_point(walk.rng), walk.rng.next_float32(), draw_point(walk.rng)
-        found = scatter(scene, si, bsdf, walk.active, lit=lit & (walk.bounces >= 1), numbers=numbers)
-        self._add(walk, found.lit, found.value * found.radiance * found.weight, mi.Color3f(0))
+        scattering = scatter(scene, si, bsdf, walk.active, lit=lit & (walk.bounces >= 1), numbers=numbers)
+        self._add(walk, scattering.lit, scattering.value * scattering.radiance * scattering.weight, mi.Color3f(0))
 
-        is_delta = found.is_delta
-        first = (walk.bounces == 0) & ~found.is_null
+        is_delta = scattering.is_delta
+        first = (walk.bounces == 0) & ~scattering.is_null
         if self._compensates:
             going = walk.active & first & ~is_delta
-            _, share = split_scattering(self._materials, bsdf, si, found.chosen.wo, going)
+            _, share = split_scattering(self._materials, bsdf, si, scattering.chosen.wo, going)
             walk.share = dr.select(first, dr.select(is_delta, 0.0, share), walk.share)
         # Rays of smooth lobes go on only to compensate the clamp and, after the first scattering, to hit emitters.
-        walk.active &= (dr.max(found.factor) > 0) & (is_delta | ~first | mi.Bool(self._compensates))
+        walk.active &= (dr.max(scattering.factor) > 0) & (is_delta | ~first | mi.Bool(self._compensates))
         walk.looks = walk.active & first & is_delta
-        walk.ray = found.ray
-        walk.throughput *= found.factor
+        walk.ray = scattering.ray
+        walk.throughput *= scattering.factor
         walk.depth += 1
-        walk.bounces += dr.select(found.is_null, mi.UInt32(0), 1)
-        walk.last = found.vertex
-        walk.last_cosine = dr.abs(found.chosen.wo.z)
+        walk.bounces += dr.select(scattering.is_null, mi.UInt32(0), 1)
+        walk.last = scattering.vertex
+        walk.last_cosine = dr.abs(scattering.chosen.wo.z)
         walk.start = mi.Bool(False)
 
     def _add(self, walk: _Walk, active: Any, value: Any, diffuse: Any) -> None:

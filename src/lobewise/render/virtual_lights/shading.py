@@ -138,12 +138,12 @@ class Lighting:
         is_smooth = ~mi.has_flag(chosen.sampled_type, mi.BSDFFlags.Delta)
         scattered = si.to_world(chosen.wo)
         hits = 0.5 * dr.squared_norm(scattered - towards) <= height
-        found = near & is_smooth & hits & (chosen.pdf > 0)
+        reaches = near & is_smooth & hits & (chosen.pdf > 0)
 
         diffuse, specular = mi.Color3f(0), mi.Color3f(0)
         for direction, local, density, active in (
             (drawn, wo, cone_pdf + pdf, near),
-            (scattered, mi.Vector3f(chosen.wo), cone_pdf + chosen.pdf, found),
+            (scattered, mi.Vector3f(chosen.wo), cone_pdf + chosen.pdf, reaches),
         ):
             value, share = split_scattering(self._materials, bsdf, si, local, active)
             facing = dr.abs(dr.dot(light.si.n, direction))

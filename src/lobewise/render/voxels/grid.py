@@ -142,14 +142,14 @@ def plan_layout(bounds: Bounds, pairs: Pairs) -> Layout:
     cells = own[np.diff(own, prepend=-1) > 0]
     levels: list[Level] = []
     sizes = [size >> level for level in range(size.bit_length() - 1)]
-    table = np.zeros(sum(each**3 for each in sizes), dtype=np.uint32)
+    table = np.zeros(sum(side**3 for side in sizes), dtype=np.uint32)
     rows, start = 1, 0
-    for each in sizes:
+    for side in sizes:
         table[start + cells] = np.arange(rows, rows + len(cells))
         levels.append(Level(cells, take_numbers(mi.UInt32, cells), rows, start))
-        rows, start = rows + len(cells), start + each**3
-        filled = np.zeros((each // 2) ** 3, np.bool_)
-        filled[_number_parents(cells, each)] = True
+        rows, start = rows + len(cells), start + side**3
+        filled = np.zeros((side // 2) ** 3, np.bool_)
+        filled[_number_parents(cells, side)] = True
         cells = np.flatnonzero(filled)
     return Layout(
         bounds=bounds,

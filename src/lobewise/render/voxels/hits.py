@@ -87,9 +87,9 @@ def _join_hits(parts: Sequence[Hits], chosen: NDArray[np.intp] | None = None) ->
     ``chosen`` are the numbers of hits, counted through all parts, that are wanted; by default all.
     """
     key = np.concatenate([part.key for part in parts])
-    wanted = np.arange(len(key)) if chosen is None else chosen
-    order = wanted[np.argsort(key[wanted], kind="stable")]
-    joined = {each.name: np.concatenate([getattr(part, each.name) for part in parts], -1) for each in fields(Hits)}
+    numbers = np.arange(len(key)) if chosen is None else chosen
+    order = numbers[np.argsort(key[numbers], kind="stable")]
+    joined = {item.name: np.concatenate([getattr(part, item.name) for part in parts], -1) for item in fields(Hits)}
     return Hits(**{name: np.take(values, order, axis=-1) for name, values in joined.items()})
 
 
@@ -169,13 +169,13 @@ class Caster:
                 return
             dr.eval(origin, direction, axis)
             lane = dr.arange(mi.UInt32, dr.width(origin))
-            found, valid, onward = look(origin, direction, lane)
-            dr.eval(found, valid, onward)
+            surfaces, valid, onward = look(origin, direction, lane)
+            dr.eval(surfaces, valid, onward)
             alive = dr.compress(valid)
             if not len(alive):
                 return
-            found["axis"] = axis
-            layer = {name: dr.gather(type(value), value, alive) for name, value in found.items()}
+            surfaces["axis"] = axis
+            layer = {name: dr.gather(type(value), value, alive) for name, value in surfaces.items()}
             origin, direction = dr.gather(mi.Point3f, onward, alive), dr.gather(mi.Vector3f, direction, alive)
             axis = layer["axis"]
             dr.eval(layer)
@@ -189,17 +189,17 @@ class Caster:
         seen, first = _look_at_side(self._materials, si, bsdf, front)
         _, second = _look_at_side(self._materials, si, bsdf, ~front)
         through = _compute_transmittance(bsdf, seen, lane) if self._clear else mi.Color3f(0)
-        kept = dr.maximum(1.0 - mi.luminance(through), 1e-3)
-        found = {
+        share = dr.maximum(1.0 - mi.luminance(through), 1e-3)
+        surfaces = {
             "position": mi.Vector3f(si.p),
             "normal": mi.Vector3f(dr.select(front, si.sh_frame.n, -si.sh_frame.n)),
-            "opacity": dr.clip(first.opacity * kept, 0.0, 1.0),
+            "opacity": dr.clip(first.opacity * share, 0.0, 1.0),
         }
         for name, side in (("first", first), ("second", second)):
             # The albedo of the light that is not transmitted.
             total = side.diffuse_albedo + side.specular_albedo - through
-            found[name] = mi.Vector3f(dr.clip(total / kept, 0.0, 1.0))
-        return found, valid, si.spawn_ray(direction).o
+            surfaces[name] = mi.Vector3f(dr.clip(total / share, 0.0, 1.0))
+        return surfaces, valid, si.spawn_ray(direction).o
 
 
 def _collect(bounds: Bounds, layers: Iterable[dict[str, Any]]) -> Hits:

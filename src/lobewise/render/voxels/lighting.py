@@ -81,7 +81,7 @@ class SideLights:
         # A hit has the same random numbers for as long as its voxel has the same hits.
         start = np.flatnonzero(np.diff(hits.key, prepend=-1))
         rank = np.arange(len(hits)) - start.repeat(np.diff(start, append=len(hits)))
-        lane, seed = (take_numbers(mi.UInt32, each) for each in (hits.key, rank))
+        lane, seed = (take_numbers(mi.UInt32, numbers) for numbers in (hits.key, rank))
         position, normal = take_vectors(mi.Point3f, hits.position), take_vectors(mi.Vector3f, hits.normal)
         first, second = (take_vectors(mi.Color3f, albedo) for albedo in (hits.first, hits.second))
         end = dr.opaque(mi.UInt32, self._samples)

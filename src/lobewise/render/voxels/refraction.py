@@ -46,8 +46,8 @@ def _bends(flags: Any) -> Any:
 
 def can_refract(scene: Any) -> bool:
     """Return whether any surface of a scene refracts or scatters transmitted light."""
-    found = [shape.bsdf() for shape in scene.shapes()]
-    return any(bsdf is not None and bool(_bends(bsdf.flags())) for bsdf in found)
+    bsdfs = [shape.bsdf() for shape in scene.shapes()]
+    return any(bsdf is not None and bool(_bends(bsdf.flags())) for bsdf in bsdfs)
 
 
 def refract(bsdf: Any, si: Any, rng: Any, active: Any) -> tuple[Any, Any]:
