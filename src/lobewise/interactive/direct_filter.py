@@ -39,10 +39,12 @@ def filter_direct(light: DirectLight, hits: FirstHits, settings: DenoiseSettings
     """
     has_lobes = settings.similarity == "auto" or get_similarity(settings.similarity).has_lobes
     similarity = SIMILARITY if has_lobes else settings.similarity
-    asked = replace(settings, similarity=similarity, form="separable", radius=RADIUS, screen_sigma=SIGMA, beta="auto")
+    direct_settings = replace(
+        settings, similarity=similarity, form="separable", radius=RADIUS, screen_sigma=SIGMA, beta="auto"
+    )
     radiance = Radiance(light.diffuse, diffuse=light.diffuse, specular=light.specular)
     frame = Frame(radiance, hits.gbuffer, hits.camera, spp=samples, lobe_tables=hits.lobe_tables)
-    chosen = resolve_settings(frame, asked)
+    chosen = resolve_settings(frame, direct_settings)
     parts = []
     for layer in make_layers(frame, chosen):
         with engine.on(chosen.device):

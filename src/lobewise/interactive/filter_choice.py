@@ -53,8 +53,8 @@ class FilterChoice:
         """Return the band-limit of a method, radians, measured again after a change of the scene."""
         measured_at, limit = self._limits.get((name, spp), (-1, math.inf))
         if measured_at != self._changes.count and limit > 0.0:  # a method without limit never gets one
-            found = self._stages.get_band_limit(self._methods.get(name), spp)
-            if not abs(found - limit) <= LIMIT_TOLERANCE * limit < math.inf:
-                limit = found
+            measured = self._stages.get_band_limit(self._methods.get(name), spp)
+            if not abs(measured - limit) <= LIMIT_TOLERANCE * limit < math.inf:
+                limit = measured
             self._limits[name, spp] = self._changes.count, limit
         return limit

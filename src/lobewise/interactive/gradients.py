@@ -105,7 +105,7 @@ def compute_changes(
         known = same if name != "specular" or moved is None else same & ~moved.any(axis=0)
         good = (known & np.isfinite(old).all(axis=-1) & np.isfinite(new).all(axis=-1))[..., None]
         old, new = np.where(good, old, 0.0), np.where(good, new, 0.0)
-        dim, bright = (each @ np.array(LUMINANCE) for each in (old, new))
+        dim, bright = (light @ np.array(LUMINANCE) for light in (old, new))
         moments = np.stack([dim * dim, dim * bright, bright * bright], axis=-1)
         *sums, count = np.moveaxis(_sum_windows(np.concatenate([old, new, moments, good], axis=-1)), -1, 0)
         ratio, error = _compare_sums(np.stack(sums, axis=-1))
@@ -130,12 +130,12 @@ def _compare_sums(sums: Any) -> tuple[Any, Any]:
     and Stein, 1961, its positive part).
     """
     old, new, (oo, on, nn) = sums[..., :3], sums[..., 3:6], np.moveaxis(sums[..., 6:], -1, 0)
-    dim, bright = (each @ np.array(LUMINANCE) for each in (old, new))
+    dim, bright = (light @ np.array(LUMINANCE) for light in (old, new))
     one = np.minimum(_divide(bright, dim), MAX_RATIO)
     differences = np.maximum(nn - 2.0 * one * on + one * one * oo, 0.0)
     # If few samples hold most of the light, their differences from a common ratio say little about its error.
     count = np.minimum(
-        *(np.where(each > 0.0, _divide(each**2, square), np.inf) for each, square in ((dim, oo), (bright, nn)))
+        *(np.where(mean > 0.0, _divide(mean**2, square), np.inf) for mean, square in ((dim, oo), (bright, nn)))
     )
     squared = _divide(differences, np.maximum(dim, bright / MAX_RATIO) ** 2) / np.maximum(1.0 - 1.0 / count, 1e-6)
     certain = np.where(squared > 0.0, np.maximum(1.0 - _divide(squared, (one - 1.0) ** 2), 0.0), 1.0)
@@ -162,7 +162,7 @@ def relight_sums(sums: FloatArray, change: Change) -> FloatArray:
     squared = _compute_luminance([change.ratio[..., k] for k in range(3)]) ** 2
     lit = old._replace(red=light[0], green=light[1], blue=light[2], moment=old.moment * squared)
     inverse = np.float32(1.0) / np.maximum(old.weight, np.float32(1e-30))
-    before, now = (_compute_luminance(each.light) * inverse for each in (old, lit))
+    before, now = (_compute_luminance(part.light) * inverse for part in (old, lit))
     effective = np.maximum(old.weight / np.maximum(old.squared_weight, np.float32(1e-30)) * old.weight, np.float32(1.0))
     variance = np.maximum(lit.moment * inverse - now**2, np.float32(0.0)) / effective
     added = (change.error * before) ** 2

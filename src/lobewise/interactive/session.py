@@ -246,14 +246,14 @@ class Session:
         for camera in cameras:
             yield self.render(camera, settings)
 
-    def _render(self, camera: Camera, asked: Sequence[InteractiveSettings]) -> list[InteractiveFrame]:
+    def _render(self, camera: Camera, settings_of_frames: Sequence[InteractiveSettings]) -> list[InteractiveFrame]:
         seconds: dict[str, float] = {}
         with watch(seconds, "gbuffer"):
             self._stages.place_camera(camera, *self._size)
         with watch(seconds, "indirect"):
-            for settings in asked:
+            for settings in settings_of_frames:
                 self._methods.advance(settings.method)
-        chains = [self._get_chain(index, settings, camera) for index, settings in enumerate(asked)]
+        chains = [self._get_chain(index, settings, camera) for index, settings in enumerate(settings_of_frames)]
         with watch(seconds, "indirect"):
             for chain in chains:
                 if chain.seen is not None and chain.seen.changes != self._changes.count:

@@ -104,10 +104,10 @@ class Denoiser:
         return self._notes
 
     def __repr__(self) -> str:
-        told = [name for name, there in self._announced.items() if there]
-        told += ["temporal"] if self._history else []
-        told += ["denoise_alpha"] if self._denoise_alpha else []
-        return f"Denoiser({', '.join([f'input_size={self._size}', *told])})"
+        parts = [name for name, there in self._announced.items() if there]
+        parts += ["temporal"] if self._history else []
+        parts += ["denoise_alpha"] if self._denoise_alpha else []
+        return f"Denoiser({', '.join([f'input_size={self._size}', *parts])})"
 
     def __call__(
         self,
@@ -183,9 +183,9 @@ class Denoiser:
     ) -> tuple[Frame, list[str]]:
         """Return the frame of an image and its guides, and notes on it."""
         color = image[..., :3] if COLORS[image.shape[2]] == 3 else np.repeat(image[..., :1], 3, axis=-1)
-        given = self._take_guides(color, images, others, to_sensor)
-        frame, notes = make_frame(given)
-        self._require_announced(frame, given)
+        passed = self._take_guides(color, images, others, to_sensor)
+        frame, notes = make_frame(passed)
+        self._require_announced(frame, passed)
         return frame, notes
 
     def _make_linear(self, image: FloatArray, frame: Frame) -> LinearImage:
@@ -238,19 +238,19 @@ class Denoiser:
     def _take_guides(
         self, color: FloatArray, images: dict[str, Any], others: dict[str, FloatArray], to_sensor: Any
     ) -> Given:
-        given = Given(np.ascontiguousarray(color), others=others)
+        passed = Given(np.ascontiguousarray(color), others=others)
         channels = {"albedo": 3, "normals": 3, "flow": 2, "position": 3, "depth": 1}
-        found = {
+        guides = {
             name: take_image(name, images[name], self._size, (count,))
             for name, count in channels.items()
             if images[name] is not None
         }
-        if "normals" in found:
+        if "normals" in guides:
             matrix = None if to_sensor is None else take_matrix("to_sensor", to_sensor)
-            given.roles["normal"] = to_camera_space(found["normals"], matrix)
+            passed.roles["normal"] = to_camera_space(guides["normals"], matrix)
         for name in ("albedo", "position", "depth"):
-            if name in found:
-                given.roles[name] = found[name]
+            if name in guides:
+                passed.roles[name] = guides[name]
         for name in ("flow", "previous_denoised"):
             if self._history is None and images[name] is not None:
                 got = f"{name} without it"
@@ -258,12 +258,12 @@ class Denoiser:
             if self._history is not None and images[name] is None:
                 action = "pass flow and previous_denoised, in the first call zeros and the noisy image"
                 raise InputError(name, expected="an image, as temporal is True", got="none", action=action)
-        if "flow" in found:
-            given.roles["motion"] = found["flow"]
-        return given
+        if "flow" in guides:
+            passed.roles["motion"] = guides["flow"]
+        return passed
 
-    def _require_announced(self, frame: Frame, given: Given) -> None:
-        there = {"albedo": frame.gbuffer.diffuse_albedo is not None, "normals": "normal" in given.roles}
+    def _require_announced(self, frame: Frame, passed: Given) -> None:
+        there = {"albedo": frame.gbuffer.diffuse_albedo is not None, "normals": "normal" in passed.roles}
         for name, announced in self._announced.items():
             if announced and not there[name]:
                 action = f"pass {name}, of a bitmap {name}_ch"
@@ -300,10 +300,10 @@ def _take_layers(
     for name, layer in named.items():
         require_choice(f"{name}_ch", layer, layers)
     rest = {name: layer for name, layer in layers.items() if name not in {*named.values(), ROOT}}
-    found: dict[str, Any] = {name: layers[named[name]].image if name in named else None for name in images}
+    guides: dict[str, Any] = {name: layers[named[name]].image if name in named else None for name in images}
     return (
         layers[noisy_ch].image,
-        found,
+        guides,
         list_channels({name: (layer.image, layer.components) for name, layer in rest.items()}),
     )
 

@@ -49,7 +49,7 @@ def to_camera_space(normal: FloatArray, to_sensor: NDArray[np.float64] | None) -
     return np.asarray(normal @ matrix.T, dtype=np.float32)
 
 
-def make_frame(given: Given) -> tuple[Frame, list[str]]:
+def make_frame(passed: Given) -> tuple[Frame, list[str]]:
     """Return the frame of the images given to a denoiser, and notes on what was converted or is missing.
 
     Raises
@@ -59,21 +59,21 @@ def make_frame(given: Given) -> tuple[Frame, list[str]]:
     """
     planes: dict[str, FloatArray] = {}
     mapping = {}
-    for role, image in {"color": given.color, **given.roles}.items():
+    for role, image in {"color": passed.color, **passed.roles}.items():
         letters = COMPONENTS.get(role) or ORDERS.get(role, ("RGB",))[0].upper()
         names = [f"given.{role}.{letter}" for letter in letters]
         planes |= {name: np.ascontiguousarray(image[..., k]) for k, name in enumerate(names)}
         convert = {"normal": ":camera_space", "motion": ":negate"}.get(role, "")
         mapping[role] = ",".join(names) + convert
-    planes |= given.others
-    found = import_planes(planes, preset=PRESET, mapping=mapping)
-    assert found.map is not None
-    used = {name for image in found.map.roles.values() for name in image.channels}
-    idle = list(dict.fromkeys(name.rpartition(".")[0] or name for name in given.others if name not in used))
-    notes = [note.replace("given.", "") for note in found.notes if "There are images of the same kind" not in note]
+    planes |= passed.others
+    imported = import_planes(planes, preset=PRESET, mapping=mapping)
+    assert imported.map is not None
+    used = {name for image in imported.map.roles.values() for name in image.channels}
+    idle = list(dict.fromkeys(name.rpartition(".")[0] or name for name in passed.others if name not in used))
+    notes = [note.replace("given.", "") for note in imported.notes if "There are images of the same kind" not in note]
     if idle:
         notes.append(f"Not used: {', '.join(idle)}.")
-    return found.frame, notes
+    return imported.frame, notes
 
 
 def list_channels(layers: Mapping[str, tuple[FloatArray, tuple[str, ...]]]) -> dict[str, FloatArray]:

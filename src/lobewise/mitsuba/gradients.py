@@ -41,8 +41,8 @@ class LinearImage:
     def _join(self, image: FloatArray, *, transposed: bool) -> FloatArray:
         def run(linear: LinearFilter, part: FloatArray) -> FloatArray:
             wide = part if part.shape[2] == 3 else np.repeat(part, 3, axis=-1)
-            found = linear.transpose(wide) if transposed else linear.apply(wide)
-            return found[..., : part.shape[2]]
+            filtered = linear.transpose(wide) if transposed else linear.apply(wide)
+            return filtered[..., : part.shape[2]]
 
         color, alpha = image[..., : self.count], image[..., self.count :]
         if self.alpha is not None and alpha.shape[2]:

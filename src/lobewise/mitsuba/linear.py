@@ -96,14 +96,16 @@ class LinearFilter:
         return np.where(self._kept[..., None], image, filtered)
 
     def _transpose(self, gradient: FloatArray) -> FloatArray:
-        kept = self._kept[..., None]
+        is_kept = self._kept[..., None]
         albedo = self._layer.albedo
-        shares = np.where(kept, np.float32(0.0), gradient / np.where(kept, np.float32(1.0), self._sums[..., None]))
+        shares = np.where(
+            is_kept, np.float32(0.0), gradient / np.where(is_kept, np.float32(1.0), self._sums[..., None])
+        )
         shares = shares if albedo is None else shares * albedo
         # In the transpose every pixel gives to others; bad pixels receive nothing, because they gave nothing.
         filtered = self._run(np.asarray(shares, dtype=np.float32), None)
         gathered = filtered.image * filtered.weight_sum[..., None]
         if albedo is not None:
             gathered = gathered / albedo
-        gathered = gathered + np.where(kept, gradient, np.float32(0.0))
+        gathered = gathered + np.where(is_kept, gradient, np.float32(0.0))
         return np.asarray(np.where(self._good[..., None], gathered, np.float32(0.0)), dtype=np.float32)

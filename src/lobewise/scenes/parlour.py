@@ -33,11 +33,11 @@ def make_table(center: Vector, half_size: tuple[float, float], height: float, bs
     """Return a table top on four legs, as items by name suffix."""
     x, _, z = center
     half_x, half_z = half_size
-    found = {"top": parts.box((x, height - 0.05, z), (half_x, 0.05, half_z), bsdf)}
+    items = {"top": parts.box((x, height - 0.05, z), (half_x, 0.05, half_z), bsdf)}
     for name, side_x, side_z in (("a", -1, -1), ("b", 1, -1), ("c", -1, 1), ("d", 1, 1)):
         leg = (x + side_x * (half_x - 0.09), 0.5 * (height - 0.1), z + side_z * (half_z - 0.09))
-        found[f"leg_{name}"] = parts.box(leg, (0.05, 0.5 * (height - 0.1), 0.05), bsdf)
-    return found
+        items[f"leg_{name}"] = parts.box(leg, (0.05, 0.5 * (height - 0.1), 0.05), bsdf)
+    return items
 
 
 def make_chair(center: Vector, turn: float, bsdf: Item) -> dict[str, Item]:

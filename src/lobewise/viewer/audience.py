@@ -121,8 +121,8 @@ class Audience:
 
     def _furnish(self, guest: Guest) -> None:
         """Give a browser its controls, or a status line as long as the target is not open."""
-        found, gui = self.found, guest.client.gui
-        if found is None or self.cameras is None:
+        description, gui = self.found, guest.client.gui
+        if description is None or self.cameras is None:
             guest.status = gui.add_html(write_message(self._notice))
             return
         if guest.status is not None:
@@ -145,8 +145,8 @@ class Audience:
             render()
 
         actions = Actions(render, redraw, reset, expose, lambda kind: self.link.save(guest.client.client_id, kind))
-        look = replace(found.look, **self._changes)
-        panel = Panel(gui, found, look, choose_other(found, look), actions, fixed_size=self._fixed_size)
+        look = replace(description.look, **self._changes)
+        panel = Panel(gui, description, look, choose_other(description, look), actions, fixed_size=self._fixed_size)
         guest.panel, guest.status = panel, panel.status
         self.controls.update(panel.controls)
         place_camera(guest.client.camera, self.cameras.start)
@@ -196,11 +196,11 @@ class Audience:
                 guest.note = report.text
                 guest.status.content = write_message(report.text, bad=True)
 
-    def _open(self, found: Description) -> None:
+    def _open(self, description: Description) -> None:
         """Give every browser its controls and ask for its first picture. A restarted worker only tells the target."""
         with self._lock:
             first = self.found is None
-            self.found, self.cameras = found, CameraMap(found)
+            self.found, self.cameras = description, CameraMap(description)
             if not first:
                 return
             start = self.cameras.start
@@ -210,7 +210,7 @@ class Audience:
             guests = list(self._guests.values())
             for guest in guests:
                 self._furnish(guest)
-        for note in (*found.notes, *([found.unseen] if found.unseen else [])):
+        for note in (*description.notes, *([description.unseen] if description.unseen else [])):
             self._tell_starter(note)
         self.opened.set()
         for guest in guests:
@@ -276,23 +276,23 @@ class Audience:
 
     def watch(self) -> None:
         """Watch for cameras that came to rest and for pictures that take long, until the viewer stops."""
-        told = 0.0
+        told_at = 0.0
         while not self.over.wait(_TICK):
             with self._lock:
-                guests, found = list(self._guests.values()), self.found
-            if found is None:
+                guests, description = list(self._guests.values()), self.found
+            if description is None:
                 continue
             for guest in guests:
                 if self.link.is_waiting(guest.client.client_id):
                     continue
-                if guest.needs_more(found):
+                if guest.needs_more(description):
                     self._ask(guest)
                 elif (picture := guest.get_last()) is not None:
                     guest.client.scene.set_background_image(picture.pixels, format="png")
                     guest.keep(picture)
             order, busy = self.link.get_busy()
-            if order is not None and busy > _SLOW_AFTER and time.monotonic() - told > 0.5:
-                told = time.monotonic()
+            if order is not None and busy > _SLOW_AFTER and time.monotonic() - told_at > 0.5:
+                told_at = time.monotonic()
                 with self._lock:
                     slow = self._guests.get(order.client)
                 if slow is not None and slow.status is not None:
@@ -304,9 +304,9 @@ BASELINE: SimilarityName = "normal"
 """Similarity that the right of the wipe shows at first."""
 
 
-def choose_other(found: Description, look: Look) -> Look:
+def choose_other(description: Description, look: Look) -> Look:
     """Return the first look right of the wipe: the normal-aware filter, or no filter if the left side has it."""
-    has_baseline = BASELINE in found.similarities and look.similarity != BASELINE
+    has_baseline = BASELINE in description.similarities and look.similarity != BASELINE
     plain: SimilarityName | Unfiltered = BASELINE if has_baseline else UNFILTERED
     return replace(look, similarity=plain)
 

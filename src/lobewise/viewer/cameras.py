@@ -42,15 +42,15 @@ class CameraMap:
     A description without a camera is that of a finished frame.
     """
 
-    def __init__(self, found: Description) -> None:
-        self._scene = found.camera is not None
-        if found.camera is None:
+    def __init__(self, description: Description) -> None:
+        self._scene = description.camera is not None
+        if description.camera is None:
             distance = 1.0 / float(np.tan(0.5 * FRAME_FOV))
             self._scale = 1.0
             self.start = Pose(np.array([0.0, 0.0, distance]), np.zeros(3), np.array([0.0, 1.0, 0.0]), FRAME_FOV)
             return
-        camera = found.camera
-        gap = float(np.dot(np.asarray(found.look_at) - camera.position, camera.forward))
+        camera = description.camera
+        gap = float(np.dot(np.asarray(description.look_at) - camera.position, camera.forward))
         # With the look-at point behind the camera, any other point will do.
         gap = gap if gap > 1e-9 else 1.0
         self._far: tuple[float, float] | None = None

@@ -64,8 +64,8 @@ class FrameTarget:
                 )
             self._frame = read_sparse_frame(path)
         else:
-            found = self._read(light_passes=False)
-            self._frame, self._notes = found.frame, found.remarks
+            imported = self._read(light_passes=False)
+            self._frame, self._notes = imported.frame, imported.remarks
         self._noisy = _spread(self._frame)
         self._results: OrderedDict[FrameLook, Result] = OrderedDict()
         self._shown: dict[int, FrameLook] = {}
@@ -138,20 +138,20 @@ class FrameTarget:
             whole = Frame(radiance, frame.gbuffer, frame.camera, spp=frame.spp, lobe_tables=frame.lobe_tables)
             write_frame(path, whole)
         else:
-            found = self._read(light_passes=True)
-            if look.similarity != "none" and any(layer.parts for layer in found.frame.layers):
-                result = denoise_quietly(found.frame, DenoiseSettings(**asdict(look)))
-            write_result(path, result, source=found)
+            imported = self._read(light_passes=True)
+            if look.similarity != "none" and any(layer.parts for layer in imported.frame.layers):
+                result = denoise_quietly(imported.frame, DenoiseSettings(**asdict(look)))
+            write_result(path, result, source=imported)
         return path
 
     def _read(self, *, light_passes: bool) -> Imported:
-        given = self._reading
+        reading = self._reading
         return import_file(
             self._path,
-            preset=given.preset,
-            mapping=given.mapping,
-            camera=given.camera,
-            half=given.half,
+            preset=reading.preset,
+            mapping=reading.mapping,
+            camera=reading.camera,
+            half=reading.half,
             light_passes=light_passes,
         )
 

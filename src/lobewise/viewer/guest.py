@@ -68,7 +68,7 @@ class Guest:
         """Whether the last picture was sent without loss."""
         return self.picture is not None and self.picture is self._kept
 
-    def make_request(self, found: Description, cameras: CameraMap, *, fresh: bool) -> Request | None:
+    def make_request(self, description: Description, cameras: CameraMap, *, fresh: bool) -> Request | None:
         """Return the request for the browser's next picture; None if it has no controls or no valid camera.
 
         ``fresh`` tells whether a new frame is rendered, or the last frame is shown again.
@@ -77,8 +77,8 @@ class Guest:
         if panel is None:
             return None
         window = cameras.to_window(self.pose, camera.image_width, camera.image_height)
-        size, placed = (found.width, found.height), None
-        if found.camera is not None:
+        size, placed = (description.width, description.height), None
+        if description.camera is not None:
             placed = cameras.to_camera(self.pose)
             if placed is None:
                 return None
@@ -86,7 +86,7 @@ class Guest:
             window = replace(window, fill=not self._fixed_size)
             self.pace.fixed = self._fixed_size or not panel.adapt
             factor = self.pace.factor if self.is_moving else 1.0
-            size = self._choose_size(found, window, factor)
+            size = self._choose_size(description, window, factor)
             if not fresh and self.picture is not None:
                 size = self.picture.size
             self._factors = {number: value for number, value in self._factors.items() if number > self._number - 8}
@@ -119,17 +119,17 @@ class Guest:
         if factor:
             self.pace.add(picture.seconds.get("total", 0.0) + picture.seconds.get("picture", 0.0), factor)
 
-    def needs_more(self, found: Description) -> bool:
+    def needs_more(self, description: Description) -> bool:
         """Return whether objects move, or a camera that stands still needs more frames or a frame of the full size."""
         picture, panel = self.picture, self.panel
-        if found.camera is None or picture is None or panel is None:
+        if description.camera is None or picture is None or panel is None:
             return False
         if self.is_moving:
             # Moving cameras ask by themselves.
             return self._speed > 0.0
         window = Window(self.client.camera.image_width, self.client.camera.image_height)
         unfinished = panel.accumulate and picture.accumulated < MAX_ACCUMULATED
-        return unfinished or picture.size != self._choose_size(found, window, 1.0)
+        return unfinished or picture.size != self._choose_size(description, window, 1.0)
 
     def get_last(self) -> Picture | None:
         """Return the last picture if it is older than `STILL_AFTER` and was not yet sent without loss, else None."""
@@ -155,10 +155,10 @@ class Guest:
             return None
         return (len(times) - 1) / (times[-1] - times[0])
 
-    def _choose_size(self, found: Description, window: Window, factor: float) -> tuple[int, int]:
+    def _choose_size(self, description: Description, window: Window, factor: float) -> tuple[int, int]:
         if self._fixed_size:
-            return found.width, found.height
-        return fit_size(found.width * found.height, window.width / window.height, factor)
+            return description.width, description.height
+        return fit_size(description.width * description.height, window.width / window.height, factor)
 
 
 def has_moved(before: Pose, after: Pose) -> bool:

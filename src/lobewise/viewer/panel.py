@@ -73,29 +73,29 @@ class LookPanel:
         Called when the user changed a setting.
     """
 
-    def __init__(self, gui: Any, found: Description, look: Look, changed: Callable[[], None]) -> None:
+    def __init__(self, gui: Any, description: Description, look: Look, changed: Callable[[], None]) -> None:
         self._gui = gui
         self._changed = changed
         self._look = look
         self._handles: dict[str, Any] = {}
-        limit = 16 if isinstance(look, InteractiveSettings) or found.sparse else 32
+        limit = 16 if isinstance(look, InteractiveSettings) or description.sparse else 32
         self._sliders = {**SLIDERS, "radius": Slider(0, limit, 1, from_slider=int)}
         choices = {
-            "method": found.methods,
-            "similarity": found.similarities,
-            "quality": found.qualities,
-            "form": found.forms,
+            "method": description.methods,
+            "similarity": description.similarities,
+            "quality": description.qualities,
+            "form": description.forms,
         }
         for field in list_controls(look):
             knob, value, words = KNOBS[field], getattr(look, field), choices.get(field, ())
             # A list of one word is no choice.
             if field in choices and (len(words) > 1 or field in ("method", "similarity")):
                 names = [NAMES.get(word, word) for word in words]
-                given = {"initial_value": NAMES.get(value, value), "hint": knob.hint}
-                self._keep(field, gui.add_dropdown(knob.label, names, **given))
+                arguments = {"initial_value": NAMES.get(value, value), "hint": knob.hint}
+                self._keep(field, gui.add_dropdown(knob.label, names, **arguments))
             elif field in self._sliders:
                 self._slide(knob, value)
-            elif field not in choices and (field != "hit_distance" or found.hit_distance):
+            elif field not in choices and (field != "hit_distance" or description.hit_distance):
                 self._keep(field, gui.add_checkbox(knob.label, value, hint=knob.hint))
         self._refresh()
 
@@ -227,14 +227,14 @@ class Panel:
     """
 
     def __init__(
-        self, gui: Any, found: Description, look: Look, other: Look, actions: Actions, *, fixed_size: bool
+        self, gui: Any, description: Description, look: Look, other: Look, actions: Actions, *, fixed_size: bool
     ) -> None:
         self._gui = gui
         self._actions = actions
-        scene = found.camera is not None
+        scene = description.camera is not None
         self.status = gui.add_html("")
         with gui.add_folder("View"):
-            names = [VIEWS[name] for name in found.views]
+            names = [VIEWS[name] for name in description.views]
             self._view = gui.add_dropdown("Show", names, hint="The image, or what happens inside.")
             self._legend = gui.add_html("", visible=False)
             self._stops = gui.add_slider(
@@ -245,7 +245,7 @@ class Panel:
             reset = gui.add_button("Reset camera" if scene else "Show all", hint=hint)
         self._plays: Any = None
         self._speed: Any = None
-        if found.moves:
+        if description.moves:
             with gui.add_folder("Motion"):
                 self._plays = gui.add_checkbox("Play", True, hint="Let the objects move.")
                 hint = "Frames of the motion from picture to picture."
@@ -254,10 +254,10 @@ class Panel:
             self._wiped = gui.add_checkbox("Compare A, B", False, hint="Left of the line A, right of it B.")
             self._place = gui.add_slider("Line", 0.0, 1.0, 0.005, 0.5, visible=False, hint="Where the line is.")
         with gui.add_folder("Settings A" if scene else "Filter A"):
-            self.left = LookPanel(gui, found, look, actions.render)
+            self.left = LookPanel(gui, description, look, actions.render)
         self._right_folder = gui.add_folder("Settings B" if scene else "Filter B", visible=False)
         with self._right_folder:
-            self.right = LookPanel(gui, found, other, actions.render)
+            self.right = LookPanel(gui, description, other, actions.render)
         self._accumulate: Any = None
         self._adapt: Any = None
         if scene:

@@ -106,10 +106,10 @@ class Access:
         return f"{_name_cookie(visit.hosts[0])}={self.token}; Path=/; HttpOnly; SameSite=Strict"
 
     def _is_ours(self, host: str) -> bool:
-        found = _HOST.fullmatch(host.lower())
-        if found is None:
+        match = _HOST.fullmatch(host.lower())
+        if match is None:
             return False
-        return found[1] in self._names or (not self._private and _is_address(found[1]))
+        return match[1] in self._names or (not self._private and _is_address(match[1]))
 
     def _knows_cookie(self, visit: Visit) -> bool:
         name = _name_cookie(visit.hosts[0])
@@ -165,5 +165,5 @@ def _strip_scheme(origin: str) -> str:
 
 
 def _name_cookie(host: str) -> str:
-    found = _HOST.fullmatch(host.lower())
-    return f"lobewise-{(found and found[2]) or 80}"
+    match = _HOST.fullmatch(host.lower())
+    return f"lobewise-{(match and match[2]) or 80}"
