@@ -56,8 +56,8 @@ def count_cores() -> int:
 
 def count_threads() -> int:
     """Return the number of threads to use: one per core, unless HL_NUM_THREADS sets another number, as for Halide."""
-    given = os.environ.get("HL_NUM_THREADS", "")
-    return int(given) if given.isdecimal() and int(given) > 0 else count_cores()
+    variable = os.environ.get("HL_NUM_THREADS", "")
+    return int(variable) if variable.isdecimal() and int(variable) > 0 else count_cores()
 
 
 class ForkGate:

@@ -31,8 +31,8 @@ class LobewiseError(Exception):
     """
 
     def __init__(self, what: str, *, expected: str = "", got: str = "", action: str = "") -> None:
-        told = describe_problem(what, expected=expected, got=got, action=action) if expected else what
-        super().__init__(told)
+        sentence = describe_problem(what, expected=expected, got=got, action=action) if expected else what
+        super().__init__(sentence)
 
 
 class InputError(LobewiseError, ValueError):

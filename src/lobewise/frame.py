@@ -316,7 +316,7 @@ class Frame(Guided):
     def _repr_html_(self) -> str:
         """Return the card that notebooks show."""
         facts = [("guides", ", ".join(self.gbuffer.names))]
-        facts += [("light", ", ".join(each.name for each in self.layers) or ", ".join(self.radiance.names))]
+        facts += [("light", ", ".join(layer.name for layer in self.layers) or ", ".join(self.radiance.names))]
         facts += [("samples", f"{self.spp:g} per pixel")] if self.spp else []
         facts += [("camera", "known" if self.camera else "unknown")]
         title = f"Frame, {say_size(self.shape)[:-2]}"
@@ -334,11 +334,11 @@ class Frame(Guided):
 
 def describe_content(frame: Any) -> str:
     """Return the contents of a full or sparse frame in one line."""
-    told = [f"{name} ({', '.join(getattr(frame, name).names)})" for name in ("radiance", "gbuffer")]
-    told += [name for name in ("half_a", "half_b", "variance", "camera") if getattr(frame, name, None) is not None]
-    told += [f"{frame.spp} spp"] if frame.spp else []
+    parts = [f"{name} ({', '.join(getattr(frame, name).names)})" for name in ("radiance", "gbuffer")]
+    parts += [name for name in ("half_a", "half_b", "variance", "camera") if getattr(frame, name, None) is not None]
+    parts += [f"{frame.spp} spp"] if frame.spp else []
     layers = [layer.name for layer in getattr(frame, "layers", ())]
-    told += [f"layers ({', '.join(layers)})"] if layers else []
+    parts += [f"layers ({', '.join(layers)})"] if layers else []
     tables = len(frame.lobe_tables)
-    told += [f"{tables} lobe table{'s' if tables > 1 else ''}"] if tables else []
-    return ", ".join(told)
+    parts += [f"{tables} lobe table{'s' if tables > 1 else ''}"] if tables else []
+    return ", ".join(parts)

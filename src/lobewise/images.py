@@ -111,15 +111,15 @@ def _read_array(name: str, value: Any) -> NDArray[Any]:
 
 def as_images(what: str, images: Mapping[str, ArrayLike], shape: tuple[int, int] | None) -> Mapping[str, FloatArray]:
     """Return images of light (height, width, 3) by name, checked like `as_image`, and of the size ``shape``."""
-    found = {}
+    checked = {}
     for name, value in images.items():
         image = as_image(f"{what} {name!r}", value, 3, is_light=True)
         if image is None:
             continue
         if shape is not None and image.shape[:2] != shape:
             raise refuse_size(f"{what} {name!r}", "the radiance", shape, image.shape)
-        found[name] = image
-    return found
+        checked[name] = image
+    return checked
 
 
 def refuse_size(

@@ -47,15 +47,15 @@ def compute_motion(camera: Camera, previous: Camera, position: FloatArray, depth
         Pixels, previous minus current place, x right and y down.
     """
     height, width = depth.shape
-    found = (depth > 0) & np.isfinite(depth)
-    rays = None if found.all() else camera.make_ray_directions(width, height)
+    is_hit = (depth > 0) & np.isfinite(depth)
+    rays = None if is_hit.all() else camera.make_ray_directions(width, height)
     outside = np.array([2.0 * width, 2.0 * height])
     motion = np.empty((height, width, 2), np.float32)
 
     def work(chunk: Chunk) -> None:
         points = position[chunk].astype(np.float64)
         if rays is not None:
-            points = np.where(found[chunk][..., None], points, rays[chunk] + previous.position)
+            points = np.where(is_hit[chunk][..., None], points, rays[chunk] + previous.position)
         step = project_points(previous, points, width, height).astype(np.float64)
         step[..., 0] -= np.arange(width)[chunk[1]] + 0.5
         step[..., 1] -= np.arange(height)[chunk[0], None] + 0.5

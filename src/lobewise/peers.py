@@ -38,8 +38,8 @@ def _try_to_load() -> str:
         return "Open Image Denoise is not installed; pip install 'lobewise[best]'"
     except (ImportError, OSError) as problem:
         # The library was built for another processor or system.
-        told = make_printable(str(problem)).removesuffix(".")
-        return f"Open Image Denoise is installed but cannot be loaded ({told}); reinstall pyoidn"
+        reason = make_printable(str(problem)).removesuffix(".")
+        return f"Open Image Denoise is installed but cannot be loaded ({reason}); reinstall pyoidn"
     return ""
 
 

@@ -102,8 +102,8 @@ class Result:
         images = [name for name in ("image", "diffuse", "specular", "variance") if getattr(self, name) is not None]
         named = [f"{name} {self.settings[name]}" for name in ("quality", "similarity") if name in self.settings]
         size = say_size((self.image.shape[0], self.image.shape[1]))
-        told = [*images, *named, f"{self.bad_pixel_count} bad pixels", f"{self.seconds:.3g} s"]
-        return f"Result({size}{', '.join(told)})"
+        parts = [*images, *named, f"{self.bad_pixel_count} bad pixels", f"{self.seconds:.3g} s"]
+        return f"Result({size}{', '.join(parts)})"
 
     def _repr_html_(self) -> str:
         """Return the card that notebooks show: the noisy and the clean picture, and short facts."""

@@ -133,16 +133,16 @@ def filter_sequence(
         negative, or the filter refuses a frame: the message names its file.
     """
     source, output = _parse(source), _parse(output)
-    kept = name_checkpoint(output) if checkpoint is None else Path(checkpoint)
+    checkpoint_path = name_checkpoint(output) if checkpoint is None else Path(checkpoint)
     frames = source.find() if numbers is None else _look_up_numbers(source, numbers)
-    _check(frames, output, kept, checkpoint_seconds)
+    _check(frames, output, checkpoint_path, checkpoint_seconds)
     # Leave the folders out: a project may be moved. Sources are identified by size and time.
     names = [Path(str(pattern)).name for pattern in (source, output)]
     run = _Run(frames, output, json.dumps([fingerprint, *names, lobewise.__version__]))
-    active, start, note = run.resume(kept, make_filter)
+    active, start, note = run.resume(checkpoint_path, make_filter)
     resumed_after = frames[start - 1][0] if start else None
     if remark is not None and (start or note):
-        remark(note or f"Going on after frame {resumed_after}, as the checkpoint {str(kept)!r} says.")
+        remark(note or f"Going on after frame {resumed_after}, as the checkpoint {str(checkpoint_path)!r} says.")
     tell = progress or (lambda what, done, total: None)
     tell("frames", start, len(frames))
     last: ResultT | None = None
@@ -158,39 +158,39 @@ def filter_sequence(
         except KeyboardInterrupt:
             if index:
                 with suppress(LobewiseError):
-                    run.save(kept, before)
+                    run.save(checkpoint_path, before)
             raise
         # Frames can be large: free this one before the next is read.
         del frame
         run.mark_done()
         if index + 1 < len(frames) and time.monotonic() - saved >= checkpoint_seconds:
-            run.save(kept, active.get_state())
+            run.save(checkpoint_path, active.get_state())
             saved = time.monotonic()
         tell("frames", index + 1, len(frames))
     with suppress(OSError):
-        kept.unlink()
+        checkpoint_path.unlink()
     return SequenceReport(len(frames), len(frames) - start, resumed_after, note, last)
 
 
-def _check(frames: list[tuple[int, Path]], output: FramePattern, kept: Path, seconds: float) -> None:
+def _check(frames: list[tuple[int, Path]], output: FramePattern, checkpoint_path: Path, seconds: float) -> None:
     """Raise the errors of `filter_sequence` that are known before the first frame."""
     if not seconds >= 0.0:
         raise InputError("checkpoint_seconds", expected="a time >= 0", got=str(seconds), action="20 is usual")
-    if kept.suffix != ".npz":
+    if checkpoint_path.suffix != ".npz":
         raise InputError(
-            "checkpoint", expected="a name that ends in .npz", got=repr(str(kept)), action="add the ending"
+            "checkpoint", expected="a name that ends in .npz", got=repr(str(checkpoint_path)), action="add the ending"
         )
     require_writable(output.name(frames[0][0]))
-    require_writable(kept, what="checkpoint")
+    require_writable(checkpoint_path, what="checkpoint")
     require_other_files((output.name(number) for number, _ in frames), (path for _, path in frames))
 
 
 def _look_up_numbers(source: FramePattern, numbers: Collection[int]) -> list[tuple[int, Path]]:
     """Return the files with the given numbers, in the order of the numbers."""
-    wanted = set(numbers)
-    frames = [each for each in source.find() if each[0] in wanted]
-    if len(frames) < len(wanted):
-        missing = min(wanted - {number for number, _ in frames})
+    chosen = set(numbers)
+    frames = [frame for frame in source.find() if frame[0] in chosen]
+    if len(frames) < len(chosen):
+        missing = min(chosen - {number for number, _ in frames})
         raise FileError(
             f"frame {missing}", expected=f"the file {str(source.name(missing))!r}", got="none", action="check the path"
         )
@@ -251,10 +251,10 @@ class _Run:
         reason = "it is damaged"
         # NumPy raises many kinds of errors on a damaged file, and a filter on the memory of another filter.
         with suppress(Exception), zipfile.ZipFile(path) as file:
-            kept = _Checkpoint(file, path.stat().st_size)
+            state = _Checkpoint(file, path.stat().st_size)
             done, proof = (
-                int(kept.load("done", max_bytes=_MAX_HEAD_BYTES)),
-                str(kept.load("proof", max_bytes=_MAX_HEAD_BYTES)),
+                int(state.load("done", max_bytes=_MAX_HEAD_BYTES)),
+                str(state.load("proof", max_bytes=_MAX_HEAD_BYTES)),
             )
             while self._done < min(done, len(self._frames)):
                 self.mark_done()
@@ -264,7 +264,7 @@ class _Run:
                 reason = "not all of its outputs are there"
             else:
                 active = make_filter()
-                active.set_state(kept.load_state())
+                active.set_state(state.load_state())
                 return active, done, ""
         self._proof, self._done = fresh, 0
         return make_filter(), 0, f"The checkpoint {str(path)!r} is not used: {reason}."

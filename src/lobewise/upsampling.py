@@ -89,10 +89,10 @@ def upsample(
     checked = check_guides(frame)
     frame = checked.frame
     notes = (*checked.notes, *(() if bilinear else describe_exact_light(frame)))
-    asked = change_settings(settings or DenoiseSettings(radius=DEFAULT_RADIUS), changes)
-    require_full(asked)
-    require_plain(asked, "upsampling")
-    chosen = resolve_settings(frame, asked, frame.scale)
+    wished = change_settings(settings or DenoiseSettings(radius=DEFAULT_RADIUS), changes)
+    require_full(wished)
+    require_plain(wished, "upsampling")
+    chosen = resolve_settings(frame, wished, frame.scale)
     frame, below = split_negative(frame)
     if not bilinear:
         frame = tint_samples(frame)
@@ -119,7 +119,7 @@ def upsample(
         notes=(*notes, *describe_bad(int(np.count_nonzero(bad)), bad.size)),
     )
     if below is not None:
-        result = result.subtract(upsample(below, asked, bilinear=bilinear, features=features))
+        result = result.subtract(upsample(below, wished, bilinear=bilinear, features=features))
     return replace(result, seconds=time.perf_counter() - start)
 
 
@@ -184,13 +184,13 @@ def join_sparse(
     """
     # Emission and background are compared by place alone, so their support says nothing about lobes.
     lobes = [layer for layer in layers if layer.name not in UNSCATTERED]
-    told = list(outputs)
+    images = list(outputs)
     if knows_areas(frame.radiance, frame.gbuffer):
-        told[: len(AREAS)] = composite_areas(frame, outputs[: len(AREAS)])
+        images[: len(AREAS)] = composite_areas(frame, outputs[: len(AREAS)])
     # Nothing is scattered where nothing reflects.
     is_black_beside = frame.radiance.parts is not None and not any(layer.name == "background" for layer in layers)
     return join_layers(
-        told,
+        images,
         [(layer.mask, layer.albedo) for layer in lobes],
         variances=variances,
         exact=frame.gbuffer.mean_emission if knows_exact_light(frame) else None,
@@ -242,8 +242,10 @@ def tint_radiance(
     for number, (part, names) in enumerate(zip(radiance.parts, AREAS.values(), strict=True)):
         albedo, mean = (pick(guides.require(name, "compositing")) for name in names)
         images |= {f"part{number}": part, f"albedo{number}": albedo, f"mean{number}": mean}
-    told = ["tinted", *(f"tinted_{name}" for name in AREAS)]
-    return engine.pixels(define_tinted, images, {}, MAX_TINT, names=told, text="light of the surfaces at pixel centres")
+    tinted = ["tinted", *(f"tinted_{name}" for name in AREAS)]
+    return engine.pixels(
+        define_tinted, images, {}, MAX_TINT, names=tinted, text="light of the surfaces at pixel centres"
+    )
 
 
 def composite_areas(frame: SparseFrame, outputs: Sequence[FilterOutput]) -> list[FilterOutput]:

@@ -55,15 +55,15 @@ def measure_filters(
         If a device is unknown or cannot run here.
     """
     start = time.perf_counter()
-    found = {device.name: device for device in list_devices()}
+    known_devices = {device.name: device for device in list_devices()}
     if devices:
         names = [choose_device(name) for name in dict.fromkeys(devices)]
     else:
-        names = [name for name, device in found.items() if device.available and not device.is_software]
+        names = [name for name, device in known_devices.items() if device.available and not device.is_software]
     jobs = [job for name in names for job in list_jobs(extent, name, peers=name == names[0])]
     threads = list_threads() if "cpu" in names else []
-    each = 4.0 + extent.seconds
-    total = sum(job.effort for job in jobs) + each * len(threads)
+    seconds_per_count = 4.0 + extent.seconds
+    total = sum(job.effort for job in jobs) + seconds_per_count * len(threads)
     done = 0.0
 
     def advance(effort: float) -> None:
@@ -77,7 +77,7 @@ def measure_filters(
     skipped = [] if has_oidn() else ["Open Image Denoise is not installed: pip install 'lobewise[best]'."]
     if threads:
         rows += _time_threads(threads, extent)
-        advance(each * len(threads))
+        advance(seconds_per_count * len(threads))
     best: dict[int, dict[str, float]] = {}
     for turn in range(max(job.turns for job in jobs)):
         for place, job in enumerate(jobs):
@@ -99,7 +99,7 @@ def measure_filters(
     order = list(MEANINGS_OF_TIMES)
     return {
         "machine": describe_machine(),
-        "devices": {name: found[name].reason for name in names},
+        "devices": {name: known_devices[name].reason for name in names},
         "what": MEANINGS_OF_TIMES,
         "skipped": skipped,
         "seconds": round(time.perf_counter() - start, 1),

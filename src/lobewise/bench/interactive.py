@@ -77,10 +77,10 @@ def measure_interactive(
     if frames < 1:
         raise InputError("frames", expected="at least 1", got=str(frames), action="24 is usual")
     variant = load_mitsuba(device).variant()
-    asked = settings or InteractiveSettings()
+    base_settings = settings or InteractiveSettings()
     names = list(methods or METHODS)
-    each = frames + WARM_UP_FRAMES
-    total = each * len(names) * len(sizes)
+    frames_per_row = frames + WARM_UP_FRAMES
+    total = frames_per_row * len(names) * len(sizes)
     done = itertools.count(1)
 
     def advance() -> None:
@@ -89,10 +89,10 @@ def measure_interactive(
 
     rows = []
     session = Session(scene)
-    cameras = make_orbit(session.camera, find_orbit_centre(session.scene), each, DEGREES_PER_FRAME)
+    cameras = make_orbit(session.camera, find_orbit_centre(session.scene), frames_per_row, DEGREES_PER_FRAME)
     for name in names:
         changes: dict[str, Any] = {"method": name}
-        chosen = replace(asked, **changes)
+        chosen = replace(base_settings, **changes)
         start = time.perf_counter()
         session.prepare(name)
         ready = time.perf_counter() - start
@@ -106,7 +106,7 @@ def measure_interactive(
         "machine": describe_machine(),
         "device": "cuda" if "cuda" in variant else "cpu",
         "scene": scene,
-        "settings": {name: value for name, value in asdict(asked).items() if name != "method"},
+        "settings": {name: value for name, value in asdict(base_settings).items() if name != "method"},
         "frames": frames,
         "degrees_per_frame": DEGREES_PER_FRAME,
         "rows": rows,
@@ -151,15 +151,15 @@ def measure_devices(devices: Sequence[str] | None = None, **arguments: Any) -> d
     """
     names = list(devices or list_render_devices())
     if len(names) == 1:
-        found = [measure_interactive(device=names[0], **arguments)]
+        measurements = [measure_interactive(device=names[0], **arguments)]
     else:
         arguments.pop("progress", None)
-        found = []
+        measurements = []
         for name in names:
             with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-                found.append(pool.submit(partial(measure_interactive, device=name, **arguments)).result())
-    common = {name: value for name, value in found[0].items() if name not in ("device", "rows")}
-    return {**common, "devices": {each["device"]: each["rows"] for each in found}}
+                measurements.append(pool.submit(partial(measure_interactive, device=name, **arguments)).result())
+    common = {name: value for name, value in measurements[0].items() if name not in ("device", "rows")}
+    return {**common, "devices": {measured["device"]: measured["rows"] for measured in measurements}}
 
 
 def list_render_devices() -> list[str]:

@@ -13,7 +13,7 @@ from lobewise.chunks import count_cores, count_threads
 
 def describe_machine() -> dict[str, Any]:
     """Return processor, cores, threads used by Halide, Python, version, and in a checkout the commit."""
-    found = {
+    facts = {
         "processor": look_up_processor(),
         "cores": count_cores(),
         "threads": count_threads(),
@@ -21,7 +21,7 @@ def describe_machine() -> dict[str, Any]:
         "version": lobewise.__version__,
     }
     commit = _look_up_commit()
-    return {**found, "commit": commit} if commit else found
+    return {**facts, "commit": commit} if commit else facts
 
 
 def look_up_processor() -> str:

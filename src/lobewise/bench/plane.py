@@ -72,21 +72,21 @@ def make_features(frame: Frame, names: tuple[str, ...] = SIMILARITIES) -> dict[s
     """Return the features of each similarity, by its name; all similarities share the features of `make_place`."""
     guides, camera = frame.gbuffer, frame.require_camera("the benchmark")
     place = make_place(frame)
-    found: dict[str, list[Feature]] = {}
+    features: dict[str, list[Feature]] = {}
     if "normal" in names:
-        found["normal"] = [*place, NormalFeature(guides.require("normal", "the benchmark"), 64.0)]
+        features["normal"] = [*place, NormalFeature(guides.require("normal", "the benchmark"), 64.0)]
     tau = default_tau(camera, frame.height)
     if "sg" in names:
         lobes = make_sg_field(guides, camera, tau=tau, diffuse_fallback=False)
-        found["sg"] = [*place, SgFeature(lobes.axis, lobes.sharpness, BETA)]
+        features["sg"] = [*place, SgFeature(lobes.axis, lobes.sharpness, BETA)]
     if any(name.startswith("sg_mixture") for name in names):
-        found["sg_mixture, 3 lobes"] = [*place, make_mixture(frame, 3, coaxial=False)]
-        found["sg_mixture, 3 coaxial"] = [*place, make_mixture(frame, 3, coaxial=True)]
+        features["sg_mixture, 3 lobes"] = [*place, make_mixture(frame, 3, coaxial=False)]
+        features["sg_mixture, 3 coaxial"] = [*place, make_mixture(frame, 3, coaxial=True)]
     for name, kind in (("asg", AsgFeature), ("ggx", GgxFeature)):
         if name in names:
             wide = make_covariance_field(guides, camera, tau=tau, gaussian=name == "asg", diffuse_fallback=False)
-            found[name] = [*place, kind(wide.axis, wide.covariance, wide.determinant, BETA)]
-    return {name: found[name] for name in names}
+            features[name] = [*place, kind(wide.axis, wide.covariance, wide.determinant, BETA)]
+    return {name: features[name] for name in names}
 
 
 def make_mixture(frame: Frame, lobes: int, *, coaxial: bool) -> Feature:

@@ -31,23 +31,25 @@ def draw_plots(data: Mapping[str, Any]) -> dict[str, bytes]:
     Raises MissingDependencyError if Matplotlib is not installed.
     """
     rows = data["rows"]
-    found = {name: pick(rows, name) for name in PLOTS}
+    rows_of_plots = {name: pick(rows, name) for name in PLOTS}
     drawn = {}
-    if found[PIXELS]:
+    if rows_of_plots[PIXELS]:
         drawn[PIXELS] = _draw(
-            found[PIXELS],
+            rows_of_plots[PIXELS],
             lambda row: 1e-6 * row["width"] * row["height"],
             lambda row: 1e6 * row["milliseconds"] / (row["width"] * row["height"]),
             ("megapixels", "nanoseconds a pixel"),
             log=True,
         )
     for part, across in ((RADIUS, "radius, pixels"), (LOBES, "Gaussians of a pixel")):
-        if found[part]:
-            drawn[part] = _draw(found[part], itemgetter(part), itemgetter("milliseconds"), (across, "milliseconds"))
-    if len({row["threads"] for row in found[THREADS]}) > 1:
-        single = {row["name"]: row["milliseconds"] for row in found[THREADS] if row["threads"] == 1}
+        if rows_of_plots[part]:
+            drawn[part] = _draw(
+                rows_of_plots[part], itemgetter(part), itemgetter("milliseconds"), (across, "milliseconds")
+            )
+    if len({row["threads"] for row in rows_of_plots[THREADS]}) > 1:
+        single = {row["name"]: row["milliseconds"] for row in rows_of_plots[THREADS] if row["threads"] == 1}
         drawn[THREADS] = _draw(
-            found[THREADS],
+            rows_of_plots[THREADS],
             itemgetter("threads"),
             lambda row: single[row["name"]] / row["milliseconds"],
             ("threads", "times faster than one thread"),

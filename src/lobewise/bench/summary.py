@@ -77,7 +77,7 @@ def make_sections(data: Mapping[str, Any]) -> list[Section]:
 def describe_machine_in_words(data: Mapping[str, Any]) -> str:
     """Return processor, threads, devices, version and commit of a measurement, in a sentence."""
     machine = data["machine"]
-    others = [f"{name}: {told}" for name, told in data["devices"].items() if name != "cpu"]
+    others = [f"{name}: {reason}" for name, reason in data["devices"].items() if name != "cpu"]
     version = f"lobewise {machine['version']}" + (f", commit {machine['commit']}" if "commit" in machine else "")
     parts = [f"{machine['processor']}, {machine['threads']} threads", *others, version]
     return "; ".join(parts) + f"; measured in {data['seconds'] / 60.0:.1f} minutes."
@@ -96,12 +96,12 @@ def is_peer(row: Row) -> bool:
 
 def pick(rows: Sequence[Row], part: str, **facts: Any) -> list[Row]:
     """Return the rows of a part with the given facts; of Open Image Denoise, which has no device, one per setting."""
-    found: dict[Any, Row] = {}
+    picked: dict[Any, Row] = {}
     for row in rows:
         if row["part"] == part and all(row.get(name) == value for name, value in facts.items()):
             rest = tuple((name, value) for name, value in row.items() if name not in ("milliseconds", "device"))
-            found.setdefault(rest if is_peer(row) else (rest, row["device"]), row)
-    return list(found.values())
+            picked.setdefault(rest if is_peer(row) else (rest, row["device"]), row)
+    return list(picked.values())
 
 
 def _make_pivot(
@@ -118,7 +118,7 @@ def _make_pivot(
         title=title,
         note=note,
         header=[name, *columns],
-        rows=[[line, *(cells.get((line, each), "") for each in columns)] for line in lines],
+        rows=[[line, *(cells.get((line, value), "") for value in columns)] for line in lines],
     )
 
 
@@ -134,9 +134,11 @@ def _make_paper(rows: Sequence[Row]) -> Section:
     normal = {(row["device"], row["radius"]): row["milliseconds"] for row in chosen if row["name"] == "normal"}
     for row in chosen:
         theirs = PAPER_MILLISECONDS[row["radius"]]
-        told = f"{theirs[row['name']] / theirs['normal']:.2f}" if row["name"] in theirs else ""
+        ratio_of_paper = f"{theirs[row['name']] / theirs['normal']:.2f}" if row["name"] in theirs else ""
         ratio = row["milliseconds"] / normal[row["device"], row["radius"]]
-        lines.append([series(row), str(row["radius"]), format_time(row["milliseconds"]), f"{ratio:.2f}", told])
+        lines.append(
+            [series(row), str(row["radius"]), format_time(row["milliseconds"]), f"{ratio:.2f}", ratio_of_paper]
+        )
     return Section(
         key="paper",
         title="The paper's table",
@@ -182,7 +184,7 @@ def _make_threads(rows: Sequence[Row]) -> Section:
     times: dict[str, list[float]] = {}
     for row in chosen:
         times.setdefault(series(row), []).append(row["milliseconds"])
-    gains = [f"{each[0] / each[-1]:.2f}" for each in times.values()]
+    gains = [f"{seconds[0] / seconds[-1]:.2f}" for seconds in times.values()]
     lines = [[*line, gain] for line, gain in zip(section.rows, gains, strict=True)]
     return replace(section, header=[*section.header, "gain"], rows=lines)
 

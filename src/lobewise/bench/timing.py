@@ -30,9 +30,9 @@ def time_best(candidates: Mapping[str, Callable[[], Any]], seconds: float, *, ro
     return best
 
 
-def keep_best(known: Mapping[str, float] | None, found: Mapping[str, float]) -> dict[str, float]:
+def keep_best(known: Mapping[str, float] | None, newest: Mapping[str, float]) -> dict[str, float]:
     """Return the shorter of two times of each candidate; ``known`` is None before the first times."""
-    return {name: min(value, (known or found)[name]) for name, value in found.items()}
+    return {name: min(value, (known or newest)[name]) for name, value in newest.items()}
 
 
 @contextmanager

@@ -70,7 +70,7 @@ def _stretch(value: NDArray[np.float64]) -> NDArray[np.float64]:
     used = value[np.isfinite(value) & (value != 0.0)]
     if used.size == 0:
         return np.zeros_like(value)
-    low, high = (float(each) for each in np.percentile(used, SHOWN_PERCENTILES))
+    low, high = (float(bound) for bound in np.percentile(used, SHOWN_PERCENTILES))
     low = min(low, 0.0) if low < 0.5 * high else low
     return (value - low) / max(high - low, 1e-30)
 

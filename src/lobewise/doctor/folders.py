@@ -78,7 +78,7 @@ def _measure_kernels(folder: Path) -> tuple[int, int]:
 
 def _locate_existing(folder: Path) -> Path:
     """Return the folder, or the nearest one above it that exists."""
-    return next((each for each in (folder, *folder.parents) if each.exists()), folder)
+    return next((candidate for candidate in (folder, *folder.parents) if candidate.exists()), folder)
 
 
 def _try_to_write(folder: Path) -> str:

@@ -115,15 +115,15 @@ def examine_kernels() -> Section:
 
 def examine_mitsuba() -> Section:
     """Return whether `lobewise render` and `view` can render: Mitsuba, and LLVM for the processor."""
-    found = _look_up_version("mitsuba")
-    if found == "not installed":
+    version = _look_up_version("mitsuba")
+    if version == "not installed":
         return Section("Mitsuba", {"mitsuba": "not installed; needed to render (pip install 'lobewise[mitsuba]')"})
     try:
         path = locate_llvm()
     except MissingDependencyError as problem:
         what, _, action = str(problem).rstrip(".").rpartition("; ")
-        return Section("Mitsuba", {"mitsuba": found, "LLVM": "none"}, (Problem(f"rendering: {what}", action),))
-    facts = {"mitsuba": found, "LLVM": f"{query_llvm_version(path)}, {path}"}
+        return Section("Mitsuba", {"mitsuba": version, "LLVM": "none"}, (Problem(f"rendering: {what}", action),))
+    facts = {"mitsuba": version, "LLVM": f"{query_llvm_version(path)}, {path}"}
     named = os.environ.get(LIBRARY_VARIABLE)
     return Section("Mitsuba", {**facts, LIBRARY_VARIABLE: named} if named else facts)
 

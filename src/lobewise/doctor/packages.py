@@ -51,17 +51,17 @@ def read_packages() -> list[Package]:
 def parse_requirements(lines: list[str], python: tuple[int, ...]) -> Iterator[Package]:
     """Yield the packages of requirements in the form of PEP 508, as far as lobewise's own requirements use it."""
     for line in lines:
-        found = _REQUIREMENT.fullmatch(line.strip())
-        if found is None or found["name"].lower() == "lobewise":
+        match = _REQUIREMENT.fullmatch(line.strip())
+        if match is None or match["name"].lower() == "lobewise":
             continue
-        marker = found["marker"] or ""
+        marker = match["marker"] or ""
         extra = re.search(r"extra\s*==\s*['\"]([^'\"]+)['\"]", marker)
         if not is_wanted_here(marker, python, sys.platform, platform.machine()):
             continue
         if extra is not None and extra[1] in _SKIPPED_EXTRAS:
             continue
         yield Package(
-            found["name"], found["versions"].strip(), extra[1] if extra else "", _look_up_version(found["name"])
+            match["name"], match["versions"].strip(), extra[1] if extra else "", _look_up_version(match["name"])
         )
 
 
@@ -87,7 +87,7 @@ def is_wanted_here(marker: str, python: tuple[int, ...], system: str, machine: s
     return all(any(map(holds, term.split(" or "))) for term in terms)
 
 
-def is_version_among(found: str, versions: str) -> bool:
+def is_version_among(version: str, versions: str) -> bool:
     """Return whether a version lies within limits such as ``>=1.1,<2``; other kinds of limits are not checked.
 
     Examples
@@ -96,7 +96,7 @@ def is_version_among(found: str, versions: str) -> bool:
     (True, False)
     """
     limits = re.findall(r"(<=|>=|<|>)\s*([\d.]+)", versions)
-    return all(_compare(_parse_version(found), sign, _parse_version(limit)) for sign, limit in limits)
+    return all(_compare(_parse_version(version), sign, _parse_version(limit)) for sign, limit in limits)
 
 
 def examine_packages() -> Section:
@@ -128,9 +128,9 @@ def examine_extras() -> Section:
             extras.setdefault(package.extra, []).append(package)
     facts, problems = {}, []
     for extra, packages in extras.items():
-        told = ", ".join(f"{package.name} {package.found or 'not installed'}" for package in packages)
+        versions = ", ".join(f"{package.name} {package.found or 'not installed'}" for package in packages)
         lacks = not all(package.found for package in packages)
-        facts[extra] = f"{told} (pip install 'lobewise[{extra}]')" if lacks else told
+        facts[extra] = f"{versions} (pip install 'lobewise[{extra}]')" if lacks else versions
         for package in packages:
             if package.found and not package.fits:
                 what = f"{package.name} is of version {package.found}, and lobewise[{extra}] needs {package.versions}"
@@ -154,15 +154,15 @@ def _list_broken(packages: list[Package], *, fatal: bool) -> list[Problem]:
 
     Those that compile kernels are never fatal here: `lobewise.doctor.machine.examine_kernels` judges what is left.
     """
-    found = []
+    problems = []
     for package in packages:
         module = MODULES.get(package.name.lower())
         reason = _try_to_load(module) if package.found and module else ""
         if reason:
             action = f"pip install --force-reinstall --no-deps '{package.name}{package.versions}'"
             is_fatal = fatal and package.name.lower() not in COMPILER
-            found.append(Problem(f"{package.name} cannot be loaded ({reason})", action, is_fatal))
-    return found
+            problems.append(Problem(f"{package.name} cannot be loaded ({reason})", action, is_fatal))
+    return problems
 
 
 def _look_up_version(name: str) -> str:
@@ -183,8 +183,8 @@ def _try_to_load(module: str) -> str:
 
 def _parse_version(text: str) -> tuple[int, ...]:
     """Return the release numbers of a version, without trailing zeros."""
-    found = re.match(r"\d+(?:\.\d+)*", text)
-    numbers = [int(part) for part in found[0].split(".")] if found else []
+    match = re.match(r"\d+(?:\.\d+)*", text)
+    numbers = [int(part) for part in match[0].split(".")] if match else []
     while numbers and numbers[-1] == 0:
         numbers.pop()
     return tuple(numbers)

@@ -42,8 +42,8 @@ class Report:
     @property
     def problems(self) -> tuple[Problem, ...]:
         """All problems, the fatal ones first."""
-        found = [problem for section in self.sections for problem in section.problems]
-        return tuple(sorted(found, key=lambda problem: not problem.fatal))
+        listed = [problem for section in self.sections for problem in section.problems]
+        return tuple(sorted(listed, key=lambda problem: not problem.fatal))
 
     @property
     def works(self) -> bool:

@@ -15,9 +15,9 @@ def as_reals(*values: ArrayLike) -> tuple[Array, ...]:
 
     Python numbers do not count: ``float32 array, 2.0`` gives float32.
     """
-    given = [value.dtype for value in values if isinstance(value, np.ndarray | np.generic) and value.dtype.kind == "f"]
+    dtypes = [value.dtype for value in values if isinstance(value, np.ndarray | np.generic) and value.dtype.kind == "f"]
     mixed = any(isinstance(value, np.ndarray | np.generic) and value.dtype.kind != "f" for value in values)
-    dtype = np.dtype(np.float64) if mixed or not given else np.result_type(np.float32, *given)
+    dtype = np.dtype(np.float64) if mixed or not dtypes else np.result_type(np.float32, *dtypes)
     return tuple(np.asarray(value, dtype=dtype) for value in values)
 
 

@@ -67,7 +67,7 @@ def _pair_lobes(one: LobeTable, two: LobeTable) -> list[int]:
     width = [np.log(table.sharpness[..., 0].astype(np.float64)) for table in (one, two)]
     # The narrower of two lobes tells how much a turn of the axis matters. Wider lobes pair with wider ones.
     scale = np.exp(np.minimum(width[0][:, :, :, None], width[1][:, :, None]))
-    middle = [each - each.mean(axis=2, keepdims=True) for each in width]
+    middle = [log_width - log_width.mean(axis=2, keepdims=True) for log_width in width]
     cost = (gap * scale + (middle[0][:, :, :, None] - middle[1][:, :, None]) ** 2).mean(axis=(0, 1))
     orders = list(permutations(range(one.lobe_count)))
     return list(min(orders, key=lambda order: math.fsum(cost[row, column] for row, column in enumerate(order))))

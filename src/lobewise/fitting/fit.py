@@ -96,10 +96,10 @@ def fit_lobes(
         turns = _check_grid("azimuths", azimuths, "angles from 0 to below 2 pi", lambda a: (a >= 0) & (a < 2 * math.pi))
     _require_scipy()
     family = LobeFamily(kind, flat=azimuths is None)
-    found = _fit_views(evaluate, family, lobes, grid, turns, progress)
+    fits = _fit_views(evaluate, family, lobes, grid, turns, progress)
 
     def collect(field: str) -> Array:
-        return np.stack([[getattr(found[v, p], field) for p in range(turns.size)] for v in range(grid.size)])
+        return np.stack([[getattr(fits[v, p], field) for p in range(turns.size)] for v in range(grid.size)])
 
     axis, sharpness, twist = family.to_frames(collect("shapes"))
     table = LobeTable(
@@ -125,7 +125,7 @@ def _fit_views(
 ) -> dict[tuple[int, int], _Found]:
     """Return the lobes of every view, by its indices into the cosines and the azimuths."""
     views, columns = grid.size, turns.size
-    found: dict[tuple[int, int], _Found] = {}
+    fits: dict[tuple[int, int], _Found] = {}
     samples: dict[tuple[int, int], _Data] = {}
 
     def report(done: int) -> None:
@@ -137,18 +137,18 @@ def _fit_views(
         nodes = make_nodes(float(grid[v]), angular=64 if family.flat else 96)
         for p, azimuth in enumerate(turns):
             samples[v, p] = _sample(evaluate, float(grid[v]), float(azimuth), nodes)
-            neighbour = found.get((v + 1, p))
+            neighbour = fits.get((v + 1, p))
             if neighbour is None and p > 0:
                 # Seen from above, all azimuths show the same lobes, turned.
-                last = found[v, p - 1]
+                last = fits[v, p - 1]
                 neighbour = replace(last, shapes=family.turn(last.shapes, float(azimuth - turns[p - 1])))
-            found[v, p] = _fit_view(samples[v, p], family, lobes, neighbour)
+            fits[v, p] = _fit_view(samples[v, p], family, lobes, neighbour)
             report((views - 1 - v) * columns + p + 1)
     for v in range(1, views):
         for p in range(columns):
-            found[v, p] = _refit_view(samples[v, p], family, found[v, p], found[v - 1, p])
+            fits[v, p] = _refit_view(samples[v, p], family, fits[v, p], fits[v - 1, p])
             report((views + v) * columns + p + 1)
-    return found
+    return fits
 
 
 @dataclass(frozen=True)
@@ -225,15 +225,15 @@ def _fit_view(data: _Data, family: LobeFamily, lobes: int, neighbour: _Found | N
     return _finish(data, family, best, alpha)
 
 
-def _refit_view(data: _Data, family: LobeFamily, found: _Found, neighbour: _Found) -> _Found:
+def _refit_view(data: _Data, family: LobeFamily, first: _Found, neighbour: _Found) -> _Found:
     """Return the lobes of one view, searched again from the lobes of the view below it."""
     if not (data.target.any() and neighbour.cosine_l2 > 0.0):
-        return found
+        return first
     start = family.move(neighbour.shapes, neighbour.cosine, data.cosine)
     warm = _search_lobes(data, family, start)
-    if warm.error <= 1.0 - found.cosine_l2**2 + _MIN_GAIN_OF_COLD_START:
-        return _finish(data, family, warm, found.alpha)
-    return found
+    if warm.error <= 1.0 - first.cosine_l2**2 + _MIN_GAIN_OF_COLD_START:
+        return _finish(data, family, warm, first.alpha)
+    return first
 
 
 def _is_seen(data: _Data, family: LobeFamily, rows: Array, amplitude: Array) -> bool:

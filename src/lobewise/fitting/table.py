@@ -65,8 +65,8 @@ def evaluate_table(
     if tangent is None and not table.is_isotropic:
         expected = f"directions, because material {table.name!r} is anisotropic"
         raise InputError("tangent", expected=expected, got="none", action="pass tangent=")
-    given = (normal, view) if tangent is None else (normal, view, tangent)
-    vectors = np.broadcast_arrays(*as_reals(*given))
+    arguments = (normal, view) if tangent is None else (normal, view, tangent)
+    vectors = np.broadcast_arrays(*as_reals(*arguments))
     shape, dtype, lobes = vectors[0].shape[:-1], vectors[0].dtype, table.lobe_count
     flat = [vector.reshape(-1, 3) for vector in vectors]
     count = flat[0].shape[0]

@@ -46,20 +46,20 @@ ROLES = {"alpha_u": "roughness", "alpha_v": "roughness", "mean_emission": "emiss
 """Names by which a file's description calls images of the G-buffer, where the names differ."""
 
 
-def make_contents_page(found: FileDescription, frame: Frame) -> str:
+def make_contents_page(description: FileDescription, frame: Frame) -> str:
     """Return the page as one HTML text that holds every picture.
 
     Parameters
     ----------
-    found : FileDescription
+    description : FileDescription
         The file (`lobewise.interchange.describe_file`).
     frame : Frame
         Its frame.
     """
 
     def tell_source(name: str) -> str:
-        roles = [role for role in found.roles if role.role == name]
-        roles = roles or [role for role in found.roles if role.role == ROLES.get(name)]
+        roles = [role for role in description.roles if role.role == name]
+        roles = roles or [role for role in description.roles if role.role == ROLES.get(name)]
         ways = dict.fromkeys(role.conversion for role in roles if role.conversion)
         return "; ".join([f"from {', '.join(role.channels for role in roles)}", *ways]) if roles else ""
 
@@ -70,20 +70,22 @@ def make_contents_page(found: FileDescription, frame: Frame) -> str:
     ]
     sections = {"Light": lights, "Guides": guides}
     height, width = frame.shape
-    facts = [found.preset, found.version, f"{width}x{height} pixels"]
+    facts = [description.preset, description.version, f"{width}x{height} pixels"]
     facts += [f"{frame.spp} samples per pixel"] if frame.spp else []
     facts += ["camera known" if frame.camera else "camera unknown"]
-    notes = "".join(f"<li>{html.escape(note)}</li>" for note in (*found.refusals, *found.unusable, *found.notes))
+    notes = "".join(
+        f"<li>{html.escape(note)}</li>" for note in (*description.refusals, *description.unusable, *description.notes)
+    )
     return fill_page(
         "inspect.html",
         {
-            "title": html.escape(found.path),
+            "title": html.escape(description.path),
             "facts": html.escape(", ".join(filter(None, facts))),
             "notes": f'<ul class="notes">{notes}</ul>' if notes else "",
             "sections": "".join(
                 f'<h2>{name}</h2><div class="grid">{"".join(shown)}</div>' for name, shown in sections.items() if shown
             ),
-            "channels": "".join(_list_channels(found)),
+            "channels": "".join(_list_channels(description)),
         },
     )
 
@@ -112,12 +114,12 @@ def _show(name: str, text: str, image: NDArray[np.float32], *, light: bool = Fal
     """Return the figure of an image, with its range."""
     picture = paint_light(thin_out(image)) if light else paint_guide(name, thin_out(image))
     finite = image[np.isfinite(image)]
-    told = f"{finite.min():.4g} to {finite.max():.4g}" if finite.size else "no finite number"
+    span = f"{finite.min():.4g} to {finite.max():.4g}" if finite.size else "no finite number"
     lost = 1.0 - finite.size / image.size
-    told += f"; {100.0 * lost:.2g} % not finite" if lost else ""
+    span += f"; {100.0 * lost:.2g} % not finite" if lost else ""
     return (
         f'<figure><img alt="{html.escape(name)}" src="{encode_bytes(picture)}"><figcaption>'
-        f"<b>{html.escape(name)}</b>{_break_lines(text)}{html.escape(told)}</figcaption></figure>"
+        f"<b>{html.escape(name)}</b>{_break_lines(text)}{html.escape(span)}</figcaption></figure>"
     )
 
 
@@ -125,9 +127,9 @@ def _break_lines(text: str) -> str:
     return "".join(f"{html.escape(line)}<br>" for line in text.splitlines())
 
 
-def _list_channels(found: FileDescription) -> Iterator[str]:
+def _list_channels(description: FileDescription) -> Iterator[str]:
     """Yield a row of the table for every channel."""
-    for part in found.parts:
+    for part in description.parts:
         for channel in part.channels:
             cells = (part.name, channel.name, channel.pixel_type, channel.used_as or "copied as it is")
             yield "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in cells) + "</tr>"
