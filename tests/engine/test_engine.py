@@ -172,7 +172,7 @@ class TestRecorder:
         (operation,) = recorder.graph.operations
         assert operation.function == "copy_image"
         assert operation.writes == (recorder.state["seen"],)
-        assert recorder.graph.kept == [(recorder.state["seen"], before)]
+        assert recorder.graph.state_pairs == [(recorder.state["seen"], before)]
 
     def test_without_a_condition_an_image_is_cleared(self, recorder: Recorder) -> None:
         with engine.use(recorder):

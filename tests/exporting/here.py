@@ -66,7 +66,7 @@ class Held(GraphImage):
 class HereGraph(Graph):
     """The images of a recipe with their arrays, and the numbers that functions of the driver write."""
 
-    inputs: Mapping[str, FloatArray] = field(default_factory=dict)
+    arrays: Mapping[str, FloatArray] = field(default_factory=dict)
     sizes: Mapping[str, int] = field(default_factory=dict)
     place: tuple[int, int] = (0, 0)
     past: Mapping[str, FloatArray] = field(default_factory=dict)
@@ -80,10 +80,10 @@ class HereGraph(Graph):
         return Held(self.name(name), tuple(shape), type, array=array)
 
     def give(self, name: str, *shape: Any, text: str, unit: str = "", type: str = "float32") -> GraphImage:
-        if name not in self.given:
-            array = np.ascontiguousarray(self.inputs[name], type)
-            self.given[name] = Held(self.name(name), shape, type, "given", text, unit, array=array)
-        return self.given[name]
+        if name not in self.inputs:
+            array = np.ascontiguousarray(self.arrays[name], type)
+            self.inputs[name] = Held(self.name(name), shape, type, "given", text, unit, array=array)
+        return self.inputs[name]
 
     def make(self, name: str, *shape: Any, type: str = "float32") -> GraphImage:
         return self.hold_new(name, shape, type)
@@ -272,8 +272,8 @@ class Recorded:
         graph = HereGraph(stage="guides", sizes=sizes, place=place, past=self.past)
         graph.known["p->has_past"] = float(self.camera is not None)
         wanted = Graph()
-        wanted.given = dict.fromkeys(self.list_inputs())  # type: ignore[arg-type]
-        graph.inputs = collect_images(wanted, frame, emission)
+        wanted.inputs = dict.fromkeys(self.list_inputs())  # type: ignore[arg-type]
+        graph.arrays = collect_images(wanted, frame, emission)
         here = Here(graph, hl.get_host_target(), "x")
         with engine.use(here):
             record_frame(PipelineGuides(settings, graph, here, numbers, self.features))
@@ -286,4 +286,4 @@ class Recorded:
         """Return the names of the images that the recipe is given, as the export records them."""
         from lobewise.exporting.pipeline.recording import make_pipeline
 
-        return list(make_pipeline(self.settings, features=self.features).graph.given)
+        return list(make_pipeline(self.settings, features=self.features).graph.inputs)

@@ -311,13 +311,13 @@ class _Scope:
     def __init__(self) -> None:
         self.lent: dict[Any, Buffer] = {}
         """Buffers of images that were copied up, by device, address, shape, strides and type."""
-        self.taken: list[tuple[Buffer, HostImage]] = []
+        self.buffers: list[tuple[Buffer, HostImage]] = []
         """All buffers in the order of their allocation, each with the array that must stay alive."""
 
     def end(self) -> None:
         """Free all memory, in reverse order."""
-        while self.taken:
-            buffer, _ = self.taken.pop()
+        while self.buffers:
+            buffer, _ = self.buffers.pop()
             buffer.give_memory()
 
 
@@ -396,7 +396,7 @@ def lend(image: Image, device: str) -> Buffer:
         buffer = Buffer(image if is_dense else np.ascontiguousarray(image))
         buffer.bring_up(device)
         # Keep the image alive, so that no other array gets its address.
-        scope.taken.append((buffer, image))
+        scope.buffers.append((buffer, image))
         scope.lent[key] = buffer
     return scope.lent[key]
 
@@ -418,7 +418,7 @@ def make_output(
     if device == "cpu":
         return buffer, host
     buffer.take_memory(device)
-    _get_scope().taken.append((buffer, host))
+    _get_scope().buffers.append((buffer, host))
     return buffer, DeviceImage(host, buffer)
 
 

@@ -183,11 +183,11 @@ class Graph:
     """The steps of a pipeline in order, and its images."""
 
     operations: list[Operation] = field(default_factory=list)
-    given: dict[str, GraphImage] = field(default_factory=dict)
+    inputs: dict[str, GraphImage] = field(default_factory=dict)
     """Images that the caller gives, by name."""
     results: dict[str, GraphImage] = field(default_factory=dict)
     """Images that the caller takes, by name."""
-    kept: list[tuple[GraphImage, GraphImage]] = field(default_factory=list)
+    state_pairs: list[tuple[GraphImage, GraphImage]] = field(default_factory=list)
     """Pairs of state: the image that this frame writes, and the one that the frame before wrote."""
     flats: dict[str, GraphImage] = field(default_factory=dict)
     """Images of one value, by name."""
@@ -211,9 +211,9 @@ class Graph:
 
     def give(self, name: str, *shape: Axis, text: str, unit: str = "", type: str = "float32") -> GraphImage:
         """Return an image that the caller gives; asked for twice, it is the same."""
-        if name not in self.given:
-            self.given[name] = GraphImage(self.name(name), shape, type, "given", text, unit)
-        return self.given[name]
+        if name not in self.inputs:
+            self.inputs[name] = GraphImage(self.name(name), shape, type, "given", text, unit)
+        return self.inputs[name]
 
     def make(self, name: str, *shape: Axis, type: str = "float32") -> GraphImage:
         """Return an image in memory of the pipeline."""
@@ -234,7 +234,7 @@ class Graph:
     def keep(self, name: str, *shape: Axis, type: str = "float32") -> tuple[GraphImage, GraphImage]:
         """Return an image that the next frame reads, and the same image of the frame before: 0 before the first."""
         pair = tuple(GraphImage(self.name(each), shape, type, "kept") for each in (name, f"{name}_before"))
-        self.kept.append((pair[0], pair[1]))
+        self.state_pairs.append((pair[0], pair[1]))
         return pair[0], pair[1]
 
     @contextmanager

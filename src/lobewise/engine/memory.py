@@ -58,7 +58,7 @@ def plan_memory(graph: Graph, share: float) -> MemoryPlan:
             free_from.append(0)
         free_from[slot] = last + 1
         slots[image.name] = slot
-    state_bytes = sum(span.count_bytes(share) for pair in graph.kept for span in pair)
+    state_bytes = sum(span.count_bytes(share) for pair in graph.state_pairs for span in pair)
     return MemoryPlan(slots, len(sizes), sum(sizes), state_bytes)
 
 

@@ -118,7 +118,7 @@ class Recorder:
     target: hl.Target
     prefix: str
     on: str = "cpu"
-    found: dict[tuple[Hashable, bool, bool], CompiledKernel] = field(default_factory=dict)
+    compiled: dict[tuple[Hashable, bool, bool], CompiledKernel] = field(default_factory=dict)
     computed: dict[Hashable, tuple[GraphImage, ...]] = field(default_factory=dict)
     """What `pixels` has computed, by definition, images and numbers."""
     picked: dict[str, GraphImage] = field(default_factory=dict)
@@ -140,18 +140,18 @@ class Recorder:
     def get(self, key: Hashable, make: Callable[[hl.Target], Scheduled], *, strict: bool = False) -> CompiledKernel:
         """Return the kernel of a key."""
         place = key, strict, self.device == "cpu"
-        if place not in self.found:
+        if place not in self.compiled:
             target = make_kernel_target(self.target, strict=strict, on_processor=place[2])
             signature = make(target).signature
             known = describe_kernel(key, make)
             described = known and f"{known} {target.to_string()}"
-            digest = hashlib.sha256((described or str(len(self.found))).encode()).hexdigest()[:10]
+            digest = hashlib.sha256((described or str(len(self.compiled))).encode()).hexdigest()[:10]
             words = "".join(letter if letter.isalnum() else "_" for letter in signature.name)
             symbol = f"{self.prefix}_{words}_{digest}"
-            self.found[place] = CompiledKernel(
+            self.compiled[place] = CompiledKernel(
                 symbol, signature.name, tuple(signature.parameters), target, make, described
             )
-        return self.found[place]
+        return self.compiled[place]
 
     def call(
         self,

@@ -36,9 +36,9 @@ def describe_contents(pipeline: Pipeline) -> dict[str, Any]:
         "kind": HELD,
         "target": pipeline.target,
         "settings": {name: getattr(pipeline.settings, name) for name in vars(pipeline.settings)},
-        "inputs": [_describe_image(each) for each in graph.given.values()],
+        "inputs": [_describe_image(each) for each in graph.inputs.values()],
         "results": [_describe_image(each) for each in graph.results.values()],
-        "state": [_describe_image(written) for written, _ in graph.kept],
+        "state": [_describe_image(written) for written, _ in graph.state_pairs],
         "numbers": [
             {"name": setting.name, "default": setting.default, "meaning": setting.text}
             for setting in pipeline.user_settings
@@ -73,13 +73,13 @@ def list_contents(pipeline: Pipeline) -> Iterator[str]:
     """Yield the lines of `lobewise export --list`."""
     graph, memory = pipeline.graph, pipeline.memory
     yield f"{pipeline.title}, for {pipeline.target}"
-    for title, images in (("Inputs", graph.given), ("Results", graph.results)):
+    for title, images in (("Inputs", graph.inputs), ("Results", graph.results)):
         yield f"{title}:"
         for image in images.values():
             yield f"  {image.name}: {_write_shape(image)}, {image.text}"
     yield f"Memory: {memory.made_bytes:g} bytes for each pixel between steps, {memory.kept_bytes:g} of state."
-    if graph.kept:
-        yield f"State: {', '.join(written.name for written, _ in graph.kept)}."
+    if graph.state_pairs:
+        yield f"State: {', '.join(written.name for written, _ in graph.state_pairs)}."
     yield f"Kernels: {len(pipeline.kernels)}."
     for number, (stage, operations) in enumerate(pipeline.stages, 1):
         yield f"{number}. {stage}"
@@ -103,11 +103,11 @@ def write_readme(pipeline: Pipeline, build: str) -> str:
     graph, memory, name = pipeline.graph, pipeline.memory, pipeline.name
     images = [
         f"| `{image.name}` | {role} | {_write_shape(image)} | {image.unit} | {image.text} |"
-        for role, group in (("input", graph.given), ("result", graph.results))
+        for role, group in (("input", graph.inputs), ("result", graph.results))
         for image in group.values()
     ]
     numbers = [f"| `{each.name}` | {each.default:g} | {each.text} |" for each in pipeline.user_settings]
-    held = ", ".join(f"`{each}`" for each in graph.given)
+    held = ", ".join(f"`{each}`" for each in graph.inputs)
     return fill_template(
         "pipeline/readme.md",
         name=name,
@@ -127,7 +127,7 @@ def write_readme(pipeline: Pipeline, build: str) -> str:
         spp=SPP,
         held=held,
         steps="\n".join(list_contents(pipeline)),
-        history=fill_template("pipeline/history.md", name=name) if graph.kept else "",
+        history=fill_template("pipeline/history.md", name=name) if graph.state_pairs else "",
         device=describe_device(pipeline),
         limits=describe_limits(pipeline),
         docs=DOCS,

@@ -44,7 +44,7 @@ def write_header(pipeline: Pipeline) -> str:
         version=lobewise.__version__,
         least=pipeline.least_width,
         settings="\n".join(f"    double {each.name}; /* {each.text} */" for each in pipeline.user_settings),
-        inputs="\n".join([*map(_declare_given, graph.given.values()), *_declare_place(pipeline)]),
+        inputs="\n".join([*map(_declare_given, graph.inputs.values()), *_declare_place(pipeline)]),
         results="\n".join(_declare_result(each) for each in graph.results.values()),
         history_word=", and the history from frame to frame" if history else "",
         reset_word="" if history else " (a pipeline without history has nothing to forget)",
@@ -138,8 +138,8 @@ def _list_lengths(pipeline: Pipeline) -> list[Length]:
 
 
 def _list_places(pipeline: Pipeline) -> str:
-    frame_images = [*pipeline.graph.given, *pipeline.graph.results]
-    state_images = [image.name for pair in pipeline.graph.kept for image in pair]
+    frame_images = [*pipeline.graph.inputs, *pipeline.graph.results]
+    state_images = [image.name for pair in pipeline.graph.state_pairs for image in pair]
     lines = [f"    PLACE_{number}," for number in range(pipeline.memory.count)]
     lines += [f"    KEPT_{each}," for each in state_images]
     lines += [f"    FLAT_{each}," for each in pipeline.graph.flats]
@@ -265,7 +265,7 @@ def _write_checks(pipeline: Pipeline) -> str:
         for image in operation.writes
     }
     lines = []
-    for image in (*pipeline.graph.given.values(), *pipeline.graph.results.values()):
+    for image in (*pipeline.graph.inputs.values(), *pipeline.graph.results.values()):
         if image.name not in conditional:
             lines += [
                 f"    if (!frame->{image.name}) {{",
@@ -289,12 +289,12 @@ def _write_given(pipeline: Pipeline) -> str:
             "    p->rows = (p->height - frame->row + SCALE - 1) / SCALE;",
             "    p->columns = (p->width - frame->column + SCALE - 1) / SCALE;",
         ]
-    for name in pipeline.graph.given:
+    for name in pipeline.graph.inputs:
         # Kernels do not write to it; Halide's buffers have no other kind of pointer.
         lines.append(f"    memcpy(&p->memory[GIVEN_{name}], &frame->{name}, sizeof(void *));")
     lines += [f"    p->memory[GIVEN_{name}] = frame->{name};" for name in pipeline.graph.results]
     places = set(pipeline.blocks.values())
-    lines += [f"    mark_host(p, GIVEN_{name});" for name in pipeline.graph.given if f"GIVEN_{name}" in places]
+    lines += [f"    mark_host(p, GIVEN_{name});" for name in pipeline.graph.inputs if f"GIVEN_{name}" in places]
     for name in pipeline.graph.held:
         lines += [
             "    {",
@@ -308,7 +308,7 @@ def _write_given(pipeline: Pipeline) -> str:
 def _write_forgetting(pipeline: Pipeline) -> str:
     """Return the lines that make the state of the frame before 0."""
     lines = []
-    for _, before in pipeline.graph.kept:
+    for _, before in pipeline.graph.state_pairs:
         bytes_each = "1" if before.type == "uint8" else "4"
         sizes = " * ".join(f"(size_t)find_length(p, {_AXES.get(str(axis), str(axis))})" for axis in before.shape)
         lines.append(f"        memset(p->memory[KEPT_{before.name}], 0, {bytes_each} * {sizes});")
@@ -320,7 +320,7 @@ def _write_forgetting(pipeline: Pipeline) -> str:
 def _write_swapping(pipeline: Pipeline) -> str:
     """Return the lines that make the state of this frame the state of the frame before."""
     lines = []
-    for written, before in pipeline.graph.kept:
+    for written, before in pipeline.graph.state_pairs:
         lines += [
             "        {",
             f"            void *const written = p->memory[KEPT_{written.name}];",

@@ -65,11 +65,11 @@ def make_pipeline(
     with engine.use(guides.kernels):
         record_frame(guides)
     read = {image.memory.name for operation in graph.operations for image in operation.reads}
-    unread = [before.name for _, before in graph.kept if before.name not in read]
+    unread = [before.name for _, before in graph.state_pairs if before.name not in read]
     assert not unread, f"no step reads what the frame before has left: {unread}"
     kernels = guides.kernels
     lanes = kernels.host.lanes
-    return Pipeline(settings, graph, constants, list(kernels.found.values()), lanes, name, chosen.to_string())
+    return Pipeline(settings, graph, constants, list(kernels.compiled.values()), lanes, name, chosen.to_string())
 
 
 def record_frame(guides: PipelineGuides) -> None:

@@ -255,7 +255,7 @@ def collect_images(graph: Graph, frame: AnyFrame, emission: FloatArray | None = 
         named |= {layer.name: layer.radiance, f"{layer.name}_albedo": layer.albedo}
         named |= {f"half_a_{layer.name}": layer.half_a, f"half_b_{layer.name}": layer.half_b}
     inputs = {}
-    for name in graph.given:
+    for name in graph.inputs:
         image = named.get(name) if name in named else getattr(guides, name)
         assert image is not None, f"the example has no image {name}"
         inputs[name] = image

@@ -167,7 +167,7 @@ def write_example(pipeline: Pipeline) -> str:
     """Return the example in C++."""
     indent, scale = "            ", pipeline.settings.upsample
     lines = []
-    for image in pipeline.graph.given.values():
+    for image in pipeline.graph.inputs.values():
         count = str(image.channels)
         count += " * samples" if "rows" in image.shape else " * width * height"
         lines.append(f"{indent}const std::vector<float> {image.name} = read<float>(input, {count});")
