@@ -100,7 +100,7 @@ class FakeFarm:
                 return
             if not problem:
                 self.done.update(order.task.numbers)
-            found.append(Outcome(told=told, problem=problem))
+            found.append(Outcome(news=told, problem=problem))
 
         self.waiting.append((call, run))
         return call

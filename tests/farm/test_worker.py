@@ -79,7 +79,7 @@ def is_done(order: Order) -> bool:
 def test_a_frame_is_recorded_and_then_not_filtered_again(tmp_path: Path) -> None:
     seen: list[int] = []
     order = make_order(tmp_path, seen.append)
-    assert run_order(order) == Outcome(told=Told(last="the last"))
+    assert run_order(order) == Outcome(news=Told(last="the last"))
     assert is_done(order)
     assert run_order(order) == Outcome()
     assert seen == [1]
@@ -109,7 +109,7 @@ def test_a_mistake_of_the_program_has_its_traceback(tmp_path: Path) -> None:
 @pytest.mark.filterwarnings("default")
 def test_warnings_become_remarks(tmp_path: Path) -> None:
     outcome = run_order(make_order(tmp_path, lambda _: warnings.warn("mind this", stacklevel=1)))
-    assert outcome.told.remarks == (("mind this", "mind this"),)
+    assert outcome.news.remarks == (("mind this", "mind this"),)
 
 
 def test_a_source_that_changes_meanwhile_is_not_done(tmp_path: Path) -> None:

@@ -254,9 +254,9 @@ def test_a_mistake_is_found_and_mended(
     assert [one.what for one in found.findings] == [made.finding], found.notes
     (finding,) = found.findings
     assert finding.mended
-    assert finding.told in found.notes
+    assert finding.sentence in found.notes
     for words in made.told:
-        assert words in finding.told
+        assert words in finding.sentence
     assert compute_error(found) <= 1.05 * right_errors(made.leave)
 
 
@@ -278,7 +278,7 @@ def test_coarse_positions_are_made_of_depth(
 ) -> None:
     found = import_channels(move(write_showroom(), far), tmp_path, camera=move_camera(far))
     assert [(one.what, one.mended) for one in found.findings] == [("positions coarse", True)]
-    assert "16-bit" in found.findings[0].told
+    assert "16-bit" in found.findings[0].sentence
     assert found.frame.gbuffer.position is None
     assert found.frame.is_placed
     assert compute_error(found) <= 1.05 * right_errors(())
@@ -297,7 +297,7 @@ def test_how_coarse_positions_are_is_told_in_words(far: float, words: str) -> No
     scene = make_scene()
     position = (scene.position + far).astype(np.float16).astype(np.float32)
     planes = name("", scene.color) | name("P", position, "XYZ")
-    (told,) = (one.told for one in import_planes(planes).findings if one.what == "positions coarse")
+    (told,) = (one.sentence for one in import_planes(planes).findings if one.what == "positions coarse")
     assert words in told
     assert "000" not in told
 
@@ -394,7 +394,7 @@ def test_roughness_of_another_meaning_is_found_by_the_mean_over_lobes(
     change_channel(source, target, "ViewLayer.Roughness", function)
     right, found = import_file(source).frame.gbuffer.alpha_u, import_file(target)
     assert [(one.what, one.mended) for one in found.findings] == [("roughness of another meaning", True)]
-    assert meaning in found.findings[0].told
+    assert meaning in found.findings[0].sentence
     np.testing.assert_allclose(found.frame.gbuffer.alpha_u, right, atol=1e-5)
 
 

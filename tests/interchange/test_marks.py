@@ -90,7 +90,7 @@ def test_a_result_of_another_renderers_file_is_refused(
     assert REFUSED in refuse(capsys, clean, "-o", tmp_path / "c.exr")
     (found,) = (one for one in import_file(clean).findings if one.what == MARKED)
     assert not found.mended
-    assert found.told in describe_file(clean).notes
+    assert found.sentence in describe_file(clean).notes
     # What it is read as stays: a result has layers, too.
     assert import_file(clean).frame.layers
 

@@ -37,10 +37,10 @@ def read_all(path: Path) -> list[tuple[dict[str, bytes], dict[str, np.ndarray]]]
 def require_untouched(source: Path, output: Path) -> int:
     """Compare all that no result went to; return how many channels that is."""
     touched = {
-        (one.found.source.part.index, channel)
+        (one.target.source.part.index, channel)
         for each in list_selections(source)
         for one in import_file(source, light_passes=True, view=each.view or None).outputs.values()
-        for channel in one.found.channels
+        for channel in one.target.channels
     }
     before, after = read_all(source), read_all(output)
     assert len(before) == len(after)

@@ -75,7 +75,7 @@ def denoise(*words: str | Path) -> int:
 def list_written(path: Path, view: str) -> dict[str, tuple[str, ...]]:
     """Return the channels of one view that get results, by the names of the results, after the index of their part."""
     outputs = import_file(path, view=view, light_passes=True).outputs
-    return {name: (str(one.found.source.part.index), *one.found.channels) for name, one in outputs.items()}
+    return {name: (str(one.target.source.part.index), *one.target.channels) for name, one in outputs.items()}
 
 
 @pytest.mark.sampled("multi_view", "parts")

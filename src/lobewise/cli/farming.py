@@ -53,7 +53,7 @@ class FrameWork:
         """Filter frames into their files; see `lobewise.farm.tasks.Work`."""
         target = FramePattern.parse(self.output)
         verb, remarks = _make_filter(pickle.dumps((self, first, memory)))
-        before = set(remarks.told)
+        before = set(remarks.sentences)
         by_name = {target.name(number): number for number in numbers}
 
         def write(path: Path, result: Any, frame: Any, _: Path) -> None:
@@ -73,7 +73,7 @@ class FrameWork:
         )
         last = report.last
         return Told(
-            remarks=tuple(remark for remark in remarks.told.items() if remark[0] not in before),
+            remarks=tuple(remark for remark in remarks.sentences.items() if remark[0] not in before),
             last="" if last is None else describe_result(last),
             settings="" if last is None else describe_settings(last),
         )

@@ -248,7 +248,7 @@ class _Denoiser:
         return self._plan(of_one.add(frame, cut=cut), frame)
 
     def _plan(self, result: Result, frame: Imported | FileInWindow) -> DoneOne:
-        own = frame.found if isinstance(frame, FileInWindow) else frame
+        own = frame.imported if isinstance(frame, FileInWindow) else frame
         better = self.shade(result, own.frame)
         return DoneOne(own.container, better, self.request.writing.plan(better, own))
 

@@ -311,7 +311,7 @@ class Dispatcher:
         except CallFailedError as problem:
             self._fail(task, f"something went wrong on the worker {worker.address} ({problem}).")
             return
-        self._listener.hear(outcome.told)
+        self._listener.hear(outcome.news)
         if outcome.problem:
             self._fail(task, outcome.problem, outcome.trace)
         elif self._list_missing(task):

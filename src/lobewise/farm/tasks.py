@@ -109,7 +109,7 @@ class Outcome:
 
     Parameters
     ----------
-    told : Told
+    news : Told
         See `Told`.
     problem : str
         Why a frame was not filtered, in one sentence; empty if every frame was.
@@ -117,7 +117,7 @@ class Outcome:
         For a problem that is a mistake of the program: the traceback.
     """
 
-    told: Told = Told()
+    news: Told = Told()
     problem: str = ""
     trace: str = ""
 

@@ -103,7 +103,7 @@ def _run(order: Order) -> Outcome:
             problem, trace = f"something went wrong inside lobewise ({words}).", traceback.format_exc()
     warnings_caught = tuple((str(one.message), str(one.message)) for one in caught)
     news = Told(remarks=(*news.remarks, *warnings_caught), last=news.last, settings=news.settings)
-    return Outcome(told=news, problem=make_printable(problem), trace=trace)
+    return Outcome(news=news, problem=make_printable(problem), trace=trace)
 
 
 @cache

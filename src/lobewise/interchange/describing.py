@@ -97,7 +97,7 @@ def inspect_file(
 
 def _list_refusals(findings: Iterable[Finding]) -> tuple[str, ...]:
     """Return the messages of the findings because of which ``lobewise denoise`` refuses a file."""
-    return tuple(one.told for one in findings if one.what == MARKED and not one.mended)
+    return tuple(one.sentence for one in findings if one.what == MARKED and not one.mended)
 
 
 def describe_import(imported: Imported, others: Sequence[Imported] = ()) -> FileDescription:
@@ -143,7 +143,7 @@ def describe_import(imported: Imported, others: Sequence[Imported] = ()) -> File
         lacks=imported.lacks,
         outputs=tuple(
             dict.fromkeys(
-                one.found.label
+                one.target.label
                 for each in (imported, *others)
                 for name, one in each.outputs.items()
                 if name not in each.frame.unscattered
@@ -229,4 +229,4 @@ def _list_found(channels: ChannelMap, imported: Imported) -> list[tuple[str, Fou
             found += [(f"albedo: {layer.rule.name}", layer.albedo)] if layer.albedo else []
     if imported.frame.gbuffer.coverage is not None and channels.cryptomatte:
         found += [("silhouettes", one) for one in channels.cryptomatte[0]]
-    return found + [(f"also: {name}", imported.outputs[name].found) for name in imported.frame.also]
+    return found + [(f"also: {name}", imported.outputs[name].target) for name in imported.frame.also]

@@ -30,7 +30,7 @@ def add_also(imported: Imported, patterns: Sequence[str], read: ImageReader) -> 
             got="a file with lobewise's own channel names",
             action="leave --also out",
         )
-    used = {channel for one in imported.outputs.values() for channel in one.found.channels}
+    used = {channel for one in imported.outputs.values() for channel in one.target.channels}
     used |= {channel for one in imported.map.roles.values() for channel in one.channels}
     layers = {layer.name: layer for layer in imported.frame.layers}
     whole, outputs, notes = dict(imported.frame.also), dict(imported.outputs), list(imported.notes)
@@ -137,7 +137,7 @@ def join_halves(first: Imported, second: Imported) -> Imported:
     )
     known = {one.what for one in first.findings}
     further = tuple(one for one in second.findings if one.what not in known)
-    notes = [f"The second render: {one.told}" for one in further]
+    notes = [f"The second render: {one.sentence}" for one in further]
     return Imported(
         frame,
         first.container,

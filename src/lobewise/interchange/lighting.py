@@ -45,7 +45,7 @@ Read = Callable[[Found], FloatArray]
 class PartOutput:
     """The channels that receive a part of a layer, and the albedo that divides it before writing."""
 
-    found: Found
+    target: Found
     divided_by: FloatArray | None = None
 
 

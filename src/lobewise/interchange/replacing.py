@@ -220,15 +220,15 @@ def _plan_foreign(imported: Imported, result: Result) -> Planes:
         if output.divided_by is not None:
             known = output.divided_by > MIN_DIVISOR_ALBEDO
             image = np.divide(image, output.divided_by, out=np.zeros_like(image), where=known)
-        mine = planes.setdefault(output.found.source.part.index, {})
-        mine |= {channel: image[..., k] for k, channel in enumerate(output.found.channels)}
+        mine = planes.setdefault(output.target.source.part.index, {})
+        mine |= {channel: image[..., k] for k, channel in enumerate(output.target.channels)}
     return planes
 
 
 def _list_left(imported: Imported, images: Mapping[str, FloatArray]) -> list[str]:
     """Return the noisy passes for which the result has no image. Exact light does not count: it has no noise."""
-    exact = imported.frame.unscattered
-    return [output.found.label for name, output in imported.outputs.items() if name not in images and name not in exact]
+    covered = {*images, *imported.frame.unscattered}
+    return [output.target.label for name, output in imported.outputs.items() if name not in covered]
 
 
 def _list_images(result: Result) -> Mapping[str, FloatArray]:

@@ -244,7 +244,7 @@ class _Seen:
         light = np.concatenate(self.light) if self.light else np.zeros((0, 3))
         return (
             *describe_own_left_noisy(reader.container),
-            *(one.told for one in check_own_mark(reader.container)),
+            *(one.sentence for one in check_own_mark(reader.container)),
             *self.survey.list_idle(),
             *self.survey.list_notes(),
             *map(str, join_unusable(self.unusable)),

@@ -182,7 +182,7 @@ class PassReading(Reading):
             refuse_results(path, imported.findings)
         require_target(imported)
         # A finding holds figures of one frame: of a sequence only the first frame's are printed.
-        known = {one.told: f"{one.what}, {one.mended}" for one in imported.findings}
+        known = {one.sentence: f"{one.what}, {one.mended}" for one in imported.findings}
         first = next(iter(denoised), selection)
         for note in imported.remarks:
             remarks.tell_of(selection, first, note, known.get(note, note), look_up_number(path, source))

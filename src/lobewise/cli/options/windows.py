@@ -32,7 +32,7 @@ class FileInWindow:
 
     Parameters
     ----------
-    found : Imported
+    imported : Imported
         The file.
     frames : tuple of Frame
         Consecutive frames of the sequence.
@@ -40,7 +40,7 @@ class FileInWindow:
         Which of them is that of the file.
     """
 
-    found: Imported
+    imported: Imported
     frames: tuple[Frame, ...]
     index: int
 

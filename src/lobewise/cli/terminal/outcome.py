@@ -27,7 +27,7 @@ class Remarks:
 
     def __init__(self, *, silent: bool = False) -> None:
         self._is_silent = silent
-        self.told: dict[str, str] = {}
+        self.sentences: dict[str, str] = {}
         """Remarks by key."""
         self._kinds: set[str] = set()
 
@@ -38,10 +38,10 @@ class Remarks:
         """
         from lobewise.cli.output import print_note
 
-        if (key or note) in self.told:
+        if (key or note) in self.sentences:
             return
         sentence = note if frame is None else f"Frame {frame}: {note}"
-        self.told[key or note] = sentence
+        self.sentences[key or note] = sentence
         if not self._is_silent:
             print_note(sentence)
 

@@ -32,7 +32,7 @@ class Located:
     """A camera, its source, and whether its world is left-handed. If so, the camera is mirrored: x is negated."""
 
     camera: Camera
-    told: str
+    source: str
     mirrored: bool = False
 
 

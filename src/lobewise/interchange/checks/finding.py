@@ -14,14 +14,14 @@ class Finding:
     ----------
     what : str
         Name of the finding, from the table "What is checked" of ``docs/renderers.md``.
-    told : str
+    sentence : str
         One sentence for the user: what was measured, and what is done about it.
     mended : bool
         Whether the frame was corrected. If not, the finding is a warning.
     """
 
     what: str
-    told: str
+    sentence: str
     mended: bool
 
 

@@ -188,7 +188,7 @@ def run_steps(draft: Draft, steps: Sequence[Step]) -> Draft:
             continue
         outcome = step.run(draft)
         notes = [(step.section, note) for note in outcome.notes]
-        notes += [(Section.FINDINGS, finding.told) for finding in outcome.findings]
+        notes += [(Section.FINDINGS, finding.sentence) for finding in outcome.findings]
         draft = replace(outcome.draft, findings=(*draft.findings, *outcome.findings), notes=(*draft.notes, *notes))
     return draft
 

@@ -174,6 +174,6 @@ def list_outputs(draft: Draft) -> Outcome:
     roles = draft.channels.roles
     outputs = {"color": PartOutput(draft.channels.target), **draft.light.outputs}
     outputs |= {name: PartOutput(roles[name]) for name in ("diffuse", "specular") if name in roles}
-    inside = {name: one for name, one in outputs.items() if one.found.source.part.index < FIRST_SIBLING_INDEX}
+    inside = {name: one for name, one in outputs.items() if one.target.source.part.index < FIRST_SIBLING_INDEX}
     note = "Passes in files of their own stay as they are there: only the image is written."
     return Outcome(replace(draft, outputs=inside), notes=[note] if len(inside) < len(outputs) else [])

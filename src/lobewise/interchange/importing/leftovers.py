@@ -83,7 +83,7 @@ def _list_unused(imported: Imported, channels: ChannelMap) -> Iterator[Found]:
     """Yield the images of three channels that no result is written to, that are no guides, and not denoised before."""
     before = read_replaced(imported.container) or {}
     # A noisy image whose result goes into another pass stays on purpose.
-    used = [*(one.found for one in imported.outputs.values()), *channels.roles.values()]
+    used = [*(one.target for one in imported.outputs.values()), *channels.roles.values()]
     used += [one for layer in channels.layers for one in (layer.albedo,) if one]
     taken = {(one.source.part.index, name) for one in used for name in one.channels}
     guides = [rule.source for role, rules in channels.preset.roles.items() if role != "color" for rule in rules]

@@ -106,7 +106,7 @@ def _use_given_camera(draft: Draft, camera: Camera) -> Outcome:
 
 def _use_header(draft: Draft, header: Located, position: FloatArray | None, ending: str) -> Outcome:
     chosen = replace(draft, camera=header.camera, is_mirrored=header.mirrored, world_position=position)
-    return Outcome(chosen, notes=[f"The camera is that of the header ({header.told}){ending}"])
+    return Outcome(chosen, notes=[f"The camera is that of the header ({header.source}){ending}"])
 
 
 def _use_fit(draft: Draft, fit: CameraFit, position: FloatArray, header: Located | None) -> Outcome:
@@ -117,7 +117,7 @@ def _use_fit(draft: Draft, fit: CameraFit, position: FloatArray, header: Located
         else f"The camera was found from the positions, which it shows where they are seen to {fit.error:.2f} pixels."
     )
     if header is not None:
-        note += f" The header's ({header.told}) is another: positions are in a space of their own."
+        note += f" The header's ({header.source}) is another: positions are in a space of their own."
     chosen = replace(
         draft,
         camera=fit.camera,

@@ -94,7 +94,7 @@ class _Planes:
     """The channels of a part of the copy.
 
     ``changed`` replaces channels of the part, ``added`` are new channels, and ``only`` leaves out all others. ``part``
-    has the channels of the copy; ``kept`` names the unchanged ones.
+    has the channels of the copy; ``unchanged`` names those that are copied.
     """
 
     def __init__(self, part: Part, changed: Planes, added: Planes, *, only: bool) -> None:
@@ -102,7 +102,7 @@ class _Planes:
         old_channels = [channel for channel in part.channels if not only or channel.name in changed]
         new_channels = [Channel(name, "float", False, 1, 1) for name in added]
         self.part = replace(part, channels=(*old_channels, *new_channels))
-        self.kept = [channel.name for channel in old_channels if channel.name not in changed]
+        self.unchanged = [channel.name for channel in old_channels if channel.name not in changed]
 
     def check(self, container: Container) -> None:
         """Raise InputError if a plane has another size than the part, or an added channel exists already."""
@@ -110,7 +110,7 @@ class _Planes:
 
     def read(self, container: Container, first: int, stop: int) -> dict[str, Pixels]:
         """Return the rows from ``first`` to before ``stop``, in the types of the channels."""
-        pixels = decode_part(container, crop_part(self._before, first, stop), self.kept) if self.kept else {}
+        pixels = decode_part(container, crop_part(self._before, first, stop), self.unchanged) if self.unchanged else {}
         types = {channel.name: DTYPES[channel.pixel_type] for channel in self._before.channels}
         for name, plane in self._changed.items():
             pixels[name] = convert_plane(plane[first:stop], types[name])
@@ -143,7 +143,7 @@ def _check_planes(container: Container, part: Part, changed: Planes, added: Plan
 def _encode(container: Container, planes: _Planes, stream: BinaryIO) -> tuple[ChunkSpool, str]:
     """Return the chunks and a sentence about a changed compression. Untouched channels keep their values."""
     part = planes.part
-    lossy = part.compression not in LOSSLESS and bool(planes.kept)
+    lossy = part.compression not in LOSSLESS and bool(planes.unchanged)
     spool = ChunkSpool(container, part, stream)
     if _fill(spool, container, planes, checked=lossy):
         return spool, ""
@@ -162,7 +162,7 @@ def _fill(spool: ChunkSpool, container: Container, planes: _Planes, *, checked: 
         stop = min(first + step, height)
         pixels = planes.read(container, first, stop)
         data = spool.add(first, stop, pixels)
-        if checked and not _keeps(data, pixels, planes.kept):
+        if checked and not _keeps(data, pixels, planes.unchanged):
             return False
     return True
 
