@@ -175,7 +175,7 @@ def test_an_orthographic_frame_is_told_and_keeps_its_camera_in_a_file(mi: Any, t
     from lobewise.render.integrators import plan_light, tell_unseen
 
     scene = mi.load_dict(make_room(mi, sensor=make_flat_sensor(mi)))
-    assert "orthographic" in plan_light(scene).told
+    assert "orthographic" in plan_light(scene).sentence
     assert "orthographic" in tell_unseen(scene)
     frame = render_frame(scene, spp=2)
     lobewise.write_frame(tmp_path / "flat.exr", frame)

@@ -106,7 +106,7 @@ def test_the_scenes_own_integrator_renders_what_paths_do_not(mi: Any, integrator
     scene = make_scene(mi, integrator, fog=fog)
     plan = plan_light(scene)
     assert plan.own is not None
-    assert f"{integrator['type']!r}" in plan.told
+    assert f"{integrator['type']!r}" in plan.sentence
     check_light(mi, scene, render_frame(scene, spp=65))
     check_light(mi, scene, render_reference(scene, spp=64))
 
@@ -133,7 +133,7 @@ def test_paths_render_what_they_estimate_too(mi: Any, integrator: dict[str, Any]
 
     scene = make_scene(mi, integrator)
     plan = plan_light(scene)
-    assert (plan.own, plan.max_depth, plan.told) == (None, depth, "")
+    assert (plan.own, plan.max_depth, plan.sentence) == (None, depth, "")
     frame = render_frame(scene, spp=64)
     assert frame.radiance.parts is not None
     if integrator is not None:
@@ -147,7 +147,7 @@ def test_what_asked_for_goes_first(mi: Any) -> None:
     hidden = make_scene(mi, {"type": "prb", "max_depth": 5, "hide_emitters": True})
     plan = plan_light(hidden, "paths")
     assert plan.own is None
-    assert "the scene's own 'prb' would give other light" in plan.told
+    assert "the scene's own 'prb' would give other light" in plan.sentence
 
 
 def test_surfaces_that_hold_media_have_no_lobe(mi: Any) -> None:
@@ -166,8 +166,8 @@ def test_media_that_nobody_renders_are_told(mi: Any) -> None:
     for integrator, whose in (({"type": "path"}, "the scene's integrator, 'path', does not"), (None, "paths do not")):
         plan = plan_light(make_scene(mi, integrator, fog=True))
         assert plan.own is None
-        assert whose in plan.told
-        assert plan_light(make_scene(mi, integrator)).told == ""
+        assert whose in plan.sentence
+        assert plan_light(make_scene(mi, integrator)).sentence == ""
 
 
 def test_the_same_seed_gives_the_same_light_and_another_other(mi: Any) -> None:
@@ -255,7 +255,7 @@ def test_a_lens_blurs_the_light_and_the_guides(mi: Any) -> None:
     scene = make_scene(mi, {"type": "path", "max_depth": 6}, film=film, **make_lens(mi, 0.3, focus=1.5))
     plan = plan_light(scene)
     assert plan.lens
-    assert "through the lens by 'path'" in plan.told
+    assert "through the lens by 'path'" in plan.sentence
     frame = render_frame(scene, spp=256)
     check_light(mi, scene, frame)
     check_light(mi, scene, render_reference(scene, spp=64))

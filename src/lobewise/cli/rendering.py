@@ -82,7 +82,7 @@ class Sampling:
         from lobewise.render.integrators import plan_light
         from lobewise.render.materials.bsdfs import tell_attributes
 
-        for sentence in (plan_light(scene, self.integrator, self.max_depth).told, tell_attributes(scene)):
+        for sentence in (plan_light(scene, self.integrator, self.max_depth).sentence, tell_attributes(scene)):
             if sentence:
                 print_note(sentence)
 

@@ -30,13 +30,13 @@ class Package:
     """The versions that do, such as ``>=21,<22``; may be empty."""
     extra: str
     """The extra that needs the package; empty if lobewise itself does."""
-    found: str
+    installed: str
     """The version that is installed; empty if there is none."""
 
     @property
     def fits(self) -> bool:
         """Whether the installed version does."""
-        return bool(self.found) and is_version_among(self.found, self.versions)
+        return bool(self.installed) and is_version_among(self.installed, self.versions)
 
 
 def read_packages() -> list[Package]:
@@ -102,19 +102,19 @@ def is_version_among(version: str, versions: str) -> bool:
 def examine_packages() -> Section:
     """Return the versions of the packages that lobewise needs, with a problem for each that is missing or broken."""
     packages = [package for package in read_packages() if not package.extra]
-    facts = {package.name: package.found or "not installed" for package in packages}
+    facts = {package.name: package.installed or "not installed" for package in packages}
     problems = []
     if not packages:
         action = "pip install lobewise, or in a checkout pip install -e ."
         problems.append(Problem("lobewise was not installed by pip, so the versions it needs are unknown", action))
     for package in packages:
         want = f"{package.name}{package.versions}"
-        if not package.found and package.name.lower() in COMPILER:
+        if not package.installed and package.name.lower() in COMPILER:
             continue  # `lobewise.doctor.machine.examine_kernels` says what their absence means
-        if not package.found:
+        if not package.installed:
             problems.append(Problem(f"{package.name} is not installed", f"pip install '{want}'", fatal=True))
         elif not package.fits:
-            what = f"{package.name} is of version {package.found}, and lobewise needs {package.versions}"
+            what = f"{package.name} is of version {package.installed}, and lobewise needs {package.versions}"
             problems.append(Problem(what, f"pip install '{want}'", fatal=True))
     problems += _list_broken(packages, fatal=True)
     return Section("Packages", facts, tuple(problems))
@@ -128,12 +128,14 @@ def examine_extras() -> Section:
             extras.setdefault(package.extra, []).append(package)
     facts, problems = {}, []
     for extra, packages in extras.items():
-        versions = ", ".join(f"{package.name} {package.found or 'not installed'}" for package in packages)
-        lacks = not all(package.found for package in packages)
+        versions = ", ".join(f"{package.name} {package.installed or 'not installed'}" for package in packages)
+        lacks = not all(package.installed for package in packages)
         facts[extra] = f"{versions} (pip install 'lobewise[{extra}]')" if lacks else versions
         for package in packages:
-            if package.found and not package.fits:
-                what = f"{package.name} is of version {package.found}, and lobewise[{extra}] needs {package.versions}"
+            if package.installed and not package.fits:
+                what = (
+                    f"{package.name} is of version {package.installed}, and lobewise[{extra}] needs {package.versions}"
+                )
                 problems.append(Problem(what, f"pip install '{package.name}{package.versions}'"))
         problems += _list_broken(packages, fatal=False)
     return Section("Extras", facts, (*problems, *_list_oidn_problems()))
@@ -157,7 +159,7 @@ def _list_broken(packages: list[Package], *, fatal: bool) -> list[Problem]:
     problems = []
     for package in packages:
         module = MODULES.get(package.name.lower())
-        reason = _try_to_load(module) if package.found and module else ""
+        reason = _try_to_load(module) if package.installed and module else ""
         if reason:
             action = f"pip install --force-reinstall --no-deps '{package.name}{package.versions}'"
             is_fatal = fatal and package.name.lower() not in COMPILER

@@ -62,7 +62,7 @@ _NEIGHBOURS = tuple((row, column) for row in (-1, 0, 1) for column in (-1, 0, 1)
 class _Look:
     """Properties of the surface that a ray hits, for comparison (Dr.Jit arrays; a PyTree); all 0 for a miss."""
 
-    found: Any
+    is_hit: Any
     position: Any
     normal: Any
     log_alpha: Any
@@ -256,7 +256,7 @@ def _compute_distance(look: _Look, centre: _Look, footprint: Any) -> Any:
     distance += dr.squared_norm(look.albedo - centre.albedo) * (ALBEDO_SCALE**-2 / 3.0)
     other = (look.lobe_kind != centre.lobe_kind) | (look.material != centre.material)
     distance += dr.select(other, OTHER_KIND_DISTANCE, 0.0)
-    return distance + dr.select(look.found != centre.found, MISS_DISTANCE, 0.0)
+    return distance + dr.select(look.is_hit != centre.is_hit, MISS_DISTANCE, 0.0)
 
 
 def _compute_shift(x: Any, y: Any, k: int) -> Any:

@@ -72,7 +72,7 @@ class Light:
     """The scene's own ``mitsuba.Integrator`` if it renders the light, otherwise None."""
     lens: bool = False
     """Whether the light comes through a wide lens, through which paths and guides of a single ray cannot look."""
-    told: str = ""
+    sentence: str = ""
     """Sentence for the user about the light; empty if there is nothing to say."""
 
 
@@ -110,7 +110,7 @@ def plan_light(scene: Any, integrator: str = "auto", max_depth: int | None = Non
     if max_depth is not None:
         require_integer("max_depth", max_depth, 1, MAX_DEPTH)
     light = _choose_light(scene, integrator, max_depth)
-    return replace(light, told=f"{light.told} {TOLD_OF_FLAT}".strip()) if is_flat(scene) else light
+    return replace(light, sentence=f"{light.sentence} {TOLD_OF_FLAT}".strip()) if is_flat(scene) else light
 
 
 def _choose_light(scene: Any, integrator: str, max_depth: int | None) -> Light:
@@ -121,17 +121,17 @@ def _choose_light(scene: Any, integrator: str, max_depth: int | None) -> Light:
         if integrator == "scene":
             action = "add one to the scene, or leave the choice out"
             raise InputError("integrator", expected="one in the scene", got="none", action=action)
-        return Light(max_depth or DEPTH, told=_tell_media(scene))
+        return Light(max_depth or DEPTH, sentence=_tell_media(scene))
     depth = None if integrator == "scene" else _look_up_depth(scene, own)
     if integrator == "paths" or depth is not None:
         other = f"Light by paths, as asked for; the scene's own {name_integrator(own)} would give other light."
-        return Light(max_depth or depth or DEPTH, told=other if depth is None else _tell_media(scene))
+        return Light(max_depth or depth or DEPTH, sentence=other if depth is None else _tell_media(scene))
     _require_light(own)
     _refuse_depth(own, max_depth)
     return Light(
         DEPTH,
         own,
-        told=f"Light by the scene's own integrator, {name_integrator(own)}: one image, not split by lobe.",
+        sentence=f"Light by the scene's own integrator, {name_integrator(own)}: one image, not split by lobe.",
     )
 
 
@@ -148,7 +148,7 @@ def _plan_lens(own: Any, integrator: str, max_depth: int | None) -> Light:
     _require_light(own)
     whose = name_integrator(own)
     sentence = f"Light through the lens by {whose}: one image, not split by lobe; guides are means over the lens."
-    return Light(DEPTH, own, lens=True, told=sentence)
+    return Light(DEPTH, own, lens=True, sentence=sentence)
 
 
 def _refuse_depth(own: Any, max_depth: int | None) -> None:

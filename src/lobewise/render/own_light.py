@@ -210,10 +210,10 @@ def forget_lobes(guides: dict[str, Any], points: Points) -> dict[str, Any]:
 class _Sums:
     """Sums over the rays of a pixel (Dr.Jit arrays; a PyTree).
 
-    ``found`` counts the rays that hit a surface; ``shine`` sums their mean specular albedo, the weight of the alphas.
+    ``hit_count`` counts the rays that hit a surface. ``shine`` sums their mean specular albedo, which weights alphas.
     """
 
-    found: Any = starts_as("Float")
+    hit_count: Any = starts_as("Float")
     depth: Any = starts_as("Float")
     position: Any = starts_as("Vector3f")
     normal: Any = starts_as("Vector3f")
@@ -250,7 +250,7 @@ def render_lens_guides(scene: Any, *, samples: int, seed: int, moved: bool = Fal
         si, surface = trace_first_opaque(scene, materials, ray)
         is_hit = si.is_valid()
         shine = dr.select(is_hit, dr.mean(surface.specular_albedo), 0.0)
-        sums.found += dr.select(is_hit, 1.0, 0.0)
+        sums.hit_count += dr.select(is_hit, 1.0, 0.0)
         sums.depth += dr.select(is_hit, dr.norm(si.p - eye), 0.0)
         sums.position += dr.select(is_hit, mi.Vector3f(si.p), 0.0)
         sums.normal += dr.select(is_hit, surface.normal, 0.0)
@@ -264,7 +264,7 @@ def render_lens_guides(scene: Any, *, samples: int, seed: int, moved: bool = Fal
     with dr.suspend_grad():
         (sums,) = repeat(take, mi.UInt32(0), dr.opaque(mi.UInt32, samples), _Sums(), label="lens")
         dr.eval(sums)
-    hit_count, shine = to_image(sums.found), to_image(sums.shine)
+    hit_count, shine = to_image(sums.hit_count), to_image(sums.shine)
     there = hit_count > MIN_HIT_SHARE * samples
 
     def divide(value: Any, by: FloatArray, default: float) -> FloatArray:

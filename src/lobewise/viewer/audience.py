@@ -43,7 +43,7 @@ class Audience:
 
     def __init__(self, target: Target, fixed_size: bool, changes: dict[str, Any], tell: Callable[[str], None]) -> None:
         self.link = Link(target, self.receive, self.remark)
-        self.found: Description | None = None
+        self.description: Description | None = None
         self.cameras: CameraMap | None = None
         self.failure: Exception | None = None
         self.opened, self.over = threading.Event(), threading.Event()
@@ -121,7 +121,7 @@ class Audience:
 
     def _furnish(self, guest: Guest) -> None:
         """Give a browser its controls, or a status line as long as the target is not open."""
-        description, gui = self.found, guest.client.gui
+        description, gui = self.description, guest.client.gui
         if description is None or self.cameras is None:
             guest.status = gui.add_html(write_message(self._notice))
             return
@@ -162,12 +162,12 @@ class Audience:
 
     def _ask(self, guest: Guest, *, fresh: bool = True) -> None:
         """Ask for the next picture of a browser."""
-        if self.found is None or self.cameras is None or self.over.is_set():
+        if self.description is None or self.cameras is None or self.over.is_set():
             return
         with self._lock:
             if guest.client.client_id not in self._guests:
                 return
-            request = guest.make_request(self.found, self.cameras, fresh=fresh)
+            request = guest.make_request(self.description, self.cameras, fresh=fresh)
         if request is not None:
             self.link.submit(request)
 
@@ -178,7 +178,7 @@ class Audience:
             self._show(report)
         elif isinstance(report, Progress):
             self._doing = report.text
-            if self.found is None:
+            if self.description is None:
                 self._announce(f"{report.text} \u2026")
         elif isinstance(report, Opened):
             self._open(report.description)
@@ -199,8 +199,8 @@ class Audience:
     def _open(self, description: Description) -> None:
         """Give every browser its controls and ask for its first picture. A restarted worker only tells the target."""
         with self._lock:
-            first = self.found is None
-            self.found, self.cameras = description, CameraMap(description)
+            first = self.description is None
+            self.description, self.cameras = description, CameraMap(description)
             if not first:
                 return
             start = self.cameras.start
@@ -227,8 +227,8 @@ class Audience:
         if guest.expose and picture.final:
             guest.expose = False
             guest.panel.set_stops(picture.stops)
-        assert self.found is not None
-        more = picture.final and guest.needs_more(self.found) and not self.link.is_waiting(picture.client)
+        assert self.description is not None
+        more = picture.final and guest.needs_more(self.description) and not self.link.is_waiting(picture.client)
         if more:
             self._ask(guest)
         guest.client.scene.set_background_image(picture.pixels, format="jpeg", jpeg_quality=_JPEG_QUALITY)
@@ -241,10 +241,10 @@ class Audience:
         if picture is None or guest.status is None or not (now or moment - guest.told_at > _STATUS_EVERY):
             return
         guest.told_at = moment
-        rendered = self.found is not None and self.found.camera is not None
+        rendered = self.description is not None and self.description.camera is not None
         rate = guest.get_rate() if rendered else None
         note = guest.note or ("" if picture.final else "Unfiltered yet: compiling the kernels \u2026")
-        unseen = "" if self.found is None else self.found.unseen
+        unseen = "" if self.description is None else self.description.unseen
         guest.status.content = write_figures(picture, guest.shown, rate, note, rendered=rendered, unseen=unseen)
 
     def _announce(self, text: str, *, bad: bool = False) -> None:
@@ -270,7 +270,7 @@ class Audience:
         for guest in guests:
             guest.client.add_notification("lobewise", text, color="orange" if again else "red", auto_close_seconds=8.0)
         self._announce(text, bad=True)
-        if not again and self.found is None:
+        if not again and self.description is None:
             self.failure = RuntimeError(text)
             self.over.set()
 
@@ -279,7 +279,7 @@ class Audience:
         told_at = 0.0
         while not self.over.wait(_TICK):
             with self._lock:
-                guests, description = list(self._guests.values()), self.found
+                guests, description = list(self._guests.values()), self.description
             if description is None:
                 continue
             for guest in guests:

@@ -26,9 +26,9 @@ CLUSTERS_PER_RAY = 2
 class _Walk:
     """State of the loop that follows mirrors, refractions and narrow lobes.
 
-    ``kept`` is the part of the last scattering by lobes that are followed, and ``mix`` the part by which a hit emitter
-    counts. ``reach`` is that of the last lobe, infinite for mirrors, and ``travelled`` the way from it to the last
-    surface that let the ray pass.
+    ``followed_share`` is the part of the last scattering by lobes that are followed, and ``mix`` the part by which a
+    hit emitter counts. ``reach`` is that of the last lobe, infinite for mirrors, and ``travelled`` the way from it to
+    the last surface that let the ray pass.
     """
 
     active: Any
@@ -37,7 +37,7 @@ class _Walk:
     reach: Any
     start: Any = starts_as("Bool", True)
     throughput: Any = starts_as("Color3f", 1)
-    kept: Any = starts_as("Color3f", 1)
+    followed_share: Any = starts_as("Color3f", 1)
     mix: Any = starts_as("Color3f", 1)
     travelled: Any = starts_as("Float")
     depth: Any = starts_as("UInt32")
@@ -116,7 +116,7 @@ class GaussianWalk:
         emitted, weight = meet_emitter(scene, si, walk.last, later & (walk.bounces >= 2))
         self._add(walk, walk.bounces >= 2, emitted * weight * walk.mix, mi.Color3f(0))
 
-        walk.throughput *= walk.kept
+        walk.throughput *= walk.followed_share
         walk.active = met & (walk.depth + 2 <= max_depth) & (dr.max(walk.throughput) > 0)
         bsdf = si.bsdf()
         surface = dispatch_surface(self._materials, bsdf, si, walk.active & later)
@@ -151,11 +151,11 @@ class GaussianWalk:
         share = dispatch_share(
             self._materials, scattering.si.bsdf(), scattering.si, scattering.chosen.wo, walk.active & ~is_delta
         )
-        walk.kept = dr.select(is_delta, 1.0, dr.select(at.reach > 0, (1.0 - share) * near, 0.0))
+        walk.followed_share = dr.select(is_delta, 1.0, dr.select(at.reach > 0, (1.0 - share) * near, 0.0))
         walk.mix = dr.select(is_null, walk.mix, dr.select(is_delta, 1.0, near))
         walk.reach = dr.select(is_null, walk.reach, dr.select(is_delta, dr.inf, at.reach))
         first = (walk.bounces == 0) & ~is_null
-        walk.active &= (dr.max(scattering.factor) > 0) & ((dr.max(walk.kept) > 0) | ~first)
+        walk.active &= (dr.max(scattering.factor) > 0) & ((dr.max(walk.followed_share) > 0) | ~first)
         walk.looks = walk.active & first & is_delta
         walk.ray = scattering.ray
         walk.throughput *= scattering.factor
