@@ -198,7 +198,7 @@ class TestFilter:
         window = WindowFilter(1)
         first = [window.join(frames, index).frame.radiance.color for index in range(8)]
         again = [WindowFilter(1).join(frames[max(k - 2, 0) : k + 3], min(k, 2)).frame.radiance.color for k in range(8)]
-        assert len(window._kept) <= 3
+        assert len(window._prepared) <= 3
         for one, other in zip(first, again, strict=True):
             assert np.array_equal(one, other)
 

@@ -64,15 +64,15 @@ def find_unsupported(
     if frame is not None:
         return _mark_uncertain(result, frame, count, least)
     median = float(np.median(weight))
-    wanted = (weight < least) | (weight < quality * median)
-    if np.count_nonzero(wanted) > count:
+    unsupported = (weight < least) | (weight < quality * median)
+    if np.count_nonzero(unsupported) > count:
         # Order pixels of equal weight by place, so that every machine chooses the same pixels.
-        limit = np.partition(weight[wanted], count)[count]
-        less = wanted & (weight < limit)
-        equal = np.flatnonzero(wanted & (weight == limit))
-        wanted = less
-        wanted.flat[equal[: count - np.count_nonzero(less)]] = True
-    return np.asarray(wanted)
+        limit = np.partition(weight[unsupported], count)[count]
+        less = unsupported & (weight < limit)
+        equal = np.flatnonzero(unsupported & (weight == limit))
+        unsupported = less
+        unsupported.flat[equal[: count - np.count_nonzero(less)]] = True
+    return np.asarray(unsupported)
 
 
 def _mark_uncertain(result: Result, frame: AnyFrame, count: int, least: float) -> NDArray[np.bool_]:

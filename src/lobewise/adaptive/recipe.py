@@ -130,17 +130,17 @@ def recompute(
     old = _take_pixels(result, where, known)
     around = None if frame is None or not filter_new else partial(_filter_among, frame=frame, where=where)
     if shaded.color.shape[1] == 1:
-        kept, worth = (shaded, np.full(count, samples, np.float32)) if around is None else around(shaded, samples)
-        merged, kept_worth = merge_by_weight(old, _drop_emission(kept, exact), result.weight_sum[where], worth), worth
+        added, worth = (shaded, np.full(count, samples, np.float32)) if around is None else around(shaded, samples)
+        merged, added_worth = merge_by_weight(old, _drop_emission(added, exact), result.weight_sum[where], worth), worth
     else:
         # A median of some rows and columns is enough, and much faster.
         step = max(1, min(result.image.shape[:2]) // MEDIAN_PIXELS)
         dark = DARK_LIGHT * float(np.median(result.image[::step, ::step]))
         support = result.weight_sum[where] / (result.weight_sum[where] + np.float32(max(least, 1e-6)))
-        merged, kept, worth = _merge_parts((old, support), shaded, samples, around, exact, dark)
-        kept_worth = np.float32(KEPT_WORTH) * worth
+        merged, added, worth = _merge_parts((old, support), shaded, samples, around, exact, dark)
+        added_worth = np.float32(KEPT_WORTH) * worth
     if history is not None:
-        history.add_samples(where[0], where[1], kept, kept_worth)
+        history.add_samples(where[0], where[1], added, added_worth)
     changes = {name: getattr(result, name).copy() for name in ("image", "weight_sum", "effective_samples")}
     changes["image"][where] = (merged.color + known)[:, 0]
     for name in ("weight_sum", "effective_samples"):

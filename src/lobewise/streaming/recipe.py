@@ -154,33 +154,33 @@ def denoise_file(
     """
     start = time.perf_counter()
     named = change_settings(settings or DenoiseSettings(), changes)
-    asked = ask(named, {}, whole=False)
-    require_bands(source, asked, rows, memory)
+    with_quality = ask(named, {}, whole=False)
+    require_bands(source, with_quality, rows, memory)
     require_writable(output)
     tell = progress or (lambda what, done, total: None)
-    reader = BandReader(source, lobe_tables=lobe_tables, wanted=list_images(asked))
+    reader = BandReader(source, lobe_tables=lobe_tables, wanted=list_images(with_quality))
     apart = {("radiance", "diffuse"), ("radiance", "specular")} <= reader.images
     height, _ = reader.shape
     with open_spool(output) as spool, open_spool(output) as waiting:
         writer = BandWriter(reader, ("color", "diffuse", "specular") if apart else ("color",), spool)
         # "auto" depends on which channels exist, not on their values, apart from the noise, which is measured.
-        survey = survey_guides(BandReader(source, lobe_tables=lobe_tables, wanted=list_images(asked)))
+        survey = survey_guides(BandReader(source, lobe_tables=lobe_tables, wanted=list_images(with_quality)))
         probe = survey.apply(reader.read_frame(0, 1))
-        chosen = resolve_all(probe, asked, spp=1.0)
+        chosen = resolve_all(probe, with_quality, spp=1.0)
         most = choose_rows(reader, chosen, memory) if rows is None else rows
         bands = cut_bands(height, most)
 
         @cache
         def measure() -> _Measured:
-            again = BandReader(source, lobe_tables=lobe_tables, wanted=list_measured(asked))
+            again = BandReader(source, lobe_tables=lobe_tables, wanted=list_measured(with_quality))
             with engine.on(chosen.device):
                 return _measure(again, survey, chosen, cut_bands(height, min(most, MEASURED_ROWS)), tell)
 
-        guided = get_quality(asked.quality).reads_halves
-        if not guided and needs_spp(asked):
+        guided = get_quality(with_quality.quality).reads_halves
+        if not guided and needs_spp(with_quality):
             variances = measure().variances if ("variance", "color") in reader.images else np.empty(0)
-            chosen = resolve_all(probe, asked, spp=judge_noise(variances, probe.spp))
-        below = resolve_all(replace(probe, variance=None), replace(asked, quality="fast", with_oidn=False))
+            chosen = resolve_all(probe, with_quality, spp=judge_noise(variances, probe.spp))
+        below = resolve_all(replace(probe, variance=None), replace(with_quality, quality="fast", with_oidn=False))
         whole = measure().whole if guided else None
         share_bounded = compute_energy_lost(measure().tallies) if guided else 0.0
         seen = _Seen(survey, share_bounded >= MIN_SHARE_BOUNDED, get_quality(chosen.quality).refines)
@@ -188,7 +188,7 @@ def denoise_file(
         bad_count = _filter(reader, held, _Settings(chosen, below), whole, bands, tell, seen)
         with engine.on(chosen.device):
             losses = seen.compute_losses()
-            finish_bands(reader, held, writer, Finisher(lambda: measure().mean_color), [each.gain for each in losses])
+            finish_bands(reader, held, writer, Finisher(lambda: measure().mean_color), [loss.gain for loss in losses])
         writer.finish(output, asdict(chosen))
     notes = (*describe_lacks(probe, named), *describe_bad(bad_count, height * reader.shape[1]))
     notes = (*notes, *measure().notes) if guided else notes
@@ -255,8 +255,8 @@ class _Seen:
 
     def compute_losses(self) -> list[Loss]:
         """Return the light of every layer; empty with the quality "fast"."""
-        rows = [np.concatenate(each) for each in zip(*self.missing, strict=True)]
-        return [compute_loss(each, refined=self.refined) for each in rows]
+        rows = [np.concatenate(blocks) for blocks in zip(*self.missing, strict=True)]
+        return [compute_loss(blocks, refined=self.refined) for blocks in rows]
 
 
 def _measure(

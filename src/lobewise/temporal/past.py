@@ -132,7 +132,7 @@ class HistoryReprojection:
         self._masks, self._temporal, self._guides = masks, temporal, guides
         self._past: Past | None = None
         self._places: _Places | None = None
-        self._found: dict[str, FloatArray | None] = {}
+        self._histories: dict[str, FloatArray | None] = {}
         self.share = 0.0
         self.allowance: FloatArray | None = None
         # Where surfaces and reflections were a frame ago.
@@ -151,9 +151,9 @@ class HistoryReprojection:
             old = make_validation_features(past.guides, settings, temporal, past.allowance, past.sums)
             past = replace(past, validation=old)
         self._past = past
-        for name, each in self.validation.items():
+        for name, features in self.validation.items():
             with engine.part("history: what is compared"):
-                self._leave(name, each)
+                self._leave(name, features)
         # A cut drops all history.
         with engine.part("history: cut"):
             self.share = engine.when(past.exists, self._judge_cut)
@@ -165,10 +165,10 @@ class HistoryReprojection:
         if self._past is None or name not in self._past.sums:
             return None
         with engine.part(f"{name}: history"):
-            if name not in self._found:
+            if name not in self._histories:
                 engine.when(self._continues, partial(self._store, name))
-            found = engine.only(self._continues, self._found.get(name))
-            return None if found is None else get_sums(found)
+            history = engine.only(self._continues, self._histories.get(name))
+            return None if history is None else get_sums(history)
 
     def _leave(self, name: str, features: ValidationFeatures) -> None:
         """Leave what the next frame compares."""
@@ -188,14 +188,14 @@ class HistoryReprojection:
 
     def _judge(self, name: str) -> float:
         """Return the share of the pixels of a layer that continue."""
-        if name in self._found:
-            found, mask = self._found[name], self._masks[name]
+        if name in self._histories:
+            history, mask = self._histories[name], self._masks[name]
         else:
             nothing = engine.fill("no_history", 0.0, (HISTORY_CHANNELS, *self._guides.shape))
-            found, mask = self._find(name, join_channels(nothing)), self.validation[name].mask
-        if found is None or self._places is None:
+            history, mask = self._find(name, join_channels(nothing)), self.validation[name].mask
+        if history is None or self._places is None:
             return 0.0
-        images = [get_channel(found, AGREEMENT), self._places.surface, mask]
+        images = [get_channel(history, AGREEMENT), self._places.surface, mask]
         share: float = engine.total(
             measure_share, images, [MIN_PAST_AGREEMENT, MAX_STEP, MAX_SHARE_SAMPLES], name="share"
         )
@@ -209,9 +209,9 @@ class HistoryReprojection:
             plane = self.validation["rest"].surface[0]
             assert isinstance(plane, PlaneFeature)
             update_footprints(self._guides, self._temporal, self.validation["rest"].mask, self.allowance, plane)
-            self.validation = {name: replace(each) for name, each in self.validation.items()}
-            for name, each in self.validation.items():
-                self._leave(name, each)
+            self.validation = {name: replace(features) for name, features in self.validation.items()}
+            for name, features in self.validation.items():
+                self._leave(name, features)
 
     def _find(self, name: str, sums: FloatArray) -> FloatArray | None:
         """Return the history of a layer and its agreement, (height, width, 8); None where frames do not compare."""
@@ -232,14 +232,14 @@ class HistoryReprojection:
         followed = self._places.followed
         if second is None or followed is None:
             return find(surface, new)
-        found = find(np.where(followed[..., None], np.float32(np.nan), surface), new)
-        lost = followed & (found[..., AGREEMENT] < MIN_FOLLOWED_AGREEMENT)
-        return np.where(lost[..., None], find(surface, self.validation[name]), found) if lost.any() else found
+        history = find(np.where(followed[..., None], np.float32(np.nan), surface), new)
+        lost = followed & (history[..., AGREEMENT] < MIN_FOLLOWED_AGREEMENT)
+        return np.where(lost[..., None], find(surface, self.validation[name]), history) if lost.any() else history
 
     def _store(self, name: str) -> None:
         """Find the history of a layer, for `reproject`."""
         assert self._past is not None
-        self._found[name] = self._find(name, self._past.sums[name])
+        self._histories[name] = self._find(name, self._past.sums[name])
 
 
 def measure_cover(mask: NDArray[np.bool_]) -> float:
@@ -300,8 +300,10 @@ def compute_all_places(guides: Guides, before: Guides) -> tuple[_Places | None, 
     if moved is None or normal_before is None or not before.is_placed:
         return _Places(surface, compute_virtual_places(position, curvature, distance, camera, previous)), allowance
     mirrors = Mirror(position, normal), Mirror(before.places[0], normal_before)
-    found = compute_moved_reflections(mirrors, curvature, distance, moved, (surface, allowance), (camera, previous))
-    return _Places(surface, found.places, found.hit_distance, found.has_moved & _is_narrow(guides.gbuffer)), allowance
+    reflected = compute_moved_reflections(mirrors, curvature, distance, moved, (surface, allowance), (camera, previous))
+    return _Places(
+        surface, reflected.places, reflected.hit_distance, reflected.has_moved & _is_narrow(guides.gbuffer)
+    ), allowance
 
 
 def _is_narrow(gbuffer: GBuffer) -> NDArray[np.bool_]:

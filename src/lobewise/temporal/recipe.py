@@ -200,15 +200,15 @@ class TemporalFilter:
             for name, layer in layers.items()
         }
         result = self._make_result(frame, layers, outputs, chosen, bad, reprojection.share)
-        kept = {name: output.sums for name, output in outputs.items()}
+        sums = {name: output.sums for name, output in outputs.items()}
         self._albedos = {name: layer.albedo for name, layer in layers.items() if name not in UNSCATTERED}
         self._is_sparse = isinstance(frame, SparseFrame)
-        self._past = Past(guides, chosen.similarity, kept, reprojection.validation, reprojection.allowance)
+        self._past = Past(guides, chosen.similarity, sums, reprojection.validation, reprojection.allowance)
         if below is not None:
             # Light below 0 is dim and needs no history.
-            asked, sparse = self._ask(frame), isinstance(below, SparseFrame)
-            found = upsample(below, asked, features=features) if sparse else filter_below(below, asked, features)
-            result = result.subtract(found)
+            named, sparse = self._ask(frame), isinstance(below, SparseFrame)
+            result_below = upsample(below, named, features=features) if sparse else filter_below(below, named, features)
+            result = result.subtract(result_below)
         return replace(result, notes=(*notes, *describe_bad(int(np.count_nonzero(bad)), bad.size)))
 
     def add_samples(
@@ -269,12 +269,12 @@ class TemporalFilter:
             If a function returns another shape; then nothing has changed.
         """
         sums = {} if self._past is None else self._past.sums
-        found = {name: np.asarray(change(sums[name]), np.float32) for name, change in changes.items() if name in sums}
-        for name, new in found.items():
+        changed = {name: np.asarray(change(sums[name]), np.float32) for name, change in changes.items() if name in sums}
+        for name, new in changed.items():
             if new.shape != sums[name].shape:
                 expected, got = f"sums of shape {sums[name].shape}", f"shape {new.shape}"
                 raise InputError(f"history of {name}", expected=expected, got=got, action="keep its shape")
-        sums.update(found)
+        sums.update(changed)
 
     def _plan(self, frame: AnyFrame, chosen: ResolvedSettings) -> Growth:
         known = min(self.temporal.history_radius, chosen.radius)
@@ -292,10 +292,10 @@ class TemporalFilter:
         return replace(DenoiseSettings(radius=DEFAULT_RADIUS) if sparse else DenoiseSettings(), **self._changes)
 
     def _resolve(self, frame: AnyFrame) -> ResolvedSettings:
-        asked = self._ask(frame)
+        named = self._ask(frame)
         if isinstance(frame, SparseFrame):
-            require_full(asked)
-        return resolve_settings(frame, asked, frame.scale if isinstance(frame, SparseFrame) else 1)
+            require_full(named)
+        return resolve_settings(frame, named, frame.scale if isinstance(frame, SparseFrame) else 1)
 
     @staticmethod
     def _make_result(
@@ -314,13 +314,13 @@ class TemporalFilter:
             parts = dict(zip(layers, joined.parts, strict=False))
             bad = spread(frame, bad)
         else:
-            told = list(outputs.values())
+            filtered = list(outputs.values())
             emission = frame.gbuffer.mean_emission
             exact = None if emission is None else compute_averaged_rest(frame)
-            support = added = add_up(frame, list(layers.values()), told, bad, exact)
+            support = added = add_up(frame, list(layers.values()), filtered, bad, exact)
             image, holes = added.image, added.holes
             parts = dict(zip(layers, map(blacken_bad, added.parts), strict=True))
-            variance = np.asarray(sum(output.variance for output in told), dtype=np.float32)
+            variance = np.asarray(sum(output.variance for output in filtered), dtype=np.float32)
         return Result(
             image=fill_holes(image, holes, frame),
             diffuse=parts.get("diffuse"),

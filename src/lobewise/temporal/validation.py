@@ -203,13 +203,13 @@ def follow_hits(
             return replace(feature, hits=feature.hits._replace(position=feature.hits.position + step))
         return feature
 
-    found = dict(validation)
-    if "specular" in found and found["specular"].virtual:
-        mask, surface, virtual = (getattr(found["specular"], name) for name in ("mask", "surface", "virtual"))
+    followed = dict(validation)
+    if "specular" in followed and followed["specular"].virtual:
+        mask, surface, virtual = (getattr(followed["specular"], name) for name in ("mask", "surface", "virtual"))
         moved = tuple(follow(feature) for feature in virtual)
         features = (*surface[: len(surface) - len(virtual)], *moved)
-        found["specular"] = ValidationFeatures(mask, features, moved, "specular")
-    return found
+        followed["specular"] = ValidationFeatures(mask, features, moved, "specular")
+    return followed
 
 
 def _make_plane(

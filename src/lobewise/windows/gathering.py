@@ -69,10 +69,10 @@ class Neighbour:
         Wide lobes show the same light at the surface's own place. Places of reflections are less even, so that pixels
         would take one sample twice, and share its noise.
         """
-        found = compute_reflections(self._shot, self._other)
-        if found is None:
+        places = compute_reflections(self._shot, self._other)
+        if places is None:
             return np.full_like(self._places, np.nan)
-        return np.where(self._shot.is_sharp[..., None], found, np.float32(np.nan))
+        return np.where(self._shot.is_sharp[..., None], places, np.float32(np.nan))
 
     @cached_property
     def repeats(self) -> bool:
@@ -101,11 +101,11 @@ class Neighbour:
         """
         light = {slot: np.maximum(np.nan_to_num(layer.images[slot]), np.float32(0.0)) for slot in slots}
         even = [divide(image, layer.albedo) for image in light.values()]
-        found, agreement = self._gather(even, layer.kind)
+        gathered, agreement = self._gather(even, layer.kind)
         if layer.kind == "specular":
             # A mirror that moves shows other things, and nobody knows how fast they pass.
             agreement = np.where(self._shot.moves, np.float32(0.0), agreement)
-            found = self._sharpen(even, found, agreement)
+            gathered = self._sharpen(even, gathered, agreement)
         edge, rows, columns = self._shot.edges
         if edge.any():
             inside = edge & ~self._shot.moving_edges
@@ -114,9 +114,9 @@ class Neighbour:
                 values, known = sample_cubic(image, self.front_places)
                 at_edges.append(np.maximum(values, np.float32(0.0)))
                 inside = inside & known
-            found = [np.where(edge[..., None], new, old) for old, new in zip(found, at_edges, strict=True)]
+            gathered = [np.where(edge[..., None], new, old) for old, new in zip(gathered, at_edges, strict=True)]
             agreement = np.where(edge, np.where(inside, agreement[rows, columns], np.float32(0.0)), agreement)
-        return dict(zip(slots, found, strict=True)), agreement
+        return dict(zip(slots, gathered, strict=True)), agreement
 
     def gather_guide(self, image: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return a guide of the other frame at the pixels of this frame, and how well the surfaces match."""
@@ -142,16 +142,16 @@ class Neighbour:
         agreement = np.clip(weight, np.float32(0.0), np.float32(1.0))
         seen = agreement > MIN_GATHERED_AGREEMENT
         inverse = np.divide(np.float32(1.0), weight, out=np.zeros_like(agreement), where=seen)
-        return [each * inverse[..., None] for each in sums], np.where(seen, agreement, np.float32(0.0))
+        return [summed * inverse[..., None] for summed in sums], np.where(seen, agreement, np.float32(0.0))
 
     def _sharpen(
-        self, images: Sequence[FloatArray], found: Sequence[FloatArray], agreement: FloatArray
+        self, images: Sequence[FloatArray], gathered: Sequence[FloatArray], agreement: FloatArray
     ) -> list[FloatArray]:
         """Return gathered reflections, interpolated where they match well."""
         known = np.asarray(np.isfinite(self.reflections).all(axis=-1))
         places = np.where(known[..., None], self.reflections, self._places)
         sharp = []
-        for image, blurred in zip(images, found, strict=True):
+        for image, blurred in zip(images, gathered, strict=True):
             values, inside = sample_cubic(image, places)
             use = inside & (agreement > SHARP_AGREEMENT) & self._shot.is_sharp
             sharp.append(np.where(use[..., None], np.maximum(values, np.float32(0.0)), blurred))

@@ -78,17 +78,17 @@ def join_frames(shots: Mapping[int, Shot], index: int) -> JoinedFrame:
         return JoinedFrame(shot.frame, np.ones(shot.frame.shape, np.float32), shot.alone, (), repeated)
     named = {number: shots[number].layers for number in near}
     guides = _Guides(shot, shots, near)
-    found = [_join_layer(shot, layer, near, named, guides) for layer in own]
-    joined = [each.layer for each in found]
-    shares = {layer.name: each.share for layer, each in zip(own, found, strict=True)}
+    joined = [_join_layer(shot, layer, near, named, guides) for layer in own]
+    joined_layers = [each.layer for each in joined]
+    shares = {layer.name: each.share for layer, each in zip(own, joined, strict=True)}
     albedos = {name: guides.join(name) for name in ALBEDOS if getattr(shot.frame.gbuffer, name) is not None}
-    frame = put_back(shot.frame, own, joined, albedos, shares)
-    effective = count_frames(found)
+    frame = put_back(shot.frame, own, joined_layers, albedos, shares)
+    effective = count_frames(joined)
     changes: dict[str, Any] = {}
     if frame.spp is not None:
         changes["spp"] = max(round(frame.spp * float(np.median(effective))), frame.spp)
     if frame.also:
-        changes["also"] = _join_also(shot, shots, near, found, frame)
+        changes["also"] = _join_also(shot, shots, near, joined, frame)
     return JoinedFrame(
         frame.with_changes(**changes), effective, shot.alone, tuple(number - index for number in near), repeated
     )
@@ -97,7 +97,7 @@ def join_frames(shots: Mapping[int, Shot], index: int) -> JoinedFrame:
 def list_neighbours(shots: Mapping[int, Shot], index: int) -> dict[int, Neighbour]:
     """Return the other frames that continue a frame, by number; none behind a cut."""
     shot = shots[index]
-    found: dict[int, Neighbour] = {}
+    neighbours: dict[int, Neighbour] = {}
     for step in (-1, 1):
         number = index + step
         while number in shots and shots[number].frame.shape == shot.frame.shape:
@@ -113,9 +113,9 @@ def list_neighbours(shots: Mapping[int, Shot], index: int) -> dict[int, Neighbou
             shown = neighbour.surface_agreement[surface] > FOUND_AGREEMENT
             if surface.any() and np.mean(shown) < MIN_SHARE_FOUND:
                 break
-            found[number] = neighbour
+            neighbours[number] = neighbour
             number += step
-    return dict(sorted(found.items()))
+    return dict(sorted(neighbours.items()))
 
 
 class _Guides:
@@ -185,9 +185,9 @@ def _join_layer(
         seen = compare_pilots(own[PILOT], images[PILOT], agreement) / noise - np.float32(PILOT_NOISE)
         # At edges pilots differ by the noise of their albedos.
         bias = np.where(edge, bias, np.maximum(bias, seen))
-        each = weights[number] = agreement / (np.float32(1.0) + np.float32(BIAS_FACTOR) * bias)
-        totals = {slot: total + images[slot] * each[..., None] for slot, total in totals.items()}
-        squares = squares + each * each
+        weight_there = weights[number] = agreement / (np.float32(1.0) + np.float32(BIAS_FACTOR) * bias)
+        totals = {slot: total + images[slot] * weight_there[..., None] for slot, total in totals.items()}
+        squares = squares + weight_there * weight_there
     total = good + sum(weights.values(), np.zeros_like(weight))
     known = total > 0.0
     albedo = layer.albedo
@@ -232,7 +232,7 @@ def _even_out(
 
 
 def _join_also(
-    shot: Shot, shots: Mapping[int, Shot], near: Mapping[int, Neighbour], found: Sequence[_Joined], frame: Frame
+    shot: Shot, shots: Mapping[int, Shot], near: Mapping[int, Neighbour], joined_layers: Sequence[_Joined], frame: Frame
 ) -> dict[str, FloatArray]:
     """Return the images that belong to the total, joined with the mean weights of the layers.
 
@@ -240,8 +240,8 @@ def _join_also(
     """
     own = shot.frame
     albedos = {number: _add_albedos(shots[number].layers) for number in near}
-    albedo = _add_albedos({each.layer.name: each.layer for each in found})
-    light = [np.mean(each.layer.images[RADIANCE], axis=-1) for each in found]
+    albedo = _add_albedos({each.layer.name: each.layer for each in joined_layers})
+    light = [np.mean(each.layer.images[RADIANCE], axis=-1) for each in joined_layers]
     lit = np.maximum(np.sum(light, axis=0), np.float32(1e-12))
     totals: dict[str, FloatArray] = {}
     before = _add_albedos(shot.layers)
@@ -256,7 +256,10 @@ def _join_also(
             continue
         layer = LayerImages("also", "rest", albedos[number], {name: others[name] for name in own.also})
         images, agreement = neighbour.gather_layer(layer, list(own.also))
-        shares = [part * each.weights.get(number, np.zeros_like(part)) for part, each in zip(light, found, strict=True)]
+        shares = [
+            part * each.weights.get(number, np.zeros_like(part))
+            for part, each in zip(light, joined_layers, strict=True)
+        ]
         weight = np.where(agreement > 0.0, np.sum(shares, axis=0) / lit, np.float32(0.0))
         totals = {name: totals[name] + image * weight[..., None] for name, image in images.items()}
         total = total + weight

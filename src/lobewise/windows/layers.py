@@ -54,13 +54,13 @@ def list_layers(frame: Frame, pilot: Result) -> dict[str, LayerImages]:
     parts = {"diffuse": frame.gbuffer.diffuse_albedo, "specular": frame.gbuffer.specular_albedo}
     if frame.radiance.parts is None:
         parts = {"color": compute_whole_albedo(frame.gbuffer)}
-    found = {}
+    layers = {}
     for name, albedo in parts.items():
         sources = {RADIANCE: frame.radiance, "half_a": frame.half_a, "half_b": frame.half_b}
         images = {slot: getattr(source, name, None) for slot, source in sources.items()}
         images[PILOT] = pilot.image if name == "color" else getattr(pilot, name)
-        found[name] = LayerImages(name, name, albedo, {s: image for s, image in images.items() if image is not None})
-    return found
+        layers[name] = LayerImages(name, name, albedo, {s: image for s, image in images.items() if image is not None})
+    return layers
 
 
 def _take_layer(layer: RadianceLayer, pilot: FloatArray) -> LayerImages:

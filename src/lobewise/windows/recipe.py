@@ -89,7 +89,7 @@ class WindowFilter:
             raise InputError("window", expected=f"1 to {MAX_REACH} frames to each side", got=got, action="2 is usual")
         self.reach = reach
         self._settings = change_settings(settings or DenoiseSettings(), changes)
-        self._kept: dict[int, _Prepared] = {}
+        self._prepared: dict[int, _Prepared] = {}
 
     def join(self, frames: Sequence[Frame], index: int) -> JoinedFrame:
         """Return a frame with the samples of its neighbours, not denoised.
@@ -129,7 +129,7 @@ class WindowFilter:
             whole = denoise_checked(CheckedGuides(joined.frame), self._settings)
             unused = tuple(name for name in whole.unused if name not in USED_BETWEEN_FRAMES)
             result = replace(mix_results(joined.alone, whole, compute_joined_share(joined.frames)), unused=unused)
-        below = self._kept[id(frames[index])].below
+        below = self._prepared[id(frames[index])].below
         if below is not None:
             # Light below 0 is dim: other frames would lower its noise by little.
             result = result.subtract(filter_below(below, self._settings, ()))
@@ -143,13 +143,13 @@ class WindowFilter:
 
     def _prepare(self, frames: Sequence[Frame], first: int, last: int) -> dict[int, Shot]:
         """Return the shots of a window, and let go of all others."""
-        kept, self._kept = self._kept, {}
+        before, self._prepared = self._prepared, {}
         for number in range(first, last + 1):
-            known = kept.get(id(frames[number]))
-            self._kept[id(frames[number])] = known or _Prepared(frames[number], self._settings)
+            known = before.get(id(frames[number]))
+            self._prepared[id(frames[number])] = known or _Prepared(frames[number], self._settings)
         shots: dict[int, Shot] = {}
         for number in range(first, last + 1):
-            prepared = self._kept[id(frames[number])]
+            prepared = self._prepared[id(frames[number])]
             if prepared.shot is None:
                 camera = frames[number - 1].camera if number else None
                 following = frames[number + 1].camera if number + 1 < len(frames) else None
@@ -163,10 +163,10 @@ class WindowFilter:
     def _explain(self, frames: Sequence[Frame], index: int, joined: JoinedFrame) -> tuple[str, ...]:
         """Return what a user should know of the window of a frame, one sentence each."""
         frame, near = frames[index], frames[max(index - self.reach, 0) : index + self.reach + 1]
-        notes = self._kept[id(frame)].notes
+        notes = self._prepared[id(frame)].notes
         if joined.repeated:
             notes += (REPEATED,)
-        if any(each.shape != frame.shape for each in near):
+        if any(other.shape != frame.shape for other in near):
             notes += (OTHER_SIZE,)
         if frame.gbuffer.motion is None and joined.used:
             notes += (STILL,)

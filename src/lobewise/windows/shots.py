@@ -126,9 +126,9 @@ class Shot:
         position, depth = self.guides.places
         camera = self.guides.require_camera("reflections over time")
         normal = self.frame.gbuffer.require("normal", "reflections over time")
-        found = estimate_screen_hits(camera, position, depth, normal, self.curvature)
-        told = self.frame.gbuffer.hit_distance
-        return found if told is None else np.where(told > 0.0, told, found)
+        on_screen = estimate_screen_hits(camera, position, depth, normal, self.curvature)
+        of_frame = self.frame.gbuffer.hit_distance
+        return on_screen if of_frame is None else np.where(of_frame > 0.0, of_frame, on_screen)
 
     @cached_property
     def edges(self) -> tuple[NDArray[np.bool_], NDArray[np.intp], NDArray[np.intp]]:
