@@ -131,8 +131,8 @@ DENOISING = (
     Mutation(
         "a light group that is not finite at a pixel stays so",
         "filters/glue.py",
-        "select_bits(is_finite(value) & taken, value, part)",
-        "select_bits(taken, value, part)",
+        "select_bits(is_finite(value) & is_mixed, value, part)",
+        "select_bits(is_mixed, value, part)",
         ("denoising/test_also.py",),
     ),
     Mutation(
@@ -152,8 +152,8 @@ DENOISING = (
     Mutation(
         "transmitted light is filtered like a reflection",
         "denoising/layers.py",
-        "*(scattered if each.is_diffuse else transmitted if each.is_transmitted else reflected),",
-        "*(scattered if each.is_diffuse else reflected),",
+        "*(scattered if own.is_diffuse else transmitted if own.is_transmitted else reflected),",
+        "*(scattered if own.is_diffuse else reflected),",
         ("denoising/test_quality_modes.py",),
     ),
 )
@@ -279,7 +279,7 @@ EXPORTING = (
     Mutation(
         "exported pipelines forget the light of highlights",
         "filters/glue.py",
-        "select_bits(lit, value + more, value)",
+        "select_bits(lit, value + highlight, value)",
         "select_bits(lit, value, value)",
         ("exporting/test_pipeline_balanced.py", "exporting/test_pipeline.py"),
     ),

@@ -333,10 +333,10 @@ def test_more_images_are_averaged_by_the_same_weights() -> None:
     swapped = replace(given, halves=given.halves[::-1]).run()
     bad = np.full_like(given.halves[0], np.nan)
     for more in (given.halves, (given.halves[0], bad)):
-        found = filter_dual_buffer(replace(request, more=more))
+        found = filter_dual_buffer(replace(request, others=more))
         np.testing.assert_allclose(found.a, given.run().a, rtol=1e-6)
         # Where no tap of an image is good, a half takes the mean of the other half, and another image is black.
-        for image, half, samples in zip(found.more, (found.a, swapped.a), more, strict=True):
+        for image, half, samples in zip(found.others, (found.a, swapped.a), more, strict=True):
             alone = replace(given, halves=(samples, bad)).run()
             np.testing.assert_allclose(image, np.where(alone.weight_sum[..., None] > 0.0, half, 0.0), rtol=1e-6)
 

@@ -122,9 +122,9 @@ def test_what_is_split_off_and_what_stays_add_up() -> None:
     halves, albedo, mask = make_spots((60, 50), strange=False)
     found = split_highlights(halves, albedo, mask)
     before = 0.5 * (halves[0] + halves[1])
-    after = 0.5 * (found.a + found.b) + found.kept
+    after = 0.5 * (found.a + found.b) + found.highlights
     np.testing.assert_allclose(after, before, rtol=1e-5)
-    assert (found.kept > 0.0).any()
+    assert (found.highlights > 0.0).any()
 
 
 def put(*pixels: tuple[int, int], value: float = 30.0) -> Image:
@@ -156,8 +156,8 @@ def test_neighbours_must_agree(pixels: tuple[tuple[int, int], ...], expected: bo
     where = np.zeros(image.shape[:2], bool)
     if expected:
         where[tuple(zip(*pixels, strict=True))] = True
-    np.testing.assert_array_equal((found.kept > 0.0).all(axis=-1), where)
-    np.testing.assert_allclose(found.kept[where], 29.5, rtol=1e-5)
+    np.testing.assert_array_equal((found.highlights > 0.0).all(axis=-1), where)
+    np.testing.assert_allclose(found.highlights[where], 29.5, rtol=1e-5)
 
 
 def test_shared_noise_needs_larger_blocks() -> None:
@@ -166,7 +166,7 @@ def test_shared_noise_needs_larger_blocks() -> None:
     for pixels, expected in ((SQUARE, 0), (nine, 9)):
         image = put(*pixels)
         found = split_highlights((image, image), None, everywhere, shared=True)
-        assert np.count_nonzero(found.kept.any(axis=-1)) == expected
+        assert np.count_nonzero(found.highlights.any(axis=-1)) == expected
 
 
 def test_halves_that_agree_need_but_a_pair() -> None:
@@ -175,9 +175,9 @@ def test_halves_that_agree_need_but_a_pair() -> None:
         for factor, expected in ((1.2, 2), (1.3, 0)):
             first, second = put(*pixels), put(*pixels, value=30.0 * factor)
             found = split_highlights((first, second), None, everywhere, paired=True)
-            assert np.count_nonzero(found.kept.any(axis=-1)) == expected
+            assert np.count_nonzero(found.highlights.any(axis=-1)) == expected
     lone = put((10, 10))
-    assert not split_highlights((lone, lone), None, everywhere, paired=True).kept.any()
+    assert not split_highlights((lone, lone), None, everywhere, paired=True).highlights.any()
 
 
 def test_single_samples_need_whole_blocks() -> None:
@@ -185,13 +185,13 @@ def test_single_samples_need_whole_blocks() -> None:
     for pixels, expected in ((SQUARE[:3], 0), (SQUARE, 4)):
         image = put(*pixels)
         found = split_highlights((image, image), None, everywhere, single=True)
-        assert np.count_nonzero(found.kept.any(axis=-1)) == expected
+        assert np.count_nonzero(found.highlights.any(axis=-1)) == expected
 
 
 def test_one_half_alone_proves_nothing() -> None:
     image, dark = put(*SQUARE), put()
     found = split_highlights((image, dark), None, np.ones(image.shape[:2], bool))
-    assert not found.kept.any()
+    assert not found.highlights.any()
     # Of a checkerboard's colours each pixel has but one.
     even = (np.add.outer(np.arange(25), np.arange(27)) % 2 == 0)[..., None]
     found = split_highlights(
@@ -199,14 +199,14 @@ def test_one_half_alone_proves_nothing() -> None:
         None,
         np.ones(image.shape[:2], bool),
     )
-    assert np.count_nonzero(found.kept.any(axis=-1)) == 4
+    assert np.count_nonzero(found.highlights.any(axis=-1)) == 4
     assert np.isnan(found.a[~even[..., 0]]).all()
 
 
 def test_a_wide_light_is_none() -> None:
     image = put(*[(y, x) for y in range(3, 22) for x in range(3, 24)])
     found = split_highlights((image, image), None, np.ones(image.shape[:2], bool))
-    assert not found.kept[8:17, 8:19].any()
+    assert not found.highlights[8:17, 8:19].any()
 
 
 @pytest.mark.parametrize("scale", [1e-6, 0.37, 1e6])

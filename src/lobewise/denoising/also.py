@@ -59,7 +59,7 @@ def filter_also(
     frame: Frame,
     settings: ResolvedSettings,
     features: Sequence[Feature],
-    found: Mapping[str, Sequence[FilteredOther]],
+    others: Mapping[str, Sequence[FilteredOther]],
     layers: Mapping[str, Passed],
     whole: Passed,
     rest: tuple[FloatArray, FloatArray],
@@ -70,7 +70,7 @@ def filter_also(
     ----------
     frame, settings, features
         As they were filtered.
-    found : mapping of str to sequence of FilteredOther
+    others : mapping of str to sequence of FilteredOther
         The images of `list_parts`, filtered by the weights of their layer, by the layer's name.
     layers : mapping of str to Passed
         What happened to the layers that the frame names.
@@ -82,7 +82,7 @@ def filter_also(
     clean: dict[str, FloatArray] = {}
     for layer in frame.layers:
         if layer.parts:
-            filtered = _finish_parts(layer.parts, found[layer.name], layers[layer.name])
+            filtered = _finish_parts(layer.parts, others[layer.name], layers[layer.name])
             clean |= {f"{layer.name}/{part}": each for part, each in filtered.items()}
     if frame.also:
         before, after = rest
@@ -115,23 +115,25 @@ def filter_plain_layer(
     output = filter_layer(layer, settings, images[:MORE_AT_ONCE])
     if not images:
         return output, []
-    found, lost = list(output.more), (output.weight_sum <= 0.0)[..., None]
-    if rest := images[MORE_AT_ONCE:]:
-        further, others = filter_plain_layer(replace(layer, radiance=rest[0]), settings, rest[1:])
-        found += [further.image, *(each.image for each in others)]
-    pairs = zip(found, images, strict=True)
+    filtered, lost = list(output.more), (output.weight_sum <= 0.0)[..., None]
+    if remaining := images[MORE_AT_ONCE:]:
+        further, others = filter_plain_layer(replace(layer, radiance=remaining[0]), settings, remaining[1:])
+        filtered += [further.image, *(each.image for each in others)]
+    pairs = zip(filtered, images, strict=True)
     return output, [FilteredOther(np.where(lost, blacken_bad(own), image), own) for image, own in pairs]
 
 
 def bound_parts(noisy: NoisyLayer, joined: FloatArray, images: Sequence[FloatArray]) -> list[OtherImage]:
     """Return images as the passes over a layer take them, without fireflies; ``joined`` is that of `join_halves`."""
-    highlights = None if noisy.kept is None or not images else _compute_part_share(noisy.kept, joined)
-    found = []
+    share = None if noisy.highlights is None or not images else _compute_part_share(noisy.highlights, joined)
+    others = []
     for image in images:
         bounded = _bound_part(image, joined)
-        kept = None if highlights is None else bounded * highlights
-        found.append(OtherImage(bounded, mark_bad(bounded if kept is None else bounded - kept), kept))
-    return found
+        highlights = None if share is None else bounded * share
+        others.append(
+            OtherImage(bounded, mark_bad(bounded if highlights is None else bounded - highlights), highlights)
+        )
+    return others
 
 
 def _filter_by_total(

@@ -76,12 +76,12 @@ def ask(
     InputError
         If a parameter is unknown or out of range.
     """
-    asked = change_settings(settings or DenoiseSettings(), changes)
-    with_oidn = asked.asks_for_oidn or (whole and not with_features and leaves_oidn_open(asked) and has_oidn())
-    quality = choose_quality(asked)
-    if asked.quality == "auto" and asked.form == "full":
+    changed = change_settings(settings or DenoiseSettings(), changes)
+    with_oidn = changed.asks_for_oidn or (whole and not with_features and leaves_oidn_open(changed) and has_oidn())
+    quality = choose_quality(changed)
+    if changed.quality == "auto" and changed.form == "full":
         quality = OIDN_QUALITY if with_oidn else FEATURES_QUALITY if with_features else quality
-    return replace(asked, quality=quality, with_oidn=with_oidn)
+    return replace(changed, quality=quality, with_oidn=with_oidn)
 
 
 def explain_ours(settings: DenoiseSettings, *, whole: bool = True, with_features: bool = False) -> str:
@@ -189,24 +189,24 @@ def needs_spp(settings: DenoiseSettings) -> bool:
     return "auto" in (settings.screen_sigma, settings.tau, settings.beta, settings.diffuse_beta)
 
 
-def resolve_all(frame: Frame, asked: DenoiseSettings, spp: float | None = None) -> ResolvedSettings:
+def resolve_all(frame: Frame, settings: DenoiseSettings, spp: float | None = None) -> ResolvedSettings:
     """Return settings with every "auto" replaced, for their own quality; for ``spp`` see `resolve_settings`."""
-    guided = get_quality(choose_quality(asked)).reads_halves
-    return resolve_guided(frame, asked) if guided else resolve_settings(frame, asked, spp=spp)
+    guided = get_quality(choose_quality(settings)).reads_halves
+    return resolve_guided(frame, settings) if guided else resolve_settings(frame, settings, spp=spp)
 
 
 def resolve_guided(frame: Frame, settings: DenoiseSettings) -> ResolvedSettings:
     """Return ``settings`` with every "auto" replaced, for a quality whose passes are guided by the noise."""
     pixel_tau = default_tau(frame.camera, frame.height) if frame.camera is not None else 0.0
     sigma = AUTO_SIGMA * max(settings.radius, 1) / 8.0
-    told = replace(
+    guided = replace(
         settings,
         beta=BETA_SPECULAR if settings.beta == "auto" else settings.beta,
         diffuse_beta=BETA_DIFFUSE if settings.diffuse_beta == "auto" else settings.diffuse_beta,
         tau=max(GUIDED_TAU, pixel_tau) if settings.tau == "auto" else settings.tau,
         screen_sigma=sigma if settings.screen_sigma == "auto" else settings.screen_sigma,
     )
-    return replace(resolve_settings(frame, told), quality=choose_quality(settings), with_oidn=settings.asks_for_oidn)
+    return replace(resolve_settings(frame, guided), quality=choose_quality(settings), with_oidn=settings.asks_for_oidn)
 
 
 def resolve_settings(

@@ -34,8 +34,8 @@ def mark_good(image: FloatArray) -> NDArray[np.bool_]:
     if image.size and image.min() >= 0.0 and image.max() <= np.finfo(np.float32).max:
         return np.ones(image.shape[:-1], np.bool_)
     # NaN compares false with everything, so the test asks for good pixels.
-    each = (image >= 0.0) & (image <= np.finfo(np.float32).max)
-    good: NDArray[np.bool_] = each[..., 0] & each[..., 1] & each[..., 2]
+    good_channels = (image >= 0.0) & (image <= np.finfo(np.float32).max)
+    good: NDArray[np.bool_] = good_channels[..., 0] & good_channels[..., 1] & good_channels[..., 2]
     return good
 
 

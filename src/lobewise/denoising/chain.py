@@ -134,8 +134,12 @@ class Filtered:
         if len(self.supports) == 1:
             return self.supports[0].weight_sum, self.supports[0].effective_samples
         images: dict[str, Any] = {}
-        for number, (layer, each) in enumerate(zip(self.layers, self.supports, strict=True)):
-            images |= {f"support{number}": each.support, f"mask{number}": layer.mask, f"albedo{number}": layer.albedo}
+        for number, (layer, support) in enumerate(zip(self.layers, self.supports, strict=True)):
+            images |= {
+                f"support{number}": support.support,
+                f"mask{number}": layer.mask,
+                f"albedo{number}": layer.albedo,
+            }
         weight_sum, effective = engine.pixels(define_support, images, {}, len(self.layers))
         return weight_sum, effective
 
@@ -185,14 +189,14 @@ def filter_rows(
     quality = get_quality(settings.quality)
     if not quality.reads_halves:
         return filter_plain(frame, settings, features, bad, exact)
-    found = filter_halves(frame, settings, features, bad, whole, exact)
+    filtered = filter_halves(frame, settings, features, bad, whole, exact)
     # A radius of 0 asks for no filter.
     if quality.refines and settings.radius > 0:
-        found = refine(frame, found, whole)
+        filtered = refine(frame, filtered, whole)
     # With halves the mixture takes back what they prove.
     if not (settings.with_oidn and get_image_halves(frame) is not None):
-        found = take_back(frame, found)
-    return found
+        filtered = take_back(frame, filtered)
+    return filtered
 
 
 def filter_whole(
@@ -204,12 +208,12 @@ def filter_whole(
     exact: FloatArray | None = None,
 ) -> tuple[Filtered, Filtered]:
     """Return the filtered layers of a whole frame; first as `filter_rows` has left them. Parameters as there."""
-    before = found = filter_rows(frame, settings, features, bad, exact=exact)
-    if found.levels:
-        found = keep_light(found)
+    before = filtered = filter_rows(frame, settings, features, bad, exact=exact)
+    if filtered.levels:
+        filtered = keep_light(filtered)
     with engine.part("fill holes"):
-        found = replace(found, image=fill_holes(*found.mark_holes(), frame))
-    return before, found
+        filtered = replace(filtered, image=fill_holes(*filtered.mark_holes(), frame))
+    return before, filtered
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -218,7 +222,7 @@ class Clean:
 
     Parameters
     ----------
-    before, found : Filtered
+    before, filtered : Filtered
         The layers before light was shared out, and at the end.
     gains : sequence of arrays
         Factors of the light that no surface scatters.
@@ -227,7 +231,7 @@ class Clean:
     """
 
     before: Filtered
-    found: Filtered
+    filtered: Filtered
     gains: Sequence[FloatArray]
     also: Mapping[str, FloatArray]
 
@@ -248,17 +252,17 @@ def clean_frame(
     seen : GBuffer, optional
         The guides of the frame before any stood in for missing ones; by default all are the frame's own.
     """
-    before, found = filter_whole(frame, settings, features, bad)
-    gains = compute_gains(found)
+    before, filtered = filter_whole(frame, settings, features, bad)
+    gains = compute_gains(filtered)
     # Only the features of the user tell what they compare.
     if get_quality(settings.quality).refines and settings.radius > 0 and not features:
-        found, more = mix_unguided(frame, settings, found, seen or frame.gbuffer)
-        gains += more
+        filtered, further_gains = mix_unguided(frame, settings, filtered, seen or frame.gbuffer)
+        gains += further_gains
     if settings.with_oidn:
-        found, more = mix_peer(frame, found, seen)
-        gains += more
-    also = filter_passes(frame, settings, features, found) if has_passes(frame) else {}
-    return Clean(before=before, found=found, gains=gains, also=also)
+        filtered, further_gains = mix_peer(frame, filtered, seen)
+        gains += further_gains
+    also = filter_passes(frame, settings, features, filtered) if has_passes(frame) else {}
+    return Clean(before=before, filtered=filtered, gains=gains, also=also)
 
 
 @device_scope()
@@ -307,142 +311,154 @@ def filter_halves(
     exact: FloatArray | None,
 ) -> Filtered:
     """Return the layers after their passes over both halves of the samples."""
+    # Samples: bound fireflies, and split off highlights.
     halves = make_noisy_layers(frame, settings, features, None if whole is None else whole.levels)
-    noisy = [join_halves(each) for each in halves]
+    noisy = [join_halves(layer) for layer in halves]
     parts_of = list_layer_parts(frame)
-    clean = []
-    for each, joined in zip(halves, noisy, strict=True):
-        others = bound_parts(each, joined, parts_of.get(each.name, ()))
-        clean.append(filter_layer_halves(frame, each, settings, others))
+    # Passes: filter each layer, and its parts by the same weights.
+    clean_layers = []
+    for layer, joined in zip(halves, noisy, strict=True):
+        others = bound_parts(layer, joined, parts_of.get(layer.name, ()))
+        clean_layers.append(filter_layer_halves(frame, layer, settings, others))
     with engine.part("sum of the light"):
+        # Other light: emission and background have noise only where a lens blurs them, and are averaged there.
         rest, blur, sharing = compute_averaged_rest(frame, exact), frame.gbuffer.blur_radius, None
         if rest is not None and blur is not None:
             sharing = choose_sharing(rest, blur, frame.spp)
             rest = sharing.apply(rest)
-        parts = [each.image for each in clean]
+        parts = [layer.image for layer in clean_layers]
         return Filtered(
-            layers=[each.layer for each in halves],
+            layers=[layer.layer for layer in halves],
             parts=parts,
-            supports=clean,
+            supports=clean_layers,
             image=compose(parts, rest),
             bad=bad,
             rest=rest,
             noisy_rest=rest,
             sharing=sharing,
             noisy=noisy,
-            levels=[each.level for each in halves],
+            levels=[layer.level for layer in halves],
             # On a device these images end with their scope.
-            sums=[tuple(map(download, each.bounded.sums)) for each in halves],
-            others={each.name: layer.others for each, layer in zip(halves, clean, strict=True)},
+            sums=[tuple(map(download, layer.bounded.sums)) for layer in halves],
+            others={layer.name: clean_layer.others for layer, clean_layer in zip(halves, clean_layers, strict=True)},
         )
 
 
-def refine(frame: Frame, found: Filtered, whole: WholeImage | None) -> Filtered:
+def refine(frame: Frame, filtered: Filtered, whole: WholeImage | None) -> Filtered:
     """Refine the image by the network, and scale the layers and the other light so that they still sum to it."""
     with engine.part("refine by the network"):
-        whole = measure_whole(frame, found.levels) if whole is None else whole
-        parts, rest, edges = refine_light(frame, found.layers, found.noisy, found.parts, found.rest, whole)
+        whole = measure_whole(frame, filtered.levels) if whole is None else whole
+        parts, rest, edges = refine_light(frame, filtered.layers, filtered.noisy, filtered.parts, filtered.rest, whole)
         image = compose(parts, rest)
-    return replace(found, parts=parts, rest=rest, image=image, is_refined=True, uncounted=edges)
+    return replace(filtered, parts=parts, rest=rest, image=image, is_refined=True, uncounted=edges)
 
 
-def take_back(frame: Frame, found: Filtered) -> Filtered:
+def take_back(frame: Frame, filtered: Filtered) -> Filtered:
     """Take the noisy image back where it has less error than the filtered one."""
     with engine.part("take the noisy image back"):
-        level, samples = reduce(choose_larger, found.levels), bound_samples(frame, found)
+        level, samples = reduce(choose_larger, filtered.levels), bound_samples(frame, filtered)
         halves, shared = get_image_halves(frame), frame.noise_is_shared
-        share = estimate_share_lost(samples, found.image, level, halves=halves, shared=shared, refined=found.is_refined)
-        parts = [mix_noisy(*each, share) for each in zip(found.parts, found.noisy, strict=True)]
-        rest = found.rest
-        if rest is not None and found.noisy_rest is not None:
-            rest = mix_noisy(rest, found.noisy_rest, share)
+        share = estimate_share_lost(
+            samples, filtered.image, level, halves=halves, shared=shared, refined=filtered.is_refined
+        )
+        parts = [mix_noisy(*each, share) for each in zip(filtered.parts, filtered.noisy, strict=True)]
+        rest = filtered.rest
+        if rest is not None and filtered.noisy_rest is not None:
+            rest = mix_noisy(rest, filtered.noisy_rest, share)
         image = compose(parts, rest)
-    return replace(found, parts=parts, rest=rest, image=image, taken_from=found, share_taken=share)
+    return replace(filtered, parts=parts, rest=rest, image=image, taken_from=filtered, share_taken=share)
 
 
-def bound_samples(frame: Frame, found: Filtered) -> FloatArray:
+def bound_samples(frame: Frame, filtered: Filtered) -> FloatArray:
     """Return the samples of a frame without those that are too bright for any network; see `cut_samples`."""
-    return cut_samples(frame.radiance.color, compose(found.noisy, compute_rest(frame)))
+    return cut_samples(frame.radiance.color, compose(filtered.noisy, compute_rest(frame)))
 
 
-def keep_light(found: Filtered) -> Filtered:
+def keep_light(filtered: Filtered) -> Filtered:
     """Share the light that bounding took out over each layer, so that the layer sums to the light of its samples."""
     with engine.part("share out the light of fireflies"):
-        takers, losses = found.compute_takers(), []
-        for layer, part, taker in zip(found.layers, found.parts, takers, strict=True):
+        takers, losses = filtered.compute_takers(), []
+        for layer, part, taker in zip(filtered.layers, filtered.parts, takers, strict=True):
             images, name = [layer.radiance, part, taker], f"gain_{layer.name}"
-            numbers = [float(found.is_refined)]
-            if found.uncounted is None:
+            numbers = [float(filtered.is_refined)]
+            # Near lamps the network moved light between layer and rest, which is no loss.
+            if filtered.uncounted is None:
                 loss = engine.total(measure_gain, images, numbers, name=name, count=4)
             else:
-                loss = engine.total(measure_gain_outside, [*images, found.uncounted], numbers, name=name, count=4)
+                loss = engine.total(measure_gain_outside, [*images, filtered.uncounted], numbers, name=name, count=4)
             losses.append(Loss(*loss))
-        image, parts = share_light(found.image, found.parts, takers, [loss.gain for loss in losses])
-    return replace(found, image=image, parts=parts, losses=losses)
+        image, parts = share_light(filtered.image, filtered.parts, takers, [loss.gain for loss in losses])
+    return replace(filtered, image=image, parts=parts, losses=losses)
 
 
-def compute_gains(found: Filtered) -> list[FloatArray]:
+def compute_gains(filtered: Filtered) -> list[FloatArray]:
     """Return the factors, (height, width, 1 or 3), by which the light outside of the layers was multiplied."""
-    if found.rest is None or found.noisy_rest is None or found.rest is found.noisy_rest:
+    if filtered.rest is None or filtered.noisy_rest is None or filtered.rest is filtered.noisy_rest:
         return []
-    return [np.divide(found.rest, found.noisy_rest, out=np.ones_like(found.rest), where=found.noisy_rest > 0.0)]
+    return [
+        np.divide(filtered.rest, filtered.noisy_rest, out=np.ones_like(filtered.rest), where=filtered.noisy_rest > 0.0)
+    ]
 
 
 def mix_unguided(
-    frame: Frame, settings: ResolvedSettings, found: Filtered, seen: GBuffer
+    frame: Frame, settings: ResolvedSettings, filtered: Filtered, seen: GBuffer
 ) -> tuple[Filtered, list[FloatArray]]:
     """Mix in the image of the color alone where guides are noise, and scale the parts so that they sum to the image."""
+    # Share: how far the guides are noise, of the light that filters changed.
     share = compute_unguided_share(frame.radiance.color, seen)
-    if found.rest is not None:
-        share *= compute_share_filtered(found.rest, found.image, frame.gbuffer.blur_radius)
+    if filtered.rest is not None:
+        share *= compute_share_filtered(filtered.rest, filtered.image, frame.gbuffer.blur_radius)
     if float(share.max()) < MIN_SHARE:
-        return found, []
+        return filtered, []
+    # Image: filter the color alone, by the same steps.
     bare, by_color = forget_guides(frame), replace(settings, similarity="normal", hit_distance=False)
     _, alone = filter_whole(bare, by_color, (), mark_bad_pixels(bare))
-    mixed = mix_noisy(found.image, alone.image, share)
-    image, parts, gain = share_out(mixed, found.image, found.parts)
-    return replace(found, image=image, parts=parts), [gain]
+    mixed = mix_noisy(filtered.image, alone.image, share)
+    image, parts, gain = share_out(mixed, filtered.image, filtered.parts)
+    return replace(filtered, image=image, parts=parts), [gain]
 
 
-def mix_peer(frame: Frame, found: Filtered, seen: GBuffer | None) -> tuple[Filtered, list[FloatArray]]:
+def mix_peer(frame: Frame, filtered: Filtered, seen: GBuffer | None) -> tuple[Filtered, list[FloatArray]]:
     """Mix in the image of Open Image Denoise and the noisy one, and scale the parts so that they sum to the image."""
-    samples = bound_samples(frame, found)
-    peer = denoise_with_peer(frame, samples, found.image, seen)
-    noisy = compose(found.noisy, found.noisy_rest)
-    mixed, share = choose_between(frame, samples, found.image, peer, noisy)
-    if found.share_taken is None:  # detail of one part is not spread over all
-        parts = [mix_noisy(*each, share) for each in zip(found.parts, found.noisy, strict=True)]
-        found = replace(
-            found, image=mix_noisy(found.image, noisy, share), parts=parts, taken_from=found, share_taken=share
+    samples = bound_samples(frame, filtered)
+    peer = denoise_with_peer(frame, samples, filtered.image, seen)
+    noisy = compose(filtered.noisy, filtered.noisy_rest)
+    mixed, share = choose_between(frame, samples, filtered.image, peer, noisy)
+    # Give each part its own noisy light first: else the detail of one part is spread over all.
+    if filtered.share_taken is None:
+        parts = [mix_noisy(*each, share) for each in zip(filtered.parts, filtered.noisy, strict=True)]
+        filtered = replace(
+            filtered, image=mix_noisy(filtered.image, noisy, share), parts=parts, taken_from=filtered, share_taken=share
         )
-    image, parts, gain = share_out(mixed, found.image, found.parts)
-    return replace(found, image=image, parts=parts), [gain]
+    image, parts, gain = share_out(mixed, filtered.image, filtered.parts)
+    return replace(filtered, image=image, parts=parts), [gain]
 
 
 def filter_passes(
-    frame: Frame, settings: ResolvedSettings, features: Sequence[Feature], found: Filtered
+    frame: Frame, settings: ResolvedSettings, features: Sequence[Feature], filtered: Filtered
 ) -> dict[str, FloatArray]:
     """Return the images that belong to a layer or to the total, filtered by the same weights."""
-    before, share = found.taken_from, found.share_taken
+    before, share = filtered.taken_from, filtered.share_taken
+    # Passes take the steps of their layer: filter, network, noisy image taken back, light shared out.
     refined = before if before is not None and before.is_refined else None
     parts: Mapping[str, FloatArray] = {}
     if refined is not None:
         parts = {layer.name: part for layer, part in zip(refined.layers, refined.parts, strict=True)}
-    clean = name_layers(frame, found)
+    clean = name_layers(frame, filtered)
     layers = {name: Passed(clean=image, before=parts.get(name), share=share) for name, image in clean.items()}
     # What is not in the layers had no filter. Where there is none, all of a filled hole counts as scattered.
     rest = compute_rest(frame)
-    rest = np.zeros_like(found.image) if rest is None else rest
-    scattered = sum_parts(found.parts)
-    rest_after = np.where(rest > 0.0, np.maximum(found.image - scattered, np.float32(0.0)), np.float32(0.0))
+    rest = np.zeros_like(filtered.image) if rest is None else rest
+    scattered = sum_parts(filtered.parts)
+    rest_after = np.where(rest > 0.0, np.maximum(filtered.image - scattered, np.float32(0.0)), np.float32(0.0))
     whole = Passed(
-        clean=found.image - rest_after, before=None if refined is None else sum_parts(refined.parts), share=share
+        clean=filtered.image - rest_after, before=None if refined is None else sum_parts(refined.parts), share=share
     )
-    return filter_also(frame, settings, features, found.others, layers, whole, (rest, rest_after))
+    return filter_also(frame, settings, features, filtered.others, layers, whole, (rest, rest_after))
 
 
-def name_layers(frame: Frame, found: Filtered) -> dict[str, FloatArray]:
+def name_layers(frame: Frame, filtered: Filtered) -> dict[str, FloatArray]:
     """Return the filtered layers that the frame names itself, finite."""
     if not frame.layers:
         return {}
-    return {layer.name: blacken_bad(part) for layer, part in zip(found.layers, found.parts, strict=True)}
+    return {layer.name: blacken_bad(part) for layer, part in zip(filtered.layers, filtered.parts, strict=True)}

@@ -287,8 +287,8 @@ def denoise_with_peer(frame: Frame, samples: FloatArray, image: FloatArray, seen
     MissingDependencyError
         If Open Image Denoise is not installed.
     """
-    given = Radiance(_replace_bad(samples, image))
-    guided = frame.with_changes(radiance=given, layers=())
+    radiance = Radiance(_replace_bad(samples, image))
+    guided = frame.with_changes(radiance=radiance, layers=())
     is_clean = has_clean_guides(frame)
     if is_clean:
         peer, _ = denoise_oidn(guided, guides="mean")
@@ -302,7 +302,7 @@ def denoise_with_peer(frame: Frame, samples: FloatArray, image: FloatArray, seen
     if not name_oidn_guides(frame):
         return peer
     quality, share = (UNGUIDED_QUALITY_CLEAN, UNGUIDED_SHARE_CLEAN) if is_clean else (UNGUIDED_QUALITY, UNGUIDED_SHARE)
-    alone, _ = denoise_oidn(Frame(given), quality=quality)
+    alone, _ = denoise_oidn(Frame(radiance), quality=quality)
     return average_alike(peer, _replace_bad(alone, image), share)
 
 

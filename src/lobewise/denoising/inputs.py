@@ -26,17 +26,17 @@ _LOBES = ("alpha_u", "alpha_v", "lobe_kind", "tangent", "material")
 
 def list_images(settings: DenoiseSettings) -> Images:
     """Return the images that `denoise` may read of any frame; the quality of ``settings`` is chosen."""
-    found = {("radiance", part) for part in _PARTS} | {("gbuffer", name) for name in _SURFACE}
+    images = {("radiance", part) for part in _PARTS} | {("gbuffer", name) for name in _SURFACE}
     if settings.hit_distance is not False:
-        found.add(("gbuffer", "hit_distance"))
+        images.add(("gbuffer", "hit_distance"))
     if get_quality(settings.quality).reads_halves:
-        found |= {(half, part) for half in ("half_a", "half_b") for part in _PARTS}
-        found |= {("gbuffer", name) for name in _GUIDED}
+        images |= {(half, part) for half in ("half_a", "half_b") for part in _PARTS}
+        images |= {("gbuffer", name) for name in _GUIDED}
         if get_quality(settings.quality).refines:
-            found.add(("gbuffer", "mean_normal"))
+            images.add(("gbuffer", "mean_normal"))
     else:
-        found.add(("variance", "color"))
-    return frozenset(found)
+        images.add(("variance", "color"))
+    return frozenset(images)
 
 
 POSITION_WITHOUT_CAMERA = "position is given without a camera, so places are not compared."

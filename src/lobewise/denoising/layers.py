@@ -248,6 +248,7 @@ def make_lobe_layers(
     guides, parts = frame.gbuffer, frame.radiance.parts
     normal = guides.require("normal", _name_similarity(settings))
     specular = compare_specular(frame, settings, parts is not None, spread=spread, lobes=lobes)
+    # One layer: light that is not split is compared as specular light is.
     if parts is None:
         return [Layer(frame.radiance.color, compute_whole_albedo(guides), specular.mask, specular.features)]
     diffuse: Feature
@@ -255,21 +256,23 @@ def make_lobe_layers(
         diffuse = DiffuseFeature(normal, settings.diffuse_beta)
     else:
         diffuse = NormalFeature(normal, settings.normal_exponent)
+    # Every kind of light: where it is, and what compares it. The first surface's lobe tells nothing of bent light.
     scattered, reflected = (specular.surface, (diffuse,)), (specular.mask, specular.features)
     transmitted = specular.surface, (NormalFeature(normal, settings.normal_exponent),)
     named = getattr(frame, "layers", ())  # sparse frames have none
     if finest and named:
         return [
             Layer(
-                each.radiance,
-                each.albedo,
-                *(scattered if each.is_diffuse else transmitted if each.is_transmitted else reflected),
-                each.name,
-                each.is_diffuse,
-                each.is_transmitted,
+                own.radiance,
+                own.albedo,
+                *(scattered if own.is_diffuse else transmitted if own.is_transmitted else reflected),
+                own.name,
+                own.is_diffuse,
+                own.is_transmitted,
             )
-            for each in named
+            for own in named
         ]
+    # Two layers. Sparse frames weigh their specular samples by the rays.
     layers = [
         Layer(parts[0], guides.diffuse_albedo, *scattered, "diffuse", is_diffuse=True),
         Layer(parts[1], guides.specular_albedo, *reflected, "specular"),
@@ -277,13 +280,15 @@ def make_lobe_layers(
     rays: Rays | None = getattr(frame, "rays", None)  # whole frames have none
     if rays is not None:
         sparse = cast(SparseFrame, frame)
-        more = () if rays.direction is None else (make_ray_feature(sparse, rays.direction),)
-        layers[1] = replace(layers[1], features=(*layers[1].features, *more), weights=compute_ray_weights(sparse))
+        ray_features = () if rays.direction is None else (make_ray_feature(sparse, rays.direction),)
+        layers[1] = replace(
+            layers[1], features=(*layers[1].features, *ray_features), weights=compute_ray_weights(sparse)
+        )
     return layers
 
 
-def filter_layer(layer: Layer, settings: ResolvedSettings, more: Sequence[FloatArray] = ()) -> FilterOutput:
-    """Return a layer after one pass by its features; ``more`` are images that are averaged by the same weights."""
+def filter_layer(layer: Layer, settings: ResolvedSettings, others: Sequence[FloatArray] = ()) -> FilterOutput:
+    """Return a layer after one pass by its features; ``others`` are images that are averaged by the same weights."""
     return run_filter(
         layer.radiance,
         layer.mask,
@@ -291,7 +296,7 @@ def filter_layer(layer: Layer, settings: ResolvedSettings, more: Sequence[FloatA
         form=settings.form,
         radius=settings.radius,
         albedo=layer.albedo,
-        more=more,
+        more=others,
         name=f"{layer.name}_filtered",
     )
 

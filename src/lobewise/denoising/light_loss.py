@@ -100,7 +100,7 @@ def sum_missing(
     ``uncounted``, (height, width), are left out.
     """
     first, stop, _ = rows.indices(len(part))
-    found, height = [np.zeros((0, 5))], max(MISSING_PIXELS_AT_ONCE // part.shape[1], 1)
+    row_sums, height = [np.zeros((0, 5))], max(MISSING_PIXELS_AT_ONCE // part.shape[1], 1)
     for top in range(first, stop, height):
         block = slice(top, min(top + height, stop))
         noisy, done, share = radiance[block], part[block], taker[block]
@@ -111,8 +111,8 @@ def sum_missing(
         missing = before - after
         sums = before, missing, missing * missing, after * share, np.where(share > 0.0, after, 0.0)
         # Sum each row alone: bands of any height then give the same bits.
-        found.append(np.stack([one.sum(axis=1) for one in sums], axis=1))
-    return np.concatenate(found)
+        row_sums.append(np.stack([one.sum(axis=1) for one in sums], axis=1))
+    return np.concatenate(row_sums)
 
 
 class Gain(NamedTuple):
@@ -243,7 +243,7 @@ def sum_light(frame: Frame, image: FloatArray, bad: NDArray[np.bool_], rows: sli
     """
     first, stop, _ = rows.indices(frame.height)
     color, step = frame.radiance.color, SHARED_STEP if frame.noise_is_shared else 1
-    found: list[list[np.float64]] = []
+    row_sums: list[list[np.float64]] = []
     # Sum block by block: a whole image in 64 bits takes as much memory as its filter.
     for top in range(first, stop, ROWS_AT_ONCE):
         end = min(top + ROWS_AT_ONCE, stop)
@@ -255,8 +255,8 @@ def sum_light(frame: Frame, image: FloatArray, bad: NDArray[np.bool_], rows: sli
         sums = (noisy[core], _add_channels(image[top:end]), squared if step == 1 else SHARED_NOISE_VARIANCE * squared)
         lit = [np.where(good[core], one, 0.0) for one in sums]
         # Sum each row alone: bands of any height then give the same bits.
-        found += [[one[row].sum(dtype=np.float64) for one in lit] for row in range(end - top)]
-    return np.array(found, np.float64).reshape(-1, 3)
+        row_sums += [[one[row].sum(dtype=np.float64) for one in lit] for row in range(end - top)]
+    return np.array(row_sums, np.float64).reshape(-1, 3)
 
 
 def describe_loss(rows: RowSums, share_bounded: float) -> tuple[str, ...]:

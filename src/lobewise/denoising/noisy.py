@@ -85,7 +85,7 @@ class NoisyLayer(BoundedLayer):
         Mean luminance of radiance over albedo of the samples of the whole image. It says what is dark.
     samples : pair of arrays, shape (height, width, 3)
         What a dense pass averages: the halves; of an image without halves, the image and its squared residual.
-    kept : array, shape (height, width, 3), optional
+    highlights : array, shape (height, width, 3), optional
         Light of highlights. No sample holds it; it is added to the result.
     """
 
@@ -94,17 +94,17 @@ class NoisyLayer(BoundedLayer):
     seen: tuple[Feature, ...]
     level: float
     samples: tuple[Image, Image]
-    kept: FloatArray | None = None
+    highlights: FloatArray | None = None
 
 
 def make_bounded_layers(frame: Frame, settings: ResolvedSettings) -> list[BoundedLayer]:
     """Return the layers of a frame with both their halves."""
-    found = []
+    bounded_layers = []
     layers = make_lobe_layers(frame, settings, finest=True, spread=True)
     halves = choose_halves(frame, {layer.name: layer.radiance for layer in layers})
     for layer in layers:
         bounded = bound_fireflies(halves.images[layer.name], layer.albedo, layer.mask)
-        found.append(
+        bounded_layers.append(
             BoundedLayer(
                 layer=layer,
                 bounded=bounded,
@@ -112,7 +112,7 @@ def make_bounded_layers(frame: Frame, settings: ResolvedSettings) -> list[Bounde
                 noise_is_shared=frame.noise_is_shared,
             )
         )
-    return found
+    return bounded_layers
 
 
 def measure_layer(layer: BoundedLayer) -> NDArray[np.float64]:
@@ -141,58 +141,62 @@ def make_noisy_layers(
     levels : sequence of float, optional
         Levels of the layers of the whole image, where the frame is a part of it.
     """
-    found, places = [], make_position_features(frame, settings)
-    bounded = make_bounded_layers(frame, settings)
-    for number, bright in enumerate(bounded):
-        level = levels[number] if levels is not None else compute_layer_level(bright)
-        layer = bright.layer
-        a, b, kept = split_highlights(
-            bright.halves,
+    noisy_layers, places = [], make_position_features(frame, settings)
+    bounded_layers = make_bounded_layers(frame, settings)
+    for number, bounded in enumerate(bounded_layers):
+        level = levels[number] if levels is not None else compute_layer_level(bounded)
+        layer = bounded.layer
+        # Highlights are no noise: the passes do not see them.
+        a, b, highlights = split_highlights(
+            bounded.halves,
             layer.albedo,
             layer.mask,
-            shared=bright.noise_is_shared,
+            shared=bounded.noise_is_shared,
             single=frame.spp == 1,
-            paired=bright.is_whole,
+            paired=bounded.is_whole,
         )
-        each = replace(bright, bounded=BoundedHalves(a, b, bright.bounded.sums))
+        without_highlights = replace(bounded, bounded=BoundedHalves(a, b, bounded.bounded.sums))
+        # Pilot: a single lobe stands for a covariance.
         pilot: Sequence[Feature] = layer.features
-        is_specular = layer.is_reflected and each.name != "color"
+        is_specular = layer.is_reflected and without_highlights.name != "color"
         if layer.is_reflected and get_similarity(settings.similarity).has_covariance:
             simple = replace(settings, similarity="sg")
-            pilot = compare_specular(frame, simple, each.name != "color", spread=True).features
-        found.append(
+            pilot = compare_specular(frame, simple, without_highlights.name != "color", spread=True).features
+        noisy_layers.append(
             NoisyLayer(
                 layer=replace(layer, features=(*layer.features, *extra)),
-                bounded=each.bounded,
-                is_whole=each.is_whole,
-                noise_is_shared=each.noise_is_shared,
+                bounded=without_highlights.bounded,
+                is_whole=without_highlights.is_whole,
+                noise_is_shared=without_highlights.noise_is_shared,
                 places=places,
                 pilot_features=(*pilot, *extra),
                 seen=make_seen_feature(frame, layer.mask, scale_places(places, settings, SEEN_SIGMA))
                 if is_specular
                 else (),
                 level=level,
-                samples=each.halves if each.is_whole else _join_samples(each),
-                kept=engine.some(download(kept)),
+                samples=without_highlights.halves if without_highlights.is_whole else _join_samples(without_highlights),
+                highlights=engine.some(download(highlights)),
             )
         )
-    return found
+    return noisy_layers
 
 
 def join_halves(noisy: NoisyLayer) -> FloatArray:
     """Return the samples of a layer without fireflies, radiance, (height, width, 3); bad pixels are not finite."""
     a, b = map(download, noisy.halves)
     define = define_joined_halves if noisy.is_whole else define_joined_colours
-    images, name = {"a": a, "b": b, "kept": noisy.kept}, f"{noisy.name}_samples"
+    images, name = {"a": a, "b": b, "kept": noisy.highlights}, f"{noisy.name}_samples"
     (joined,) = engine.pixels(define, images, {}, names=[name], text="bounded samples")
     return joined
 
 
-def _join_samples(each: BoundedLayer) -> tuple[Image, Image]:
+def _join_samples(bounded: BoundedLayer) -> tuple[Image, Image]:
     """Return a layer without halves, put together from the colours of its checkerboard, and its squared residual."""
-    even, odd = map(download, each.halves)
+    even, odd = map(download, bounded.halves)
     (image,) = engine.pixels(define_joined_colours, {"a": even, "b": odd}, {}, names=["whole"], text="samples")
-    return image, compute_squared_residual(image, each.layer.albedo, each.layer.mask, shared=each.noise_is_shared)
+    return image, compute_squared_residual(
+        image, bounded.layer.albedo, bounded.layer.mask, shared=bounded.noise_is_shared
+    )
 
 
 def make_seen_feature(frame: Frame, mask: NDArray[np.bool_], place: Sequence[Feature]) -> tuple[Feature, ...]:
@@ -224,4 +228,4 @@ def scale_places(places: Places, settings: ResolvedSettings, sigma: float) -> li
     """
     screen = choose_larger(sigma * settings.screen_sigma / AUTO_SIGMA, 0.5)
     position = screen * settings.position_sigma / DenoiseSettings.position_sigma
-    return [replace(each, sigma=screen if isinstance(each, ScreenFeature) else position) for each in places]
+    return [replace(place, sigma=screen if isinstance(place, ScreenFeature) else position) for place in places]

@@ -100,14 +100,14 @@ pass: 4 pixels apart, the axes of sharp lobes are too different for so high a po
 
 def make_passes(radius: int, *, is_diffuse: bool, has_seen: bool = False) -> list[LayerPass]:
     """Return the passes over a layer; ``radius`` is that of the settings, pixels."""
-    scale, found = radius / 8.0, []
-    for number, each in enumerate(DIFFUSE_PASSES if is_diffuse else SPECULAR_PASSES):
+    scale, passes = radius / 8.0, []
+    for number, layer_pass in enumerate(DIFFUSE_PASSES if is_diffuse else SPECULAR_PASSES):
         # A sparse pass averages the image of the pass before, and keeps its taps.
-        taps = round(each.radius * scale) if each.of_samples else min(each.radius, radius)
-        step = 1 if each.of_samples else max(round(each.step * scale), 1)
-        lobes = each.lobes_with_seen if has_seen and number > 0 else each.lobes
-        found.append(replace(each, radius=taps, step=step, lobes=lobes))
-    return found
+        taps = round(layer_pass.radius * scale) if layer_pass.of_samples else min(layer_pass.radius, radius)
+        step = 1 if layer_pass.of_samples else max(round(layer_pass.step * scale), 1)
+        lobes = layer_pass.lobes_with_seen if has_seen and number > 0 else layer_pass.lobes
+        passes.append(replace(layer_pass, radius=taps, step=step, lobes=lobes))
+    return passes
 
 
 class FilteredOther(NamedTuple):
@@ -163,13 +163,13 @@ class OtherImage:
         What stays where nothing is gathered.
     samples : (height, width, 3)
         What the passes average: without the light of highlights, and NaN where a pixel is bad.
-    kept : (height, width, 3), optional
+    highlights : (height, width, 3), optional
         The light of highlights, which is added to the result.
     """
 
     radiance: FloatArray
     samples: Image
-    kept: FloatArray | None = None
+    highlights: FloatArray | None = None
 
 
 def filter_layer_halves(
@@ -181,28 +181,36 @@ def filter_layer_halves(
     fit is averaged in further passes by the same guides.
     """
     passes = make_passes(settings.radius, is_diffuse=noisy.layer.is_diffuse, has_seen=bool(noisy.seen))
-    last = max(number for number, each in enumerate(passes) if each.of_samples)
-    own, rest = others[:MORE_AT_ONCE], others[MORE_AT_ONCE:]
+    last = max(number for number, layer_pass in enumerate(passes) if layer_pass.of_samples)
+    # As many images as registers hold take part in the layer's own passes.
+    first_others, later_others = others[:MORE_AT_ONCE], others[MORE_AT_ONCE:]
     light, support, guides = None, None, []
-    for number, each in enumerate(passes):
-        with engine.part(f"{noisy.name}: {each.text}"):
+    for number, layer_pass in enumerate(passes):
+        with engine.part(f"{noisy.name}: {layer_pass.text}"):
+            # The pilot is guided by the samples, every later pass by the image before it.
             guide = make_first_guide(noisy) if light is None else compare_halves(noisy, light.a, light.b)
-            more = [image.samples for image in own] if number == last else [] if light is None else light.more
-            light = run_pass(noisy, settings, each, guide, light, more, is_pilot=number == 0)
-        if each.of_samples:
+            other_images = (
+                [image.samples for image in first_others] if number == last else [] if light is None else light.others
+            )
+            light = run_pass(noisy, settings, layer_pass, guide, light, other_images, is_pilot=number == 0)
+        # A pass over an image that was averaged counts no samples.
+        if layer_pass.of_samples:
             support = light.support
-        if rest and number >= last:
+        if later_others and number >= last:
             guides.append(guide)
     assert light is not None
     assert support is not None
     with engine.part(f"{noisy.name}: albedo and coverage"):
         image, supports = finish_layer(frame, noisy, (light.a, light.b), support)
-    filtered = [*light.more[: len(own)]]
-    for start in range(0, len(rest), 1 + MORE_AT_ONCE):
-        filtered += filter_others(noisy, settings, rest[start : start + 1 + MORE_AT_ONCE], passes[last:], guides)
+    # The other images: those beside the layer, then those of further passes.
+    filtered = [*light.others[: len(first_others)]]
+    for start in range(0, len(later_others), 1 + MORE_AT_ONCE):
+        filtered += filter_others(
+            noisy, settings, later_others[start : start + 1 + MORE_AT_ONCE], passes[last:], guides
+        )
     clean = []
     for other, mean in zip(others, filtered, strict=True):
-        mine = replace(noisy, layer=replace(noisy.layer, radiance=other.radiance), kept=other.kept)
+        mine = replace(noisy, layer=replace(noisy.layer, radiance=other.radiance), highlights=other.highlights)
         clean.append(FilteredOther(finish_layer(frame, mine, [mean], support)[0], other.radiance))
     return CleanLayer(image, supports, clean)
 
@@ -216,12 +224,12 @@ def filter_others(
 ) -> list[Image]:
     """Return up to ``1 + MORE_AT_ONCE`` images after the last passes over a layer."""
     # One image takes the places of both halves: a half without a good tap takes the light of the other half.
-    first, *more = (each.samples for each in others)
+    first, *other_images = (other.samples for other in others)
     both, light = replace(noisy, samples=(first, first), is_whole=True), None
-    for each, guide in zip(passes, guides, strict=True):
-        light = run_pass(both, settings, each, guide, light, more if light is None else light.more)
+    for layer_pass, guide in zip(passes, guides, strict=True):
+        light = run_pass(both, settings, layer_pass, guide, light, other_images if light is None else light.others)
     assert light is not None
-    return [light.a, *light.more][: len(others)]
+    return [light.a, *light.others][: len(others)]
 
 
 def make_first_guide(noisy: NoisyLayer) -> Image:
@@ -229,8 +237,8 @@ def make_first_guide(noisy: NoisyLayer) -> Image:
     layer = noisy.layer
     if noisy.is_whole:
         itself = PassRequest(halves=noisy.samples, mask=layer.mask, radius=0, albedo=layer.albedo)
-        found = filter_dual_buffer(itself, "light over albedo")
-        return compare_halves(noisy, found.a, found.b)
+        over_albedo = filter_dual_buffer(itself, "light over albedo")
+        return compare_halves(noisy, over_albedo.a, over_albedo.b)
     image, dark = download(noisy.samples[0]), compute_log_offset(noisy.level)
     halves = split_samples(image, layer.albedo, layer.mask, dark, shared=noisy.noise_is_shared)
     return compare_halves(noisy, *halves)
@@ -245,40 +253,40 @@ def compare_halves(noisy: NoisyLayer, a: Image, b: Image) -> Image:
 def run_pass(
     noisy: NoisyLayer,
     settings: ResolvedSettings,
-    each: LayerPass,
+    layer_pass: LayerPass,
     guide: Image,
     before: DualBufferOutput | None,
-    more: Sequence[Image] = (),
+    others: Sequence[Image] = (),
     *,
     is_pilot: bool = False,
 ) -> DualBufferOutput:
-    """Return both filtered halves of a layer, their support, and ``more`` images.
+    """Return both filtered halves of a layer, their support, and ``others``, images filtered by the same weights.
 
     ``before`` is the output of the pass before.
     """
-    of_samples = each.of_samples or before is None
+    of_samples = layer_pass.of_samples or before is None
     request = PassRequest(
-        halves=noisy.samples if before is None or each.of_samples else (before.a, before.b),
+        halves=noisy.samples if before is None or layer_pass.of_samples else (before.a, before.b),
         mask=noisy.layer.mask,
-        place=[*scale_places(noisy.places, settings, each.sigma), *(() if is_pilot else noisy.seen)],
+        place=[*scale_places(noisy.places, settings, layer_pass.sigma), *(() if is_pilot else noisy.seen)],
         # So narrow a kernel as the pilot's needs no covariances.
         lobes=noisy.pilot_features if is_pilot else noisy.layer.features,
-        exponent=each.lobes,
-        radius=each.radius,
-        step=each.step,
+        exponent=layer_pass.lobes,
+        radius=layer_pass.radius,
+        step=layer_pass.step,
         # An earlier pass has divided by the albedo.
         albedo=noisy.layer.albedo if of_samples else None,
         guide=guide,
-        noise=each.noise,
+        noise=layer_pass.noise,
         # One image more than needed saves users the time to compile a kernel for every number of images.
-        more=[*more, *more[-1:]] if len(more) % 2 else more,
+        others=[*others, *others[-1:]] if len(others) % 2 else others,
     )
-    found = filter_dual_buffer(request, each.text)
+    output = filter_dual_buffer(request, layer_pass.text)
     if of_samples and not noisy.is_whole:
         # The samples of an image without halves are the image and its squared residual.
-        images = download(found.a), download(found.b), download(found.support)
-        return DualBufferOutput(*split_by_noise(*images, compute_log_offset(noisy.level)), found.more)
-    return found
+        images = download(output.a), download(output.b), download(output.support)
+        return DualBufferOutput(*split_by_noise(*images, compute_log_offset(noisy.level)), output.others)
+    return output
 
 
 def finish_layer(
@@ -289,8 +297,10 @@ def finish_layer(
     ``light`` is one image, or two halves. The support is returned as an array.
     """
     layer, supports = noisy.layer, download(support)
+    # Lit: where the layer has light, and a tap gave any.
     images = {"mask": layer.mask, "support": supports}
     (lit,) = engine.pixels(define_lit, images, {}, names=[f"{layer.name}_lit"], text="pixels with light")
+    # Albedo: that of the pixel's area where the frame tells it, and the one at the centre elsewhere.
     mean, coverage = layer.albedo, None if layer.albedo is None else frame.gbuffer.coverage
     if coverage is not None:
         means = {"diffuse": frame.gbuffer.mean_diffuse_albedo, "specular": frame.gbuffer.mean_specular_albedo}
@@ -298,8 +308,8 @@ def finish_layer(
         area = means.get(layer.name, mean if frame.layers else None)
         mean, coverage = (mean, None) if area is None else (area, coverage)
     image = composite_light(list(map(download, light)), lit, layer.radiance, mean, coverage)
-    if noisy.kept is not None:
-        images = {"image": image, "kept": noisy.kept, "lit": lit}
+    if noisy.highlights is not None:
+        images = {"image": image, "kept": noisy.highlights, "lit": lit}
         (image,) = engine.pixels(
             define_with_highlights, images, {}, names=[f"{layer.name}_part"], text="add highlights"
         )

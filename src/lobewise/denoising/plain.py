@@ -73,7 +73,7 @@ def add_up(
         images["exact"] = exact
     elif frame.radiance.parts is not None:
         images["color"] = frame.radiance.color
-    image, holes, *more = engine.pixels(
+    image, holes, *joined = engine.pixels(
         define_filtered_sum,
         images,
         {},
@@ -82,5 +82,5 @@ def add_up(
         into=[engine.take("image", "height", "width", 3, text="the denoised frame", unit="any")],
         text="the sum of all light, and its holes",
     )
-    weight_sum, effective, *parts = more or (outputs[0].weight_sum, outputs[0].effective_samples, image)
+    weight_sum, effective, *parts = joined or (outputs[0].weight_sum, outputs[0].effective_samples, image)
     return FilteredSum(layers, outputs, image, holes, parts, weight_sum, effective)

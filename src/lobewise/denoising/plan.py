@@ -77,8 +77,10 @@ def list_steps(
             Step(
                 "filter both halves of every layer by its passes",
                 max(map(compute_passes_reach, passes.values())),
-                sum(each.taps for every in passes.values() for each in every),
-                tuple(f"{name}: {each.text}" for name, every in passes.items() for each in every),
+                sum(layer_pass.taps for layer_passes in passes.values() for layer_pass in layer_passes),
+                tuple(
+                    f"{name}: {layer_pass.text}" for name, layer_passes in passes.items() for layer_pass in layer_passes
+                ),
             )
         ]
         if refines:
@@ -102,7 +104,7 @@ def compute_passes_reach(passes: list[LayerPass]) -> int:
     The first pass reads the samples. Each pass is guided by what the pass before has found, and a sparse one averages
     it, too.
     """
-    return SAMPLES_REACH + sum(GUIDE_REACH + each.reach for each in passes) + COVERAGE_REACH
+    return SAMPLES_REACH + sum(GUIDE_REACH + layer_pass.reach for layer_pass in passes) + COVERAGE_REACH
 
 
 def compute_steps_reach(settings: ResolvedSettings) -> int:

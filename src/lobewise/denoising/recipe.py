@@ -104,8 +104,8 @@ def denoise(
     require_kind("frame", frame, Frame)
     named = change_settings(settings or DenoiseSettings(), changes)
     checked = check_frame(frame, named)
-    for told in checked.idle:
-        warnings.warn(told, UnusedGuideWarning, stacklevel=2)
+    for note in checked.idle:
+        warnings.warn(note, UnusedGuideWarning, stacklevel=2)
     return denoise_checked(checked, named, features)
 
 
@@ -118,7 +118,7 @@ def check_frame(frame: Frame, named: DenoiseSettings) -> CheckedGuides[Frame]:
     """Return a frame that filters can take, and notes on its guides; ``named`` are the settings of the user."""
     checked = check_guides(frame)
     lacking = tuple(describe_lacks(checked.frame, named))
-    idle = (*checked.idle, *(told for told in lacking if told != DEPTH_WITHOUT_CAMERA))
+    idle = (*checked.idle, *(note for note in lacking if note != DEPTH_WITHOUT_CAMERA))
     return replace(checked, notes=(*checked.notes, *lacking), idle=idle)
 
 
@@ -138,23 +138,27 @@ def denoise_checked(checked: CheckedGuides[Frame], named: DenoiseSettings, featu
     require_some_good(bad, bad_pixels.size, "pixel")
     with engine.on(chosen.device):
         clean = clean_frame(frame, chosen, features, bad_pixels, checked.seen)
-    found = clean.found
-    diffuse, specular = join_parts(found.layers, found.parts)
-    weight_sum, effective_samples = found.compute_support()
+    filtered = clean.filtered
+    diffuse, specular = join_parts(filtered.layers, filtered.parts)
+    weight_sum, effective_samples = filtered.compute_support()
     result = Result(
-        image=found.image,
+        image=filtered.image,
         diffuse=diffuse,
         specular=specular,
-        layers=name_layers(frame, found),
+        layers=name_layers(frame, filtered),
         also={**clean.also, **scale_unscattered(frame, clean)},
         weight_sum=np.ascontiguousarray(weight_sum),
         effective_samples=np.ascontiguousarray(effective_samples),
-        bad_pixels=found.bad,
+        bad_pixels=filtered.bad,
         settings=asdict(chosen),
         seconds=0.0,
-        energy_lost=compute_share_missing(found.losses),
+        energy_lost=compute_share_missing(filtered.losses),
         method=name_method(frame, named, chosen, with_features=bool(features)),
-        notes=(*notes, *describe_bad(bad, found.bad.size), *describe_filtering(frame, chosen, features, clean.before)),
+        notes=(
+            *notes,
+            *describe_bad(bad, filtered.bad.size),
+            *describe_filtering(frame, chosen, features, clean.before),
+        ),
         unused=list_unused(frame, chosen),
         find_noisy=noisy,
     )
@@ -193,7 +197,7 @@ def filter_below(below: Frame, named: DenoiseSettings, features: Sequence[Featur
 
 def scale_unscattered(frame: Frame, clean: Clean) -> dict[str, FloatArray]:
     """Return emission and background where a lens blurs them, or where they were scaled."""
-    sharing = clean.found.sharing
+    sharing = clean.filtered.sharing
     if not clean.gains and sharing is None:
         return {}
     unscattered = dict(frame.unscattered)

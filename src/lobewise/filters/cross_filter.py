@@ -119,22 +119,22 @@ def run_filter(
         modulate=albedo is not None and modulate,
         moment=moment,
         strict=strictness is not None,
-        more=len(more),
+        other_count=len(more),
     )
-    keys = chain_passes(whole, [each for each, _, _ in taps], mirror=on_processor)
+    keys = chain_passes(whole, [kind for kind, _, _ in taps], mirror=on_processor)
     passes = [
-        KernelPass(key, partial(make_pass, key, features), reach, step, describe_pass(each, reach, step))
-        for key, (each, reach, step) in zip(keys, taps, strict=True)
+        KernelPass(key, partial(make_pass, key, features), reach, step, describe_pass(kind, reach, step))
+        for key, (kind, reach, step) in zip(keys, taps, strict=True)
     ]
     tiles = _list_tiles(*size) if form == "separable" and isinstance(size[0], int) else []
-    found = engine.passes(passes, images, give_scalars(features), tiles=tiles, name=name)
+    outputs = engine.passes(passes, images, give_scalars(features), tiles=tiles, name=name)
     if not on_processor:
         beside = ["weight_sum", "effective_samples", *(["moment"] if moment else [])]
-        names = [name, *(f"{name}_{each}" for each in [*beside, *(f"more{number}" for number in range(len(more)))])]
+        names = [name, *(f"{name}_{ending}" for ending in [*beside, *(f"more{number}" for number in range(len(more)))])]
         text = "what the filter found"
-        image, weight, effective, *others = engine.pixels(define_apart, found, {}, len(more), names=names, text=text)
+        image, weight, effective, *others = engine.pixels(define_apart, outputs, {}, len(more), names=names, text=text)
         return FilterOutput(image, weight, effective, others[0] if moment else None, others[int(moment) :])
-    return FilterOutput(more=[found.pop(f"filtered{number}") for number in range(len(more))], **found)
+    return FilterOutput(more=[outputs.pop(f"filtered{number}") for number in range(len(more))], **outputs)
 
 
 def describe_pass(taps: Taps, radius: int, step: int) -> str:

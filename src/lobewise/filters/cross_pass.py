@@ -74,7 +74,7 @@ class PassKey:
     """Raise the weights of each centre's taps to the centre's power."""
     mirrored: bool = False
     """Compute each weight of two pixels of a row once, for both: only horizontal taps, not with ``strict``."""
-    more: int = 0
+    other_count: int = 0
     """Further images that are averaged by the same weights."""
 
     @property
@@ -85,7 +85,7 @@ class PassKey:
     @property
     def channels(self) -> int:
         """Number of channels of the sums."""
-        return self.own_channels + self.more * (COLORS + 1)
+        return self.own_channels + self.other_count * (COLORS + 1)
 
     @property
     def reads_albedo(self) -> bool:
@@ -102,13 +102,13 @@ def chain_passes(whole: PassKey, taps: Sequence[Taps], *, mirror: bool) -> list[
     return [
         replace(
             whole,
-            taps=each,
+            taps=kind,
             reads=whole.reads if number == 0 else Reads.SUMS,
             writes=whole.writes if number == last else Writes.SUMS,
             modulate=whole.modulate and number == last,
-            mirrored=mirror and not whole.strict and each is Taps.HORIZONTAL,
+            mirrored=mirror and not whole.strict and kind is Taps.HORIZONTAL,
         )
-        for number, each in enumerate(taps)
+        for number, kind in enumerate(taps)
     ]
 
 
@@ -129,7 +129,7 @@ class PassInputs:
     scalars: list[list[hl.Expr]]
     """The parameters of every feature."""
     strictness: hl.ImageParam | None = None
-    more: Sequence[hl.ImageParam] = ()
+    others: Sequence[hl.ImageParam] = ()
     """Further images, as ``source`` is; none where it holds sums."""
 
 
@@ -171,17 +171,17 @@ def declare_pass(signature: Signature, key: PassKey, features: Sequence[Feature]
         step=signature.count("step", 1),
         scalars=declare_scalars(signature, features),
         strictness=signature.image("strictness", *size) if key.strict else None,
-        more=[
+        others=[
             signature.image(f"more{number}", *size, COLORS)
-            for number in range(key.more if key.reads is not Reads.SUMS else 0)
+            for number in range(key.other_count if key.reads is not Reads.SUMS else 0)
         ],
     )
     if key.writes is Writes.SUMS:
         signature.output("sums", "height", key.channels, "width")
     elif key.writes is Writes.PIXELS:
-        signature.output("pixels", *size, key.own_channels + key.more * COLORS)
+        signature.output("pixels", *size, key.own_channels + key.other_count * COLORS)
     else:
-        for name in ("image", *(f"filtered{number}" for number in range(key.more))):
+        for name in ("image", *(f"filtered{number}" for number in range(key.other_count))):
             signature.output(name, *size, COLORS)
         for name in ("weight_sum", "effective_samples", "moment")[: key.own_channels - COLORS]:
             signature.output(name, *size)
@@ -213,12 +213,12 @@ def make_pass(key: PassKey, features: Sequence[Feature], target: hl.Target) -> S
         factors[SQUARED_WEIGHT_CHANNEL] = weight * weight
         return [factor * image[column, k, line] for factor, k in zip(factors, planes, strict=True)]
 
-    out, *rest = _write(key, inputs, taps.add(log_weight, take, mirrored=key.mirrored))
+    out, *others = _write(key, inputs, taps.add(log_weight, take, mirrored=key.mirrored))
 
     # Schedule
-    pixels = key.own_channels + key.more * COLORS if key.writes is Writes.PIXELS else key.channels
-    taps.schedule(out, COLORS if rest else pixels, *rest)
-    return Scheduled([out, *rest[:1]], signature)
+    pixels = key.own_channels + key.other_count * COLORS if key.writes is Writes.PIXELS else key.channels
+    taps.schedule(out, COLORS if others else pixels, *others)
+    return Scheduled([out, *others[:1]], signature)
 
 
 def _read_image(key: PassKey, inputs: PassInputs, taps: TapSums) -> hl.Func:
@@ -233,10 +233,10 @@ def _read_image(key: PassKey, inputs: PassInputs, taps: TapSums) -> hl.Func:
         if key.moment:
             luminance = compute_expression_luminance(radiance)
             values.append(luminance * luminance)
-        if not key.more:
+        if not key.other_count:
             return hl.select(good & usable, hl.mux(C, values), hl.f32(0.0))
         values = [hl.select(good, value, hl.f32(0.0)) for value in values]
-        for image in inputs.more:
+        for image in inputs.others:
             radiance, good = demodulate(image, albedo, at, hl.f32(ALBEDO_FLOOR))
             values += [hl.select(good, value, hl.f32(0.0)) for value in (*radiance, hl.f32(1.0))]
         return hl.select(usable, hl.mux(C, values), hl.f32(0.0))
@@ -253,7 +253,7 @@ def _compute_log_spline(offset: hl.Expr) -> hl.Expr:
 
 def _write(key: PassKey, inputs: PassInputs, sums: Sequence[hl.Expr]) -> list[hl.Func]:
     """Return the output of a pass; if it writes several images, then the radiance, the others, and what all read."""
-    out, rest, finish = (hl.Func(name) for name in ("out", "rest", "finish"))
+    out, numbers, finish = (hl.Func(name) for name in ("out", "rest", "finish"))
     if key.writes is Writes.SUMS:
         out[X, C, Y] = hl.mux(C, sums)
         return [out]
@@ -265,9 +265,9 @@ def _write(key: PassKey, inputs: PassInputs, sums: Sequence[hl.Expr]) -> list[hl
     finish[X, Y] = hl.Tuple([hl.select(alive, value, hl.f32(0.0)) for value in results])
     firsts = [0, *range(key.own_channels, len(results), COLORS)]
     images = [hl.mux(C, [finish[X, Y][first + k] for k in range(COLORS)]) for first in firsts]
-    out[C, X, Y] = hl.Tuple(images) if key.more else images[0]
-    rest[X, Y] = hl.Tuple([finish[X, Y][k] for k in range(COLORS, key.own_channels)])
-    return [out, rest, finish]
+    out[C, X, Y] = hl.Tuple(images) if key.other_count else images[0]
+    numbers[X, Y] = hl.Tuple([finish[X, Y][k] for k in range(COLORS, key.own_channels)])
+    return [out, numbers, finish]
 
 
 def _divide(key: PassKey, inputs: PassInputs, sums: Sequence[hl.Expr]) -> list[hl.Expr]:
@@ -283,11 +283,11 @@ def _divide(key: PassKey, inputs: PassInputs, sums: Sequence[hl.Expr]) -> list[h
         return mean if tints is None else [value * tint for value, tint in zip(mean, tints, strict=True)]
 
     effective, own = count_samples(weight, sums[SQUARED_WEIGHT_CHANNEL]), key.own_channels
-    found = [*divide(sums[:COLORS], weight), weight, effective, *(value / weight for value in sums[SUM_CHANNELS:own])]
+    results = [*divide(sums[:COLORS], weight), weight, effective, *(value / weight for value in sums[SUM_CHANNELS:own])]
     for first in range(own, len(sums), COLORS + 1):
         *values, total = sums[first : first + COLORS + 1]
-        found += [hl.select(total > hl.f32(0.0), value, hl.f32(0.0)) for value in divide(values, total)]
-    return found
+        results += [hl.select(total > hl.f32(0.0), value, hl.f32(0.0)) for value in divide(values, total)]
+    return results
 
 
 def count_samples(total: hl.Expr, squares: hl.Expr) -> hl.Expr:

@@ -57,7 +57,7 @@ class DualBufferKey:
     groups: tuple[tuple[Hashable, ...], ...]
     """Structures of the features of `PassRequest.groups`."""
     guided: bool
-    more: int = 0
+    other_count: int = 0
 
 
 class DualBufferOutput(NamedTuple):
@@ -69,14 +69,14 @@ class DualBufferOutput(NamedTuple):
         The filtered halves, divided by the albedo; 0 where no tap of either half had any weight.
     support : (height, width, 2)
         The weight sum and the effective samples of every pixel.
-    more : sequence of (height, width, 3)
+    others : sequence of (height, width, 3)
         The further images, filtered; 0 where no tap had any weight.
     """
 
     a: Image
     b: Image
     support: Image
-    more: Sequence[Image] = ()
+    others: Sequence[Image] = ()
 
     @property
     def weight_sum(self) -> Image:
@@ -111,7 +111,7 @@ class PassRequest:
         Colours and their variance (`lobewise.filters.noise_guides`).
     noise : float
         Number of variances by which a squared difference of the guide is divided, > 0.
-    more : sequence of arrays, shape (height, width, 3)
+    others : sequence of arrays, shape (height, width, 3)
         Up to `MORE_AT_ONCE` further images that are averaged by the same weights.
     """
 
@@ -125,7 +125,7 @@ class PassRequest:
     albedo: FloatArray | None = None
     guide: Image | None = None
     noise: float = 1.0
-    more: Sequence[Image] = ()
+    others: Sequence[Image] = ()
 
     @property
     def size(self) -> tuple[int, int]:
@@ -142,7 +142,7 @@ class PassRequest:
         return DualBufferKey(
             groups=tuple(tuple(map(describe_structure, features)) for features in self.groups.values()),
             guided=self.guide is not None,
-            more=len(self.more),
+            other_count=len(self.others),
         )
 
     def collect_images(self) -> dict[str, Image]:
@@ -150,7 +150,7 @@ class PassRequest:
         images: dict[str, Image] = {"mask": take_mask(self.mask)}
         for name, half in zip(("half_a", "half_b"), self.halves, strict=True):
             images[name] = take_image("half", half, (*self.size, COLORS))
-        for number, image in enumerate(self.more):
+        for number, image in enumerate(self.others):
             images[f"more{number}"] = take_image("image", image, (*self.size, COLORS))
         # Without an albedo the kernel takes any image and does not use it.
         images["albedo"] = images["half_a"]
@@ -182,8 +182,8 @@ def filter_dual_buffer(request: PassRequest, text: str = "") -> DualBufferOutput
     key = request.make_key()
     make = partial(make_dual_buffer, key, request.groups)
     written = engine.kernel(key, make, request.collect_images(), request.collect_numbers(), text=text)
-    more = [written[f"filtered{number}"] for number in range(key.more)]
-    return DualBufferOutput(written["a"], written["b"], written["support"], more)
+    others = [written[f"filtered{number}"] for number in range(key.other_count)]
+    return DualBufferOutput(written["a"], written["b"], written["support"], others)
 
 
 class HalfSums(NamedTuple):
@@ -201,15 +201,15 @@ def make_dual_buffer(key: DualBufferKey, groups: Mapping[str, Sequence[Feature]]
     # Signature
     signature, size = Signature("dual buffer"), ("height", "width")
     tints, divided = signature.image("albedo", *size, COLORS), signature.count("divided", most=1)
-    names = ["half_a", "half_b", *(f"more{number}" for number in range(key.more))]
+    names = ["half_a", "half_b", *(f"more{number}" for number in range(key.other_count))]
     averaged = [signature.image(name, *size, COLORS) for name in names]
     mask = signature.image("mask", *size, type=hl.UInt(8))
     arrays = [declare_features(signature, name, features, *size) for name, features in groups.items()]
     scalars = [declare_scalars(signature, features, name) for name, features in groups.items()]
     radius, step = signature.count("radius", most=LARGEST_RADIUS), signature.count("step", 1)
-    given = signature.image("guide", *size, GUIDE_CHANNELS) if key.guided else None
+    guide_image = signature.image("guide", *size, GUIDE_CHANNELS) if key.guided else None
     noise, exponent = signature.number("noise"), signature.number("exponent")
-    for name in ("a", "b", "support", *(f"filtered{number}" for number in range(key.more))):
+    for name in ("a", "b", "support", *(f"filtered{number}" for number in range(key.other_count))):
         signature.output(name, *size, COLORS)
 
     # Algorithm
@@ -221,27 +221,27 @@ def make_dual_buffer(key: DualBufferKey, groups: Mapping[str, Sequence[Feature]]
     images = taps.read("images", planes, lambda at, usable: hl.mux(C, _read_images(averaged, albedo, at, usable)))
     place, lobes = (taps.compare(*each) for each in zip(groups, groups.values(), scalars, arrays, strict=True))
     log_weight = place + exponent * lobes
-    if given is not None:
-        guide = taps.read("guide", GUIDE_CHANNELS, lambda at, _: given[C, at[0], at[1]])
+    if guide_image is not None:
+        guide = taps.read("guide", GUIDE_CHANNELS, lambda at, _: guide_image[C, at[0], at[1]])
         log_weight = log_weight - taps.stage(_compute_distance(guide, step, noise))
 
     def take(weight: hl.Expr, column: hl.Expr, line: hl.Expr) -> list[hl.Expr]:
-        taken: list[hl.Expr] = []
+        summands: list[hl.Expr] = []
         for first in range(0, planes, COLORS + 1):
             counted = weight * images[column, first + COLORS, line]
-            taken += [*(weight * images[column, first + k, line] for k in range(COLORS)), counted]
-            taken += [counted * counted] if first < HALF_COUNT * (COLORS + 1) else []
-        return taken
+            summands += [*(weight * images[column, first + k, line] for k in range(COLORS)), counted]
+            summands += [counted * counted] if first < HALF_COUNT * (COLORS + 1) else []
+        return summands
 
     sums = taps.add(log_weight, take)
-    found = _compute_means(
+    outputs = _compute_means(
         [HalfSums(*sums[:SUMS_OF_HALF]), HalfSums(*sums[SUMS_OF_HALF : 2 * SUMS_OF_HALF])],
         _compute_albedo_luminance(albedo, (X, Y)),
     )
     for first in range(HALF_COUNT * SUMS_OF_HALF, len(sums), COLORS + 1):
         *colour, total = sums[first : first + COLORS + 1]
-        found.append([hl.select(total > hl.f32(0.0), value / total, hl.f32(0.0)) for value in colour])
-    out[C, X, Y] = hl.Tuple([hl.select(mask[X, Y] != 0, hl.mux(C, image), hl.f32(0.0)) for image in found])
+        outputs.append([hl.select(total > hl.f32(0.0), value / total, hl.f32(0.0)) for value in colour])
+    out[C, X, Y] = hl.Tuple([hl.select(mask[X, Y] != 0, hl.mux(C, image), hl.f32(0.0)) for image in outputs])
 
     # Schedule
     taps.schedule(out, COLORS)
@@ -281,10 +281,10 @@ def _compute_distance(guide: hl.Func, step: hl.Expr, noise: hl.Expr) -> hl.Expr:
 def _fill_unknown(light: Sequence[hl.Expr], tints: Sequence[hl.Expr]) -> list[hl.Expr]:
     """Return light whose channels with an albedo of almost 0 are replaced by the mean of the other channels."""
     known = [tint > hl.f32(ALBEDO_FLOOR) for tint in tints]
-    count = sum((hl.f32(each) for each in known), hl.f32(0.0))
-    told = [hl.select(each, value, hl.f32(0.0)) for each, value in zip(known, light, strict=True)]
-    mean = sum(told, hl.f32(0.0)) / hl.max(count, hl.f32(1.0))
-    return [hl.select(each, value, mean) for each, value in zip(known, light, strict=True)]
+    count = sum((hl.f32(is_known) for is_known in known), hl.f32(0.0))
+    known_light = [hl.select(is_known, value, hl.f32(0.0)) for is_known, value in zip(known, light, strict=True)]
+    mean = sum(known_light, hl.f32(0.0)) / hl.max(count, hl.f32(1.0))
+    return [hl.select(is_known, value, mean) for is_known, value in zip(known, light, strict=True)]
 
 
 def _compute_albedo_luminance(albedo: hl.Func, at: tuple[hl.Expr, hl.Expr]) -> hl.Expr:
@@ -307,7 +307,7 @@ def _compute_means(halves: Sequence[HalfSums], share: hl.Expr) -> list[list[hl.E
         )
         for half in halves
     ]
-    found = [
+    filled = [
         [hl.select(totals[half] > zero, means[half][k], means[1 - half][k]) for k in range(COLORS)]
         for half in range(HALF_COUNT)
     ]
@@ -316,4 +316,4 @@ def _compute_means(halves: Sequence[HalfSums], share: hl.Expr) -> list[list[hl.E
     some, both = (totals[0] > zero) | (totals[1] > zero), (totals[0] > zero) & (totals[1] > zero)
     alone = hl.select(some, one / hl.min(spreads[0], spreads[1]), zero)
     worth = hl.select(both, hl.f32(4.0) / (spreads[0] + spreads[1]), alone)
-    return [*found, [weight, worth, zero]]
+    return [*filled, [weight, worth, zero]]

@@ -22,10 +22,10 @@ def define_common_mask(grid: Grid) -> list[Vector]:
     return [[hl.u8(reduce(and_, (grid.read_one(name) != 0 for name in grid.images)))]]
 
 
-def define_apart(grid: Grid, more: int) -> list[Vector]:
-    """Return the light of ``pixels``, the numbers beside it, and the light of ``more`` images, each as an image."""
+def define_apart(grid: Grid, count: int) -> list[Vector]:
+    """Return the light of ``pixels``, the numbers beside it, and ``count`` further lights, each as an image."""
     values = grid.read("pixels")
-    own = len(values) - more * COLORS
+    own = len(values) - count * COLORS
     lights = (values[first : first + COLORS] for first in range(own, len(values), COLORS))
     return [values[:COLORS], *([value] for value in values[COLORS:own]), *lights]
 
@@ -161,7 +161,7 @@ def define_tinted(grid: Grid, most: float) -> list[Vector]:
             known = (area > hl.f32(ALBEDO_FLOOR)) & (ratio > hl.f32(0.0))
             tinted.append(value * hl.select(known, hl.min(ratio, hl.f32(most)), hl.f32(1.0)))
         parts.append(tinted)
-        total = [value - each for value, each in zip(total, old, strict=True)]
+        total = [value - untinted for value, untinted in zip(total, old, strict=True)]
     return [reduce(_add_colors, [total, *parts]), *parts]
 
 
@@ -169,7 +169,7 @@ def define_good(grid: Grid) -> list[Vector]:
     """Return an image with 0 where a pixel is not finite or negative; see `blacken_bad`."""
     value = grid.read_channels("image")
     good = is_good(value)
-    return [[hl.select(good, each, hl.f32(0.0)) for each in value]]
+    return [[hl.select(good, channel, hl.f32(0.0)) for channel in value]]
 
 
 def define_whole_albedo(grid: Grid, least: float) -> list[Vector]:
@@ -197,7 +197,7 @@ def define_joined_halves(grid: Grid) -> list[Vector]:
     """Return the mean of both halves and the light of highlights; see `join_halves`."""
     (mean,) = define_mean(grid)
     if grid.has("kept"):
-        mean = [value + more for value, more in zip(mean, grid.read("kept"), strict=True)]
+        mean = [value + highlight for value, highlight in zip(mean, grid.read("kept"), strict=True)]
     return [mean]
 
 
@@ -206,7 +206,7 @@ def define_joined_colours(grid: Grid) -> list[Vector]:
     pairs = zip(grid.read("a"), grid.read("b"), strict=True)
     joined = [select_bits(_is_nan(even), odd, even) for even, odd in pairs]
     if grid.has("kept"):
-        joined = [value + more for value, more in zip(joined, grid.read("kept"), strict=True)]
+        joined = [value + highlight for value, highlight in zip(joined, grid.read("kept"), strict=True)]
     return [joined]
 
 
@@ -241,7 +241,7 @@ def define_with_highlights(grid: Grid) -> list[Vector]:
     """Return an image plus the light of highlights where there is light."""
     lit = grid.read_one("lit") != 0
     pairs = zip(grid.read("image"), grid.read("kept"), strict=True)
-    return [[select_bits(lit, value + more, value) for value, more in pairs]]
+    return [[select_bits(lit, value + highlight, value) for value, highlight in pairs]]
 
 
 def define_composed(grid: Grid) -> list[Vector]:
@@ -249,7 +249,7 @@ def define_composed(grid: Grid) -> list[Vector]:
     parts = read_parts(grid, "part")
     total = parts[0]
     for part in (*parts[1:], *([grid.read("rest")] if grid.has("rest") else [])):
-        total = [value + more for value, more in zip(total, part, strict=True)]
+        total = [value + light for value, light in zip(total, part, strict=True)]
     return [total]
 
 
@@ -283,9 +283,9 @@ def define_mixed(grid: Grid) -> list[Vector]:
         part + share * (_clamp_light(noisy) - part)
         for part, noisy in zip(grid.read("part"), grid.read("noisy"), strict=True)
     ]
-    taken = share > hl.f32(0.0)
+    is_mixed = share > hl.f32(0.0)
     pairs = zip(mixed, grid.read("part"), strict=True)
-    return [[select_bits(is_finite(value) & taken, value, part) for value, part in pairs]]
+    return [[select_bits(is_finite(value) & is_mixed, value, part) for value, part in pairs]]
 
 
 def define_takers(grid: Grid, most: float) -> list[Vector]:

@@ -58,13 +58,13 @@ class SplitHalves(NamedTuple):
     ----------
     a, b : (height, width, 3)
         The two halves without the light of highlights.
-    kept : (height, width, 3)
+    highlights : (height, width, 3)
         The light of highlights, the mean of both halves; 0 where there is none.
     """
 
     a: Image
     b: Image
-    kept: Image
+    highlights: Image
 
 
 class Kinds(NamedTuple):

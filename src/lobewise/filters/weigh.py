@@ -132,15 +132,17 @@ class TapSums:
 
     # Schedule
 
-    def schedule(self, out: hl.Func, channels: int, rest: hl.Func | None = None, finish: hl.Func | None = None) -> None:
+    def schedule(
+        self, out: hl.Func, channels: int, numbers: hl.Func | None = None, finish: hl.Func | None = None
+    ) -> None:
         """Schedule a kernel whose output ``out`` of (c, x, y) or (x, c, y) has so many channels.
 
-        ``rest`` of (x, y) are further outputs, and both read ``finish`` then.
+        ``numbers`` of (x, y) are further outputs, and both read ``finish`` then.
         """
         if self._rows is None:
             self._spread(out, channels)
             return
-        strip, column = self._schedule_outputs(out, channels, self._rows.lanes, rest, finish)
+        strip, column = self._schedule_outputs(out, channels, self._rows.lanes, numbers, finish)
         self._schedule_sums(out, strip, column, self._rows.lanes)
         for image, count in self._images:
             fill_rows(image.compute_at(out, strip), count, self._rows)
@@ -148,7 +150,7 @@ class TapSums:
             fill_planes(planes, self._rows, (out, strip))
 
     def _schedule_outputs(
-        self, out: hl.Func, channels: int, lanes: int, rest: hl.Func | None, finish: hl.Func | None
+        self, out: hl.Func, channels: int, lanes: int, numbers: hl.Func | None, finish: hl.Func | None
     ) -> tuple[hl.Var, hl.Var]:
         """Run strips of rows in parallel and columns in vectors; return the loops over strips and columns of tiles.
 
@@ -157,7 +159,7 @@ class TapSums:
         tail = hl.TailStrategy.GuardWithIf
         xo, yo, xi, yi, ys, yt, xv, xw = (hl.Var(name) for name in ("xo", "yo", "xi", "yi", "ys", "yt", "xv", "xw"))
         out.bound(C, 0, channels).reorder(C, X, Y).unroll(C)
-        for func in (out, rest):
+        for func in (out, numbers):
             if func is not None:
                 func.split(Y, ys, yt, STRIP_ROWS, tail)
                 func.tile(X, yt, xo, yo, xi, yi, TILE_VECTORS * lanes, TILE_ROWS, tail)
@@ -168,12 +170,12 @@ class TapSums:
             for buffer in out.output_buffers():
                 # A known stride makes whole stores of interleaved vectors.
                 buffer.dim(1).set_stride(channels)
-        if rest is not None and finish is not None:
+        if numbers is not None and finish is not None:
             # Tell the compiler that all outputs have one size; otherwise it emits every loop three times.
-            whole, beside = out.output_buffers()[0], rest.output_buffers()[0]
+            whole, beside = out.output_buffers()[0], numbers.output_buffers()[0]
             for axis in (0, 1):
                 beside.dim(axis).set_bounds(whole.dim(axis + 1).min(), whole.dim(axis + 1).extent())
-            rest.compute_with(out, xv)
+            numbers.compute_with(out, xv)
             # Guard its vectors instead of moving them inwards: in a row narrower than a vector they would read mask and
             # albedo outside the image.
             finish.compute_at(out, xv).vectorize(X, lanes, tail).bound_storage(X, lanes).bound_storage(Y, 1)

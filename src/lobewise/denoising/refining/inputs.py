@@ -96,7 +96,7 @@ def collect_inputs(
     def knows(*names: str) -> bool:
         return all(images.get(name) is not None for name in names)
 
-    told = {
+    is_known = {
         "albedo": knows("diffuse") or knows("specular"),
         "normal": knows("normal"),
         "depth": knows("depth"),
@@ -104,9 +104,9 @@ def collect_inputs(
         "specular_share": knows("diffuse", "specular"),
         "change": knows("half_a", "half_b"),
     }
-    names, text = ["noisy", "filtered", *(name for name, known in told.items() if known)], "what the network reads"
-    found = engine.pixels(define_inputs, images, {}, MIN_ALBEDO_SUM, names=names, text=text)
-    return RefinementInputs(**dict(zip(names, found, strict=True)))
+    names, text = ["noisy", "filtered", *(name for name, known in is_known.items() if known)], "what the network reads"
+    inputs = engine.pixels(define_inputs, images, {}, MIN_ALBEDO_SUM, names=names, text=text)
+    return RefinementInputs(**dict(zip(names, inputs, strict=True)))
 
 
 def compute_lobes(frame: Frame, tau: float) -> tuple[FloatArray | None, FloatArray | None]:

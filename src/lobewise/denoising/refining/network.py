@@ -90,6 +90,6 @@ def refine_light(
     }
     names = [*(f"{layer.name}_refined" for layer in layers), *([] if rest is None else ["rest_refined"])]
     text = "light as the network refined it"
-    found = engine.pixels(define_refined, images, {}, MAX_BLACK_FILTERED, names=names, text=text)
+    refined = engine.pixels(define_refined, images, {}, MAX_BLACK_FILTERED, names=names, text=text)
     edges = None if shining is None else mark_lamp_edges(shining)
-    return Refined(found[: len(parts)], None if rest is None else found[-1], edges)
+    return Refined(refined[: len(parts)], None if rest is None else refined[-1], edges)

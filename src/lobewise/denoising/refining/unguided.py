@@ -58,15 +58,15 @@ def compute_unguided_share(color: FloatArray, guides: GBuffer) -> FloatArray:
     guides : GBuffer
         As the file has them: nothing stands in for missing ones.
     """
-    found = _mark_isolated(color, guides)
-    least = np.full(color.shape[:2], judge_guides(_count_rows(found)), np.float32)
-    if found.surface.all():
+    isolated = _mark_isolated(color, guides)
+    least = np.full(color.shape[:2], judge_guides(_count_rows(isolated)), np.float32)
+    if isolated.surface.all():
         return least
-    known = average_square(found.background.astype(np.float32), NOISY_RADIUS)
-    noisy = average_square(found.noisy_background.astype(np.float32), NOISY_RADIUS)
+    known = average_square(isolated.background.astype(np.float32), NOISY_RADIUS)
+    noisy = average_square(isolated.noisy_background.astype(np.float32), NOISY_RADIUS)
     share = noisy / np.maximum(known, np.float32(1e-6))
     rise = np.clip((share - np.float32(NOISY_FROM)) / np.float32(NOISY_TO - NOISY_FROM), 0.0, 1.0)
-    return np.where(found.surface, least, rise)
+    return np.where(isolated.surface, least, rise)
 
 
 def compute_share_filtered(rest: FloatArray, image: FloatArray, blur_radius: FloatArray | None) -> FloatArray:
@@ -119,7 +119,7 @@ class _Isolated(NamedTuple):
     """Pixels that see a surface; then those with both neighbours of their kind, and the isolated ones among these."""
 
     surface: Mask
-    told: Mask
+    compared: Mask
     noisy: Mask
     background: Mask
     noisy_background: Mask
@@ -132,17 +132,17 @@ def _mark_isolated(color: FloatArray, guides: GBuffer) -> _Isolated:
         return _Isolated(nothing, nothing, nothing, nothing, nothing)
     surface = mark_surface_pixels(guides, shape)
     with np.errstate(invalid="ignore", over="ignore"):  # a bad pixel is isolated from nothing
-        told, noisy = _mark_odd(guides.normal, surface, MIN_SQUARED_DIFFERENCE, is_relative=False)
+        compared, noisy = _mark_odd(guides.normal, surface, MIN_SQUARED_DIFFERENCE, is_relative=False)
         if surface.all():
             nothing = np.zeros(shape, np.bool_)
-            return _Isolated(surface, told, noisy, nothing, nothing)
+            return _Isolated(surface, compared, noisy, nothing, nothing)
         light = compute_image_luminance(color)
         others = _mark_odd(light[..., None], ~surface, MIN_RELATIVE_DIFFERENCE**2, is_relative=True)
-    return _Isolated(surface, told, noisy, *others)
+    return _Isolated(surface, compared, noisy, *others)
 
 
-def _count_rows(found: _Isolated) -> RowSums:
-    return np.stack([np.count_nonzero(mask, axis=1) for mask in found[1:]], axis=1).astype(np.float64)
+def _count_rows(isolated: _Isolated) -> RowSums:
+    return np.stack([np.count_nonzero(mask, axis=1) for mask in isolated[1:]], axis=1).astype(np.float64)
 
 
 def _mark_odd(image: FloatArray, mask: Mask, least: float, *, is_relative: bool) -> tuple[Mask, Mask]:
@@ -152,12 +152,12 @@ def _mark_odd(image: FloatArray, mask: Mask, least: float, *, is_relative: bool)
     three.
     """
     left, middle, right = image[:, :-2], image[:, 1:-1], image[:, 2:]
-    told, odd = np.zeros(mask.shape, np.bool_), np.zeros(mask.shape, np.bool_)
-    told[:, 1:-1] = mask[:, :-2] & mask[:, 1:-1] & mask[:, 2:]
+    compared, odd = np.zeros(mask.shape, np.bool_), np.zeros(mask.shape, np.bool_)
+    compared[:, 1:-1] = mask[:, :-2] & mask[:, 1:-1] & mask[:, 2:]
     near = np.minimum(_square(left - middle), _square(right - middle))
     unit = np.maximum(np.maximum(_square(left), _square(middle)), _square(right)) if is_relative else np.float32(1.0)
-    odd[:, 1:-1] = told[:, 1:-1] & (near > _square(right - left)) & (near > np.float32(least) * unit)
-    return told, odd
+    odd[:, 1:-1] = compared[:, 1:-1] & (near > _square(right - left)) & (near > np.float32(least) * unit)
+    return compared, odd
 
 
 def _square(vectors: FloatArray) -> FloatArray:
@@ -167,7 +167,8 @@ def _square(vectors: FloatArray) -> FloatArray:
 def forget_guides(frame: Frame) -> Frame:
     """Return a frame of the color alone, as filters can take it."""
     color, half_a, half_b = (
-        None if each is None else Radiance(each.color) for each in (frame.radiance, frame.half_a, frame.half_b)
+        None if radiance is None else Radiance(radiance.color)
+        for radiance in (frame.radiance, frame.half_a, frame.half_b)
     )
     assert color is not None
     bare = Frame(color, half_a=half_a, half_b=half_b, spp=frame.spp, noise_is_shared=frame.noise_is_shared)
