@@ -111,6 +111,12 @@ def make_refinement_figures(trials: dict[str, Any]) -> dict[str, str]:
         [name, *(f"{row[key]:.2f}" if key in row else "" for key in ("shots", "largest", "interiors", "built-in"))]
         for name, row in trials["less work"]["rows"].items()
     ]
+    part = trials["less work"]["share of the time"]
+    shares = {name: f"{part[name]:.2f}" for name in ("passes over the layers", "network", "what is taken back")}
+    blender = [
+        [name, f"{row['before']:.2f}", f"{row['after']:.2f}"]
+        for name, row in trials["less work"]["trained on frames of Blender"]["rows"].items()
+    ]
     facts = {"Training steps of each network": trials["steps"], "Training files": trials["frames"]}
     return {
         "similarities-run": list_facts(facts),
@@ -118,5 +124,7 @@ def make_refinement_figures(trials: dict[str, Any]) -> dict[str, str]:
         "light": make_table(["guides", "light before", *ways], shared),
         "longer": make_table(["weights", *guides], trained),
         "less": make_table(["`high`", "shots of Blender", "largest", "public interiors", "built-in scenes"], less),
+        "less-shares": make_table(["part of `high`", "share of its time"], [[*pair] for pair in shares.items()]),
+        "less-trained": make_table(["frames, two smaller passes", "before", "after"], blender),
         "time": make_table(["method", "seconds"], [[name, f"{value:.1f}"] for name, value in seconds.items()]),
     }

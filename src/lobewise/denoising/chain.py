@@ -278,12 +278,9 @@ def filter_plain(
     Source: Tokuyoshi 2015, "Specular Lobe-Aware Filtering and Upsampling for Interactive Indirect Illumination".
     """
     # Each layer is one light: its albedo divides it, and its features compare its pixels.
-    layers, parts, outputs, others = (
-        make_layers(frame, settings, features, finest=True),
-        list_layer_parts(frame),
-        [],
-        {},
-    )
+    layers, parts = make_layers(frame, settings, features, finest=True), list_layer_parts(frame)
+    outputs: list[FilterOutput] = []
+    others: dict[str, Sequence[FilteredOther]] = {}
     for layer in layers:
         with engine.part(f"{layer.name}: {describe_form(settings.form, settings.radius)}"):
             output, others[layer.name] = filter_plain_layer(layer, settings, parts.get(layer.name, ()))
