@@ -210,7 +210,10 @@ def test_shared_samples_are_a_blur() -> None:
     assert np.abs(np.diff(shared.radiance.color, axis=0)).mean() < np.abs(np.diff(frame.radiance.color, axis=0)).mean()
 
 
-def test_resident_crops_are_those_of_the_frames(program: Any, torch: Any, frames: Path) -> None:
+def test_resident_crops_are_those_of_the_frames(
+    program: Any, torch: Any, frames: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(program.refinement_resident, "CALMED_SHARE", 0.0)
     torch.manual_seed(2)
     shown, _ = program.refinement.list_frames(frames)
     resident = program.refinement_resident.load_frames(shown, program.refinement.SHARES, torch.device("cpu"))
@@ -225,6 +228,15 @@ def test_resident_crops_are_those_of_the_frames(program: Any, torch: Any, frames
     assert 0 < known.sum() < 64
     assert torch.isfinite(lengths).all()
     assert (lengths[~known] == 0).all()
+
+
+def test_windows_on_a_device_cover_larger_frames(program: Any, torch: Any, frames: Path) -> None:
+    write_frame(frames, 3, "color", side=70)
+    shown, _ = program.refinement.list_frames(frames)
+    resident = program.refinement_resident.load_frames(shown, program.refinement.SHARES, torch.device("cpu"))
+    assert resident.side == 32
+    assert len(resident.pixels) == sum(map(len, shown.values())) - 1 + 9
+    assert program.refinement_resident.place(70, 32) == [0, 19, 38]
 
 
 def test_turns_keep_lengths_and_mirror_half(program: Any, torch: Any) -> None:

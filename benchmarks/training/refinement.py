@@ -54,13 +54,17 @@ BLOCKS_WEIGHT = 0.5
 """Weight of the error of blocks of one size, beside the error of pixels."""
 TYPICAL_LOSS, MIN_LOSS_BEFORE = 0.15, 0.05
 """Loss of a crop to which all crops are scaled, and what is added to a crop's loss before it is refined."""
+SQUARED_WEIGHT = 3.0
+"""Weight of the squared error of pixels, beside their error: results are judged by the squared one."""
+EXCESS_WEIGHT, MIN_LOSS_NOISY = 0.05, 0.01
+"""Weight of the loss by which a crop is worse than its input, over the input's loss, and what is added to this loss."""
 CHECKPOINT_MINUTES, VALIDATION_MINUTES = 5.0, 20.0
 STEPS_BETWEEN_REPORTS = 200
 MAX_JUDGED = 24
 """Frames of each set of guides that are judged."""
 SHARES = {
-    "all": 0.13, "unsplit": 0.04, "passes": 0.1, "plain": 0.13, "color": 0.08, DRAWN: 0.05,
-    "cycles_all": 0.2, "cycles_passes": 0.04, "cycles_plain": 0.14, "cycles_color": 0.09,
+    "all": 0.13, "unsplit": 0.03, "passes": 0.08, "plain": 0.1, "color": 0.06, DRAWN: 0.05,
+    "cycles_all": 0.26, "cycles_passes": 0.04, "cycles_plain": 0.16, "cycles_color": 0.09,
 }  # fmt: skip
 """How often each set of guides is trained."""
 
@@ -81,11 +85,15 @@ class State:
 def compute_loss(found: Tensor, noisy: Tensor, before: Tensor, reference: Tensor) -> Tensor:
     """Return how far refined crops are from their references, over how far they were before: noisy, or filtered.
 
-    So a crop of many samples, whose errors are small, counts as much as one of few samples.
+    So a crop of many samples, whose errors are small, counts as much as one of few samples. What is worse than its
+    input counts more.
     """
     with torch.no_grad():
-        level = torch.minimum(compute_crop_losses(noisy, reference), compute_crop_losses(before, reference))
-    return (compute_crop_losses(found, reference) * (TYPICAL_LOSS / (MIN_LOSS_BEFORE + level))).mean()
+        of_noisy = compute_crop_losses(noisy, reference)
+        level = torch.minimum(of_noisy, compute_crop_losses(before, reference))
+    losses = compute_crop_losses(found, reference)
+    excess = (losses - of_noisy).clamp_min(0.0) / (MIN_LOSS_NOISY + of_noisy)
+    return (losses * (TYPICAL_LOSS / (MIN_LOSS_BEFORE + level)) + EXCESS_WEIGHT * excess).mean()
 
 
 def compute_crop_losses(found: Tensor, reference: Tensor) -> Tensor:
@@ -98,7 +106,7 @@ def compute_crop_losses(found: Tensor, reference: Tensor) -> Tensor:
     squared = (found - reference).square() / (0.15 * level.square() + 0.85 * reference.square() + 0.02)
     ratio = torch.log(found.clamp_min(0.0) + 0.1) - torch.log(reference + 0.1)
     slopes = ratio.diff(dim=-1).abs().mean((1, 2, 3)) + ratio.diff(dim=-2).abs().mean((1, 2, 3))
-    total: Tensor = (relative + squared).mean((1, 2, 3)) + 0.25 * slopes
+    total: Tensor = (relative + SQUARED_WEIGHT * squared).mean((1, 2, 3)) + 0.25 * slopes
     for side in BLOCK_SIDES_PIXELS:
         total = total + BLOCKS_WEIGHT * compute_block_losses(found, reference, side)
     return total
@@ -155,6 +163,10 @@ def load_weights(path: Path, state: State) -> None:
     """Begin with exported weights."""
     with np.load(path) as arrays:
         told = {name: torch.from_numpy(arrays[name].astype(np.float32)) for name in arrays.files}
+    for name, untrained in state.network.state_dict().items():
+        # A head that has got more outputs begins with 0 for them.
+        missing = len(untrained) - len(told[name])
+        told[name] = torch.cat([told[name], torch.zeros_like(untrained[:missing])]) if missing else told[name]
     state.network.load_state_dict(told)
     state.average.load_state_dict(told)
 
@@ -195,14 +207,16 @@ def list_frames(folder: Path) -> tuple[dict[str, list[Path]], dict[str, list[Pat
     return shown, aside
 
 
-def take_step(state: State, shown: dict[str, list[Path]], rate: float, *, seed: int, batch: int, side: int) -> float:
+def take_step(
+    state: State, shown: dict[str, list[Path]], rate: float, *, seed: int, batch: int, side: int, neural: bool
+) -> float:
     """Train on some crops; return their loss, NaN where the step was left out."""
     # Every step has random numbers of its own, so that a run that goes on draws what it would have drawn.
     rng = np.random.default_rng([seed, state.steps])
     names = [name for name in SHARES if shown.get(name)]
     shares = np.array([SHARES[name] for name in names])
     drawn = rng.choice(len(names), batch, p=shares / shares.sum())
-    crops = draw_batch([shown[names[k]][rng.integers(len(shown[names[k]]))] for k in drawn], rng, side)
+    crops = draw_batch([shown[names[k]][rng.integers(len(shown[names[k]]))] for k in drawn], rng, side, neural=neural)
     for group in state.optimiser.param_groups:
         group["lr"] = rate
     images = crops.images
@@ -222,7 +236,7 @@ def take_step(state: State, shown: dict[str, list[Path]], rate: float, *, seed: 
     return float(loss.detach())
 
 
-def measure_errors(network: RefiningNetwork, aside: dict[str, list[Path]]) -> Errors:
+def measure_errors(network: RefiningNetwork, aside: dict[str, list[Path]], *, neural: bool = False) -> Errors:
     """Return errors over the peer's by set of guides and samples, "before" for what the network starts from.
 
     They are geometric means over frames. "mean" is over all samples.
@@ -231,7 +245,7 @@ def measure_errors(network: RefiningNetwork, aside: dict[str, list[Path]]) -> Er
     for guides, paths in sorted(aside.items()):
         count = min(len(paths), MAX_JUDGED)
         for path in (paths[k * len(paths) // count] for k in range(count)):
-            stored = read_frame.__wrapped__(path)
+            stored = read_frame.__wrapped__(path, neural=neural)
             batch = make_whole(stored)
             with torch.no_grad():
                 found = network(batch)[0]
@@ -252,9 +266,11 @@ def _measure(image: Tensor, reference: Tensor) -> float:
     return rel_mse(*(np.moveaxis(each.numpy(), 0, -1) for each in (image, reference)))
 
 
-def judge(state: State, aside: dict[str, list[Path]], shown: dict[str, list[Path]], curve: Path) -> None:
+def judge(
+    state: State, aside: dict[str, list[Path]], shown: dict[str, list[Path]], curve: Path, *, neural: bool = False
+) -> None:
     """Print the errors of the averaged weights on frames kept aside, and add them to the curve."""
-    errors = measure_errors(copy.deepcopy(state.average).cpu(), aside)
+    errors = measure_errors(copy.deepcopy(state.average).cpu(), aside, neural=neural)
     print(f"after {state.minutes:.1f} minutes, {state.steps} steps", flush=True)
     for guides, found in errors.items():
         print(f"  {guides:8}" + "".join(f" {key} {value:.2f}" for key, value in found.items()), flush=True)
@@ -274,9 +290,16 @@ def make_step(state: State, shown: dict[str, list[Path]], arguments: argparse.Na
     """Return the function that takes a step at a learning rate and returns the loss."""
     if arguments.device == "cpu":
         return lambda rate: take_step(
-            state, shown, rate, seed=arguments.seed, batch=arguments.batch, side=arguments.crop
+            state,
+            shown,
+            rate,
+            seed=arguments.seed,
+            batch=arguments.batch,
+            side=arguments.crop,
+            neural=arguments.neural,
         )
-    frames = load_frames(shown, {name: SHARES[name] for name in shown}, torch.device(arguments.device))
+    shares, device = {name: SHARES[name] for name in shown}, torch.device(arguments.device)
+    frames = load_frames(shown, shares, device, neural=arguments.neural)
     trainer = ResidentTrainer(state, frames, arguments.batch, arguments.crop)
     return lambda rate: float(trainer.take_step(rate, compute_averaging(state.steps + 1)))
 
@@ -307,12 +330,12 @@ def run(state: State, arguments: argparse.Namespace) -> None:
                 save_checkpoint(arguments.checkpoint, state)
             if spent - judged >= VALIDATION_MINUTES:
                 judged = spent
-                judge(state, aside, shown, arguments.curve)
+                judge(state, aside, shown, arguments.curve, neural=arguments.neural)
     finally:
         if losses:
             save_checkpoint(arguments.checkpoint, state)
     if losses:
-        judge(state, aside, shown, arguments.curve)
+        judge(state, aside, shown, arguments.curve, neural=arguments.neural)
 
 
 def parse_arguments(words: Sequence[str] | None = None) -> argparse.Namespace:
@@ -329,6 +352,7 @@ def parse_arguments(words: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--device", default="cpu", help="of PyTorch: cpu, or cuda with all frames in its memory")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--start", type=Path, help="exported weights to begin with, where there is no checkpoint")
+    parser.add_argument("--neural", action="store_true", help="refine images of Open Image Denoise, as of 'auto'")
     parser.add_argument("--no-guides", action="store_true", help="weights are learned alone")
     parser.add_argument("--curve", type=Path, default=CURVE, help="JSON that errors are added to")
     parser.add_argument("--mix", type=float, default=1.0, help="share of the new weights, beside those of --start")

@@ -3,8 +3,9 @@
 The network reads the noisy image, the image after the quality "balanced" and the guides. Each level of the pyramid has
 half the size of the one below. A pixel of a level becomes a weighted mean of its 5x5 noisy neighbours, of its 3x3
 filtered neighbours and of the 3x3 nearest pixels of the level above. The weights are learned, and multiplied by the
-similarity of place, normal and lobe. The result is multiplied by the albedo. A pixel's source weight says how much it
-counts for others, so that a firefly counts little.
+similarity of place, normal and lobe. A pixel's source weight says how much it counts for others, so that a firefly
+counts little. Light is divided by the albedo before, and multiplied by it after, as far as the network trusts it:
+albedos have noise where a lens blurs, or where fog hides a surface.
 Predicting kernels follows Bako et al., "Kernel-Predicting Convolutional Networks for Denoising Monte Carlo
 Renderings", 2017; kernels on the levels of a pyramid follow Vogels et al., "Denoising with Kernel Prediction and
 Asymmetric Loss Functions", 2018, and Balint et al., "Neural Partitioning Pyramids for Denoising Monte Carlo
@@ -34,7 +35,11 @@ NORMAL_SCALE, DEPTH_SCALE, LOBE_SCALE = 0.66, 1.2, 0.37
 VECTORS = (4, 4)
 MAX_EXPONENT = 3.0
 MIN_SOURCE = 1e-3
+SOURCE_BIAS, TRUST_BIAS = 2.0, 4.0
+"""Added before the logistic functions: an untrained network weighs all pixels alike, and trusts albedos."""
 LIGHT_GAIN, LIGHT_SCALE = 10.0, 0.5
+FINEST_LOGITS = 3
+"""Outputs that only the finest level has: the source weights of both images, and the trust in the albedo."""
 START_FILTERED = 3.0
 """Logit of the pixel's own filtered value, untrained: the network begins as the filter."""
 
@@ -170,14 +175,13 @@ class RefiningNetwork(nn.Module):
         with torch.autocast(device, torch.bfloat16, self.training and is_fast, cache_enabled=False):
             logits = [head(each) for head, each in zip(self.heads, self.compute_features(prepared.planes), strict=True)]
         vectors = prepared.vectors if self.compares else None
-        light = filter_pyramid(prepared.noisy, prepared.filtered, [each.float() for each in logits], vectors)
-        return light * prepared.tint
+        return filter_pyramid(prepared, [each.float() for each in logits], vectors)
 
 
 def count_logits(level: int) -> int:
     """Return the outputs of the head of a level."""
     taps = NOISY_TAPS + FILTERED_TAPS + (COARSE_TAPS if level < LEVELS - 1 else 0)
-    return taps + len(VECTORS) + (2 if level == 0 else 0)
+    return taps + len(VECTORS) + (FINEST_LOGITS if level == 0 else 0)
 
 
 def activate(tensor: Tensor) -> Tensor:
@@ -190,19 +194,24 @@ def enlarge(tensor: Tensor) -> Tensor:
     return functional.interpolate(tensor, scale_factor=2, mode="nearest")
 
 
-def filter_pyramid(noisy: Tensor, filtered: Tensor, logits: list[Tensor], vectors: Tensor | None) -> Tensor:
-    """Return the filtered light of the finest level.
+def filter_pyramid(prepared: Prepared, logits: list[Tensor], vectors: Tensor | None) -> Tensor:
+    """Return the filtered light of the finest level, times the albedo as far as it is trusted.
 
     Parameters
     ----------
-    noisy, filtered : tensor, (batch, 3, rows, columns)
+    prepared : Prepared
     logits : list of tensors
-        Outputs of the heads, the finest level first. The last two of the finest are those of the source weights.
+        Outputs of the heads, the finest level first; see `FINEST_LOGITS`.
+    vectors : tensor, optional
+        What taps compare; None for learned weights alone.
     """
-    sources = MIN_SOURCE + torch.sigmoid(logits[0][:, -2:] + 2.0)
+    *sources, trust = torch.split(logits[0][:, -FINEST_LOGITS:], 1, dim=1)
+    tint = 1.0 + torch.sigmoid(trust + TRUST_BIAS) * (prepared.tint - 1.0)
+    weights = [MIN_SOURCE + torch.sigmoid(source + SOURCE_BIAS) for source in sources]
+    change = prepared.tint / tint
     sums = [
-        torch.cat([light * source, source], dim=1)
-        for light, source in zip((noisy, filtered), (sources[:, :1], sources[:, 1:]), strict=True)
+        torch.cat([light * change * weight, weight], dim=1)
+        for light, weight in zip((prepared.noisy, prepared.filtered), weights, strict=True)
     ]
     pyramid = [sums]
     for _ in range(LEVELS - 1):
@@ -227,7 +236,7 @@ def filter_pyramid(noisy: Tensor, filtered: Tensor, logits: list[Tensor], vector
             total = total + gather_coarse(torch.cat([coarse, torch.ones_like(coarse[:, :1])], dim=1), own)
         coarse = total[:, :3] / total[:, 3:]
     assert coarse is not None
-    return coarse
+    return coarse * tint
 
 
 def compute_distances(vectors: Tensor, logits: Tensor) -> Tensor:

@@ -29,7 +29,6 @@ from benchmarks.training.refinement_batches import (
     read_frame,
 )
 from benchmarks.training.refinement_model import Batch
-from lobewise.errors import InputError
 
 if TYPE_CHECKING:
     from benchmarks.training.refinement import State
@@ -40,20 +39,20 @@ WARM_UPS = 3
 
 @dataclass(frozen=True)
 class ResidentFrames:
-    """Frames of one size in the memory of a device.
+    """Square windows of frames in the memory of a device.
 
     Parameters
     ----------
-    pixels : half tensor, (frames, channels, rows * columns)
+    pixels : half tensor, (windows, channels, rows * columns)
         All images of `CHANNELS`, one after the other; 0 where a frame lacks one.
     side : int
-        Rows of a frame, and columns.
-    known : tensor, (frames, images)
+        Rows of a window, and columns.
+    known : tensor, (windows, images)
         1 where a frame has an image of `CHANNELS`.
-    numbers : tensor, (frames, 3)
-        Brightness, mean logarithm of the depth, and 1 where pixels share samples.
-    shares : tensor, (frames)
-        Cumulative share of the crops that are drawn from a frame.
+    numbers : tensor, (windows, 3)
+        Brightness, mean logarithm of the depth, and 1 where pixels share samples, all of the whole frame.
+    shares : tensor, (windows)
+        Cumulative share of the crops that are drawn from a window.
     """
 
     pixels: Tensor
@@ -64,44 +63,47 @@ class ResidentFrames:
 
 
 def load_frames(
-    shown: Mapping[str, Sequence[Path]], shares: Mapping[str, float], device: torch.device
+    shown: Mapping[str, Sequence[Path]], shares: Mapping[str, float], device: torch.device, *, neural: bool = False
 ) -> ResidentFrames:
-    """Return the frames of some files, by set of guides, in the memory of a device.
+    """Return the frames of some files, by set of guides, in the memory of a device; ``neural`` as of `read_frame`.
 
-    Raises
-    ------
-    InputError
-        If the frames are not squares of one size.
+    All are cut to squares as large as the smallest frame allows; together they cover every frame.
     """
     pixels, known, numbers, weights = [], [], [], []
     total = sum(shares[guides] for guides in shown)
+    stored = {path: read_frame.__wrapped__(path, neural=neural) for paths in shown.values() for path in paths}
+    side = min(min(each.images["noisy"].shape[1:]) for each in stored.values())
     for guides, paths in shown.items():
         for path in paths:
-            stored = read_frame.__wrapped__(path)
-            rows, columns = stored.images["noisy"].shape[1:]
-            if rows != columns or (pixels and pixels[0].shape[-1] != rows * columns):
-                got = f"{columns}x{rows} pixels in {path.name}"
-                action = "make frames of one --size"
-                raise InputError("frames on a device", expected="squares of one size", got=got, action=action)
+            frame = stored.pop(path)
+            rows, columns = frame.images["noisy"].shape[1:]
             images = [
-                torch.from_numpy(stored.images[name])
-                if name in stored.images
+                torch.from_numpy(frame.images[name])
+                if name in frame.images
                 else torch.zeros(channels, rows, columns, dtype=torch.half)
                 for name, channels in CHANNELS.items()
             ]
-            pixels.append(torch.cat(images).flatten(1).to(device))
-            known.append([float(name in stored.images) for name in CHANNELS])
-            numbers.append([stored.brightness, stored.log_depth, float(stored.shared)])
-            weights.append(shares[guides] / total / len(paths))
+            image, windows = torch.cat(images), [(y, x) for y in place(rows, side) for x in place(columns, side)]
+            for y, x in windows:
+                pixels.append(image[:, y : y + side, x : x + side].flatten(1).to(device))
+                known.append([float(name in frame.images) for name in CHANNELS])
+                numbers.append([frame.brightness, frame.log_depth, float(frame.shared)])
+                weights.append(shares[guides] / total / len(paths) / len(windows))
     cumulative = torch.tensor(weights, dtype=torch.float64).cumsum(0)
     cumulative[-1] = 2.0  # Rounding may leave the last sum below the largest number that is drawn.
     return ResidentFrames(
         torch.stack(pixels),
-        round(pixels[0].shape[-1] ** 0.5),
+        side,
         torch.tensor(known, device=device),
         torch.tensor(numbers, device=device),
         cumulative.float().to(device),
     )
+
+
+def place(length: int, side: int) -> list[int]:
+    """Return where windows of a length begin, so that they cover it."""
+    count = -(-length // side)
+    return [number * (length - side) // max(count - 1, 1) for number in range(count)]
 
 
 def draw_resident(frames: ResidentFrames, count: int, side: int) -> Batch:

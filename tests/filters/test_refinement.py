@@ -95,11 +95,13 @@ class Definition:
         fine = np.concatenate([enlarge(squeezed, image), image], axis=-1)
         return [self.convolve("fine.1", self.convolve("fine.0", fine)), *features]
 
-    def run(self, planes: Exact, light: Exact, vectors: Exact) -> Exact:
-        """Return the filtered light."""
+    def run(self, planes: Exact, light: Exact, vectors: Exact, tint: Exact) -> Exact:
+        """Return the filtered light; the light is not divided by the tint before."""
         features = self.compute_features(planes)
         logits = [self.convolve(f"heads.{level}", each, active=False) for level, each in enumerate(features)]
-        sources = 1e-3 + 1.0 / (1.0 + np.exp(-2.0 - logits[0][..., -2:]))
+        sources = 1e-3 + 1.0 / (1.0 + np.exp(-2.0 - logits[0][..., -3:-1]))
+        tint = 1.0 + (tint - 1.0) / (1.0 + np.exp(-4.0 - logits[0][..., -1:]))
+        light = light / np.concatenate([tint, tint], axis=-1)
         sums = np.concatenate(
             [
                 np.concatenate([light[..., 3 * k : 3 * k + 3] * sources[..., k : k + 1], sources[..., k : k + 1]], -1)
@@ -117,7 +119,7 @@ class Definition:
         for level in reversed(range(shape.LEVEL_COUNT)):
             coarse = filter_level(level, logits[level], *pyramid[level], coarse)
         assert coarse is not None
-        return coarse
+        return coarse * tint
 
 
 def filter_level(level: int, logits: Exact, sums: Exact, vectors: Exact, coarse: Exact | None) -> Exact:
@@ -168,7 +170,7 @@ def make_definition(images: Images) -> Exact:
         return exact[name].reshape(*size, channels) if name in exact else np.zeros((*size, channels))
 
     tint = np.maximum(exact["albedo"], 0.1) if "albedo" in exact else np.ones((*size, 3))
-    light = [exact[name] / tint / NUMBERS["brightness"] for name in ("noisy", "filtered")]
+    light = [exact[name] / NUMBERS["brightness"] for name in ("noisy", "filtered")]
     depth, log_depth = read("depth"), np.zeros((*size, 1))
     if "depth" in exact:
         with np.errstate(divide="ignore"):
@@ -176,14 +178,14 @@ def make_definition(images: Images) -> Exact:
         log_depth[depth <= 0.0] = 4.0
     change = (read("change") / tint / NUMBERS["brightness"]).mean(axis=-1, keepdims=True)
     flags = [np.full((*size, 1), float(name in exact)) for name in ("albedo", "depth", "roughness", "change")]
-    compressed = [0.5 * np.log1p(10.0 * each) for each in (*light, change)]
+    compressed = [0.5 * np.log1p(10.0 * each) for each in (*(each / tint for each in light), change)]
     seen = [*compressed[:2], read("albedo"), read("normal"), 0.25 * log_depth, read("roughness")]
     seen += [read("specular_share"), compressed[2], *flags, np.full((*size, 1), float(NUMBERS["shared"]))]
     sharpness = read("lobe_sharpness")
     lobes = [0.37 * 2.0 ** (0.5 * (sharpness - 1.0)) * read("lobe_axis"), 0.37 * sharpness]
     vectors = [0.66 * read("normal"), 1.2 * log_depth, *lobes]
-    found = Definition(WEIGHTS).run(*(np.concatenate(each, axis=-1) for each in (seen, light, vectors)))
-    return found * tint * NUMBERS["brightness"]
+    found = Definition(WEIGHTS).run(*(np.concatenate(each, axis=-1) for each in (seen, light, vectors)), tint)
+    return found * NUMBERS["brightness"]
 
 
 @pytest.mark.parametrize("size", [SIZE, (16, 48), (1, 1), (2, 19)], ids=str)

@@ -43,10 +43,13 @@ class RefiningNetwork:
         Result of `lobewise.filters.refinement.run.pack_weights`.
     images : mapping of str to Image
         Results of the kernel of planes: "planes", "light", "vectors", "tint".
+    brightness : float
+        As of `lobewise.filters.refinement.run.refine_image`.
     """
 
-    def __init__(self, weights: FloatArray, images: Mapping[str, Any]) -> None:
+    def __init__(self, weights: FloatArray, images: Mapping[str, Any], brightness: float) -> None:
         self._weights, self._images = engine.hold("refinement_weights", weights), images
+        self._brightness = brightness
         self._sizes = [LevelSize(*images["tint"].shape[:2])]
         for _ in range(LEVEL_COUNT - 1):
             self._sizes.append(LevelSize(*map(engine.halve, self._sizes[-1])))
@@ -110,8 +113,10 @@ class RefiningNetwork:
 
     def _weigh_light(self, features: Image) -> Image:
         """Return the sums of the finest level."""
-        images = {"features": features, "light": self._images["light"], "weights": self._weights}
-        return self._call(make_sums, 0, 2 * SUMS_OF_IMAGE, images, {}, "weighted light")
+        images = {"features": features, "weights": self._weights}
+        images |= {name: self._images[name] for name in ("light", "tint")}
+        numbers = {"brightness": self._brightness}
+        return self._call(make_sums, 0, 2 * SUMS_OF_IMAGE, images, numbers, "weighted light")
 
     def _average(self, source: Image, level: int) -> Image:
         """Return the sums or vectors of a level from those of the level below."""
@@ -133,6 +138,8 @@ class RefiningNetwork:
             "start": LAYERS[f"heads.{level}"].start,
             "width": self._sizes[level].width,
             "has_above": int(above is not None),
+            # The neutral tint of the other levels is 1.
+            "brightness": 1.0 if level else self._brightness,
         }
         return self._call(make_filter, level, None, images, numbers, f"filter of level {level}")
 

@@ -3,9 +3,10 @@
 A pixel of a level becomes a weighted mean of its noisy 5x5 neighbours, its filtered 3x3 neighbours and the 3x3 pixels
 of the level above around its parent. A learned weight is multiplied by the similarity of place, normal and lobe. Every
 pixel of the finest level has a source weight, by which it counts for others; a pixel of a higher level is the weighted
-mean of four. Sources: Bako et al. 2017, "Kernel-Predicting Convolutional Networks for Denoising Monte Carlo
-Renderings"; Vogels et al. 2018, "Denoising with Kernel Prediction and Asymmetric Loss Functions"; Balint et al. 2023,
-"Neural Partitioning Pyramids for Denoising Monte Carlo Renderings".
+mean of four. Light is divided by the albedo before, and multiplied by it after, as far as the network trusts the albedo
+of a pixel. Sources: Bako et al. 2017, "Kernel-Predicting Convolutional Networks for Denoising Monte Carlo Renderings";
+Vogels et al. 2018, "Denoising with Kernel Prediction and Asymmetric Loss Functions"; Balint et al. 2023, "Neural
+Partitioning Pyramids for Denoising Monte Carlo Renderings".
 """
 
 from __future__ import annotations
@@ -40,8 +41,8 @@ MAX_LOG_EXPONENT = 3.0
 """Largest natural logarithm of the exponent of a similarity."""
 MIN_SOURCE = 1e-3
 """Smallest source weight."""
-SOURCE_BIAS = 2.0
-"""Added before the logistic function, so that an untrained source weight is near 1."""
+SOURCE_BIAS, TRUST_BIAS = 2.0, 4.0
+"""Added before the logistic functions, so that an untrained source weight, or trust in the albedo, is near 1."""
 SUMS_OF_IMAGE = COLORS + 1
 """Weighted light and weight of the noisy image; the filtered image has as many."""
 FILTER_STRIP_ROWS, LOGITS_TOGETHER = 8, 8
@@ -54,18 +55,24 @@ def make_sums(target: hl.Target) -> Scheduled:
     signature = Signature("sums of the refining network")
     features = signature.image("features", "height", UNITS[0], "columns")
     light = signature.image("light", "height", 2 * COLORS, "width")
+    tint = signature.image("tint", "height", "width", COLORS)
     weights = signature.image("weights", WEIGHT_ROWS, BLOCK_OUTPUTS)
+    brightness = signature.number("brightness")
     signature.output("sums", "height", 2 * SUMS_OF_IMAGE, "columns")
 
     # Algorithm
     logits = _define_logits(features, weights, hl.i32(LAYERS["heads.0"].start))
-    light_near, sums = hl.Func("light_near"), hl.Func("sums")
-    light_near[X, C, Y] = light[clamp_likely(X, light.dim(0).extent()), C, Y]
+    light_near, tinted, sums = hl.Func("light_near"), hl.Func("tint_near"), hl.Func("sums")
+    x = clamp_likely(X, light.dim(0).extent())
+    light_near[X, C, Y], tinted[X, C, Y] = light[x, C, Y], tint[C, x, Y]
     values: list[hl.Expr] = []
     for number in range(2):
         logit = logits[X, HEAD.sources + number, Y] + hl.f32(SOURCE_BIAS)
         weight = hl.f32(MIN_SOURCE) + _compute_logistic(logit)
-        values += [weight * light_near[X, COLORS * number + k, Y] for k in range(COLORS)] + [weight]
+        for k in range(COLORS):
+            change = tinted[X, k, Y] / _bound_tint(tinted[X, k, Y], brightness, logits)
+            values.append(weight * change * light_near[X, COLORS * number + k, Y])
+        values.append(weight)
     sums[X, C, Y] = hl.mux(C, values)
 
     # Schedule
@@ -76,7 +83,8 @@ def make_sums(target: hl.Target) -> Scheduled:
         strip, vector = _spread_vectors(sums, 2 * SUMS_OF_IMAGE, lanes, hl.TailStrategy.RoundUp)
         logits.compute_at(sums, vector).reorder_storage(X, C, Y).reorder(X, C, Y).vectorize(X, lanes).unroll(C)
         logits.update().reorder(X, C, *logits.rvars(), Y).vectorize(X, lanes).unroll(C)
-        keep_copy(light_near, 2 * COLORS, (sums, strip), lanes)
+        for func, channels in ((light_near, 2 * COLORS), (tinted, COLORS)):
+            keep_copy(func, channels, (sums, strip), lanes)
     return Scheduled([sums], signature)
 
 
@@ -118,7 +126,7 @@ def make_filter(target: hl.Target) -> Scheduled:
     tint = signature.image("tint", "tint_height", "tint_width", COLORS)
     weights = signature.image("weights", WEIGHT_ROWS, BLOCK_OUTPUTS)
     start, width = signature.count("start", 0, WEIGHT_ROWS - 1), signature.count("width", 1)
-    has_above = signature.count("has_above", 0, 1)
+    has_above, brightness = signature.count("has_above", 0, 1), signature.number("brightness")
     signature.output("filtered", "height", "width", COLORS)
 
     # Algorithm
@@ -130,7 +138,7 @@ def make_filter(target: hl.Target) -> Scheduled:
     exponents = _define_exponents(logits)
     total = _define_total(logits, exponents, light, compared, larger)
     mean = hl.mux(C, [total[X, Y][k] / total[X, Y][COLORS] for k in range(COLORS)])
-    out[C, X, Y] = hl.min(mean * tinted[X, C, Y], hl.f32(LARGEST_FLOAT))
+    out[C, X, Y] = hl.min(mean * _bound_tint(tinted[X, C, Y], brightness, logits), hl.f32(LARGEST_FLOAT))
 
     # Schedule
     exponents.bound(C, 0, len(GROUPS))
@@ -185,6 +193,12 @@ def _compute_logistic(value: hl.Expr) -> hl.Expr:
     small = expressions.exp2(hl.f32(-expressions.LOG2_E) * hl.abs(value))
     high = hl.f32(1.0) / (hl.f32(1.0) + small)
     return hl.select(value >= hl.f32(0.0), high, small * high)
+
+
+def _bound_tint(tint: hl.Expr, brightness: hl.Expr, logits: hl.Func) -> hl.Expr:
+    """Return the tint, times the brightness of the image, as far as the network trusts it at a pixel."""
+    trust = _compute_logistic(logits[X, HEAD.trust, Y] + hl.f32(TRUST_BIAS))
+    return brightness + trust * (tint - brightness)
 
 
 def _define_total(logits: hl.Func, exponents: hl.Func, light: hl.Func, compared: hl.Func, larger: hl.Func) -> hl.Func:

@@ -98,6 +98,5 @@ def refine_image(
         lent[name] = take_image(name, there[name], (*size, channels) if channels else size)
     key = PlanesKey(known)
     numbers = {"brightness": brightness, "mean_log_depth": mean_log_depth, "noise_is_shared": float(shared)}
-    return RefiningNetwork(
-        weights, engine.kernel(key, partial(make_planes, key), lent, numbers, text="planes of the network")
-    ).run()
+    planes = engine.kernel(key, partial(make_planes, key), lent, numbers, text="planes of the network")
+    return RefiningNetwork(weights, planes, brightness).run()

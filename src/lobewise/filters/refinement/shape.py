@@ -33,16 +33,18 @@ class LogitPlaces(NamedTuple):
     coarse: int
     exponents: int
     sources: int
+    trust: int
     total: int
 
 
 def place_logits(level: int) -> LogitPlaces:
-    """Return where the outputs of a level's head are in the file. Only the finest level has source weights."""
+    """Return where the outputs of a level's head are in the file. Only the finest one has source weights and trust."""
     filtered = NOISY_SIDE**2
     coarse = filtered + FILTERED_SIDE**2
     exponents = coarse + (COARSE_SIDE**2 if level < LEVEL_COUNT - 1 else 0)
     sources = exponents + len(GROUPS)
-    return LogitPlaces(0, filtered, coarse, exponents, sources, sources + (2 if level == 0 else 0))
+    trust = sources + (2 if level == 0 else 0)
+    return LogitPlaces(0, filtered, coarse, exponents, sources, trust, trust + (1 if level == 0 else 0))
 
 
 HEAD = place_logits(0)
