@@ -38,9 +38,10 @@ def write_frame(folder: Path, seed: int, guides: str = "all", side: int = 32) ->
     for name, spread in (("noisy", 0.5), ("filtered", 0.1)):
         images[name] = (reference * rng.gamma(1.0 / spread, spread, (side, side, 3))).astype(np.float32)
     lobe = np.concatenate([images.pop("lobe_axis"), images.pop("lobe_sharpness")[..., None]], axis=-1)
-    known = {**images, "lobe": lobe, "rest": 0.1 * reference, "reference": 1.1 * reference, "peer": 1.2 * reference}
+    known = {**images, "lobe": lobe, "rest": 0.1 * reference, "reference": 1.1 * reference}
+    known |= {"peer": 1.2 * reference, "neural": 1.3 * reference}
     if guides == "color":
-        known = {name: known[name] for name in ("noisy", "filtered", "reference", "peer")}
+        known = {name: known[name] for name in ("noisy", "filtered", "reference", "peer", "neural")}
     known["shared"] = np.float32(1.0)
     write_arrays(folder / name_file(seed, 4, guides), {name: make_half(image) for name, image in known.items()})
 
@@ -213,7 +214,8 @@ def test_shared_samples_are_a_blur() -> None:
 def test_resident_crops_are_those_of_the_frames(
     program: Any, torch: Any, frames: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(program.refinement_resident, "CALMED_SHARE", 0.0)
+    for name in ("CALMED_SHARE", "SPOILED_SHARE"):
+        monkeypatch.setattr(program.refinement_batches, name, 0.0)
     torch.manual_seed(2)
     shown, _ = program.refinement.list_frames(frames)
     resident = program.refinement_resident.load_frames(shown, program.refinement.SHARES, torch.device("cpu"))
@@ -228,6 +230,24 @@ def test_resident_crops_are_those_of_the_frames(
     assert 0 < known.sum() < 64
     assert torch.isfinite(lengths).all()
     assert (lengths[~known] == 0).all()
+
+
+def test_spoiled_guides_are_noise_and_the_light_there_is_left_noisy(program: Any, torch: Any, frames: Path) -> None:
+    batches = program.refinement_batches
+    batch = batches.make_whole(batches.read_frame(frames / name_file(1, 4, "all")))
+    before = {name: torch.cat(8 * [image]) for name, image in batch.images.items()}
+    images = dict(before)
+    generator = torch.Generator().manual_seed(3)
+    for _ in range(4):
+        batches.spoil(images, generator)
+    spoiled = (images["normal"] != before["normal"]).any(dim=1, keepdim=True)
+    assert 0.0 < spoiled.float().mean() < 1.0
+    lengths = torch.linalg.norm(images["normal"], dim=1)[spoiled[:, 0]]
+    assert (lengths >= 1.0 - batches.MAX_SHORTER - 1e-5).all()
+    for name, unlike in (("depth", spoiled), ("filtered", spoiled | (before["normal"] == 0).all(dim=1, keepdim=True))):
+        assert (images[name] == before[name]).all(dim=1, keepdim=True)[~unlike].all()
+        assert (images[name] != before[name]).any(dim=1, keepdim=True)[spoiled].any()
+    assert all((images[name] == before[name]).all() for name in ("noisy", "reference", "albedo"))
 
 
 def test_windows_on_a_device_cover_larger_frames(program: Any, torch: Any, frames: Path) -> None:

@@ -43,6 +43,13 @@ CHANGE_DROPPED_SHARE = 0.2
 CALMED_SHARE, LEAST_NOISE = 0.3, 1.0 / 16.0
 """Share of the crops whose noise is made smaller, and the smallest factor: so calm is a frame of 256 times as many
 samples, whose reference would take hours."""
+SPOILED_SHARE, WHOLLY_SPOILED_SHARE = 0.2, 0.4
+"""Share of the crops whose guides are made noise in places, as where a lens blurs, in fog, in hair and in grass, and
+the share of these crops that are such a place from edge to edge."""
+SPOILED_PATCH_PIXELS, SPOILED_PATCHES = 16, 0.4
+"""Side of the squares that such places are made of, and how many of the squares are such places."""
+LOG_DEPTH_NOISE, MAX_SHORTER = 0.5, 0.7
+"""Standard deviation of the logarithm of a depth that is noise, and by how much a normal that is noise is shorter."""
 
 
 @dataclass(frozen=True)
@@ -102,15 +109,43 @@ def cut(stored: Stored, top: int, left: int, rows: int, columns: int) -> dict[st
     }
 
 
-def calm(images: dict[str, Array], rng: np.random.Generator) -> None:
-    """Make the noise of a crop smaller in place, and the error of the filtered light by less."""
-    noise = np.float32(LEAST_NOISE ** rng.random())
-    left = np.float32(noise ** rng.random())
-    reference = images["reference"]
-    images["noisy"] = reference + noise * (images["noisy"] - reference)
-    images["filtered"] = reference + left * (images["filtered"] - reference)
-    if "change" in images:
-        images["change"] = noise * images["change"]
+def calm(images: dict[str, Tensor], generator: torch.Generator | None = None) -> None:
+    """Make the noise of some crops of a batch smaller in place, and the error of the filtered light by less."""
+    chosen, exponents, shares = (_draw(images, generator) for _ in range(3))
+    noise = LEAST_NOISE ** (exponents * (chosen < CALMED_SHARE))
+    for name, left in (("noisy", noise), ("filtered", noise**shares)):
+        images[name] = images["reference"] + left * (images[name] - images["reference"])
+    images["change"] = noise * images["change"]
+
+
+def spoil(images: dict[str, Tensor], generator: torch.Generator | None = None) -> None:
+    """Make guides noise in places of some crops, in place; there a filter that compares guides leaves noise."""
+    chosen, wholly, left = (_draw(images, generator) for _ in range(3))
+    normal = images["normal"]
+    rows, columns = normal.shape[2:]
+    size = len(normal), 1, -(-rows // SPOILED_PATCH_PIXELS), -(-columns // SPOILED_PATCH_PIXELS)
+    coarse = torch.rand(size, generator=generator, device=normal.device) < SPOILED_PATCHES
+    near = torch.nn.functional.interpolate(coarse.float(), scale_factor=SPOILED_PATCH_PIXELS)[..., :rows, :columns] > 0
+    places = (near | (wholly < WHOLLY_SPOILED_SHARE)) & (chosen < SPOILED_SHARE)
+    surface = places & (normal.square().sum(dim=1, keepdim=True) > 0.0)
+
+    def draw_normal(like: Tensor) -> Tensor:
+        return torch.randn(like.shape, generator=generator, device=like.device)
+
+    # As a mean over the samples of a pixel, a normal is shorter than 1.
+    lengths = 1.0 - MAX_SHORTER * torch.rand(normal[:, :1].shape, generator=generator, device=normal.device)
+    axis, lobe = (torch.nn.functional.normalize(draw_normal(normal), dim=1) for _ in range(2))
+    images["normal"] = torch.where(surface, lengths * axis, normal)
+    images["lobe"] = torch.cat([torch.where(surface, lobe, images["lobe"][:, :3]), images["lobe"][:, 3:]], dim=1)
+    depth = images["depth"]
+    images["depth"] = torch.where(surface, torch.exp(LOG_DEPTH_NOISE * draw_normal(depth)) * depth, depth)
+    filtered = images["filtered"]
+    images["filtered"] = torch.where(places, filtered + left * (images["noisy"] - filtered), filtered)
+
+
+def _draw(images: dict[str, Tensor], generator: torch.Generator | None) -> Tensor:
+    """Return a number in [0, 1) for each crop."""
+    return torch.rand(len(images["noisy"]), 1, 1, 1, generator=generator, device=images["noisy"].device)
 
 
 def vary(images: dict[str, Array], rng: np.random.Generator) -> float:
@@ -118,8 +153,6 @@ def vary(images: dict[str, Array], rng: np.random.Generator) -> float:
     down, across, swapped = rng.random(3) < 0.5
     order, turn = rng.permutation(3), np.linalg.qr(rng.normal(size=(3, 3)))[0].astype(np.float32)
     factor = np.float32(np.exp(rng.normal(0.0, EXPOSURE_SPREAD)))
-    if rng.random() < CALMED_SHARE:
-        calm(images, rng)
     if "change" in images and rng.random() < CHANGE_DROPPED_SHARE:
         del images["change"]
     for name, image in images.items():
@@ -165,7 +198,10 @@ def draw_batch(paths: Sequence[Path], rng: np.random.Generator, most: int = CROP
         brightness = stored.brightness * factor * float(np.exp(rng.normal(0.0, BRIGHTNESS_SPREAD)))
         crops.append(images)
         numbers.append((brightness, stored.log_depth + float(rng.normal(0.0, LOG_DEPTH_SPREAD)), stored.shared))
-    return join(crops, numbers)
+    batch, generator = join(crops, numbers), torch.Generator().manual_seed(int(rng.integers(2**31)))
+    calm(batch.images, generator)
+    spoil(batch.images, generator)
+    return batch
 
 
 def make_whole(stored: Stored) -> Batch:

@@ -18,15 +18,15 @@ from torch import Tensor
 
 from benchmarks.training.refinement_batches import (
     BRIGHTNESS_SPREAD,
-    CALMED_SHARE,
     CHANGE_DROPPED_SHARE,
     CHANNELS,
     COLORS,
     EXPOSURE_SPREAD,
-    LEAST_NOISE,
     LIGHTS,
     LOG_DEPTH_SPREAD,
+    calm,
     read_frame,
+    spoil,
 )
 from benchmarks.training.refinement_model import Batch
 
@@ -120,13 +120,8 @@ def draw_resident(frames: ResidentFrames, count: int, side: int) -> Batch:
     kept = (torch.rand(count, 1, 1, 1, device=device) >= CHANGE_DROPPED_SHARE).float()
     known["change"] = known["change"] * kept
     images["change"] = images["change"] * kept
-    exponents = torch.rand(count, 1, 1, 1, device=device) * (torch.rand(count, 1, 1, 1, device=device) < CALMED_SHARE)
-    noise = LEAST_NOISE**exponents
-    left = noise ** torch.rand(count, 1, 1, 1, device=device)
-    reference = images["reference"]
-    for name, share in (("noisy", noise), ("filtered", left)):
-        images[name] = reference + share * (images[name] - reference)
-    images["change"] = noise * images["change"]
+    calm(images)
+    spoil(images)
     order = torch.rand(count, 3, device=device).argsort(dim=1).view(-1, 3, 1, 1).expand(-1, -1, side, side)
     factor = torch.exp(EXPOSURE_SPREAD * torch.randn(count, 1, 1, 1, device=device))
     for name in COLORS:
