@@ -38,10 +38,9 @@ def write_frame(folder: Path, seed: int, guides: str = "all", side: int = 32) ->
     for name, spread in (("noisy", 0.5), ("filtered", 0.1)):
         images[name] = (reference * rng.gamma(1.0 / spread, spread, (side, side, 3))).astype(np.float32)
     lobe = np.concatenate([images.pop("lobe_axis"), images.pop("lobe_sharpness")[..., None]], axis=-1)
-    known = {**images, "lobe": lobe, "rest": 0.1 * reference, "reference": 1.1 * reference}
-    known |= {"peer": 1.2 * reference, "neural": 1.3 * reference}
+    known = {**images, "lobe": lobe, "rest": 0.1 * reference, "reference": 1.1 * reference, "peer": 1.2 * reference}
     if guides == "color":
-        known = {name: known[name] for name in ("noisy", "filtered", "reference", "peer", "neural")}
+        known = {name: known[name] for name in ("noisy", "filtered", "reference", "peer")}
     known["shared"] = np.float32(1.0)
     write_arrays(folder / name_file(seed, 4, guides), {name: make_half(image) for name, image in known.items()})
 

@@ -207,16 +207,14 @@ def list_frames(folder: Path) -> tuple[dict[str, list[Path]], dict[str, list[Pat
     return shown, aside
 
 
-def take_step(
-    state: State, shown: dict[str, list[Path]], rate: float, *, seed: int, batch: int, side: int, neural: bool
-) -> float:
+def take_step(state: State, shown: dict[str, list[Path]], rate: float, *, seed: int, batch: int, side: int) -> float:
     """Train on some crops; return their loss, NaN where the step was left out."""
     # Every step has random numbers of its own, so that a run that goes on draws what it would have drawn.
     rng = np.random.default_rng([seed, state.steps])
     names = [name for name in SHARES if shown.get(name)]
     shares = np.array([SHARES[name] for name in names])
     drawn = rng.choice(len(names), batch, p=shares / shares.sum())
-    crops = draw_batch([shown[names[k]][rng.integers(len(shown[names[k]]))] for k in drawn], rng, side, neural=neural)
+    crops = draw_batch([shown[names[k]][rng.integers(len(shown[names[k]]))] for k in drawn], rng, side)
     for group in state.optimiser.param_groups:
         group["lr"] = rate
     images = crops.images
@@ -236,7 +234,7 @@ def take_step(
     return float(loss.detach())
 
 
-def measure_errors(network: RefiningNetwork, aside: dict[str, list[Path]], *, neural: bool = False) -> Errors:
+def measure_errors(network: RefiningNetwork, aside: dict[str, list[Path]]) -> Errors:
     """Return errors over the peer's by set of guides and samples, "before" for what the network starts from.
 
     They are geometric means over frames. "mean" is over all samples.
@@ -245,7 +243,7 @@ def measure_errors(network: RefiningNetwork, aside: dict[str, list[Path]], *, ne
     for guides, paths in sorted(aside.items()):
         count = min(len(paths), MAX_JUDGED)
         for path in (paths[k * len(paths) // count] for k in range(count)):
-            stored = read_frame.__wrapped__(path, neural=neural)
+            stored = read_frame.__wrapped__(path)
             batch = make_whole(stored)
             with torch.no_grad():
                 found = network(batch)[0]
@@ -266,11 +264,9 @@ def _measure(image: Tensor, reference: Tensor) -> float:
     return rel_mse(*(np.moveaxis(each.numpy(), 0, -1) for each in (image, reference)))
 
 
-def judge(
-    state: State, aside: dict[str, list[Path]], shown: dict[str, list[Path]], curve: Path, *, neural: bool = False
-) -> None:
+def judge(state: State, aside: dict[str, list[Path]], shown: dict[str, list[Path]], curve: Path) -> None:
     """Print the errors of the averaged weights on frames kept aside, and add them to the curve."""
-    errors = measure_errors(copy.deepcopy(state.average).cpu(), aside, neural=neural)
+    errors = measure_errors(copy.deepcopy(state.average).cpu(), aside)
     print(f"after {state.minutes:.1f} minutes, {state.steps} steps", flush=True)
     for guides, found in errors.items():
         print(f"  {guides:8}" + "".join(f" {key} {value:.2f}" for key, value in found.items()), flush=True)
@@ -296,10 +292,9 @@ def make_step(state: State, shown: dict[str, list[Path]], arguments: argparse.Na
             seed=arguments.seed,
             batch=arguments.batch,
             side=arguments.crop,
-            neural=arguments.neural,
         )
     shares, device = {name: SHARES[name] for name in shown}, torch.device(arguments.device)
-    frames = load_frames(shown, shares, device, neural=arguments.neural)
+    frames = load_frames(shown, shares, device)
     trainer = ResidentTrainer(state, frames, arguments.batch, arguments.crop)
     return lambda rate: float(trainer.take_step(rate, compute_averaging(state.steps + 1)))
 
@@ -330,12 +325,12 @@ def run(state: State, arguments: argparse.Namespace) -> None:
                 save_checkpoint(arguments.checkpoint, state)
             if spent - judged >= VALIDATION_MINUTES:
                 judged = spent
-                judge(state, aside, shown, arguments.curve, neural=arguments.neural)
+                judge(state, aside, shown, arguments.curve)
     finally:
         if losses:
             save_checkpoint(arguments.checkpoint, state)
     if losses:
-        judge(state, aside, shown, arguments.curve, neural=arguments.neural)
+        judge(state, aside, shown, arguments.curve)
 
 
 def parse_arguments(words: Sequence[str] | None = None) -> argparse.Namespace:
@@ -352,7 +347,6 @@ def parse_arguments(words: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--device", default="cpu", help="of PyTorch: cpu, or cuda with all frames in its memory")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--start", type=Path, help="exported weights to begin with, where there is no checkpoint")
-    parser.add_argument("--neural", action="store_true", help="refine images of Open Image Denoise, as of 'auto'")
     parser.add_argument("--no-guides", action="store_true", help="weights are learned alone")
     parser.add_argument("--curve", type=Path, default=CURVE, help="JSON that errors are added to")
     parser.add_argument("--mix", type=float, default=1.0, help="share of the new weights, beside those of --start")

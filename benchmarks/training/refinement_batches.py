@@ -76,8 +76,8 @@ def compute_mean_log_depth(depth: Array | None) -> float:
 
 
 @lru_cache(maxsize=KEPT_FRAMES)
-def read_frame(path: Path, *, neural: bool = False) -> Stored:
-    """Return the frame in a file; filtered by Open Image Denoise where ``neural``, else by "balanced"."""
+def read_frame(path: Path) -> Stored:
+    """Return the frame in a file."""
     told = parse_file_name(path)
     assert told is not None
     with np.load(path) as arrays:
@@ -92,9 +92,6 @@ def read_frame(path: Path, *, neural: bool = False) -> Stored:
         # The network reads all light; files have the light of lamps and of the sky apart.
         rest = images.pop("rest").astype(np.float32)
         images |= {name: make_half(images[name] + rest) for name in ("noisy", "filtered")}
-    other = images.pop("neural")
-    if neural:
-        images["filtered"] = other
     noisy = images["noisy"].astype(np.float32)
     depth = images["depth"].astype(np.float32) if "depth" in images else None
     return Stored(images, compute_brightness(noisy), compute_mean_log_depth(depth), shared, told[2], told[1])
@@ -186,11 +183,11 @@ def _column(values: Sequence[float]) -> Tensor:
     return torch.tensor(values, dtype=torch.float32).view(-1, 1, 1, 1)
 
 
-def draw_batch(paths: Sequence[Path], rng: np.random.Generator, most: int = CROP, *, neural: bool = False) -> Batch:
-    """Return a crop of each of some frames, of at most so many rows and columns; ``neural`` as of `read_frame`."""
+def draw_batch(paths: Sequence[Path], rng: np.random.Generator, most: int = CROP) -> Batch:
+    """Return a crop of each of some frames, of at most so many rows and columns."""
     crops, numbers = [], []
     for path in paths:
-        stored = read_frame(path, neural=neural)
+        stored = read_frame(path)
         rows, columns = stored.images["noisy"].shape[1:]
         side = min(most, rows, columns)
         images = cut(stored, int(rng.integers(rows - side + 1)), int(rng.integers(columns - side + 1)), side, side)

@@ -119,19 +119,16 @@ def filter_frame(frame: Frame) -> dict[str, FloatArray]:
     """Return what the refining network reads, and the light that is in no layer, by name."""
     from lobewise.denoising.automatic import resolve_all
     from lobewise.denoising.bad_pixels import mark_bad_pixels
-    from lobewise.denoising.chain import bound_samples, filter_halves
-    from lobewise.denoising.combining import denoise_with_peer
+    from lobewise.denoising.chain import filter_halves
     from lobewise.guides.usable import check_guides
     from lobewise.settings import DenoiseSettings
 
     settings = resolve_all(frame, DenoiseSettings(quality="balanced", with_oidn=False))
-    seen = frame.gbuffer
     frame = check_guides(frame).frame
     found = filter_halves(frame, settings, (), mark_bad_pixels(frame), None, None)
     inputs = collect_inputs(frame, found.noisy, found.parts)
     images = {each.name: getattr(inputs, each.name) for each in fields(RefinementInputs)}
-    neural = denoise_with_peer(frame, bound_samples(frame, found), found.image, seen)
-    images |= {"rest": found.rest, "lobe": compute_lobes(frame), "neural": neural}
+    images |= {"rest": found.rest, "lobe": compute_lobes(frame)}
     return {name: image for name, image in images.items() if image is not None}
 
 

@@ -63,15 +63,15 @@ class ResidentFrames:
 
 
 def load_frames(
-    shown: Mapping[str, Sequence[Path]], shares: Mapping[str, float], device: torch.device, *, neural: bool = False
+    shown: Mapping[str, Sequence[Path]], shares: Mapping[str, float], device: torch.device
 ) -> ResidentFrames:
-    """Return the frames of some files, by set of guides, in the memory of a device; ``neural`` as of `read_frame`.
+    """Return the frames of some files, by set of guides, in the memory of a device.
 
     All are cut to squares as large as the smallest frame allows; together they cover every frame.
     """
     pixels, known, numbers, weights = [], [], [], []
     total = sum(shares[guides] for guides in shown)
-    stored = {path: read_frame.__wrapped__(path, neural=neural) for paths in shown.values() for path in paths}
+    stored = {path: read_frame.__wrapped__(path) for paths in shown.values() for path in paths}
     side = min(min(each.images["noisy"].shape[1:]) for each in stored.values())
     for guides, paths in shown.items():
         for path in paths:
