@@ -52,7 +52,7 @@ def make_upsampling_figures(skies: dict[str, Any], measured: dict[str, Any]) -> 
 
 
 PAGES = {
-    "README.md": Source(users.make_readme_figures, ("users", "blender_shots")),
+    "README.md": Source(users.make_readme_figures, ("users", "blender_shots", "without_lobes")),
     "docs/bench.md": Source(bench.make_figures, ("startup",)),
     "docs/export.md": Source(exports.make_figures, ("pipelines", "chains")),
     "docs/farm.md": Source(farm.make_figures, ("farm",)),

@@ -156,9 +156,23 @@ def _average(ratios: Iterable[float]) -> float:
     return statistics.geometric_mean(list(ratios))
 
 
-def make_readme_figures(data: Mapping[str, Any], shots: Mapping[str, Any]) -> dict[str, str]:
+def make_readme_figures(
+    data: Mapping[str, Any], shots: Mapping[str, Any], without_lobes: Mapping[str, Any]
+) -> dict[str, str]:
     """Return the tables of README.md."""
-    return {"results": make_means(data), "blender-shots": make_means(shots)}
+    return {"results": make_means(data), "blender-shots": make_means(shots), "lobes": make_lobes(without_lobes)}
+
+
+def make_lobes(measured: Mapping[str, Any]) -> str:
+    """Return the errors of glossy pixels over those of filters that compare normals, by quality and sample count."""
+    counts = list(dict.fromkeys(name.split()[1] for name in measured["frames"]))
+    rows = [
+        [f"`{quality}`", *(f"{means[f'glossy, {spp} spp']:.2f}" for spp in counts), f"{means['glossy']:.2f}"]
+        for quality, means in measured["means"].items()
+    ]
+    scenes = len({name.split()[0] for name in measured["frames"]})
+    table = make_table(["filter", *(f"{spp} spp" for spp in counts), "all"], rows)
+    return f"{table}\n\n{scenes} scenes; {describe_run(measured)}."
 
 
 def make_means(data: Mapping[str, Any]) -> str:
