@@ -117,6 +117,14 @@ def make_refinement_figures(trials: dict[str, Any]) -> dict[str, str]:
         [name, f"{row['before']:.2f}", f"{row['after']:.2f}"]
         for name, row in trials["less work"]["trained on frames of Blender"]["rows"].items()
     ]
+    more, keys = trials["more of Blender"], ("all", "largest", "plain", "color", "built-in")
+    tries = {
+        name: [[tried, *(f"{row[key]:.2f}" if key in row else "" for key in keys)] for tried, row in more[name].items()]
+        for name in ("high", "auto")
+    }
+    drawn = more["residual"]
+    residual = [[name, f"{value:.2f}", f"{drawn['with'][name]:.2f}"] for name, value in drawn["without"].items()]
+    header = ["all guides", "largest", "plain", "color", "built-in scenes"]
     facts = {"Training steps of each network": trials["steps"], "Training files": trials["frames"]}
     return {
         "similarities-run": list_facts(facts),
@@ -126,5 +134,8 @@ def make_refinement_figures(trials: dict[str, Any]) -> dict[str, str]:
         "less": make_table(["`high`", "shots of Blender", "largest", "public interiors", "built-in scenes"], less),
         "less-shares": make_table(["part of `high`", "share of its time"], [[*pair] for pair in shares.items()]),
         "less-trained": make_table(["frames, two smaller passes", "before", "after"], blender),
+        "more-high": make_table(["weights of `high`", *header], tries["high"]),
+        "more-auto": make_table(["`auto`", *header[:-1]], [row[:-1] for row in tries["auto"]]),
+        "more-residual": make_table(["frames kept aside", "without", "with"], residual),
         "time": make_table(["method", "seconds"], [[name, f"{value:.1f}"] for name, value in seconds.items()]),
     }
