@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import struct
+import time
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,7 @@ from renderers import CAMERA, HEIGHT, WIDTH, WRITERS, make_scene, to_camera, wri
 
 from lobewise.camera import Camera
 from lobewise.errors import FileError, InputError
+from lobewise.interchange.cameras import usd, usd_stage
 from lobewise.interchange.cameras.files import read_camera_file
 from lobewise.interchange.cameras.fitting import fit_any_camera, fit_orthographic
 from lobewise.interchange.reading import import_file
@@ -196,8 +199,14 @@ def test_camera_of_gltf(binary: bool, tmp_path: Path) -> None:
     require_same_view(read_camera_file(write_gltf(tmp_path, binary=binary)), CAMERA)
 
 
-def test_camera_of_usd(tmp_path: Path) -> None:
+@pytest.fixture
+def needs_usd() -> None:
+    """Skip where no stage can be read."""
     pytest.importorskip("pxr", reason="usd-core is not installed")
+
+
+@pytest.mark.usefixtures("needs_usd")
+def test_camera_of_usd(tmp_path: Path) -> None:
     require_same_view(read_camera_file(write_usd(tmp_path)), SHIFTED)
     (tmp_path / "empty.usda").write_text("#usda 1.0\n")
     with pytest.raises(InputError, match="expected a camera"):
@@ -205,6 +214,88 @@ def test_camera_of_usd(tmp_path: Path) -> None:
     (tmp_path / "broken.usda").write_text("#usda 1.0\ndef {")
     with pytest.raises(FileError, match="USD stage"):
         read_camera_file(tmp_path / "broken.usda")
+
+
+def write_stage(path: Path, *layers: str) -> Path:
+    """Write a root layer that has other layers below it."""
+    path.write_text(f"#usda 1.0\n(subLayers = [{', '.join(f'@{layer}@' for layer in layers)}])\n")
+    return path
+
+
+@pytest.mark.usefixtures("needs_usd")
+def test_camera_in_a_layer_below_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "layers"
+    folder.mkdir()
+    write_usd(folder)
+    (folder / "broken.usda").write_text("#usda 1.0\ndef {")
+    write_stage(tmp_path / "shot.usda", "layers/broken.usda", "layers/camera.usda", "missing.usda")
+    monkeypatch.chdir(tmp_path)
+    require_same_view(read_camera_file("shot.usda"), SHIFTED)
+
+
+@pytest.mark.usefixtures("needs_usd")
+@pytest.mark.parametrize("arc", ["sublayer", "reference", "expression", "link", "layer of a layer"])
+def test_a_layer_of_usd_outside_the_folder_is_refused(arc: str, tmp_path: Path) -> None:
+    write_usd(tmp_path)
+    folder = tmp_path / "shot"
+    folder.mkdir()
+    path = write_stage(folder / "shot.usda", "../camera.usda")
+    if arc == "reference":
+        path.write_text('#usda 1.0\ndef "cam" (references = @../camera.usda@</set>) {}\n')
+    elif arc == "expression":
+        path.write_text("""#usda 1.0\n(subLayers = [@`'../camera.usda'`@])\n""")
+    elif arc == "link":
+        (folder / "camera.usda").symlink_to(tmp_path / "camera.usda")
+        write_stage(path, "camera.usda")
+    elif arc == "layer of a layer":
+        path.rename(folder / "lower.usda")
+        write_stage(path, "lower.usda")
+    with pytest.raises(InputError, match=r"shot\.usda'.* expected layers that are plain files in the folder .*outside"):
+        read_camera_file(path)
+
+
+needs_pipes = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+
+
+@pytest.mark.usefixtures("needs_usd")
+@needs_pipes
+def test_a_pipe_as_layer_of_usd_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.usda")
+    begin = time.monotonic()
+    with pytest.raises(InputError, match=r"expected layers that are plain files .*pipe"):
+        read_camera_file(write_stage(tmp_path / "shot.usda", "pipe.usda"))
+    assert time.monotonic() - begin < usd_stage.MAX_SECONDS
+
+
+@pytest.mark.usefixtures("needs_usd")
+@needs_pipes
+def test_a_pipe_as_layer_of_usd_that_no_check_sees_ends_in_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """OpenUSD alone evaluates expressions in paths, and waits for the pipe."""
+    monkeypatch.setattr(usd, "MAX_SECONDS", 3)
+    os.mkfifo(tmp_path / "pipe.usda")
+    (tmp_path / "shot.usda").write_text("""#usda 1.0\n(subLayers = [@`'pipe.usda'`@])\n""")
+    with pytest.raises(InputError, match=r"reads within 3 s and 2 GiB, got one that takes longer"):
+        read_camera_file(tmp_path / "shot.usda")
+
+
+@pytest.mark.usefixtures("needs_usd")
+def test_a_stage_of_a_thousand_million_prims_is_refused(tmp_path: Path) -> None:
+    levels = [
+        f'def "L{level}" {{\n'
+        + "".join(f'def "c{child}" (references = </L{level - 1}>) {{}}\n' for child in range(10) if level)
+        + "}\n"
+        for level in range(10)
+    ]
+    path = tmp_path / "huge.usda"
+    path.write_text("#usda 1.0\n" + "".join(levels))
+    assert path.stat().st_size < 5600
+    begin = time.monotonic()
+    with pytest.raises(InputError, match=r"a stage that OpenUSD reads within 20 s and 2 GiB"):
+        read_camera_file(path)
+    # A busy machine ends the process late.
+    assert time.monotonic() - begin < usd.MAX_SECONDS + 10
 
 
 MITSUBA = """<scene version="3.0.0"><default name="w" value="48"/><sensor type="perspective">

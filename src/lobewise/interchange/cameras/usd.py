@@ -2,64 +2,95 @@
 
 from __future__ import annotations
 
+import importlib.util
+import json
 import math
+import os
+import subprocess
+import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+import lobewise
 from lobewise.camera import Camera
 from lobewise.errors import FileError, InputError, MissingDependencyError
+from lobewise.interchange.cameras.usd_stage import MAX_BYTES, MAX_SECONDS
 from lobewise.io.files import require_readable
+
+PROGRAM = "lobewise.interchange.cameras.usd_stage"
 
 
 def read_usd_camera(path: Path) -> Camera:
     """Return the first camera of a stage, at the first time of the stage.
+
+    A process of its own reads the stage, within `MAX_SECONDS` and `MAX_BYTES`. Every layer must be a plain file in the
+    folder of the stage's root layer, or in a folder below it.
 
     Raises
     ------
     FileError
         If the file cannot be read.
     InputError
-        If the file has no camera, or its first camera is no pinhole.
+        If the file has no camera, its first camera is no pinhole, a layer lies elsewhere, or reading takes too long or
+        too much memory.
     MissingDependencyError
         If OpenUSD is not installed.
     """
-    try:
-        from pxr import Gf, Tf, Usd, UsdGeom
-    except ImportError as problem:
+    if importlib.util.find_spec("pxr") is None:
         raise MissingDependencyError(
             "Cameras of USD files need OpenUSD: pip install 'lobewise[usd]', or write the camera as JSON."
-        ) from problem
+        )
     what = f"camera {str(path)!r}"
     require_readable(path, what="camera", holds="a USD stage")
-    try:
-        stage = Usd.Stage.Open(str(path))
-        prims = [prim for prim in stage.Traverse() if prim.IsA(UsdGeom.Camera)]
-        if not prims:
-            raise InputError(what, expected="a camera", got="none", action="export cameras as well")
-        # OpenUSD reads values, and raises errors about them, only on access.
-        time = stage.GetStartTimeCode() if stage.HasAuthoredTimeCodeRange() else Usd.TimeCode.Default()
-        camera: Any = UsdGeom.Camera(prims[0]).GetCamera(time)
-    except Tf.ErrorException as problem:
-        raise FileError(
-            what, expected="a USD stage", got="none that can be read", action="export it again"
-        ) from problem
-    if camera.projection != Gf.Camera.Perspective:
-        raise InputError(what, expected="a perspective camera", got="an orthographic one", action="render with one")
-    frustum = camera.frustum
-    # The window lies on the plane at distance 1.
-    low, high = (np.array(corner) for corner in (frustum.window.min, frustum.window.max))
+    answer = json.loads(_run_reader(path, what))
+    if "error" in answer:
+        raise {"FileError": FileError, "InputError": InputError}[answer["error"]](answer["sentence"])
+    found = {name: np.array(values, dtype=np.float64) for name, values in answer["camera"].items()}
+    low, high = found["low"], found["high"]
     if not np.isfinite([low, high]).all():
         raise InputError(
             what, expected="a finite aperture and focal length", got=f"a window from {low} to {high}", action="check it"
         )
     half, middle = 0.5 * (high - low), 0.5 * (high + low)
     return Camera(
-        np.array(frustum.position),
-        np.array(frustum.ComputeViewDirection()),
-        np.array(frustum.ComputeUpVector()),
+        found["position"],
+        found["forward"],
+        found["up"],
         2.0 * math.atan(half[1]),
         2.0 * math.atan(half[0]),
         (float(middle[0]), float(middle[1])),
+    )
+
+
+def _run_reader(path: Path, what: str) -> bytes:
+    """Return the last line that the reading process prints, a JSON document."""
+    settings = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path)),
+        # Each thread of OpenUSD takes 64 MiB of address space, which is limited.
+        "PXR_WORK_THREAD_LIMIT": "1",
+    }
+    got = "one that needs more, or that is damaged"
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", PROGRAM, os.getcwd(), path],
+            # "-m" imports from this folder first: it must not be one of the user's.
+            cwd=Path(lobewise.__file__).parents[1],
+            env=settings,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            timeout=MAX_SECONDS,
+            check=False,
+        )
+        if done.returncode == 0:
+            return done.stdout.splitlines()[-1]
+    except subprocess.TimeoutExpired:
+        got = "one that takes longer"
+    raise InputError(
+        what,
+        expected=f"a stage that OpenUSD reads within {MAX_SECONDS} s and {MAX_BYTES >> 30} GiB",
+        got=got,
+        action="export the camera alone, into one file",
     )
