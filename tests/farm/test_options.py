@@ -41,6 +41,7 @@ def fail(capsys: pytest.CaptureFixture[str], *words: str) -> str:
         (["in.#.exr", "--memory-per-worker", "8GB"], "--memory-per-worker: expected --workers or --farm beside it"),
         (["in.#.exr", "--workers", "2", "--memory-per-worker", "8"], "expected a size of at least 1GiB"),
         (["in.#.exr", "--workers", "2", "--memory-per-worker", "100MB"], "expected a size of at least 1GiB"),
+        (["in.#.exr", "--insecure"], "--insecure: expected --farm beside it"),
         (["in.1.exr", "--workers", "2"], "--workers: expected a sequence such as 'in.####.exr', got 'in.1.exr'"),
         (["in.1.exr", "--farm", "tcp://a:1"], "--farm: expected a sequence such as 'in.####.exr', got 'in.1.exr'"),
     ],
@@ -66,15 +67,41 @@ def test_a_scheduler_that_does_not_answer(
 ) -> None:
     monkeypatch.setattr(connection, "CONNECT_SECONDS", 0.5)
     told = fail(capsys, "in.#.exr", "-o", "out.#.exr", "--farm", "tcp://127.0.0.1:9")
-    assert told.startswith("lobewise: --farm: expected a Dask scheduler at tcp://127.0.0.1:9, got no answer within")
+    assert told.startswith("lobewise: --farm: expected a Dask scheduler at tcp://127.0.0.1:9, got no answer of Dask")
     assert told.count("\n") == 1
     assert sorted(path.name for path in folder.iterdir()) == ["in.1.exr"]
 
 
 @pytest.mark.usefixtures("dask")
 def test_an_address_that_is_none(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    told = fail(capsys, "in.#.exr", "-o", "out.#.exr", "--farm", "ftp://a")
-    assert told.startswith("lobewise: --farm: expected the address of a Dask scheduler, such as tcp://host:8786, got")
+    told = fail(capsys, "in.#.exr", "-o", "out.#.exr", "--farm", "ftp://localhost")
+    assert told.startswith("lobewise: --farm: expected the address of a Dask scheduler, such as tls://host:8786, got")
+
+
+@pytest.mark.parametrize(
+    "address", ["tcp://host:8786", "host:8786", "tcp://10.0.0.7:1", "ws://[2001:db8::1]:1", "tcp://["]
+)
+def test_another_machine_needs_tls_or_a_word(address: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    told = fail(capsys, "in.#.exr", "-o", "out.#.exr", "--farm", address)
+    assert told == (
+        "lobewise: --farm: expected an address that begins with tls://, or one of this machine, got "
+        f"{address!r}; give Dask certificates, or add --insecure in a network that strangers cannot reach.\n"
+    )
+
+
+@pytest.mark.parametrize(
+    "address", ["tls://host:8786", "wss://host:1", "tcp://127.0.0.1:8786", "localhost:8786", "tcp://[::1]:1"]
+)
+def test_tls_and_this_machine_are_secure(address: str) -> None:
+    connection.require_secure(address)
+
+
+@pytest.mark.usefixtures("dask")
+def test_insecure_is_tried(folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connection, "CONNECT_SECONDS", 0.5)
+    # This address is reserved for documentation: nothing answers.
+    words = ["--farm", "tcp://192.0.2.1:8786", "--insecure"]
+    assert "got no answer of Dask" in fail(capsys, "in.#.exr", "-o", "out.#.exr", *words)
 
 
 def test_sizes_of_memory() -> None:

@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
+import asyncio
 import atexit
+import ipaddress
 import logging
 import queue
 import signal
 import sys
+import threading
 import time
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
 from typing import Any
+from urllib.parse import urlsplit
 
 from lobewise.chunks import count_cores
 from lobewise.errors import InputError, LobewiseError, MissingDependencyError
 
-CONNECT_SECONDS = 10.0
-"""Longest time to reach a scheduler at the start, seconds."""
+CONNECT_SECONDS = 7.0
+"""Longest time to reach a scheduler and to get its first answers, seconds. With the program's start and end this stays
+below 10 s."""
+ANSWER_SECONDS = 20.0
+"""Longest time to ask a connected scheduler for its workers, seconds."""
+SECURE_PROTOCOLS = ("tls", "wss")
+"""Protocols of Dask that encrypt and that check the certificates of both sides."""
 START_SECONDS = 120.0
 """Longest time for a worker of this machine to start, seconds."""
 RESULT_SECONDS = 20.0
@@ -105,7 +114,9 @@ class Connection:
     Parameters
     ----------
     address : str
-        Such as ``tcp://host:8786``.
+        Such as ``tls://host:8786``.
+    loop : object
+        Dask's event loop, which runs in a thread of its own.
     security : object, optional
         Dask's certificates; by default those of its settings.
 
@@ -117,38 +128,62 @@ class Connection:
         If the scheduler does not answer within `CONNECT_SECONDS`.
     """
 
-    def __init__(self, address: str, security: Any = None) -> None:
+    def __init__(self, address: str, loop: Any, security: Any = None) -> None:
         self.address = address
+        self._loop = loop
         self._security = security
         self._finished: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._client = self._open(CONNECT_SECONDS)
 
     def _open(self, seconds: float) -> Any:
-        from distributed import Client
+        from distributed.comm.addressing import parse_address
+        from distributed.comm.registry import get_backend
+        from distributed.utils import sync
 
         try:
-            return Client(self.address, security=self._security, timeout=seconds, set_as_default=False, name="lobewise")
+            get_backend(parse_address(self.address)[0]).get_address_host(parse_address(self.address)[1])
         except ValueError as problem:
             raise InputError(
                 "--farm",
-                expected="the address of a Dask scheduler, such as tcp://host:8786",
+                expected="the address of a Dask scheduler, such as tls://host:8786",
                 got=repr(self.address),
                 action=f"mend it ({' '.join(str(problem).split())})",
             ) from None
+        try:
+            return sync(self._loop, self._make_client, seconds, callback_timeout=seconds + CLOSE_SECONDS)
         except Exception as problem:
             raise LobewiseError(
                 "--farm",
                 expected=f"a Dask scheduler at {self.address}",
-                got=f"no answer within {seconds:.0f} s ({type(problem).__name__})",
-                action="start it with 'dask scheduler', or check address and firewall",
+                got=f"no answer of Dask within {seconds:g} s ({type(problem).__name__})",
+                action="start it with 'dask scheduler', or check address, certificates and firewall",
             ) from None
+
+    async def _make_client(self, seconds: float) -> Any:
+        """Return a client that the scheduler has greeted. Dask itself waits for the greeting without end."""
+        from distributed import Client
+
+        client = Client(
+            self.address,
+            security=self._security,
+            timeout=seconds,
+            set_as_default=False,
+            name="lobewise",
+            asynchronous=True,
+        )
+        try:
+            return await asyncio.wait_for(client, seconds)
+        except BaseException:
+            with suppress(Exception):
+                await client.close(timeout=1.0)
+            raise
 
     def list_workers(self) -> dict[str, int]:
         """Return the threads of each worker by its address; raise `ConnectionLostError` if the scheduler is gone."""
         if self._client.status != "running":
             raise ConnectionLostError
         try:
-            return dict(self._client.nthreads())
+            return dict(self._client.sync(self._client.scheduler.ncores, callback_timeout=ANSWER_SECONDS))
         except Exception as problem:
             raise ConnectionLostError from problem
 
@@ -206,12 +241,32 @@ class Connection:
             self._client.close(timeout=CLOSE_SECONDS)
 
 
+def require_secure(address: str) -> None:
+    """Raise InputError if messages to an address would leave this machine unencrypted.
+
+    Dask's messages are programs: whoever can answer in the scheduler's place runs programs here.
+    """
+    protocol, _, place = address.rpartition("://")
+    try:
+        host = urlsplit(f"//{place}").hostname or ""
+        is_local = host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        is_local = False
+    if protocol not in SECURE_PROTOCOLS and not is_local:
+        raise InputError(
+            "--farm",
+            expected="an address that begins with tls://, or one of this machine",
+            got=repr(address),
+            action="give Dask certificates, or add --insecure in a network that strangers cannot reach",
+        )
+
+
 @contextmanager
 def connect(address: str) -> Iterator[Connection]:
     """Connect to a scheduler that runs already; see `Connection` for the errors."""
     require_distributed()
-    with _silence():
-        connection = Connection(address)
+    with _silence(), _run_loop() as loop:
+        connection = Connection(address, loop)
         try:
             yield connection
         finally:
@@ -244,6 +299,8 @@ def start_local(workers: int, *, memory_bytes: int) -> Iterator[Connection]:
 
     security = Security.temporary()
     threads = max(count_cores() // workers, 1)
+    # Start multiprocessing's helper now: a thread that starts it hears Ctrl-C afterwards.
+    resource_tracker.ensure_running()
     with _silence(), dask.config.set(LOCAL_SETTINGS), _run_loop() as loop:
         try:
             cluster = LocalCluster(
@@ -267,7 +324,7 @@ def start_local(workers: int, *, memory_bytes: int) -> Iterator[Connection]:
                 action="ask for fewer, or look for what hinders a new process",
             ) from problem
         try:
-            connection = Connection(cluster.scheduler_address, security)
+            connection = Connection(cluster.scheduler_address, loop, security)
             try:
                 yield connection
             finally:
@@ -300,24 +357,32 @@ def _run_loop() -> Iterator[Any]:
     """Run Dask's event loop in a thread that is deaf to Ctrl-C, and so are the workers that it starts.
 
     A terminal sends Ctrl-C to every process of a command. A worker would print a traceback; the client ends it anyway.
+    Dask leaves a loop alone that others have started: it ends here, whatever a client still waits for.
     """
-    from distributed.utils import LoopRunner
+    from tornado.ioloop import IOLoop
 
-    runner = LoopRunner()
-    # Start multiprocessing's helper now: a thread that starts it hears Ctrl-C afterwards.
-    resource_tracker.ensure_running()
+    begun: queue.SimpleQueue[tuple[IOLoop, asyncio.Event]] = queue.SimpleQueue()
+
+    async def wait_for_end() -> None:
+        end = asyncio.Event()
+        begun.put((IOLoop.current(), end))
+        await end.wait()
+
+    thread = threading.Thread(target=lambda: asyncio.run(wait_for_end()), name="farm", daemon=True)
     # A new thread, and every process that it starts, has the mask of the thread that made it. Windows has no masks.
     mask = getattr(signal, "pthread_sigmask", None)
     before = mask(signal.SIG_BLOCK, {signal.SIGINT}) if mask else set()
     try:
-        runner.start()
+        thread.start()
+        loop, end = begun.get()
     finally:
         if mask:
             mask(signal.SIG_SETMASK, before)
     try:
-        yield runner._loop
+        yield loop
     finally:
-        runner.stop()
+        loop.add_callback(end.set)
+        thread.join(CLOSE_SECONDS)
 
 
 @contextmanager

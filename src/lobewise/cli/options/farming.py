@@ -30,11 +30,19 @@ class Farm:
         sequence_detail(
             "--farm",
             metavar="ADDRESS",
-            help="Send the frames of a sequence to the workers of a Dask scheduler, such as tcp://host:8786. Every "
+            help="Send the frames of a sequence to the workers of a Dask scheduler, such as tls://host:8786. Every "
             "machine must see the files by the same paths.",
             show_default=False,
         ),
     ] = None
+    insecure: Annotated[
+        bool,
+        sequence_detail(
+            "--insecure",
+            help="With --farm: allow another machine's scheduler without TLS. Whoever reaches that network can run "
+            "programs here.",
+        ),
+    ] = False
     workers: Annotated[
         int | None,
         sequence_option("--workers", metavar="N", help="Filter N frames at once, in N processes.", show_default=False),
@@ -71,6 +79,8 @@ class Farm:
                 got="neither",
                 action="add one of them",
             )
+        if self.insecure and self.farm is None:
+            raise InputError("--insecure", expected="--farm beside it", got="no address", action="leave it out")
         if not self.is_wanted:
             return
         if self.farm is not None and self.workers is not None:
@@ -94,6 +104,10 @@ class Farm:
                 got=repr(str(source)),
                 action="put # in place of the digits of the number, and quote the name",
             )
+        if self.farm is not None and not self.insecure:
+            from lobewise.farm.connection import require_secure
+
+            require_secure(self.farm)
 
     def open(self) -> AbstractContextManager[Connection]:
         """Return the connection to the workers; see `lobewise.farm.connection` for the errors."""

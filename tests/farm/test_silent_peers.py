@@ -1,0 +1,110 @@
+"""A peer that is silent, mad or stopped instead of a scheduler: one sentence, in time, and nothing left behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, suppress
+from pathlib import Path
+
+import pytest
+
+from lobewise.errors import LobewiseError
+from lobewise.farm import connection
+from tests.farm.processes import MAX_SECONDS, Farm, count_outputs, start_program, wait_until
+
+MAX_SECONDS_TO_REFUSE = 10.0
+
+
+def answer_strangers(listener: socket.socket, answer: bytes) -> None:
+    """Send an answer to everyone who connects, and keep the connections open until the listener is closed."""
+    with ExitStack() as open_ones, suppress(OSError):
+        while True:
+            stranger = open_ones.enter_context(listener.accept()[0])
+            stranger.sendall(answer)
+
+
+@pytest.fixture
+def peer(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
+    """Return the address of a peer that is no scheduler, or one that is stopped."""
+    if request.param == "stopped":
+        with Farm(tmp_path, workers=0) as farm:
+            with connection.connect(farm.address):
+                pass
+            farm.scheduler.send_signal(signal.SIGSTOP)
+            yield farm.address
+        return
+    answers = {
+        "silent": b"",
+        "mad": bytes(range(255, 0, -1)),
+        # A count of parts that no message has.
+        "many parts": (1 << 35).to_bytes(8, "little"),
+        "deaf": b"",
+    }
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        if request.param != "deaf":
+            words = (listener, answers[request.param])
+            threading.Thread(target=answer_strangers, args=words, daemon=True).start()
+        yield f"tcp://127.0.0.1:{listener.getsockname()[1]}"
+        with suppress(OSError):
+            listener.shutdown(socket.SHUT_RDWR)
+
+
+PEERS = ["silent", "deaf", "mad", "many parts", "stopped"]
+
+
+@pytest.mark.usefixtures("dask")
+@pytest.mark.parametrize("peer", PEERS, indirect=True)
+def test_a_peer_that_is_no_scheduler_ends_the_run_in_time(peer: str, sources: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "outputs"
+    folder.mkdir()
+    begin = time.monotonic()
+    program = start_program(sources, folder, "--farm", peer)
+    _, told = program.communicate(timeout=60.0)
+    # Leave a busy machine some seconds to start the program.
+    assert time.monotonic() - begin < MAX_SECONDS_TO_REFUSE + 5.0
+    assert program.returncode == 2
+    missing, refusal = told.splitlines()
+    assert missing == "Frames 13 to 20 of 1 to 32 are missing."
+    refused = f"lobewise: --farm: expected a Dask scheduler at {peer}, got no answer of Dask within 7 s"
+    assert refusal.startswith(refused)
+    with pytest.raises(ProcessLookupError):
+        os.killpg(program.pid, 0)
+    assert list(folder.iterdir()) == []
+
+
+@pytest.mark.usefixtures("dask")
+@pytest.mark.parametrize("peer", PEERS, indirect=True)
+def test_a_peer_that_is_no_scheduler_leaves_no_thread(peer: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connection, "CONNECT_SECONDS", 1.0)
+    before = set(threading.enumerate())
+    begin = time.monotonic()
+    with pytest.raises(LobewiseError, match="no answer of Dask"), connection.connect(peer):
+        pass
+    assert time.monotonic() - begin < MAX_SECONDS_TO_REFUSE
+    assert set(threading.enumerate()) <= before
+
+
+@pytest.mark.nightly
+def test_a_scheduler_that_is_stopped_and_goes_on(
+    sources: Path, farm: Farm, expected: dict[str, bytes], tmp_path: Path
+) -> None:
+    """A run notices a scheduler that is silent in the middle, tries to connect again, and ends well."""
+    folder = tmp_path / "outputs"
+    folder.mkdir()
+    program = start_program(sources, folder, "--farm", farm.address)
+    wait_until(lambda: count_outputs(folder) >= 2)
+    farm.scheduler.send_signal(signal.SIGSTOP)
+    assert program.stderr is not None
+    ending = threading.Timer(MAX_SECONDS, program.kill)
+    ending.start()
+    assert any("does not answer; waiting for it to come back" in line for line in program.stderr)
+    farm.scheduler.send_signal(signal.SIGCONT)
+    _, told = program.communicate()
+    ending.cancel()
+    assert program.returncode == 0, told
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == expected
