@@ -48,6 +48,9 @@ LOCAL_SETTINGS = {
     "distributed.admin.tick.interval": "500ms",
     "distributed.admin.system-monitor.interval": "5s",
     "distributed.admin.system-monitor.gil.enabled": False,
+    # Dask serves pages over HTTP without a password. It has no switch for that: have no pages, and stop the servers.
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
 }
 
 
@@ -310,6 +313,8 @@ def start_local(workers: int, *, memory_bytes: int) -> Iterator[Connection]:
                 memory_limit=memory_bytes,
                 death_timeout=START_SECONDS,
                 dashboard_address=None,
+                # Any free port: Dask warns where its usual one is taken.
+                scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
                 protocol="tls://",
                 security=security,
                 loop=loop,
@@ -323,6 +328,8 @@ def start_local(workers: int, *, memory_bytes: int) -> Iterator[Connection]:
                 got=f"{type(problem).__name__}: {problem}",
                 action="ask for fewer, or look for what hinders a new process",
             ) from problem
+        # The server's sockets belong to the loop's thread.
+        loop.add_callback(cluster.scheduler.http_server.stop)
         try:
             connection = Connection(cluster.scheduler_address, loop, security)
             try:

@@ -29,9 +29,10 @@ M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
 """Numbers of glibc's parameters in ``malloc.h``."""
 
 
-def dask_setup(_: Any) -> None:
+def dask_setup(worker: Any) -> None:
     """Prepare a worker of this machine. Dask calls this function of `lobewise.farm.connection.PRELOAD` there alone."""
     hush_libraries()
+    worker.http_server.stop()
 
 
 def describe_worker(folder: Path, token: str, source: Path, size: int, with_oidn: bool) -> tuple[dict[str, str], str]:
