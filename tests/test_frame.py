@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,10 @@ import pytest
 from lobewise.camera import Camera
 from lobewise.errors import InputError
 from lobewise.frame import Frame, GBuffer, Radiance, Result
-from lobewise.sparse_frame import make_sparse
+from lobewise.images import make_read_only
+from lobewise.io import read_frame, write_frame
+from lobewise.radiance import RadianceLayer
+from lobewise.sparse_frame import Rays, make_sparse
 
 
 def make_camera(**changes: Any) -> Camera:
@@ -166,3 +170,51 @@ def test_pictures_are_no_radiance(kind: type) -> None:
         Radiance(picture)
     # Guides may be counted: kinds of lobes, materials.
     assert GBuffer(lobe_kind=picture[..., 0]).lobe_kind is not None
+
+
+def make_writeable() -> np.ndarray[Any, np.dtype[np.float32]]:
+    return np.ones((4, 5, 3), np.float32)
+
+
+@pytest.mark.parametrize(
+    "keep",
+    [
+        lambda image: Radiance(image).color,
+        lambda image: GBuffer(normal=image).normal,
+        lambda image: RadianceLayer("coat", "coat", make_writeable(), parts={"sun": image}).parts["sun"],
+        lambda image: Frame(Radiance(make_writeable()), also={"sun": image}).also["sun"],
+        lambda image: Rays(np.ones((4, 5)), image).direction,
+    ],
+)
+def test_what_was_checked_cannot_be_changed(keep: Any) -> None:
+    image = make_writeable()
+    looked_at = image.view()
+    looked_at.flags.writeable = False
+    buffer = bytearray(make_writeable().tobytes())
+    over_a_buffer = np.frombuffer(buffer, np.float32).reshape(4, 5, 3)
+    over_a_buffer.flags.writeable = False
+    kept = [keep(image), keep(looked_at), keep(over_a_buffer)]
+    image[:] = np.nan
+    buffer[:] = b"\xff" * len(buffer)
+    for each in kept:
+        np.testing.assert_array_equal(each, 1.0)
+        with pytest.raises(ValueError, match="read-only"):
+            each[0] = 0.0
+
+
+def test_images_that_nobody_can_change_are_not_copied() -> None:
+    image = make_writeable()
+    image.flags.writeable = False
+    over_bytes = np.frombuffer(image.tobytes(), np.float32).reshape(image.shape)
+    of_the_library = make_read_only(color=make_writeable()[:2])["color"]
+    for each in (image, over_bytes, of_the_library):
+        frame = Frame(Radiance(each))
+        assert np.shares_memory(frame.with_changes(spp=4).radiance.color, each)
+
+
+def test_files_are_read_without_a_second_copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    image = make_writeable()
+    frame = Frame(Radiance(image, diffuse=image, specular=image), GBuffer(normal=image, depth=image[..., 0]))
+    write_frame(tmp_path / "a.exr", frame)
+    monkeypatch.setattr("lobewise.images._is_writeable", lambda array: array.flags.writeable and pytest.fail("a copy"))
+    read_frame(tmp_path / "a.exr")

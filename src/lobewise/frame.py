@@ -213,6 +213,8 @@ class Guided(ABC):
 class Frame(Guided):
     """A noisy frame with its guides.
 
+    It owns what it checked: writeable arrays are copied, and read-only arrays are kept without a copy.
+
     Parameters
     ----------
     radiance : Radiance

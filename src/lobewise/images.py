@@ -1,4 +1,4 @@
-"""Checks of images: they are real, read-only, and all images of a frame have one size."""
+"""Checks of images: they are real, nobody can change them afterwards, and all images of a frame have one size."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ ABSENT: Any = None
 
 
 def as_image(name: str, value: ArrayLike | None, channels: int | None, *, is_light: bool = False) -> FloatArray | None:
-    """Return ``value`` as a read-only C-contiguous float32 array (H, W) or (H, W, channels).
+    """Return ``value`` as an array (H, W) or (H, W, channels), as `keep_array` keeps it.
 
     ``is_light`` says that it is radiance, which integers are not.
     """
@@ -60,11 +60,45 @@ def as_image(name: str, value: ArrayLike | None, channels: int | None, *, is_lig
         raise InputError(
             name, expected="at least one pixel", got=f"an image of shape {array.shape}", action="give it pixels"
         )
+    return keep_array(array)
+
+
+def keep_array(array: NDArray[Any]) -> FloatArray:
+    """Return an array as read-only C-contiguous float32. It is a copy if the array, or one that it views, is writeable.
+
+    Views that were made before an array became read-only may still be writeable; no array knows its views.
+    """
     out = np.ascontiguousarray(array, dtype=np.float32)
-    if out is value or not out.flags.owndata:
-        out = out.view()
+    if np.may_share_memory(out, array) and _is_writeable(array):
+        out = out.copy()
     out.flags.writeable = False
     return out
+
+
+def _is_writeable(array: NDArray[Any]) -> bool:
+    """Return whether an array, one that it views, or the buffer that owns the memory, can be written to."""
+    owner: Any = array
+    while isinstance(owner, np.ndarray):
+        if owner.flags.writeable:
+            return True
+        owner = owner.base
+    try:
+        return owner is not None and not memoryview(owner).readonly
+    except TypeError:
+        # The library that owns the memory gave it as read-only.
+        return False
+
+
+def make_read_only(**images: Any) -> dict[str, Any]:
+    """Return images by name, read-only with the arrays that they view. A data class keeps them without a copy.
+
+    Only for arrays that nobody will write to. Everything that is no array stays as it is.
+    """
+    for image in images.values():
+        while isinstance(image, np.ndarray):
+            image.flags.writeable = False
+            image = image.base
+    return images
 
 
 def advise_shape(shape: tuple[int, ...], channels: int | None) -> str:
@@ -139,7 +173,7 @@ def refuse_size(
 
 
 class Images:
-    """Shared checks of the frozen data classes whose fields are images of one size."""
+    """Shared checks of the frozen data classes whose fields are images of one size. They own their images."""
 
     def check_images(self, channels: Mapping[str, int | None], lights: Collection[str] = ()) -> None:
         """Make the named fields read-only images of one size.

@@ -11,6 +11,7 @@ import numpy as np
 from lobewise.camera import Camera
 from lobewise.errors import InputError, name_value, require_kind
 from lobewise.frame import FloatArray, Frame, GBuffer, Guided, Radiance, describe_content
+from lobewise.images import keep_array
 from lobewise.lobe_table import LobeTable
 from lobewise.settings.choices import MAX_SCALE_PIXELS
 
@@ -61,8 +62,8 @@ class Rays:
     direction: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        weight = np.asarray(self.weight, np.float32)
-        direction = None if self.direction is None else np.asarray(self.direction, np.float32)
+        weight = keep_array(np.asarray(self.weight))
+        direction = None if self.direction is None else keep_array(np.asarray(self.direction))
         if weight.ndim != 2 or (direction is not None and direction.shape != (*weight.shape, 3)):
             got = f"shape {weight.shape}" + ("" if direction is None else f" and {direction.shape}")
             raise InputError(

@@ -14,6 +14,7 @@ from lobewise.denoising.automatic import resolve_settings
 from lobewise.denoising.layers import filter_layer, make_layers
 from lobewise.filters.history.light import LightPast, blend_light
 from lobewise.frame import Frame, Radiance
+from lobewise.images import make_read_only
 from lobewise.interactive.settings import UNFILTERED, InteractiveSettings
 from lobewise.render.stages import DirectLight, FirstHits
 from lobewise.settings import DenoiseSettings, SimilarityName
@@ -42,8 +43,8 @@ def filter_direct(light: DirectLight, hits: FirstHits, settings: DenoiseSettings
     direct_settings = replace(
         settings, similarity=similarity, form="separable", radius=RADIUS, screen_sigma=SIGMA, beta="auto"
     )
-    radiance = Radiance(light.diffuse, diffuse=light.diffuse, specular=light.specular)
-    frame = Frame(radiance, hits.gbuffer, hits.camera, spp=samples, lobe_tables=hits.lobe_tables)
+    lights = make_read_only(color=light.diffuse, diffuse=light.diffuse, specular=light.specular)
+    frame = Frame(Radiance(**lights), hits.gbuffer, hits.camera, spp=samples, lobe_tables=hits.lobe_tables)
     chosen = resolve_settings(frame, direct_settings)
     parts = []
     for layer in make_layers(frame, chosen):

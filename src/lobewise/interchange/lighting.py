@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from lobewise.chunks import Chunk, run_chunks
 from lobewise.frame import FloatArray, Radiance, RadianceLayer
 from lobewise.guides.lamps import lift_albedo
+from lobewise.images import make_read_only
 from lobewise.interchange.mapping import Found, FoundLayer
 from lobewise.radiance import sum_layers
 
@@ -126,7 +127,7 @@ def _take_layer(
     if not total.any():
         return None, {}
     names = [name_pass(one.source.path) for one in layer_pass.light]
-    named = dict(zip(names, parts, strict=True)) if len(parts) > 1 else {}
+    named = make_read_only(**dict(zip(names, parts, strict=True))) if len(parts) > 1 else {}
     shares = None if albedo is None else np.clip(albedo, 0.0, 1.0)
     if shares is not None and factor is None:
         shares = lift_albedo(shares)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lobewise.errors import InputError
 from lobewise.frame import FloatArray, GBuffer
+from lobewise.images import make_read_only
 from lobewise.render.tracing.samples import Lobes, Squares, Sums, Totals
 
 
@@ -96,8 +97,9 @@ def join(tiles: list[dict[str, FloatArray]], width: int, height: int) -> dict[st
 
 
 def select(images: dict[str, FloatArray], prefix: str) -> dict[str, FloatArray]:
-    """Return the images whose path begins with a prefix, by the rest of the path."""
-    return {name.split(".", 1)[1]: value for name, value in images.items() if name.startswith(prefix + ".")}
+    """Return the images whose path begins with a prefix, by the rest of the path, read-only."""
+    begin = f"{prefix}."
+    return make_read_only(**{name[len(begin) :]: value for name, value in images.items() if name.startswith(begin)})
 
 
 def number_pixels(rows: NDArray[Any], columns: NDArray[Any], size: tuple[int, int]) -> NDArray[np.uint32]:

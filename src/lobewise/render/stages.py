@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from lobewise.camera import Camera
 from lobewise.frame import FloatArray, GBuffer
+from lobewise.images import make_read_only
 from lobewise.lobe_table import LobeTable
 from lobewise.render.bridge import dr, mi, take_numbers
 from lobewise.render.camera import LENS, get_camera, get_image_size, get_sensor, is_flat, set_camera, use_sensor
@@ -207,7 +208,7 @@ class Stages:
         shape, seen_shape = guides.pop("shape"), guides.pop("seen_shape")
         if not self.lobe_tables:
             del guides["material"]
-        hits = FirstHits(GBuffer(**guides), camera, self.lobe_tables, shape, seen_shape)
+        hits = FirstHits(GBuffer(**make_read_only(**guides)), camera, self.lobe_tables, shape, seen_shape)
         return hits, DirectLight(*images[len(_GUIDES) :])
 
     def add_motion(self, hits: FirstHits, previous: Camera, moves: Moves) -> FirstHits:

@@ -8,6 +8,7 @@ import numpy as np
 
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.guides.lamps import describe_lamps, keep_lamps
+from lobewise.images import make_read_only
 from lobewise.interchange.cameras.header import read_sample_count
 from lobewise.interchange.checks.lacks import describe_alone, list_lacks
 from lobewise.interchange.checks.noise import check_noise
@@ -98,7 +99,7 @@ def make_frame(draft: Draft) -> Outcome:
     images, (diffuse_albedo, specular_albedo) = draft.images, draft.albedos
     motion, coverage = images.get("motion"), draft.silhouettes.coverage
     spp = read_sample_count(draft.container.parts, draft.channels.preset)
-    gbuffer = GBuffer(
+    guides = make_read_only(
         depth=draft.distance,
         position=draft.world_position if draft.camera is not None else None,
         normal=draft.world_normal,
@@ -118,7 +119,7 @@ def make_frame(draft: Draft) -> Outcome:
     )
     frame = Frame(
         make_radiance(images["color"], images, draft.light),
-        gbuffer,
+        GBuffer(**guides),
         draft.camera,
         variance=_take_variance(draft, spp),
         spp=spp,

@@ -13,6 +13,7 @@ from lobewise.camera import Camera
 from lobewise.chunks import Chunk, run_chunks
 from lobewise.errors import InputError, LobewiseError, MissingChannelError
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
+from lobewise.images import make_read_only
 from lobewise.io.exr.container import Container, Part, show_name
 from lobewise.io.exr.pixels import Pixels
 from lobewise.io.exr.schema import BEAUTY, SLOTS, SPARSE, Slot
@@ -38,7 +39,7 @@ def build_frame(
     """Return the frame of images that are keyed by (owner, field)."""
 
     def collect(owner: str) -> dict[str, Any]:
-        return {field: image for (who, field), image in images.items() if who == owner}
+        return make_read_only(**{field: image for (who, field), image in images.items() if who == owner})
 
     others = {owner: Radiance(**collect(owner)) for owner in ("half_a", "half_b", "variance") if collect(owner)}
     radiance, gbuffer = Radiance(**collect("radiance")), GBuffer(**collect("gbuffer"))

@@ -6,6 +6,7 @@ import numpy as np
 
 from lobewise.errors import InputError, require_kind
 from lobewise.frame import Frame, Radiance
+from lobewise.images import make_read_only
 from lobewise.io.exr.frames import read_whole, write_frame
 from lobewise.io.exr.layout import name_file, require_beauty
 from lobewise.io.exr.parsing import read_container
@@ -66,7 +67,7 @@ def write_sparse_frame(path: PathLike, frame: SparseFrame, *, half: bool = True,
         images = {name: np.zeros((*frame.shape, 3), np.float32) for name in part.names}
         for name, image in images.items():
             image[frame.shaded] = getattr(part, name)
-        return Radiance(**images)
+        return Radiance(**make_read_only(**images))
 
     radiance = spread(frame.radiance)
     assert radiance is not None
