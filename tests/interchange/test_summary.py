@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,11 +18,12 @@ from lobewise.cli.main import run
 from lobewise.cli.terminal.summary import describe_quality
 from lobewise.denoising import denoise
 from lobewise.errors import InputError
-from lobewise.frame import Frame, Radiance
+from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.interchange import describe_file, import_file, read_frame, write_result
 from lobewise.interchange.preset import load_presets
-from lobewise.io import write_frame
+from lobewise.io import write_frame, write_sparse_frame
 from lobewise.io.exr.describe import COSTS
+from lobewise.sparse_frame import make_sparse
 from lobewise.streaming import plan
 
 FOREIGN = Path(__file__).parents[1] / "data" / "foreign"
@@ -30,9 +31,9 @@ BLENDER = FOREIGN / "blender_5.2_multipart.exr"
 WIDTHS = [80, 100, 120]
 
 
-def ask(capsys: pytest.CaptureFixture[str], *words: str | Path) -> str:
+def ask(capsys: pytest.CaptureFixture[str], *words: str | Path, code: int = 0) -> str:
     """Return what a command prints as its result."""
-    assert run([str(word) for word in words]) == 0
+    assert run([str(word) for word in words]) == code
     return capsys.readouterr().out
 
 
@@ -169,7 +170,7 @@ def test_an_albedo_that_nothing_takes_is_not_called_missing(tmp_path: Path) -> N
 
 
 def test_an_image_in_another_file_is_described(capsys: pytest.CaptureFixture[str]) -> None:
-    told = ask(capsys, "inspect", FOREIGN / "luxcore" / "RGB.exr", "--map", "color=DIRECT_GLOSSY")
+    told = ask(capsys, "inspect", FOREIGN / "luxcore" / "RGB.exr", "--map", "color=DIRECT_GLOSSY", code=2)
     assert "LuxCoreRender, 48x36 pixels, samples unknown" in told
     assert "Expected quality: none. The file is refused: see below." in told
     assert "image DIRECT_GLOSSY.R/G/B: expected one in 'RGB.exr'" in " ".join(told.split())
@@ -198,7 +199,7 @@ def test_a_result_gets_no_command(renderer: str, tmp_path: Path, capsys: pytest.
         write_some(noisy, renderer, without=())
     assert run(["denoise", str(noisy), "-o", str(clean), "--quality", "fast"]) == 0
     capsys.readouterr()
-    told = ask(capsys, "inspect", clean)
+    told = ask(capsys, "inspect", clean, code=2)
     assert "Expected quality: none. The file is refused: see below." in told
     assert told.count("Lobewise has denoised this file") == 1
     assert "lobewise denoise" not in told
@@ -295,10 +296,36 @@ def test_a_file_that_denoise_refuses(tmp_path: Path, capsys: pytest.CaptureFixtu
     path = tmp_path / "a.exr"
     channels = ("R", "G", "B", "normal.X")
     OpenEXR.File({"lobewise/schema": 1}, {name: np.ones((4, 4), "f4") for name in channels}).write(str(path))
-    out = ask(capsys, "inspect", path)
+    out = ask(capsys, "inspect", path, code=2)
     assert "Expected quality: none. The file is refused: see below." in out
     assert "lobewise denoise" not in out
     assert run(["denoise", str(path), "-o", str(tmp_path / "b.exr")]) == 2
+
+
+def write_sparsely(path: Path) -> None:
+    light = Radiance(np.ones((8, 8, 3)))
+    write_sparse_frame(path, make_sparse(Frame(light, GBuffer(normal=np.ones((8, 8, 3)))), 2))
+
+
+def write_damaged(path: Path) -> None:
+    write_frame(path, Frame(Radiance(np.full((8, 8, 3), np.nan))))
+
+
+def write_damaged_by_another(path: Path) -> None:
+    OpenEXR.File({}, {name: np.full((8, 8), np.nan, "f4") for name in "RGB"}).write(str(path))
+
+
+@pytest.mark.parametrize("make", [write_sparsely, write_damaged, write_damaged_by_another])
+def test_inspect_ends_as_denoise_does(
+    make: Callable[[Path], None], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "a.exr"
+    make(path)
+    assert run(["denoise", str(path), "-o", str(tmp_path / "b.exr")]) == 2
+    reason = capsys.readouterr().err.partition("expected ")[2].partition(";")[0]
+    assert reason in " ".join(ask(capsys, "inspect", path, code=2).split())
+    found = json.loads(ask(capsys, "inspect", path, "--json", code=2))
+    assert reason in found["refusals"][0]
 
 
 def test_a_file_of_ours_needs_no_normals(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -315,6 +342,6 @@ def test_a_file_without_an_image(tmp_path: Path, capsys: pytest.CaptureFixture[s
     path = tmp_path / "a.exr"
     zeros = np.zeros((2, 2), "f4")
     OpenEXR.File({"lobewise/schema": 1}, dict.fromkeys(("normal.X", "normal.Y", "normal.Z"), zeros)).write(str(path))
-    told = ask(capsys, "inspect", path)
+    told = ask(capsys, "inspect", path, code=2)
     assert "Expected quality: none." in told
     assert "lobewise denoise" not in told

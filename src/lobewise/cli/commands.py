@@ -21,7 +21,7 @@ from lobewise.cli.rendering import render
 from lobewise.cli.terminal.help import EXAMPLES, FILTER_DETAILS, HELP_NAMES, App
 from lobewise.cli.terminal.steps import Steps
 from lobewise.cli.viewing import view
-from lobewise.errors import InputError
+from lobewise.errors import InputError, LobewiseError
 from lobewise.settings import DenoiseSettings
 
 if TYPE_CHECKING:
@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from lobewise.guides.usable import CheckedGuides
     from lobewise.interchange import Imported
     from lobewise.io import FileDescription
+
+EXIT_REFUSED = 2
+"""Exit code of `inspect` for a file that `denoise` refuses with this code."""
 
 app = App(
     name="lobewise",
@@ -130,7 +133,10 @@ def inspect(
     ] = False,
     reading: PassReading,
 ) -> None:
-    """Print which renderer wrote an EXR file, what denoising will use, and how to switch on what is missing."""
+    """Print which renderer wrote an EXR file, what denoising will use, and how to switch on what is missing.
+
+    The exit code is 2 if `denoise` refuses the file.
+    """
     from dataclasses import asdict, replace
 
     from lobewise.cli.output import print_description, to_json
@@ -153,15 +159,21 @@ def inspect(
     if page is not None:
         write_contents(page, source, description, reading)
     method = ""
-    if description.outputs and not description.refusals:
-        method, notes = foretell_file(source, reading, imported)
+    if description.can_be_denoised:
+        try:
+            method, notes = foretell_file(source, reading, imported)
+        except LobewiseError as problem:
+            notes = (f"Denoising will refuse this file: {problem}",)
+            description = replace(description, refusals=notes)
         description = replace(description, notes=(*description.notes, *notes))
     if as_json:
         typer.echo(to_json({**asdict(description), "method": method}), nl=False)
-        return
-    print_summary(description, method, reading.list_words())
-    if everything or attributes:
-        print_description(description, with_attributes=attributes)
+    else:
+        print_summary(description, method, reading.list_words())
+        if everything or attributes:
+            print_description(description, with_attributes=attributes)
+    if not description.can_be_denoised:
+        raise typer.Exit(EXIT_REFUSED)
 
 
 def write_contents(page: Path, source: Path, description: FileDescription, reading: PassReading) -> None:
@@ -184,6 +196,7 @@ def foretell_file(source: Path, reading: PassReading, imported: Imported | None)
     ``imported`` is the file if it was read already.
     """
     from lobewise.cli.options.reading import check_import
+    from lobewise.denoising.bad_pixels import require_usable
     from lobewise.denoising.plan import foretell_method
 
     settings, height = DenoiseSettings(), None
@@ -191,6 +204,8 @@ def foretell_file(source: Path, reading: PassReading, imported: Imported | None)
         checked = check_import(imported, settings)
     else:
         checked, height = read_planned(source, reading, {})
+    if height is None:
+        require_usable(checked.frame)
     return foretell_method(checked.frame, settings, whole=height is None), checked.notes
 
 

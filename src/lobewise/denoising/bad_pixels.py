@@ -15,6 +15,7 @@ from lobewise.filters.cross_pass import COLORS
 from lobewise.filters.forms import ATROUS_REACH
 from lobewise.filters.glue import define_bad, define_emptied, define_patched, define_refilled
 from lobewise.frame import FloatArray, Frame
+from lobewise.guides.negative import split_negative
 from lobewise.sparse_frame import AnyFrame
 
 SIGMAS = (1.0, 16.0, 1e15)
@@ -51,6 +52,14 @@ def mark_bad_pixels(frame: Frame) -> NDArray[np.bool_]:
     images = {f"light{number}": image for number, image in enumerate((frame.radiance.color, *light))}
     (bad,) = engine.pixels(define_bad, images, {}, names=["bad"], text="bad pixels")
     return bad
+
+
+def require_usable(frame: Frame) -> None:
+    """Raise InputError if `lobewise.denoise` would find no usable pixel in a frame. No kernel runs."""
+    frame, _ = split_negative(frame)
+    light = [layer.radiance for layer in frame.layers] or frame.radiance.parts or ()
+    good = np.logical_and.reduce([mark_good(image) for image in (frame.radiance.color, *light)])
+    require_some_good(int(np.count_nonzero(~good)), good.size, "pixel")
 
 
 def require_some_good(bad: int, count: int, what: str) -> None:

@@ -80,7 +80,7 @@ def print_summary(description: FileDescription, method: str, options: Sequence[s
 def describe_quality(description: FileDescription) -> str:
     """Return which quality to expect of a file, and why, in a sentence."""
     lacks = [lack.role for lack in description.lacks]
-    if not _can_be_denoised(description):
+    if not description.can_be_denoised:
         return f"none. {_say_obstacle(description)}"
     if description.alone:
         return f"weak. {description.alone}"
@@ -92,10 +92,6 @@ def describe_quality(description: FileDescription) -> str:
         first = NAMES["normal" if "normal" in lacks else "albedo"]
         return f"fair. It would be good with {first}."
     return f"good. It would be best with {list_names([NAMES[role] for role in lacks])}."
-
-
-def _can_be_denoised(description: FileDescription) -> bool:
-    return bool(description.outputs) and not description.refusals
 
 
 def _say_obstacle(description: FileDescription) -> str:
@@ -200,7 +196,7 @@ def _print_commands(console: Console, description: FileDescription, options: Seq
     path = Path(description.path)
     again = ["lobewise", "inspect", description.path, *options, "--all"]
     console.print()
-    if description.outputs and _can_be_denoised(description):
+    if description.can_be_denoised:
         clean = str(path.with_name(f"{path.stem}_clean{path.suffix}"))
         console.print(
             make_text(

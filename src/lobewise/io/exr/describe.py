@@ -177,6 +177,11 @@ class FileDescription:
     unusable: tuple[str, ...] = ()
     alone: str = ""
 
+    @property
+    def can_be_denoised(self) -> bool:
+        """Whether ``lobewise denoise`` takes the file, as far as its description tells."""
+        return bool(self.outputs) and not self.refusals
+
 
 def describe_file(path: PathLike) -> FileDescription:
     """Return what an EXR file holds: parts, channels, windows, attributes, and which of them denoising uses.
