@@ -5,17 +5,27 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from lobewise.cli.main import run
 from lobewise.errors import FileError
+from lobewise.exporting.folder import open_folder
+from lobewise.frame import Frame, Radiance
+from lobewise.io import write_frame
 from lobewise.io.files import open_atomic, require_writable, write_text
 from lobewise.io.replacing import TargetWarning, begin_temporary, name_temporary, remove_leftovers
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="modes, owners and links of POSIX")
+
+
+def write_folder(target: Path, text: str) -> None:
+    with open_folder(target, force=True) as name:
+        name("a.txt").write_text(text)
 
 
 def list_names(folder: Path) -> list[str]:
@@ -68,6 +78,51 @@ class TestTarget:
         with pytest.warns(TargetWarning, match=r"a\.txt' was replaced: 1 hard link"):
             write_text(target, "new")
         assert (target.read_text(), other.read_text()) == ("new", "old")
+
+    @pytest.mark.parametrize("write", [write_text, write_folder])
+    def test_a_loop_of_links_is_refused(self, write: Callable[[Path, str], None], tmp_path: Path) -> None:
+        (tmp_path / "a").symlink_to("b")
+        (tmp_path / "b").symlink_to("a")
+        with pytest.raises(FileError, match="got a loop of links"):
+            write(tmp_path / "a", "new")
+        assert list_names(tmp_path) == ["a", "b"]
+        assert (tmp_path / "a").is_symlink()
+
+    def test_an_open_file_that_was_deleted_is_refused(self, tmp_path: Path) -> None:
+        path = tmp_path / "a.txt"
+        with path.open("w") as stream:
+            link = Path(f"/proc/self/fd/{stream.fileno()}")
+            if not link.exists():
+                pytest.skip("this system shows no open files")
+            assert require_writable(link) == path.resolve()
+            path.unlink()
+            for name in ("other.txt", "a.txt (deleted)"):
+                with pytest.raises(FileError, match="got an open file that was deleted"):
+                    write_text(link, "new")
+                (tmp_path / name).write_text("another file")
+        assert list_names(tmp_path) == ["a.txt (deleted)", "other.txt"]
+        assert (tmp_path / "a.txt (deleted)").read_text() == "another file"
+
+    def test_a_name_with_a_slash_at_its_end_is_refused(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        target, noisy = tmp_path / "a.exr", tmp_path / "noisy.exr"
+        target.write_text("old")
+        frame = Frame(Radiance(np.ones((4, 4, 3))))
+        write_frame(noisy, frame)
+        with pytest.raises(FileError, match="got a name that ends with a slash"):
+            write_frame(f"{target}/", frame)
+        for line in (
+            ["denoise", str(noisy), "-o", f"{target}/"],
+            ["inspect", str(noisy), "--html", f"{target}/"],
+            ["compare", str(noisy), "--reference", str(noisy), "--json", f"{target}/"],
+            ["fit", "a.binary", "-o", f"{target}/"],
+        ):
+            assert run(line) == 2
+            told = capsys.readouterr().err
+            assert "a.exr/': expected a file name, got a name that ends with a slash" in told
+            assert told.count("\n") == 1
+        assert target.read_text() == "old"
 
     def test_attributes_stay(self, tmp_path: Path) -> None:
         target = tmp_path / "a.txt"

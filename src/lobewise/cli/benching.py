@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lobewise.cli.options.common import parse_size
+from lobewise.cli.options.common import output_option, parse_size
 from lobewise.cli.terminal.help import App
 from lobewise.cli.terminal.steps import Steps
 from lobewise.errors import InputError, MissingDependencyError
@@ -103,7 +103,7 @@ def interactive(
         typer.Option(metavar="cpu|cuda", help="Where rays are traced.", show_default="both, where there is CUDA"),
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FILE.json", help="Write the figures as JSON as well.")
+        Path | None, output_option("--output", "-o", metavar="FILE.json", help="Write the figures as JSON as well.")
     ] = None,
 ) -> None:
     """Time every stage of the viewer while the camera moves along an orbit, one degree per frame."""

@@ -14,7 +14,7 @@ from lobewise.cli.doctor import doctor
 from lobewise.cli.exporting import export
 from lobewise.cli.filtering import denoise, upsample
 from lobewise.cli.fitting import fit
-from lobewise.cli.options.common import Input
+from lobewise.cli.options.common import Input, output_option
 from lobewise.cli.options.reading import PassReading
 from lobewise.cli.options.spreading import with_groups, with_settings
 from lobewise.cli.rendering import render
@@ -123,7 +123,7 @@ def inspect(
     as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
     page: Annotated[
         Path | None,
-        typer.Option("--html", metavar="FILE", help="Write a page with a picture of every image in the file."),
+        output_option("--html", metavar="FILE", help="Write a page with a picture of every image in the file."),
     ] = None,
     plan: Annotated[
         bool,
@@ -137,7 +137,7 @@ def inspect(
 
     The exit code is 2 if `denoise` refuses the file.
     """
-    from dataclasses import asdict, replace
+    from dataclasses import asdict
 
     from lobewise.cli.output import print_description, to_json
     from lobewise.cli.terminal.summary import print_summary
@@ -158,14 +158,7 @@ def inspect(
     )
     if page is not None:
         write_contents(page, source, description, reading)
-    method = ""
-    if description.can_be_denoised:
-        try:
-            method, notes = foretell_file(source, reading, imported)
-        except LobewiseError as problem:
-            notes = (f"Denoising will refuse this file: {problem}",)
-            description = replace(description, refusals=notes)
-        description = replace(description, notes=(*description.notes, *notes))
+    description, method = add_method(description, source, reading, imported)
     if as_json:
         typer.echo(to_json({**asdict(description), "method": method}), nl=False)
     else:
@@ -188,6 +181,25 @@ def write_contents(page: Path, source: Path, description: FileDescription, readi
     frame = import_file(source, **reading.parse(), half=reading.half, also=reading.also or (), light_passes=True).frame
     write_text(page, make_contents_page(description, frame))
     print_note(f"Wrote {page}.")
+
+
+def add_method(
+    description: FileDescription, source: Path, reading: PassReading, imported: Imported | None
+) -> tuple[FileDescription, str]:
+    """Return the description of a file with the notes or the refusal of `foretell_file`, and the method that it tells.
+
+    The method is empty for a file that `denoise` refuses.
+    """
+    from dataclasses import replace
+
+    if not description.can_be_denoised:
+        return description, ""
+    try:
+        method, notes = foretell_file(source, reading, imported)
+    except LobewiseError as problem:
+        refusal = f"Denoising will refuse this file: {problem}"
+        return replace(description, notes=(*description.notes, refusal), refusals=(refusal,)), ""
+    return replace(description, notes=(*description.notes, *notes)), method
 
 
 def foretell_file(source: Path, reading: PassReading, imported: Imported | None) -> tuple[str, tuple[str, ...]]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lobewise.cli.options.common import output_option
 from lobewise.cli.options.writing import list_files
 from lobewise.cli.terminal.steps import Steps
 from lobewise.errors import InputError, MissingChannelError, MissingDependencyError
@@ -43,11 +44,11 @@ def compare(
         ),
     ] = None,
     json_output: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write the figures as JSON; - is standard output.")
+        Path | None, output_option("--json", metavar="FILE", help="Write the figures as JSON; - is standard output.")
     ] = None,
     page: Annotated[
         Path | None,
-        typer.Option("--html", metavar="FILE", help="Write a page to look at: a wipe, error maps, the figures."),
+        output_option("--html", metavar="FILE", help="Write a page to look at: a wipe, error maps, the figures."),
     ] = None,
 ) -> None:
     """Measure how far images are from a reference: mse, rel_mse, smape, psnr and flip.

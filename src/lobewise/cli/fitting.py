@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lobewise.cli.options.common import output_option
 from lobewise.errors import InputError
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 def fit(
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="FILE.lobes", help="The file to write.", show_default=False)
+        Path, output_option("--output", "-o", metavar="FILE.lobes", help="The file to write.", show_default=False)
     ],
     material: Annotated[
         Path | None,
@@ -34,7 +35,7 @@ def fit(
     kind: Annotated[str, typer.Option(metavar="sg|asg", help="Round or anisotropic lobes.")] = "asg",
     plot: Annotated[
         Path | None,
-        typer.Option(
+        output_option(
             "--plot",
             metavar="FILE.png",
             help="The plot of fit against data; by default beside the output.",

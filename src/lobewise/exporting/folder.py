@@ -35,6 +35,8 @@ def _check_folder(path: PathLike, force: bool) -> Path:
     got = ""
     if target.exists() and not target.is_dir():
         got, action = "a file", "choose another name"
+    elif target.is_symlink():
+        got, action = "a loop of links, which names no folder", "remove the link, or choose another name"
     elif target == Path.cwd():
         # The new folder is another one of the same name: a shell in the old one would see no files.
         got, action = "the current one", "name a new one in it"

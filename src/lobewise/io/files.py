@@ -74,22 +74,41 @@ def read_bytes(path: PathLike, limit: int, *, holds: str) -> bytes:
         return stream.read(limit)
 
 
+def require_file_name(path: PathLike, *, what: str = "output") -> Path:
+    """Return the path of an output. Raises FileError if it ends with a slash, which a Path would leave out."""
+    named = as_path(path, what)
+    if os.fsdecode(path).endswith((os.sep, os.altsep or os.sep)):
+        raise FileError(
+            f"{what} {os.fsdecode(path)!r}",
+            expected="a file name",
+            got="a name that ends with a slash, as those of folders do",
+            action="leave the slash out, or name a file in the folder",
+        )
+    return named
+
+
 def require_writable(path: PathLike, *, what: str = "output") -> Path:
     """Return the real path that an output may be written to; nothing is created or changed.
 
     A symbolic link is followed, so that writing replaces what it points at and not the link.
 
-    Raises FileError if the path is a directory or a device, or its folder does not exist or may not be written to.
+    Raises FileError if the path is a directory or a device, ends with a slash, is a loop of links or an open file
+    without a name, or if its folder does not exist or may not be written to.
     """
-    named = as_path(path, what)
+    named = require_file_name(path, what=what)
     try:
         target = Path(os.path.realpath(named))
         folder = target.parent
         expected = "a path that can be written"
         if target.is_dir():
             expected, got, action = "a file name", "a directory", "name a file in it"
-        elif target.exists() and not target.is_file():
+        elif named.exists() and not named.is_file():
             expected, got, action = "a regular file", "a device or pipe", "name a file that can be replaced"
+        elif target.is_symlink():
+            got, action = "a loop of links, which names no file", "remove the link, or choose another name"
+        elif target.name.endswith(" (deleted)") and named.exists() and named.stat().st_nlink == 0:
+            # The links of /proc/self/fd lead to open files. Linux adds this word to the path of a deleted file.
+            got, action = "an open file that was deleted, which has no name", "name a file"
         elif target.exists() and _is_read_only(target):
             mode = stat.S_IMODE(target.stat().st_mode)
             expected, got = "a file that can be replaced", f"a read-only file (mode {mode:04o})"

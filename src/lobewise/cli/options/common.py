@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -27,6 +28,17 @@ Source = Annotated[
     Path,
     typer.Argument(metavar="INPUT.exr", help="The EXR file to read; in.####.exr for a sequence.", show_default=False),
 ]
+
+
+def parse_output(text: str) -> Path:
+    """Return the path of a file to write. Raises FileError if it ends with a slash."""
+    from lobewise.io.files import require_file_name
+
+    return require_file_name(text)
+
+
+output_option = partial(typer.Option, parser=parse_output)
+"""Declares an option that names a file to write."""
 
 
 @dataclass(frozen=True)

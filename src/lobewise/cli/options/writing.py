@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
+from lobewise.cli.options.common import output_option
 from lobewise.cli.terminal.help import result_option
 from lobewise.errors import InputError
 
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 MAX_EXPOSURE_STOPS = 64.0
 """Largest size of ``--exposure``, in stops of either sign."""
 
-Output = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="The file to write.", show_default=False)]
+Output = Annotated[Path, output_option("--output", "-o", metavar="FILE", help="The file to write.", show_default=False)]
 Overwrite = Annotated[bool, result_option("--overwrite", help="Let the output replace a file that is read.")]
 
 
