@@ -34,6 +34,7 @@ from lobewise.render.loading import load_scene
 from lobewise.render.renderer import PART_STEP
 from lobewise.render.stages import DirectLight, FirstHits, Stages
 from lobewise.render.tracing.own_samples import OwnLight
+from lobewise.scenes.limits import VIEW_BYTES_PER_PIXEL, require_memory
 from lobewise.settings import DenoiseSettings
 from lobewise.sparse_frame import SparseFrame, list_places
 from lobewise.temporal.recipe import TemporalFilter
@@ -159,11 +160,12 @@ class Session:
         Raises
         ------
         InputError
-            If a side is below 1.
+            If a side is below 1, or the images do not fit the memory of the machine.
         """
         for name, value in (("width", width), ("height", height)):
             if value < 1:
                 raise InputError(name, expected="at least 1", got=name_value(value), action="pass another")
+        require_memory(width, height, VIEW_BYTES_PER_PIXEL)
         self._size = width, height
 
     def reset(self) -> None:

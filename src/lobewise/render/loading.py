@@ -15,14 +15,12 @@ from numpy.typing import NDArray
 from lobewise.errors import FileError, InputError, choose_nearest, require_choice, require_integer
 from lobewise.render.variant import load_mitsuba
 from lobewise.scenes import describe_movers, describe_scene, list_moving_scenes, list_scenes
+from lobewise.scenes.limits import MAX_SIDE, require_shallow, require_size
 
 __all__ = ["MovingScene", "build_scene", "list_moving_scenes", "list_scenes", "load_scene"]
 
 DEFAULT_SIZE = 512
 """Default width and height of a built-in scene, pixels."""
-
-LARGEST_SIZE = 32768
-"""Largest width and height of an image, pixels."""
 
 _RESERVED = ("path", "parallel", "optimize")
 """Names that Mitsuba's loader uses for its own arguments."""
@@ -69,8 +67,8 @@ def load_scene(
     Raises
     ------
     InputError
-        If there is no scene of this name, the size is not 1 to 32768, Mitsuba does not understand the file, a time is
-        given although nothing moves, or the scene has no such parameter.
+        If there is no scene of this name, the size is not 1 to 32768, the elements of the file are more than 64 deep,
+        Mitsuba does not understand it, a time is given although nothing moves, or the scene has no such parameter.
     FileError
         If the file does not exist or cannot be read.
     MissingDependencyError
@@ -83,7 +81,7 @@ def load_scene(
     """
     for name, value in (("width", width), ("height", height)):
         if value is not None:
-            require_integer(name, value, 1, LARGEST_SIZE)
+            require_integer(name, value, 1, MAX_SIDE)
     text = os.fspath(name_or_path)
     if time != 0.0:
         _require_moving(text)
@@ -189,6 +187,7 @@ def _load_file(path: Path, width: int | None, height: int | None, parameters: Ma
         if name in _RESERVED:
             expected = f"a name other than {', '.join(_RESERVED)}, which Mitsuba's loader takes for itself"
             raise InputError("parameter", expected=expected, got=repr(name), action="rename it in the scene's file")
+    require_shallow(path)
     mi = load_mitsuba()
     try:
         scene = mi.load_file(str(path), optimize=merge, **parameters)
@@ -202,6 +201,8 @@ def _load_file(path: Path, width: int | None, height: int | None, parameters: Ma
         raise InputError(str(path), expected="a <scene>", got=got, action="pass the file of a scene")
     if (width or height) and scene.sensors():
         _resize(mi, scene, width, height)
+    for sensor in scene.sensors()[:1]:
+        require_size(path, *map(int, sensor.film().size()))
     return scene
 
 

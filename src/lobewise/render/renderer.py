@@ -21,6 +21,7 @@ from lobewise.render.materials.bsdfs import list_lobe_tables, read_scene_materia
 from lobewise.render.own_light import check_own, forget_lobes_of_media, render_lens_guides, render_own, sample_pixels
 from lobewise.render.tracing.paths import PathSettings, add_samples
 from lobewise.render.tracing.samples import Sums, make_sums
+from lobewise.scenes.limits import FRAME_BYTES_PER_PIXEL, RADIANCE_BYTES_PER_PIXEL, require_memory
 from lobewise.settings.choices import MAX_SCALE_PIXELS
 from lobewise.sparse_frame import SparseFrame
 
@@ -83,6 +84,7 @@ class _Pass:
 
         ``where`` chooses the pixels of the image; see `add_samples`.
         """
+        require_memory(columns, rows, FRAME_BYTES_PER_PIXEL if self.settings.guides else RADIANCE_BYTES_PER_PIXEL)
         advance = _make_advance(progress, columns * rows * self.spp)
         tiles = []
         with dr.suspend_grad():
@@ -161,8 +163,8 @@ def render_frame(
     Raises
     ------
     InputError
-        If a number is out of range, the light or a moved shape is unknown, the sensor is not a plain perspective
-        camera, or the scene's integrator makes no image of light.
+        If a number is out of range, the image does not fit the memory of the machine, the light or a moved shape is
+        unknown, the sensor is not a plain perspective camera, or the scene's integrator makes no image of light.
     UnsupportedBsdfError
         If a BSDF is unknown and cannot be evaluated or sampled.
     MissingDependencyError
@@ -174,6 +176,7 @@ def render_frame(
     plan = plan_light(scene, "paths" if alone else integrator, None if aov_only and lens else max_depth)
     guided: dict[str, Any] = {"coverage": coverage, "previous_camera": previous_camera, "moves": moves}
     if plan.lens:
+        require_memory(*get_image_size(scene), FRAME_BYTES_PER_PIXEL)
         moved = previous_camera is not None
         guides = render_lens_guides(scene, samples=min(spp, GUIDE_SAMPLES), seed=seed, moved=moved)
         if aov_only:
@@ -227,6 +230,7 @@ def _render_own(
     """Return the images of a scene's own integrator by their names in `Frame`."""
     check_own(spp, seed, light)
     width, height = get_image_size(scene)
+    require_memory(width, height, RADIANCE_BYTES_PER_PIXEL)
     advance = _make_advance(progress, width * height * spp)
     return render_own(scene, plan.own, spp=spp, seed=seed, advance=advance)
 
