@@ -12,8 +12,8 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 from itertools import pairwise
 
 CHUNK_PIXELS = 16384
@@ -36,17 +36,25 @@ def cut_rows(height: int, width: int) -> Iterator[Chunk]:
 
 
 def run_chunks(work: Callable[[Chunk], None], height: int, width: int) -> None:
-    """Call ``work`` on every chunk of an image, in threads. NumPy releases the interpreter lock."""
+    """Call ``work`` on every chunk of an image, in this thread and others. NumPy releases the interpreter lock."""
     todo = list(cut_rows(height, width))
-    threads = min(count_threads(), len(todo))
+    waiting = iter(todo)
 
-    def run_some(start: int) -> None:
-        for chunk in todo[start::threads]:
+    def run_waiting() -> None:
+        # Tasks take chunks until none is left: with a task per chunk the queue would take the time.
+        for chunk in waiting:
             work(chunk)
 
-    with ThreadPoolExecutor(threads) as pool:
-        # One task per thread takes every n-th chunk: with a task per chunk the queue would take the time.
-        list(pool.map(run_some, range(threads)))
+    helpers = min(count_threads(), len(todo)) - 1
+    tasks: list[Future[None]] = []
+    with ThreadPoolExecutor(max(helpers, 1)) as pool:
+        # Python raises RuntimeError where the system refuses another thread: the threads that run do the work.
+        with suppress(RuntimeError):
+            for _ in range(helpers):
+                tasks.append(pool.submit(run_waiting))
+        run_waiting()
+    for task in tasks:
+        task.result()
 
 
 def count_cores() -> int:

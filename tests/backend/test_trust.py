@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
+import tempfile
 import time
 import warnings
 from pathlib import Path
@@ -17,6 +19,7 @@ from lobewise.backend import disk, sources, trust
 from lobewise.backend.disk import CacheWarning, fetch_object, locate_cache_folder, write_whole
 from lobewise.backend.objects import compile_object, is_object
 from lobewise.backend.trust import describe_folder_problem, describe_problem
+from lobewise.errors import FileError
 from tests.backend.test_jit import PROGRAM, make_elf
 
 pytestmark = [
@@ -237,6 +240,58 @@ class TestHomes:
         monkeypatch.setenv("XDG_CACHE_HOME", "here")
         found = locate_cache_folder()
         assert found is None or found.is_absolute()
+
+
+def test_a_compiler_without_its_folder_is_told() -> None:
+    import halide as hl
+
+    def refuse(path: str) -> None:
+        raise hl.HalideError("Error: Unable to create temp directory.")
+
+    with pytest.raises(FileError, match=r"a folder /tmp that can be written.*LOBEWISE_CACHE"):
+        compile_object(refuse)
+
+
+READ_ONLY = """
+mount -t tmpfs tmpfs "$1"
+cp -r "$2" "$1/cache"
+mount -o remount,ro "$1" && mount -t tmpfs -o ro tmpfs /tmp || exit 3
+shift 2
+exec "$@"
+"""
+UNSHARE = ["unshare", "--mount"]
+FILTER = """
+import numpy as np
+from lobewise.features import ScreenFeature
+from lobewise.filters.cross_filter import run_filter
+run_filter(np.ones((4, 5, 3), np.float32), np.ones((4, 5), bool), [ScreenFeature(1.0)], form="full", radius=1)
+print("filtered")
+"""
+
+
+def can_unshare() -> bool:
+    """Return whether a process can have file systems of its own here."""
+    return (
+        bool(shutil.which("unshare"))
+        and subprocess.run([*UNSHARE, "true"], capture_output=True, check=False).returncode == 0
+    )
+
+
+@pytest.mark.skipif(not can_unshare(), reason="needs a process that may mount file systems of its own")
+def test_a_read_only_machine_uses_the_kernels_of_its_cache(tmp_path: Path) -> None:
+    # /var/tmp stands for the system: /tmp, where pytest's folders are, is hidden in the program.
+    place, kept = tempfile.mkdtemp(dir="/var/tmp"), tmp_path / "kept"
+    try:
+        told = {**os.environ, "LOBEWISE_CACHE": str(kept)}
+        subprocess.run([sys.executable, "-c", FILTER], env=told, check=True, capture_output=True)
+        for cache, code, words in ((f"{place}/cache", 0, "filtered"), ("off", 1, "a folder /tmp that can be written")):
+            told = {**os.environ, "LOBEWISE_CACHE": cache, "TMPDIR": "/missing", "PYTHONDONTWRITEBYTECODE": "1"}
+            program = [*UNSHARE, "sh", "-c", READ_ONLY, "sh", place, str(kept), sys.executable, "-c", FILTER]
+            done = subprocess.run(program, env=told, check=False, capture_output=True, text=True)
+            assert done.returncode == code, done.stderr
+            assert words in done.stdout + done.stderr
+    finally:
+        os.rmdir(place)
 
 
 def test_a_compiler_that_writes_nothing_is_told() -> None:

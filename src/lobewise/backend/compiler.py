@@ -12,9 +12,9 @@ import sys
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from lobewise.errors import MissingDependencyError
+from lobewise.errors import FileError, MissingDependencyError
 
-__all__ = ["choose_remedy", "declare_vars", "has_compiler", "hl", "load_llvm", "refuse_compiling"]
+__all__ = ["choose_remedy", "declare_vars", "has_compiler", "hl", "load_llvm", "refuse_compiling", "refuse_folder"]
 
 PYTHON_WITHOUT_HALIDE = (3, 14)
 """First Python for which Halide 21 has no wheels."""
@@ -27,6 +27,17 @@ def refuse_compiling(got: str) -> MissingDependencyError:
         expected="Halide and llvmlite, to compile a kernel that is not in the package",
         got=got,
         action=choose_remedy(sys.version_info[:2], sys.platform, platform.machine()),
+    )
+
+
+def refuse_folder() -> FileError:
+    """Return the error for a compiler that cannot make its temporary folder. It asks for ``/tmp``, not for TMPDIR."""
+    return FileError(
+        "kernels",
+        expected="a folder /tmp that can be written, which Halide needs to compile a kernel",
+        got="a folder that is read-only, full or missing",
+        action="mount one there (docker run --tmpfs /tmp), let LOBEWISE_CACHE name a folder of compiled kernels, "
+        "or install a wheel of lobewise, which brings its kernels along",
     )
 
 

@@ -104,7 +104,9 @@ def fetch_object(
             line, content = whole.split(b"\n", 1)
             head = json.loads(line)
             if head["digest"] == _digest(known, head["told"], content) and is_object(content, symbol):
-                os.utime(path)
+                # A cache in a read-only folder is used as well; only the time of its last use is not kept.
+                with suppress(OSError):
+                    os.utime(path)
                 return content, head["told"]
     content, facts = make()
     head = {"digest": _digest(known, facts, content), "told": facts}

@@ -1,7 +1,8 @@
 """Object files of machine code: compiled in memory, and checked before LLVM loads them.
 
 LLVM's loader ends the process if a file is damaged. Halide's compiler ends the process if the disk is full, and leaves
-its file behind; so on Linux it writes to memory.
+its file behind; so on Linux it writes to memory. Halide 21 still makes an empty folder in ``/tmp`` for every kernel,
+whatever TMPDIR says.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ import struct
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+
+from lobewise.backend.compiler import hl, refuse_folder
 
 _ELF_HEADER_BYTES, _ELF_SECTION_BYTES = 64, 64
 _ELF_NO_BITS = 8
@@ -26,8 +29,15 @@ def compile_object(write: Callable[[str], None]) -> bytes:
     ------
     OSError
         If the file that was written is not a whole object file.
+    FileError
+        If Halide cannot make its temporary folder.
     """
-    content = _catch(write)
+    try:
+        content = _catch(write)
+    except hl.HalideError as problem:
+        if "temp directory" not in str(problem):
+            raise
+        raise refuse_folder() from problem
     if not is_object(content):
         raise OSError("the compiler wrote no whole object file; is the disk full?")
     return content

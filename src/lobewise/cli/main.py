@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import sys
@@ -13,12 +14,14 @@ import typer
 
 import lobewise
 from lobewise.cli.terminal.interrupts import EXIT_INTERRUPTED, INTERRUPTED, interrupts
-from lobewise.errors import LobewiseError, make_printable
+from lobewise.errors import LobewiseError, describe_problem, make_printable
 
 EXIT_OK, EXIT_INTERNAL_ERROR, EXIT_USER_ERROR = 0, 1, 2
 _show_warning_by_default = warnings.showwarning
 COMPLETION_VARIABLE = "_LOBEWISE_COMPLETE"
 """Set by the shell that asks how a command line may go on (`lobewise --install-completion`)."""
+SYSTEM_REFUSALS = (errno.ENOMEM, errno.EMFILE, errno.ENFILE, errno.EAGAIN)
+"""Errors by which the system says that a limit of this process is reached: memory, open files, threads."""
 BUG_REPORT_URL = "https://github.com/lobewise/lobewise/issues"
 
 
@@ -67,9 +70,21 @@ def run(arguments: list[str]) -> int:
             known = verb in getattr(command, "commands", {})
             text = problem.format_message().rstrip(".")
             return _fail(f"{text}; see lobewise {verb + ' ' if known else ''}--help.", EXIT_USER_ERROR, debug)
+        if isinstance(problem, MemoryError) or getattr(problem, "errno", None) in SYSTEM_REFUSALS:
+            return _fail(_describe_refusal(problem), EXIT_USER_ERROR, debug)
         what = " ".join(f"{type(problem).__name__}: {problem}".split())[:300]
         text = f"something went wrong inside lobewise {lobewise.__version__} ({what}); run it again with --debug"
         return _fail(f"{text} and report what it says at {BUG_REPORT_URL}.", EXIT_INTERNAL_ERROR, debug)
+
+
+def _describe_refusal(problem: Exception) -> str:
+    reason = getattr(problem, "strerror", None)
+    return describe_problem(
+        "system",
+        expected="memory, files and threads to work with",
+        got=reason.lower() if reason else "not enough memory",
+        action="free some, or raise the limits of this process (ulimit -a)",
+    )
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *rest: object, **more: object) -> None:

@@ -13,7 +13,7 @@ import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, redirect_stdout
-from typing import TextIO
+from typing import BinaryIO, TextIO
 
 _one_at_a_time = threading.Lock()
 _is_hushed = False
@@ -36,7 +36,7 @@ def hide_lines(*marks: str) -> Iterator[None]:
         return
     with _one_at_a_time, ExitStack() as files:
         try:
-            caught = files.enter_context(tempfile.TemporaryFile())
+            caught = files.enter_context(_open_temporary())
             saved = os.dup(2)
         except OSError:
             # The process has no standard error, or the system has no room for a file.
@@ -56,6 +56,13 @@ def hide_lines(*marks: str) -> Iterator[None]:
             caught.seek(0)
             _print_others(printed.getvalue(), marks, sys.stdout)
             _print_others(caught.read().decode("utf-8", "replace"), marks, sys.stderr)
+
+
+def _open_temporary() -> BinaryIO:
+    """Return a new empty file: in memory where the system has such files, so that no folder must be writable."""
+    if hasattr(os, "memfd_create"):
+        return os.fdopen(os.memfd_create("lobewise-lines"), "w+b")
+    return tempfile.TemporaryFile()
 
 
 def _print_others(text: str, marks: tuple[str, ...], stream: TextIO | None) -> None:

@@ -1,8 +1,13 @@
-"""Decode and encode the pixels of one part. No other module calls the OpenEXR library."""
+"""Decode and encode the pixels of one part. No other module calls the OpenEXR library.
+
+Where memory runs out, the library ends the process, crashes, or leaves channels out as if the file were damaged. So
+the memory for a call is asked for first. The library reads and writes bytes in memory and needs no temporary file.
+"""
 
 from __future__ import annotations
 
 import io
+import mmap
 import threading
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
@@ -17,7 +22,7 @@ from lobewise.errors import FileError
 from lobewise.io.exr.container import COMPRESSIONS, Container, Part, Window, crop_part, show_name
 from lobewise.io.exr.parsing import parse_bytes
 from lobewise.io.exr.splice import pack_part
-from lobewise.io.files import refusing
+from lobewise.io.files import say_reason
 
 Pixels = NDArray[Any]
 
@@ -31,12 +36,22 @@ DTYPES: dict[str, np.dtype[Any]] = {
 MAX_SLAB_BYTES = 2**28
 """Most bytes of pixels that are decoded or encoded at once, unless a single row of chunks has more."""
 
+FIXED_BYTES = 2**26
+"""Memory that a call of the library needs beside its pixels, bytes."""
+THREAD_BYTES = 2**26 + 2**23
+"""Address space of a thread: a heap of glibc, and a stack."""
+SCRATCH_COPIES = 3
+"""Most copies of the pixels that the library holds at once beside the decoded ones: packed, unpacked, reordered."""
+
 
 def count_fitting_rows(part: Part) -> int:
     """Return how many rows of a part fit into `MAX_SLAB_BYTES`: whole rows of chunks, at least one."""
     rows = part.rows_per_chunk
-    size = part.data_window.width * sum(DTYPES[channel.pixel_type].itemsize for channel in part.channels)
-    return rows * max(MAX_SLAB_BYTES // (size * rows), 1)
+    return rows * max(MAX_SLAB_BYTES // (_count_row_bytes(part) * rows), 1)
+
+
+def _count_row_bytes(part: Part) -> int:
+    return part.data_window.width * sum(DTYPES[channel.pixel_type].itemsize for channel in part.channels)
 
 
 def decode_part(container: Container, part: Part, names: Collection[str] | None = None) -> dict[str, Pixels]:
@@ -45,7 +60,7 @@ def decode_part(container: Container, part: Part, names: Collection[str] | None 
     ``names`` are the wanted channels, by default all. Other channels take memory only for some rows at a time, unless
     the part has subsampled channels.
 
-    Raises FileError if the pixels are damaged, or the part holds deep samples.
+    Raises FileError if the pixels are damaged, the part holds deep samples, or the system refuses memory or files.
     """
     if part.deep:
         raise FileError(
@@ -63,7 +78,7 @@ def decode_part(container: Container, part: Part, names: Collection[str] | None 
     try:
         whole = {each.name: np.empty((window.height, window.width), DTYPES[each.pixel_type]) for each in chosen}
     except MemoryError as problem:
-        raise _refuse_pixels(container, "not enough memory") from problem
+        raise refuse_system(f"input {str(container.path)!r}", problem) from problem
     for first in range(0, window.height, step):
         stop = min(first + step, window.height)
         pixels = _decode_rows(container, crop_part(part, first, stop))
@@ -72,36 +87,36 @@ def decode_part(container: Container, part: Part, names: Collection[str] | None 
     return whole
 
 
-def _refuse_pixels(container: Container, got: str) -> FileError:
-    return FileError(
-        f"input {str(container.path)!r}",
-        expected="pixels that can be decoded",
-        got=got,
-        action="render or copy it again",
-    )
+def refuse_system(name: str, problem: MemoryError | OSError | ImportError) -> FileError:
+    """Return the error for a file whose pixels the system does not let us decode or encode; the file may be good."""
+    if isinstance(problem, MemoryError):
+        got, action = "not enough memory", "free some, or raise the limit of this process (ulimit -v)"
+    else:
+        got = say_reason(problem) if isinstance(problem, OSError) else f"a library that cannot be loaded ({problem})"
+        action = "check the disk, and the limits of this process (ulimit -a)"
+    return FileError(name, expected="memory and files to work with", got=got, action=action)
 
 
 def _decode_rows(container: Container, part: Part) -> dict[str, Pixels]:
     """Return every channel of a part, decoded at once."""
+    name = f"input {str(container.path)!r}"
     try:
-        with (
-            refusing(
-                f"input {str(container.path)!r}", "a readable file", "check the disk, and the limits of open files"
-            ),
-            container.path.open("rb") as stream,
-        ):
+        with container.path.open("rb") as stream:
             data = pack_part(container, part, stream)
-        pixels = decode_bytes(data)
-    except (RuntimeError, ValueError, TypeError, KeyError, OSError, MemoryError) as problem:
-        reason = "not enough memory" if isinstance(problem, MemoryError) else "damaged pixels"
-        raise _refuse_pixels(container, reason) from problem
+        pixels = decode_bytes(data, _count_row_bytes(part) * part.data_window.height)
+    except (OSError, MemoryError, ImportError) as problem:
+        raise refuse_system(name, problem) from problem
+    except (RuntimeError, ValueError, TypeError, KeyError) as problem:
+        raise FileError(
+            name, expected="pixels that can be decoded", got="damaged pixels", action="render or copy it again"
+        ) from problem
     for channel in part.channels:
         shape = (part.data_window.height // channel.y_sampling, part.data_window.width // channel.x_sampling)
         plane = pixels.get(channel.name)
         plain = channel.x_sampling == channel.y_sampling == 1
         if plane is None or plane.dtype != DTYPES[channel.pixel_type] or (plain and plane.shape != shape):
             raise FileError(
-                f"input {str(container.path)!r}",
+                name,
                 expected=f"the channel '{show_name(channel.name)}' of {shape[1]}x{shape[0]} pixels",
                 got="damaged pixels",
                 action="render or copy it again",
@@ -109,11 +124,15 @@ def _decode_rows(container: Container, part: Part) -> dict[str, Pixels]:
     return pixels
 
 
-def decode_bytes(data: bytes) -> dict[str, Pixels]:
-    """Return every channel of a file with one part. A damaged channel is left out, or raises an error of any kind."""
+def decode_bytes(data: bytes, pixel_bytes: int) -> dict[str, Pixels]:
+    """Return every channel of a file with one part, whose decoded pixels have ``pixel_bytes``.
+
+    A damaged channel is left out, or raises RuntimeError, ValueError, TypeError or KeyError. Raises MemoryError,
+    OSError or ImportError if the system refuses memory, files or the library.
+    """
     import OpenEXR
 
-    with _enter_library():
+    with _enter_library(len(data) + pixel_bytes, pixel_bytes):
         channels = OpenEXR.File(io.BytesIO(data), separate_channels=True).channels()
         # The library leaves out pixels that it cannot decode.
         return {key: np.asarray(channel.pixels) for key, channel in channels.items()}
@@ -159,7 +178,7 @@ def encode_file(
 ) -> bytes:
     """Return a single-part file, with the types, tiles and compression of ``part`` if it is given.
 
-    Raises FileError if the library cannot encode the pixels.
+    Raises FileError if the library cannot encode the pixels, or the system refuses memory.
     """
     import OpenEXR
 
@@ -179,10 +198,13 @@ def encode_file(
         for name, values in pixels.items()
     }
     out = io.BytesIO()
+    pixel_bytes = sum(values.nbytes for values in pixels.values())
     try:
-        with _enter_library():
+        with _enter_library(2 * pixel_bytes, pixel_bytes):
             OpenEXR.File(full, channels).write(out)
-    except (RuntimeError, ValueError, TypeError, OSError, MemoryError) as problem:
+    except (MemoryError, OSError) as problem:
+        raise refuse_system("output", problem) from problem
+    except (RuntimeError, ValueError, TypeError) as problem:
         raise FileError(
             "output", expected="pixels that can be encoded", got=str(problem), action="report it"
         ) from problem
@@ -199,12 +221,16 @@ class _Threads:
     def start(self) -> None:
         """Start a thread for every core, if there is more than one and none was started.
 
-        Their number stays, as other calls may be using them.
+        Their number stays, as other calls may be using them. Where the system has no room for the threads, or refuses
+        them, none is started: the library then works in the thread that calls it.
         """
         with self._lock:
-            if not self._has_started and count_cores() > 1:
-                self._set(count_cores())
-                self._has_started = True
+            if not self._has_started and count_cores() > 1 and _has_memory(count_cores() * THREAD_BYTES + FIXED_BYTES):
+                try:
+                    self._set(count_cores())
+                    self._has_started = True
+                except RuntimeError:
+                    self._set(0)
 
     def end(self) -> None:
         """End all threads; then the library works in the thread that calls it. No call may be under way."""
@@ -227,13 +253,34 @@ def _pair(window: Window) -> tuple[Pixels, Pixels]:
     return np.array([window.x_min, window.y_min], np.int32), np.array([window.x_max, window.y_max], np.int32)
 
 
+def _has_memory(size: int) -> bool:
+    """Return whether the system would hand out ``size`` bytes now. They are not touched, so none is used."""
+    try:
+        mmap.mmap(-1, size).close()
+    except OSError:
+        return False
+    return True
+
+
 @contextmanager
-def _enter_library() -> Iterator[None]:
+def _enter_library(kept_bytes: int, pixel_bytes: int) -> Iterator[None]:
     """Start the library's threads for a call. Any number of threads may call it at once.
+
+    The call keeps ``kept_bytes`` in memory and works on ``pixel_bytes`` of pixels. Raises MemoryError without the call
+    if the system would not hand out its memory, and after a call that failed while memory was short.
 
     On damaged pixels the library prints, by Python's print and to file descriptor 2, and cannot be told to be silent.
     The command hides these lines.
     """
+    needed = kept_bytes + SCRATCH_COPIES * pixel_bytes + FIXED_BYTES
     with _gate.enter(), hide_lines("EXR_ERR", "ojph", "Warning: Exception raised reading pixel data"):
         _threads.start()
-        yield
+        if not _has_memory(needed):
+            raise MemoryError
+        try:
+            yield
+        except (RuntimeError, ValueError, TypeError, KeyError) as problem:
+            # Another thread may have taken the memory since.
+            if not _has_memory(needed):
+                raise MemoryError from problem
+            raise

@@ -168,7 +168,7 @@ def _fill(spool: ChunkSpool, container: Container, planes: _Planes, *, checked: 
 
 
 def _keeps(data: bytes, pixels: Mapping[str, Pixels], names: list[str]) -> bool:
-    made = decode_bytes(data)
+    made = decode_bytes(data, sum(plane.nbytes for plane in pixels.values()))
     return all(np.array_equal(made[name], pixels[name], equal_nan=True) for name in names)
 
 
