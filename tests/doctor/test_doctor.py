@@ -20,6 +20,11 @@ from lobewise.doctor.report import Problem, Report, Section, name_path
 from lobewise.errors import MissingDependencyError
 from lobewise.peers import has_oidn
 
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
 PAGE = (Path(__file__).parents[2] / "docs" / "command_line.md").read_text()
 
 
@@ -143,6 +148,31 @@ class TestPackages:
     def test_versions_are_compared_as_numbers(self, version: str, limits: str, fits: bool) -> None:
         assert packages.is_version_among(version, limits) is fits
 
+    @pytest.mark.parametrize(
+        ("name", "faulty", "mended"),
+        [
+            ("OpenEXR", ["3.3.12", "3.4.0", "3.4.13", "3.5.2"], "3.5.3"),
+            ("pillow", ["11.3.0", "12.3.0"], "13.0.0"),
+            ("distributed", ["2025.12.0"], "2026.1.0"),
+            ("cryptography", ["46.0.6", "48.0.0"], "48.0.1"),
+        ],
+    )
+    def test_versions_with_published_faults_are_told(
+        self, name: str, faulty: list[str], mended: str, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+        farm = [f"{line}; extra == 'farm'" for line in project["optional-dependencies"]["farm"]]
+        monkeypatch.setattr(packages, "requires", lambda package: [*project["dependencies"], *farm])
+        monkeypatch.setattr(packages.sys, "version_info", (3, 12))
+        monkeypatch.setattr(packages, "_list_broken", lambda *_, **__: [])
+        monkeypatch.setattr(packages, "_list_oidn_problems", list)
+        for version in [*faulty, mended]:
+            monkeypatch.setattr(packages, "_look_up_version", lambda other, v=version: v if other == name else "9999")
+            sections = packages.examine_packages(), packages.examine_extras()
+            told = [problem.what for section in sections for problem in section.problems]
+            assert len(told) == (version != mended), told
+            assert all(f"{name} is of version {version}" in what and "published faults" in what for what in told)
+
     def test_missing_and_old_packages(self, monkeypatch: pytest.MonkeyPatch) -> None:
         given = [
             packages.Package("gone", ">=1", "", ""),
@@ -155,7 +185,10 @@ class TestPackages:
         needed, extras = packages.examine_packages(), packages.examine_extras()
         assert [(problem.what, problem.fatal) for problem in needed.problems] == [
             ("gone is not installed", True),
-            ("old is of version 2.9, and lobewise needs >=3", True),
+            (
+                "old is of version 2.9, and lobewise needs >=3, as other versions do not work or have published faults",
+                True,
+            ),
         ]
         assert [problem.fatal for problem in extras.problems] == [False]
         assert extras.facts["rare"] == "absent not installed (pip install 'lobewise[rare]')"

@@ -37,7 +37,7 @@ def refuse_folder() -> FileError:
         expected="a folder /tmp that can be written, which Halide needs to compile a kernel",
         got="a folder that is read-only, full or missing",
         action="mount one there (docker run --tmpfs /tmp), let LOBEWISE_CACHE name a folder of compiled kernels, "
-        "or install a wheel of lobewise, which brings its kernels along",
+        "or install a wheel for this system, which brings its kernels along",
     )
 
 

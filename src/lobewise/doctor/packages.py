@@ -38,6 +38,13 @@ class Package:
         """Whether the installed version does."""
         return bool(self.installed) and is_version_among(self.installed, self.versions)
 
+    def describe_misfit(self, needer: str) -> str:
+        """Return what is wrong with the installed version, which does not do for ``needer``."""
+        return (
+            f"{self.name} is of version {self.installed}, and {needer} needs {self.versions}, as other versions do not "
+            "work or have published faults"
+        )
+
 
 def read_packages() -> list[Package]:
     """Return the packages that lobewise and its extras need; an empty list if lobewise is not installed by pip."""
@@ -114,8 +121,7 @@ def examine_packages() -> Section:
         if not package.installed:
             problems.append(Problem(f"{package.name} is not installed", f"pip install '{want}'", fatal=True))
         elif not package.fits:
-            what = f"{package.name} is of version {package.installed}, and lobewise needs {package.versions}"
-            problems.append(Problem(what, f"pip install '{want}'", fatal=True))
+            problems.append(Problem(package.describe_misfit("lobewise"), f"pip install '{want}'", fatal=True))
     problems += _list_broken(packages, fatal=True)
     return Section("Packages", facts, tuple(problems))
 
@@ -133,9 +139,7 @@ def examine_extras() -> Section:
         facts[extra] = f"{versions} (pip install 'lobewise[{extra}]')" if lacks else versions
         for package in packages:
             if package.installed and not package.fits:
-                what = (
-                    f"{package.name} is of version {package.installed}, and lobewise[{extra}] needs {package.versions}"
-                )
+                what = package.describe_misfit(f"lobewise[{extra}]")
                 problems.append(Problem(what, f"pip install '{package.name}{package.versions}'"))
         problems += _list_broken(packages, fatal=False)
     return Section("Extras", facts, (*problems, *_list_oidn_problems()))
