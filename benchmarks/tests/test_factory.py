@@ -70,7 +70,7 @@ def test_plans_follow_from_seeds_and_stay_within_bounds(kind: str) -> None:
     for plan in plans:
         assert (160, 144) <= plan.size <= (256, 192)
         assert len(plan.reference_spp) == 3
-        assert sum(plan.reference_spp) >= 300
+        assert sum(plan.reference_spp) >= (300 if kind in kinds.VALIDATION else 150)
         assert all(1 <= spp <= 256 for spp in plan.spp)
         assert kind in kinds.TRAINING or plan.spp == (4, 16, 64)
 

@@ -132,6 +132,20 @@ def test_errors_above_those_of_the_noisy_crop_count_more(program: Any, torch: An
     assert compute_loss(found, reference + 0.01, before, reference) > compute_loss(found, before, before, reference)
 
 
+def test_what_is_worse_than_its_input_counts_once_more(
+    program: Any, torch: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reference, worse = torch.ones(1, 3, 16, 16), torch.full((1, 3, 16, 16), 1.3)
+    losses = []
+    for weight in (program.refinement.EXCESS_WEIGHT, 0.0):
+        monkeypatch.setattr(program.refinement, "EXCESS_WEIGHT", weight)
+        losses += [
+            float(program.refinement.compute_loss(worse, reference * noise, worse, reference)) for noise in (1.1, 1.5)
+        ]
+    assert losses[0] > losses[2]
+    assert losses[1] == losses[3]
+
+
 def test_sums_of_taps_have_the_gradients_of_their_definition(torch: Any, program: Any) -> None:
     model = program.refinement_model
     sums = torch.rand(1, 2, 5, 6, dtype=torch.float64, requires_grad=True)

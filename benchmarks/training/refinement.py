@@ -163,10 +163,6 @@ def load_weights(path: Path, state: State) -> None:
     """Begin with exported weights."""
     with np.load(path) as arrays:
         told = {name: torch.from_numpy(arrays[name].astype(np.float32)) for name in arrays.files}
-    for name, untrained in state.network.state_dict().items():
-        # A head that has got more outputs begins with 0 for them.
-        missing = len(untrained) - len(told[name])
-        told[name] = torch.cat([told[name], torch.zeros_like(untrained[:missing])]) if missing else told[name]
     state.network.load_state_dict(told)
     state.average.load_state_dict(told)
 

@@ -28,7 +28,8 @@ class Kind:
     module : str
         Of this folder; its function is ``make_KIND``.
     reference_spp : int
-        Of all parts together.
+        Of all parts together. Those to train on have half as many: what noise is left is cleaned, and more shots help
+        more.
     brightness : tuple of float
         Bounds of the mean of L / (1 + L), L the luminance, to which the shot is exposed.
     sizes : int
@@ -51,19 +52,19 @@ KINDS = {
     "jewels": Kind("precious", 450, (0.15, 0.3), sizes=3),
     "bokeh": Kind("lamps", 360, (0.12, 0.25), sizes=3),
     "foliage": Kind("nature", 300, sizes=4),
-    "product": Kind("tables", 300),
-    "room": Kind("rooms", 450, (0.3, 0.45), sizes=3),
-    "glass": Kind("tables", 450, sizes=3),
-    "brushed": Kind("tables", 300),
-    "toys": Kind("tables", 300),
-    "wax": Kind("tables", 300, sizes=4),
-    "archviz": Kind("rooms", 300, (0.25, 0.38)),
-    "gallery": Kind("rooms", 360, (0.25, 0.4), sizes=4),
-    "screens": Kind("rooms", 300, (0.12, 0.28)),
-    "film": Kind("tables", 300, (0.15, 0.3)),
-    "bristles": Kind("trouble", 300),
-    "steam": Kind("trouble", 300, (0.15, 0.35), sizes=4, volume=True),
-    "party": Kind("trouble", 360, (0.1, 0.28), sizes=4),
+    "product": Kind("tables", 150),
+    "room": Kind("rooms", 225, (0.3, 0.45), sizes=3),
+    "glass": Kind("tables", 225, sizes=3),
+    "brushed": Kind("tables", 150),
+    "toys": Kind("tables", 150),
+    "wax": Kind("tables", 150, sizes=4),
+    "archviz": Kind("rooms", 150, (0.25, 0.38)),
+    "gallery": Kind("rooms", 180, (0.25, 0.4), sizes=4),
+    "screens": Kind("rooms", 150, (0.12, 0.28)),
+    "film": Kind("tables", 150, (0.15, 0.3)),
+    "bristles": Kind("trouble", 150),
+    "steam": Kind("trouble", 150, (0.15, 0.35), sizes=4, volume=True),
+    "party": Kind("trouble", 180, (0.1, 0.28), sizes=4),
 }
 
 

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from lobewise.interchange import Imported
     from lobewise.io import FileDescription
 
-EXIT_REFUSED = 2
-"""Exit code of `inspect` for a file that `denoise` refuses with this code."""
+EXIT_USER_ERROR = 2
+"""Exit code where input is refused; `inspect` has it for a file that `denoise` refuses."""
 
 app = App(
     name="lobewise",
@@ -166,7 +166,7 @@ def inspect(
         if everything or attributes:
             print_description(description, with_attributes=attributes)
     if not description.can_be_denoised:
-        raise typer.Exit(EXIT_REFUSED)
+        raise typer.Exit(EXIT_USER_ERROR)
 
 
 def write_contents(page: Path, source: Path, description: FileDescription, reading: PassReading) -> None:

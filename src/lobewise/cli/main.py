@@ -16,7 +16,7 @@ import lobewise
 from lobewise.cli.terminal.interrupts import EXIT_INTERRUPTED, INTERRUPTED, interrupts
 from lobewise.errors import LobewiseError, describe_problem, make_printable
 
-EXIT_OK, EXIT_INTERNAL_ERROR, EXIT_USER_ERROR = 0, 1, 2
+EXIT_OK, EXIT_INTERNAL_ERROR = 0, 1
 _show_warning_by_default = warnings.showwarning
 COMPLETION_VARIABLE = "_LOBEWISE_COMPLETE"
 """Set by the shell that asks how a command line may go on (`lobewise --install-completion`)."""
@@ -27,7 +27,7 @@ BUG_REPORT_URL = "https://github.com/lobewise/lobewise/issues"
 
 def run(arguments: list[str]) -> int:
     """Run the program and return its exit code."""
-    from lobewise.cli.commands import app
+    from lobewise.cli.commands import EXIT_USER_ERROR, app
     from lobewise.cli.rendering import give_switches_values
     from lobewise.cli.terminal.help import asks_for_all
 

@@ -70,7 +70,7 @@ def make_sums(target: hl.Target) -> Scheduled:
         logit = logits[X, HEAD.sources + number, Y] + hl.f32(SOURCE_BIAS)
         weight = hl.f32(MIN_SOURCE) + _compute_logistic(logit)
         for k in range(COLORS):
-            change = tinted[X, k, Y] / _bound_tint(tinted[X, k, Y], brightness, logits)
+            change = tinted[X, k, Y] / _compute_trusted_tint(tinted[X, k, Y], brightness, logits)
             values.append(weight * change * light_near[X, COLORS * number + k, Y])
         values.append(weight)
     sums[X, C, Y] = hl.mux(C, values)
@@ -138,7 +138,7 @@ def make_filter(target: hl.Target) -> Scheduled:
     exponents = _define_exponents(logits)
     total = _define_total(logits, exponents, light, compared, larger)
     mean = hl.mux(C, [total[X, Y][k] / total[X, Y][COLORS] for k in range(COLORS)])
-    out[C, X, Y] = hl.min(mean * _bound_tint(tinted[X, C, Y], brightness, logits), hl.f32(LARGEST_FLOAT))
+    out[C, X, Y] = hl.min(mean * _compute_trusted_tint(tinted[X, C, Y], brightness, logits), hl.f32(LARGEST_FLOAT))
 
     # Schedule
     exponents.bound(C, 0, len(GROUPS))
@@ -195,7 +195,7 @@ def _compute_logistic(value: hl.Expr) -> hl.Expr:
     return hl.select(value >= hl.f32(0.0), high, small * high)
 
 
-def _bound_tint(tint: hl.Expr, brightness: hl.Expr, logits: hl.Func) -> hl.Expr:
+def _compute_trusted_tint(tint: hl.Expr, brightness: hl.Expr, logits: hl.Func) -> hl.Expr:
     """Return the tint, times the brightness of the image, as far as the network trusts it at a pixel."""
     trust = _compute_logistic(logits[X, HEAD.trust, Y] + hl.f32(TRUST_BIAS))
     return brightness + trust * (tint - brightness)
