@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,19 +32,37 @@ def full_frame(make_frame: Callable[..., Frame]) -> Frame:
 @pytest.fixture
 def given(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """Return what the last call gave to the library's network beside the colour."""
-    import sys
-
     import pyoidn
 
     seen: dict[str, Any] = {}
 
-    def record(color: Any, albedo: Any, normal: Any, **options: Any) -> Any:
-        seen.update(options, albedo=albedo, normal=normal)
-        return color
+    class Recorder(pyoidn.Filter):
+        """A filter of the library that notes what it gets."""
 
-    # The package has a function of its module's name.
-    assert callable(pyoidn.denoise)
-    monkeypatch.setattr(sys.modules["pyoidn.denoise"], "denoise", record)
+        def __init__(self, *arguments: Any) -> None:
+            super().__init__(*arguments)
+            self.given: dict[str, Any] = {}
+
+        def set_image(self, name: str, data: Any, *rest: Any) -> None:
+            super().set_image(name, data, *rest)
+            self.given[name] = data
+
+        def set_bool(self, name: str, value: bool) -> None:
+            super().set_bool(name, value)
+            self.given[name] = value
+
+        def set_int(self, name: str, value: int) -> None:
+            super().set_int(name, value)
+            self.given[name] = value
+
+        def execute(self) -> None:
+            if "color" in self.given:
+                seen.update({"albedo": None, "normal": None, **self.given})
+            elif "albedo" in self.given:
+                seen["noisy albedo"] = self.given["albedo"]
+            super().execute()
+
+    monkeypatch.setattr(pyoidn, "Filter", Recorder)
     return seen
 
 
@@ -59,6 +80,8 @@ def make_noisy_guides(rng: np.random.Generator) -> tuple[Frame, FloatArray, Floa
 
 
 def test_guides_come_as_asked_for(full_frame: Frame, given: dict[str, Any]) -> None:
+    import pyoidn
+
     denoise_oidn(full_frame, guides="mean", quality="fast")
     np.testing.assert_array_equal(given["albedo"], full_frame.gbuffer.denoiser_albedo)
     np.testing.assert_array_equal(given["normal"], full_frame.gbuffer.denoiser_normal)
@@ -76,9 +99,9 @@ def test_guides_come_as_asked_for(full_frame: Frame, given: dict[str, Any]) -> N
         assert normal is not None
         np.testing.assert_array_equal(given["normal"], normal)
         np.testing.assert_array_equal(given["albedo"], albedo)
-        assert given["clean_aux"]
+        assert given["cleanAux"]
         assert given["hdr"]
-        assert given["quality"] == "fast"
+        assert given["quality"] == pyoidn.OIDN_QUALITY_FAST
 
 
 def test_a_frame_without_mean_normals_gives_its_own(
@@ -106,7 +129,7 @@ def test_what_tells_nothing_is_left_out(full_frame: Frame, given: dict[str, Any]
         denoise_oidn(frame)
         assert tuple(name for name in ("albedo", "normal") if given[name] is not None) == names
         # A network for guides without noise needs some.
-        assert given["clean_aux"] is bool(names)
+        assert given["cleanAux"] is bool(names)
     image, _ = denoise_oidn(full_frame.with_changes(gbuffer=GBuffer()))
     assert image.shape == (*full_frame.shape, 3)
 
@@ -124,9 +147,8 @@ def test_guides_that_are_no_numbers_do_not_reach_it(full_frame: Frame, given: di
 
 @pytest.mark.parametrize("kind", ["mean", "prefiltered"])
 def test_an_albedo_without_a_mean_of_the_area_is_that_of_the_samples(
-    kind: str, full_frame: Frame, given: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+    kind: str, full_frame: Frame, given: dict[str, Any]
 ) -> None:
-    monkeypatch.setattr(peers, "_prefilter", lambda name, image, quality: image)
     guides = replace(full_frame.gbuffer, denoiser_albedo=None)
     for missing in ("diffuse_albedo", "specular_albedo"):
         without = replace(guides, **{f"mean_{missing}": None})
@@ -135,7 +157,8 @@ def test_an_albedo_without_a_mean_of_the_area_is_that_of_the_samples(
             getattr(guides, name if name == missing else f"mean_{name}")
             for name in ("diffuse_albedo", "specular_albedo")
         ]
-        np.testing.assert_array_equal(given["albedo"], np.minimum(parts[0] + parts[1], 1.0))
+        albedo = given["albedo" if kind == "mean" else "noisy albedo"]
+        np.testing.assert_array_equal(albedo, np.minimum(parts[0] + parts[1], 1.0))
 
 
 def test_prefiltered_guides_are_made_of_the_means_of_the_area(full_frame: Frame, given: dict[str, Any]) -> None:
@@ -180,6 +203,37 @@ def test_frame_and_kept_filters_are_left_as_they_were(rng: np.random.Generator) 
     np.testing.assert_array_equal(again, first)
     np.testing.assert_array_equal(frame.gbuffer.normal, normal)
     np.testing.assert_array_equal(frame.gbuffer.diffuse_albedo, albedo)
+
+
+def test_memory_of_the_library_is_freed_after_the_call(rng: np.random.Generator) -> None:
+    frame, _, _ = make_noisy_guides(rng)
+    with peers.keep_library_memory():
+        denoise_oidn(frame)
+        assert set(peers._opened.filters) == {("normal",), ("albedo",), ("color", "albedo", "normal")}
+        kept = peers._opened.filters["color", "albedo", "normal"]
+        denoise_oidn(frame)
+        assert peers._opened.filters["color", "albedo", "normal"] is kept
+    assert not peers._opened.filters
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="reads the memory of a process from Linux")
+def test_guides_and_color_share_memory(rng: np.random.Generator) -> None:
+    """Three filters with memory of their own would take three times this."""
+    program = """
+import resource
+import numpy as np
+from lobewise.frame import Frame, GBuffer, Radiance
+from lobewise.peers import denoise_oidn
+def measure():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+light = np.random.default_rng(0).random((400, 1000, 3), dtype=np.float32)
+denoise_oidn(Frame(Radiance(light[:64, :64])))
+start = measure()
+denoise_oidn(Frame(Radiance(light), GBuffer(normal=light, diffuse_albedo=light)))
+print((measure() - start) / light[..., 0].size)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert float(done.stdout) < 1200.0  # bytes a pixel
 
 
 def test_mistakes_are_told(full_frame: Frame) -> None:

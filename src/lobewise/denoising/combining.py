@@ -27,7 +27,7 @@ from lobewise.filters.noise.detail import compute_detail
 from lobewise.filters.specks import MIN_BLUR_RADIUS
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.lobes.vectors import compute_image_luminance
-from lobewise.peers import denoise_oidn, has_clean_guides, name_oidn_guides
+from lobewise.peers import denoise_oidn, has_clean_guides, keep_library_memory, name_oidn_guides
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_similarity
 
@@ -273,6 +273,7 @@ def _divide(light: Any, by: Any, where: Any) -> FloatArray:
     return np.asarray(np.divide(light, by, out=np.zeros_like(by), where=where))
 
 
+@keep_library_memory()
 def denoise_with_peer(frame: Frame, samples: FloatArray, image: FloatArray, seen: GBuffer | None = None) -> FloatArray:
     """Return what Open Image Denoise makes of samples, (height, width, 3); finite, >= 0.
 
