@@ -187,17 +187,32 @@ def read_merl(path: Path, _: Answer) -> None:
     """Read a MERL file that is told as JSON: its bins, size, value, and bytes put somewhere; whole it has 35 MB."""
     from lobewise.io.materials import read_merl
 
-    told = json.loads(path.read_bytes())
-    data = bytearray(struct.pack("<3i", *told["bins"]))
-    data += struct.pack("<Q", told["bits"]) * ((told["size"] - len(data)) // 8 + 1)
-    del data[max(told["size"], 0) :]
-    for at, text in told["patches"]:
-        patch = bytes.fromhex(text)[: max(len(data) - at, 0)]
-        data[at : at + len(patch)] = patch
+    try:
+        data = make_merl(path.read_bytes())
+    except (ValueError, TypeError, KeyError, RecursionError, struct.error):
+        # Fuzzing by coverage changes bytes of the JSON, which then often tells of no file.
+        return
     target = path.with_suffix(".binary")
     target.write_bytes(data)
     brdf = read_merl(target)
     assert np.isfinite(brdf.samples).all()
+
+
+def make_merl(words: bytes) -> bytes:
+    """Return the MERL file that is told as JSON."""
+    told = json.loads(words)
+    if told["size"] > MAX_MERL_BYTES:
+        raise ValueError(told["size"])
+    data = bytearray(struct.pack("<3i", *told["bins"]))
+    data += struct.pack("<Q", told["bits"]) * ((told["size"] - len(data)) // 8 + 1)
+    del data[max(told["size"], 0) :]
+    for at, text in told["patches"]:
+        part = bytes.fromhex(text)[: max(len(data) - at, 0)]
+        data[at : at + len(part)] = part
+    return bytes(data)
+
+
+MAX_MERL_BYTES = 40_000_000
 
 
 def read_camera_path(path: Path, _: Answer) -> None:

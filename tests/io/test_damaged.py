@@ -102,6 +102,17 @@ def test_an_attribute_twice_is_damage(whole):
         read_frame(path)
 
 
+@pytest.mark.parametrize(("x", "y"), [(2, 1), (1, 2), (2**19, 1), (1, 2**30)])
+def test_a_value_for_pixels_outside_the_window_is_damage(x, y, tmp_path):
+    path = tmp_path / "a.exr"
+    OpenEXR.File({}, {name: np.zeros((5, 5), "f") for name in "RGB"}).write(str(path))
+    data = path.read_bytes()
+    sampling = data.index(b"\0G\0") + 3 + 8
+    path.write_bytes(data[:sampling] + struct.pack("<ii", x, y) + data[sampling + 8 :])
+    with pytest.raises(FileError, match=f"a channel 'G' of one value for {x}x{y} pixels, which do not fill"):
+        read_container(path)
+
+
 def test_tiles_far_larger_than_the_image_are_damage(rng, tmp_path):
     path = tmp_path / "a.exr"
     header = {"type": OpenEXR.tiledimage, "tiles": OpenEXR.TileDescription()}

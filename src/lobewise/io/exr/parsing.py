@@ -246,12 +246,13 @@ def _interpret_header(index: int, attributes: tuple[Attribute, ...], version: in
         stated = struct.unpack("<i", value("chunkCount", "int", 4))[0]
         if stated != count:
             raise _Damaged(f"{stated} chunks in the header where the size of the image asks for {count}")
-    channels = _parse_channels(value("channels", "chlist", None))
+    channels = _parse_channels(value("channels", "chlist", None), data)
     part = Part(index, attributes, tiled, deep, channels, COMPRESSIONS[number][0], data, display, levels, ())
     return part, count
 
 
-def _parse_channels(data: bytes) -> tuple[Channel, ...]:
+def _parse_channels(data: bytes, window: Window) -> tuple[Channel, ...]:
+    """Return the channels of a part. One value of a subsampled channel must not stand for pixels outside the window."""
     channels = []
     names: set[str] = set()
     position = 0
@@ -266,6 +267,8 @@ def _parse_channels(data: bytes) -> tuple[Channel, ...]:
         kind, linear, x, y = struct.unpack_from("<iBxxxii", data, end + 1)
         if not 0 <= kind <= 2 or x < 1 or y < 1 or name in names:
             raise _Damaged(f"a damaged channel {_say(name)}")
+        if any((window.x_min % x, window.width % x, window.y_min % y, window.height % y)):
+            raise _Damaged(f"a channel {_say(name)} of one value for {x}x{y} pixels, which do not fill the window")
         names.add(name)
         channels.append(Channel(name, PIXEL_TYPES[kind], bool(linear), x, y))
         position = end + 17
