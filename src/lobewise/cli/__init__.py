@@ -32,9 +32,11 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     if not is_ignored:
         _set_handler(_leave)
     from lobewise.cli.main import run
+    from lobewise.cli.terminal.children import allow_children
     from lobewise.display.hushing import hush_libraries
 
     hush_libraries()
+    allow_children()
     if not is_ignored:
         _set_handler(_interrupt)
     try:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lobewise.cli.options.common import output_option
+from lobewise.cli.terminal.children import go_on_in_child
 from lobewise.errors import InputError
 
 if TYPE_CHECKING:
@@ -45,8 +46,6 @@ def fit(
     no_plot: Annotated[bool, typer.Option("--no-plot", help="Draw nothing.")] = False,
 ) -> None:
     """Fit lobes to a measured material, or to a material of a Mitsuba scene, and print how well they fit."""
-    from lobewise.io.files import require_other_files
-
     if (material is None) == (mitsuba is None):
         raise InputError(
             "material",
@@ -54,6 +53,10 @@ def fit(
             got="neither" if material is None else "both",
             action="name one material",
         )
+    if mitsuba is not None:
+        go_on_in_child(mitsuba.partition("#")[0], [output])
+    from lobewise.io.files import require_other_files
+
     picture = choose_plot(output, plot, wanted=not no_plot)
     require_other_files([output, *([picture] if picture else [])], [material or str(mitsuba).partition("#")[0]])
     if material is not None:

@@ -12,6 +12,7 @@ import typer
 from lobewise.cli.options.common import parse_place
 from lobewise.cli.options.spreading import complete_from, with_groups
 from lobewise.cli.options.writing import Output, Picture, protect_from_pictures
+from lobewise.cli.terminal.children import go_on_in_child
 from lobewise.cli.terminal.help import result_option, scene_detail, sequence_option
 from lobewise.cli.terminal.outcome import tell_picture
 from lobewise.cli.terminal.steps import Steps
@@ -199,6 +200,7 @@ def render(
     # A wrong place is an error even where it is not used.
     place = sparse.parse_place()
     parse_definitions(sampling.define or [])
+    go_on_in_child(scene, [output] if motion.frames is None else motion.list_files(output).values())
     if motion.frames is not None:
         _render_sequence(scene, output, sampling, contents, sparse.scale, motion, picture)
     elif sparse.scale != 1:

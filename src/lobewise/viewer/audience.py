@@ -49,6 +49,7 @@ class Audience:
         self.opened, self.over = threading.Event(), threading.Event()
         self.controls: dict[str, Control] = {}
         self._fixed_size, self._changes, self._tell_starter = fixed_size, changes, tell
+        self._is_frame = target.is_frame
         self._lock = threading.RLock()
         self._guests: dict[int, Guest] = {}
         self._notice = f"Opening {target.name} \u2026"
@@ -270,8 +271,8 @@ class Audience:
         for guest in guests:
             guest.client.add_notification("lobewise", text, color="orange" if again else "red", auto_close_seconds=8.0)
         self._announce(text, bad=True)
-        if not again and self.description is None:
-            self.failure = RuntimeError(text)
+        if not again:
+            self.failure = RuntimeError(text) if self._is_frame else LobewiseError(text)
             self.over.set()
 
     def watch(self) -> None:

@@ -14,11 +14,12 @@ from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection
 from typing import Any
 
+from lobewise.scenes.crashes import describe_crash
 from lobewise.viewer.messages import Forget, Opened, Order, Problem, Report, Request, Save, Target
 from lobewise.viewer.worker import run_worker
 
 MAX_RESTARTS = 3
-"""Restarts of the worker within `RESTART_SPAN`; after one more death it stays off."""
+"""Restarts of the worker within `RESTART_SPAN`. After one more death, or one before it was ever ready, it stays off."""
 RESTART_SPAN = 60.0
 """Seconds."""
 _PATIENCE = 2.0
@@ -43,7 +44,7 @@ class Link:
         self._wishes: OrderedDict[int, Request] = OrderedDict()
         self._errands: list[Save | Forget] = []
         self._latest: dict[int, Request] = {}
-        self._ready = False
+        self._ready = self._was_ready = False
         self._order: Order | None = None
         self._since = 0.0
         self._deaths: list[float] = []
@@ -165,7 +166,7 @@ class Link:
                 continue
             if isinstance(report, Opened):
                 with self._lock:
-                    self._ready = True
+                    self._ready = self._was_ready = True
                     self._send_next()
             fatal = isinstance(report, Problem) and report.client is None
             if fatal:
@@ -185,10 +186,12 @@ class Link:
         code = process.exitcode
         now = time.monotonic()
         self._deaths = [moment for moment in self._deaths if now - moment < RESTART_SPAN] + [now]
-        again = len(self._deaths) <= MAX_RESTARTS
         how = f"was killed by signal {-code}" if code is not None and code < 0 else f"ended with exit code {code}"
-        if not again:
-            self._remark(f"The renderer {how}, the {len(self._deaths)}th time within a minute; it stays off.", False)
+        if len(self._deaths) > MAX_RESTARTS or not self._was_ready:
+            # Of a scene that it cannot open, a new renderer would die as well.
+            times = f", {len(self._deaths)} times within a minute" if self._was_ready else ""
+            text = f"The renderer {how}{times}; it stays off."
+            self._remark(text if self._target.is_frame else str(describe_crash(self._target.name, code or 0)), False)
             return False
         self._remark(f"The renderer {how} and was started again.", True)
         with self._lock:

@@ -148,9 +148,9 @@ class Viewer:
         Raises
         ------
         LobewiseError
-            If the target cannot be opened.
+            If the target cannot be opened, or a scene crashed the renderer again and again.
         RuntimeError
-            If it cannot be opened because of an error of the program.
+            If it cannot be opened, or crashed, because of an error of the program.
         """
         # Without a timeout Ctrl-C would not interrupt the wait on every system.
         while not self._audience.over.wait(0.5):

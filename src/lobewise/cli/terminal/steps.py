@@ -87,6 +87,18 @@ def pause_steps() -> Iterator[None]:
         display.start()
 
 
+def erase_steps() -> None:
+    """Erase the line of progress that a crashed process left on this one's terminal, and show the cursor again."""
+    if sys.stderr is None or not sys.stderr.isatty():
+        return
+    from rich.console import Console
+    from rich.control import Control
+    from rich.segment import ControlType
+
+    erase = Control(ControlType.CARRIAGE_RETURN, (ControlType.ERASE_IN_LINE, 2), ControlType.SHOW_CURSOR)
+    Console(stderr=True).control(erase)
+
+
 def _format_rate(rate: float) -> str:
     return f"{rate:.0f}" if rate >= 10.0 else f"{rate:.1f}"
 
