@@ -1,11 +1,11 @@
 """Builds a wheel with compiled kernels, checks it, and measures it in fresh environments.
 
-    pip install -e '.[release]'
     python -m releasing.libraries build/kernels
     python -m releasing.wheels build/kernels --python python3.11 --python python3.12 --readme
 
 The wheel comes to ``dist``, the figures to ``benchmarks/results/core.json``: the size of all that ``pip install``
 brings apart from NumPy, and the times of the first and the second ``lobewise denoise`` by a user without caches.
+The environment must be that of ``lock.txt``: it compiles the kernels and builds the wheel (CONTRIBUTING.md).
 ``--readme`` also runs the commands of the README from a fresh clone.
 
 Only wheels of the system that this runs on can be measured. Others are built and checked (``--no-measure``).
@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.common import RESULTS, ROOT, SHOWROOM, describe_machine, write_json
+from releasing.lock import require_locked
 
 MAX_MEGABYTES = 120.0
 """Largest size of an installation without NumPy."""
@@ -46,7 +47,9 @@ def run_nightly_tests() -> None:
 def build_wheel(libraries: Path, folder: Path) -> Path:
     """Build the wheel of a folder of libraries, check its metadata, and return its path."""
     with tempfile.TemporaryDirectory() as made:
-        command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", made, str(ROOT)]
+        # An isolated build would download its tools anew, without looking at the lock file.
+        command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation"]
+        command += ["--wheel-dir", made, str(ROOT)]
         subprocess.run(command, env={**os.environ, "LOBEWISE_KERNELS": str(libraries.resolve())}, check=True)
         (wheel,) = Path(made).glob("*.whl")
         folder.mkdir(parents=True, exist_ok=True)
@@ -155,6 +158,7 @@ def main() -> int:
     parser.add_argument("--readme", action="store_true", help="also run the commands of the README")
     parser.add_argument("--no-tests", action="store_true", help="do not run the nightly tests")
     options = parser.parse_args()
+    require_locked()
     if not options.no_tests:
         run_nightly_tests()
     wheel = build_wheel(options.libraries, options.output)
