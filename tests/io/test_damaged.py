@@ -102,6 +102,17 @@ def test_an_attribute_twice_is_damage(whole):
         read_frame(path)
 
 
+@pytest.mark.parametrize("linear", [2, 255])
+def test_a_flag_of_a_channel_is_0_or_1(linear, tmp_path):
+    path = tmp_path / "a.exr"
+    OpenEXR.File({}, {name: np.zeros((5, 5), "f") for name in "RGB"}).write(str(path))
+    data = bytearray(path.read_bytes())
+    data[data.index(b"\0G\0") + 3 + 4] = linear
+    path.write_bytes(data)
+    with pytest.raises(FileError, match="a damaged channel 'G'"):
+        read_container(path)
+
+
 @pytest.mark.parametrize(("x", "y"), [(2, 1), (1, 2), (2**19, 1), (1, 2**30)])
 def test_a_value_for_pixels_outside_the_window_is_damage(x, y, tmp_path):
     path = tmp_path / "a.exr"

@@ -265,7 +265,7 @@ def _parse_channels(data: bytes, window: Window) -> tuple[Channel, ...]:
         except UnicodeDecodeError:
             raise _Damaged("a channel whose name is not UTF-8") from None
         kind, linear, x, y = struct.unpack_from("<iBxxxii", data, end + 1)
-        if not 0 <= kind <= 2 or x < 1 or y < 1 or name in names:
+        if not 0 <= kind <= 2 or linear > 1 or x < 1 or y < 1 or name in names:
             raise _Damaged(f"a damaged channel {_say(name)}")
         if any((window.x_min % x, window.width % x, window.y_min % y, window.height % y)):
             raise _Damaged(f"a channel {_say(name)} of one value for {x}x{y} pixels, which do not fill the window")
