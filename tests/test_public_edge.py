@@ -130,6 +130,7 @@ def test_everything_public_is_tried(tmp_path: Path) -> None:
         "DenoiseSettings": "tests/test_settings.py",
         "TemporalSettings": "tests/test_settings.py",
         "recompute": "tests/denoising/test_adaptive.py",
+        "limit_call": "tests/test_limits.py",
         "find_unsupported": "tests/denoising/test_adaptive.py",
     }
     public = [getattr(lobewise, name) for name in lobewise.__all__]

@@ -17,6 +17,7 @@ from .interchange import write_result as write_result
 from .io.exr import write_frame as write_frame
 from .io.exr.sparse import read_sparse_frame as read_sparse_frame
 from .io.exr.sparse import write_sparse_frame as write_sparse_frame
+from .limits import limit_call as limit_call
 from .lobe_table import LobeTable as LobeTable
 from .settings import DenoiseSettings as DenoiseSettings
 from .settings import TemporalSettings as TemporalSettings

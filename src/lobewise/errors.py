@@ -55,6 +55,10 @@ class DeviceError(LobewiseError):
     """The requested device cannot run the kernels; the message says why."""
 
 
+class LimitError(LobewiseError):
+    """A call would take more memory or time than it may; see `lobewise.limit_call`."""
+
+
 class UnsupportedBsdfError(LobewiseError):
     """A scene uses a BSDF that cannot be evaluated."""
 

@@ -6,6 +6,7 @@ import importlib
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
@@ -16,7 +17,12 @@ from lobewise.chunks import make_fork_lock
 from lobewise.errors import DeviceError, MissingDependencyError, make_printable, require_choice
 from lobewise.frame import FloatArray, Frame
 from lobewise.guides.survey import STRIDE
+from lobewise.limits import GIB, check_time
 
+LIBRARY_BYTES_PER_PIXEL = 820
+"""Memory that the library works on, bytes, unless it is bounded."""
+MIN_LIBRARY_BYTES = 0.45 * GIB
+"""Memory of the library's smallest tiles, bytes."""
 OIDN_GUIDES = ("prefiltered", "mean", "centre")
 MIN_SIDE_PIXELS, WIDENED_SIDE_PIXELS = 16, 32
 """Side below which the library loses light, and the side to which shorter ones are widened by mirrored pixels."""
@@ -37,12 +43,25 @@ class _Opened:
 _opened = _Opened()
 
 
+_most_bytes: ContextVar[float | None] = ContextVar("most_bytes", default=None)
+
+
+@contextmanager
+def bound_library_memory(most_bytes: float | None) -> Iterator[None]:
+    """Let the library work in tiles that fit ``most_bytes``; None for no bound. The bits stay the same."""
+    token = _most_bytes.set(most_bytes)
+    try:
+        yield
+    finally:
+        _most_bytes.reset(token)
+
+
 @contextmanager
 def keep_library_memory() -> Iterator[None]:
     """Keep the memory of the library from call to call inside the context, and free it at the end.
 
-    All filters work on one device: they then share one piece of memory, of about 0.75 GiB per megapixel. Fresh memory
-    for every call would cost a fifth of its time.
+    All filters work on one device: they then share one piece of memory. Fresh memory for every call would cost a fifth
+    of its time.
     """
     with _library_lock:
         _opened.keepers += 1
@@ -249,6 +268,7 @@ def _run_library(quality: str, **images: FloatArray) -> FloatArray:
     """
     import pyoidn
 
+    check_time()
     name, source = next(iter(images.items()))
     output = np.empty_like(source)
     # A filter holds the images of one call: another thread would replace them before the library reads them.
@@ -264,6 +284,8 @@ def _run_library(quality: str, **images: FloatArray) -> FloatArray:
             network.set_image(each, image, pyoidn.OIDN_FORMAT_FLOAT3)
         network.set_bool("hdr", name == "color")
         network.set_bool("cleanAux", len(images) > 1)
+        most = _most_bytes.get()
+        network.set_int("maxMemoryMB", -1 if most is None else int(max(most, MIN_LIBRARY_BYTES) / 1e6))
         network.set_quality(getattr(pyoidn, f"OIDN_QUALITY_{quality.upper()}"))
         network.commit()
         network.execute()

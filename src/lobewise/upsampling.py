@@ -20,6 +20,7 @@ from lobewise.denoising.layers import (
     make_layers,
     make_rest_layers,
 )
+from lobewise.denoising.plan import bound_memory
 from lobewise.errors import require_kind
 from lobewise.features import Feature, TentFeature
 from lobewise.filters.compositing import composite_parts
@@ -98,7 +99,7 @@ def upsample(
         frame = tint_samples(frame)
     bad = mark_bad_pixels(Frame(frame.radiance))
     require_some_good(int(np.count_nonzero(bad)), bad.size, "sample")
-    with engine.on(chosen.device):
+    with bound_memory(frame, "fast", with_oidn=False), engine.on(chosen.device):
         if bilinear:
             everywhere = np.ones(frame.shape, dtype=bool)
             tent = Layer(frame.radiance.color, None, everywhere, (TentFeature(float(frame.scale)), *features))

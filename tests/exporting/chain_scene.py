@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.camera import Camera
+from lobewise.camera import Camera, compute_motion, project_points
 from lobewise.frame import Frame, GBuffer, Radiance
-from lobewise.motion import compute_motion, project_points
 from lobewise.sparse_frame import SparseFrame
 
 SIZE = (45, 61)

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from lobewise import limits
 from lobewise.cli import farming
 from lobewise.cli.farming import FrameWork
 from lobewise.cli.main import run
@@ -79,8 +80,9 @@ def test_a_frame_that_is_too_large_for_the_worker_is_filtered_in_bands(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert run(["denoise", "in.#.exr", "-o", "near.#.exr", *CHEAP]) == 0
-    monkeypatch.setattr(plan, "PROGRAM_GIB", 100.0)
-    monkeypatch.setattr(plan, "MIN_BAND_GIB", 1e-6)
+    monkeypatch.setattr(limits, "PROGRAM_GIB", 100.0)
+    # The smallest band would still be refused.
+    monkeypatch.setattr(plan, "require_memory", lambda needed: None)
     work = catch_job(monkeypatch=monkeypatch).work
     assert "bands" not in do(work, 1)[0].last
     told, _ = do(work, 1, memory=1.0)

@@ -5,17 +5,15 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from lobewise.cli.main import run
-from lobewise.cli.options.farming import GIB, parse_memory
+from lobewise.cli.options.bounding import parse_memory
 from lobewise.errors import InputError
 from lobewise.farm import connection
 from lobewise.io import write_frame
 from lobewise.io.sequence import name_frames
-from lobewise.streaming import DEFAULT_MEMORY, choose_limits
-from lobewise.streaming.plan import MAX_WHOLE_GIB
+from lobewise.limits import GIB
 from tests.streaming.frames import make_scene
 
 
@@ -38,9 +36,8 @@ def fail(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     [
         (["in.#.exr", "--workers", "0"], "--workers: expected a number from 1 to 1024, got 0"),
         (["in.#.exr", "--workers", "2", "--farm", "tcp://a:1"], "--workers: expected no --farm beside it"),
-        (["in.#.exr", "--memory-per-worker", "8GB"], "--memory-per-worker: expected --workers or --farm beside it"),
-        (["in.#.exr", "--workers", "2", "--memory-per-worker", "8"], "expected a size of at least 1GiB"),
-        (["in.#.exr", "--workers", "2", "--memory-per-worker", "100MB"], "expected a size of at least 1GiB"),
+        (["in.#.exr", "--workers", "2", "--max-memory", "8"], "expected a size of at least 1GiB"),
+        (["in.#.exr", "--workers", "2", "--max-memory", "100MB"], "expected a size of at least 1GiB"),
         (["in.#.exr", "--insecure"], "--insecure: expected --farm beside it"),
         (["in.1.exr", "--workers", "2"], "--workers: expected a sequence such as 'in.####.exr', got 'in.1.exr'"),
         (["in.1.exr", "--farm", "tcp://a:1"], "--farm: expected a sequence such as 'in.####.exr', got 'in.1.exr'"),
@@ -110,16 +107,8 @@ def test_sizes_of_memory() -> None:
     assert parse_memory("4096MiB") == 4.0
     assert parse_memory("1.5 TB") == pytest.approx(1.5e12 / GIB)
     for text in ("", "8", "GB", "-8GB", "nanGB", "1e9GB"):
-        with pytest.raises(InputError, match="--memory-per-worker"):
+        with pytest.raises(InputError, match="--max-memory"):
             parse_memory(text)
-
-
-def test_memory_that_suffices_changes_no_choice() -> None:
-    """Bands have the bits of whole frames, but for Open Image Denoise, which bands leave out."""
-    assert choose_limits(None) == choose_limits(64.0) == (MAX_WHOLE_GIB, DEFAULT_MEMORY)
-    small = choose_limits(2.0)
-    assert 0.0 < small.band == small.whole < 2.0
-    assert all(np.diff([choose_limits(memory).whole for memory in (0.5, 1.0, 2.0, 4.0, 8.0)]) >= 0.0)
 
 
 def test_names_of_frames() -> None:

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.camera import Camera
+from lobewise.camera import Camera, project_points
 from lobewise.errors import InputError
 from lobewise.frame import Frame, GBuffer
-from lobewise.motion import project_points
 from lobewise.sparse_frame import AnyFrame, SparseFrame, list_places
 
 pytestmark = pytest.mark.mitsuba

@@ -312,14 +312,14 @@ def test_rows_fit_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert estimate_bytes(reader, high) == reader.count_bytes()[1] + QUALITIES["high"].work_bytes_per_pixel
     for rows in (300, 1000):
         memory = (rows + 0.5) * SHAPE[1] * pixel / 2**30
-        assert choose_rows(reader, asked, memory) == rows - 2 * (8 + CHECKED_REACH + NOTED_STRIP_ROWS)
-    assert choose_rows(reader, asked, 1e-9) == 32
+        assert choose_rows(reader, asked, None, memory) == rows - 2 * (8 + CHECKED_REACH + NOTED_STRIP_ROWS)
+    assert choose_rows(reader, asked, None, 1e-9) == 32
     assert not needs_bands(reader, asked)
     for rows, large in ((SHAPE[0] + 1, False), (SHAPE[0] - 1, True)):
         monkeypatch.setattr(plan, "MAX_WHOLE_GIB", rows * SHAPE[1] * pixel / 2**30)
         assert needs_bands(reader, asked) == large
     taken: list[float] = []
-    monkeypatch.setattr(streaming, "choose_rows", lambda reader, settings, memory: taken.append(memory) or 30)
+    monkeypatch.setattr(streaming, "choose_rows", lambda reader, settings, rows, memory: taken.append(memory) or 30)
     done = denoise_file(tmp_path / "in.exr", tmp_path / "out.exr", memory=0.5, quality="fast", similarity="normal")
     assert (done.bands, taken) == (3, [0.5])
 

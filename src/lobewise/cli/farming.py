@@ -9,6 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from lobewise.cli.options.bounding import Bounds
 from lobewise.cli.options.farming import Farm
 from lobewise.cli.output import describe_result, describe_settings, print_line, print_note
 from lobewise.cli.running import FileFilter, Job, Request, run_filter
@@ -19,6 +20,7 @@ from lobewise.farm.running import FarmJob, FarmReport, filter_on_farm
 from lobewise.farm.tasks import Told
 from lobewise.io.files import require_exr_name
 from lobewise.io.sequence import FramePattern, name_frames
+from lobewise.limits import get_limits, limit_call
 from lobewise.reporting.picture import Pictures, name_picture
 from lobewise.sequence import filter_sequence
 
@@ -52,7 +54,7 @@ class FrameWork:
     ) -> Told:
         """Filter frames into their files; see `lobewise.farm.tasks.Work`."""
         target = FramePattern.parse(self.output)
-        verb, remarks = _make_filter(pickle.dumps((self, first, memory)))
+        verb, remarks = _make_filter(pickle.dumps((self, first)))
         before = set(remarks.sentences)
         by_name = {target.name(number): number for number in numbers}
 
@@ -61,16 +63,17 @@ class FrameWork:
             remarks.tell_result(result, by_name[path])
             done(by_name[path])
 
-        report = filter_sequence(
-            self.source,
-            self.output,
-            verb.make_filter,
-            read=verb.read,
-            write=write,
-            fingerprint=self.fingerprint,
-            checkpoint=checkpoint,
-            numbers=numbers,
-        )
+        with limit_call(max_memory=memory):
+            report = filter_sequence(
+                self.source,
+                self.output,
+                verb.make_filter,
+                read=verb.read,
+                write=write,
+                fingerprint=self.fingerprint,
+                checkpoint=checkpoint,
+                numbers=numbers,
+            )
         last = report.last
         return Told(
             remarks=tuple(remark for remark in remarks.sentences.items() if remark[0] not in before),
@@ -78,7 +81,7 @@ class FrameWork:
             settings="" if last is None else describe_settings(last),
         )
 
-    def make_verb(self, first: int, memory: float | None) -> tuple[FileFilter[Any, Any], Remarks]:
+    def make_verb(self, first: int) -> tuple[FileFilter[Any, Any], Remarks]:
         """Return what filters frames, and the remarks that it collects; see `filter_frames`."""
         remarks = Remarks(silent=True)
         pictures = Pictures(stops=self.stops, first=FramePattern.parse(self.output).name(first))
@@ -89,7 +92,6 @@ class FrameWork:
             steps=Steps(quiet=True),
             verbose=False,
             remarks=remarks,
-            memory=memory,
             tell_pixels=lambda text: remarks.tell(text, hide_numbers(text)),
         )
         return self.request.make_verb(job), remarks
@@ -98,12 +100,12 @@ class FrameWork:
 @lru_cache(maxsize=1)
 def _make_filter(pickled: bytes) -> tuple[FileFilter[Any, Any], Remarks]:
     """Return what filters the frames of a run. A worker keeps it for the next frame: making it may load a scene."""
-    work, first, memory = pickle.loads(pickled)
-    made: tuple[FileFilter[Any, Any], Remarks] = work.make_verb(first, memory)
+    work, first = pickle.loads(pickled)
+    made: tuple[FileFilter[Any, Any], Remarks] = work.make_verb(first)
     return made
 
 
-def run_request(job: Job, request: Request[Any, Any], fingerprint: Any, farm: Farm) -> None:
+def run_request(job: Job, request: Request[Any, Any], fingerprint: Any, farm: Farm, bounds: Bounds) -> None:
     """Filter one file, or every file of a pattern, here or on a farm, and print what was done.
 
     ``fingerprint`` holds every option that the results depend on: see `lobewise.sequence.filter_sequence`.
@@ -115,10 +117,11 @@ def run_request(job: Job, request: Request[Any, Any], fingerprint: Any, farm: Fa
     """
     require_exr_name(job.output)
     farm.check(job.source)
-    if farm.is_wanted:
-        _run_on_farm(job, request, repr(fingerprint), farm)
-    else:
-        run_filter(job, request, fingerprint)
+    with bounds.limit():
+        if farm.is_wanted:
+            _run_on_farm(job, request, repr(fingerprint), farm)
+        else:
+            run_filter(job, request, fingerprint)
 
 
 def _run_on_farm(job: Job, request: Request[Any, Any], fingerprint: str, farm: Farm) -> None:
@@ -142,7 +145,7 @@ def _run_on_farm(job: Job, request: Request[Any, Any], fingerprint: str, farm: F
         follows_first=work.has_pictures and work.stops is None,
         by_runs=request.reads_neighbours,
         with_oidn=request.asks_for_oidn,
-        memory=farm.memory,
+        memory=get_limits().memory,
     )
     tell_gaps(farm_job.source)
     filtering = f"Filtering {job.source.name}"

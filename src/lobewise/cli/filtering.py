@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lobewise.cli.options.bands import Bands, FileInBands, choose_bands
+from lobewise.cli.options.bounding import Bounds
 from lobewise.cli.options.common import OVER_TIME_NOTE, OverTime, Source, Telling, parse_place
 from lobewise.cli.options.farming import Farm
 from lobewise.cli.options.reading import PassReading, locate_counterpart, look_up_number, name_frame, read_tables
@@ -64,6 +65,7 @@ def denoise(
     window: Window = 0,
     over_time: OverTime,
     farm: Farm,
+    bounds: Bounds,
     bands: Bands = "auto",
     reading: PassReading,
     writing: Writing,
@@ -100,7 +102,7 @@ def denoise(
     }
     from lobewise.cli.farming import run_request
 
-    run_request(job, request, [options, over_time.extend(settings)], farm)
+    run_request(job, request, [options, over_time.extend(settings)], farm, bounds)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,9 +187,9 @@ class _Denoiser:
         job, request = self.job, self.request
         if request.over_time.temporal:
             job.remarks.tell(OVER_TIME_NOTE)
-        if choose_bands(path, request.bands, request.settings, request.whole_option, job.memory):
+        if choose_bands(path, request.bands, request.settings, request.whole_option):
             target = locate_counterpart(path, job.source, job.output)
-            return FileInBands(path, target, request.bands, self.tables, request.settings, job.memory)
+            return FileInBands(path, target, request.bands, self.tables, request.settings)
         selections = request.reading.list_selections(path)
         return (
             FileOfSeveral(path, selections) if len(selections) > 1 else self._read_one(path, selections[0], selections)
@@ -290,6 +292,7 @@ def upsample(
     reshading: Reshading,
     over_time: OverTime,
     farm: Farm,
+    bounds: Bounds,
     overwrite: Overwrite = False,
     picture: Picture,
     telling: Telling,
@@ -315,7 +318,7 @@ def upsample(
     }
     from lobewise.cli.farming import run_request
 
-    run_request(job, request, [options, over_time.extend(settings)], farm)
+    run_request(job, request, [options, over_time.extend(settings)], farm, bounds)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -41,8 +41,6 @@ class Job:
     verbose: bool
     """Whether to print the settings of the filter."""
     remarks: Remarks = field(default_factory=Remarks)
-    memory: float | None = None
-    """What the process may take, GiB; None for no limit."""
     tell_pixels: Callable[[str], None] | None = None
     """Takes the sentence on pixels that were shaded again; None prints it."""
 

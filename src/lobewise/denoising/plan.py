@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import fields, is_dataclass, replace
 from typing import Any, NamedTuple
 
@@ -24,11 +26,14 @@ from lobewise.filters.noise_guides import BLUR_RADIUS as GUIDE_REACH
 from lobewise.filters.refinement.shape import REFINEMENT_REACH
 from lobewise.frame import Frame
 from lobewise.guides.lobe_fields import SPREAD_REACH
-from lobewise.peers import require_oidn
+from lobewise.limits import GIB, get_limits, require_memory
+from lobewise.peers import LIBRARY_BYTES_PER_PIXEL, MIN_LIBRARY_BYTES, bound_library_memory, require_oidn
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_quality
+from lobewise.sparse_frame import AnyFrame
 
-GIB = float(2**30)
+PEER_BYTES_PER_PIXEL = 320
+"""Memory of images that are held for Open Image Denoise, beside the frame and what the library works on, bytes."""
 MEASURED_RADIUS = 8
 """Radius of the settings with which the times of the qualities were measured, pixels."""
 MEASURED_LAYERS = {"diffuse": True, "specular": False}
@@ -151,7 +156,7 @@ def foretell(frame: Frame, settings: DenoiseSettings, *, height: int | None = No
     rows, width = frame.shape
     height = height or rows
     held = count_bytes(frame) * height // rows
-    working = get_quality(chosen.quality).work_bytes_per_pixel * height * width
+    working = estimate_work_bytes(height * width, chosen.quality, with_oidn=bool(chosen.with_oidn))
     seconds = height * width / 1e6 * estimate_seconds_per_megapixel(near, chosen)
     alone = ", without Open Image Denoise" if chosen.with_oidn else ""
     bands = "" if whole else " Bands of rows take less."
@@ -162,6 +167,31 @@ def foretell(frame: Frame, settings: DenoiseSettings, *, height: int | None = No
         f"Time: about {seconds:.2g} s on two processor threads{alone}. The first run on a machine compiles kernels as "
         "well.",
     ]
+
+
+def estimate_work_bytes(pixels: int, quality: str, *, with_oidn: bool, small: bool = False) -> float:
+    """Return the memory that filters take beside a frame, bytes.
+
+    ``quality`` is empty where Open Image Denoise works alone; ``small`` is the memory with its smallest tiles.
+    """
+    ours = get_quality(quality).work_bytes_per_pixel * pixels if quality else 0
+    if not with_oidn:
+        return ours
+    library = LIBRARY_BYTES_PER_PIXEL * pixels
+    return max(ours, PEER_BYTES_PER_PIXEL * pixels + (min(library, MIN_LIBRARY_BYTES) if small else library))
+
+
+@contextmanager
+def bound_memory(frame: AnyFrame, quality: str, *, with_oidn: bool) -> Iterator[None]:
+    """Let Open Image Denoise take what the limits of the call leave for it; see `estimate_work_bytes`.
+
+    Raises LimitError if a frame and the work on it would take more than the limits allow.
+    """
+    held, pixels = count_bytes(frame), math.prod(frame.shape)
+    require_memory(held + estimate_work_bytes(pixels, quality, with_oidn=with_oidn, small=True))
+    left = get_limits().left_gib
+    with bound_library_memory(None if left is None else left * GIB - held - PEER_BYTES_PER_PIXEL * pixels):
+        yield
 
 
 def list_frame_steps(frame: Frame, settings: ResolvedSettings) -> tuple[list[Step], list[Step]]:

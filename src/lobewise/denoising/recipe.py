@@ -21,6 +21,7 @@ from lobewise.denoising.evidence import count_blurred, describe_blurred
 from lobewise.denoising.inputs import DEPTH_WITHOUT_CAMERA, describe_lacks, list_unused
 from lobewise.denoising.layers import Layer
 from lobewise.denoising.light_loss import MIN_SHARE_BOUNDED, compute_share_missing, describe_loss, sum_light
+from lobewise.denoising.plan import bound_memory
 from lobewise.errors import UnusedGuideWarning, require_kind
 from lobewise.features import Feature
 from lobewise.filters.fireflies import compute_energy_lost
@@ -94,6 +95,8 @@ def denoise(
         If the frame lacks what a similarity compares that was asked for.
     DeviceError
         If the device cannot run here.
+    LimitError
+        Inside `lobewise.limit_call`.
 
     Examples
     --------
@@ -136,7 +139,7 @@ def denoise_checked(checked: CheckedGuides[Frame], named: DenoiseSettings, featu
     bad_pixels = mark_bad_pixels(frame)
     bad = int(np.count_nonzero(bad_pixels))
     require_some_good(bad, bad_pixels.size, "pixel")
-    with engine.on(chosen.device):
+    with bound_memory(frame, chosen.quality, with_oidn=bool(chosen.with_oidn)), engine.on(chosen.device):
         clean = clean_frame(frame, chosen, features, bad_pixels, checked.seen)
     filtered = clean.filtered
     diffuse, specular = join_parts(filtered.layers, filtered.parts)
@@ -175,7 +178,8 @@ def leave_to_peer(checked: CheckedGuides[Frame]) -> Result:
     bad = ~mark_good(samples)
     count = int(np.count_nonzero(bad))
     require_some_good(count, bad.size, "pixel")
-    image = denoise_with_peer(frame, samples, blacken_bad(samples))
+    with bound_memory(frame, "", with_oidn=True):
+        image = denoise_with_peer(frame, samples, blacken_bad(samples))
     unfiltered = np.zeros(frame.shape, np.float32)
     return Result(
         image=image if below is None else image - below.radiance.color,

@@ -19,6 +19,7 @@ from lobewise.farm.connection import Call, CallFailedError, CallLostError, Conne
 from lobewise.farm.environment import compare_environments, shorten_version
 from lobewise.farm.tasks import Order, Outcome, Task, Told
 from lobewise.farm.worker import describe_worker, run_order
+from lobewise.limits import check_time
 
 WAITING = "Waiting for workers"
 MAX_RETRIES = 2
@@ -157,6 +158,7 @@ class Dispatcher:
         """
         self._todo.extend((0.0, task) for task in tasks)
         while self._todo or self._unseen or self.list_running():
+            check_time()
             try:
                 self._meet_workers()
                 self._hand_out()

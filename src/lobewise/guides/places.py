@@ -58,7 +58,7 @@ def compute_surface_places(
 ) -> tuple[FloatArray, FloatArray | None]:
     """Return where surfaces were in the previous frame, and by how many pixels objects moved by themselves.
 
-    `lobewise.motion.compute_motion` computes the same places, up to rounding, for code without Halide.
+    `lobewise.camera.compute_motion` computes the same places, up to rounding, for code without Halide.
 
     Parameters
     ----------

@@ -15,7 +15,8 @@ from lobewise.interchange.mapping import ChannelMap, Found, Key
 from lobewise.io.exr.container import Container, Part
 from lobewise.io.exr.describe import Lack
 from lobewise.io.exr.layout import join_planes
-from lobewise.io.exr.pixels import Pixels
+from lobewise.io.exr.pixels import DTYPES, Pixels
+from lobewise.limits import check_time, require_memory
 
 OWN_PRESET = "lobewise"
 """Preset name that is reported for a file in lobewise's own channel names."""
@@ -80,6 +81,7 @@ class ImageReader:
         self._wanted: dict[int, set[str]] = {}
         self._pixels: dict[int, dict[str, Pixels]] = {}
         self._images: dict[Key, FloatArray] = {}
+        self._bytes = 0
 
     def expect(self, channels: ChannelMap) -> None:
         """Register the channels of a map, so that each part is decoded once and no unused channel stays in memory."""
@@ -97,6 +99,7 @@ class ImageReader:
     def __call__(self, found: Found) -> FloatArray:
         """Return an image without conversions: (height, width, channels), or (height, width) for one channel."""
         if found.key not in self._images:
+            check_time()
             planes = self.read_planes(found)
             self._images[found.key] = planes[0].astype(np.float32) if len(planes) == 1 else join_planes(planes)
         return self._images[found.key]
@@ -112,6 +115,11 @@ class ImageReader:
         part = found.source.part
         there = self._pixels.setdefault(part.index, {})
         if not there.keys() >= set(found.channels):
-            names = self._wanted.get(part.index, set()).union(found.channels)
-            there.update(self._decode(part, frozenset(names - there.keys())))
+            names = self._wanted.get(part.index, set()).union(found.channels) - there.keys()
+            # A plane stays as it is in the file, and becomes float32.
+            self._bytes += part.data_window.area * sum(
+                DTYPES[each.pixel_type].itemsize + 4 for each in part.channels if each.name in names
+            )
+            require_memory(self._bytes)
+            there.update(self._decode(part, frozenset(names)))
         return [there[name] for name in found.channels]

@@ -12,7 +12,7 @@ from lobewise.settings import DenoiseSettings
 from lobewise.streaming.plan import MEASURED_ROWS, cut_bands
 
 
-def require_bands(source: PathLike, settings: DenoiseSettings, rows: int | None, memory: float) -> None:
+def require_bands(source: PathLike, settings: DenoiseSettings, rows: int | None, memory: float | None) -> None:
     """Raise InputError if a file cannot be denoised in bands with these arguments of `denoise_file`."""
     if settings.asks_for_oidn:
         raise InputError(
@@ -23,7 +23,7 @@ def require_bands(source: PathLike, settings: DenoiseSettings, rows: int | None,
         )
     if rows is not None and (isinstance(rows, bool) or not isinstance(rows, int) or rows < 1):
         raise InputError("rows", expected="an integer of at least 1", got=name_value(rows), action="leave it out")
-    if not 0.0 < memory < float("inf"):
+    if memory is not None and not 0.0 < memory < float("inf"):
         raise InputError(
             "memory", expected="a finite number of GiB above 0", got=name_value(memory), action="leave it out"
         )

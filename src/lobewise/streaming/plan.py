@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import NamedTuple
 
 from lobewise.denoising.evidence import NOTED_STRIP_ROWS
 from lobewise.denoising.inputs import Images, list_images
-from lobewise.denoising.plan import GIB, compute_steps_reach
+from lobewise.denoising.plan import compute_steps_reach
 from lobewise.filters.refinement.shape import MULTIPLE
 from lobewise.guides.negative import NEGATIVE_REACH
 from lobewise.guides.stand_ins import STAND_IN_REACH
 from lobewise.io.exr.bands import BandReader
+from lobewise.limits import GIB, get_limits, require_memory
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_quality
 
@@ -19,11 +19,6 @@ DEFAULT_MEMORY = 3.0
 """Memory that a band may take, GiB; program and kernels take more."""
 MAX_WHOLE_GIB = 4.0
 """Memory above which a file is denoised in bands by default, GiB."""
-PROGRAM_GIB = 0.5
-"""Memory that program, libraries and kernels take beside a band or frame, GiB; docs/streaming.md has measurements."""
-MAX_SHARE_OF_MEMORY = 0.9
-"""Share of its memory that a process with a limit plans to take: Dask ends a worker that takes 0.95."""
-MIN_BAND_GIB = 0.1
 MIN_ROWS = 32
 """Rows of the smallest band: kernels work in strips of this height."""
 MEASURED_ROWS = 256
@@ -58,41 +53,31 @@ def forgets(settings: DenoiseSettings) -> bool:
     return get_quality(settings.quality).refines
 
 
-class Limits(NamedTuple):
-    """Memory that filtering may take, GiB."""
-
-    whole: float
-    """Of a frame that is filtered as a whole."""
-    band: float
-    """Of a band."""
-
-
-def choose_limits(memory: float | None) -> Limits:
-    """Return what filtering may take in a process that may take ``memory`` GiB; None for no limit.
-
-    More memory than the defaults need changes nothing, so that the choice between whole frames and bands stays the
-    same.
-    """
-    if memory is None:
-        return Limits(MAX_WHOLE_GIB, DEFAULT_MEMORY)
-    left = max(MAX_SHARE_OF_MEMORY * memory - PROGRAM_GIB, MIN_BAND_GIB)
-    return Limits(min(left, MAX_WHOLE_GIB), min(left, DEFAULT_MEMORY))
-
-
-def needs_bands(reader: BandReader, settings: DenoiseSettings, max_whole: float | None = None) -> bool:
+def needs_bands(reader: BandReader, settings: DenoiseSettings) -> bool:
     """Return whether a file is so large that it is denoised in bands; the quality of ``settings`` is chosen.
 
-    ``max_whole`` is the largest memory of a whole frame, GiB; by default `MAX_WHOLE_GIB`.
+    More memory than the default needs changes nothing, so that the choice stays the same.
     """
     height, width = reader.shape
-    return height * width * estimate_bytes(reader, settings) > (max_whole or MAX_WHOLE_GIB) * GIB
+    left = get_limits().left_gib
+    most = MAX_WHOLE_GIB if left is None else min(left, MAX_WHOLE_GIB)
+    return height * width * estimate_bytes(reader, settings) > most * GIB
 
 
-def choose_rows(reader: BandReader, settings: ResolvedSettings, memory: float) -> int:
-    """Return the rows of a band that, with the rows around it, fits ``memory`` GiB; at least `MIN_ROWS`."""
-    _, width = reader.shape
-    fitting = int(memory * GIB / (width * estimate_bytes(reader, settings)))
-    return max(fitting - 2 * compute_band_reach(settings), MIN_ROWS)
+def choose_rows(reader: BandReader, settings: ResolvedSettings, rows: int | None, memory: float | None) -> int:
+    """Return the rows of a band: those asked for, or as many as fit ``memory``, at least `MIN_ROWS`.
+
+    ``memory`` is in GiB and counts the rows around the band; by default `DEFAULT_MEMORY`, or less where the call has a
+    limit. Raises LimitError if a band would take more than this limit.
+    """
+    height, width = reader.shape
+    row_bytes, reach = width * estimate_bytes(reader, settings), compute_band_reach(settings)
+    if rows is None:
+        left = get_limits().left_gib
+        most = memory or (DEFAULT_MEMORY if left is None else min(left, DEFAULT_MEMORY))
+        rows = max(int(most * GIB / row_bytes) - 2 * reach, MIN_ROWS)
+    require_memory(min(rows + 2 * reach, height) * row_bytes)
+    return rows
 
 
 def compute_band_reach(settings: ResolvedSettings) -> int:

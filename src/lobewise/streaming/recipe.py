@@ -64,7 +64,6 @@ from lobewise.streaming.finishing import Finisher, finish_bands
 from lobewise.streaming.kept import KeptBands
 from lobewise.streaming.plan import (
     CHECKED_REACH,
-    DEFAULT_MEMORY,
     MEASURED_ROWS,
     Bands,
     choose_rows,
@@ -114,7 +113,7 @@ def denoise_file(
     *,
     lobe_tables: Sequence[LobeTable] | None = None,
     rows: int | None = None,
-    memory: float = DEFAULT_MEMORY,
+    memory: float | None = None,
     progress: Progress | None = None,
     **changes: Unpack[DenoiseChanges],
 ) -> DenoisedFile:
@@ -135,9 +134,9 @@ def denoise_file(
         As in `lobewise.read_frame`.
     rows : int, optional
         Rows of a band, >= 1; by default as many as fit ``memory``.
-    memory : float
-        GiB that a band may take, > 0. With large kernels the rows around a band alone may take more: the band then has
-        `MIN_ROWS` rows.
+    memory : float, optional
+        GiB that a band may take, > 0; by default `DEFAULT_MEMORY`, or less inside `lobewise.limit_call`. With large
+        kernels the rows around a band alone may take more: the band then has `MIN_ROWS` rows.
     progress : callable, optional
         Called with the name of the work, the rows that are done, and all rows.
 
@@ -151,6 +150,8 @@ def denoise_file(
         As `lobewise.denoise`, or if ``rows`` or ``memory`` is out of range, or the file is another renderer's.
     FileError
         As `lobewise.read_frame` and `lobewise.write_result`, or if the file has subsampled channels.
+    LimitError
+        Inside `lobewise.limit_call`, also if a band of the smallest height would take more memory.
     """
     start = time.perf_counter()
     named = change_settings(settings or DenoiseSettings(), changes)
@@ -167,7 +168,7 @@ def denoise_file(
         survey = survey_guides(BandReader(source, lobe_tables=lobe_tables, wanted=list_images(with_quality)))
         probe = survey.apply(reader.read_frame(0, 1))
         chosen = resolve_all(probe, with_quality, spp=1.0)
-        most = choose_rows(reader, chosen, memory) if rows is None else rows
+        most = choose_rows(reader, chosen, rows, memory)
         bands = cut_bands(height, most)
 
         @cache

@@ -29,6 +29,7 @@ from lobewise.denoising.layers import (
     split_lobes,
 )
 from lobewise.denoising.plain import FilteredSum, add_up
+from lobewise.denoising.plan import bound_memory, count_bytes
 from lobewise.denoising.recipe import filter_below
 from lobewise.denoising.refining.totals import compute_averaged_rest
 from lobewise.engine.numbers import choose_larger, choose_smaller
@@ -42,6 +43,7 @@ from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.guides.lobe_fields import SplitField
 from lobewise.guides.negative import split_negative
 from lobewise.guides.usable import CheckedGuides, check_guides
+from lobewise.limits import set_aside
 from lobewise.settings import DenoiseSettings, ResolvedSettings, TemporalChanges, TemporalSettings
 from lobewise.sparse_frame import AnyFrame, SparseFrame
 from lobewise.temporal.past import HistoryReprojection, Past, pack_past, unpack_past
@@ -51,6 +53,8 @@ from lobewise.upsampling import DEFAULT_RADIUS, UNSCATTERED, join_sparse, spread
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
+HISTORY_SHARE = 3.0
+"""Memory of the history, as a multiple of that of a frame."""
 MAX_OWN_WEIGHT = 1e8
 """Weight of a pixel's own sample where shading has no noise. Beside it, samples of neighbours are lost in rounding."""
 BORROWED_ERROR = 0.005
@@ -170,7 +174,12 @@ class TemporalFilter:
         require_kind("frame", frame, Frame, SparseFrame)
         checked = check_guides(frame)
         chosen = self._resolve(checked.frame)
-        with self._memory.use(), engine.on(chosen.device):
+        with (
+            set_aside(HISTORY_SHARE * count_bytes(checked.frame)),
+            bound_memory(checked.frame, "fast", with_oidn=False),
+            self._memory.use(),
+            engine.on(chosen.device),
+        ):
             result = self._add(checked, chosen, features, cut)
         return replace(result, seconds=time.perf_counter() - start)
 

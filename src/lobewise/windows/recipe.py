@@ -11,12 +11,14 @@ from weakref import ref
 import numpy as np
 
 from lobewise.denoising.automatic import change_settings, choose_similarity
+from lobewise.denoising.plan import count_bytes
 from lobewise.denoising.recipe import check_frame, denoise_checked, filter_below
 from lobewise.errors import MAX_GOT_LETTERS, InputError, name_value, require_kind
 from lobewise.filters.noise.pooling import blur_image
 from lobewise.frame import FloatArray, Frame, Result
 from lobewise.guides.negative import split_negative
 from lobewise.guides.usable import CheckedGuides
+from lobewise.limits import set_aside
 from lobewise.settings import DenoiseChanges, DenoiseSettings
 from lobewise.windows.joining import JoinedFrame, join_frames
 from lobewise.windows.shots import Shot, extrapolate_camera
@@ -26,6 +28,8 @@ if TYPE_CHECKING:
 
 MAX_REACH = 8
 """Most frames to each side of a window."""
+HELD_SHARE = 1.6
+"""Memory that a window takes beside the joined frame, as a multiple of that of its frames."""
 NO_MOTION = (
     "No other frame is used: the frames have neither motion vectors nor a camera with surface points, so nobody knows "
     "where a pixel was. Render the pass for motion"
@@ -46,6 +50,15 @@ REPEATED = (
 OTHER_SIZE = "Frames of another size are not used."
 STILL = "The frames have no motion vectors: where things move by themselves, other frames are not used."
 NOTHING_FOUND = "No other frame is used: none of them shows the surfaces of this frame with the same guides."
+
+
+def _require_frames(frames: Sequence[Frame], index: int) -> None:
+    require_kind("frames", frames, Sequence)
+    for frame in frames:
+        require_kind("frame", frame, Frame)
+    if not isinstance(index, int) or not 0 <= index < len(frames):
+        got = name_value(index, MAX_GOT_LETTERS)
+        raise InputError("index", expected=f"0 to {len(frames) - 1}", got=got, action="count from 0")
 
 
 class WindowFilter:
@@ -109,18 +122,18 @@ class WindowFilter:
         MissingChannelError
             If the frames lack what the similarity compares.
         """
-        require_kind("frames", frames, Sequence)
-        for frame in frames:
-            require_kind("frame", frame, Frame)
-        if not isinstance(index, int) or not 0 <= index < len(frames):
-            got = name_value(index, MAX_GOT_LETTERS)
-            raise InputError("index", expected=f"0 to {len(frames) - 1}", got=got, action="count from 0")
+        _require_frames(frames, index)
         first, last = max(index - self.reach, 0), min(index + self.reach, len(frames) - 1)
         shots = self._prepare(frames, first, last)
         return join_frames(shots, index)
 
     def denoise(self, frames: Sequence[Frame], index: int) -> Result:
         """Return the denoised frame; see `join` for the parameters and errors."""
+        _require_frames(frames, index)
+        with set_aside(HELD_SHARE * sum(map(count_bytes, frames))):
+            return self._denoise(frames, index)
+
+    def _denoise(self, frames: Sequence[Frame], index: int) -> Result:
         start = time.perf_counter()
         joined = self.join(frames, index)
         notes = self._explain(frames, index, joined)

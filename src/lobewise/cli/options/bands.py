@@ -34,11 +34,10 @@ def parse_bands(text: str) -> str | int:
     raise InputError("--bands", expected="auto, off or a number of rows", got=repr(text), action="leave it out")
 
 
-def choose_bands(source: Path, text: str, settings: dict[str, Any], whole: str, memory: float | None = None) -> bool:
+def choose_bands(source: Path, text: str, settings: dict[str, Any], whole: str) -> bool:
     """Return whether to denoise a file in bands.
 
-    ``whole`` names the first option on the command line that needs the whole frame, empty for none. ``memory`` is what
-    the process may take, GiB; None for no limit.
+    ``whole`` names the first option on the command line that needs the whole frame, empty for none.
 
     Raises
     ------
@@ -69,7 +68,7 @@ def choose_bands(source: Path, text: str, settings: dict[str, Any], whole: str, 
                 action="leave it out",
             )
         return False
-    if is_asked or _is_large(source, settings, memory):
+    if is_asked or _is_large(source, settings):
         refuse_results(source, check_own_mark(read_container(source)))
         return True
     return False
@@ -87,16 +86,16 @@ def _is_own(source: Path) -> bool:
         return True
 
 
-def _is_large(source: Path, settings: dict[str, Any], memory: float | None) -> bool:
+def _is_large(source: Path, settings: dict[str, Any]) -> bool:
     from lobewise.denoising.automatic import ask
     from lobewise.io.exr.bands import BandReader
-    from lobewise.streaming import choose_limits, list_images, needs_bands
+    from lobewise.streaming import list_images, needs_bands
 
     request = ask(None, settings, whole=False)
     try:
         reader = BandReader(source, wanted=list_images(request))
         # Normals that stand in for missing ones are found in the whole image.
-        return ("gbuffer", "normal") in reader.images and needs_bands(reader, request, choose_limits(memory).whole)
+        return ("gbuffer", "normal") in reader.images and needs_bands(reader, request)
     except LobewiseError:
         # A whole frame may be readable nevertheless; if it is not, reading it raises the error again.
         return False
@@ -114,12 +113,10 @@ class FileInBands:
     """Fitted materials that replace the materials in the file."""
     settings: dict[str, Any]
     """Settings of `lobewise.denoise`."""
-    memory: float | None = None
-    """What the process may take, GiB; None for no limit."""
 
     def denoise(self, progress: Callable[[str, int, int], None] | None = None) -> DenoisedFile:
         """Denoise the file into its target; see `lobewise.streaming.denoise_file`."""
-        from lobewise.streaming import choose_limits, denoise_file
+        from lobewise.streaming import denoise_file
 
         bands = parse_bands(self.bands)
         return denoise_file(
@@ -127,7 +124,6 @@ class FileInBands:
             self.target,
             lobe_tables=self.tables,
             rows=bands if isinstance(bands, int) else None,
-            memory=choose_limits(self.memory).band,
             progress=progress,
             **self.settings,
         )

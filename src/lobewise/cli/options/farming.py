@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,15 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 
 from lobewise.cli.terminal.help import sequence_detail, sequence_option
 from lobewise.errors import InputError
+from lobewise.limits import GIB, get_limits
 
 if TYPE_CHECKING:
     from lobewise.farm.connection import Connection
 
 MAX_WORKERS = 1024
-MIN_MEMORY_GIB = 1.0
-"""Smallest memory of a worker, GiB: program and kernels alone take half of it."""
-UNITS = {"MB": 1e6, "MIB": 2.0**20, "GB": 1e9, "GIB": 2.0**30, "TB": 1e12, "TIB": 2.0**40}
-GIB = 2.0**30
 
 
 @dataclass(frozen=True)
@@ -47,38 +43,16 @@ class Farm:
         int | None,
         sequence_option("--workers", metavar="N", help="Filter N frames at once, in N processes.", show_default=False),
     ] = None
-    memory_per_worker: Annotated[
-        str | None,
-        sequence_detail(
-            "--memory-per-worker",
-            metavar="SIZE",
-            help="With --workers or --farm: memory of a worker, such as 8GB. Frames that would take more are filtered "
-            "in bands.",
-            show_default="the machine's memory divided by the workers",
-        ),
-    ] = None
 
     @property
     def is_wanted(self) -> bool:
         """Whether a farm is asked for."""
         return self.farm is not None or self.workers is not None
 
-    @property
-    def memory(self) -> float | None:
-        """Memory of a worker, GiB; None where the user gives none."""
-        return None if self.memory_per_worker is None else parse_memory(self.memory_per_worker)
-
     def check(self, source: Path) -> None:
         """Raise InputError if an option is wrong, or the options do not go together."""
         from lobewise.io.sequence import is_pattern
 
-        if self.memory is not None and not self.is_wanted:
-            raise InputError(
-                "--memory-per-worker",
-                expected="--workers or --farm beside it",
-                got="neither",
-                action="add one of them",
-            )
         if self.insecure and self.farm is None:
             raise InputError("--insecure", expected="--farm beside it", got="no address", action="leave it out")
         if not self.is_wanted:
@@ -117,19 +91,6 @@ class Farm:
         if self.farm is not None:
             return connect(self.farm)
         assert self.workers is not None
-        memory = divide_memory(self.workers) if self.memory is None else int(self.memory * GIB)
-        return start_local(self.workers, memory_bytes=memory)
-
-
-def parse_memory(text: str) -> float:
-    """Return the GiB of a text such as 8GB, 8GiB or 4096MB."""
-    match = re.fullmatch(r"(\d{1,9}(?:\.\d{1,6})?)\s*([MGT]I?B)", text.strip().upper())
-    memory = float(match[1]) * UNITS[match[2]] / GIB if match else 0.0
-    if memory < MIN_MEMORY_GIB:
-        raise InputError(
-            "--memory-per-worker",
-            expected="a size of at least 1GiB, such as 8GB",
-            got=repr(text),
-            action="give more, or leave it out",
-        )
-    return memory
+        memory = get_limits().memory
+        memory_bytes = divide_memory(self.workers) if memory is None else int(memory * GIB)
+        return start_local(self.workers, memory_bytes=memory_bytes)

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.camera import Camera
+from lobewise.camera import Camera, project_points
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
-from lobewise.motion import project_points
 
 WIDTH, HEIGHT = 96, 64
 SPP = 8

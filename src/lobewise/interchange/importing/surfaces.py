@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.camera import Camera
+from lobewise.camera import Camera, project_points
 from lobewise.frame import FloatArray
 from lobewise.interchange.cameras.fitting import MAX_FIT_ERROR, CameraFit, fit_any_camera, fit_camera, measure_fit
 from lobewise.interchange.cameras.header import Located, read_camera_attributes
@@ -16,7 +16,6 @@ from lobewise.interchange.importing.blur import estimate_blur_radius
 from lobewise.interchange.importing.draft import Draft, Outcome
 from lobewise.interchange.values import MIN_EMPTY_DISTANCE, convert_depth, convert_plain, convert_space
 from lobewise.io.exr.header import read_pixel_aspect
-from lobewise.motion import project_points
 
 NO_PINHOLE = "No pinhole camera shows the positions where they are seen, so places are not compared"
 PANORAMA_ASPECT = 2

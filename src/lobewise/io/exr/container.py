@@ -81,6 +81,11 @@ class Window:
         """Rows."""
         return self.y_max - self.y_min + 1
 
+    @property
+    def area(self) -> int:
+        """Number of pixels."""
+        return self.width * self.height
+
 
 @dataclass(frozen=True)
 class Part:

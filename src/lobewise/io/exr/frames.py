@@ -27,6 +27,7 @@ from lobewise.io.exr.pixels import Pixels, decode_part, encode_file
 from lobewise.io.exr.schema import BEAUTY, LOBES, SCHEMA, SCHEMA_VERSION, SLOTS, SPP
 from lobewise.io.files import PathLike, open_atomic, require_writable
 from lobewise.io.materials import lobe_table_to_json
+from lobewise.limits import require_memory
 from lobewise.lobe_table import LobeTable
 
 MIN_NORMAL_HALF = 2.0**-14
@@ -65,7 +66,9 @@ def read_whole(path: PathLike, container: Container, lobe_tables: Sequence[LobeT
     """Return every pixel of a file, shaded or not; see `read_frame`."""
     beauty = require_beauty(container)
     images: dict[tuple[str, str], FloatArray] = {}
-    for part, slots in plan_reading(container, beauty):
+    planned = plan_reading(container, beauty)
+    require_memory(sum(part.data_window.area * 4 * len(slot.channels) for part, slots in planned for slot in slots))
+    for part, slots in planned:
         images |= make_images(slots, decode_part(container, part, {name for slot in slots for name in slot.channels}))
     with name_file(path):
         tables = read_lobe_tables(beauty) if lobe_tables is None else tuple(lobe_tables)

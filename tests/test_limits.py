@@ -1,0 +1,167 @@
+"""Limits of memory and time: what would take more is refused in a sentence, and what fits has the same bits."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lobewise
+from lobewise import limits
+from lobewise.cli.main import run
+from lobewise.denoising.plan import count_bytes, estimate_work_bytes
+from lobewise.errors import InputError, LimitError
+from lobewise.frame import Frame
+from lobewise.limits import GIB, get_limits, limit_call, require_memory, set_aside
+from lobewise.peers import MIN_LIBRARY_BYTES, bound_library_memory, denoise_oidn, has_oidn
+from tests.streaming.frames import make_scene
+
+SHAPE = (83, 19)
+
+
+@pytest.fixture
+def frame(make_frame: Callable[..., Frame]) -> Frame:
+    """Return a small frame."""
+    return make_frame(height=24, width=32)
+
+
+@pytest.fixture
+def tiny(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], float]:
+    """Return a function that makes the smallest limit, 1 GiB, leave so many bytes for frames and filters."""
+
+    def leave(count: float) -> float:
+        monkeypatch.setattr(limits, "PROGRAM_GIB", limits.MAX_SHARE_OF_MEMORY - count / GIB)
+        return 1.0
+
+    return leave
+
+
+def test_a_frame_that_needs_more_memory_is_refused_before_it_is_filtered(
+    frame: Frame, tiny: Callable[[float], float]
+) -> None:
+    needed = count_bytes(frame) + estimate_work_bytes(24 * 32, "fast", with_oidn=False)
+    expected = lobewise.denoise(frame, quality="fast").image
+    with limit_call(max_memory=tiny(1.01 * needed)):
+        np.testing.assert_array_equal(lobewise.denoise(frame, quality="fast").image, expected)
+    with limit_call(max_memory=tiny(0.99 * needed)):
+        with pytest.raises(LimitError, match=r"^memory: expected a frame that can be filtered within 1 GiB, got one"):
+            lobewise.denoise(frame, quality="fast")
+        with pytest.raises(LimitError):
+            lobewise.TemporalFilter().add(frame)
+        with pytest.raises(LimitError):
+            lobewise.WindowFilter(1, quality="fast").denoise([frame, frame], 0)
+    with limit_call(max_memory=tiny(1000.0)), pytest.raises(LimitError):
+        lobewise.upsample(lobewise.make_sparse(frame, 2))
+    assert get_limits() == limits.Limits()
+
+
+def test_files_are_refused_before_they_are_decoded(tmp_path: Path, tiny: Callable[[float], float]) -> None:
+    own, foreign = tmp_path / "own.exr", Path(__file__).parent / "data" / "foreign" / "blender_4.5_seed1.exr"
+    lobewise.write_frame(own, make_scene(SHAPE))
+    for path in (own, foreign):
+        with limit_call(max_memory=tiny(1000.0)), pytest.raises(LimitError, match="expected a frame that can be"):
+            lobewise.read_frame(path)
+
+
+def test_bands_fit_the_limit(tmp_path: Path, tiny: Callable[[float], float]) -> None:
+    source, target = tmp_path / "in.exr", tmp_path / "out.exr"
+    lobewise.write_frame(source, make_scene((500, 19)))
+    asked: dict[str, Any] = {"quality": "fast", "similarity": "normal", "radius": 2, "with_oidn": False}
+    whole = lobewise.denoise_file(source, target, **asked)
+    expected = target.read_bytes()
+    with limit_call(max_memory=tiny(19 * 300 * 400)):
+        assert lobewise.denoise_file(source, target, **asked).bands > whole.bands == 1
+    assert target.read_bytes() == expected
+    with limit_call(max_memory=tiny(1000.0)), pytest.raises(LimitError):
+        lobewise.denoise_file(source, target, **asked)
+    assert target.read_bytes() == expected
+
+
+def test_time_ends_calls(frame: Frame, tmp_path: Path) -> None:
+    path, target = tmp_path / "in.exr", tmp_path / "out.exr"
+    lobewise.write_frame(path, frame)
+    target.write_bytes(b"before")
+    sentence = r"^time: expected an end within 1e-06 seconds, got more work; allow more time"
+    with limit_call(max_seconds=1e-6):
+        for call in (
+            lambda: lobewise.denoise(frame, quality="fast"),
+            lambda: lobewise.read_frame(path),
+            lambda: lobewise.write_frame(target, frame),
+            lambda: lobewise.denoise_file(path, target, quality="fast"),
+        ):
+            with pytest.raises(LimitError, match=sentence):
+                call()
+    assert target.read_bytes() == b"before"
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["in.exr", "out.exr"]
+
+
+def test_inner_limits_only_tighten() -> None:
+    with limit_call(max_memory=4.0, max_seconds=100.0):
+        outer = get_limits()
+        with limit_call(max_memory=8.0, max_seconds=1000.0):
+            assert get_limits() == outer
+        with limit_call(max_memory=2.0):
+            assert get_limits() == replace(outer, memory=2.0)
+        with limit_call(max_seconds=10.0):
+            assert get_limits().deadline < outer.deadline
+        with set_aside(2.0 * GIB):
+            # 4 * 0.9 - 0.5 - 2
+            require_memory(1.0 * GIB)
+            with pytest.raises(LimitError, match=r"within 4 GiB, got one that needs 4\.2 GiB"):
+                require_memory(1.2 * GIB)
+
+
+def test_limits_are_checked() -> None:
+    wrong: list[dict[str, Any]] = [{"max_memory": value} for value in (0.5, -1.0, float("nan"))]
+    wrong += [{"max_seconds": value} for value in (0.0, -1.0, float("nan"))]
+    for each in wrong:
+        with pytest.raises(InputError, match=f"^{next(iter(each))}: expected"), limit_call(**each):
+            pass
+
+
+@pytest.mark.skipif(not has_oidn(), reason="needs Open Image Denoise: pip install 'lobewise[compare]'")
+def test_open_image_denoise_works_in_tiles_that_fit() -> None:
+    """The library's tiles have the bits of the whole; the process stays within its limit."""
+    light = np.random.default_rng(0).random((900, 1000, 3), dtype=np.float32)
+    whole, _ = denoise_oidn(Frame(lobewise.Radiance(light)), quality="fast")
+    with bound_library_memory(MIN_LIBRARY_BYTES):
+        tiles, _ = denoise_oidn(Frame(lobewise.Radiance(light)), quality="fast")
+    np.testing.assert_array_equal(tiles, whole)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="measures memory as Linux does")
+@pytest.mark.skipif(not has_oidn(), reason="needs Open Image Denoise: pip install 'lobewise[compare]'")
+def test_a_process_stays_within_its_limit() -> None:
+    """Without the limit this takes 1.4 GiB."""
+    program = """
+import resource
+import numpy as np
+import lobewise
+light = np.random.default_rng(0).random((700, 1000, 3), dtype=np.float32)
+with lobewise.limit_call(max_memory=1.5):
+    lobewise.denoise(lobewise.Frame(lobewise.Radiance(light), lobewise.GBuffer(normal=light, diffuse_albedo=light)))
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert float(done.stdout) < 1.5
+
+
+def test_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = Path(__file__).parent / "data" / "foreign" / "blender_4.5_seed1.exr"
+    target = tmp_path / "out.exr"
+    words = ["denoise", str(source), "-o", str(target), "--quality", "fast", "--quiet"]
+    for more, told in (
+        (["--max-seconds", "0.000001"], "expected an end within 1e-06 seconds"),
+        (["--max-seconds", "0"], "--max-seconds: expected a number above 0, got 0"),
+        (["--max-memory", "8"], "--max-memory: expected a size of at least 1GiB"),
+    ):
+        assert run([*words, *more]) == 2
+        assert told in capsys.readouterr().err
+        assert not target.exists()
+    assert run([*words, "--max-seconds", "100", "--max-memory", "2GiB"]) == 0
