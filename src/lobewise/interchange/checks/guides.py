@@ -60,7 +60,8 @@ def leave_out_empty(channels: ChannelMap, read: Callable[[Found], FloatArray]) -
         elif role in PLACES and is_uniform(image) and image[..., 0].size > 1:
             refused[role] = f"{found.label} is not used as {role}: it has the same value everywhere."
     albedos = [layer.albedo for layer in channels.layers if layer.albedo]
-    if any(role in roles and role not in refused for role in LOBE_ALBEDOS) or any(np.count_nonzero(read(one)) for one in albedos):
+    is_used = any(role in roles and role not in refused for role in LOBE_ALBEDOS)
+    if is_used or any(np.count_nonzero(read(albedo)) for albedo in albedos):
         # Of the albedos of lobes some may be black, as in a scene of metals.
         refused = {role: reason for role, reason in refused.items() if role not in LOBE_ALBEDOS or role not in roles}
     if len(refused) == len(channels.refused):
