@@ -220,27 +220,6 @@ def test_scenes_that_cannot_be_recorded_are_rendered_all_the_same(mi: Any) -> No
         assert (light.diffuse + light.specular).max() > 0.1
 
 
-def test_garbage_waits_until_a_recording_is_done(stages: Stages) -> None:
-    """A scene that is collected while Dr.Jit records would abort the process."""
-    import gc
-
-    seen: list[bool] = []
-
-    def record(pixel: Any) -> list[Any]:
-        seen.append(gc.isenabled())
-        return [pixel + 1.0]
-
-    from lobewise.render.bridge import dr, mi
-    from lobewise.render.frozen import Frozen
-
-    frozen = Frozen(record, lambda: None)
-    for _ in range(2):
-        assert np.allclose(frozen(dr.opaque(mi.Float, 2.0, 3))[0], 3.0)
-    assert seen
-    assert not any(seen)
-    assert gc.isenabled()
-
-
 @pytest.mark.sampled("roughconductor")
 @pytest.mark.parametrize("kind", ["roughconductor", "conductor", "roughplastic", "dielectric"])
 def test_paths_tell_the_rays_of_their_samples(mi: Any, kind: str) -> None:

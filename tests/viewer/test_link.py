@@ -234,6 +234,16 @@ class TestViewer:
             with Viewer(name, is_frame=True, port=0) as viewer, pytest.raises(kind):
                 viewer.wait()
 
+    @pytest.mark.parametrize(("is_frame", "kind"), [(False, LobewiseError), (True, RuntimeError)])
+    def test_a_renderer_that_dies_again_and_again_ends_it(self, is_frame, kind, monkeypatch):
+        pytest.importorskip("viser", reason="pip install 'lobewise[viewer]'")
+        monkeypatch.setattr(link, "run_worker", run_slow_worker)
+        with Viewer("thing", is_frame=is_frame, port=0) as viewer:
+            viewer.wait_until_open()
+            viewer._audience.link.submit(ask(1, 666))
+            with pytest.raises(kind, match="'thing'.* by exit code 7; " if not is_frame else "code 7, 4 times within"):
+                viewer.wait()
+
     def test_it_leaves_the_process_to_others(self, monkeypatch, capfd):
         """Another thread prints while the page starts and ends: every line is there, and nothing else."""
         pytest.importorskip("viser", reason="pip install 'lobewise[viewer]'")

@@ -7,7 +7,9 @@ machine. Importing this module raises `MissingDependencyError` if they are not i
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import gc
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import field
 from typing import Any
 
@@ -63,6 +65,24 @@ def starts_as(kind: str, value: Any = 0) -> Any:
     return field(default_factory=make)
 
 
+@contextmanager
+def hold_garbage() -> Iterator[None]:
+    """Let Python's garbage collection wait while Dr.Jit records, also as a decorator.
+
+    A recording calls every BSDF that is alive, those of other scenes included. If an old scene is freed between two
+    calls, Dr.Jit writes one function twice, LLVM refuses it ("invalid redefinition of function"), and Dr.Jit ends the
+    process. Garbage is collected at any moment, so this happened by chance.
+    """
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
+@hold_garbage()
 def follow(state: Any, step: Callable[[Any], Any], label: str) -> Any:
     """Return a state, a dataclass, after calling ``step`` on it, in place, while its field ``active`` is true."""
 
@@ -73,6 +93,7 @@ def follow(state: Any, step: Callable[[Any], Any], label: str) -> Any:
     return dr.while_loop((state,), lambda state: state.active, take, label=label)[0]
 
 
+@hold_garbage()
 def repeat(take: Callable[..., tuple[Any, ...]], first: Any, end: Any, *state: Any, label: str) -> tuple[Any, ...]:
     """Return the state after ``state = take(index, *state)`` for each index from ``first`` to below ``end``."""
 

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import gc
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import Any
 
 from lobewise.frame import FloatArray
-from lobewise.render.bridge import dr
+from lobewise.render.bridge import dr, hold_garbage
 
 UNRECORDABLE = "The frozen function included a virtual function call"
 """Dr.Jit's message for a function that it cannot record because it calls nested objects, such as BSDFs under a map."""
@@ -40,11 +38,11 @@ class Recorded:
                 self._plain, state_fn=lambda *_, **__: self._get_state(), limit=MAX_RECORDINGS, warn_after=WARN_AFTER
             )
 
+    @hold_garbage()
     def run(self, *arguments: Any) -> Any:
         """Return the results as Dr.Jit arrays."""
         try:
-            with _no_collection():
-                return self._run(*arguments)
+            return self._run(*arguments)
         except RuntimeError as error:
             if UNRECORDABLE not in str(error.__cause__):
                 raise
@@ -62,18 +60,6 @@ class Frozen(Recorded):
         dr.eval(results)
         # On the CPU these are views that keep Dr.Jit's memory alive.
         return [result.numpy() for result in results]
-
-
-@contextmanager
-def _no_collection() -> Iterator[None]:
-    """Switch off Python's garbage collection: freeing an old scene while Dr.Jit records crashes the process."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
 
 
 def _flatten(value: Any) -> Any:

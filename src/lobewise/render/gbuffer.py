@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from lobewise.camera import Camera, compute_motion
 from lobewise.errors import InputError, require_choice
 from lobewise.frame import FloatArray, GBuffer, LobeKind
-from lobewise.render.bridge import dr, mi
+from lobewise.render.bridge import dr, hold_garbage, mi
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import dispatch_surface
 from lobewise.render.materials.surface import compute_seen_albedo, is_mirror
@@ -34,6 +34,7 @@ Moves = Mapping[str, ArrayLike]
 """For each moved shape, by its id: the matrix (4, 4) that maps its world points to their previous positions."""
 
 
+@hold_garbage()
 def trace_guides(
     scene: Any, materials: dict[int, Material], camera: Camera, *, pixels: tuple[int, int], size: tuple[int, int]
 ) -> dict[str, Any]:
