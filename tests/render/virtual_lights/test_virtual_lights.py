@@ -363,15 +363,18 @@ def test_same_seed_same_bits_whatever_the_order(cornell: Any) -> None:
 
 
 def assert_nothing_is_compiled_twice(method: Any, scene: Any) -> None:
-    """Shade with other seeds and numbers of samples, after updates."""
-    from lobewise.render.bridge import dr
+    """Shade with other seeds and numbers of samples, after updates.
+
+    Kernels hold every BSDF that is alive: where old scenes become garbage in between, kernels are compiled anew.
+    """
+    from lobewise.render.bridge import dr, hold_garbage
 
     def run(seed: int, samples: int) -> None:
         method.update()
         dr.eval(method.shade(view(scene), samples=samples, seed=seed))
 
-    run(0, 1)
-    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+    with hold_garbage(), dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        run(0, 1)
         dr.kernel_history_clear()
         run(1, 2)
         run(12345, 1)
