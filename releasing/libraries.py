@@ -14,6 +14,7 @@ import argparse
 import json
 import re
 import shutil
+import string
 import subprocess
 import sys
 import tempfile
@@ -189,6 +190,8 @@ def build(
         print(f"{path}: {len(found)} kernels, {path.stat().st_size / 1e6:.1f} MB", flush=True)
     index = {
         "halide": version("halide"),
+        "llvm": read_llvm_version(),
+        "linker": f"ziglang {version('ziglang')}" if "ziglang" in linker else linker[0],
         "system": system.name,
         "wheel": system.tag,
         "levels": levels,
@@ -196,6 +199,25 @@ def build(
         "kernels": described,
     }
     (folder / prebuilt.INDEX_NAME).write_text(json.dumps(index, separators=(",", ":")), encoding="utf-8")
+
+
+def read_llvm_version() -> str:
+    """Return the version of the LLVM that is part of Halide, from bitcode that it writes.
+
+    Bitcode begins with the name of its producer: its length in 6 bits, then 6 bits for each letter (LLVM Bitcode File
+    Format, "IDENTIFICATION_BLOCK" and "Char6").
+    """
+    x, kernel = hl.Var("x"), hl.Func("kernel")
+    kernel[x] = x
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "kernel.bc")
+        kernel.compile_to_bitcode(str(path), [], "kernel")
+        bits = int.from_bytes(path.read_bytes()[:256], "little")
+    letters = string.ascii_lowercase + string.ascii_uppercase + string.digits + "._"
+    name = sum(letters.index(letter) << 6 * place for place, letter in enumerate("LLVM"))
+    start = next(at for at in range(6, 2048) if bits >> at & 0xFFFFFF == name)
+    length = bits >> start - 6 & 63
+    return "".join(letters[bits >> start + 6 * place & 63] for place in range(4, length))
 
 
 def choose_linker(name: str) -> list[str]:

@@ -19,6 +19,8 @@ from packaging.version import Version
 from benchmarks.common import ROOT
 
 LOCK = ROOT / "lock.txt"
+PYTHON_MINORS = range(10, 15)
+"""Versions of Python 3 that lobewise is for."""
 OF_ENVIRONMENTS = frozenset({"pip", "setuptools", "lobewise"})
 """Packages that a fresh environment has, and this one."""
 _LOCKED = re.compile(
@@ -74,6 +76,15 @@ def _interpret(match: re.Match[str]) -> Locked:
         tuple(re.findall("[0-9a-f]{64}", match["digests"])),
         frozenset(name for name in needers if name != "via"),
     )
+
+
+def list_environments(systems: Iterable[str]) -> list[dict[str, str]]:
+    """Return the values of markers for every version of Python on these systems."""
+    return [
+        {"python_version": f"3.{minor}", "python_full_version": f"3.{minor}.9", "sys_platform": system}
+        for minor in PYTHON_MINORS
+        for system in systems
+    ]
 
 
 def read_lock() -> list[Locked]:

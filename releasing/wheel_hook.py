@@ -1,7 +1,9 @@
 """Puts compiled kernels into a wheel and names the system in its tag; without them, the wheel requires their compiler.
 
-The environment variable ``LOBEWISE_KERNELS`` names the folder that `releasing/libraries.py` made. Without it the wheel
-is for every system, and pip installs what ``lobewise[jit]`` adds along with it, wherever that exists.
+The environment variable ``LOBEWISE_KERNELS`` names the folder that `releasing/libraries.py` made, and ``LOBEWISE_SBOM``
+the bill of materials that `releasing/wheels.py` wrote, which comes to the folder ``sboms`` of the metadata (PEP 770).
+Without kernels the wheel is for every system, and pip installs what ``lobewise[jit]`` adds along with it, wherever that
+exists.
 """
 
 from __future__ import annotations
@@ -34,3 +36,4 @@ class KernelsHook(BuildHookInterface):
         build_data["pure_python"] = False
         build_data["tag"] = f"py3-none-{index['wheel']}"
         build_data["force_include"][folder] = "lobewise/backend/prebuilt"
+        build_data["sbom_files"].append(os.environ["LOBEWISE_SBOM"])

@@ -25,11 +25,13 @@ import sys
 import tempfile
 import time
 from collections import defaultdict
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
 from benchmarks.common import RESULTS, ROOT, SHOWROOM, describe_machine, write_json
 from releasing.lock import require_locked
+from releasing.sbom import make_sbom
 
 MAX_MEGABYTES = 120.0
 """Largest size of an installation without NumPy."""
@@ -45,15 +47,23 @@ def run_nightly_tests() -> None:
 
 
 def build_wheel(libraries: Path, folder: Path) -> Path:
-    """Build the wheel of a folder of libraries, check its metadata, and return its path."""
+    """Build the wheel of a folder of libraries with its bill of materials, check its metadata, and return its path.
+
+    A copy of the bill lies beside the wheel.
+    """
+    asked = ["git", "-C", str(ROOT), "log", "-1", "--format=%ct"]
+    seconds = int(subprocess.run(asked, capture_output=True, text=True, check=True).stdout)
     with tempfile.TemporaryDirectory() as made:
+        bill = Path(made, "lobewise.cdx.json")
+        bill.write_text(make_sbom(libraries, datetime.fromtimestamp(seconds, timezone.utc)), encoding="utf-8")
         # An isolated build would download its tools anew, without looking at the lock file.
         command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation"]
-        command += ["--wheel-dir", made, str(ROOT)]
-        subprocess.run(command, env={**os.environ, "LOBEWISE_KERNELS": str(libraries.resolve())}, check=True)
+        names = {"LOBEWISE_KERNELS": str(libraries.resolve()), "LOBEWISE_SBOM": str(bill)}
+        subprocess.run([*command, "--wheel-dir", made, str(ROOT)], env={**os.environ, **names}, check=True)
         (wheel,) = Path(made).glob("*.whl")
         folder.mkdir(parents=True, exist_ok=True)
         found = Path(shutil.copy(wheel, folder))
+        shutil.copy(bill, found.with_suffix(".cdx.json"))
     subprocess.run([sys.executable, "-m", "twine", "check", "--strict", str(found)], check=True)
     return found
 

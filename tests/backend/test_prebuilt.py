@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -149,6 +150,14 @@ def edit_index(folder: Path, change: Callable[[dict[str, Any]], None]) -> Path:
     change(index)
     (folder / prebuilt.INDEX_NAME).write_text(json.dumps(index))
     return folder
+
+
+def test_the_index_names_what_the_libraries_were_made_with(folder: Path) -> None:
+    index = json.loads((folder / prebuilt.INDEX_NAME).read_text())
+    assert index["halide"] == version("halide")
+    # Halide is numbered as the LLVM that it was made with.
+    assert re.fullmatch(rf"{index['halide'].partition('.')[0]}\.\d+\.\d+", index["llvm"])
+    assert index["linker"] == "cc"
 
 
 @pytest.fixture

@@ -42,7 +42,7 @@ COMPILER = [
 
 def make_data() -> dict[str, Any]:
     """Return the data of a build before hooks."""
-    return {"pure_python": True, "force_include": {}, "dependencies": []}
+    return {"pure_python": True, "force_include": {}, "dependencies": [], "sbom_files": []}
 
 
 @pytest.mark.parametrize("system", SYSTEMS.values(), ids=lambda system: system.name)
@@ -51,6 +51,7 @@ def test_a_wheel_with_kernels_is_for_one_system(
 ) -> None:
     (tmp_path / "index.json").write_text(json.dumps({"wheel": system.tag}))
     monkeypatch.setenv("LOBEWISE_KERNELS", str(tmp_path))
+    monkeypatch.setenv("LOBEWISE_SBOM", "bill.json")
     data = make_data()
     hook.initialize("standard", data)
     assert data == {
@@ -58,6 +59,7 @@ def test_a_wheel_with_kernels_is_for_one_system(
         "tag": f"py3-none-{system.tag}",
         "force_include": {str(tmp_path): "lobewise/backend/prebuilt"},
         "dependencies": [],
+        "sbom_files": ["bill.json"],
     }
 
 
