@@ -60,12 +60,12 @@ def vary(name: str, plane: Pixels, rng: np.random.Generator) -> Pixels:
     return np.where(plane > 0, (np.ascontiguousarray(plane).view(kind) ^ bits).view(plane.dtype), plane)
 
 
-def tile(source: Path, target: Path) -> None:
-    """Write ``COPIES`` times ``COPIES`` of an image side by side, some rows at a time."""
+def tile(source: Path, target: Path, copies: int = COPIES) -> None:
+    """Write ``copies`` times ``copies`` of an image side by side, some rows at a time."""
     container = read_container(source)
     (part,) = container.parts
     pixels = decode_part(container, part)
-    window = Window(0, 0, COPIES * SIZE[0] - 1, COPIES * SIZE[1] - 1)
+    window = Window(0, 0, copies * part.data_window.width - 1, copies * part.data_window.height - 1)
     box = struct.pack("<4i", window.x_min, window.y_min, window.x_max, window.y_max)
     header = [
         replace(item, value=box) if item.name in ("dataWindow", "displayWindow") else item for item in part.attributes
@@ -74,20 +74,22 @@ def tile(source: Path, target: Path) -> None:
     whole = replace(part, data_window=window, display_window=window, chunks=(Chunk(0, 0, 0),) * count)
     temporary = target.with_suffix(".part")
     with temporary.open("wb") as out, source.open("rb") as stream:
-        chunks = encode_bands(container, whole, pixels)
+        chunks = encode_bands(container, whole, pixels, copies)
         write_container(out, replace(container, parts=(whole,)), stream, [header], {0: chunks})
     temporary.replace(target)
 
 
-def encode_bands(container: Container, whole: Part, pixels: dict[str, Pixels]) -> Iterator[tuple[int, bytes]]:
+def encode_bands(
+    container: Container, whole: Part, pixels: dict[str, Pixels], copies: int
+) -> Iterator[tuple[int, bytes]]:
     """Yield the chunks of the large image."""
     rng = np.random.default_rng(1)
     window, rows = whole.data_window, whole.rows_per_chunk
     for top in range(0, window.height, 4 * rows):
         bottom = min(top + 4 * rows, window.height)
-        at = np.arange(top, bottom) % SIZE[1]
+        at = np.arange(top, bottom) % (window.height // copies)
         band = replace(whole, data_window=replace(window, y_min=top, y_max=bottom - 1))
-        wide = {name: vary(name, np.tile(plane[at], (1, COPIES)), rng) for name, plane in pixels.items()}
+        wide = {name: vary(name, np.tile(plane[at], (1, copies)), rng) for name, plane in pixels.items()}
         for index, data in encode_part(container, band, wide):
             yield top // rows + index, data
 

@@ -222,7 +222,7 @@ def test_what_cannot_be_read_in_bands_says_so(tmp_path: Path) -> None:
     entry = b"id\0" + struct.pack("<iBxxx", 0, 0)
     data = path.read_bytes()
     assert data.count(entry + struct.pack("<ii", 1, 1)) == 1
-    path.write_bytes(data.replace(entry + struct.pack("<ii", 1, 1), entry + struct.pack("<ii", 1, 2)))
+    path.write_bytes(data.replace(entry + struct.pack("<ii", 1, 1), entry + struct.pack("<ii", 3, 1)))
     with pytest.raises(FileError, match="subsampled channel 'id'"):
         BandReader(path)
     with pytest.raises(FileError, match="no such file"):
