@@ -15,12 +15,12 @@ LENGTH = 16
 """Frames of a sequence."""
 
 
-def animate(thing, path, values):
-    """Move a property through values that are spread evenly over the sequence, along straight lines."""
+def animate(thing, path, values, length=LENGTH):
+    """Move a property through values that are spread evenly over so many frames, along straight lines."""
     bpy.context.preferences.edit.keyframe_new_interpolation_type = "LINEAR"
     for number, value in enumerate(values):
         setattr(thing, path, value)
-        thing.keyframe_insert(path, frame=1 + number * (LENGTH - 1) / (len(values) - 1))
+        thing.keyframe_insert(path, frame=1 + number * (length - 1) / (len(values) - 1))
 
 
 def make_hall():

@@ -3,11 +3,12 @@
     python benchmarks/foreign/factory FOLDER [--kinds a,b] [--split validation|training] [--seeds 0-3] [--threads 1]
 
 A shot is the folder ``FOLDER/KIND_SEED``: ``shot.json``, ``SPP.exr`` for each number of samples, and three references
-of seeds of their own. It is complete when the last, ``reference_3.exr``, is there. What is there is not rendered again.
-Materials, geometry, textures, lamps and camera are drawn from the seed; the exposure follows from a small render, so
-that no shot is black or blown out. Where there are many lamps the noise differs from run to run, since Cycles chooses
-among them in another order; geometry and guides do not. The passes are those of `docs/blender.md`; half of the shots
-have no roughness. The kinds of the split ``validation`` are for measuring alone: nothing is tuned or trained on them.
+of seeds of their own. It is complete when the last, ``reference_3.exr``, is there. What is there is not rendered
+again. Materials, geometry, textures, lamps and camera are drawn from the seed; the exposure follows from a small
+render, so that no shot is black or blown out. Where there are many lamps the noise differs from run to run, since
+Cycles chooses among them in another order; geometry and guides do not. ``--films`` renders films of 12 frames
+instead, see `films`. The passes are those of `docs/blender.md`; half of the shots have no roughness. The kinds of the
+split ``validation`` are for measuring alone: nothing is tuned or trained on them.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ sys.path.insert(1, str(Path(__file__).parents[1]))
 
 from kinds import KINDS, TRAINING, VALIDATION, list_shots, plan_shot
 from shots import render_shot
+
+from films import render_film
 
 
 def read_seeds(text: str) -> range:
@@ -37,12 +40,14 @@ def main() -> None:
     parser.add_argument("--split", choices=splits, help="all kinds of one purpose, instead of --kinds")
     parser.add_argument("--seeds", type=read_seeds, default=range(4), help="one, or the first and the last, as 0-3")
     parser.add_argument("--threads", type=int, default=0, help="0 for all")
+    parser.add_argument("--films", action="store_true", help="films of 12 frames with two references of each")
     asked = parser.parse_args(sys.argv[1:])
     kinds = splits[asked.split] if asked.split else asked.kinds.split(",") if asked.kinds else list(KINDS)
     if unknown := set(kinds) - set(KINDS):
         parser.error(f"unknown kinds: {', '.join(sorted(unknown))}; there are {', '.join(KINDS)}")
     for kind, seed in list_shots(list(kinds), asked.seeds):
-        render_shot(asked.folder, *plan_shot(kind, seed), asked.threads)
+        render = render_film if asked.films else render_shot
+        render(asked.folder, *plan_shot(kind, seed), asked.threads)
 
 
 if __name__ == "__main__":

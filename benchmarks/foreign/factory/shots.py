@@ -71,6 +71,12 @@ def describe_shot(path: Path, plan: Plan) -> dict[str, Any]:
     return json.loads(path.read_text())
 
 
+def set_threads(threads: int) -> None:
+    """Render with so many threads; 0 for all cores."""
+    if threads:
+        bpy.context.scene.render.threads_mode, bpy.context.scene.render.threads = "FIXED", threads
+
+
 def render_shot(folder: Path, plan: Plan, random: np.random.Generator, threads: int = 0) -> None:
     """Render all files of a shot that are not there."""
     target = folder / f"{plan.kind}_{plan.seed}"
@@ -80,9 +86,8 @@ def render_shot(folder: Path, plan: Plan, random: np.random.Generator, threads: 
     start = time.process_time()
     target.mkdir(parents=True, exist_ok=True)
     make_scene(plan, random)
+    set_threads(threads)
     scene = bpy.context.scene
-    if threads:
-        scene.render.threads_mode, scene.render.threads = "FIXED", threads
     scene.cycles.film_exposure = describe_shot(target / "shot.json", plan)["exposure"]
     for spp in plan.spp:
         render(target / f"{spp}.exr", spp, 1000 * plan.seed + spp)
