@@ -22,7 +22,7 @@ def make_figures(measured: Mapping[str, Any]) -> dict[str, str]:
     """Return the figures of docs/serving.md by place."""
     parts = {name: part["found"] for name, part in measured["parts"].items()}
     (first, early), (last, late) = parts["calls"].items()
-    large = parts["16k"]
+    large = parts["16k"]["file"]
     size = f"{large['side']}x{large['side']} pixels, {large['channels']} channels"
     resident = [f"{row['resident_mib']:.0f} MiB after {number}" for number, row in ((first, early), (last, late))]
     facts = {
