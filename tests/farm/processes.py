@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 
+from lobewise.farm.connection import connect
 from tests.interrupts import LISTEN
 
 PROGRAM = [sys.executable, "-c", "from lobewise.cli import main; main()"]
@@ -21,21 +22,25 @@ MAX_SECONDS = 240.0
 """Longest time that a test waits for anything, seconds."""
 
 
-def make_command(sources: Path, folder: Path, *options: str) -> list[str]:
-    """Return the command line that denoises the sequence of a folder into another one."""
+def make_command(sources: Path, folder: Path, *options: str, before: str = "") -> list[str]:
+    """Return the command line that denoises the sequence of a folder into another one, after a line of Python."""
     names = [str(sources / "in.####.exr"), "-o", str(folder / "out.####.exr")]
-    return [sys.executable, "-c", LISTEN + PROGRAM[-1], "denoise", *names, "--quality", "balanced", *options]
+    program = f"{LISTEN}{before}\n{PROGRAM[-1]}"
+    return [sys.executable, "-c", program, "denoise", *names, "--quality", "balanced", *options]
 
 
-def run_program(sources: Path, folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
-    """Run the program to its end."""
-    command = make_command(sources, folder, *options)
-    return subprocess.run(command, capture_output=True, text=True, timeout=MAX_SECONDS)
+def run_program(
+    sources: Path, folder: Path, *options: str, before: str = "", more: dict[str, str] | None = None
+) -> subprocess.CompletedProcess[str]:
+    """Run the program to its end, after a line of Python and with more variables of the environment."""
+    command = make_command(sources, folder, *options, before=before)
+    environment = {**os.environ, **(more or {})}
+    return subprocess.run(command, capture_output=True, text=True, timeout=MAX_SECONDS, env=environment)
 
 
-def start_program(sources: Path, folder: Path, *options: str) -> subprocess.Popen[str]:
+def start_program(sources: Path, folder: Path, *options: str, before: str = "") -> subprocess.Popen[str]:
     """Start the program in a group of its own, so that a signal reaches it and its workers as Ctrl-C does."""
-    command = make_command(sources, folder, *options)
+    command = make_command(sources, folder, *options, before=before)
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
 
 
@@ -63,6 +68,7 @@ class Farm:
         self._folder = folder
         self._environment = {**os.environ, **(more or {})}
         self._is_open = True
+        self.losses = 0
         self.scheduler = self._start_scheduler()
         self.workers = [self._start_worker() for _ in range(workers)]
         self._keeper = threading.Thread(target=self._keep_workers)
@@ -90,20 +96,28 @@ class Farm:
         """Kill the first worker; another one is started soon."""
         self.workers[0].send_signal(signal.SIGKILL)
 
+    def add_worker(self, **more: str) -> None:
+        """Start a worker with variables of its own, and wait until the scheduler has all workers."""
+        self.workers.append(self._start_worker(more))
+        with connect(self.address) as connection:
+            wait_until(lambda: len(connection.list_workers()) == len(self.workers))
+
     def _start_scheduler(self) -> subprocess.Popen[bytes]:
         return self._start("scheduler", "--host", "127.0.0.1", "--port", str(self._port), "--no-dashboard")
 
-    def _start_worker(self) -> subprocess.Popen[bytes]:
-        return self._start("worker", self.address, "--nthreads", "1", "--no-nanny", "--no-dashboard")
+    def _start_worker(self, more: dict[str, str] | None = None) -> subprocess.Popen[bytes]:
+        return self._start("worker", self.address, "--nthreads", "1", "--no-nanny", "--no-dashboard", more=more)
 
-    def _start(self, *words: str) -> subprocess.Popen[bytes]:
+    def _start(self, *words: str, more: dict[str, str] | None = None) -> subprocess.Popen[bytes]:
         where = self._folder / "dask.log"
         with where.open("ab") as log:
-            return subprocess.Popen([*DASK, *words], stdout=log, stderr=log, env=self._environment, cwd=self._folder)
+            environment = {**self._environment, **(more or {})}
+            return subprocess.Popen([*DASK, *words], stdout=log, stderr=log, env=environment, cwd=self._folder)
 
     def _keep_workers(self) -> None:
         while self._is_open:
             for place, process in enumerate(self.workers):
                 if process.poll() is not None and self._is_open:
+                    self.losses += 1
                     self.workers[place] = self._start_worker()
             time.sleep(0.1)

@@ -46,11 +46,15 @@ class FakeFarm:
     workers: dict[str, dict[str, str]]
     """Versions of each worker by its address."""
     faults: dict[str, str] = field(default_factory=dict)
+    modules: dict[str, Any] = field(default_factory=dict)
+    """What workers answer that cannot load lobewise, by address."""
     done: set[int] = field(default_factory=set)
     problems: dict[int, list[str]] = field(default_factory=dict)
     """What goes wrong with a frame, one entry for each try."""
     waiting: list[tuple[FakeCall, Callable[[], None]]] = field(default_factory=list)
     ran: list[tuple[str, tuple[int, ...]]] = field(default_factory=list)
+    asked: list[str] = field(default_factory=list)
+    """Workers that were sent a function of lobewise. Dask ends a worker that cannot load it."""
     on_task: Callable[[str, Task], bool] = lambda worker, task: True
     """Called before a task runs; returns whether it runs."""
     is_gone: bool = False
@@ -68,8 +72,11 @@ class FakeFarm:
         if function is platform.python_version:
             answer: Any = lambda: self.workers[worker]["Python"] + ".7"  # noqa: E731 - reads the version when asked
         elif function is pydoc.locate:
-            answer = lambda: self.workers[worker]["lobewise"]  # noqa: E731
+            name, _, what = arguments[0].rpartition(".")
+            found = self.workers[worker]["lobewise"] if what == "__version__" else self.modules.get(worker, name)
+            answer = lambda: found  # noqa: E731
         elif function is describe_worker:
+            self.asked.append(worker)
             answer = lambda: (self.workers[worker], self.faults.get(worker, ""))  # noqa: E731
         else:
             return self._take_order(worker, key, arguments[0])
@@ -182,7 +189,7 @@ def test_a_worker_has_one_frame_waiting_but_not_at_the_end() -> None:
 @pytest.mark.parametrize("workers", ["a", "ab", "abcd"])
 def test_workers_get_consecutive_frames_where_windows_need_them(workers: str) -> None:
     farm = FakeFarm({name: dict(ENVIRONMENT) for name in workers}, problems={7: ["once"]})
-    assert run(farm, make_tasks(*range(40), *range(60, 80)), by_runs=True) == ([], [])
+    assert run(farm, make_tasks(*range(40), *range(60, 80)), by_runs=True)[0] == []
     assert farm.done == {*range(40), *range(60, 80)}
     jumps = 0
     for name in workers:
@@ -224,7 +231,8 @@ def test_a_lost_worker_loses_no_frame_and_a_frame_that_loses_workers_fails() -> 
     farm.on_task = lose
     failures, _ = run(farm, make_tasks(*range(6)))
     assert [failure.numbers for failure in failures] == [(2,)]
-    assert "its worker was lost" in failures[0].problem
+    assert failures[0].problem == dispatching.LOST
+    assert failures[0].worker in {"a", "b", "c", "d"}
     assert farm.done == {0, 1, 3, 4, 5}
     # The frames that waited on lost workers have lost no try.
     assert next(names) == "f"
@@ -240,8 +248,42 @@ def test_a_frame_that_waited_on_a_lost_worker_has_lost_no_try() -> None:
         return True
 
     farm.on_task = lose
-    assert run(farm, make_tasks(2, 3)) == ([], [])
+    told = ["Frame 3, tried again after worker b failed: once"]
+    assert run(farm, make_tasks(2, 3)) == ([], told)
     assert farm.done == {2, 3}
+
+
+def test_a_frame_that_runs_on_a_lost_worker_has_lost_a_try() -> None:
+    """Frame 1 is done when the worker is lost, so that frame 2 was running there."""
+    farm = FakeFarm({"a": dict(ENVIRONMENT)}, problems={2: ["once", "twice"]})
+
+    def lose(worker: str, task: Task) -> bool:
+        if worker == "a":
+            farm.done.update({1})
+            farm.workers = {"b": dict(ENVIRONMENT)}
+            return False
+        return True
+
+    farm.on_task = lose
+    failures, _ = run(farm, make_tasks(1, 2))
+    assert [failure.numbers for failure in failures] == [(2,)]
+
+
+def test_a_frame_that_failed_is_left_to_another_worker() -> None:
+    farm = make_farm()
+    full: list[int] = []
+
+    def fill(worker: str, task: Task) -> bool:
+        farm.problems = {}
+        if worker == "a":
+            full.append(task.numbers[0])
+            farm.problems = {task.numbers[0]: ["no room"]}
+        return True
+
+    farm.on_task = fill
+    assert run(farm, make_tasks(*range(8))) == ([], [f"Frame {full[0]}, tried again after worker a failed: no room"])
+    assert farm.done == set(range(8))
+    assert len(set(full)) == len(full)
 
 
 @pytest.mark.parametrize(
@@ -256,8 +298,22 @@ def test_a_frame_that_waited_on_a_lost_worker_has_lost_no_try() -> None:
 def test_a_worker_of_another_version_is_not_used(name: str, version: str, told: str) -> None:
     farm = make_farm()
     farm.workers["b"][name] = version
-    assert run(farm, make_tasks(*range(6))) == ([], [f"The worker b is not used: {told}."])
+    assert run(farm, make_tasks(*range(6))) == (
+        [],
+        [f"The worker b is not used: {told}, which must be installed there."],
+    )
     assert {worker for worker, _ in farm.ran} == {"a"}
+    assert farm.asked == (["a", "b"] if name == "NumPy" else ["a"])
+
+
+def test_a_worker_that_cannot_load_lobewise_is_not_used() -> None:
+    farm = make_farm(modules={"a": None, "b": CallFailedError("ImportError: no Halide")})
+    with pytest.raises(LobewiseError) as problem:
+        run(farm, make_tasks(1))
+    assert "(a: its lobewise cannot be loaded (no farm); b: its lobewise cannot be loaded (ImportError: no" in str(
+        problem.value
+    )
+    assert farm.asked == []
 
 
 def test_without_any_good_worker_the_run_ends_with_the_reasons() -> None:
@@ -333,7 +389,7 @@ def test_after_a_lost_scheduler_only_missing_frames_are_handed_out() -> None:
     assert farm.done == set(range(8))
     assert sorted(numbers[0] for _, numbers in farm.ran) == [0, 1, 2, 3, 4, 6, 7]
     assert told == [
-        "The scheduler tcp://fake:8786 does not answer; waiting for it to come back.",
+        "The scheduler tcp://fake:8786 does not answer; waiting 10 minutes at most for it to come back.",
         "The scheduler is back.",
     ]
 
@@ -345,7 +401,7 @@ def test_a_file_that_is_never_seen_here_counts_as_failed(monkeypatch: pytest.Mon
     failures, _ = run(farm, make_tasks(1, 2))
     assert hidden == {1}
     assert [failure.numbers for failure in failures] == [(2,)]
-    assert "its file is not seen here" in failures[0].problem
+    assert "it wrote the file, which is not seen here" in failures[0].problem
 
 
 class _Forgetful(set[int]):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import subprocess
@@ -103,6 +104,17 @@ def test_a_source_that_went_voids_its_frame(sequence: Sequence) -> None:
 
 def test_other_settings_void_everything(sequence: Sequence) -> None:
     assert sequence.list_done(sequence.make_ledger("beta 2")) == []
+
+
+def test_a_full_disk_leaves_no_half_record(sequence: Sequence, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    before = sorted(sequence.ledger.folder.iterdir())
+    monkeypatch.setattr(os, "replace", refuse)
+    with pytest.raises(FileError, match="got no space left on device"):
+        sequence.ledger.record(2, "proof", [])
+    assert sorted(sequence.ledger.folder.iterdir()) == before
 
 
 def test_removing_leaves_files_of_others(sequence: Sequence) -> None:

@@ -63,7 +63,8 @@ def test_a_frame_that_fails_does_not_stop_the_others(
     broken.write_bytes((sources / "in.0003.exr").read_bytes()[:5000])
     done = run_program(mine, folder, "--workers", "2")
     assert done.returncode == 2, done.stderr
-    assert "Frame 3: input " in done.stderr
+    assert "Frame 3, worker tls://127.0.0.1:" in done.stderr
+    assert f": input {str(broken)!r}: " in done.stderr
     assert f"lobewise: 1 of {len(NUMBERS)} frames could not be filtered (frame 3); " in done.stderr
     assert read_outputs(folder) == {name: data for name, data in expected.items() if name != "out.0003.exr"}
     # The same command filters only what failed.

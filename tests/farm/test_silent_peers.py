@@ -102,7 +102,7 @@ def test_a_scheduler_that_is_stopped_and_goes_on(
     assert program.stderr is not None
     ending = threading.Timer(MAX_SECONDS, program.kill)
     ending.start()
-    assert any("does not answer; waiting for it to come back" in line for line in program.stderr)
+    assert any("does not answer; waiting 10 minutes at most for it" in line for line in program.stderr)
     farm.scheduler.send_signal(signal.SIGCONT)
     _, told = program.communicate()
     ending.cancel()

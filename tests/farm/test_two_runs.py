@@ -33,16 +33,14 @@ class Work:
         return [self.folder / f"out.{number}.exr"]
 
 
-def test_the_earlier_run_ends_with_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ledger, "try_lock", lambda _: True)
-    for name in ("POLL_SECONDS", "RETRY_SECONDS", "MAX_SECONDS_UNSEEN"):
-        monkeypatch.setattr(dispatching, name, 0.0)
+def make_job(folder: Path) -> FarmJob:
+    """Return the job of a sequence of two frames in a folder."""
     for number in (1, 2):
-        (tmp_path / f"in.{number}.exr").write_bytes(b"noisy")
-    job = FarmJob(
-        source=FramePattern.parse(tmp_path / "in.#.exr"),
-        output=FramePattern.parse(tmp_path / "out.#.exr"),
-        work=cast(Any, Work(tmp_path)),
+        (folder / f"in.{number}.exr").write_bytes(b"noisy")
+    return FarmJob(
+        source=FramePattern.parse(folder / "in.#.exr"),
+        output=FramePattern.parse(folder / "out.#.exr"),
+        work=cast(Any, Work(folder)),
         fingerprint="",
         by_shot=False,
         follows_first=False,
@@ -50,6 +48,13 @@ def test_the_earlier_run_ends_with_a_sentence(tmp_path: Path, monkeypatch: pytes
         with_oidn=False,
         memory=None,
     )
+
+
+def test_the_earlier_run_ends_with_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ledger, "try_lock", lambda _: True)
+    for name in ("POLL_SECONDS", "RETRY_SECONDS", "MAX_SECONDS_UNSEEN"):
+        monkeypatch.setattr(dispatching, name, 0.0)
+    job = make_job(tmp_path)
     later = Ledger(folder=name_ledger(job.output), identity="later")
 
     def begin_later_run(worker: str, task: Task) -> bool:

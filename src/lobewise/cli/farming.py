@@ -179,7 +179,7 @@ def _tell_failures(report: FarmReport) -> None:
     if not report.failures:
         return
     for failure in sorted(report.failures, key=lambda failed: failed.numbers)[:MAX_FAILURES_NAMED]:
-        print_note(f"{name_frames(failure.numbers)}: {failure.problem}")
+        print_note(f"{name_frames(failure.numbers)}, worker {failure.worker}: {failure.problem}")
     numbers = sorted(number for failure in report.failures for number in failure.numbers)
     sentence = f"{len(numbers)} of {report.frames} frames could not be filtered ({name_frames(numbers).lower()})"
     traces = [failure.trace for failure in report.failures if failure.trace]

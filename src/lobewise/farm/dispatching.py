@@ -19,6 +19,7 @@ from lobewise.farm.connection import Call, CallFailedError, CallLostError, Conne
 from lobewise.farm.environment import compare_environments, shorten_version
 from lobewise.farm.tasks import Order, Outcome, Task, Told
 from lobewise.farm.worker import describe_worker, run_order
+from lobewise.io.sequence import name_frames
 from lobewise.limits import check_time
 
 WAITING = "Waiting for workers"
@@ -35,6 +36,18 @@ MAX_SECONDS_UNSEEN = 90.0
 to 60 s."""
 MAX_SECONDS_WITHOUT_SCHEDULER = 600.0
 """Longest time that a lost scheduler is waited for, seconds."""
+FIRST_QUESTIONS: Mapping[str, tuple[Any, ...]] = {
+    "Python": (platform.python_version,),
+    "lobewise": (pydoc.locate, "lobewise.__version__"),
+    "worker": (pydoc.locate, "lobewise.farm.worker.__name__"),
+}
+"""What every worker is asked. It answers in any version of Python and without lobewise. A call of a function that a
+worker cannot load would end it."""
+LOST = (
+    "its process ended while it filtered this: memory was short, a machine stopped, or the filter crashed; give the "
+    "workers more memory, or filter it without a farm to see why."
+)
+"""The problem of a task whose worker ended."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +58,8 @@ class Failure:
     ----------
     numbers : tuple of int
         The frames of the task that are not done.
+    worker : str
+        Address of the worker of the last try.
     problem : str
         Why, in one sentence.
     trace : str
@@ -52,6 +67,7 @@ class Failure:
     """
 
     numbers: tuple[int, ...]
+    worker: str
     problem: str
     trace: str = ""
 
@@ -145,7 +161,8 @@ class Dispatcher:
         self._workers: dict[str, _Worker] = {}
         self._todo: deque[tuple[float, Task]] = deque()
         self._unseen: list[tuple[float, Task, str]] = []
-        self._tries: dict[Task, int] = {}
+        self._tries: dict[Task, list[Failure]] = {}
+        self._blamed: set[str] = set()
         self._looked = -POLL_SECONDS
         self._has_waited = self._had_good_worker = False
         self._waits_for = ""
@@ -183,13 +200,8 @@ class Dispatcher:
             self._lose(self._workers.pop(address))
         for address in set(there) - set(self._workers):
             self._workers[address] = worker = _Worker(address=address)
-            # The first two answer without lobewise, and in any version of Python.
-            for name, function, arguments in (
-                ("Python", platform.python_version, ()),
-                ("lobewise", pydoc.locate, ("lobewise.__version__",)),
-                ("all", describe_worker, self._terms.check),
-            ):
-                worker.questions[name] = self._connection.call(address, function, *arguments)
+            for name, question in FIRST_QUESTIONS.items():
+                worker.questions[name] = self._connection.call(address, *question)
         self._require_workers()
 
     def _require_workers(self) -> None:
@@ -202,20 +214,20 @@ class Dispatcher:
                 "farm", expected="a worker that can be used", got=f"none ({reasons})", action="see docs/farm.md"
             )
         self._waits_for = "" if any(worker.is_ready for worker in self._workers.values()) else WAITING
-        if not self._workers and not self._has_waited:
+        if self._workers:
+            self._has_waited = False
+        elif not self._has_waited:
             self._has_waited = True
             self._listener.tell(f"No worker is connected to {self._connection.address}; waiting for one.")
 
     def _lose(self, worker: _Worker) -> None:
-        """Take back the tasks of a worker that went. The oldest task was running, so its try counts."""
-        for place, (call, task) in enumerate(worker.calls.values()):
+        """Take back the tasks of a worker that went. The oldest that is not done was running, so its try counts."""
+        for call, _ in worker.calls.values():
             call.drop()
-            if not self._list_missing(task):
-                continue
-            if place:
-                self._todo.appendleft((0.0, task))
-            else:
-                self._fail(task, "its worker was lost, as happens where memory is short or a machine stops.")
+        missing = [task for _, task in worker.calls.values() if self._list_missing(task)]
+        if missing:
+            self._fail(missing[0], worker.address, LOST)
+            self._todo.extendleft((0.0, task) for task in missing[1:])
 
     def _hand_out(self) -> None:
         ready = [worker for worker in self._workers.values() if worker.is_ready]
@@ -234,9 +246,17 @@ class Dispatcher:
                     worker.last = task.numbers[-1]
 
     def _take_task(self, worker: _Worker) -> Task | None:
-        """Return the next task for a worker among those whose time has come."""
+        """Return the next task for a worker among those whose time has come.
+
+        A task that failed on a worker is left to the others: the disk of one machine may be full.
+        """
         now = time.monotonic()
-        waiting = [entry for entry in self._todo if entry[0] <= now]
+        ready = {each.address for each in self._workers.values() if each.is_ready}
+        waiting = []
+        for entry in self._todo:
+            failed = {failure.worker for failure in self._tries.get(entry[1], ())}
+            if entry[0] <= now and (worker.address not in failed or failed.issuperset(ready)):
+                waiting.append(entry)
         if not waiting:
             return None
         entry = self._choose_in_runs(waiting, worker) if self._by_runs else waiting[0]
@@ -284,24 +304,32 @@ class Dispatcher:
                 self._workers.pop(worker.address, None)
                 return
         worker.questions = {}
-        worker.fault = self._judge(answers)
+        worker.fault = self._judge_files(answers["files"]) if "files" in answers else self._judge_versions(answers)
+        if not worker.fault and "files" not in answers:
+            worker.questions["files"] = self._connection.call(worker.address, describe_worker, *self._terms.check)
+            return
         worker.is_ready = not worker.fault
         self._had_good_worker |= worker.is_ready
         if worker.fault:
             self._listener.tell(f"The worker {worker.address} is not used: {worker.fault}.")
 
-    def _judge(self, answers: Mapping[str, Any]) -> str:
-        """Return why a worker cannot be used, in a few words; empty if it can."""
+    def _judge_versions(self, answers: Mapping[str, Any]) -> str:
+        """Return why a worker cannot be asked more, in a few words; empty if it can."""
         own = self._terms.environment
         there = {"Python": shorten_version(str(answers["Python"])), "lobewise": str(answers["lobewise"] or "none")}
         first = compare_environments({name: own[name] for name in ("Python", "lobewise")}, there)
         if first:
-            return f"it has {first}"
-        if isinstance(answers["all"], CallFailedError):
-            return f"its lobewise cannot be loaded ({answers['all']})"
-        environment, fault = answers["all"]
-        difference = compare_environments(own, environment)
-        return f"it has {difference}" if difference else fault
+            return f"it has {first}, which must be installed there"
+        is_loaded = answers["worker"] == FIRST_QUESTIONS["worker"][1].rpartition(".")[0]
+        return "" if is_loaded else f"its lobewise cannot be loaded ({answers['worker'] or 'no farm'})"
+
+    def _judge_files(self, answer: Any) -> str:
+        """Return why a worker cannot be used, in a few words; empty if it can."""
+        if isinstance(answer, CallFailedError):
+            return f"it cannot tell what it sees ({answer})"
+        environment, fault = answer
+        difference = compare_environments(self._terms.environment, environment)
+        return f"it has {difference}, which must be installed there" if difference else fault
 
     def _take_outcome(self, worker: _Worker, call: Call, task: Task) -> None:
         try:
@@ -309,15 +337,27 @@ class Dispatcher:
         except CallLostError:
             if self._list_missing(task):
                 self._todo.appendleft((0.0, task))
+            # A silent scheduler would let every other call wait as long as this one.
+            self._connection.list_workers()
             return
         except CallFailedError as problem:
-            self._fail(task, f"something went wrong on the worker {worker.address} ({problem}).")
+            self._fail(task, worker.address, f"something went wrong ({problem}).")
             return
         self._listener.hear(outcome.news)
         if outcome.problem:
-            self._fail(task, outcome.problem, outcome.trace)
+            self._fail(task, worker.address, outcome.problem, outcome.trace)
         elif self._list_missing(task):
             self._unseen.append((time.monotonic() + MAX_SECONDS_UNSEEN, task, worker.address))
+        else:
+            self._blame(task)
+
+    def _blame(self, task: Task) -> None:
+        """Tell why a task that is done failed on other workers before, once for each worker."""
+        for failure in self._tries.get(task, ()):
+            if failure.problem != LOST and failure.worker not in self._blamed:
+                self._blamed.add(failure.worker)
+                numbers = name_frames(failure.numbers)
+                self._listener.tell(f"{numbers}, tried again after worker {failure.worker} failed: {failure.problem}")
 
     def _look_again(self) -> None:
         """Look for files that workers have written and that were not seen here."""
@@ -327,24 +367,31 @@ class Dispatcher:
                 self._unseen.remove(entry)
             elif time.monotonic() >= end:
                 self._unseen.remove(entry)
-                self._fail(task, f"the worker {address} wrote it, but its file is not seen here or has changed.")
+                self._fail(task, address, "it wrote the file, which is not seen here or has changed.")
 
-    def _fail(self, task: Task, problem: str, trace: str = "") -> None:
+    def _fail(self, task: Task, worker: str, problem: str, trace: str = "") -> None:
         """Try a task again later, or give it up."""
-        tries = self._tries[task] = self._tries.get(task, 0) + 1
-        if tries <= MAX_RETRIES:
-            self._todo.append((time.monotonic() + RETRY_SECONDS * 2.0 ** (tries - 1), task))
-            return
-        self.failures.append(Failure(numbers=self._list_missing(task), problem=problem, trace=trace))
+        failure = Failure(numbers=self._list_missing(task), worker=worker, problem=problem, trace=trace)
+        tries = self._tries.setdefault(task, [])
+        tries.append(failure)
+        if len(tries) > MAX_RETRIES:
+            self.failures.append(failure)
+        else:
+            self._todo.append((time.monotonic() + RETRY_SECONDS * 2.0 ** (len(tries) - 1), task))
+
+    def _show_wait(self) -> None:
+        check_time()
+        self._listener.show("Waiting for the scheduler", [])
 
     def _wait_for_scheduler(self) -> None:
         """Take back all tasks, wait until the scheduler is there again, and leave out what was done meanwhile."""
         running = self.list_running()
         self._workers = {}
         self._todo.extendleft((0.0, task) for task in reversed(running))
-        self._listener.tell(f"The scheduler {self._connection.address} does not answer; waiting for it to come back.")
-        self._connection.reopen(
-            MAX_SECONDS_WITHOUT_SCHEDULER, lambda: self._listener.show("Waiting for the scheduler", [])
+        self._listener.tell(
+            f"The scheduler {self._connection.address} does not answer; waiting {MAX_SECONDS_WITHOUT_SCHEDULER / 60:g} "
+            "minutes at most for it to come back."
         )
+        self._connection.reopen(MAX_SECONDS_WITHOUT_SCHEDULER, self._show_wait)
         self._todo = deque(entry for entry in self._todo if self._list_missing(entry[1]))
         self._listener.tell("The scheduler is back.")

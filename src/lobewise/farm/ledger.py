@@ -106,8 +106,11 @@ class Ledger:
         # Do not wait for the disk: after a power cut a record that is not whole only costs its frame.
         made = name_temporary(path)
         with refusing(f"record {str(path)!r}", "a folder that can be written to", "check its permissions and room"):
-            made.write_text(json.dumps({"proof": proof, "files": files}))
-            os.replace(made, path)
+            try:
+                made.write_text(json.dumps({"proof": proof, "files": files}))
+                os.replace(made, path)
+            finally:
+                made.unlink(missing_ok=True)
 
     def list_recorded(self) -> set[int]:
         """Return the frames that have a record, of whichever sources and settings."""

@@ -176,6 +176,7 @@ class _Run:
         self._first = frames[0][0]
         self.token = uuid.uuid4().hex
         self.done: set[int] = set()
+        self._begun: set[int] = set()
         self._dispatcher: Dispatcher | None = None
         self._proofs: dict[tuple[int, ...], dict[int, str]] = {}
         self.last = Told()
@@ -241,9 +242,7 @@ class _Run:
 
     def clean_up(self) -> None:
         """Remove what killed workers have half written, and the records where they are of no use any more."""
-        running = [] if self._dispatcher is None else self._dispatcher.list_running()
-        numbers = [number for task in running for number in task.numbers]
-        for number in (*numbers, *(number for failure in self.failures for number in failure.numbers)):
+        for number in self._begun - self.done:
             for path in self._job.work.list_outputs(number):
                 remove_leftovers(Path(os.path.realpath(path)))
         is_over = len(self.done) == len(self._frames) or not self.ledger.list_recorded()
@@ -251,6 +250,7 @@ class _Run:
             self.ledger.remove()
 
     def _make_order(self, task: Task) -> Order:
+        self._begun.update(task.numbers)
         return Order(work=self._job.work, task=task, ledger=self.ledger, first=self._first, memory=self._job.memory)
 
     def _hear(self, news: Told) -> None:

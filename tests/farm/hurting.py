@@ -1,0 +1,45 @@
+"""What a worker of a test does wrong: Dask imports this module while the worker starts, beside the product's own.
+
+``LOBEWISE_TEST_HURT`` names a mischief and its number:
+
+- ``die 3``: frame 3 kills its worker, as a crash or the system does where memory is short.
+- ``full 4096``: this worker writes no file of more than so many bytes. The system refuses, as on a full disk.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+from pathlib import Path
+from typing import Any
+
+from lobewise.farm import worker as product
+
+HURT = "LOBEWISE_TEST_HURT"
+_run = product._run
+
+
+def make_hurt(mischief: str) -> dict[str, str]:
+    """Return the environment of a worker that does a mischief."""
+    paths = [str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])]
+    return {
+        HURT: mischief,
+        "PYTHONPATH": os.pathsep.join(paths),
+        "DASK_DISTRIBUTED__WORKER__PRELOAD": "tests.farm.hurting",
+    }
+
+
+def dask_setup(worker: Any) -> None:
+    """Prepare a worker that does wrong."""
+    mischief, number = os.environ[HURT].split()
+    if mischief == "full":
+        resource.setrlimit(resource.RLIMIT_FSIZE, (int(number), int(number)))
+        return
+
+    def run(order: Any) -> Any:
+        if int(number) in order.task.numbers:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return _run(order)
+
+    product._run = run

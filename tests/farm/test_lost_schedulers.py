@@ -1,0 +1,93 @@
+"""A scheduler that is killed or falls silent in the middle of a run, and stays away: one sentence, and nothing left."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, cast
+
+import pytest
+
+from lobewise.errors import LobewiseError
+from lobewise.farm.environment import describe_environment
+from lobewise.farm.running import filter_on_farm
+from lobewise.farm.tasks import Task
+from tests.farm.conftest import NUMBERS, read_outputs
+from tests.farm.processes import MAX_SECONDS, Farm, count_outputs, run_program, start_program, wait_until
+from tests.farm.test_dispatching import FakeFarm
+from tests.farm.test_two_runs import make_job
+
+MAX_SECONDS_TO_NOTICE = 15.0
+SHORT_WAIT = "from lobewise.farm import dispatching; dispatching.MAX_SECONDS_WITHOUT_SCHEDULER = 0.6"
+"""Line of a program that does not wait for ten minutes."""
+
+
+@pytest.mark.processor
+@pytest.mark.usefixtures("dask")
+@pytest.mark.sampled("SIGKILL")
+@pytest.mark.parametrize("name", ["SIGKILL", "SIGSTOP"])
+def test_a_scheduler_that_stays_away_ends_the_run_and_the_next_one_goes_on(
+    name: str, sources: Path, expected: dict[str, bytes], farm: Farm, tmp_path: Path
+) -> None:
+    folder = tmp_path / "outputs"
+    folder.mkdir()
+    program = start_program(sources, folder, "--farm", farm.address, before=SHORT_WAIT)
+    wait_until(lambda: count_outputs(folder) >= 3)
+    farm.scheduler.send_signal(signal.Signals[name])
+    begin = time.monotonic()
+    assert program.stderr is not None
+    told = next(line for line in program.stderr if "does not answer" in line)
+    assert time.monotonic() - begin < MAX_SECONDS_TO_NOTICE
+    assert told == (
+        f"The scheduler {farm.address} does not answer; waiting 0.01 minutes at most for it to come back.\n"
+    )
+    out, err = program.communicate(timeout=MAX_SECONDS)
+    assert (program.returncode, out) == (2, "")
+    assert err == (
+        f"lobewise: --farm: expected the scheduler {farm.address} to come back, got no answer for 0.01 minutes; "
+        "start it, and give the same command again, which filters only what is missing.\n"
+    )
+    with pytest.raises(ProcessLookupError):
+        os.killpg(program.pid, 0)
+    left = count_outputs(folder)
+    assert 3 <= left < len(NUMBERS)
+    farm.restart_scheduler()
+    done = run_program(sources, folder, "--farm", farm.address)
+    assert done.returncode == 0, done.stderr
+    assert f" of {len(NUMBERS)} frames are done, as " in done.stderr
+    assert read_outputs(folder) == expected
+    assert [path for path in folder.iterdir() if path.is_dir()] == []
+
+
+def test_what_workers_had_begun_when_the_scheduler_went_is_cleaned_up(tmp_path: Path) -> None:
+    program = (
+        "import sys, pathlib; from lobewise.io.replacing import name_temporary; "
+        "name_temporary(pathlib.Path(sys.argv[1])).touch()"
+    )
+
+    def die(worker: str, task: Task) -> bool:
+        subprocess.run([sys.executable, "-c", program, str(tmp_path / f"out.{task.numbers[0]}.exr")], check=True)
+        farm.is_gone = True
+        return False
+
+    def stay_away(seconds: float, tell: Callable[[], None]) -> None:
+        assert len(list(tmp_path.glob(".out.*.part"))) == 1
+        raise LobewiseError("--farm", expected="a scheduler", got="none", action="start it")
+
+    farm = FakeFarm({"a": describe_environment(with_oidn=False)}, on_task=die)
+    cast(Any, farm).reopen = stay_away
+    with pytest.raises(LobewiseError, match="expected a scheduler"):
+        filter_on_farm(
+            make_job(tmp_path),
+            cast(Any, contextlib.nullcontext(farm)),
+            tell=lambda _: None,
+            remark=lambda *_: None,
+            progress=lambda *_: None,
+        )
+    assert list(tmp_path.glob(".out.*.part")) == []
