@@ -57,13 +57,18 @@ def count_outputs(folder: Path) -> int:
     return len(list(folder.glob("out.*.exr")))
 
 
+def find_port() -> int:
+    """Return a free port of this machine."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
+
+
 class Farm:
     """A scheduler and two workers. A worker that ends is started again, as a cluster's manager does."""
 
     def __init__(self, folder: Path, workers: int = 2, *, more: dict[str, str] | None = None) -> None:
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self._port = free.getsockname()[1]
+        self._port = find_port()
         self.address = f"tcp://127.0.0.1:{self._port}"
         self._folder = folder
         self._environment = {**os.environ, **(more or {})}
