@@ -1,22 +1,25 @@
-"""Measure windows in time on sequences with references.
+"""Measure sequences frame by frame, with windows in time, and over time, on films with references.
 
-    python -m benchmarks.films FOLDER -o benchmarks/results/films.json [--film NAME ...] [--pictures FOLDER]
+    python -m benchmarks.films FOLDER [-o benchmarks/results/films.json] [--film NAME ...] [--pictures FOLDER]
 
-FOLDER holds ``NAME_8_1.0001.exr`` and on, 8 samples per pixel, and two references of each frame,
-``NAME_reference_1.0001.exr`` and ``NAME_reference_2.0001.exr``. ``benchmarks/foreign/render_blender.py`` renders
-`BLENDER_FILMS` with ``--frames 16 --spp 8 --seeds 1 --reference 512``, and ``lobewise render --frames 16 --speed 0.5``
-the public interiors of `benchmarks.interiors` (``--spp 8 --seed 1``, then ``--spp 192 --reference`` with the seeds 9001
-and 9002), all of 256 columns.
+FOLDER holds the films of ``python benchmarks/foreign/factory FOLDER --films --split validation --seeds 100-101``:
+kinds on which nothing is tuned or trained, 16 samples per pixel, two references of each frame. Each way to denoise is
+the command line, as people call it, in a process of its own; Open Image Denoise runs at its best, frame by frame.
 
-References have noise of their own. Errors are products of the differences to both, so that their noise leaves nothing
-on average. A film is measured once; films that the JSON file holds already are not measured again.
+- "error": relative squared error of a frame, freed of the references' noise, without the worst 0.1 % of the pixels; the
+  mean over the frames. "every" counts all pixels.
+- "worst frame": the largest error of a frame over that of the same frame denoised alone.
+- "flicker": relative squared change from frame to frame, where the clean images agree; without the worst 0.1 %.
+- "came into view": error of pixels whose surface came into view less than two frames ago, where the film has a camera.
+- "cpu_seconds" of a frame, and "peak_gib" of the process.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable, Sequence
+import resource
+import tempfile
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -25,72 +28,52 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-import lobewise
-from benchmarks.common import describe_machine, write_json
+from benchmarks.common import RESULTS, describe_machine, write_json
+from benchmarks.foreign.judging import WORST, Judge
+from benchmarks.performance.streaming import run
+from benchmarks.users.measuring import make_reference_judge
 from lobewise.display.tones import choose_exposure, map_tones
 from lobewise.frame import FloatArray, Frame
 from lobewise.interchange import read_frame
 from lobewise.metrics import EPSILON, find_disoccluded
 from lobewise.peers import denoise_oidn
-from lobewise.windows import WindowFilter
 
-BLENDER_FILMS = ("hall", "juggler", "lamps")
-MITSUBA_FILMS = ("dining-room", "country-kitchen")
-SPP, COUNT, REACH, MIDDLE = 8, 16, 2, 8
-MAX_NOISE_OF_REFERENCE = 0.005
-"""Relative squared error of the mean of both references. Above it the changes from frame to frame, and the error of few
-pixels, are mostly noise of the references: figures came out below 0."""
-Truth = tuple[NDArray[np.float64], NDArray[np.float64]]
-Alone = Callable[[Frame], FloatArray]
-
-ALONE: dict[str, Alone] = {
-    "noisy": lambda frame: frame.radiance.color,
-    "balanced": lambda frame: lobewise.denoise(frame, quality="balanced").image,
-    "high": lambda frame: lobewise.denoise(frame, quality="high").image,
-    "oidn": lambda frame: denoise_oidn(frame)[0],
-    "auto": lambda frame: lobewise.denoise(frame).image,
+SPP = 16
+WAYS: dict[str, list[str]] = {
+    "auto": [],
+    "auto, window": ["--window", "2"],
+    "high": ["--quality", "high"],
+    "high, window": ["--quality", "high", "--window", "2"],
+    "temporal": ["--temporal"],
 }
-"""Frame by frame. "oidn" is Open Image Denoise at its best quality with the renderer's guides, prefiltered; "auto" is
-lobewise with Open Image Denoise mixed in."""
-WINDOWS = ("balanced", "high", "auto")
-"""Qualities of the window of two frames to each side; "auto" is with Open Image Denoise."""
-BASES = {"balanced": "balanced", "high": "high", "auto": "oidn"}
-"""What the window of a quality is compared with, frame by frame."""
+"""Options of the command line."""
+ALONE = {"auto, window": "auto", "high, window": "high", "temporal": "auto"}
+"""What the frames of a way are compared with, frame by frame."""
+MAX_CLEAN_CHANGE = 0.002
+"""Largest relative squared change of the clean images at a pixel where they agree."""
 
 
-def compute_square(one: FloatArray, truth: Truth) -> NDArray[np.float64]:
-    """Return the squared error of every pixel and channel, without the noise of the references on average."""
-    return (one - truth[0]) * (one - truth[1])
+def read_film(folder: Path) -> tuple[list[Frame], list[Judge]]:
+    """Return the noisy frames of a film, and what judges images of each."""
+    paths = sorted(folder.glob(f"{SPP}.*.exr"))
+    frames = [read_frame(path, light_passes=False) for path in paths]
+    judges = []
+    for path in paths:
+        number = path.name.split(".")[1]
+        pair = [read_frame(folder / f"reference_{half}.{number}.exr", light_passes=False) for half in (1, 2)]
+        judges.append(make_reference_judge(*(each.radiance.color for each in pair)))
+    return frames, judges
 
 
-def measure_error(image: FloatArray, truth: Truth, mask: NDArray[np.bool_] | None = None) -> float:
-    """Return the relative mean squared error, of the pixels of ``mask`` if it is given."""
-    scale = np.maximum(truth[0] * truth[1], 0.0) + EPSILON
-    error = (compute_square(image, truth) / scale).mean(axis=-1)
-    return float(error.mean() if mask is None else error[mask].mean())
-
-
-def measure_flicker(images: Sequence[FloatArray], truths: Sequence[Truth]) -> float:
-    """Return what `lobewise.metrics.flicker` measures, without the noise of the references on average."""
-    steps = []
-    for k in range(1, len(images)):
-        change = images[k] - images[k - 1]
-        wanted = truths[k][0] - truths[k - 1][0], truths[k][1] - truths[k - 1][1]
-        light = [np.maximum(first * second, 0.0) for first, second in (truths[k], truths[k - 1])]
-        steps.append(float((compute_square(change, wanted) / (0.5 * (light[0] + light[1]) + EPSILON)).mean()))
-    return float(np.mean(steps))
-
-
-def mark_new(frames: Sequence[Frame]) -> list[NDArray[np.bool_]]:
-    """Return the pixels of every frame whose surface came into view in it or in the frame before."""
+def mark_new(frames: list[Frame]) -> list[NDArray[np.bool_]] | None:
+    """Return the pixels of every frame whose surface came into view in it or the frame before; None where unknown."""
     found = [np.zeros(frames[0].shape, np.bool_)]
     first = found[0]
     for before, frame in pairwise(frames):
-        assert frame.camera is not None
-        assert before.camera is not None
-        new = find_disoccluded(frame.gbuffer, frame.camera, before.gbuffer, before.camera)
         motion = frame.gbuffer.motion
-        assert motion is not None
+        if frame.camera is None or before.camera is None or motion is None:
+            return None
+        new = find_disoccluded(frame.gbuffer, frame.camera, before.gbuffer, before.camera)
         rows, columns = np.indices(frame.shape)
         spots = np.rint(rows + motion[..., 1]), np.rint(columns + motion[..., 0])
         where = tuple(np.clip(spot, 0, size - 1).astype(int) for spot, size in zip(spots, frame.shape, strict=True))
@@ -99,108 +82,100 @@ def mark_new(frames: Sequence[Frame]) -> list[NDArray[np.bool_]]:
     return found
 
 
-def measure(images: Sequence[FloatArray], frames: Sequence[Frame], truths: Sequence[Truth]) -> dict[str, float]:
-    """Return error, flicker, and the error of pixels that came into view less than two frames ago."""
+def measure_flicker(images: list[FloatArray], judges: list[Judge]) -> float:
+    """Return the change from frame to frame where the clean images agree."""
+    steps = []
+    for (before, image), (old, new) in zip(pairwise(images), pairwise(judges), strict=True):
+        assert old.clean is not None
+        assert new.clean is not None
+        scale = 0.5 * (old.clean**2 + new.clean**2) + EPSILON
+        steady = ((new.clean - old.clean) ** 2 / scale).mean(axis=-1) <= MAX_CLEAN_CHANGE
+        change = np.sort((((image - before) - (new.clean - old.clean)) ** 2 / scale).mean(axis=-1)[steady])
+        if len(change):
+            steps.append(float(change[: len(change) - round(WORST * len(change))].mean()))
+    return float(np.mean(steps))
+
+
+def measure(images: list[FloatArray], judges: list[Judge], new: list[NDArray[np.bool_]] | None) -> dict[str, Any]:
+    """Return the figures of the images of a film, but for those of time and memory."""
+    every, errors = zip(*(judge.measure(image) for judge, image in zip(judges, images, strict=True)), strict=True)
+    found = {"error": float(np.mean(errors)), "every": float(np.mean(every)), "errors": list(errors)}
+    found["flicker"] = measure_flicker(images, judges)
+    if new is not None:
+        maps = [judge.make_error_map(image)[mask] for judge, image, mask in zip(judges, images, new, strict=True)]
+        shown = np.concatenate(maps)
+        found["came into view"] = float(shown.mean()) if len(shown) else None
+    return found
+
+
+def denoise_film(folder: Path, options: list[str], count: int) -> tuple[list[FloatArray], dict[str, float]]:
+    """Return what the command line makes of a film, and its processor time for a frame and its memory."""
+    with tempfile.TemporaryDirectory() as home:
+        output = Path(home, "out.####.exr")
+        used = run(["denoise", str(folder / f"{SPP}.####.exr"), "-o", str(output), "--quiet", *options])
+        paths = [Path(home, f"out.{number:04d}.exr") for number in range(1, count + 1)]
+        images = [read_frame(path, light_passes=False).radiance.color for path in paths]
+    return images, {"cpu_seconds": round(used["cpu_seconds"] / count, 3), "peak_gib": used["peak_gib"]}
+
+
+def measure_film(folder: Path, pictures: Path | None) -> dict[str, Any]:
+    """Return the figures of every way on a film; write a strip of frames of each if ``pictures`` is given."""
+    frames, judges = read_film(folder)
     new = mark_new(frames)
-    shown = [measure_error(*each) for each in zip(images, truths, new, strict=True) if each[2].any()]
-    return {
-        "error": float(np.mean([measure_error(*pair) for pair in zip(images, truths, strict=True)])),
-        "flicker": measure_flicker(images, truths),
-        "came_into_view": float(np.mean(shown)) if shown else float("nan"),
-    }
-
-
-def measure_film(folder: Path, name: str, pictures: Path | None) -> dict[str, Any]:
-    """Return the figures of every method on a film; write a contact sheet of one frame if ``pictures`` is given."""
-    frames = [read_frame(folder / f"{name}_{SPP}_1.{k:04d}.exr", light_passes=False) for k in range(1, COUNT + 1)]
-    halves = [[folder / f"{name}_reference_{half}.{k:04d}.exr" for half in (1, 2)] for k in range(1, COUNT + 1)]
-    truths = [tuple(read_frame(path).radiance.color.astype(np.float64) for path in pair) for pair in halves]
-    found: dict[str, Any] = {"alone": {}, "window": {}, "noise_of_reference": 0.0}
-    noise = [0.25 * measure_error(pair[0], (pair[1], pair[1])) for pair in truths]
-    found["noise_of_reference"] = float(np.mean(noise))
-    shown = [np.asarray(0.5 * (truths[COUNT // 2][0] + truths[COUNT // 2][1]), np.float32)]
-    for method, run in ALONE.items():
-        images = [run(frame) for frame in frames]
-        found["alone"][method] = measure(images, frames, truths)
-        shown.append(images[COUNT // 2])
-        print(name, method, found["alone"][method], flush=True)
-    for quality in WINDOWS:
-        window = WindowFilter(REACH) if quality == "auto" else WindowFilter(REACH, quality=quality)
-        images = [window.denoise(frames, k).image for k in range(COUNT)]
-        found["window"][quality] = measure(images, frames, truths)
-        shown.append(images[COUNT // 2])
-        print(name, "window", quality, found["window"][quality], flush=True)
+    shots = {"noisy": [frame.radiance.color for frame in frames]}
+    start = resource.getrusage(resource.RUSAGE_SELF)
+    shots["oidn"] = [denoise_oidn(frame)[0] for frame in frames]
+    end = resource.getrusage(resource.RUSAGE_SELF)
+    seconds = end.ru_utime + end.ru_stime - start.ru_utime - start.ru_stime
+    used: dict[str, dict[str, float]] = {"oidn": {"cpu_seconds": round(seconds / len(frames), 3)}}
+    for way, options in WAYS.items():
+        shots[way], used[way] = denoise_film(folder, options, len(frames))
+    found = {way: {**measure(images, judges, new), **used.get(way, {})} for way, images in shots.items()}
+    for way, alone in ALONE.items():
+        ratios = np.divide(found[way]["errors"], found[alone]["errors"])
+        found[way]["worst frame"] = float(ratios.max())
     if pictures is not None:
         pictures.mkdir(parents=True, exist_ok=True)
-        sheet = np.concatenate([np.concatenate(shown[k : k + 3], axis=1) for k in (0, 3, 6)])
-        Image.fromarray(map_tones(sheet, choose_exposure(shown[0]))).save(pictures / f"{name}.png")
-    return found
-
-
-def measure_many_samples(folder: Path, name: str) -> dict[str, Any]:
-    """Return the errors of one frame whose noisy input is a reference: windows must not spoil what is nearly clean.
-
-    One reference is the input, so the other one alone is the truth; its noise is subtracted.
-    """
-    numbers = range(MIDDLE - REACH - 1, MIDDLE + REACH + 2)
-    frames = [read_frame(folder / f"{name}_reference_1.{k:04d}.exr", light_passes=False) for k in numbers]
-    truth = read_frame(folder / f"{name}_reference_2.{MIDDLE:04d}.exr").radiance.color.astype(np.float64)
-    noisy = frames[REACH + 1].radiance.color.astype(np.float64)
-    scale = np.maximum(noisy * truth, 0.0) + EPSILON
-    noise = 0.5 * float(((noisy - truth) ** 2 / scale).mean())
-
-    def measure_one(image: FloatArray) -> float:
-        return float(((image - truth) ** 2 / scale).mean()) - noise
-
-    found: dict[str, Any] = {"spp": frames[0].spp, "noisy": noise}
-    for quality in WINDOWS:
-        window = WindowFilter(REACH) if quality == "auto" else WindowFilter(REACH, quality=quality)
-        found[quality] = {
-            "alone": measure_one(window.join(frames, REACH + 1).alone.image),
-            "window": measure_one(window.denoise(frames, REACH + 1).image),
-        }
-    print(name, found, flush=True)
-    return found
+        clean = [np.asarray(judge.clean, np.float32) for judge in judges]
+        exposure = choose_exposure(clean[0])
+        rows = [np.concatenate(images[4:8], axis=1) for images in (*shots.values(), clean)]
+        Image.fromarray(map_tones(np.concatenate(rows), exposure)).save(pictures / f"{folder.name}.png")
+    return {"moves": json.loads((folder / "moves.json").read_text()), "ways": found}
 
 
 def summarize(films: dict[str, Any]) -> dict[str, Any]:
-    """Return the mean ratio of every window to its base, over the films.
+    """Return the geometric means over the films, of ratios: to Open Image Denoise, and to the same frames alone."""
 
-    Films whose references are too noisy for a figure do not count.
-    """
+    def average(ratios: list[float]) -> float:
+        return float(np.exp(np.mean(np.log(ratios))))
+
     found: dict[str, Any] = {}
-    for quality, base in BASES.items():
-        found[quality] = {
-            figure: float(
-                np.mean(
-                    [
-                        film["window"][quality][figure] / film["alone"][base][figure]
-                        for film in films.values()
-                        if figure == "error" or film["noise_of_reference"] <= MAX_NOISE_OF_REFERENCE
-                    ]
-                )
-            )
-            for figure in ("error", "flicker", "came_into_view")
-        }
+    for way in ("noisy", *WAYS):
+        cells = [(film["ways"][way], film["ways"]["oidn"]) for film in films.values()]
+        found[way] = {f"{key} over oidn": average([a[key] / b[key] for a, b in cells]) for key in ("error", "flicker")}
+        if way in ALONE:
+            pairs = [(film["ways"][way], film["ways"][ALONE[way]]) for film in films.values()]
+            keys = ("error", "flicker", "cpu_seconds")
+            found[way] |= {f"{key} over alone": average([a[key] / b[key] for a, b in pairs]) for key in keys}
+            found[way]["worst frame"] = max(a["worst frame"] for a, _ in pairs)
     return found
 
 
 def main() -> None:
-    """Measure the films that the command line names."""
+    """Measure the films that are complete, one by one; films that the JSON file holds are not measured again."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
-    parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument("-o", "--output", type=Path, default=RESULTS / "films.json")
     parser.add_argument("--film", action="append")
     parser.add_argument("--pictures", type=Path)
     asked = parser.parse_args()
     told = json.loads(asked.output.read_text()) if asked.output.exists() else {"films": {}}
-    for name in asked.film or (*BLENDER_FILMS, *MITSUBA_FILMS):
-        if name not in told["films"]:
-            told["films"][name] = measure_film(asked.folder, name, asked.pictures)
-        if name in BLENDER_FILMS and name not in told.setdefault("many_samples", {}):
-            told["many_samples"][name] = measure_many_samples(asked.folder, name)
-        told |= {"machine": describe_machine(), "spp": SPP, "frames": COUNT, "reach": REACH}
-        told["ratios"] = summarize(told["films"])
+    for folder in sorted(path.parent for path in asked.folder.glob("*/reference_2.0012.exr")):
+        if folder.name in told["films"] or (asked.film and folder.name not in asked.film):
+            continue
+        told["films"][folder.name] = measure_film(folder, asked.pictures)
+        print(folder.name, json.dumps(summarize({folder.name: told["films"][folder.name]})), flush=True)
+        told |= {"machine": describe_machine(), "spp": SPP, "summary": summarize(told["films"])}
         write_json(asked.output, told)
 
 

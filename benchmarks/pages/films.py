@@ -2,72 +2,72 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from benchmarks.pages.tables import judge, make_table
 
-NAMES = {
-    "hall": "`hall`: Blender, the camera walks past glossy things",
-    "juggler": "`juggler`: Blender, balls and a ring fly, the camera rests",
-    "lamps": "`lamps`: Blender, lamps change and fly, the camera drifts",
-    "dining-room": "`dining-room`: Mitsuba, the camera turns",
-    "country-kitchen": "`country-kitchen`: Mitsuba, the camera turns",
+WAYS = {
+    "noisy": "noisy",
+    "auto": "`auto`",
+    "auto, window": "`auto`, `--window 2`",
+    "high": "`high`",
+    "high, window": "`high`, `--window 2`",
+    "temporal": "`--temporal`",
 }
 GOALS = {
-    "high": {"error": 0.6, "flicker": 0.4, "came_into_view": 1.1},
-    "auto": {"error": 0.7, "flicker": 0.4, "came_into_view": 1.1},
+    ("auto, window", "error over alone"): ("`--window 2`: error over single frames", 0.7),
+    ("auto, window", "worst frame"): ("`--window 2`: error of the worst frame over the same alone", 1.0),
+    ("auto, window", "flicker over oidn"): ("`--window 2`: flicker over Open Image Denoise", 0.6),
+    ("auto, window", "cpu_seconds over alone"): ("`--window 2`: processor time over single frames", 1.6),
+    ("temporal", "error over alone"): ("`--temporal`: error over single frames", 1.0),
+    ("temporal", "flicker over oidn"): ("`--temporal`: flicker over Open Image Denoise", 0.8),
 }
-"""Goals of each quality, over its base frame by frame."""
-MAX_NOISE_OF_REFERENCE = 0.005
-"""As in ``benchmarks/films``: films with noisier references have an error only."""
-KEYS = ("alone", "window")
-TITLES = {"error": "error", "flicker": "flicker", "came_into_view": "error of what came into view"}
+"""What each figure is, and the largest that it should be."""
 
 
-def make_error_table(films: dict[str, Any], figure: str) -> str:
-    """Return a figure of every film: noisy, frame by frame, and with windows."""
+def make_film_table(films: Mapping[str, Any], figure: str) -> str:
+    """Return a figure of every film and way, over that of Open Image Denoise frame by frame."""
     rows = []
     for name, film in films.items():
-        if figure != "error" and film["noise_of_reference"] > MAX_NOISE_OF_REFERENCE:
-            continue
-        alone = [f"{film['alone'][key][figure]:.4f}" for key in ("noisy", "high", "oidn", "auto")]
-        window = [f"{film['window'][key][figure]:.4f}" for key in ("high", "auto")]
-        rows.append([NAMES[name], *alone, *window])
-    header = ["", "noisy", "`high`", "Open Image Denoise", "both", "`high`, window", "Open Image Denoise, window"]
+        base = film["ways"]["oidn"][figure]
+        ratios = [f"{film['ways'][way][figure] / base:.2f}" for way in WAYS]
+        rows.append([f"`{name}`: {', '.join(film['moves'])}", *ratios])
+    return make_table(["", *WAYS.values()], rows)
+
+
+def make_summary(summary: Mapping[str, Any]) -> str:
+    """Return the geometric means over the films."""
+    keys = ("error over oidn", "flicker over oidn", "error over alone", "cpu_seconds over alone", "worst frame")
+    header = [
+        "",
+        "error over Open Image Denoise",
+        "flicker over Open Image Denoise",
+        "error over single frames",
+        "processor time over single frames",
+        "worst frame over the same alone",
+    ]
+    rows = [
+        [title, *(f"{summary[way][key]:.2f}" if key in summary[way] else "" for key in keys)]
+        for way, title in WAYS.items()
+    ]
     return make_table(header, rows)
 
 
-def make_goal_table(ratios: dict[str, Any]) -> str:
-    """Return the mean ratios over the films, with their goals."""
-    names = {"high": "`high`", "auto": "Open Image Denoise"}
+def make_goals(summary: Mapping[str, Any]) -> str:
+    """Return the goals, and whether they are met."""
     rows = [
-        [f"{names[quality]}: {TITLES[figure]}", f"{ratios[quality][figure]:.2f}", f"{goal:.1f}", met]
-        for quality, goals in GOALS.items()
-        for figure, goal in goals.items()
-        for met in [judge(ratios[quality][figure] <= goal)]
+        [title, f"{summary[way][key]:.2f}", f"{goal:.1f}", judge(summary[way][key] <= goal)]
+        for (way, key), (title, goal) in GOALS.items()
     ]
-    return make_table(["window of two frames over frame by frame", "mean ratio", "goal", ""], rows)
+    return make_table(["", "measured", "goal", ""], rows)
 
 
-def make_many_table(many: dict[str, Any]) -> str:
-    """Return the errors of frames with many samples: noisy, by themselves, and with windows."""
-    names = {"high": "`high`", "auto": "Open Image Denoise mixed with `high`"}
-    rows = [
-        [f"`{film}`, {names[quality]}", f"{cells['noisy']:.5f}", *(f"{cells[quality][key]:.5f}" for key in KEYS)]
-        for film, cells in many.items()
-        for quality in names
-    ]
-    spp = next(iter(many.values()))["spp"]
-    return make_table([f"{spp} samples per pixel", "noisy", "by itself", "window"], rows)
-
-
-def make_figures(data: dict[str, Any]) -> dict[str, str]:
+def make_figures(data: Mapping[str, Any]) -> dict[str, str]:
     """Return the figures of docs/windows.md by place."""
-    figures = {
-        "error": make_error_table(data["films"], "error"),
-        "flicker": make_error_table(data["films"], "flicker"),
-        "goals": make_goal_table(data["ratios"]),
+    return {
+        "error": make_film_table(data["films"], "error"),
+        "flicker": make_film_table(data["films"], "flicker"),
+        "summary": make_summary(data["summary"]),
+        "goals": make_goals(data["summary"]),
     }
-    if "many_samples" in data:
-        figures["many"] = make_many_table(data["many_samples"])
-    return figures

@@ -175,6 +175,41 @@ class TestJoining:
         assert rel_mse(joined.frame.radiance.color, truth) < 0.5 * rel_mse(frames[2].radiance.color, truth)
 
 
+class TestAveraging:
+    """The mean of a frame and its neighbours, each denoised by itself."""
+
+    def test_it_has_less_error_than_the_frame(self):
+        frames = make_still()
+        truth = make_truth(frames[2])
+        joined = WindowFilter(2, quality="balanced").join(frames, 2)
+        assert rel_mse(joined.averaged.image, truth) < 0.7 * rel_mse(joined.alone.image, truth)
+
+    def test_it_follows_the_camera(self):
+        frames = make_moving()
+        truth = make_truth(frames[2])
+        joined = WindowFilter(2, quality="balanced").join(frames, 2)
+        assert rel_mse(joined.averaged.image, truth) < 0.9 * rel_mse(joined.alone.image, truth)
+
+    def test_light_that_changes_counts_for_little(self):
+        frames = make_still(3)
+        bright = [replace(frame.radiance, color=4.0 * frame.radiance.color) for frame in frames]
+        bright = [
+            replace(each, diffuse=4.0 * frame.radiance.diffuse, specular=4.0 * frame.radiance.specular)
+            for each, frame in zip(bright, frames, strict=True)
+        ]
+        changed = [frames[0].with_changes(radiance=bright[0], variance=None), frames[1].with_changes(variance=None)]
+        joined = WindowFilter(1, quality="balanced").join(changed, 1)
+        assert joined.used == (-1,)
+        ratio = joined.averaged.image.mean() / joined.alone.image.mean()
+        assert ratio == pytest.approx(1.0, abs=0.03)
+
+    def test_images_keep_their_sums(self):
+        frames = [split(frame) for frame in make_moving(3)]
+        averaged = WindowFilter(1, quality="balanced").join(frames, 1).averaged
+        np.testing.assert_allclose(sum(averaged.layers.values()), averaged.image, rtol=1e-3, atol=1e-4)
+        assert set(averaged.also) == {"one", "two", "first/lamp"}
+
+
 class TestFilter:
     def test_the_result_has_less_error_than_the_frame_alone(self):
         frames = make_moving()

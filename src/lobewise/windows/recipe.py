@@ -39,8 +39,11 @@ NO_MOTION_ADVICE = {True: ", or give the camera (--camera).", False: ", or posit
 USED_BETWEEN_FRAMES = ("motion", "hit_distance", "position", "depth", "normal")
 """Guides that frames are compared by, whatever the denoiser reads."""
 FEW_FRAMES, MANY_FRAMES = 1.25, 2.5
-"""Effective frames up to which a pixel is taken from the frame that was denoised by itself, and from which on it is
-taken from the denoised joined frame."""
+"""Effective frames up to which a pixel is taken from frames that were denoised by themselves, and from which on half of
+it is taken from the denoised joined frame."""
+MAX_JOINED_SHARE = 0.5
+"""Largest share of the denoised joined frame; the rest is the mean of the frames that were denoised by themselves. The
+errors of both differ, and the mean flickers less."""
 SHARE_BLURS = 2
 """Blurs that spread the noise of pixels with few frames over their surroundings."""
 REPEATED = (
@@ -141,7 +144,8 @@ class WindowFilter:
         if used:
             whole = denoise_checked(CheckedGuides(joined.frame), self._settings)
             unused = tuple(name for name in whole.unused if name not in USED_BETWEEN_FRAMES)
-            result = replace(mix_results(joined.alone, whole, compute_joined_share(joined.frames)), unused=unused)
+            share = np.float32(MAX_JOINED_SHARE) * compute_joined_share(joined.frames)
+            result = replace(mix_results(joined.averaged, whole, share), unused=unused)
         below = self._prepared[id(frames[index])].below
         if below is not None:
             # Light below 0 is dim: other frames would lower its noise by little.

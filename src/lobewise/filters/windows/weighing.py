@@ -26,6 +26,11 @@ MIN_RELATIVE_VARIANCE = 1e-6
 """Smallest variance of a difference of samples, over the squared local light."""
 MIN_RELATIVE_NOISE = 1e-6
 """Smallest variance of samples, over the squared local light."""
+SMEARED_SHARE = 0.1
+"""Difference of two denoised images, over the local light, at which one counts half for the other: above it the light
+has changed more often than a denoiser has smeared its noise."""
+DARK_SHARE = 0.1
+"""Light below which differences of denoised images count as in the dark, over the mean light of the image."""
 MIN_LIGHT = 1e-4
 """Smallest local light, over the mean light of the image."""
 
@@ -45,8 +50,13 @@ def estimate_variance(samples: FloatArray, pilot: FloatArray) -> FloatArray:
 
 
 def _compute_floor(image: FloatArray) -> np.float32:
-    """Return the local light below which an image counts as dark; its square neither under- nor overflows."""
-    return np.float32(min(max(MIN_LIGHT * float(np.mean(image, dtype=np.float64)), 1e-16), 1e16))
+    """Return the local light below which an image counts as dark."""
+    return np.float32(MIN_LIGHT) * _compute_mean(image)
+
+
+def _compute_mean(image: FloatArray) -> np.float32:
+    """Return the mean of an image, bounded so that squares of small parts of it neither under- nor overflow."""
+    return np.float32(min(max(float(np.mean(image, dtype=np.float64)), 1e-12), 1e16))
 
 
 def _average_squares(grid: Grid, one: str, other: str) -> hl.Expr:
@@ -75,6 +85,26 @@ def compare_pilots(own: FloatArray, other: FloatArray, agreement: FloatArray) ->
     squares = blur_image(squares, 1)
     (bias,) = engine.pixels(_define_mean, {"squares": squares}, {})
     return np.asarray(bias)
+
+
+def compare_denoised(own: FloatArray, other: FloatArray) -> FloatArray:
+    """Return how alike two denoised images are at each pixel, (height, width), 1 where they are equal, > 0.
+
+    Parameters
+    ----------
+    own, other : array, shape (height, width, 3)
+        Denoised radiance of the frame, and of another frame at the pixels of this one; finite.
+    """
+    floor = np.float32(DARK_SHARE) * _compute_mean(own)
+    return engine.pixels(_define_likeness, {"own": own, "other": other}, {"floor": floor})[0]
+
+
+def _define_likeness(grid: Grid) -> list[Vector]:
+    floor = grid.get("floor")[0]
+    square = _average_squares(grid, "own", "other")
+    light = [add_channels([value * value for value in grid.read(name)]) for name in ("own", "other")]
+    scale = (light[0] + light[1]) * hl.f32(1.0 / 6.0) + floor * floor
+    return [[hl.f32(1.0) / (hl.f32(1.0) + square / (hl.f32(SMEARED_SHARE**2) * scale))]]
 
 
 def _define_pilots(grid: Grid) -> list[Vector]:
