@@ -2,7 +2,7 @@
 
 ``LOBEWISE_TEST_HURT`` names a mischief and its number:
 
-- ``die 3``: frame 3 kills its worker, as a crash or the system does where memory is short.
+- ``die 3``: frame 3 kills its worker, as a crash or the system does where memory is short. Standard error says so.
 - ``full 4096``: this worker writes no file of more than so many bytes. The system refuses, as on a full disk.
 """
 
@@ -11,12 +11,14 @@ from __future__ import annotations
 import os
 import resource
 import signal
+import sys
 from pathlib import Path
 from typing import Any
 
 from lobewise.farm import worker as product
 
 HURT = "LOBEWISE_TEST_HURT"
+DEATH = "A frame kills its worker."
 _run = product._run
 
 
@@ -39,6 +41,7 @@ def dask_setup(worker: Any) -> None:
 
     def run(order: Any) -> Any:
         if int(number) in order.task.numbers:
+            print(DEATH, file=sys.stderr, flush=True)
             os.kill(os.getpid(), signal.SIGKILL)
         return _run(order)
 

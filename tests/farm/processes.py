@@ -67,13 +67,15 @@ def find_port() -> int:
 class Farm:
     """A scheduler and two workers. A worker that ends is started again, as a cluster's manager does."""
 
-    def __init__(self, folder: Path, workers: int = 2, *, more: dict[str, str] | None = None) -> None:
+    def __init__(
+        self, folder: Path, workers: int = 2, *, more: dict[str, str] | None = None, has_nannies: bool = False
+    ) -> None:
         self._port = find_port()
         self.address = f"tcp://127.0.0.1:{self._port}"
         self._folder = folder
         self._environment = {**os.environ, **(more or {})}
         self._is_open = True
-        self.losses = 0
+        self._has_nannies = has_nannies
         self.scheduler = self._start_scheduler()
         self.workers = [self._start_worker() for _ in range(workers)]
         self._keeper = threading.Thread(target=self._keep_workers)
@@ -111,7 +113,9 @@ class Farm:
         return self._start("scheduler", "--host", "127.0.0.1", "--port", str(self._port), "--no-dashboard")
 
     def _start_worker(self, more: dict[str, str] | None = None) -> subprocess.Popen[bytes]:
-        return self._start("worker", self.address, "--nthreads", "1", "--no-nanny", "--no-dashboard", more=more)
+        # A nanny starts a lost worker again at the same address.
+        words = ("--worker-port", str(find_port())) if self._has_nannies else ("--no-nanny",)
+        return self._start("worker", self.address, "--nthreads", "1", "--no-dashboard", *words, more=more)
 
     def _start(self, *words: str, more: dict[str, str] | None = None) -> subprocess.Popen[bytes]:
         where = self._folder / "dask.log"
@@ -123,6 +127,5 @@ class Farm:
         while self._is_open:
             for place, process in enumerate(self.workers):
                 if process.poll() is not None and self._is_open:
-                    self.losses += 1
                     self.workers[place] = self._start_worker()
             time.sleep(0.1)

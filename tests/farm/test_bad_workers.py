@@ -9,7 +9,7 @@ import pytest
 
 import lobewise
 from tests.farm.conftest import NUMBERS, read_outputs
-from tests.farm.hurting import make_hurt
+from tests.farm.hurting import DEATH, make_hurt
 from tests.farm.processes import Farm, run_program
 
 pytestmark = [pytest.mark.processor, pytest.mark.usefixtures("dask")]
@@ -25,14 +25,14 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.mark.sampled("farm")
-@pytest.mark.parametrize("kind", ["farm", "local"])
+@pytest.mark.parametrize("kind", ["farm", "nannies", "local"])
 def test_a_frame_that_kills_its_workers_is_named_and_the_others_are_done(
     kind: str, sources: Path, expected: dict[str, bytes], folder: Path, tmp_path: Path
 ) -> None:
-    if kind == "farm":
-        with Farm(tmp_path, more=make_hurt("die 3")) as farm:
+    if kind != "local":
+        with Farm(tmp_path, more=make_hurt("die 3"), has_nannies=kind == "nannies") as farm:
             done = run_program(sources, folder, "--farm", farm.address)
-            assert farm.losses == 3
+        assert (tmp_path / "dask.log").read_text().count(DEATH) == 3
     else:
         before = "from lobewise.farm import connection; connection.PRELOAD = 'tests.farm.hurting'"
         done = run_program(sources, folder, "--workers", "2", before=before, more=make_hurt("die 3"))

@@ -71,6 +71,11 @@ def make_order(folder: Path, act: Callable[[int], None] = lambda number: None, *
     return Order(work=Work(folder, act), task=task, ledger=ledger, first=1, memory=options.get("memory"))
 
 
+def do(order: Order) -> Outcome:
+    """Let this process do an order that is for it."""
+    return run_order(order, module.PROCESS)
+
+
 def is_done(order: Order) -> bool:
     proof = order.ledger.prove(order.task.frames, order.work.list_sources)[1]
     return order.ledger.is_done(1, proof, order.work.list_outputs(1))
@@ -79,10 +84,16 @@ def is_done(order: Order) -> bool:
 def test_a_frame_is_recorded_and_then_not_filtered_again(tmp_path: Path) -> None:
     seen: list[int] = []
     order = make_order(tmp_path, seen.append)
-    assert run_order(order) == Outcome(news=Told(last="the last"))
+    assert do(order) == Outcome(news=Told(last="the last"))
     assert is_done(order)
-    assert run_order(order) == Outcome()
+    assert do(order) == Outcome()
     assert seen == [1]
+
+
+def test_an_order_for_a_process_that_ended_is_not_done(tmp_path: Path) -> None:
+    order = make_order(tmp_path)
+    assert run_order(order, "another process") == Outcome(is_lost=True)
+    assert not is_done(order)
 
 
 def refuse(_: int) -> None:
@@ -95,33 +106,33 @@ def break_down(_: int) -> None:
 
 def test_an_error_of_a_user_is_its_sentence(tmp_path: Path) -> None:
     order = make_order(tmp_path, refuse)
-    outcome = run_order(order)
+    outcome = do(order)
     assert (outcome.problem, outcome.trace) == ("radius: expected less, got more; pass less.", "")
     assert not is_done(order)
 
 
 def test_a_mistake_of_the_program_has_its_traceback(tmp_path: Path) -> None:
-    outcome = run_order(make_order(tmp_path, break_down))
+    outcome = do(make_order(tmp_path, break_down))
     assert outcome.problem == "something went wrong inside lobewise (ValueError: odd thing)."
     assert "break_down" in outcome.trace
 
 
 @pytest.mark.filterwarnings("default")
 def test_warnings_become_remarks(tmp_path: Path) -> None:
-    outcome = run_order(make_order(tmp_path, lambda _: warnings.warn("mind this", stacklevel=1)))
+    outcome = do(make_order(tmp_path, lambda _: warnings.warn("mind this", stacklevel=1)))
     assert outcome.news.remarks == (("mind this", "mind this"),)
 
 
 def test_a_source_that_changes_meanwhile_is_not_done(tmp_path: Path) -> None:
     order = make_order(tmp_path, lambda _: (tmp_path / "in.1").write_text("other"))
     (tmp_path / "in.1").write_text("noisy, longer")
-    assert run_order(order).problem == ""
+    assert do(order).problem == ""
     assert not is_done(order)
 
 
 def test_threads_and_memory_are_those_of_the_worker(tmp_path: Path) -> None:
     order = make_order(tmp_path)
-    run_order(order)
+    do(order)
     assert order.work.given == (1, 6.0)  # type: ignore[attr-defined]
     assert (os.environ["HL_NUM_THREADS"], os.environ["OIDN_NUM_THREADS"]) == ("3", "3")
 
@@ -131,13 +142,13 @@ def test_what_the_user_sets_counts_more(
 ) -> None:
     monkeypatch.setenv("HL_NUM_THREADS", "2")
     order = make_order(tmp_path, memory=4.0)
-    run_order(order)
+    do(order)
     assert order.work.given == (1, 4.0)  # type: ignore[attr-defined]
     assert os.environ["HL_NUM_THREADS"] == "2"
     dask_worker.memory_manager.memory_limit = 0
     (tmp_path / "out.1").unlink()
     order = make_order(tmp_path)
-    run_order(order)
+    do(order)
     assert order.work.given == (1, None)  # type: ignore[attr-defined]
 
 
@@ -154,7 +165,7 @@ def test_one_frame_at_a_time(tmp_path: Path) -> None:
     threads = []
     for number in range(3):
         (tmp_path / str(number)).mkdir()
-        threads.append(threading.Thread(target=run_order, args=(make_order(tmp_path / str(number), act),)))
+        threads.append(threading.Thread(target=do, args=(make_order(tmp_path / str(number), act),)))
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -168,7 +179,7 @@ def test_what_a_worker_does_not_see(tmp_path: Path) -> None:
 
     def describe_fault(**changes: Any) -> str:
         given = {"folder": folder, "token": "token", "source": source, "size": 5, **changes}
-        return describe_worker(**given, with_oidn=False)[1]
+        return describe_worker(**given, with_oidn=False)[2]
 
     assert describe_fault() == ""
     assert describe_fault(source=tmp_path / "in.9") == f"it does not see the file '{tmp_path / 'in.9'}'"

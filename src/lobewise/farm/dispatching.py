@@ -80,6 +80,8 @@ class _Worker:
     questions: dict[str, Call] = field(default_factory=dict)
     """Calls that ask for its versions, by what they ask."""
     is_ready: bool = False
+    process: str = ""
+    """The name of its process."""
     fault: str = ""
     """Why it is not used; empty if it is."""
     last: int | None = None
@@ -238,7 +240,7 @@ class Dispatcher:
             for worker in ready:
                 if len(worker.calls) == depth and (task := self._take_task(worker)) is not None:
                     try:
-                        call = self._connection.call(worker.address, run_order, self._make_order(task))
+                        call = self._connection.call(worker.address, run_order, self._make_order(task), worker.process)
                     except ConnectionLostError:
                         self._todo.appendleft((0.0, task))
                         raise
@@ -285,7 +287,7 @@ class Dispatcher:
         for key in self._connection.wait_for_finished(POLL_SECONDS):
             for worker in list(self._workers.values()):
                 if key in worker.calls:
-                    self._take_outcome(worker, *worker.calls.pop(key))
+                    self._take_outcome(worker, key)
                 elif any(call.key == key for call in worker.questions.values()):
                     self._take_answer(worker)
 
@@ -304,9 +306,9 @@ class Dispatcher:
                 self._workers.pop(worker.address, None)
                 return
         worker.questions = {}
-        worker.fault = self._judge_files(answers["files"]) if "files" in answers else self._judge_versions(answers)
-        if not worker.fault and "files" not in answers:
-            worker.questions["files"] = self._connection.call(worker.address, describe_worker, *self._terms.check)
+        worker.fault = self._judge_all(worker, answers["all"]) if "all" in answers else self._judge_versions(answers)
+        if not worker.fault and "all" not in answers:
+            worker.questions["all"] = self._connection.call(worker.address, describe_worker, *self._terms.check)
             return
         worker.is_ready = not worker.fault
         self._had_good_worker |= worker.is_ready
@@ -323,15 +325,17 @@ class Dispatcher:
         is_loaded = answers["worker"] == FIRST_QUESTIONS["worker"][1].rpartition(".")[0]
         return "" if is_loaded else f"its lobewise cannot be loaded ({answers['worker'] or 'no farm'})"
 
-    def _judge_files(self, answer: Any) -> str:
-        """Return why a worker cannot be used, in a few words; empty if it can."""
+    def _judge_all(self, worker: _Worker, answer: Any) -> str:
+        """Return why a worker cannot be used, in a few words; empty if it can. Note the name of its process."""
         if isinstance(answer, CallFailedError):
             return f"it cannot tell what it sees ({answer})"
-        environment, fault = answer
+        worker.process, environment, fault = answer
         difference = compare_environments(self._terms.environment, environment)
         return f"it has {difference}, which must be installed there" if difference else fault
 
-    def _take_outcome(self, worker: _Worker, call: Call, task: Task) -> None:
+    def _take_outcome(self, worker: _Worker, key: str) -> None:
+        before = dict(worker.calls)
+        call, task = worker.calls.pop(key)
         try:
             outcome: Outcome = call.fetch()
         except CallLostError:
@@ -342,6 +346,10 @@ class Dispatcher:
             return
         except CallFailedError as problem:
             self._fail(task, worker.address, f"something went wrong ({problem}).")
+            return
+        if outcome.is_lost:
+            worker.calls = before
+            self._lose(self._workers.pop(worker.address))
             return
         self._listener.hear(outcome.news)
         if outcome.problem:

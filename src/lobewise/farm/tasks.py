@@ -115,11 +115,14 @@ class Outcome:
         Why a frame was not filtered, in one sentence; empty if every frame was.
     trace : str
         For a problem that is a mistake of the program: the traceback.
+    is_lost : bool
+        Whether the process that was to do it has ended: another one answers, which did nothing.
     """
 
     news: Told = Told()
     problem: str = ""
     trace: str = ""
+    is_lost: bool = False
 
 
 def cut_shots(frames: Iterable[Numbered]) -> list[Task]:

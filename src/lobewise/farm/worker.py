@@ -6,6 +6,7 @@ import ctypes
 import os
 import threading
 import traceback
+import uuid
 import warnings
 from contextlib import suppress
 from functools import cache
@@ -18,6 +19,8 @@ from lobewise.farm.environment import describe_environment
 from lobewise.farm.ledger import TOKEN, refresh_folders
 from lobewise.farm.tasks import Order, Outcome, Told
 
+PROCESS = uuid.uuid4().hex
+"""Name of this process. A worker that is started again may have the address of the one that ended."""
 _one_task = threading.Lock()
 """Held while a task runs. Dask starts as many tasks as a worker has threads; here these threads share one frame."""
 MAX_TOLD_LETTERS = 300
@@ -35,8 +38,10 @@ def dask_setup(worker: Any) -> None:
     worker.http_server.stop()
 
 
-def describe_worker(folder: Path, token: str, source: Path, size: int, with_oidn: bool) -> tuple[dict[str, str], str]:
-    """Return the versions of this process, and why it cannot be used, in a few words; empty if it can.
+def describe_worker(
+    folder: Path, token: str, source: Path, size: int, with_oidn: bool
+) -> tuple[str, dict[str, str], str]:
+    """Return the name of this process, its versions, and why it cannot be used, in a few words; empty if it can.
 
     Parameters
     ----------
@@ -51,7 +56,7 @@ def describe_worker(folder: Path, token: str, source: Path, size: int, with_oidn
     with_oidn : bool
         Whether the version of Open Image Denoise matters.
     """
-    return describe_environment(with_oidn=with_oidn), _describe_fault(folder, token, source, size)
+    return PROCESS, describe_environment(with_oidn=with_oidn), _describe_fault(folder, token, source, size)
 
 
 def _describe_fault(folder: Path, token: str, source: Path, size: int) -> str:
@@ -72,8 +77,14 @@ def _describe_fault(folder: Path, token: str, source: Path, size: int) -> str:
     return ""
 
 
-def run_order(order: Order) -> Outcome:
-    """Filter the frames of an order, unless they are done already; record each that is done."""
+def run_order(order: Order, process: str) -> Outcome:
+    """Filter the frames of an order, unless they are done already; record each that is done.
+
+    Dask gives the orders of a process that ended to the next one at the same address. It would end in the same way, so
+    it does only orders that name it.
+    """
+    if process != PROCESS:
+        return Outcome(is_lost=True)
     with _one_task:
         _keep_freed_memory()
         _limit_threads()
