@@ -29,7 +29,7 @@ MIN_RELATIVE_NOISE = 1e-6
 SMEARED_SHARE = 0.1
 """Difference of two denoised images, over the local light, at which one counts half for the other: above it the light
 has changed more often than a denoiser has smeared its noise."""
-DARK_SHARE = 0.1
+UNCOMPARED_SHARE = 0.1
 """Light below which differences of denoised images count as in the dark, over the mean light of the image."""
 MIN_LIGHT = 1e-4
 """Smallest local light, over the mean light of the image."""
@@ -95,7 +95,7 @@ def compare_denoised(own: FloatArray, other: FloatArray) -> FloatArray:
     own, other : array, shape (height, width, 3)
         Denoised radiance of the frame, and of another frame at the pixels of this one; finite.
     """
-    floor = np.float32(DARK_SHARE) * _compute_mean(own)
+    floor = np.float32(UNCOMPARED_SHARE) * _compute_mean(own)
     return engine.pixels(_define_likeness, {"own": own, "other": other}, {"floor": floor})[0]
 
 
