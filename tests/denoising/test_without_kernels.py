@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable
 
 import numpy as np
@@ -23,6 +25,7 @@ needs_oidn = pytest.mark.skipif(not has_oidn(), reason="needs Open Image Denoise
 @pytest.fixture(autouse=True)
 def no_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
     """Take the compiler, the compiled kernels and those that are loaded already away."""
+    monkeypatch.setattr(compiler, "is_installed", lambda: False)
     monkeypatch.setattr(prebuilt, "has_compiler", lambda: False)
     monkeypatch.setattr(prebuilt, "choose_library", lambda: None)
     monkeypatch.setattr(jit, "has_compiler", lambda: False)
@@ -92,3 +95,20 @@ def test_doctor_says_what_to_do(peer: bool, monkeypatch: pytest.MonkeyPatch) -> 
     assert found.action == "pip install 'lobewise[jit]'"
     assert found.fatal is not peer
     assert ("so Open Image Denoise denoises alone" in found.what) is peer
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the memory of a process is read from /proc")
+def test_a_limit_of_memory_is_not_taken_for_a_missing_package() -> None:
+    """A process gets 8 MiB more than it has: LLVM is installed, and larger than this."""
+    script = """
+import re, resource
+from pathlib import Path
+from lobewise.backend.compiler import load_llvm
+used = int(re.search(r"VmSize:\\s+(\\d+)", Path("/proc/self/status").read_text())[1]) << 10
+resource.setrlimit(resource.RLIMIT_AS, (used + (8 << 20), used + (8 << 20)))
+load_llvm()
+"""
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    last = run.stderr.strip().splitlines()[-1]
+    assert "they are installed, but do not load: raise the memory limit of this process (ulimit -v)" in last
+    assert "pip install" not in last

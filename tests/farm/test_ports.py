@@ -6,6 +6,7 @@ import os
 import socket
 import ssl
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -70,8 +71,21 @@ def test_every_port_of_local_workers_refuses_strangers() -> None:
     stranger = Security.temporary().get_connection_args("client")["ssl_context"]
     stranger.check_hostname, stranger.verify_mode = False, ssl.CERT_NONE
     before = list_ports()
+    # While it starts, Dask has servers that answer HTTP; they have no page, and the start ends with them.
+    answers: set[bytes] = set()
+    started = threading.Event()
+
+    def ask_until_started() -> None:
+        while not started.is_set():
+            answers.update(ask(port, None) for port in list_ports() - before)
+
+    asking = threading.Thread(target=ask_until_started)
+    asking.start()
     with start_local(2, memory_bytes=2 << 30) as connection:
         wait_until(lambda: len(connection.list_workers()) == 2)
+        started.set()
+        asking.join()
+        assert all(answer == b"" or answer.startswith(b"HTTP/1.1 404") for answer in answers), answers
         ports = list_ports() - before
         # The scheduler, two workers and Dask's two processes that watch them.
         assert len(ports) == 5

@@ -6,7 +6,7 @@ still be imported, and the kernels that the package brings along still run; to d
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 import platform
 import sys
 from functools import cache
@@ -14,19 +14,37 @@ from typing import TYPE_CHECKING, Any
 
 from lobewise.errors import FileError, MissingDependencyError
 
-__all__ = ["choose_remedy", "declare_vars", "has_compiler", "hl", "load_llvm", "refuse_compiling", "refuse_folder"]
+__all__ = [
+    "choose_remedy",
+    "declare_vars",
+    "has_compiler",
+    "hl",
+    "is_installed",
+    "load_llvm",
+    "refuse_compiling",
+    "refuse_folder",
+]
 
 PYTHON_WITHOUT_HALIDE = (3, 14)
 """First Python for which Halide 21 has no wheels."""
 
 
 def refuse_compiling(got: str) -> MissingDependencyError:
-    """Return the error for a kernel that must be compiled where the compiler is absent; ``got`` says what came."""
+    """Return the error for a kernel that must be compiled where the compiler is absent; ``got`` says what came.
+
+    Where both packages are installed the system did not let them load, most often for want of memory.
+    """
+    if is_installed():
+        remedy = (
+            "they are installed, but do not load: raise the memory limit of this process (ulimit -v), or reinstall them"
+        )
+    else:
+        remedy = choose_remedy(sys.version_info[:2], sys.platform, platform.machine())
     return MissingDependencyError(
         "kernels",
         expected="Halide and llvmlite, to compile a kernel that is not in the package",
         got=got,
-        action=choose_remedy(sys.version_info[:2], sys.platform, platform.machine()),
+        action=remedy,
     )
 
 
@@ -70,6 +88,11 @@ else:
         import halide as hl
     except (ImportError, OSError) as problem:
         hl = _Absent(str(problem))
+
+
+def is_installed() -> bool:
+    """Return whether the packages of the extra ``lobewise[jit]`` are here, whether they load or not."""
+    return all(importlib.util.find_spec(name) for name in ("halide", "llvmlite"))
 
 
 def has_compiler() -> bool:
