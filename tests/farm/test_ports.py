@@ -51,11 +51,11 @@ def list_ports() -> set[int]:
 
 
 def ask(port: int, context: ssl.SSLContext | None) -> bytes:
-    """Return what a port answers to a request for a page, by TLS where there is a context; empty if it refuses."""
+    """Return what a port answers to a request for a page of Dask, by TLS where there is a context; empty if it refuses."""
     try:
         stream = socket.create_connection(("127.0.0.1", port), 5.0)
         with stream if context is None else context.wrap_socket(stream) as stream:
-            stream.sendall(b"GET / HTTP/1.0\r\n\r\n")
+            stream.sendall(b"GET /health HTTP/1.0\r\n\r\n")
             return stream.recv(100)
     except (ssl.SSLError, ConnectionError):
         return b""
