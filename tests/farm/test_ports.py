@@ -51,7 +51,7 @@ def list_ports() -> set[int]:
 
 
 def ask(port: int, context: ssl.SSLContext | None) -> bytes:
-    """Return what a port answers to a request for a page of Dask, by TLS where there is a context; empty if it refuses."""
+    """Return the answer of a port to a request for a page, by TLS where there is a context; empty if it refuses."""
     try:
         stream = socket.create_connection(("127.0.0.1", port), 5.0)
         with stream if context is None else context.wrap_socket(stream) as stream:
