@@ -59,15 +59,8 @@ class OverTime:
 
     def require_sequence(self, source: Path) -> None:
         """Raise InputError if frames are to be filtered over time and ``source`` is a single file."""
-        from lobewise.io.sequence import is_pattern
-
-        if self.temporal and not is_pattern(source):
-            raise InputError(
-                "--temporal",
-                expected="a sequence such as 'in.####.exr'",
-                got=repr(str(source)),
-                action="put # in place of the digits of the number, and quote the name",
-            )
+        if self.temporal:
+            require_pattern("--temporal", source)
 
 
 @dataclass(frozen=True)
@@ -76,6 +69,19 @@ class Telling:
 
     verbose: Annotated[bool, typer.Option("--verbose", help="Print the settings of the filter.")] = False
     quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False
+
+
+def require_pattern(option: str, source: Path) -> None:
+    """Raise InputError if ``source`` is a single file: the option is for sequences."""
+    from lobewise.io.sequence import is_pattern
+
+    if not is_pattern(source):
+        raise InputError(
+            option,
+            expected="a sequence such as 'in.####.exr'",
+            got=repr(str(source)),
+            action="put # in place of the digits of the number, and quote the name",
+        )
 
 
 def parse_place(text: str) -> tuple[int, int]:

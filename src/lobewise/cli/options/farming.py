@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from lobewise.cli.options.common import require_pattern
 from lobewise.cli.terminal.help import sequence_detail, sequence_option
 from lobewise.errors import InputError
 from lobewise.limits import GIB, get_limits
@@ -51,8 +52,6 @@ class Farm:
 
     def check(self, source: Path) -> None:
         """Raise InputError if an option is wrong, or the options do not go together."""
-        from lobewise.io.sequence import is_pattern
-
         if self.insecure and self.farm is None:
             raise InputError("--insecure", expected="--farm beside it", got="no address", action="leave it out")
         if not self.is_wanted:
@@ -71,13 +70,7 @@ class Farm:
                 got=str(self.workers),
                 action="try the number of cores divided by 4",
             )
-        if not is_pattern(source):
-            raise InputError(
-                "--workers" if self.farm is None else "--farm",
-                expected="a sequence such as 'in.####.exr'",
-                got=repr(str(source)),
-                action="put # in place of the digits of the number, and quote the name",
-            )
+        require_pattern("--workers" if self.farm is None else "--farm", source)
         if self.farm is not None and not self.insecure:
             from lobewise.farm.connection import require_secure
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from lobewise.cli.options.common import OverTime
+from lobewise.cli.options.common import OverTime, require_pattern
 from lobewise.cli.terminal.help import sequence_option
 from lobewise.errors import InputError
 
@@ -95,7 +95,6 @@ def list_window(source: Path, number: int, reach: int) -> list[tuple[int, Path]]
 
 def require_window(window: int, source: Path, over_time: OverTime) -> None:
     """Raise InputError unless ``--window``, or ``--temporal``, can be used."""
-    from lobewise.io.sequence import is_pattern
     from lobewise.windows import MAX_REACH
 
     over_time.require_sequence(source)
@@ -110,10 +109,4 @@ def require_window(window: int, source: Path, over_time: OverTime) -> None:
             got="both",
             action="use --window for files on disk, --temporal for frames as they come",
         )
-    if not is_pattern(source):
-        raise InputError(
-            "--window",
-            expected="a sequence such as 'in.####.exr'",
-            got=repr(str(source)),
-            action="put # in place of the digits of the number, and quote the name",
-        )
+    require_pattern("--window", source)
