@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import lobewise
-from lobewise.errors import FileError, InputError, LobewiseError
+from lobewise.errors import InputError, LobewiseError
 from lobewise.io.exr.layout import name_file
 from lobewise.io.files import PathLike, open_atomic, require_other_files, require_writable
 from lobewise.io.sequence import FramePattern
@@ -118,7 +118,7 @@ def filter_sequence(
     remark : callable, optional
         Called before the first frame with a sentence that a checkpoint is used, or why it is not.
     checkpoint : path, optional
-        The file of the checkpoint, ending in ``.npz``; by default see `name_checkpoint`.
+        The file of the checkpoint, ending in ``.npz``; by default see `name_beside`.
     checkpoint_seconds : float
         Shortest time between checkpoints, seconds >= 0; with 0 every frame is followed by one.
     numbers : collection of int, optional
@@ -133,8 +133,8 @@ def filter_sequence(
         negative, or the filter refuses a frame: the message names its file.
     """
     source, output = _parse(source), _parse(output)
-    checkpoint_path = name_checkpoint(output) if checkpoint is None else Path(checkpoint)
-    frames = source.find() if numbers is None else _look_up_numbers(source, numbers)
+    checkpoint_path = name_checkpoint(output, numbers) if checkpoint is None else Path(checkpoint)
+    frames = source.find(numbers)
     _check(frames, output, checkpoint_path, checkpoint_seconds)
     # Leave the folders out: a project may be moved. Sources are identified by size and time.
     names = [Path(str(pattern)).name for pattern in (source, output)]
@@ -185,28 +185,21 @@ def _check(frames: list[tuple[int, Path]], output: FramePattern, checkpoint_path
     require_other_files((output.name(number) for number, _ in frames), (path for _, path in frames))
 
 
-def _look_up_numbers(source: FramePattern, numbers: Collection[int]) -> list[tuple[int, Path]]:
-    """Return the files with the given numbers, in the order of the numbers."""
-    chosen = set(numbers)
-    frames = [frame for frame in source.find() if frame[0] in chosen]
-    if len(frames) < len(chosen):
-        missing = min(chosen - {number for number, _ in frames})
-        raise FileError(
-            f"frame {missing}", expected=f"the file {str(source.name(missing))!r}", got="none", action="check the path"
-        )
-    return frames
-
-
-def name_checkpoint(output: FramePattern | PathLike) -> Path:
+def name_checkpoint(output: FramePattern | PathLike, numbers: Collection[int] | None = None) -> Path:
     """Return the default checkpoint of an output: ``clean.lobewise-history.npz`` beside ``clean.####.exr``."""
-    return name_beside(output, CHECKPOINT_ENDING)
+    return name_beside(output, CHECKPOINT_ENDING, numbers)
 
 
-def name_beside(output: FramePattern | PathLike, ending: str) -> Path:
-    """Return a path beside the files of ``output``: their name without number and ending, then ``ending``."""
+def name_beside(output: FramePattern | PathLike, ending: str, numbers: Collection[int] | None = None) -> Path:
+    """Return a path beside the files of ``output``: their name without number and ending, then ``ending``.
+
+    For some frames alone it also has the first and the last of ``numbers``, as in ``clean.1001-1050``: runs without a
+    common frame never share it.
+    """
     pattern = _parse(output)
     stem = pattern.before + pattern.after.removesuffix(Path(f"a{pattern.after}").suffix)
-    return pattern.folder / f"{stem.strip('._- ') or 'sequence'}{ending}"
+    part = f".{min(numbers)}-{max(numbers)}" if numbers else ""
+    return pattern.folder / f"{stem.strip('._- ') or 'sequence'}{part}{ending}"
 
 
 def _parse(pattern: FramePattern | PathLike) -> FramePattern:

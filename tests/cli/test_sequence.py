@@ -385,5 +385,18 @@ class TestSomeNumbers:
         assert list(list_outputs(folder)) == ["out.0003.npy", "out.0004.npy", "out.0008.npy"]
 
     def test_a_number_without_a_file(self, folder):
-        with pytest.raises(FileError, match=r"frame 5: expected the file 'in\.0005\.npy', got none; check the path"):
-            run(numbers=(4, 5, 6))
+        def read(_path):
+            pytest.fail("read first")
+
+        with pytest.raises(
+            FileError, match=r"^sequence 'in\.####\.npy': expected .*, got no file of frames 5 to 6, 10;"
+        ):
+            run(numbers=(4, 5, 6, 10), read=read)
+
+    def test_runs_of_other_numbers_keep_their_checkpoints(self, whole, folder):
+        stop(8, numbers=(7, 8, 9))
+        assert (folder / "out.7-9.lobewise-history.npz").exists()
+        assert run(numbers=(1, 2, 3, 4)).resumed_after is None
+        assert run(numbers=(7, 8, 9)).resumed_after == 7
+        assert list_outputs(folder) == whole
+        assert not list(folder.glob("*.npz"))

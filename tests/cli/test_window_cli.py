@@ -59,6 +59,17 @@ def test_another_run_gives_the_same_bits(folder):
         assert np.array_equal(read_color(folder / f"o.{k + 1:04d}.exr"), image)
 
 
+def test_parts_of_a_sequence_are_those_of_the_whole(folder):
+    assert denoise(folder, "--window", "1") == 0
+    whole = {path.name: path.read_bytes() for path in folder.glob("o.*")}
+    for name in whole:
+        (folder / name).unlink()
+    assert denoise(folder, "--window", "1", "--frames", "1-3x2,2") == 0
+    assert sorted(path.name for path in folder.glob("o.*")) == sorted(whole)[:3]
+    assert denoise(folder, "--window", "1", "--frames", "4-5") == 0
+    assert {path.name: path.read_bytes() for path in folder.glob("o.*")} == whole
+
+
 @pytest.mark.parametrize(
     ("more", "words"),
     [

@@ -109,6 +109,11 @@ def test_everything_that_changes_a_frame_is_among_its_sources(folder: Path, monk
     )
 
 
+def test_only_the_frames_that_are_asked_for(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert catch_job(monkeypatch=monkeypatch).numbers is None
+    assert catch_job("--frames", "2", monkeypatch=monkeypatch).numbers == [2]
+
+
 def test_paths_are_absolute(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (folder / "camera.json").write_text("{}")
     work = catch_job("--camera", "camera.json", "--half", "in.#.exr", monkeypatch=monkeypatch).work

@@ -1,4 +1,4 @@
-"""Two runs of one sequence on a disk without locks: the later one takes over, and keeps its records."""
+"""Two runs of one sequence: runs of other frames do not meet. Without locks the later run of the same takes over."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from lobewise.errors import FileError
 from lobewise.farm import dispatching, ledger
 from lobewise.farm.environment import describe_environment
 from lobewise.farm.ledger import Ledger, name_ledger
-from lobewise.farm.running import FarmJob, filter_on_farm
+from lobewise.farm.running import FarmJob, FarmReport, filter_on_farm
 from lobewise.farm.tasks import Task
 from lobewise.io.sequence import FramePattern
+from lobewise.sequence import name_checkpoint
 from tests.farm.test_dispatching import FakeFarm
 
 
@@ -33,8 +34,14 @@ class Work:
         return [self.folder / f"out.{number}.exr"]
 
 
-def make_job(folder: Path) -> FarmJob:
-    """Return the job of a sequence of two frames in a folder."""
+@pytest.fixture(autouse=True)
+def _without_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("POLL_SECONDS", "RETRY_SECONDS", "MAX_SECONDS_UNSEEN"):
+        monkeypatch.setattr(dispatching, name, 0.0)
+
+
+def make_job(folder: Path, numbers: Sequence[int] | None = None) -> FarmJob:
+    """Return the job of a sequence of two frames in a folder, or of some of them."""
     for number in (1, 2):
         (folder / f"in.{number}.exr").write_bytes(b"noisy")
     return FarmJob(
@@ -47,13 +54,23 @@ def make_job(folder: Path) -> FarmJob:
         by_runs=False,
         with_oidn=False,
         memory=None,
+        numbers=numbers,
+    )
+
+
+def run_job(job: FarmJob, farm: FakeFarm) -> FarmReport:
+    """Send a job to a farm, whose workers write nothing."""
+    return filter_on_farm(
+        job,
+        contextlib.nullcontext(cast(Any, farm)),
+        tell=lambda _: None,
+        remark=lambda *_: None,
+        progress=lambda *_: None,
     )
 
 
 def test_the_earlier_run_ends_with_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ledger, "try_lock", lambda _: True)
-    for name in ("POLL_SECONDS", "RETRY_SECONDS", "MAX_SECONDS_UNSEEN"):
-        monkeypatch.setattr(dispatching, name, 0.0)
     job = make_job(tmp_path)
     later = Ledger(folder=name_ledger(job.output), identity="later")
 
@@ -64,12 +81,34 @@ def test_the_earlier_run_ends_with_a_sentence(tmp_path: Path, monkeypatch: pytes
 
     farm = FakeFarm({"a": describe_environment(with_oidn=False)}, on_task=begin_later_run)
     with pytest.raises(FileError, match="expected no other run that writes this sequence, got one that began later"):
-        filter_on_farm(
-            job,
-            contextlib.nullcontext(cast(Any, farm)),
-            tell=lambda _: None,
-            remark=lambda *_: None,
-            progress=lambda *_: None,
-        )
+        run_job(job, farm)
     assert later.list_recorded() == {1}
     assert later.has_token("later")
+
+
+def test_runs_of_other_frames_work_at_the_same_time(tmp_path: Path) -> None:
+    environment = {"a": describe_environment(with_oidn=False)}
+    other = FakeFarm(environment)
+
+    def run_other(worker: str, task: Task) -> bool:
+        if not other.ran:
+            assert run_job(make_job(tmp_path, [2]), other).frames == 1
+        return True
+
+    farm = FakeFarm(environment, on_task=run_other)
+    assert run_job(make_job(tmp_path, [1]), farm).frames == 1
+    assert {numbers for _, numbers in farm.ran} == {(1,)}
+    assert {numbers for _, numbers in other.ran} == {(2,)}
+
+
+def test_a_run_of_some_frames_leaves_the_checkpoint_of_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ledger.Ledger, "is_done", lambda *_: True)
+    job, kept = make_job(tmp_path, [1]), name_checkpoint(tmp_path / "out.#.exr")
+    own = name_checkpoint(job.output, job.numbers)
+    for path in (kept, own):
+        path.touch()
+    assert not run_job(job, FakeFarm({"a": describe_environment(with_oidn=False)})).failures
+    assert kept.exists()
+    assert not own.exists()

@@ -10,12 +10,23 @@ from lobewise.errors import FileError, InputError
 from lobewise.io.sequence import FramePattern, describe_gaps, is_pattern
 
 
-@pytest.mark.parametrize("text", ["a.####.exr", "a.%04d.exr", "a%d.exr", "#", "x/a_##_b.exr", Path("a.#.exr")])
+@pytest.mark.parametrize(
+    "text",
+    ["a.####.exr", "a.%04d.exr", "a%d.exr", "#", "x/a_##_b.exr", Path("a.#.exr"), "a@@.exr", "a.$F4.exr", "$F"],
+)
 def test_patterns_are_told_from_files(text):
     assert is_pattern(text)
 
 
-@pytest.mark.parametrize("text", ["a.exr", "a.0001.exr", "####/a.exr", "100%.exr", "%4d.exr", "%00d.exr", "a%04i.exr"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("a.exr", "a.0001.exr", "####/a.exr", "100%.exr", "%4d.exr", "%00d.exr", "a%04i.exr"),
+        *("me@studio.exr", "$FF.exr", "$FEND.exr", "$F0.exr", "$F12.exr", "$Foo", "F4.exr"),
+        # Tiles of a texture, which are no frames.
+        *("wood.1001.exr", "wood.<UDIM>.exr", "wood.<udim>.exr", "wood_u1_v1.exr"),
+    ],
+)
 def test_files_are_told_from_patterns(text):
     assert not is_pattern(text)
 
@@ -37,6 +48,11 @@ def test_a_file_of_just_that_name_is_a_file(tmp_path):
         ("##", 3, "03"),
         ("v2_#_b(1).exr", 40, "v2_40_b(1).exr"),
         ("###/a.##.exr", 1, "###/a.01.exr"),
+        ("cam@left.@@@@.exr", 7, "cam@left.0007.exr"),
+        ("cam@left.####.exr", 7, "cam@left.0007.exr"),
+        ("shot-####-a.exr", 7, "shot-0007-a.exr"),
+        ("a.$F4.exr", 7, "a.0007.exr"),
+        ("a.$F.exr", 12, "a.12.exr"),
     ],
 )
 def test_names(text, number, name):
@@ -49,7 +65,7 @@ def test_both_ways_of_writing_are_one_pattern():
     assert str(pattern) == str(Path("d/a.###.exr"))
 
 
-@pytest.mark.parametrize("text", ["a.exr", "####/a.exr", "a.##.##.exr", "a.%04d.#.exr", "a.%4d.exr"])
+@pytest.mark.parametrize("text", ["a.exr", "####/a.exr", "a.##.##.exr", "a.%04d.#.exr", "a.%4d.exr", "a@@.$F4.exr"])
 def test_other_names_are_refused(text):
     with pytest.raises(InputError, match=r"expected a name with one run of #, .*, got (none|2 runs); .*\.$"):
         FramePattern.parse(text)
@@ -100,7 +116,8 @@ def test_a_folder_that_is_not_there(tmp_path):
         ([3, 4, 5], ""),
         ([1, 2, 4], "Frame 3 of 1 to 4 is missing."),
         ([1, 3, 7], "Frames 2, 4 to 6 of 1 to 7 are missing."),
-        (list(range(1, 100, 2)), "49 frames of 1 to 99 are missing, the first of them 2."),
+        (list(range(1, 100, 2)), "Frames 2, 4, 6, 8, 10, 12, 14, 16 and 41 more of 1 to 99 are missing."),
+        ([1, 1_700_000_000], "Frames 2 to 1699999999 of 1 to 1700000000 are missing."),
     ],
 )
 def test_missing_numbers_are_named(numbers: list[int], told: str) -> None:

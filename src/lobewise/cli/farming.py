@@ -146,8 +146,10 @@ def _run_on_farm(job: Job, request: Request[Any, Any], fingerprint: str, farm: F
         by_runs=request.reads_neighbours,
         with_oidn=request.asks_for_oidn,
         memory=get_limits().memory,
+        numbers=job.numbers,
     )
-    tell_gaps(farm_job.source)
+    if job.numbers is None:
+        tell_gaps(farm_job.source)
     filtering = f"Filtering {job.source.name}"
     with job.steps as steps:
         report = filter_on_farm(

@@ -14,6 +14,7 @@ from lobewise.cli.options.bands import Bands, FileInBands, choose_bands
 from lobewise.cli.options.bounding import Bounds
 from lobewise.cli.options.common import OVER_TIME_NOTE, OverTime, Source, Telling, parse_place
 from lobewise.cli.options.farming import Farm
+from lobewise.cli.options.frames import Frames
 from lobewise.cli.options.reading import PassReading, locate_counterpart, look_up_number, name_frame, read_tables
 from lobewise.cli.options.selections import DoneOne, DoneSeveral, FileOfSeveral, FilterOfEach
 from lobewise.cli.options.shading import Reshading
@@ -62,6 +63,7 @@ def denoise(
         ),
     ] = None,
     reshading: Reshading,
+    frames: Frames = None,
     window: Window = 0,
     over_time: OverTime,
     farm: Farm,
@@ -89,7 +91,7 @@ def denoise(
     # Mistakes in these options are told before anything else is done.
     reshading.plan()
     read_tables(request.material)
-    job = Job.plan(source, output, picture, telling)
+    job = Job.plan(source, output, frames, picture, telling)
     require_window(window, source, over_time)
     options = {
         **settings,
@@ -290,6 +292,7 @@ def upsample(
     ] = None,
     bilinear: Annotated[bool, typer.Option("--bilinear", help="Interpolate between pixels, without guides.")] = False,
     reshading: Reshading,
+    frames: Frames = None,
     over_time: OverTime,
     farm: Farm,
     bounds: Bounds,
@@ -303,7 +306,7 @@ def upsample(
     where = None if place is None else parse_place(place)
     protect_inputs(source, output, [reshading.scene], overwrite=overwrite, png=picture.png)
     reshading.plan()
-    job = Job.plan(source, output, picture, telling)
+    job = Job.plan(source, output, frames, picture, telling)
     over_time.require_sequence(source)
     request = _Upsampling(
         settings=settings, scale=scale, place=where, bilinear=bilinear, over_time=over_time, reshading=reshading

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 from lobewise.cli.options.bands import FileInBands
 from lobewise.cli.options.common import Telling
+from lobewise.cli.options.frames import choose_numbers
 from lobewise.cli.options.writing import Picture, name_first_output
 from lobewise.cli.terminal.outcome import Remarks, tell_gaps, tell_picture, tell_settings
 from lobewise.cli.terminal.steps import Steps
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Collection, Sequence
 
     from lobewise.cli.options.selections import DoneSeveral
     from lobewise.frame import Result
@@ -43,16 +44,23 @@ class Job:
     remarks: Remarks = field(default_factory=Remarks)
     tell_pixels: Callable[[str], None] | None = None
     """Takes the sentence on pixels that were shaded again; None prints it."""
+    numbers: Collection[int] | None = None
+    """The frames to filter; None for all."""
 
     @classmethod
-    def plan(cls, source: Path, output: Path, picture: Picture, telling: Telling) -> Job:
-        """Return the job that the options ask for; see `lobewise.cli.options.writing.Picture.plan` for the errors."""
+    def plan(cls, source: Path, output: Path, frames: str | None, picture: Picture, telling: Telling) -> Job:
+        """Return the job that the options ask for.
+
+        See `lobewise.cli.options.frames.choose_numbers` and `lobewise.cli.options.writing.Picture.plan` for the errors.
+        """
+        numbers = choose_numbers(frames, source, picture)
         return cls(
             source=source,
             output=output,
-            pictures=picture.plan(name_first_output(source, output)),
+            pictures=picture.plan(name_first_output(source, output, numbers)),
             steps=Steps(quiet=telling.quiet),
             verbose=telling.verbose,
+            numbers=numbers,
         )
 
 
@@ -147,7 +155,7 @@ def run_filter(job: Job, request: Request[FileT, ResultT], fingerprint: Any) -> 
         report = _filter_sequence(job, verb, repr(fingerprint))
         last = report.last
         # Every frame was made: what a stopped farm has recorded is of no use any more.
-        remove_records(job.output)
+        remove_records(job.output, job.numbers)
         counted = f"{report.written} of {report.frames} frames"
         counted += "" if last is None else f"; the last: {describe_result(last)}"
     else:
@@ -187,7 +195,8 @@ def _filter_sequence(job: Job, verb: FileFilter[FileT, ResultT], fingerprint: st
         job.remarks.tell_result(result, pattern.read_number(path))
 
     pattern = FramePattern.parse(job.source)
-    tell_gaps(pattern)
+    if job.numbers is None:
+        tell_gaps(pattern)
     with job.steps as steps:
         return filter_sequence(
             job.source,
@@ -198,4 +207,5 @@ def _filter_sequence(job: Job, verb: FileFilter[FileT, ResultT], fingerprint: st
             fingerprint=fingerprint,
             progress=lambda what, done, total: steps.tell(f"Filtering {job.source.name}", done, total, unit="frames"),
             remark=print_note,
+            numbers=job.numbers,
         )

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -150,14 +150,14 @@ def refresh_folders(*folders: Path) -> None:
             next(entries, None)
 
 
-def name_ledger(output: FramePattern | Path) -> Path:
+def name_ledger(output: FramePattern | Path, numbers: Collection[int] | None = None) -> Path:
     """Return the folder of records of an output: ``clean.lobewise-farm`` beside ``clean.####.exr``."""
-    return name_beside(output, LEDGER_ENDING)
+    return name_beside(output, LEDGER_ENDING, numbers)
 
 
-def remove_records(output: FramePattern | Path) -> None:
-    """Remove the records of an output, where there are any."""
-    folder = name_ledger(output)
+def remove_records(output: FramePattern | Path, numbers: Collection[int] | None) -> None:
+    """Remove the records of an output, or those of a run over some of its frames, where there are any."""
+    folder = name_ledger(output, numbers)
     if folder.is_dir() and not folder.is_symlink():
         _remove_known(folder)
 

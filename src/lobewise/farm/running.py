@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import uuid
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from itertools import takewhile
@@ -45,6 +45,8 @@ class FarmJob:
         Whether results depend on Open Image Denoise.
     memory : float or None
         GiB that a worker may take; None for the limit that it was started with.
+    numbers : collection of int or None
+        The frames to filter; None for all.
     """
 
     source: FramePattern
@@ -56,6 +58,7 @@ class FarmJob:
     by_runs: bool
     with_oidn: bool
     memory: float | None
+    numbers: Collection[int] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,7 +141,7 @@ def filter_on_farm(
     if not run.failures:
         # The checkpoint of a single process that was stopped earlier.
         with suppress(OSError):
-            name_checkpoint(job.output).unlink()
+            name_checkpoint(job.output, job.numbers).unlink()
     written = len(run.done) - len(done)
     return FarmReport(frames=len(frames), written=written, failures=run.failures, last=run.last)
 
@@ -149,7 +152,7 @@ def _list_frames(job: FarmJob) -> list[Numbered]:
         raise InputError(
             "source and output", expected="absolute paths", got="relative ones", action="pass Path.absolute()"
         )
-    frames = job.source.find()
+    frames = job.source.find(job.numbers)
     require_writable(job.output.name(frames[0][0]))
     require_other_files((job.output.name(number) for number, _ in frames), (path for _, path in frames))
     return frames
@@ -171,7 +174,7 @@ class _Run:
         self._environment = describe_environment(with_oidn=job.with_oidn)
         names = [Path(str(pattern)).name for pattern in (job.source, job.output)]
         identity = json.dumps([job.fingerprint, *names, self._environment])
-        self.ledger = Ledger(folder=name_ledger(job.output), identity=identity)
+        self.ledger = Ledger(folder=name_ledger(job.output, job.numbers), identity=identity)
         self.tasks: list[Task] = (cut_shots if job.by_shot else cut_frames)(frames)
         self._first = frames[0][0]
         self.token = uuid.uuid4().hex

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -12,24 +12,31 @@ from pathlib import Path
 from lobewise.errors import FileError, InputError, choose_nearest
 from lobewise.io.files import PathLike, say_reason
 
-# Placeholder of the number: #### as in Blender, or %04d as in C and ffmpeg.
-_RUN = re.compile(r"#+|%(?:0([1-9]\d?))?d")
+# Placeholder of the number: #### as in Blender, @@@@ as in Shake, %04d as in C and ffmpeg, $F4 as in Houdini. Names of
+# files often have a single @, and $FF is another variable of Houdini.
+_RUN = re.compile(r"#+|@{2,}|%(?:0([1-9]\d?))?d|\$F([1-9]?)(?!\w)")
 
 
 MAX_RUNS_NAMED = 8
-"""Most runs of missing frames that are named."""
+"""Most runs of consecutive frames that are named."""
 
 
-def name_frames(numbers: Sequence[int]) -> str:
-    """Return a name such as "Frame 7" or "Frames 7, 9 to 12"."""
-    runs: list[list[int]] = []
+def name_frames(numbers: Iterable[int]) -> str:
+    """Return a name such as "Frame 7" or "Frames 7, 9 to 12". Of many runs only the first are named."""
+    runs: list[range] = []
     for number in numbers:
-        if runs and number == runs[-1][-1] + 1:
-            runs[-1].append(number)
+        if runs and number == runs[-1].stop:
+            runs[-1] = range(runs[-1].start, number + 1)
         else:
-            runs.append([number])
-    words = [str(run[0]) if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs]
-    return f"Frame{'s' if len(numbers) != 1 else ''} {', '.join(words)}"
+            runs.append(range(number, number + 1))
+    return _name_runs(runs)
+
+
+def _name_runs(runs: Sequence[range]) -> str:
+    words = [str(run[0]) if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs[:MAX_RUNS_NAMED]]
+    more = sum(map(len, runs[MAX_RUNS_NAMED:]))
+    plural = "s" if sum(map(len, runs)) > 1 else ""
+    return f"Frame{plural} {', '.join(words)}{f' and {more} more' if more else ''}"
 
 
 def describe_gaps(numbers: Sequence[int]) -> str:
@@ -40,16 +47,12 @@ def describe_gaps(numbers: Sequence[int]) -> str:
     missing = [range(one + 1, other) for one, other in pairwise(numbers) if other > one + 1]
     if not missing:
         return ""
-    count = sum(map(len, missing))
-    within = f"of {numbers[0]} to {numbers[-1]}"
-    if len(missing) > MAX_RUNS_NAMED:
-        return f"{count} frames {within} are missing, the first of them {missing[0][0]}."
-    named = name_frames([number for run in missing for number in run])
-    return f"{named} {within} {'is' if count == 1 else 'are'} missing."
+    verb = "is" if sum(map(len, missing)) == 1 else "are"
+    return f"{_name_runs(missing)} of {numbers[0]} to {numbers[-1]} {verb} missing."
 
 
 def is_pattern(text: PathLike) -> bool:
-    """Return whether a path stands for numbered files: its name has ``####`` or ``%04d``, and no such file exists."""
+    """Return whether a path stands for numbered files: its name has a placeholder, and no such file exists."""
     path = Path(text)
     # `Path.is_file` would raise an error for a name that is too long.
     return _RUN.search(path.name) is not None and not os.path.isfile(path)
@@ -69,9 +72,9 @@ class FramePattern:
 
     @classmethod
     def parse(cls, text: PathLike) -> FramePattern:
-        """Return the pattern of a path such as ``out/render.####.exr`` or ``out/render.%04d.exr``.
+        """Return the pattern of a path such as ``out/render.####.exr``; ``@@@@``, ``%04d`` and ``$F4`` are the same.
 
-        Raises InputError if the name of the file has no run of ``#`` and no ``%04d``, or more than one.
+        Raises InputError if the name of the file has no such placeholder, or more than one.
         """
         path = Path(text)
         runs = list(_RUN.finditer(path.name))
@@ -83,7 +86,7 @@ class FramePattern:
                 action="write # where the digits of the number stand",
             )
         run = runs[0]
-        width = len(run[0]) if run[0].startswith("#") else int(run[1] or 1)
+        width = len(run[0]) if run[0][0] in "#@" else int(run[1] or run[2] or 1)
         return cls(path.parent, path.name[: run.start()], width, path.name[run.end() :])
 
     def __str__(self) -> str:
@@ -97,12 +100,12 @@ class FramePattern:
         """Return the number of a file that `find` or `name` returned."""
         return int(path.name[len(self.before) : len(path.name) - len(self.after)])
 
-    def find(self) -> list[tuple[int, Path]]:
-        """Return the existing files with their numbers, in the order of the numbers.
+    def find(self, numbers: Collection[int] | None = None) -> list[tuple[int, Path]]:
+        """Return the existing files with their numbers, in the order of the numbers; only those of ``numbers``.
 
         After a missing number a new take begins: histories of earlier frames must not be used for it.
 
-        Raises FileError if there is no file, or the folder cannot be read.
+        Raises FileError if there is no file, one of ``numbers`` has none, or the folder cannot be read.
         """
         try:
             names = [entry.name for entry in self.folder.iterdir() if entry.is_file()]
@@ -118,7 +121,7 @@ class FramePattern:
         name = re.compile(f"{re.escape(self.before)}({digits}){re.escape(self.after)}")
         numbered = sorted((int(match[1]), self.folder / match[0]) for match in map(name.fullmatch, names) if match)
         if numbered:
-            return numbered
+            return numbered if numbers is None else self._choose(numbered, set(numbers))
         near = self._choose_near(names)
         raise FileError(
             f"sequence {str(self)!r}",
@@ -126,6 +129,17 @@ class FramePattern:
             got="none",
             action=f"did you mean {near!r}?" if near else "check the path",
         )
+
+    def _choose(self, numbered: list[tuple[int, Path]], numbers: set[int]) -> list[tuple[int, Path]]:
+        """Return the files with some numbers; raise FileError where there is none, with the numbers that have none."""
+        if missing := numbers.difference(number for number, _ in numbered):
+            raise FileError(
+                f"sequence {str(self)!r}",
+                expected="every frame that is to be filtered",
+                got=f"no file of {name_frames(sorted(missing)).lower()}",
+                action="render what is missing, or leave it out",
+            )
+        return [frame for frame in numbered if frame[0] in numbers]
 
     def _choose_near(self, names: list[str]) -> str | None:
         """Return the pattern of other numbered files with the most similar name; None if no name is similar.

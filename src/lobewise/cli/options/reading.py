@@ -50,7 +50,7 @@ class Reading:
         file_option(
             metavar="FILE",
             help="The camera, where the file does not tell: JSON, a Mitsuba scene (.xml), glTF (.gltf, .glb) or USD.",
-            show_default="what the file tells",
+            show_default=False,
         ),
     ] = None
     half: Annotated[

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -123,13 +123,16 @@ class Picture:
         return Pictures(stops=stops, first=first)
 
 
-def name_first_output(source: Path, output: Path) -> Path:
-    """Return the first file that will be written: the output itself, or the first file of an output sequence."""
+def name_first_output(source: Path, output: Path, numbers: Collection[int] | None) -> Path:
+    """Return the first file that will be written: the output itself, or the first file of an output sequence.
+
+    Raises FileError if one of ``numbers`` has no file.
+    """
     from lobewise.io.sequence import FramePattern, is_pattern
 
     if not is_pattern(source) or not is_pattern(output):
         return output
-    return FramePattern.parse(output).name(FramePattern.parse(source).find()[0][0])
+    return FramePattern.parse(output).name(FramePattern.parse(source).find(numbers)[0][0])
 
 
 def list_files(paths: Iterable[Path]) -> Iterator[Path]:
@@ -177,6 +180,13 @@ def protect_inputs(
         pattern = FramePattern.parse(output)
         outputs, inputs = [pattern.name(number) for number, _ in frames], [*(path for _, path in frames), *besides]
         action = "choose another name"
+    elif is_pattern(output):
+        raise InputError(
+            "--output",
+            expected=f"the name of one file for the one input {str(source)!r}",
+            got=f"{str(output)!r}, which stands for a sequence",
+            action="leave out the # or other sign for the number",
+        )
     else:
         outputs, inputs = [output], [*list_family(source), *besides]
         action = "choose another name, or add --overwrite to replace it"

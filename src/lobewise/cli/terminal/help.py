@@ -46,7 +46,7 @@ EXAMPLES = {
     "view": "lobewise view kitchen\nlobewise view shot.exr",
     "denoise": "lobewise denoise frame.exr -o clean.exr\n"
     "lobewise denoise frame.exr -o clean.exr --quality fast --png\n"
-    "lobewise denoise 'shot.####.exr' -o 'clean.####.exr'\n"
+    "lobewise denoise 'shot.####.exr' -o 'clean.####.exr' --frames 1001-1050\n"
     "lobewise denoise frame.exr -o clean.exr --map normal=N.X,N.Y,N.Z",
     "upsample": "lobewise upsample sparse.exr -o full.exr",
     "fit": "lobewise fit brass.binary -o brass.lobes\nlobewise fit -o pot.lobes --mitsuba 'scene.xml#pot'",
