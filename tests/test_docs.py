@@ -102,6 +102,20 @@ def test_upsampling_page_runs() -> None:
     np.testing.assert_allclose(names["shine"], 0.2, rtol=1e-5)
 
 
+@pytest.mark.parametrize("needs", ["torch", "pyoidn"])
+def test_what_the_notebook_on_arrays_does_not_run_is_true(needs: str) -> None:
+    pytest.importorskip(needs)
+    cells = json.loads((ROOT / "docs" / "tutorials" / "arrays.ipynb").read_text())["cells"]
+    text = "".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown")
+    block = {"torch": 0, "pyoidn": 1}[needs]
+    noisy = np.full((20, 24, 3), 0.5, np.float32)
+    guides = lobewise.GBuffer(diffuse_albedo=noisy)
+    names = {"lobewise": lobewise, "noisy": noisy, "guides": guides}
+    names["frame"] = lobewise.Frame(lobewise.Radiance(noisy), guides)
+    exec(compile(re.findall(r"```python\n(.*?)```", text, flags=re.S)[block], "arrays.ipynb", "exec"), names)
+    assert names["clean" if needs == "torch" else "image"].shape == noisy.shape
+
+
 @pytest.mark.nightly
 def test_temporal_page_runs() -> None:
     names: dict[str, Any] = {}

@@ -29,6 +29,8 @@ else:
     MaybeImage = FloatArray | None
 ABSENT: Any = None
 """Default of a field that holds an optional image."""
+HOST_DEVICES = (1, 3, 11, 13)
+"""DLPack's numbers of devices whose memory the processor reads: its own, pinned for CUDA and ROCm, and shared."""
 
 
 def as_image(name: str, value: ArrayLike | None, channels: int | None, *, is_light: bool = False) -> FloatArray | None:
@@ -38,7 +40,7 @@ def as_image(name: str, value: ArrayLike | None, channels: int | None, *, is_lig
     """
     if value is None:
         return None
-    array = _read_array(name, value)
+    array = read_array(name, value)
     shape = "(height, width)" if channels is None else f"(height, width, {channels})"
     good = array.ndim == (2 if channels is None else 3) and (channels is None or array.shape[-1] == channels)
     if not good or array.dtype.kind not in "fiub":
@@ -123,8 +125,14 @@ def advise_shape(shape: tuple[int, ...], channels: int | None) -> str:
     return "pass one channel, such as image[..., 0]" if channels is None else "reshape it or leave it out"
 
 
-def _read_array(name: str, value: Any) -> NDArray[Any]:
-    """Return an array of any library as a NumPy array. Raises InputError for one with gradients: they would be lost."""
+def read_array(name: str, value: Any) -> NDArray[Any]:
+    """Return an array of any library as a NumPy array.
+
+    Raises
+    ------
+    InputError
+        If it is no array, lies on another device, or has gradients, which would be lost.
+    """
     drjit = sys.modules.get("drjit")
     is_traced = drjit is not None and any(kind.__module__.partition(".")[0] == "drjit" for kind in type(value).__mro__)
     # PyTorch's tensors have the attribute requires_grad.
@@ -136,11 +144,44 @@ def _read_array(name: str, value: Any) -> NDArray[Any]:
             action="detach it, or use lobewise.mitsuba.Denoiser with quality='fast', which keeps gradients",
         )
     try:
+        if hasattr(value, "__dlpack_device__") and int(value.__dlpack_device__()[0]) not in HOST_DEVICES:
+            moves = [f"x.{move}()" for move in ("cpu", "get", "numpy") if hasattr(value, move)]
+            raise InputError(
+                name,
+                expected="an array in the memory of the processor",
+                got=f"a {type(value).__name__} on another device",
+                action=f"move it to the CPU: {[*moves, 'numpy.asarray(x)'][0]}",
+            )
+        if hasattr(value, "__dlpack__") and not hasattr(value, "__array__"):
+            # Older DLPack does not say whether its owner may write to the memory.
+            return make_read_only(copy=np.from_dlpack(value).copy())["copy"]  # type: ignore[no-any-return]
         return np.asarray(value)
-    except (TypeError, ValueError, OverflowError, RuntimeError) as problem:
+    except InputError:
+        raise
+    except (TypeError, ValueError, OverflowError, RuntimeError, BufferError) as problem:
         raise InputError(
             name, expected="an array of numbers", got=f"a {type(value).__name__} ({problem})", action="convert it"
         ) from None
+
+
+def name_maker(value: Any) -> str:
+    """Return "module:name" of the function that makes arrays such as ``value`` from NumPy's; empty for NumPy's own."""
+    if isinstance(value, np.ndarray) or not hasattr(value, "__dlpack__"):
+        return ""
+    kind = type(value)
+    has_namespace = hasattr(value, "__array_namespace__")
+    library = value.__array_namespace__() if has_namespace else sys.modules.get(kind.__module__.partition(".")[0])
+    if library is not None and hasattr(library, "from_dlpack"):
+        return f"{library.__name__}:from_dlpack"
+    # Dr.Jit's types take arrays themselves.
+    return f"{kind.__module__}:{kind.__name__}"
+
+
+def make_array(maker: str, image: NDArray[Any]) -> Any:
+    """Return an array of the library that `name_maker` told, over the memory of ``image`` where that is writeable."""
+    library, _, name = maker.partition(":")
+    make = getattr(sys.modules.get(library), name, None)
+    return image if make is None else make(np.require(image, requirements=["C", "W"]))
 
 
 def as_images(what: str, images: Mapping[str, ArrayLike], shape: tuple[int, int] | None) -> Mapping[str, FloatArray]:

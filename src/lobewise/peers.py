@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 
 from lobewise.chunks import make_fork_lock
-from lobewise.errors import DeviceError, MissingDependencyError, make_printable, require_choice
+from lobewise.errors import DeviceError, MissingDependencyError, make_printable, require_choice, require_kind
 from lobewise.frame import FloatArray, Frame
 from lobewise.guides.survey import STRIDE
+from lobewise.images import make_array
 from lobewise.limits import GIB, check_time
 
 LIBRARY_BYTES_PER_PIXEL = 820
@@ -24,6 +25,7 @@ LIBRARY_BYTES_PER_PIXEL = 820
 MIN_LIBRARY_BYTES = 0.45 * GIB
 """Memory of the library's smallest tiles, bytes."""
 OIDN_GUIDES = ("prefiltered", "mean", "centre")
+OIDN_QUALITIES = ("fast", "balanced", "high")
 MIN_SIDE_PIXELS, WIDENED_SIDE_PIXELS = 16, 32
 """Side below which the library loses light, and the side to which shorter ones are widened by mirrored pixels."""
 
@@ -141,13 +143,14 @@ def denoise_oidn(
     Parameters
     ----------
     frame : Frame
-        Its albedos and normals are passed on if it has them. The albedo is ``denoiser_albedo``, or else the sum of
-        diffuse and specular albedo, clipped to [0, 1]. The normal is ``denoiser_normal``, or else the frame's normal.
-        Images over the pixel's area (``mean_...``) are preferred to the plain images, which have the noise of samples.
-        With "centre" only the plain images are used. Normals that are equal everywhere carry no information and are
-        left out: some readers fill in missing normals so. The library takes normals only together with an albedo, so
-        a frame without albedo gets a white one. Where color and albedo are gray, so is the result. Sides of less than
-        `MIN_SIDE_PIXELS` are continued by mirrored pixels, because the library darkens small images.
+        NaN and infinite values count as 0. Albedos and normals are passed on if the frame has them. The albedo is
+        ``denoiser_albedo``, or else the sum of diffuse and specular albedo, clipped to [0, 1]. The normal is
+        ``denoiser_normal``, or else the frame's normal. Images over the pixel's area (``mean_...``) are preferred to
+        the plain images, which have the noise of samples. With "centre" only the plain images are used. Normals that
+        are equal everywhere carry no information and are left out: some readers fill in missing normals so. The library
+        takes normals only together with an albedo, so a frame without albedo gets a white one. Where color and albedo
+        are gray, so is the result. Sides of less than `MIN_SIDE_PIXELS` are continued by mirrored pixels, because the
+        library darkens small images.
     quality : {"fast", "balanced", "high"}
         Quality of the filter of the radiance; "high" is the library's default.
     guides : {"prefiltered", "mean", "centre"}
@@ -163,24 +166,31 @@ def denoise_oidn(
     Returns
     -------
     image : (height, width, 3)
+        Of the type that the frame's color had.
     seconds : float
         Wall time of the library's calls. The first call for a size includes the setup of the networks.
 
     Raises
     ------
     InputError
-        If ``guides`` is unknown.
+        If ``guides`` or a quality is unknown.
     MissingDependencyError
         If ``pyoidn`` is not installed.
     DeviceError
         If the library reports a problem.
     """
-    require_choice("guides", guides, OIDN_GUIDES)
+    require_kind("frame", frame, Frame)
+    for name, value, known in (
+        ("guides", guides, OIDN_GUIDES),
+        ("quality", quality, OIDN_QUALITIES),
+        ("prefilter", prefilter, OIDN_QUALITIES),
+    ):
+        require_choice(name, value, known)
     require_oidn()
     albedos, normal = _choose_guides(frame, guides)
     albedo = np.clip(_make_finite(np.sum(albedos, axis=0, dtype=np.float32)), 0.0, 1.0) if albedos else None
     normal = None if normal is None else _make_finite(normal)
-    color, inside = np.array(frame.radiance.color), tuple(map(_locate_inside, frame.shape))
+    color, inside = _make_finite(frame.radiance.color), tuple(map(_locate_inside, frame.shape))
     is_gray = _is_gray(color) and (albedo is None or _is_gray(albedo))
     color, albedo = _widen(color), None if albedo is None else _widen(albedo)
     normal = None if normal is None else _widen(normal)
@@ -197,7 +207,8 @@ def denoise_oidn(
     image = _run_library(quality, color=color, **{name: each for name, each in given.items() if each is not None})
     seconds = time.perf_counter() - start
     image = image[inside]
-    return _drop_chroma(image) if is_gray else np.ascontiguousarray(image), seconds
+    image = _drop_chroma(image) if is_gray else np.ascontiguousarray(image)
+    return make_array(frame.radiance.maker, image), seconds
 
 
 def _locate_inside(side: int) -> slice:

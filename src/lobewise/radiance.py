@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lobewise.errors import InputError, require_choice
-from lobewise.images import ABSENT, FloatArray, Images, MaybeImage, as_images
+from lobewise.images import ABSENT, FloatArray, Images, MaybeImage, as_images, name_maker
 
 
 @dataclass(frozen=True, repr=False)
@@ -27,6 +27,11 @@ class Radiance(Images):
     direct, indirect : array_like, shape (height, width, 3), optional
         The light that came straight from a light source to the first surface, and the rest.
 
+    Attributes
+    ----------
+    maker : str
+        What makes arrays of the type that ``color`` had, see `lobewise.images.name_maker`. Results have this type.
+
     Raises
     ------
     InputError
@@ -38,6 +43,7 @@ class Radiance(Images):
     specular: FloatArray | None = None
     direct: FloatArray | None = None
     indirect: FloatArray | None = None
+    maker: str = field(init=False, default="", repr=False, compare=False)
 
     if TYPE_CHECKING:  # the constructor takes more types than the fields have
 
@@ -53,8 +59,9 @@ class Radiance(Images):
     def __post_init__(self) -> None:
         if self.color is None:
             raise InputError("color", expected="an image", got="nothing", action="pass the noisy radiance")
-        names = ("color", "diffuse", "specular", "direct", "indirect")
+        names, color = ("color", "diffuse", "specular", "direct", "indirect"), self.color
         self.check_images(dict.fromkeys(names, 3), lights=names)
+        object.__setattr__(self, "maker", name_maker(color))
 
     @property
     def parts(self) -> tuple[FloatArray, FloatArray] | None:

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.display.cards import make_card
-from lobewise.images import FloatArray, say_size
+from lobewise.images import FloatArray, make_array, read_array, say_size
 
 
 @dataclass(frozen=True, repr=False)
 class Result:
-    """A denoised frame.
+    """A denoised frame. Its arrays have the type that the frame's color had: NumPy's, PyTorch's, JAX's, Dr.Jit's.
 
     Parameters
     ----------
@@ -78,7 +78,19 @@ class Result:
     @property
     def bad_pixel_count(self) -> int:
         """How many pixels were refilled."""
-        return int(np.count_nonzero(self.bad_pixels))
+        return int(np.count_nonzero(read_array("bad_pixels", self.bad_pixels)))
+
+    def convert(self, maker: str = "") -> Result:
+        """Return this result with arrays of another library, see `lobewise.images.name_maker`; by default NumPy's."""
+
+        def change(value: Any) -> Any:
+            if isinstance(value, Mapping):
+                return {name: change(each) for name, each in value.items()}
+            return make_array(maker, read_array("result", value)) if hasattr(value, "__dlpack__") else value
+
+        if isinstance(self.image, np.ndarray) and not maker:
+            return self
+        return replace(self, **{each.name: change(getattr(self, each.name)) for each in fields(self)})
 
     def subtract(self, other: Result) -> Result:
         """Return this result with the images of another subtracted, where both have them; the rest stays."""
@@ -108,8 +120,8 @@ class Result:
     def _repr_html_(self) -> str:
         """Return the card that notebooks show: the noisy and the clean picture, and short facts."""
         noisy = self.find_noisy() if self.find_noisy else None
-        pictures = {"noisy": noisy} if noisy is not None and noisy.shape == self.image.shape else {}
-        pictures["denoised"] = self.image
+        pictures = {"noisy": noisy} if noisy is not None and noisy.shape == tuple(self.image.shape) else {}
+        pictures["denoised"] = self.convert().image
         facts: list[tuple[str, str]] = []
         facts += [(name, str(self.settings[name])) for name in ("quality", "similarity") if name in self.settings]
         facts += [("method", self.method)] if self.method else []

@@ -87,7 +87,7 @@ def upsample(
     """
     start = time.perf_counter()
     require_kind("frame", frame, SparseFrame)
-    checked = check_guides(frame)
+    maker, checked = frame.radiance.maker, check_guides(frame)
     frame = checked.frame
     notes = (*checked.notes, *(() if bilinear else describe_exact_light(frame)))
     wished = change_settings(settings or DenoiseSettings(radius=DEFAULT_RADIUS), changes)
@@ -121,7 +121,7 @@ def upsample(
     )
     if below is not None:
         result = result.subtract(upsample(below, wished, bilinear=bilinear, features=features))
-    return replace(result, seconds=time.perf_counter() - start)
+    return replace(result, seconds=time.perf_counter() - start).convert(maker)
 
 
 def upsample_by_guides(

@@ -59,6 +59,7 @@ def find_unsupported(
                 got=str(value),
                 action="0.05 is usual",
             )
+    result = result.convert()
     weight = result.weight_sum
     count = int(budget * weight.size)
     if frame is not None:

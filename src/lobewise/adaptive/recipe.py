@@ -25,6 +25,7 @@ from lobewise.denoising.layers import compute_exact_light
 from lobewise.denoising.recipe import denoise_quietly
 from lobewise.errors import InputError
 from lobewise.frame import FloatArray, Frame, Radiance, Result
+from lobewise.images import name_maker
 from lobewise.settings import DenoiseSettings
 from lobewise.sparse_frame import AnyFrame
 
@@ -111,12 +112,13 @@ def recompute(
         raise InputError(
             "samples", expected="a finite number above 0", got=str(samples), action="pass new spp / old spp"
         )
+    maker, result = name_maker(result.image), result.convert()
     rules = {"budget": budget, "least": least, "quality": quality}
     where = np.nonzero(find_unsupported(result, **rules, frame=frame))
     count = where[0].size
     settings = {**result.settings, "recomputed": int(count)}
     if count == 0:
-        return replace(result, settings=settings)
+        return replace(result, settings=settings).convert(maker)
     shaded = shade(where[0], where[1])
     if shaded.color.shape[0] != count:
         raise InputError(
@@ -150,7 +152,7 @@ def recompute(
         if light is not None:
             changes[name] = getattr(result, name).copy()
             changes[name][where] = light[:, 0]
-    return replace(result, **changes, settings=settings)
+    return replace(result, **changes, settings=settings).convert(maker)
 
 
 def _take_pixels(result: Result, where: tuple[NDArray[np.intp], ...], known: Any) -> Radiance:

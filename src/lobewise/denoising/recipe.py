@@ -109,7 +109,7 @@ def denoise(
     checked = check_frame(frame, named)
     for note in checked.idle:
         warnings.warn(note, UnusedGuideWarning, stacklevel=2)
-    return denoise_checked(checked, named, features)
+    return denoise_checked(checked, named, features).convert(frame.radiance.maker)
 
 
 def denoise_quietly(frame: Frame, named: DenoiseSettings) -> Result:

@@ -91,6 +91,7 @@ def write_result(
         lies in another file beside ``source``.
     """
     require_kind("result", result, Result)
+    result = result.convert()
     imported = source if isinstance(source, Imported) else import_file(source, view=view, layer=layer)
     planned = plan_result(result, imported, suffix=suffix, only=only, confidence=confidence, rerender=rerender)
     return write_planned(path, imported.container, [planned], only=only)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lobewise.errors import InputError, MissingChannelError, MissingDependencyError, require_choice
 from lobewise.frame import GBuffer, LobeKind
-from lobewise.images import refuse_size
+from lobewise.images import read_array, refuse_size
 
 EPSILON = 0.01
 """Constant in the denominators of `rel_mse` and `smape`. Below a radiance of about 0.1 errors are nearly absolute."""
@@ -251,7 +251,7 @@ def check_pair(
 
 def require_image(name: str, value: ArrayLike) -> NDArray[np.float64]:
     """Return an image of finite numbers in float64, or raise InputError."""
-    array = np.asarray(value)
+    array = read_array(name, value)
     if array.ndim != 3 or array.shape[-1] != 3 or 0 in array.shape or array.dtype.kind not in "fiu":
         raise InputError(
             name,

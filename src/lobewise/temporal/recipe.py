@@ -181,7 +181,7 @@ class TemporalFilter:
             engine.on(chosen.device),
         ):
             result = self._add(checked, chosen, features, cut)
-        return replace(result, seconds=time.perf_counter() - start)
+        return replace(result, seconds=time.perf_counter() - start).convert(frame.radiance.maker)
 
     def _add(
         self, checked: CheckedGuides[AnyFrame], chosen: ResolvedSettings, features: Sequence[Feature], cut: bool

@@ -134,7 +134,7 @@ class WindowFilter:
         """Return the denoised frame; see `join` for the parameters and errors."""
         _require_frames(frames, index)
         with set_aside(HELD_SHARE * sum(map(count_bytes, frames))):
-            return self._denoise(frames, index)
+            return self._denoise(frames, index).convert(frames[index].radiance.maker)
 
     def _denoise(self, frames: Sequence[Frame], index: int) -> Result:
         start = time.perf_counter()

@@ -154,7 +154,7 @@ def write_image(path: PathLike, image: ArrayLike, *, half: bool = False, compres
     InputError
         If the array is not such an image.
     """
-    write_frame(path, Frame(Radiance(np.asarray(image))), half=half, compression=compression)
+    write_frame(path, Frame(Radiance(image)), half=half, compression=compression)
 
 
 def _fits_half(image: NDArray[Any], kind: str) -> bool:
