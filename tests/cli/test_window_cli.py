@@ -75,7 +75,7 @@ def test_parts_of_a_sequence_are_those_of_the_whole(folder):
     [
         (["--window", "9"], ["--window", "1 to 8"]),
         (["--window", "-1"], ["--window", "1 to 8"]),
-        (["--window", "2", "--temporal"], ["--window", "--temporal"]),
+        (["--temporal", "--bands", "64"], ["--bands", "--temporal"]),
         (["--window", "2", "--bands", "64"], ["--bands", "--window"]),
     ],
 )

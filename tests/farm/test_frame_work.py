@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,7 @@ class Caught(Exception):
     """Carries the job that a verb would send to a farm."""
 
 
-def catch_job(*options: str, monkeypatch: pytest.MonkeyPatch) -> Any:
+def catch_job(*options: str, monkeypatch: pytest.MonkeyPatch, verb: Sequence[str] = ("denoise", *CHEAP)) -> Any:
     """Return the job that the program would send to a farm."""
     found: list[Any] = []
 
@@ -45,7 +46,7 @@ def catch_job(*options: str, monkeypatch: pytest.MonkeyPatch) -> Any:
 
     with monkeypatch.context() as patch:
         patch.setattr(farming, "filter_on_farm", catch)
-        assert run(["denoise", "in.#.exr", "-o", "far.#.exr", *CHEAP, "--workers", "2", *options]) == 1
+        assert run([*verb, "in.#.exr", "-o", "far.#.exr", "--workers", "2", *options]) == 1
     return found[0]
 
 
@@ -122,19 +123,23 @@ def test_paths_are_absolute(folder: Path, monkeypatch: pytest.MonkeyPatch) -> No
 
 
 @pytest.mark.parametrize(
-    ("options", "follows", "by_shot"),
+    ("options", "follows"),
     [
-        ((), False, False),
-        (("--png",), True, False),
-        (("--png", "--exposure", "1"), False, False),
-        (("--temporal",), False, True),
+        ((), False),
+        (("--png",), True),
+        (("--png", "--exposure", "1"), False),
     ],
 )
 def test_which_frames_depend_on_others(
-    options: tuple[str, ...], follows: bool, by_shot: bool, folder: Path, monkeypatch: pytest.MonkeyPatch
+    options: tuple[str, ...], follows: bool, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     job = catch_job(*options, monkeypatch=monkeypatch)
-    assert (job.follows_first, job.by_shot) == (follows, by_shot)
+    assert (job.follows_first, job.by_shot) == (follows, False)
+
+
+def test_a_shot_over_time_is_one_task(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert catch_job("--temporal", monkeypatch=monkeypatch, verb=["upsample"]).by_shot
+    assert not catch_job(monkeypatch=monkeypatch, verb=["upsample"]).by_shot
 
 
 def test_pictures_are_outputs_and_have_the_exposure_of_the_first(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,16 +12,16 @@ import typer
 
 from lobewise.cli.options.bands import Bands, FileInBands, choose_bands
 from lobewise.cli.options.bounding import Bounds
-from lobewise.cli.options.common import OVER_TIME_NOTE, OverTime, Source, Telling, parse_place
+from lobewise.cli.options.common import OverTime, Source, Telling, parse_place
 from lobewise.cli.options.farming import Farm
 from lobewise.cli.options.frames import Frames
 from lobewise.cli.options.reading import PassReading, locate_counterpart, look_up_number, name_frame, read_tables
 from lobewise.cli.options.selections import DoneOne, DoneSeveral, FileOfSeveral, FilterOfEach
 from lobewise.cli.options.shading import Reshading
 from lobewise.cli.options.spreading import with_groups, with_settings
-from lobewise.cli.options.windows import FileInWindow, Window, WindowReader, list_window, require_window
+from lobewise.cli.options.windows import FileInWindow, Window, WindowReader
 from lobewise.cli.options.writing import Output, Overwrite, Picture, Writing, protect_inputs
-from lobewise.cli.running import FilterAlone, FilterOverTime, Job
+from lobewise.cli.running import FilterAlone, Job
 from lobewise.cli.terminal.help import FILTER_DETAILS
 from lobewise.errors import InputError
 from lobewise.settings import DenoiseSettings
@@ -64,8 +64,7 @@ def denoise(
     ] = None,
     reshading: Reshading,
     frames: Frames = None,
-    window: Window = 0,
-    over_time: OverTime,
+    window: Window,
     farm: Farm,
     bounds: Bounds,
     bands: Bands = "auto",
@@ -82,7 +81,6 @@ def denoise(
         settings=settings,
         bands=bands,
         material=tuple(material or ()),
-        over_time=over_time,
         window=window,
         reading=reading,
         writing=writing,
@@ -92,10 +90,10 @@ def denoise(
     reshading.plan()
     read_tables(request.material)
     job = Job.plan(source, output, frames, picture, telling)
-    require_window(window, source, over_time)
+    window.require(source)
     options = {
         **settings,
-        "window": window,
+        "window": [window.reach, window.temporal],
         "material": [str(path) for path in material or []],
         "adaptive": reshading.list_values(),
         "reading": reading.list_words(),
@@ -104,7 +102,7 @@ def denoise(
     }
     from lobewise.cli.farming import run_request
 
-    run_request(job, request, [options, over_time.extend(settings)], farm, bounds)
+    run_request(job, request, options, farm, bounds)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,9 +112,7 @@ class _Denoising:
     settings: dict[str, Any]
     bands: str
     material: tuple[Path, ...]
-    over_time: OverTime
-    window: int
-    """Frames before and after that every frame uses; 0 for none."""
+    window: Window
     reading: PassReading
     writing: Writing
     reshading: Reshading
@@ -125,13 +121,11 @@ class _Denoising:
     def whole_option(self) -> str:
         """Name of the first option that needs whole frames, empty for none."""
         needs_whole = {
-            "--temporal": self.over_time.temporal,
-            "--window": self.window > 0,
             "--adaptive": self.reshading.share > 0.0,
             "--with-oidn": self.settings["with_oidn"] is True,
         }
-        options = [*(name for name, is_given in needs_whole.items() if is_given), self.reading.option]
-        return next(filter(None, [*options, self.writing.option]), "")
+        given = [name for name, is_given in needs_whole.items() if is_given]
+        return next(filter(None, [self.window.option, *given, self.reading.option, self.writing.option]), "")
 
     def make_verb(self, job: Job) -> _Denoiser:
         """Return what reads, filters and writes the files of a job."""
@@ -147,22 +141,19 @@ class _Denoising:
         """Return every file that the result of a frame depends on."""
         from lobewise.interchange.siblings import list_family
 
-        frames = list_window(source, number, self.window) if self.window else [(number, name_frame(source, number))]
+        frames = self.window.list_files(source, number) if self.window.reach else [(number, name_frame(source, number))]
         return [file for each, path in frames for file in (*list_family(path), *self.reading.list_halves(each))]
 
     def list_shared_sources(self) -> list[Path]:
         """Return every file, beside the frames, that results depend on."""
         return [*self.material, *self.reading.list_files(), *self.reshading.list_files()]
 
-    @property
-    def remembers(self) -> bool:
-        """Whether a frame uses the frames before it."""
-        return self.over_time.temporal
+    remembers = False
 
     @property
     def reads_neighbours(self) -> bool:
         """Whether a frame reads the files of the frames around it."""
-        return self.window > 0
+        return self.window.reach > 0
 
     @property
     def asks_for_oidn(self) -> bool:
@@ -170,7 +161,7 @@ class _Denoising:
         from lobewise.denoising.automatic import leaves_oidn_open
 
         settings = DenoiseSettings(**self.settings)
-        return not self.over_time.temporal and (settings.asks_for_oidn or leaves_oidn_open(settings))
+        return settings.asks_for_oidn or leaves_oidn_open(settings)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -187,8 +178,6 @@ class _Denoiser:
     def read(self, path: Path) -> FileOfOne | FileOfSeveral:
         """Return the frame of a file, for a file that is denoised in bands its name, with a window all its frames."""
         job, request = self.job, self.request
-        if request.over_time.temporal:
-            job.remarks.tell(OVER_TIME_NOTE)
         if choose_bands(path, request.bands, request.settings, request.whole_option):
             target = locate_counterpart(path, job.source, job.output)
             return FileInBands(path, target, request.bands, self.tables, request.settings)
@@ -199,7 +188,6 @@ class _Denoiser:
 
     def _read_one(self, path: Path, selection: Selection, denoised: tuple[Selection, ...]) -> Imported | FileInWindow:
         job, request = self.job, self.request
-        passes, tables = not request.over_time.temporal, self.tables
 
         def read(path_of_one: Path) -> Imported:
             return request.reading.read(
@@ -208,11 +196,10 @@ class _Denoiser:
                 job.remarks,
                 selection=selection,
                 denoised=denoised,
-                tables=tables,
-                light_passes=passes,
+                tables=self.tables,
             )
 
-        if not request.window:
+        if not request.window.reach:
             return read(path)
         reader = self.window_readers.setdefault(selection, WindowReader(job.source, request.window, read))
         return reader.read(path)
@@ -225,15 +212,11 @@ class _Denoiser:
         from lobewise.cli.options.reading import check_import
         from lobewise.denoising.recipe import denoise_checked
         from lobewise.io.sequence import is_pattern
-        from lobewise.temporal import TemporalFilter
         from lobewise.windows import WindowFilter
 
         settings, window = self.request.settings, self.request.window
-        changes = self.request.over_time.extend(settings)
-        if changes is not None:
-            return FilterOverTime(TemporalFilter(**changes))
-        if window:
-            in_window = WindowFilter(window, **settings)
+        if window.reach:
+            in_window = WindowFilter(window.reach, past_only=window.temporal, **settings)
             return FilterAlone(lambda frame: in_window.denoise(frame.frames, frame.index))
         named = DenoiseSettings(**settings)
 

@@ -18,11 +18,9 @@ if TYPE_CHECKING:
 
     from lobewise.cli.options.selections import DoneSeveral
     from lobewise.frame import Result
-    from lobewise.interchange import Imported
     from lobewise.reporting.picture import Pictures
     from lobewise.sequence import SequenceFilter, SequenceReport, State
     from lobewise.streaming import DenoisedFile
-    from lobewise.temporal import TemporalFilter
 
 FileT = TypeVar("FileT")
 ResultT = TypeVar("ResultT", bound="Result | DenoisedFile | DoneSeveral")
@@ -124,18 +122,6 @@ class FilterAlone(Generic[FileT, ResultT]):
 
     def set_state(self, state: State) -> None:
         """Do nothing."""
-
-
-class FilterOverTime:
-    """A filter of imported frames that lets every frame use the frames before it."""
-
-    def __init__(self, over_time: TemporalFilter) -> None:
-        self._over_time = over_time
-        self.get_state, self.set_state = over_time.get_state, over_time.set_state
-
-    def add(self, frame: Imported, *, cut: bool = False) -> Result:
-        """Return the result of the next frame."""
-        return self._over_time.add(frame.frame, cut=cut)
 
 
 def run_filter(job: Job, request: Request[FileT, ResultT], fingerprint: Any) -> None:

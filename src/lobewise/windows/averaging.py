@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,34 +10,29 @@ import numpy as np
 from lobewise.filters.windows.weighing import compare_denoised
 from lobewise.frame import FloatArray, Result
 from lobewise.windows.gathering import Neighbour
-from lobewise.windows.shots import Shot
 
 
-def average_denoised(shot: Shot, shots: Mapping[int, Shot], near: Mapping[int, Neighbour]) -> Result:
-    """Return a frame denoised by itself, averaged with its neighbours denoised by themselves.
+def average_denoised(own: Result, others: Sequence[tuple[Neighbour, Result]]) -> Result:
+    """Return a denoised frame, averaged with its denoised neighbours.
 
     A neighbour counts where it shows the same surface, and less the more its image differs. All images of a frame have
     the weights of its total, so that what summed to the total still does.
 
     Parameters
     ----------
-    shot : Shot
-    shots : mapping of int to Shot
-        All frames by number.
-    near : mapping of int to Neighbour
-        The neighbours by number.
+    own : Result
+    others : sequence of Neighbour and Result
+        The neighbours, and what denoising made of them.
     """
-    own = shot.alone
-    total, others = np.ones(own.image.shape[:2], np.float32), []
-    for number, neighbour in near.items():
-        image, agreement = neighbour.gather_guide(shots[number].alone.image)
-        weight = agreement * compare_denoised(own.image, image)
-        total = total + weight
-        others.append((neighbour, shots[number].alone, weight))
+    total, weights = np.ones(own.image.shape[:2], np.float32), []
+    for neighbour, other in others:
+        image, agreement = neighbour.gather_guide(other.image)
+        weights.append(agreement * compare_denoised(own.image, image))
+        total = total + weights[-1]
 
     def average(first: FloatArray, name: str, group: str = "") -> FloatArray:
         mean = first
-        for neighbour, other, weight in others:
+        for (neighbour, other), weight in zip(others, weights, strict=True):
             second = getattr(other, group).get(name) if group else getattr(other, name)
             if second is not None:
                 values, _ = neighbour.gather_guide(second)

@@ -13,7 +13,6 @@ from lobewise.denoising.bad_pixels import mark_good
 from lobewise.filters.windows.weighing import compare_pilots, estimate_relative_bias, estimate_variance
 from lobewise.frame import FloatArray, Frame, Result
 from lobewise.guides.survey import ALBEDOS
-from lobewise.windows.averaging import average_denoised
 from lobewise.windows.gathering import MIN_DIVIDING_ALBEDO, Neighbour, divide, multiply
 from lobewise.windows.layers import PILOT, RADIANCE, LayerImages, put_back
 from lobewise.windows.places import compute_places
@@ -47,8 +46,6 @@ class JoinedFrame:
         joined frame.
     alone : Result
         The frame denoised by itself.
-    averaged : Result
-        The same, averaged with the neighbours denoised by themselves.
     used : tuple of int
         The neighbours that took part, as numbers of frames relative to the frame.
     repeated : tuple of int
@@ -58,7 +55,6 @@ class JoinedFrame:
     frame: Frame
     frames: FloatArray
     alone: Result
-    averaged: Result
     used: tuple[int, ...]
     repeated: tuple[int, ...] = ()
 
@@ -79,7 +75,7 @@ def join_frames(shots: Mapping[int, Shot], index: int) -> JoinedFrame:
     near = {number: each for number, each in near.items() if not each.repeats}
     own = list(shot.layers.values())
     if not near:
-        return JoinedFrame(shot.frame, np.ones(shot.frame.shape, np.float32), shot.alone, shot.alone, (), repeated)
+        return JoinedFrame(shot.frame, np.ones(shot.frame.shape, np.float32), shot.alone, (), repeated)
     named = {number: shots[number].layers for number in near}
     guides = _Guides(shot, shots, near)
     joined = [_join_layer(shot, layer, near, named, guides) for layer in own]
@@ -97,7 +93,6 @@ def join_frames(shots: Mapping[int, Shot], index: int) -> JoinedFrame:
         frame.with_changes(**changes),
         effective,
         shot.alone,
-        average_denoised(shot, shots, near),
         tuple(number - index for number in near),
         repeated,
     )

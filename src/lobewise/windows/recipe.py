@@ -1,4 +1,4 @@
-"""The recipe of windows in time: the samples of several frames are joined, then the frame is denoised as ever."""
+"""The recipe of windows in time: the samples of frames are joined, each frame is denoised, the images are averaged."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ from lobewise.guides.negative import split_negative
 from lobewise.guides.usable import CheckedGuides
 from lobewise.limits import set_aside
 from lobewise.settings import DenoiseChanges, DenoiseSettings
-from lobewise.windows.joining import JoinedFrame, join_frames
+from lobewise.windows.averaging import average_denoised
+from lobewise.windows.joining import JoinedFrame, join_frames, list_neighbours
 from lobewise.windows.shots import Shot, extrapolate_camera
 
 if TYPE_CHECKING:
@@ -39,11 +40,8 @@ NO_MOTION_ADVICE = {True: ", or give the camera (--camera).", False: ", or posit
 USED_BETWEEN_FRAMES = ("motion", "hit_distance", "position", "depth", "normal")
 """Guides that frames are compared by, whatever the denoiser reads."""
 FEW_FRAMES, MANY_FRAMES = 1.25, 2.5
-"""Effective frames up to which a pixel is taken from frames that were denoised by themselves, and from which on half of
-it is taken from the denoised joined frame."""
-MAX_JOINED_SHARE = 0.5
-"""Largest share of the denoised joined frame; the rest is the mean of the frames that were denoised by themselves. The
-errors of both differ, and the mean flickers less."""
+"""Effective frames up to which a pixel is taken from the frame that was denoised by itself, and from which on it is
+taken from the denoised joined frame."""
 SHARE_BLURS = 2
 """Blurs that spread the noise of pixels with few frames over their surroundings."""
 REPEATED = (
@@ -70,17 +68,20 @@ class WindowFilter:
     The samples of the other frames are brought to the pixels of a frame by the motion of surfaces and reflections,
     where the surface and its lobe are recognised. They are weighed by the error that they would bring in. The joined
     frame has less noise; it is denoised like any frame. Pixels that few frames show are taken from the frame that was
-    denoised by itself.
+    denoised by itself. At last the denoised images of the same frames are averaged.
 
-    Frames are prepared once, and kept as long as windows need them. One thread at a time uses a filter; several filters
-    may run at once.
+    Frames are prepared and denoised once, and kept as long as windows need them. One thread at a time uses a filter;
+    several filters may run at once.
 
     Parameters
     ----------
     reach : int
-        Frames before and after, 1 to 8. More frames have less noise, and cost in proportion.
+        Frames before and after whose samples are joined and whose images are averaged, 1 to 8. So a result depends on
+        twice as many. More frames have less noise, and cost in proportion.
     settings : DenoiseSettings, optional
         As for `lobewise.denoise`.
+    past_only : bool
+        Whether only frames before a frame are used, so that frames can be denoised as they come.
     **changes
         Single parameters, by name, that replace those of ``settings``.
 
@@ -98,12 +99,18 @@ class WindowFilter:
     """
 
     def __init__(
-        self, reach: int = 2, settings: DenoiseSettings | None = None, **changes: Unpack[DenoiseChanges]
+        self,
+        reach: int = 2,
+        settings: DenoiseSettings | None = None,
+        *,
+        past_only: bool = False,
+        **changes: Unpack[DenoiseChanges],
     ) -> None:
         if not isinstance(reach, int) or isinstance(reach, bool) or not 1 <= reach <= MAX_REACH:
             got = name_value(reach, MAX_GOT_LETTERS)
             raise InputError("window", expected=f"1 to {MAX_REACH} frames to each side", got=got, action="2 is usual")
         self.reach = reach
+        self.past_only = past_only
         self._settings = change_settings(settings or DenoiseSettings(), changes)
         self._prepared: dict[int, _Prepared] = {}
 
@@ -113,8 +120,8 @@ class WindowFilter:
         Parameters
         ----------
         frames : sequence of Frame
-            Consecutive frames: the whole sequence, or those around the frame. Pass the same objects again, and what
-            was prepared for them is used again.
+            Consecutive frames: the whole sequence, or twice ``reach`` frames and one more to each side of the frame.
+            Pass the same objects again, and what was prepared for them is used again.
         index : int
             The frame, counted from 0.
 
@@ -126,9 +133,8 @@ class WindowFilter:
             If the frames lack what the similarity compares.
         """
         _require_frames(frames, index)
-        first, last = max(index - self.reach, 0), min(index + self.reach, len(frames) - 1)
-        shots = self._prepare(frames, first, last)
-        return join_frames(shots, index)
+        self._forget(frames, range(index, index + 1))
+        return self._join(frames, index)
 
     def denoise(self, frames: Sequence[Frame], index: int) -> Result:
         """Return the denoised frame; see `join` for the parameters and errors."""
@@ -138,14 +144,14 @@ class WindowFilter:
 
     def _denoise(self, frames: Sequence[Frame], index: int) -> Result:
         start = time.perf_counter()
-        joined = self.join(frames, index)
-        notes = self._explain(frames, index, joined)
-        result, used = joined.alone, joined.used
-        if used:
-            whole = denoise_checked(CheckedGuides(joined.frame), self._settings)
-            unused = tuple(name for name in whole.unused if name not in USED_BETWEEN_FRAMES)
-            share = np.float32(MAX_JOINED_SHARE) * compute_joined_share(joined.frames)
-            result = replace(mix_results(joined.averaged, whole, share), unused=unused)
+        near = self._list_near(frames, index)
+        self._forget(frames, near)
+        windowed = {number: self._denoise_joined(frames, number) for number in near}
+        result, (joined, notes) = windowed[index], self._prepared[id(frames[index])].told
+        shots = self._prepare(frames, near)
+        others = [(other, windowed[number]) for number, other in list_neighbours(shots, index).items()]
+        if joined:
+            result = average_denoised(result, [(other, image) for other, image in others if not other.repeats])
         below = self._prepared[id(frames[index])].below
         if below is not None:
             # Light below 0 is dim: other frames would lower its noise by little.
@@ -153,24 +159,53 @@ class WindowFilter:
         return replace(
             result,
             notes=notes + result.notes,
-            settings={**result.settings, "window": self.reach, "joined": used},
+            settings={**result.settings, "window": self.reach, "joined": joined},
             seconds=time.perf_counter() - start,
             find_noisy=ref(frames[index].radiance.color),
         )
 
-    def _prepare(self, frames: Sequence[Frame], first: int, last: int) -> dict[int, Shot]:
-        """Return the shots of a window, and let go of all others."""
-        before, self._prepared = self._prepared, {}
-        for number in range(first, last + 1):
-            known = before.get(id(frames[number]))
-            self._prepared[id(frames[number])] = known or _Prepared(frames[number], self._settings)
+    def _join(self, frames: Sequence[Frame], index: int) -> JoinedFrame:
+        return join_frames(self._prepare(frames, self._list_near(frames, index)), index)
+
+    def _denoise_joined(self, frames: Sequence[Frame], index: int) -> Result:
+        """Return the denoised joined frame, and where few frames were joined the frame denoised by itself."""
+        window = tuple(id(frames[number]) for number in self._list_near(frames, index))
+        prepared = self._prepared.get(id(frames[index]))
+        if prepared is not None and prepared.window == window:
+            assert prepared.windowed is not None
+            return prepared.windowed
+        joined = self._join(frames, index)
+        result = joined.alone
+        if joined.used:
+            whole = denoise_checked(CheckedGuides(joined.frame), self._settings)
+            unused = tuple(name for name in whole.unused if name not in USED_BETWEEN_FRAMES)
+            result = replace(mix_results(result, whole, compute_joined_share(joined.frames)), unused=unused)
+        prepared = self._prepared[id(frames[index])]
+        prepared.window, prepared.windowed = window, result
+        prepared.told = joined.used, self._explain(frames, index, joined)
+        return result
+
+    def _list_near(self, frames: Sequence[Frame], index: int) -> range:
+        """Return the numbers of the frames that a frame is compared with, and its own."""
+        last = index if self.past_only else min(index + self.reach, len(frames) - 1)
+        return range(max(index - self.reach, 0), last + 1)
+
+    def _forget(self, frames: Sequence[Frame], near: range) -> None:
+        """Let go of all frames but those that the windows of ``near`` need."""
+        needed = {id(frames[number]) for each in near for number in self._list_near(frames, each)}
+        self._prepared = {key: prepared for key, prepared in self._prepared.items() if key in needed}
+
+    def _prepare(self, frames: Sequence[Frame], numbers: range) -> dict[int, Shot]:
+        """Return the shots of a window by number."""
         shots: dict[int, Shot] = {}
-        for number in range(first, last + 1):
-            prepared = self._prepared[id(frames[number])]
+        for number in numbers:
+            frame = frames[number]
+            prepared = self._prepared.get(id(frame)) or _Prepared(frame, self._settings)
+            self._prepared[id(frame)] = prepared
             if prepared.shot is None:
                 camera = frames[number - 1].camera if number else None
-                following = frames[number + 1].camera if number + 1 < len(frames) else None
-                if camera is None and frames[number].camera is not None and following is not None:
+                following = frames[number + 1].camera if number + 1 < len(frames) and not self.past_only else None
+                if camera is None and frame.camera is not None and following is not None:
                     camera = extrapolate_camera(prepared.checked.require_camera("a window"), following)
                 similarity = choose_similarity(prepared.checked, self._settings)
                 prepared.shot = Shot(prepared.checked, camera, similarity, self._settings, self.reach)
@@ -179,7 +214,7 @@ class WindowFilter:
 
     def _explain(self, frames: Sequence[Frame], index: int, joined: JoinedFrame) -> tuple[str, ...]:
         """Return what a user should know of the window of a frame, one sentence each."""
-        frame, near = frames[index], frames[max(index - self.reach, 0) : index + self.reach + 1]
+        frame, near = frames[index], [frames[number] for number in self._list_near(frames, index)]
         notes = self._prepared[id(frame)].notes
         if joined.repeated:
             notes += (REPEATED,)
@@ -244,3 +279,9 @@ class _Prepared:
         self.checked, self.below = split_negative(checked.frame)
         self.notes = checked.notes
         self.shot: Shot | None = None
+        self.windowed: Result | None = None
+        """The frame denoised with the samples of its neighbours."""
+        self.window: tuple[int, ...] = ()
+        """The `id` of each frame of its window."""
+        self.told: tuple[tuple[int, ...], tuple[str, ...]] = (), ()
+        """The neighbours that were used, as numbers relative to the frame, and what a user should know."""

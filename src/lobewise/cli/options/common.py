@@ -16,13 +16,6 @@ from lobewise.settings import TemporalSettings, list_knobs
 
 MIN_SIDE, MAX_SIDE = 8, 8192
 """Fewest and most pixels of a side of ``--size``."""
-OVER_TIME_NOTE = (
-    "--temporal filters with the quality 'fast', without Open Image Denoise, and the light in total, not by its "
-    "passes. It is made for frames that are filtered as they come. For files on disk, --window 2 also uses the frames "
-    "after each frame, in any quality."
-)
-"""What the option ``--temporal`` means for the result."""
-
 Input = Annotated[Path, typer.Argument(metavar="INPUT.exr", help="The EXR file to read.", show_default=False)]
 Source = Annotated[
     Path,

@@ -142,9 +142,8 @@ class PassReading(Reading):
         selection: Selection,
         denoised: Collection[Selection] = (),
         tables: Sequence[LobeTable] | None = None,
-        light_passes: bool = False,
     ) -> Imported:
-        """Return the frame of a view and view layer of a file.
+        """Return the frame of a view and view layer of a file, with its light by passes.
 
         Parameters
         ----------
@@ -160,8 +159,6 @@ class PassReading(Reading):
             All that is filtered of the file. After the first one, only notes of a new kind are printed.
         tables : sequence of LobeTable, optional
             Fitted materials that replace the materials in the file.
-        light_passes : bool
-            Whether to read the light by its passes as well.
         """
         from lobewise.interchange import import_file
         from lobewise.interchange.replacing import require_target
@@ -173,7 +170,7 @@ class PassReading(Reading):
             half=None if self.half is None else self._locate_half(path, source),
             lobe_tables=tables,
             also=self.also or (),
-            light_passes=light_passes,
+            light_passes=True,
             view=selection.view or None,
             layer=selection.layer or None,
             denoised=denoised,
