@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import pickle
 import tracemalloc
+import zipfile
 
 import numpy as np
 import pytest
@@ -293,10 +295,25 @@ class TestNotGoingOn:
         self.check("it is damaged")
 
     def test_objects_are_never_unpickled(self):
-        with open(KEPT, "wb") as stream:
-            np.savez(stream, done=1, proof="", **{"state/total": np.array([print])})
-        # The proof is wrong too, and is read before any array.
-        self.check("it is of other settings or files")
+        """Frames, settings and sizes are right: only the kind of an array is not."""
+
+        class Attack:
+            def __reduce__(self):
+                return os.mkdir, ("unpickled",)
+
+        pickled = pickle.dumps(Attack())
+        pickled += b"." * (-len(pickled) % 8)
+        header = {"descr": "|O", "fortran_order": False, "shape": (len(pickled) // 8,)}
+        with zipfile.ZipFile(KEPT) as file:
+            members = {name: file.read(name) for name in file.namelist()}
+        with zipfile.ZipFile(KEPT, "w") as file:
+            for name, data in members.items():
+                with file.open(name, "w") as stream:
+                    if name == "state/total.npy":
+                        np.lib.format.write_array_header_1_0(stream, header)
+                    stream.write(pickled if name == "state/total.npy" else data)
+        self.check("it is damaged")
+        assert not os.path.exists("unpickled")
 
     def test_arrays_that_are_packed(self):
         """Megabytes of compressed arrays may unpack to terabytes; checkpoints are never compressed."""
