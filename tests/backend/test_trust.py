@@ -80,7 +80,7 @@ class TestModes:
     @pytest.mark.parametrize("mode", [0o777, 0o1777, 0o707])
     def test_a_folder_that_others_can_write_to_is_refused(self, folder: Path, mode: int) -> None:
         folder.chmod(mode)
-        with pytest.warns(CacheWarning, match="every user.*LOBEWISE_CACHE"):
+        with pytest.warns(CacheWarning, match=f"{folder.name}.*every user.*LOBEWISE_CACHE"):
             assert count_made() == 1
         # Told once.
         with warnings.catch_warnings():
@@ -97,7 +97,7 @@ class TestModes:
     def test_a_file_that_others_can_write_to_is_compiled_anew(self, folder: Path, mode: int) -> None:
         (path,) = folder.iterdir()
         path.chmod(mode)
-        with pytest.warns(CacheWarning, match="every user"):
+        with pytest.warns(CacheWarning, match=f"{path.name}.*every user"):
             assert count_made() == 1
         assert path.stat().st_mode & 0o777 == 0o600
         assert count_made() == 0
@@ -131,6 +131,16 @@ class TestModes:
         fetch_object("other", make)
         other = next(each for each in folder.iterdir() if each != path)
         other.replace(path)
+        assert count_made() == 1
+
+    @pytest.mark.parametrize(
+        ("old", "new"), [(b'"parameters": []', b'"parameters": [1]'), (b"\x7fELF\x02\x01\0", b"\x7fELF\x02\x01\3")]
+    )
+    def test_a_file_of_another_description_or_code_does_not_count(self, folder: Path, old: bytes, new: bytes) -> None:
+        (path,) = folder.iterdir()
+        content = path.read_bytes()
+        assert content.count(old) == 1
+        path.write_bytes(content.replace(old, new))
         assert count_made() == 1
 
     def test_digests_of_sources_that_others_can_write_to_do_not_count(self, folder: Path) -> None:

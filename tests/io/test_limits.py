@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from lobewise.chunks import run_chunks
-from lobewise.io import write_image
+from lobewise.io import read_image, write_image
+from lobewise.io.exr import pixels
 
 LIMITED = """
 import os, resource, sys
@@ -111,6 +112,25 @@ def test_work_goes_on_without_other_threads(monkeypatch: pytest.MonkeyPatch) -> 
 
     run_chunks(count, *done.shape)
     assert (done == 1).all()
+
+
+@pytest.mark.parametrize(("room", "asked"), [(2 * pixels.THREAD_BYTES, []), (2**40, [4, 0])])
+def test_one_thread_decodes_where_there_is_no_room_for_more(
+    good_file: Path, room: int, asked: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    counts = []
+
+    def refuse(count: int) -> None:
+        counts.append(count)
+        if count > 0:
+            raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr("OpenEXR.set_global_thread_count", refuse)
+    monkeypatch.setattr(pixels, "_threads", pixels._Threads())
+    monkeypatch.setattr(pixels, "count_cores", lambda: 4)
+    monkeypatch.setattr(pixels, "_has_memory", lambda size: size <= room)
+    assert read_image(good_file).shape == (500, 700, 3)
+    assert counts == asked
 
 
 @pytest.mark.parametrize(

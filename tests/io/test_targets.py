@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ import pytest
 from lobewise.cli.main import run
 from lobewise.errors import FileError
 from lobewise.exporting.folder import open_folder
+from lobewise.farm.ledger import Ledger
 from lobewise.frame import Frame, Radiance
 from lobewise.io import write_frame
 from lobewise.io.files import open_atomic, require_writable, write_text
@@ -26,6 +28,10 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="modes, owners and li
 def write_folder(target: Path, text: str) -> None:
     with open_folder(target, force=True) as name:
         name("a.txt").write_text(text)
+
+
+def write_record(target: Path, text: str) -> None:
+    Ledger(folder=target.parent, identity="").record(int(target.stem), text, [])
 
 
 def list_names(folder: Path) -> list[str]:
@@ -205,6 +211,27 @@ class TestTemporary:
             assert target.read_text() == "second"
         assert target.read_text() == "first"
         assert list_names(tmp_path) == ["a.txt"]
+
+    @pytest.mark.parametrize("write", [write_text, write_record])
+    def test_what_lies_in_the_place_of_a_temporary_file_is_not_written_to(
+        self, write: Callable[[Path, str], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        target, other = tmp_path / "7.json", tmp_path / "other"
+        monkeypatch.setattr("lobewise.io.replacing.secrets.token_hex", lambda _: "00000000")
+        place = name_temporary(target)
+        for put in (os.mkfifo, partial(os.symlink, other), partial(os.symlink, "nowhere"), partial(os.link, other)):
+            other.write_text("old")
+            put(place)
+            # A pipe that somebody reads can be opened for writing.
+            reader = os.open(place, os.O_RDONLY | os.O_NONBLOCK) if put is os.mkfifo else None
+            with pytest.raises(FileError, match="file exists"):
+                write(target, "new")
+            if reader is not None:
+                assert os.read(reader, 1) == b""
+                os.close(reader)
+            place.unlink(missing_ok=True)
+            assert other.read_text() == "old"
+            assert list_names(tmp_path) == ["other"]
 
     def test_threads_write_one_target(self, tmp_path: Path) -> None:
         target = tmp_path / "a.txt"

@@ -6,6 +6,8 @@ import contextlib
 import http.client
 import math
 import re
+import socket
+import sys
 import time
 from types import SimpleNamespace
 from typing import Any
@@ -361,6 +363,14 @@ class TestServer:
         assert text.endswith("open the URL that lobewise printed.\n")
         assert text.count(".\n") == 1
         assert "Set-Cookie" not in found
+
+    @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere 127.0.0.2 is no address of this machine")
+    def test_it_listens_at_one_address_of_this_machine(self, slow_viewer):
+        port = urlsplit(slow_viewer.viewer.url).port
+        with socket.create_connection(("127.0.0.1", port), PATIENCE):
+            pass
+        with pytest.raises(ConnectionRefusedError):
+            socket.create_connection(("127.0.0.2", port), PATIENCE)
 
     def test_sockets_open_only_from_the_page(self, slow_viewer):
         from websockets.exceptions import InvalidStatus

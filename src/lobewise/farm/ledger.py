@@ -107,7 +107,8 @@ class Ledger:
         made = name_temporary(path)
         with refusing(f"record {str(path)!r}", "a folder that can be written to", "check its permissions and room"):
             try:
-                made.write_text(json.dumps({"proof": proof, "files": files}))
+                with made.open("x") as stream:
+                    stream.write(json.dumps({"proof": proof, "files": files}))
                 os.replace(made, path)
             finally:
                 made.unlink(missing_ok=True)
