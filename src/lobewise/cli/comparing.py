@@ -53,6 +53,8 @@ def compare(
 ) -> None:
     """Measure how far images are from a reference: mse, rel_mse, smape, psnr and flip.
 
+    Images of other primaries (chromaticities in the file) are converted to those of Rec. 709 first.
+
     Of sequences the means over the frames are shown, and beside them flicker, how unlike the changes from frame to
     frame are, and ghosting, the rel_mse of what has just come into view.
     """
@@ -104,18 +106,18 @@ def _write_page(page: Path, images: Sequence[Path], reference: Path) -> None:
     import shlex
 
     from lobewise.cli.output import print_note
-    from lobewise.interchange import read_image
+    from lobewise.interchange import read_light
     from lobewise.io.files import write_text
     from lobewise.reporting.report import Picture, Report, make_page
 
     names = _shorten([*images, reference])
-    pictures = [Picture(f"image-{k + 1}", names[k], read_image(path)) for k, path in enumerate(images)]
+    pictures = [Picture(f"image-{k + 1}", names[k], read_light(path)) for k, path in enumerate(images)]
     words = ["lobewise", "compare", *map(str, images), "-r", str(reference), "--html", str(page)]
     report = Report(
         title="Comparison",
         subtitle=f"With {reference}",
         pictures=pictures,
-        reference=Picture("reference", f"{names[-1]} (reference)", read_image(reference)),
+        reference=Picture("reference", f"{names[-1]} (reference)", read_light(reference)),
         baseline=pictures[0].key,
         left=pictures[0].key,
         right=pictures[-1].key if len(pictures) > 1 else "reference",
@@ -164,7 +166,7 @@ def _list_metrics() -> tuple[list[str], str]:
 
 def _compare_files(images: list[Path], reference: Path, metrics: list[str]) -> dict[str, Any]:
     from lobewise.cli.output import print_note
-    from lobewise.interchange import name_noisy_pass, read_image
+    from lobewise.interchange import name_noisy_pass, read_light
     from lobewise.metrics import EPSILON, evaluate
 
     for path in (*images, reference):
@@ -172,7 +174,7 @@ def _compare_files(images: list[Path], reference: Path, metrics: list[str]) -> d
         if passes is not None:
             shown, noisy = passes
             print_note(f"{path}: {shown}, which viewers show, is measured; {noisy}, the noisy image, is not.")
-    target = read_image(reference)
+    target = read_light(reference)
     rows = [
         {"path": str(path), **_measure_file(path, reference, lambda image: evaluate(image, target, metrics=metrics))}
         for path in images
@@ -260,10 +262,10 @@ class _Sequence:
 
 def _measure_file(path: Path, reference: Path, measure: Callable[[FloatArray], dict[str, Any]]) -> dict[str, Any]:
     """Return the figures of the image of a file. An error names the file whose image is wrong."""
-    from lobewise.interchange import read_image
+    from lobewise.interchange import read_light
     from lobewise.io.exr.layout import name_file
 
-    image = read_image(path)
+    image = read_light(path)
     try:
         return measure(image)
     except InputError as problem:
@@ -288,7 +290,7 @@ def _read_targets(
     frames: list[tuple[int, Path]], guiding: FramePattern | None
 ) -> Iterator[tuple[int, FloatArray, Any, bool]]:
     """Yield number, image, mask of the pixels that came into view or None, and whether the frame begins a new take."""
-    from lobewise.interchange import read_image
+    from lobewise.interchange import read_light
     from lobewise.io.exr.layout import name_file
     from lobewise.metrics import find_disoccluded
 
@@ -296,7 +298,7 @@ def _read_targets(
     last: int | None = None
     for number, path in frames:
         cut = number - 1 != last
-        target = read_image(path)
+        target = read_light(path)
         now = mask = None
         if guiding is not None:
             now = _read_guides(guiding.name(number))

@@ -4,7 +4,7 @@ from lobewise.interchange.describing import describe_file
 from lobewise.interchange.imported import Imported
 from lobewise.interchange.reading import import_file, read_frame
 from lobewise.interchange.replacing import write_result
-from lobewise.interchange.showing import name_noisy_pass, read_image
+from lobewise.interchange.showing import name_noisy_pass, read_image, read_light
 
 __all__ = [
     "Imported",
@@ -13,5 +13,6 @@ __all__ = [
     "name_noisy_pass",
     "read_frame",
     "read_image",
+    "read_light",
     "write_result",
 ]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from lobewise.display.colors import convert_light
 from lobewise.frame import FloatArray
 from lobewise.interchange.imported import ImageReader
 from lobewise.interchange.mapping import map_channels
 from lobewise.interchange.reading import is_own
 from lobewise.interchange.siblings import look_up_family
 from lobewise.io.exr.frames import read_image as read_own_image
+from lobewise.io.exr.header import read_chromaticities
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.files import PathLike
 
@@ -30,6 +32,11 @@ def read_image(path: PathLike) -> FloatArray:
         return read_own_image(path)
     family = look_up_family(container)
     return ImageReader(family.decode)(map_channels(family.container).target)
+
+
+def read_light(path: PathLike) -> FloatArray:
+    """Return the image of `read_image` in the primaries of Rec. 709, as screens show it; same errors."""
+    return convert_light(read_image(path), read_chromaticities(read_container(path)))
 
 
 def name_noisy_pass(path: PathLike) -> tuple[str, str] | None:

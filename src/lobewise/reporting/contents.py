@@ -9,9 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.display.cards import encode_bytes, thin_out
+from lobewise.display.colors import convert_light
 from lobewise.display.guides import paint_guide, paint_light
 from lobewise.frame import Frame, Radiance
 from lobewise.io import FileDescription
+from lobewise.io.exr.header import read_chromaticities
+from lobewise.io.exr.parsing import read_container
 from lobewise.reporting.report import fill_page
 
 MEANINGS = {
@@ -63,10 +66,15 @@ def make_contents_page(description: FileDescription, frame: Frame) -> str:
         ways = dict.fromkeys(role.conversion for role in roles if role.conversion)
         return "; ".join([f"from {', '.join(role.channels for role in roles)}", *ways]) if roles else ""
 
-    lights = [_show(name, tell_source(_ask_role(name)), image, light=True) for name, image in _list_light(frame)]
+    primaries = read_chromaticities(read_container(description.path))
+    lights = [
+        _show(name, tell_source(_ask_role(name)), image, paint_light(convert_light(thin_out(image), primaries)))
+        for name, image in _list_light(frame)
+    ]
     guides = [
-        _show(name, f"{MEANINGS[name]}\n{tell_source(name)}".strip(), getattr(frame.gbuffer, name))
+        _show(name, f"{MEANINGS[name]}\n{tell_source(name)}".strip(), image, paint_guide(name, thin_out(image)))
         for name in frame.gbuffer.names
+        for image in [getattr(frame.gbuffer, name)]
     ]
     sections = {"Light": lights, "Guides": guides}
     height, width = frame.shape
@@ -110,9 +118,8 @@ def _list_light(frame: Frame) -> Iterator[tuple[str, NDArray[np.float32]]]:
             yield name, half.color
 
 
-def _show(name: str, text: str, image: NDArray[np.float32], *, light: bool = False) -> str:
+def _show(name: str, text: str, image: NDArray[np.float32], picture: NDArray[np.uint8]) -> str:
     """Return the figure of an image, with its range."""
-    picture = paint_light(thin_out(image)) if light else paint_guide(name, thin_out(image))
     finite = image[np.isfinite(image)]
     span = f"{finite.min():.4g} to {finite.max():.4g}" if finite.size else "no finite number"
     lost = 1.0 - finite.size / image.size

@@ -9,9 +9,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.display.colors import Chromaticities, convert_light
 from lobewise.display.tones import choose_exposure, map_tones
 from lobewise.frame import FloatArray
 from lobewise.io.exr.bands import SLAB_ROWS, BandReader
+from lobewise.io.exr.header import read_chromaticities
+from lobewise.io.exr.parsing import read_container
 from lobewise.io.files import open_atomic
 from lobewise.io.png import encode_png, read_png_text
 
@@ -51,28 +54,33 @@ class Pictures:
         Raises FileError if it cannot be written.
         """
         step = _choose_step(image.shape[0], image.shape[1])
-        exposure = self._choose(path, lambda: image[::step, ::step])
+        primaries = read_chromaticities(read_container(path))
+        exposure = self._choose(path, primaries, lambda: image[::step, ::step])
         rows = ((top, image[top : top + SLAB_ROWS]) for top in range(0, image.shape[0], SLAB_ROWS))
-        return _write(path, _paint(image.shape[0], image.shape[1], rows, exposure), exposure)
+        return _write(path, _paint(image.shape[0], image.shape[1], rows, primaries, exposure), exposure)
 
     def write_from_file(self, path: Path) -> Path:
         """Write the picture of a file with lobewise's own channel names, reading some rows at a time; return its path.
 
         Raises FileError if it cannot be written, or ``path`` cannot be read.
         """
-        height, width = _open(path).shape
+        reader = _open(path)
+        height, width = reader.shape
+        primaries = read_chromaticities(reader.container)
         step = _choose_step(height, width)
         exposure = self._choose(
-            path, lambda: np.concatenate([rows[-top % step :: step, ::step] for top, rows in _read_rows(_open(path))])
+            path,
+            primaries,
+            lambda: np.concatenate([rows[-top % step :: step, ::step] for top, rows in _read_rows(_open(path))]),
         )
-        return _write(path, _paint(height, width, _read_rows(_open(path)), exposure), exposure)
+        return _write(path, _paint(height, width, _read_rows(reader), primaries, exposure), exposure)
 
-    def _choose(self, path: Path, measure: Callable[[], FloatArray]) -> float:
+    def _choose(self, path: Path, primaries: Chromaticities | None, measure: Callable[[], FloatArray]) -> float:
         """Return the exposure of all pictures, which the first picture decides; ``measure`` returns its image."""
         if self._exposure is None and self._first is not None and self._first != path:
             self._exposure = _read_exposure(name_picture(self._first))
         if self._exposure is None:
-            self._exposure = choose_exposure(_round_to_half(measure()))
+            self._exposure = choose_exposure(convert_light(_round_to_half(measure()), primaries))
         return self._exposure
 
 
@@ -84,11 +92,17 @@ def _open(path: Path) -> BandReader:
     return BandReader(path, wanted=[("radiance", "color")])
 
 
-def _paint(height: int, width: int, rows: Iterable[tuple[int, FloatArray]], exposure: float) -> NDArray[np.uint8]:
+def _paint(
+    height: int,
+    width: int,
+    rows: Iterable[tuple[int, FloatArray]],
+    primaries: Chromaticities | None,
+    exposure: float,
+) -> NDArray[np.uint8]:
     """Return the picture of an image; tone mapping some rows at a time saves several times the image's memory."""
     picture = np.empty((height, width, 3), np.uint8)
     for top, some in rows:
-        picture[top : top + len(some)] = map_tones(_round_to_half(some), exposure)
+        picture[top : top + len(some)] = map_tones(convert_light(_round_to_half(some), primaries), exposure)
     return picture
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from lobewise.denoising import resolve_settings
 from lobewise.denoising.bad_pixels import mark_good
 from lobewise.denoising.recipe import denoise_quietly
+from lobewise.display.colors import convert_light
 from lobewise.errors import InputError, LobewiseError, MissingChannelError
 from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.guides.lobe_fields import default_tau
@@ -26,6 +27,7 @@ from lobewise.interactive.views import (
 )
 from lobewise.interchange import Imported, import_file, write_result
 from lobewise.io.exr import write_frame
+from lobewise.io.exr.header import read_chromaticities
 from lobewise.io.exr.layout import look_up_beauty
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.schema import SPARSE
@@ -53,7 +55,9 @@ class FrameTarget:
         self._path, self._reading = path, reading or FrameReading()
         self._frame: Frame | SparseFrame
         self._notes: tuple[str, ...] = ()
-        beauty = look_up_beauty(read_container(path).parts)
+        container = read_container(path)
+        self._primaries = read_chromaticities(container)
+        beauty = look_up_beauty(container.parts)
         if beauty is not None and beauty.get(SPARSE) is not None:
             if self._reading.is_given:
                 raise InputError(
@@ -109,7 +113,8 @@ class FrameTarget:
 
     def show_input(self, request: Request) -> list[Shot]:
         """Return the unfiltered frame."""
-        return [Shot(self._noisy, lambda view: self._get_view(view, None), (self._frame.width, self._frame.height))]
+        light = self._get_view("noisy", None)
+        return [Shot(light, lambda view: self._get_view(view, None), (self._frame.width, self._frame.height))]
 
     def render(self, request: Request) -> list[Shot]:
         """Return the frame, filtered by one or two looks.
@@ -159,7 +164,7 @@ class FrameTarget:
         assert isinstance(look, FrameLook)
         result = self._get_result(look)
         return Shot(
-            result.image,
+            self._get_view("image", result),
             lambda view: self._get_view(view, result),
             (self._frame.width, self._frame.height),
             {"filter": result.seconds, "total": result.seconds} if look.similarity != "none" else {},
@@ -185,12 +190,10 @@ class FrameTarget:
 
     def _get_view(self, name: str, result: Result | None) -> FloatArray:
         if name == "noisy" or result is None:
-            return self._noisy
-        if name == "image":
-            return result.image
-        if name in ("diffuse", "specular"):
+            return convert_light(self._noisy, self._primaries)
+        if name in ("image", "diffuse", "specular"):
             part = getattr(result, name)
-            return _spread(self._frame, name) if part is None else part
+            return convert_light(_spread(self._frame, name) if part is None else part, self._primaries)
         if name == "weight_sum":
             return show_weight_sum(result.weight_sum)
         if name == "effective_samples":

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from lobewise.camera import Camera
+from lobewise.display.colors import Chromaticities, are_plausible
 from lobewise.errors import FileError, InputError
 from lobewise.io.documents import parse_json
 from lobewise.io.exr.container import Attribute, Container, Part
@@ -96,6 +97,16 @@ def read_pixel_aspect(part: Part) -> float | None:
     item = part.get("pixelAspectRatio")
     aspect = 1.0 if item is None else float(struct.unpack("<f", item.value)[0])
     return aspect if 1.0 / MAX_PIXEL_ASPECT <= aspect <= MAX_PIXEL_ASPECT else None
+
+
+def read_chromaticities(container: Container) -> Chromaticities | None:
+    """Return the primaries and the white of a file's light; None if no part has plausible ones."""
+    for part in container.parts:
+        item = part.get("chromaticities")
+        if item is not None and item.type == "chromaticities":
+            told = struct.unpack("<8f", item.value)
+            return told if are_plausible(told) else None
+    return None
 
 
 def read_spp(part: Part) -> int | None:

@@ -1,0 +1,60 @@
+"""Light in the primaries of screens, and the one way from light to the values of a picture."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lobewise.images import FloatArray
+
+Chromaticities = tuple[float, ...]
+"""x and y of red, green, blue and white, as the attribute ``chromaticities`` of EXR files has them."""
+
+REC709: Chromaticities = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
+"""Source: ITU-R BT.709-6, item 1.3 and 1.4. Files without ``chromaticities`` have them, says OpenEXR."""
+MIN_PRIMARIES_AREA = 1e-4
+"""Least area, twice, of the triangle of plausible primaries."""
+MAX_CHROMATICITY_ROUNDING = 1e-3
+"""Chromaticities that differ by less are the same: writers round them."""
+_BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
+"""Source: Lam 1985, "Metamerism and Colour Constancy", as ICC.1:2022, annex E, has it."""
+
+
+def are_plausible(chromaticities: Chromaticities) -> bool:
+    """Return whether chromaticities span a triangle around a white that is no imaginary light."""
+    points = np.array(chromaticities).reshape(4, 2)
+    spans = abs(np.linalg.det(points[1:3] - points[0])) >= MIN_PRIMARIES_AREA if np.isfinite(points).all() else False
+    return bool(spans and points[3, 1] > MIN_PRIMARIES_AREA)
+
+
+def convert_light(
+    image: FloatArray, chromaticities: Chromaticities | None, target: Chromaticities = REC709
+) -> FloatArray:
+    """Return linear light, (..., 3), in the primaries ``target``; the same image where nothing changes.
+
+    White becomes white, by the Bradford transform. ``chromaticities`` are those of the image, None for unknown ones,
+    which are taken to be the target's. Pixels that are not finite stay as they are.
+    """
+    if chromaticities is None or np.allclose(chromaticities, target, rtol=0.0, atol=MAX_CHROMATICITY_ROUNDING):
+        return image
+    matrix = np.linalg.inv(_compute_to_xyz(target)) @ _compute_to_xyz(chromaticities)
+    with np.errstate(invalid="ignore", over="ignore"):
+        converted = image @ matrix.T.astype(np.float32)
+    return np.where(np.isfinite(image).all(axis=-1, keepdims=True), converted, image)
+
+
+@lru_cache(maxsize=8)
+def _compute_to_xyz(chromaticities: Chromaticities) -> NDArray[np.float64]:
+    """Return the matrix from linear RGB to CIE XYZ under the white of Rec. 709.
+
+    Source: SMPTE RP 177-1993, "Derivation of Basic Television Color Equations".
+    """
+    points = np.array(chromaticities, dtype=np.float64).reshape(4, 2)
+    columns = np.column_stack([points, 1.0 - points.sum(axis=1)]).T
+    own, white = columns[:, 3] / columns[1, 3], np.array([REC709[6], REC709[7], 1.0 - REC709[6] - REC709[7]])
+    to_xyz = columns[:, :3] * np.linalg.solve(columns[:, :3], own)
+    gains = (_BRADFORD @ (white / REC709[7])) / (_BRADFORD @ own)
+    adapted: NDArray[np.float64] = np.linalg.inv(_BRADFORD) @ (gains[:, None] * _BRADFORD) @ to_xyz
+    return adapted
