@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -43,7 +43,7 @@ class Radiance(Images):
     specular: FloatArray | None = None
     direct: FloatArray | None = None
     indirect: FloatArray | None = None
-    maker: str = field(init=False, default="", repr=False, compare=False)
+    maker: ClassVar[str] = ""
 
     if TYPE_CHECKING:  # the constructor takes more types than the fields have
 
@@ -61,7 +61,9 @@ class Radiance(Images):
             raise InputError("color", expected="an image", got="nothing", action="pass the noisy radiance")
         names, color = ("color", "diffuse", "specular", "direct", "indirect"), self.color
         self.check_images(dict.fromkeys(names, 3), lights=names)
-        object.__setattr__(self, "maker", name_maker(color))
+        maker = name_maker(color)
+        if maker:
+            object.__setattr__(self, "maker", maker)
 
     @property
     def parts(self) -> tuple[FloatArray, FloatArray] | None:

@@ -144,7 +144,7 @@ def _scale_variance(variance: Images | None, shares: Mapping[str, FloatArray]) -
     assert isinstance(variance, Radiance)
     mean = np.asarray(np.mean(list(shares.values()), axis=0, dtype=np.float32))
     parts = {name: getattr(variance, name) for name in ("diffuse", "specular")}
-    scaled: dict[str, Any] = {
+    scaled = {
         name: None if image is None else image * shares.get(name, mean)[..., None] for name, image in parts.items()
     }
     return replace(variance, color=variance.color * mean[..., None], **scaled)
