@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -77,9 +77,10 @@ def read_project() -> dict[str, Any]:
     return project
 
 
-def list_needed(requirements: Iterable[str], locked: Iterable[Locked], system: str) -> list[Locked]:
-    """Return the locked packages that pip installs along with these requirements on a system, with any Python."""
-    environments = list_environments([system])
+def list_needed(
+    requirements: Iterable[str], locked: Iterable[Locked], environments: Sequence[Mapping[str, str]]
+) -> list[Locked]:
+    """Return the locked packages that pip installs along with these requirements in any of the environments."""
     present = [each for each in locked if any(each.is_for(one) for one in environments)]
     names = {canonicalize_name(Requirement(line).name) for line in requirements}
     while True:
@@ -147,8 +148,8 @@ def make_sbom(kernels: Path, made: datetime) -> str:
     own = describe("lobewise", project["version"], "")
     runtime = describe("halide", index["halide"], "in the wheel", description="Its runtime is part of the libraries.")
     libraries = [describe_library(kernels / level["file"], project["version"]) for level in index["levels"]]
-    system = PYTHON_SYSTEMS[index["system"].partition("-")[0]]
-    needed = {each: describe_needed(each) for each in list_needed(project["dependencies"], read_lock(), system)}
+    environments = list_environments([PYTHON_SYSTEMS[index["system"].partition("-")[0]]])
+    needed = {each: describe_needed(each) for each in list_needed(project["dependencies"], read_lock(), environments)}
     digests = "".join(each.hashes[0].content for each in libraries)
     bom = Bom(
         serial_number=uuid5(NAMESPACE_URL, f"{own.purl} {index['wheel']} {made.isoformat()} {digests}"),
@@ -162,7 +163,6 @@ def make_sbom(kernels: Path, made: datetime) -> str:
     )
     for library in libraries:
         bom.register_dependency(library, [runtime])
-    environments = list_environments([system])
     for package, component in needed.items():
         parts = [part for each, part in needed.items() if is_needed(each, package, environments)]
         bom.register_dependency(component, parts)

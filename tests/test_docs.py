@@ -45,14 +45,8 @@ BLENDER_PAGE = ROOT / "docs" / "blender.md"
 def test_blender_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shutil.copy(ROOT / "tests" / "data" / "foreign" / "blender_4.5_seed1.exr", tmp_path / "shot.exr")
     monkeypatch.chdir(tmp_path)
-    blocks = re.findall(r"```python\n(.*?)```", BLENDER_PAGE.read_text(), flags=re.S)
-    ours = [block for block in blocks if "bpy" not in block]
-    assert len(ours) == len(blocks) - 1 == 1
-    # The other one runs in Blender.
-    for block in blocks:
-        code = compile(block, "blender.md", "exec")
-        if block in ours:
-            exec(code, {})
+    (block,) = re.findall(r"```python\n(.*?)```", BLENDER_PAGE.read_text(), flags=re.S)
+    exec(compile(block, "blender.md", "exec"), {})
     before, after = lobewise.read_frame("shot.exr"), lobewise.read_frame("clean.exr")
     assert not np.array_equal(after.radiance.color, before.radiance.color)
     assert [len(layer.parts) for layer in after.layers] == [len(layer.parts) for layer in before.layers] != []
@@ -77,6 +71,17 @@ def test_blender_page_has_commands_and_options_that_exist() -> None:
     alone = set(re.findall(r"`(--[a-z-]+)", BLENDER_PAGE.read_text()))
     assert alone
     assert alone <= known["denoise"]
+
+
+def test_blender_page_names_what_the_extension_shows() -> None:
+    page = BLENDER_PAGE.read_text()
+    sources = "".join(path.read_text() for path in (ROOT / "extensions" / "blender").glob("*.py"))
+    for text in re.findall(r"\*\*([A-Z][^*]+)\*\*(?: denoises|, and)", page):
+        assert f'"{text}"' in sources, text
+    settings = re.findall(r"^\| ([A-Z][\w ]+) \| (?:as|whether|Replace)", page, flags=re.M)
+    assert len(settings) == 4
+    for name in settings:
+        assert f'name="{name}"' in sources, name
 
 
 def test_blender_page_has_every_menu_entry_that_notes_name() -> None:

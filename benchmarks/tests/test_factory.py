@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import ast
 import json
-import os
-import subprocess
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -14,7 +12,8 @@ import numpy as np
 import pytest
 
 from benchmarks.foreign.files import read_pass
-from benchmarks.tests.test_foreign_bench import ROOT, choose_python
+from benchmarks.tests.test_foreign_bench import ROOT
+from tests.pythons import choose_python, run_without_paths
 
 FACTORY = ROOT / "benchmarks" / "foreign" / "factory"
 kinds: Any = import_module("benchmarks.foreign.factory.kinds")
@@ -91,9 +90,7 @@ def average(image: Any) -> float:
     [name if name in ("jewels", "product") else pytest.param(name, marks=pytest.mark.nightly) for name in kinds.KINDS],
 )
 def test_a_shot_follows_from_its_seed(kind: str, tmp_path: Path) -> None:
-    clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    command = [choose_python("bpy"), "-c", TINY_SHOT, str(FACTORY), str(FACTORY.parent), str(tmp_path), kind]
-    subprocess.run(command, check=True, env=clean, capture_output=True, timeout=300)
+    run_without_paths([choose_python("bpy"), "-c", TINY_SHOT, str(FACTORY), str(FACTORY.parent), str(tmp_path), kind])
     first, again, other = (tmp_path / folder for folder in (f"first/{kind}_0", f"again/{kind}_0", f"first/{kind}_1"))
     names = {"4.exr", "reference_1.exr", "reference_2.exr", "reference_3.exr", "shot.json"}
     assert {path.name for path in first.iterdir()} == names

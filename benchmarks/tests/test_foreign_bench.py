@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import os
-import re
-import subprocess
-import sys
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -14,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.interchange import import_file
 from lobewise.metrics import rel_mse
+from tests.pythons import choose_python, run_without_paths
 
 files: Any = None
 judging: Any = None
@@ -47,21 +42,10 @@ def get_renderer(name: str) -> Any:
     return next(renderer for renderer in files.RENDERERS if renderer.name == name)
 
 
-def choose_python(module: str) -> str:
-    """Return an interpreter that has a renderer's module: this one, or the one that a variable of its name tells."""
-    variable = f"LOBEWISE_{module.upper()}_PYTHON"
-    if importlib.util.find_spec(module):
-        return sys.executable
-    if variable not in os.environ:
-        pytest.skip(f"no {module} here: pip install it, or set {variable} to a Python that has it")
-    return os.environ[variable]
-
-
 def render(module: str, script: str, folder: Path, size: str, *more: str, scene: str = "room") -> None:
     command = [choose_python(module), str(ROOT / "benchmarks" / "foreign" / script), str(folder), "--scenes", scene]
     options = ["--spp", "8", "--seeds", "1", "--reference", "0", "--size", size, *more]
-    clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    subprocess.run([*command, *options], check=True, env=clean, capture_output=True, timeout=300)
+    run_without_paths([*command, *options])
 
 
 def test_noise_of_the_reference_leaves_no_error() -> None:
@@ -210,37 +194,3 @@ def test_the_command_and_its_steps_are_timed_in_turn(tmp_path: Path) -> None:
     assert all(value > 0.0 for value in figures.values())
     # A process of its own starts besides.
     assert figures["command"] > figures["filter"]
-
-
-PAGE_IN_BLENDER = """
-import sys
-import bpy
-
-bpy.ops.wm.read_factory_settings()
-scene = bpy.context.scene
-scene.render.film_transparent = sys.argv[2] == "transparent"
-exec(sys.stdin.read())
-scene.cycles.samples = 8
-scene.render.resolution_x, scene.render.resolution_y = 48, 27
-scene.render.filepath = sys.argv[1]
-bpy.ops.mesh.primitive_plane_add(size=20, location=(0, 0, -1))
-bpy.data.objects["Light"].data.shadow_soft_size = 3
-bpy.ops.render.render(write_still=True)
-"""
-
-
-@pytest.mark.parametrize("film", ["opaque", "transparent"])
-def test_settings_of_the_page_for_blender_give_a_complete_file(film: str, tmp_path: Path) -> None:
-    page = (ROOT / "docs" / "blender.md").read_text()
-    (script,) = (block for block in re.findall(r"```python\n(.*?)```", page, flags=re.S) if "bpy" in block)
-    path = tmp_path / "shot.exr"
-    clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    command = [choose_python("bpy"), "-c", PAGE_IN_BLENDER, str(path), film]
-    subprocess.run(command, input=script, text=True, check=True, env=clean, capture_output=True, timeout=300)
-    found = import_file(path, light_passes=True)
-    assert found.preset == "cycles"
-    assert [note for note in found.notes if note.startswith("No ") or "more light than the image" in note] == []
-    assert found.frame.camera is not None
-    assert found.frame.gbuffer.alpha_u is not None
-    assert {layer.name for layer in found.frame.layers} >= {"diffuse", "glossy"}
-    assert all(layer.parts for layer in found.frame.layers)

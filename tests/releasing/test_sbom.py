@@ -14,7 +14,7 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-from releasing.lock import parse_lock, read_lock
+from releasing.lock import list_environments, parse_lock, read_lock
 from releasing.sbom import LICENCES, PYTHON_SYSTEMS, list_needed, make_sbom, read_project
 from releasing.systems import SYSTEMS
 from releasing.wheels import build_wheel
@@ -98,7 +98,7 @@ def test_packages_of_packages_are_needed() -> None:
     notes = ["lobewise (pyproject.toml)", "asked", "inner", "lobewise (pyproject.toml)"]
     digest = f" \\\n    --hash=sha256:{'0' * 64}\n"
     locked = parse_lock("".join(f"{line}{digest}    # via {note}\n" for line, note in zip(lines, notes, strict=True)))
-    found = list_needed(["Asked>=1"], locked, "linux")
+    found = list_needed(["Asked>=1"], locked, list_environments(["linux"]))
     assert [each.name for each in found] == ["asked", "inner", "innermost"]
 
 

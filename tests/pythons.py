@@ -1,0 +1,26 @@
+"""Interpreters of other environments, for tests of programs that bring their own Python."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import subprocess
+import sys
+
+import pytest
+
+
+def choose_python(module: str) -> str:
+    """Return an interpreter that has a renderer's module: this one, or the one that a variable of its name tells."""
+    variable = f"LOBEWISE_{module.upper()}_PYTHON"
+    if importlib.util.find_spec(module):
+        return sys.executable
+    if variable not in os.environ:
+        pytest.skip(f"no {module} here: pip install it, or set {variable} to a Python that has it")
+    return os.environ[variable]
+
+
+def run_without_paths(command: list[str], **more: str) -> None:
+    """Run a program of another interpreter, which must not see the modules that PYTHONPATH shows to this one."""
+    clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    subprocess.run(command, check=True, env={**clean, **more}, capture_output=True, timeout=300)
