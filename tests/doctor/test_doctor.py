@@ -149,21 +149,23 @@ class TestPackages:
         assert packages.is_version_among(version, limits) is fits
 
     @pytest.mark.parametrize(
-        ("name", "faulty", "mended"),
+        ("name", "faulty", "mended", "python"),
         [
-            ("OpenEXR", ["3.3.12", "3.4.0", "3.4.13", "3.5.2"], "3.5.3"),
-            ("pillow", ["11.3.0", "12.3.0"], "13.0.0"),
-            ("distributed", ["2025.12.0"], "2026.1.0"),
-            ("cryptography", ["46.0.6", "48.0.0"], "48.0.1"),
+            ("OpenEXR", ["3.3.12", "3.4.0", "3.4.13", "3.5.2"], "3.5.3", (3, 12)),
+            ("pillow", ["11.3.0", "12.3.0"], "13.0.0", (3, 12)),
+            ("distributed", ["2025.12.0"], "2026.1.0", (3, 12)),
+            ("cryptography", ["46.0.6", "48.0.0"], "48.0.1", (3, 12)),
+            ("OpenEXR", ["3.5.1"], "3.5.2", (3, 10)),
+            ("pillow", ["12.2.0"], "12.3.0", (3, 10)),
         ],
     )
     def test_versions_with_published_faults_are_told(
-        self, name: str, faulty: list[str], mended: str, monkeypatch: pytest.MonkeyPatch
+        self, name: str, faulty: list[str], mended: str, python: tuple[int, int], monkeypatch: pytest.MonkeyPatch
     ) -> None:
         project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
         farm = [f"{line}; extra == 'farm'" for line in project["optional-dependencies"]["farm"]]
         monkeypatch.setattr(packages, "requires", lambda package: [*project["dependencies"], *farm])
-        monkeypatch.setattr(packages.sys, "version_info", (3, 12))
+        monkeypatch.setattr(packages.sys, "version_info", python)
         monkeypatch.setattr(packages, "_list_broken", lambda *_, **__: [])
         monkeypatch.setattr(packages, "_list_oidn_problems", list)
         for version in [*faulty, mended]:

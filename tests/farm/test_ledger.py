@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from lobewise.errors import FileError
-from lobewise.farm.ledger import Ledger
+from lobewise.farm.ledger import MAX_RECORD_BYTES, Ledger
 
 FRAMES = (1, 2, 3)
 
@@ -62,6 +62,10 @@ def age(path: Path) -> None:
     os.utime(path, ns=(state.st_atime_ns, state.st_mtime_ns + 10_000_000))
 
 
+def append_spaces(path: Path, count: int) -> None:
+    path.write_text(path.read_text() + " " * count)
+
+
 def test_what_is_recorded_is_done(sequence: Sequence) -> None:
     assert sequence.list_done() == [1, 2, 3]
     assert sequence.ledger.list_recorded() == {1, 2, 3}
@@ -79,6 +83,7 @@ CHANGES: dict[str, Callable[[Sequence], object]] = {
     "output written again": lambda each: age(each.name_output(2)),
     "record removed": lambda each: (each.ledger.folder / "2.json").unlink(),
     "record truncated": lambda each: os.truncate(each.ledger.folder / "2.json", 20),
+    "record too large": lambda each: append_spaces(each.ledger.folder / "2.json", MAX_RECORD_BYTES),
     "record of another kind": lambda each: (each.ledger.folder / "2.json").write_text("[1, 2]"),
     "record without files": lambda each: (each.ledger.folder / "2.json").write_text(
         json.dumps({"proof": each.prove()[2], "files": [None]})

@@ -6,6 +6,8 @@ import json
 import math
 import os
 import struct
+import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -295,6 +297,18 @@ def test_a_stage_of_a_thousand_million_prims_is_refused(tmp_path: Path) -> None:
         read_camera_file(path)
     # A busy machine ends the process late.
     assert time.monotonic() - begin < usd.MAX_SECONDS + 10
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits memory where Linux runs")
+@pytest.mark.parametrize(("gibibytes", "has_room"), [(1, True), (2, False)])
+def test_the_process_that_reads_usd_gets_no_more_memory(gibibytes: int, has_room: bool) -> None:
+    program = (
+        "import sys\nfrom lobewise.interchange.cameras import usd_stage\n"
+        "usd_stage.read_first_camera = lambda path: len(bytearray(int(path) << 30))\n"
+        "usd_stage._main('.', sys.argv[1])\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program, str(gibibytes)], capture_output=True, text=True)
+    assert ("MemoryError" not in done.stderr) is (done.returncode == 0) is has_room
 
 
 MITSUBA = """<scene version="3.0.0"><default name="w" value="48"/><sensor type="perspective">

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -191,7 +192,10 @@ class TestTemporary:
         folder.mkdir()
         write_text(target, "new")
         assert set(tmp_path.iterdir()) == {target, far, near, folder, *foreign}
-        os.utime(far, (1.0, 1.0))
+        os.utime(far, (time.time() - 82800.0,) * 2)
+        remove_leftovers(target)
+        assert far.exists()
+        os.utime(far, (time.time() - 90000.0,) * 2)
         remove_leftovers(target)
         assert set(tmp_path.iterdir()) == {target, near, folder, *foreign}
 

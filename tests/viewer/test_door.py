@@ -16,6 +16,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
+from lobewise.cli.viewing import Page
 from lobewise.errors import InputError, MissingDependencyError
 from lobewise.viewer import Viewer, link
 from lobewise.viewer.door.access import MIN_TOKEN_CHARACTERS, Access, Visit
@@ -33,6 +34,7 @@ from lobewise.viewer.door.incoming import (
 )
 from lobewise.viewer.messages import Window
 from lobewise.viewer.pictures import MAX_PIXELS_WITH_BARS, fit_window
+from lobewise.viewer.server import LOOPBACK
 from tests.viewer.slow_worker import UNSEEN, run_slow_worker
 
 TOKEN = "a-token-of-the-tests"
@@ -367,7 +369,8 @@ class TestServer:
     @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere 127.0.0.2 is no address of this machine")
     def test_it_listens_at_one_address_of_this_machine(self, slow_viewer):
         port = urlsplit(slow_viewer.viewer.url).port
-        with socket.create_connection(("127.0.0.1", port), PATIENCE):
+        assert Page().host == LOOPBACK
+        with socket.create_connection((LOOPBACK, port), PATIENCE):
             pass
         with pytest.raises(ConnectionRefusedError):
             socket.create_connection(("127.0.0.2", port), PATIENCE)
