@@ -22,8 +22,7 @@ from lobewise.chunks import count_cores
 from lobewise.errors import InputError, LobewiseError, MissingDependencyError
 
 CONNECT_SECONDS = 7.0
-"""Longest time to reach a scheduler and to get its first answers, seconds. With the program's start and end this stays
-below 10 s."""
+"""Longest time to reach a scheduler and to get its first answers, seconds."""
 ANSWER_SECONDS = 9.0
 """Longest time to ask a connected scheduler for its workers, seconds. A scheduler that falls silent is noticed in 15 s:
 in this time and `RESULT_SECONDS`."""
@@ -286,8 +285,8 @@ def connect(address: str) -> Iterator[Connection]:
 def start_local(workers: int, *, memory_bytes: int) -> Iterator[Connection]:
     """Start a scheduler and workers on this machine; they end with the ``with`` block.
 
-    They talk by TLS. Its certificates are made for this run and never written to disk, so that no other user of the
-    machine can send them programs.
+    They talk by TLS. Its certificates are made for this run, and no other user of the machine can read their keys: so
+    none can send them programs.
 
     Parameters
     ----------
