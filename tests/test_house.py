@@ -111,6 +111,7 @@ OWNERS: dict[str, str | tuple[str, ...]] = {
     "distributed": "farm",
     "dask": "farm",
     "PIL": ("display", "io", "viewer"),
+    "PyOpenColorIO": "display",
 }
 """The rooms that may import a library. Kernels read Halide by way of `lobewise.backend.compiler`."""
 

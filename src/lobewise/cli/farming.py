@@ -15,6 +15,7 @@ from lobewise.cli.output import describe_result, describe_settings, print_line, 
 from lobewise.cli.running import FileFilter, Job, Request, run_filter
 from lobewise.cli.terminal.outcome import Remarks, tell_gaps, tell_picture
 from lobewise.cli.terminal.steps import Steps
+from lobewise.display.views import View
 from lobewise.errors import LobewiseError, hide_numbers
 from lobewise.farm.running import FarmJob, FarmReport, filter_on_farm
 from lobewise.farm.tasks import Told
@@ -39,6 +40,8 @@ class FrameWork:
     has_pictures: bool
     stops: float | None
     """Exposure of the pictures, None where the first picture decides it."""
+    view: View | None = None
+    """What turns the light of the pictures into display values."""
 
     def list_sources(self, number: int, path: Path) -> Sequence[Path]:
         """Return every file that the result of a frame depends on."""
@@ -84,7 +87,7 @@ class FrameWork:
     def make_verb(self, first: int) -> tuple[FileFilter[Any, Any], Remarks]:
         """Return what filters frames, and the remarks that it collects; see `filter_frames`."""
         remarks = Remarks(silent=True)
-        pictures = Pictures(stops=self.stops, first=FramePattern.parse(self.output).name(first))
+        pictures = Pictures(stops=self.stops, first=FramePattern.parse(self.output).name(first), view=self.view)
         job = Job(
             source=self.source,
             output=self.output,
@@ -135,6 +138,7 @@ def _run_on_farm(job: Job, request: Request[Any, Any], fingerprint: str, farm: F
         fingerprint=fingerprint,
         has_pictures=job.pictures is not None,
         stops=None if job.pictures is None else job.pictures.stops,
+        view=None if job.pictures is None else job.pictures.view,
     )
     farm_job = FarmJob(
         source=FramePattern.parse(source),

@@ -98,7 +98,7 @@ def denoise(
         "adaptive": reshading.list_values(),
         "reading": reading.list_words(),
         "writing": [writing.suffix, writing.only, writing.confidence],
-        "picture": [picture.png, picture.exposure],
+        "picture": picture.words,
     }
     from lobewise.cli.farming import run_request
 
@@ -300,7 +300,7 @@ def upsample(
         "scale": scale,
         "place": place,
         "adaptive": reshading.list_values(),
-        "picture": [picture.png, picture.exposure],
+        "picture": picture.words,
     }
     from lobewise.cli.farming import run_request
 

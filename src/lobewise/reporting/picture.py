@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.display.colors import Chromaticities, convert_light
-from lobewise.display.tones import choose_exposure, map_tones
+from lobewise.display.tones import choose_exposure
+from lobewise.display.views import View, paint_picture
 from lobewise.frame import FloatArray
 from lobewise.io.exr.bands import SLAB_ROWS, BandReader
 from lobewise.io.exr.header import read_chromaticities
@@ -39,10 +40,12 @@ class Pictures:
         Base-2 logarithm of the exposure; by default it is measured on the first image (see `choose_exposure`).
     first : path, optional
         The first EXR file of a sequence. If an earlier run wrote its picture, the exposure of this picture is used.
+    view : View, optional
+        What turns light into display values; by default `lobewise.display.tones.map_tones`.
     """
 
-    def __init__(self, *, stops: float | None = None, first: Path | None = None) -> None:
-        self.stops = stops
+    def __init__(self, *, stops: float | None = None, first: Path | None = None, view: View | None = None) -> None:
+        self.stops, self.view = stops, view
         self._exposure = None if stops is None else 2.0**stops
         self._first = first
 
@@ -57,7 +60,7 @@ class Pictures:
         primaries = read_chromaticities(read_container(path))
         exposure = self._choose(path, primaries, lambda: image[::step, ::step])
         rows = ((top, image[top : top + SLAB_ROWS]) for top in range(0, image.shape[0], SLAB_ROWS))
-        return _write(path, _paint(image.shape[0], image.shape[1], rows, primaries, exposure), exposure)
+        return _write(path, self._paint((image.shape[0], image.shape[1]), rows, primaries, exposure), exposure)
 
     def write_from_file(self, path: Path) -> Path:
         """Write the picture of a file with lobewise's own channel names, reading some rows at a time; return its path.
@@ -73,7 +76,7 @@ class Pictures:
             primaries,
             lambda: np.concatenate([rows[-top % step :: step, ::step] for top, rows in _read_rows(_open(path))]),
         )
-        return _write(path, _paint(height, width, _read_rows(reader), primaries, exposure), exposure)
+        return _write(path, self._paint((height, width), _read_rows(reader), primaries, exposure), exposure)
 
     def _choose(self, path: Path, primaries: Chromaticities | None, measure: Callable[[], FloatArray]) -> float:
         """Return the exposure of all pictures, which the first picture decides; ``measure`` returns its image."""
@@ -83,6 +86,19 @@ class Pictures:
             self._exposure = choose_exposure(convert_light(_round_to_half(measure()), primaries))
         return self._exposure
 
+    def _paint(
+        self,
+        shape: tuple[int, int],
+        rows: Iterable[tuple[int, FloatArray]],
+        primaries: Chromaticities | None,
+        exposure: float,
+    ) -> NDArray[np.uint8]:
+        """Return the picture of an image; painting some rows at a time saves several times the image's memory."""
+        picture = np.empty((*shape, 3), np.uint8)
+        for top, some in rows:
+            picture[top : top + len(some)] = paint_picture(_round_to_half(some), primaries, exposure, self.view)
+        return picture
+
 
 def _choose_step(height: int, width: int) -> int:
     return max(math.ceil(math.sqrt(height * width / MAX_EXPOSURE_PIXELS)), 1)
@@ -90,20 +106,6 @@ def _choose_step(height: int, width: int) -> int:
 
 def _open(path: Path) -> BandReader:
     return BandReader(path, wanted=[("radiance", "color")])
-
-
-def _paint(
-    height: int,
-    width: int,
-    rows: Iterable[tuple[int, FloatArray]],
-    primaries: Chromaticities | None,
-    exposure: float,
-) -> NDArray[np.uint8]:
-    """Return the picture of an image; tone mapping some rows at a time saves several times the image's memory."""
-    picture = np.empty((height, width, 3), np.uint8)
-    for top, some in rows:
-        picture[top : top + len(some)] = map_tones(convert_light(_round_to_half(some), primaries), exposure)
-    return picture
 
 
 def _round_to_half(image: FloatArray) -> FloatArray:

@@ -49,7 +49,7 @@ def choose_numbers(frames: str | None, source: Path, picture: Picture) -> list[i
     if frames is None:
         return None
     require_pattern("--frames", source)
-    if picture.png and picture.exposure is None:
+    if picture.png and picture.exposure is None and not picture.has_view:
         raise InputError(
             "--png",
             expected="--exposure beside --frames, so that all pictures of the sequence have the same",

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from lobewise.cli.options.common import output_option
-from lobewise.cli.terminal.help import result_option
+from lobewise.cli.terminal.help import file_detail, result_option
 from lobewise.errors import InputError
 
 if TYPE_CHECKING:
@@ -93,20 +93,47 @@ class Picture:
     exposure: Annotated[
         float | None,
         result_option(
-            metavar="STOPS", help="With --png: multiply the light by 2^STOPS.", show_default="by the picture"
+            metavar="STOPS",
+            help="With --png: multiply the light by 2^STOPS.",
+            show_default="by the picture; 0 with a view",
         ),
     ] = None
+    display: Annotated[
+        str | None, file_detail(metavar="NAME", help="With --png: the display of OpenColorIO to show it on.")
+    ] = None
+    view: Annotated[
+        str | None, file_detail(metavar="NAME", help="With --png: the view of the display, such as AgX or Filmic.")
+    ] = None
+    ocio: Annotated[
+        Path | None,
+        file_detail(
+            metavar="FILE",
+            help="With --png: the configuration of OpenColorIO, such as Blender's config.ocio.",
+            show_default="$OCIO",
+        ),
+    ] = None
+
+    @property
+    def words(self) -> list[str]:
+        """What decides the picture beside the image, as text."""
+        return list(map(str, (self.png, self.exposure, self.display, self.view, self.ocio)))
+
+    @property
+    def has_view(self) -> bool:
+        """Whether OpenColorIO makes the picture."""
+        return any(word is not None for word in (self.display, self.view, self.ocio))
 
     def plan(self, first: Path) -> Pictures | None:
         """Return the writer of pictures, None where none are asked for; ``first`` is the first EXR file to be written.
 
-        Raises InputError if an exposure is given without a picture, or is out of range, and FileError if the first
-        picture cannot be written.
+        Raises InputError if an exposure or a view is given without a picture, or the exposure is out of range;
+        FileError if the first picture cannot be written; errors of `lobewise.display.views.open_view`.
         """
-        stops = self.exposure
+        stops = 0.0 if self.exposure is None and self.has_view else self.exposure
         if not self.png:
-            if stops is not None:
-                raise InputError("--exposure", expected="--png beside it", got="none", action="add --png")
+            for name in ("exposure", "display", "view", "ocio"):
+                if getattr(self, name) is not None:
+                    raise InputError(f"--{name}", expected="--png beside it", got="none", action="add --png")
             return None
         # Written so that NaN fails.
         if stops is not None and not -MAX_EXPOSURE_STOPS <= stops <= MAX_EXPOSURE_STOPS:
@@ -116,11 +143,13 @@ class Picture:
                 got=f"{stops:g}",
                 action="try 0",
             )
+        from lobewise.display.views import open_view
         from lobewise.io.files import require_writable
         from lobewise.reporting.picture import Pictures, name_picture
 
         require_writable(name_picture(first), what="picture")
-        return Pictures(stops=stops, first=first)
+        view = open_view(self.ocio, self.display, self.view) if self.has_view else None
+        return Pictures(stops=stops, first=first, view=view)
 
 
 def name_first_output(source: Path, output: Path, numbers: Collection[int] | None) -> Path:
