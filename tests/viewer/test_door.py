@@ -16,6 +16,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
+from lobewise.cli.main import run
 from lobewise.cli.viewing import Page
 from lobewise.errors import InputError, MissingDependencyError
 from lobewise.viewer import Viewer, link
@@ -180,6 +181,21 @@ class TestAccess:
     def test_a_token_that_protects_nothing_is_refused(self, token):
         with pytest.raises(InputError, match="--token: expected at least 16 letters"):
             Viewer("thing", is_frame=True, token=token)
+
+    @pytest.mark.parametrize(
+        ("words", "token"), [([], "of the environment"), (["--token", "of the line"], "of the line")]
+    )
+    def test_the_program_takes_a_token(self, words, token, monkeypatch):
+        tokens = []
+
+        def note(*_, **options):
+            tokens.append(options["token"])
+            raise InputError("noted")
+
+        monkeypatch.setattr("lobewise.viewer.Viewer", note)
+        monkeypatch.setenv("LOBEWISE_TOKEN", "of the environment")
+        assert run(["view", "showroom", *words]) == 2
+        assert tokens == [token]
 
 
 class TestMessages:
