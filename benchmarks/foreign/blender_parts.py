@@ -1,4 +1,4 @@
-"""What the scenes of `render_blender.py` are built of: materials, textures, things, lamps, a world, a camera."""
+"""What the scenes of the factory are built of: materials, textures, things, lamps, a world, a sky, a camera."""
 
 from __future__ import annotations
 
@@ -6,6 +6,10 @@ import math
 
 import bpy
 import numpy as np
+
+TINTS = ((1.0, 0.55, 0.2), (1.0, 0.1, 0.08), (0.15, 0.9, 0.25), (0.2, 0.4, 1.0), (1.0, 0.85, 0.6))
+"""Colors of the lamps, in turn."""
+SKY_SIZE = (256, 512)
 
 
 def clear() -> None:
@@ -95,13 +99,6 @@ def make_image(name, pixels):
     return image
 
 
-def add_area(location, rotation, size, power, color=(1.0, 1.0, 1.0)):
-    """Add a rectangular lamp."""
-    bpy.ops.object.light_add(type="AREA", location=location, rotation=rotation)
-    light = bpy.context.object.data
-    light.size, light.energy, light.color = size, power, color
-
-
 def set_world(color, strength):
     """Put one color all around."""
     world = bpy.data.worlds.new("World")
@@ -125,3 +122,95 @@ def add_camera(location, target, angle):
     camera.rotation_euler = aim(location, target)
     camera.data.angle = math.radians(angle)
     bpy.context.scene.camera = camera
+
+
+def add_faces(name, material, corners):
+    """Add an object of polygons: ``corners`` (polygons, corners of each, 3)."""
+    count, each, _ = corners.shape
+    mesh = bpy.data.meshes.new(name)
+    mesh.from_pydata(corners.reshape(-1, 3).tolist(), [], np.arange(count * each).reshape(count, each).tolist())
+    mesh.materials.append(material)
+    thing = bpy.data.objects.new(name, mesh)
+    bpy.context.collection.objects.link(thing)
+    return thing
+
+
+def add_lamps(places, radius, strength):
+    """Add small lamps of several colors, each an object; return them."""
+    lamps = []
+    for number, place in enumerate(places):
+        tint = TINTS[number % len(TINTS)]
+        name = f"lamp{number}"
+        lamps.append(add_glow(name, tint, strength, radius=radius, location=place, segments=10, ring_count=5))
+    return lamps
+
+
+def make_sky(sun, strength, *, seed=3, height_deg=38.0, around_deg=40.0, clear=0.4):
+    """Put a sky all around, as a photographer's panorama: clouds, a skyline, a sun whose radiance is ``sun``."""
+    rows, columns = SKY_SIZE
+    height, around = np.meshgrid(
+        np.linspace(-0.5 * math.pi, 0.5 * math.pi, rows), np.linspace(-math.pi, math.pi, columns), indexing="ij"
+    )
+    above = np.clip(np.sin(height), 0.0, 1.0)[..., None]
+    color = (1.0 - above**0.5) * np.array([1.0, 0.95, 0.85]) + above**0.5 * np.array([0.15, 0.3, 0.75])
+    random = np.random.default_rng(seed)
+    clouds = np.zeros(SKY_SIZE)
+    for octave in range(1, 6):
+        # Whole turns around the vertical: no seam.
+        turns, waves = random.integers(1, 3 * octave + 1), random.uniform(2.0, 5.0) * octave
+        phase = random.uniform(0.0, 2.0 * math.pi, 2)
+        clouds += np.sin(turns * around + phase[0] + 0.8 * np.sin(waves * height + phase[1])) / octave**0.5
+    cover = 1.0 / (1.0 + np.exp(-4.0 * (clouds - clear)))[..., None]
+    color = color * (1.0 - 0.7 * cover) + 0.7 * 1.3 * cover
+    roofs = 0.04 + 0.1 * random.random(64)[(32.0 * (1.0 + around / math.pi)).astype(int) % 64]
+    color[height < roofs] = (0.06, 0.07, 0.09)
+    color[height < 0.0] = (0.25, 0.22, 0.18)
+    middle = (math.radians(height_deg), math.radians(around_deg))
+    apart = np.hypot(height - middle[0], (around - middle[1]) * np.cos(height))
+    color += sun * np.clip(2.0 - apart / math.radians(1.2), 0.0, 1.0)[..., None] * np.array([1.0, 0.9, 0.7])
+    set_world((1.0, 1.0, 1.0), strength)
+    tree = bpy.context.scene.world.node_tree
+    texture = tree.nodes.new("ShaderNodeTexEnvironment")
+    texture.image = make_image("sky", color)
+    tree.links.new(texture.outputs["Color"], tree.nodes["Background"].inputs["Color"])
+
+
+def add_flakes(material, scale, amount):
+    """Tilt the base's normal in every cell of a Voronoi texture, as metal flakes below a coat lie."""
+    tree = material.node_tree
+    place, cells = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeTexVoronoi")
+    cells.inputs["Scale"].default_value = scale
+    tree.links.new(place.outputs["Object"], cells.inputs["Vector"])
+    geometry = tree.nodes.new("ShaderNodeNewGeometry")
+    steps = {}
+    for name, operation in (("center", "SUBTRACT"), ("scale", "SCALE"), ("add", "ADD"), ("unit", "NORMALIZE")):
+        steps[name] = tree.nodes.new("ShaderNodeVectorMath")
+        steps[name].operation = operation
+    steps["center"].inputs[1].default_value = (0.5, 0.5, 0.5)
+    steps["scale"].inputs["Scale"].default_value = amount
+    tree.links.new(cells.outputs["Color"], steps["center"].inputs[0])
+    tree.links.new(steps["center"].outputs[0], steps["scale"].inputs[0])
+    tree.links.new(steps["scale"].outputs[0], steps["add"].inputs[0])
+    tree.links.new(geometry.outputs["Normal"], steps["add"].inputs[1])
+    tree.links.new(steps["add"].outputs[0], steps["unit"].inputs[0])
+    tree.links.new(steps["unit"].outputs[0], tree.nodes["Principled BSDF"].inputs["Normal"])
+
+
+def add_glow(name, color, strength, **options):
+    """Add a ball that glows."""
+    glow = make_material(name, (0.0, 0.0, 0.0), Emission_Color=(*color, 1.0), Emission_Strength=strength)
+    return add("uv_sphere", glow, **options)
+
+
+def set_focus(distance, stop):
+    """Open the lens: sharp at a distance from the camera, six blades."""
+    lens = bpy.context.scene.camera.data.dof
+    lens.use_dof, lens.focus_distance, lens.aperture_fstop, lens.aperture_blades = True, distance, stop, 6
+
+
+def animate(thing, path, values, length):
+    """Move a property through values that are spread evenly over so many frames, along straight lines."""
+    bpy.context.preferences.edit.keyframe_new_interpolation_type = "LINEAR"
+    for number, value in enumerate(values):
+        setattr(thing, path, value)
+        thing.keyframe_insert(path, frame=1 + number * (length - 1) / (len(values) - 1))

@@ -1,9 +1,7 @@
-"""What lies in the folder that the scripts of this package render into: frames, references, single passes."""
+"""What lies in a folder of another renderer's frames: frames, references, single passes."""
 
 from __future__ import annotations
 
-import shutil
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,15 +24,12 @@ class Renderer:
         Of the folder.
     guides : tuple of str
         Passes that the renderer itself hands to Open Image Denoise: albedo and normal.
-    alone : tuple of str
-        Passes of which a frame is made that has color, albedo and normal and nothing else.
     apart : bool
         Whether every pass is a file.
     """
 
     name: str
     guides: tuple[str, str]
-    alone: tuple[str, ...]
     apart: bool = False
 
     def find(self, folder: Path, name: str) -> Path:
@@ -48,24 +43,15 @@ class Renderer:
             return read_pass(path.with_name(f"{name}.exr"), "", "RGB")
         return read_pass(path, name, "RGB" if index == 0 else "XYZ")
 
-    def keep_alone(self, path: Path, folder: Path) -> Path:
-        """Write into a folder what a frame of color, albedo and normal alone is read from; return its path."""
-        if self.apart:
-            for name in self.alone:
-                shutil.copy(path.with_name(f"{name}.exr"), folder)
-        else:
-            keep_passes(path, folder / path.name, self.alone)
-        return folder / path.name
 
-
-_CYCLES = ("Denoising Albedo", "Denoising Normal"), ("Combined", "Denoising Albedo", "Normal")
-_LUXCORE = ("ALBEDO", "AVG_SHADING_NORMAL"), ("RGB", "ALBEDO", "SHADING_NORMAL")
+_CYCLES = "Denoising Albedo", "Denoising Normal"
 RENDERERS = (
-    Renderer("blender", *_CYCLES),
-    Renderer("blender-5.2", *_CYCLES),
-    Renderer("luxcore", *_LUXCORE, apart=True),
+    Renderer("blender", _CYCLES),
+    Renderer("blender-5.2", _CYCLES),
+    Renderer("luxcore", ("ALBEDO", "AVG_SHADING_NORMAL"), apart=True),
 )
-"""Blender 4.5 writes one part; 5.2, in a folder of its own, a part for each pass."""
+"""Blender 4.5 writes one part; 5.2, in a folder of its own, a part for each pass. The programs that rendered these
+scenes of Blender are kept at the tag `trials-2026-11` (docs/research/trials.md)."""
 
 
 def list_frames(renderer: Renderer, folder: Path) -> dict[str, dict[int, dict[int, Path]]]:
@@ -92,20 +78,3 @@ def read_pass(path: Path, name: str, components: str) -> FloatArray:
                 if owner.rpartition(".")[2] == name:
                     found[component] = np.asarray(values.pixels, dtype=np.float32)
     return np.stack([found[component] for component in components], axis=-1)
-
-
-def keep_passes(path: Path, target: Path, names: Iterable[str]) -> None:
-    """Write a copy of a file that has some of its passes alone, with all attributes."""
-    wanted = set(names)
-    kept = []
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        for part in file.parts:
-            channels = {
-                channel: OpenEXR.Channel(np.array(values.pixels))
-                for channel, values in part.channels.items()
-                if channel.rpartition(".")[0].rpartition(".")[2] in wanted
-            }
-            if channels:
-                header = {key: value for key, value in part.header.items() if key not in ("channels", "chunkCount")}
-                kept.append(OpenEXR.Part(header, channels, part.name()))
-        OpenEXR.File(kept).write(str(target))

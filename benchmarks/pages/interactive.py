@@ -26,8 +26,6 @@ TARGET_RATE = {"paths": 20.0, "voxel_cones": 12.0}
 """Goals, frames per second on two cores at 512x512."""
 MAX_RATIO = 0.6
 """Goal: largest error of `ggx` over that of the geometry-aware chain."""
-MAX_FRESH_RATIO, MAX_FLICKER_RATIO = 1.3, 0.5
-"""Goals: error of new and relit pixels over that of a fresh start, and flicker over that of single frames."""
 MAX_SECONDS_TO_FIRST_PICTURE = 2.0
 """Goal: longest time from the command to the first picture in the browser, seconds."""
 
@@ -96,64 +94,7 @@ def make_viewer_facts(viewer: dict[str, Any]) -> str:
     )
 
 
-def make_again_table(again: dict[str, Any]) -> str:
-    """Return the errors with and without re-computation, and with its samples in the history."""
-    rows = [
-        [f"`{scene}`, {method.replace('_', ' ')}", *(f"{error:.4f}" for error in errors.values())]
-        for scene, methods in again["scenes"].items()
-        for method, errors in methods.items()
-    ]
-    return make_table(["last of ten frames", "without", "each pixel once", "samples forgotten", "samples kept"], rows)
-
-
-def make_direct_table(direct: dict[str, Any]) -> str:
-    """Return the errors of direct light with and without its history."""
-    scenes = direct["scenes"]
-    kinds = list(next(iter(scenes.values())))
-    rows = [[f"`{scene}`", *(f"{errors[kind]:.4f}" for kind in kinds)] for scene, errors in scenes.items()]
-    return make_table(["direct light", *kinds], rows)
-
-
-def make_moving_table(moving: dict[str, Any]) -> str:
-    """Return the errors and the flicker of things that move, over those of a fresh start and of single frames."""
-    lines = []
-    for name, row in moving["scenes"].items():
-        cells = [f"`{name}`"]
-        for kind in ("disoccluded", "relit"):
-            ratio = row["error_over_fresh"][kind]
-            cells += [f"{ratio:.2f} ({judge(ratio <= MAX_FRESH_RATIO)})", f"{row['unaware_over_fresh'][kind]:.2f}"]
-        ratio = row["flicker_over_single"]
-        cells += [f"{ratio:.2f} ({judge(ratio <= MAX_FLICKER_RATIO)})", f"{row['unaware_flicker_over_single']:.2f}"]
-        lines.append(cells)
-    header = ["scene"]
-    for title in (f"came into view (goal {MAX_FRESH_RATIO:g})", "relit (the same goal)"):
-        header += [title, "unaware"]
-    return make_table([*header, f"flicker (goal {MAX_FLICKER_RATIO:g})", "unaware"], lines)
-
-
-def make_voxel_table(moving: dict[str, Any]) -> str:
-    """Return how long voxels take to follow a change, and to be made anew."""
-    titles = {
-        "light": "a light changed",
-        "shape": "a shape moved",
-        "refined": "each later frame, until all bounces are computed",
-        "anew": "all made anew",
-    }
-    rows = []
-    for name, title in titles.items():
-        seconds = moving["voxels"][name]
-        rows.append([title, *(f"{1000.0 * seconds[kind]:.0f}" for kind in ("wall", "processor"))])
-    return make_table(["128 voxels along the longest side, milliseconds", "wall time", "of all threads"], rows)
-
-
-def make_figures(
-    quality: dict[str, Any],
-    stages: dict[str, Any],
-    viewer: dict[str, Any],
-    again: dict[str, Any],
-    moving: dict[str, Any],
-    direct: dict[str, Any],
-) -> dict[str, str]:
+def make_figures(quality: dict[str, Any], stages: dict[str, Any], viewer: dict[str, Any]) -> dict[str, str]:
     """Return the figures of docs/interactive.md by place."""
     tables = "\n\n".join(
         f"Rays on {'the CPU' if device == 'cpu' else device}:\n\n{make_stage_table(stages, device)}"
@@ -172,21 +113,6 @@ def make_figures(
             }
         ),
         "rates": make_rate_table(viewer),
-        "again": make_again_table(again),
-        "direct": make_direct_table(direct),
-        "moving": make_moving_table(moving),
-        "moving-switch": make_table(
-            ["lamp of `showroom`, times", "the light now, over what it should be", "unaware"],
-            [[factor, f"{row['kept']:.2f}", f"{row['unaware']:.2f}"] for factor, row in moving["switch"].items()],
-        ),
-        "moving-voxels": make_voxel_table(moving),
-        "moving-run": list_facts(
-            {
-                "Samples of a pixel of the references": moving["reference_spp"],
-                "Sessions of each scene": moving["seeds"],
-                "Machine": describe_run(moving),
-            }
-        ),
         "viewer": make_viewer_facts(viewer),
         "errors": make_quality_table(quality),
         "ratios": make_table(

@@ -140,20 +140,6 @@ def make_commit_table(data: dict[str, Any]) -> str:
     return make_table(["method", "commit"], rows)
 
 
-def make_pictures(pictures: dict[str, Any]) -> str:
-    """Return the pictures with what they show."""
-    parts = []
-    for scene, row in pictures.items():
-        kinds = " and ".join(row["crops"])
-        panels = ", ".join(row["panels"])
-        parts.append(
-            f"### {scene}\n\n![{scene}: {panels}](images/quality-{scene}.png)\n\n"
-            f"{row['spp']} samples per pixel. From left to right: {panels}. "
-            f"Each crop has the largest share of one class: {kinds}."
-        )
-    return "\n\n".join(parts)
-
-
 def _list_rows(data: dict[str, Any], scenes: tuple[str, ...], samples: list[str]) -> list[tuple[str, str, Any]]:
     return [
         (scene, spp, data["scenes"][scene]["samples"][spp])
@@ -201,7 +187,6 @@ def make_figures(data: dict[str, Any]) -> dict[str, str]:
         **parts[0],
         **parts[1],
         "time": make_time_table(data["speed"]),
-        "pictures": make_pictures(data["pictures"]),
         "classes": make_class_shares(data),
         "tuning": make_tuning_table(data["tuning"]),
         "commits": make_commit_table(data),

@@ -9,7 +9,6 @@ commit it was measured at.
     python -m benchmarks.quality.measure --tune        the baseline's parameters, again where its filter changes
     python -m benchmarks.quality.measure               every method; one again: --method high; go on: --missing
     python -m benchmarks.quality.measure --speed       times, of all methods in turn
-    python -m benchmarks.quality.measure --pictures    crops for the page
     python -m benchmarks.quality.measure --summary     ratios and goals, from the JSON alone
 """
 
@@ -30,7 +29,6 @@ from scipy.ndimage import gaussian_filter
 from benchmarks.common import RESULTS, describe_machine
 from benchmarks.quality.frames import FEWEST, SAMPLES, SCENES, SEEDS, Bench, Mask, classify_pixels
 from benchmarks.quality.methods import METHODS, NORMAL_EXPONENTS, SCREEN_SIGMAS, TUNING_SEED, Tuning, tune
-from benchmarks.quality.pictures import make_pictures
 from benchmarks.quality.summary import HELD_OUT, TRAIN, make_lines, summarise
 from lobewise.bench.timing import time_best
 from lobewise.display.tones import choose_exposure, map_tones
@@ -166,7 +164,6 @@ def load(path: Path, bench: Bench) -> dict[str, Any]:
         "tuning_grid": {"normal_exponent": NORMAL_EXPONENTS, "screen_sigma": SCREEN_SIGMAS, "seed": TUNING_SEED},
         **{name: data[name] for name in ("tuning", "scenes", "speed")},
         "timed_runs": TIMED_RUNS,
-        "pictures": data.get("pictures", {}),
         "skipped": data.get("skipped", {}),
     }
 
@@ -221,7 +218,6 @@ def main() -> None:
         ("render", "render what the cache lacks, and measure nothing"),
         ("tune", "search the baseline's parameters"),
         ("speed", "time all methods"),
-        ("pictures", "write the crops of the held-out scenes"),
         ("summary", "print ratios and goals"),
     ):
         parser.add_argument(f"--{name}", action="store_true", help=text)
@@ -252,9 +248,6 @@ def main() -> None:
         for frame in (small, wide):
             every, _ = choose_methods(None, data["tuning"])
             data["speed"][f"{frame.width}x{frame.height}"] = time_methods(frame, every, data["tuning"])
-    elif arguments.pictures:
-        chosen = tuple(scene for scene in HELD_OUT if scene in scenes)
-        data["pictures"].update(make_pictures(bench, chosen, names, data["tuning"]))
     elif not arguments.summary:
         for scene in scenes:
             run_scene(bench, data, scene, samples, names, arguments.output, missing=arguments.missing)

@@ -1,4 +1,4 @@
-"""The bench of other renderers' frames: errors without the reference's noise, passes of files, ratios, live renders."""
+"""Frames of other renderers: errors without the reference's noise, passes of files, live renders."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from tests.pythons import choose_python, run_without_paths
 
 files: Any = None
 judging: Any = None
-foreign: Any = None
 
 ROOT = Path(__file__).parents[2]
 SMALL = ROOT / "tests" / "data" / "foreign"
@@ -34,18 +33,17 @@ NOTHING = 4e-5
 def bench() -> None:
     """Import the bench, which needs Mitsuba, when a test runs and not when it is collected."""
     pytest.importorskip("mitsuba", reason="it shares the tuning of the bench of quality, which renders its frames")
-    parts = {"files": "files", "judging": "judging", "foreign": "__main__"}
-    globals().update({name: import_module(f"benchmarks.foreign.{part}") for name, part in parts.items()})
+    globals().update({name: import_module(f"benchmarks.foreign.{name}") for name in ("files", "judging")})
 
 
 def get_renderer(name: str) -> Any:
     return next(renderer for renderer in files.RENDERERS if renderer.name == name)
 
 
-def render(module: str, script: str, folder: Path, size: str, *more: str, scene: str = "room") -> None:
-    command = [choose_python(module), str(ROOT / "benchmarks" / "foreign" / script), str(folder), "--scenes", scene]
-    options = ["--spp", "8", "--seeds", "1", "--reference", "0", "--size", size, *more]
-    run_without_paths([*command, *options])
+def render_luxcore(folder: Path, scene: str, *more: str) -> None:
+    script = ROOT / "benchmarks" / "foreign" / "render_luxcore.py"
+    options = ["--spp", "8", "--seeds", "1", "--reference", "0", "--size", "48x36", *more]
+    run_without_paths([choose_python("pyluxcore"), str(script), str(folder), "--scenes", scene, *options])
 
 
 def test_noise_of_the_reference_leaves_no_error() -> None:
@@ -86,55 +84,19 @@ def test_frames_are_found_where_their_reference_is(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_guides_and_lone_passes_come_from_every_layout(name: str, tmp_path: Path) -> None:
+def test_guides_come_from_every_layout(name: str) -> None:
     renderer, path = get_renderer(name), FILES[name]
     albedo, normal = (renderer.read_guide(path, index) for index in (0, 1))
     assert albedo.shape == normal.shape
     assert 0.05 < albedo.mean() < 1.0
     lengths = np.linalg.norm(normal, axis=-1)
     assert 0.9 < np.median(lengths) < 1.01
-    kept = renderer.keep_alone(path, tmp_path)
-    written = kept.parent.glob("*.exr") if renderer.apart else [kept]
-    for each in renderer.alone:
-        components = "XYZ" if each == "Normal" else "RGB"
-        file, owner = (kept.with_name(f"{each}.exr"), "") if renderer.apart else (kept, each)
-        origin = path.with_name(f"{each}.exr") if renderer.apart else path
-        np.testing.assert_array_equal(
-            files.read_pass(file, owner, components), files.read_pass(origin, owner, components)
-        )
-    assert sum(file.stat().st_size for file in written) < 0.4 * sum(
-        file.stat().st_size for file in (path.parent.glob("*.exr") if renderer.apart else [path])
-    )
     with pytest.raises(KeyError):
-        files.read_pass(kept, "Position", "XYZ")
-
-
-def test_ratios_are_geometric_means() -> None:
-    def make_row(**errors: float) -> dict[str, object]:
-        names = {**dict.fromkeys((*foreign.METHODS, foreign.TUNED), 1.0), **errors}
-        return {name: {kind: [value, value] for kind in foreign.KINDS} for name, value in names.items()}
-
-    scenes = {"a": {"samples": {"8": make_row(balanced=0.5)}}, "b": {"samples": {"8": make_row(balanced=2.0)}}}
-    scenes["b"]["samples"]["32"] = make_row(balanced=8.0, oidn=2.0)
-    row = foreign.summarise(scenes)["rel_mse"]["balanced / oidn"]
-    assert row == {"8": 1.0, "32": 4.0, "all": pytest.approx(4.0 ** (1.0 / 3.0), rel=1e-3)}
-
-
-def test_blender_still_writes_what_is_kept(tmp_path: Path) -> None:
-    render("bpy", "render_blender.py", tmp_path, "64x48")
-    fresh, kept = tmp_path / "room_8_1.exr", FILES["blender"]
-    for name, components in (("Combined", "RGBA"), ("Position", "XYZ"), ("CryptoObject00", "rgba"), ("Roughness", "X")):
-        # The same seed: what differs is the version of Blender.
-        np.testing.assert_allclose(
-            np.median(files.read_pass(fresh, name, components), axis=(0, 1)),
-            np.median(files.read_pass(kept, name, components), axis=(0, 1)),
-            rtol=0.05,
-            atol=0.01,
-        )
+        files.read_pass(path, "Nothing", "XYZ")
 
 
 def test_luxcore_still_writes_what_is_kept(tmp_path: Path) -> None:
-    render("pyluxcore", "render_luxcore.py", tmp_path, "48x36")
+    render_luxcore(tmp_path, "room")
     fresh, kept = tmp_path / "room_8_1", FILES["luxcore"].parent
     assert {path.name for path in fresh.iterdir()} == {path.name for path in kept.iterdir()}
     for name in ("RGB", "POSITION", "SHADING_NORMAL", "ALBEDO"):
@@ -146,51 +108,11 @@ def test_luxcore_still_writes_what_is_kept(tmp_path: Path) -> None:
         )
 
 
-def test_an_artist_has_the_noisy_image_beside_the_picture_of_blender(tmp_path: Path) -> None:
-    render("bpy", "render_blender.py", tmp_path, "64x36", "--passes", "artist", "--denoise", scene="product")
-    path = tmp_path / "product_8_1.exr"
-    clean, noisy = (files.read_pass(path, name, "RGB") for name in ("Combined", "Noisy Image"))
-    rough = [np.median(np.abs(np.diff(image, n=2, axis=1))) for image in (clean, noisy)]
-    assert rough[0] < 0.7 * rough[1]
-    assert files.read_pass(path, "CryptoMaterial00", "rgba").shape == (36, 64, 4)
-    with pytest.raises(KeyError):
-        files.read_pass(path, "Roughness", "X")
-
-
-def test_frames_of_a_sequence_know_their_motion(tmp_path: Path) -> None:
-    render("bpy", "render_blender.py", tmp_path, "64x36", "--frames", "2", scene="moving")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["moving_8_1.0001.exr", "moving_8_1.0002.exr"]
-    first, second = (files.read_pass(path, "Combined", "RGB") for path in sorted(tmp_path.iterdir()))
-    assert np.abs(first - second).mean() > 0.01
-    # The ball flies several pixels a frame, the floor only as the camera moves.
-    motion = np.abs(files.read_pass(tmp_path / "moving_8_1.0002.exr", "Vector", "XY"))
-    assert motion.max() > 2.0
-    assert np.median(motion) < 1.0
-
-
 def test_luxcore_leaves_out_what_is_not_asked_for(tmp_path: Path) -> None:
-    render("pyluxcore", "render_luxcore.py", tmp_path, "48x36", "--without", "SHADING_NORMAL,ALPHA", scene="sparks")
+    render_luxcore(tmp_path, "sparks", "--without", "SHADING_NORMAL,ALPHA")
     written = {path.stem for path in (tmp_path / "sparks_8_1").iterdir()}
     assert "AVG_SHADING_NORMAL" in written
     assert not written & {"SHADING_NORMAL", "ALPHA"}
     image = files.read_pass(tmp_path / "sparks_8_1" / "RGB.exr", "", "RGB").mean(axis=-1)
     # Light of small lamps through glass is found by chance alone.
     assert image.max() > 300.0 * np.median(image)
-
-
-def test_mitsuba_s_files_hold_what_a_person_writes(tmp_path: Path) -> None:
-    render("mitsuba", "render_mitsuba.py", tmp_path, "64x36", scene="principled")
-    path = tmp_path / "principled_8_1.exr"
-    assert files.read_pass(path, "", "RGB").shape == (36, 64, 3)
-    lengths = np.linalg.norm(files.read_pass(path, "normals", "XYZ"), axis=-1)
-    assert 0.9 < np.median(lengths) < 1.01
-
-
-@pytest.mark.nightly
-def test_the_command_and_its_steps_are_timed_in_turn(tmp_path: Path) -> None:
-    speed = import_module("benchmarks.foreign.speed")
-    figures = speed.measure_file(FILES["blender"], "fast", 1)
-    assert set(figures) == {"command", "filter", "read", "write", "command over filter"}
-    assert all(value > 0.0 for value in figures.values())
-    # A process of its own starts besides.
-    assert figures["command"] > figures["filter"]

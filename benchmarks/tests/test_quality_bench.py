@@ -19,7 +19,6 @@ from lobewise.metrics import EPSILON, rel_mse
 quality: Any = None
 quality_frames: Any = None
 quality_methods: Any = None
-quality_pictures: Any = None
 quality_summary: Any = None
 quality_page: Any = None
 stats: Any = None
@@ -30,7 +29,7 @@ def bench() -> None:
     """Import the bench, which needs Mitsuba and SciPy, when a test runs and not when it is collected."""
     pytest.importorskip("mitsuba", reason="the bench renders its frames: pip install 'lobewise[mitsuba]'")
     pytest.importorskip("scipy", reason="the bench blurs with SciPy: pip install 'lobewise[fit]'")
-    parts = {"quality": "measure", **{f"quality_{name}": name for name in ("frames", "methods", "pictures", "summary")}}
+    parts = {"quality": "measure", **{f"quality_{name}": name for name in ("frames", "methods", "summary")}}
     globals().update({name: import_module(f"benchmarks.quality.{part}") for name, part in parts.items()})
     globals().update(stats=import_module("scipy.stats"), quality_page=import_module("benchmarks.pages.quality"))
 
@@ -243,7 +242,6 @@ def make_data(rng: np.random.Generator, tmp_path: Path) -> dict[str, Any]:
     data["speed"] = {quality_summary.WIDE: row}
     settings = {"normal_exponent": 64.0, "screen_sigma": 2.0}
     data["tuning"] = {spp: {"settings": settings, "rel_mse": 0.1, "commit": "def"} for spp in ("1", "4", "16", "64")}
-    data["pictures"] = {"brushed": {"spp": 4, "panels": ["noisy", "reference"], "crops": {"glossy": [0, 0]}}}
     return data
 
 
@@ -306,9 +304,6 @@ def test_page_shows_every_part(rng: np.random.Generator, tmp_path: Path) -> None
     assert f"held out {ratio:.2f}" in goal
     cell = np.mean(data["scenes"]["street"]["samples"]["64"]["noisy"]["rel_mse"]["all"])
     assert f"| street | 64 | {cell:.4f} |" in page
-    assert figures["pictures"].startswith("### brushed\n\n![")
-    assert "(images/quality-brushed.png)" in page
-    assert figures["pictures"].endswith("share of one class: glossy.")
     assert "None" not in page
     assert "nan" not in page
     assert "not measured" not in page
@@ -317,7 +312,6 @@ def test_page_shows_every_part(rng: np.random.Generator, tmp_path: Path) -> None
     empty["skipped"] = {"high": "for a reason"}
     figures = quality_page.make_figures({**empty, "summary": quality_summary.summarise(empty)})
     assert "not measured: for a reason" in figures["commits"]
-    assert not figures["pictures"]
 
 
 class StubBench:
@@ -399,22 +393,3 @@ def test_tuning_finds_the_least_mean_error(rng: np.random.Generator, monkeypatch
     best = quality_methods.tune(bench, ("showroom", "parlour"), (4,))
     assert best["4"]["settings"] == {"normal_exponent": 64.0, "screen_sigma": 1.5}
     assert best["4"]["rel_mse"] == pytest.approx(rel_mse(bench.reference + np.float32(0.1), bench.reference), rel=1e-4)
-
-
-def test_crops_show_most_of_their_class_and_do_not_overlap(rng: np.random.Generator) -> None:
-    side = 12
-    masks = {kind: rng.random((HEIGHT, WIDTH)) < 0.2 for kind in quality_pictures.TELLING}
-    masks["anisotropic"] = np.zeros((HEIGHT, WIDTH), dtype=bool)
-    masks["near-mirror"][8:25, 20:37] = True
-    crops = quality_pictures.choose_crops(masks, side)
-    assert list(crops) == ["near-mirror", "glossy"]
-    taken = np.zeros((HEIGHT, WIDTH), dtype=bool)
-    for kind, (row, column) in crops.items():
-        counts = {
-            (y, x): masks[kind][y : y + side, x : x + side].sum()
-            for y in range(HEIGHT - side + 1)
-            for x in range(WIDTH - side + 1)
-            if not taken[y : y + side, x : x + side].any()
-        }
-        assert counts[row, column] == max(counts.values())
-        taken[row : row + side, column : column + side] = True

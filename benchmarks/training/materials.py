@@ -1,4 +1,4 @@
-"""Random patterns and materials for `scenes.py`: every draw is from the generator that is passed in."""
+"""Random patterns and materials for `kinds.py`: every draw is from the generator that is passed in."""
 
 from __future__ import annotations
 

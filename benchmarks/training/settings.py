@@ -1,4 +1,4 @@
-"""Settings and objects of the random scenes of `scenes.py`: every draw is from the generator passed in.
+"""Settings and objects of the random scenes of `kinds.py`: every draw is from the generator passed in.
 
 Lengths are metres, y is up, and ``light`` multiplies the radiance of every light.
 """

@@ -15,7 +15,7 @@ from benchmarks.quality.summary import TRAIN
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.io.exr import read_image
 
-MITSUBA = Renderer("mitsuba", ("albedo", "normals"), ("", "albedo", "normals"))
+MITSUBA = Renderer("mitsuba", ("albedo", "normals"))
 FOREIGN = (*RENDERERS, MITSUBA)
 FACTORY = replace(RENDERERS[0], name="factory")
 """Random shots of Blender, `benchmarks/foreign/factory`: a folder for each shot."""

@@ -1,11 +1,11 @@
 """Cut the frames of the image tests out of rendered ones: run it once, with the renders at hand.
 
     python -m benchmarks.users.render RENDERS --group own
-    python benchmarks/foreign/render_blender.py RENDERS/blender --scenes ... --size 192x144    (where bpy is)
-    python tests/images/render_cycles.py RENDERS/blender                                       (where bpy is)
     python benchmarks/foreign/render_luxcore.py RENDERS/luxcore --scenes room,sparks --size 192x144
-    python benchmarks/foreign/render_mitsuba.py RENDERS/mitsuba --scenes principled --spp 4 --size 52x40
     python -m tests.images.make RENDERS
+
+The frames in ``RENDERS/blender`` and ``RENDERS/mitsuba`` are those of ``benchmarks/foreign`` and of
+``tests/images/render_cycles.py`` at the tag ``trials-2026-11``; this file says there how they are rendered.
 
 The data window of a cut says where it lies in the render, so that the camera is right. Light and albedo become half
 floats, as Blender writes them. Normals and roughness keep 12 bits, places 18, so that the files compress.

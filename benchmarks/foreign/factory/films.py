@@ -9,7 +9,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from blender_films import animate
+from blender_parts import animate
 from bpy_extras.object_utils import world_to_camera_view
 from kinds import Plan
 from mathutils import Matrix, Vector

@@ -5,9 +5,19 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from blender_crowds import TINTS, add_faces, add_lamps
-from blender_parts import add, add_camera, make_image, make_material, put_texture, set_world
-from blender_shots import add_glow, set_focus
+from blender_parts import (
+    TINTS,
+    add,
+    add_camera,
+    add_faces,
+    add_glow,
+    add_lamps,
+    make_image,
+    make_material,
+    put_texture,
+    set_focus,
+    set_world,
+)
 from parts import add_block, add_lights, add_thing, add_turned, draw_color, make_surface, pick, put_image, spread, warm
 
 

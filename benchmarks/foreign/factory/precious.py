@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from blender_parts import add, add_camera, make_material, put_texture, set_world
-from blender_shots import make_sky, set_focus
+from blender_parts import add, add_camera, make_material, make_sky, put_texture, set_focus, set_world
 from parts import (
     METALS,
     add_block,

@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from blender_crowds import add_faces
-from blender_parts import add, add_camera, make_material, set_world
-from blender_shots import add_glow, make_sky, set_focus
+from blender_parts import add, add_camera, add_faces, add_glow, make_material, make_sky, set_focus, set_world
 from parts import add_block, add_light, add_lights, add_thing, add_turned, draw_color, make_surface, pick, spread, warm
 
 from pictures import add_framed, add_panel, make_print, make_screen

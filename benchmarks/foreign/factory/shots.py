@@ -25,12 +25,12 @@ def make_scene(plan: Plan, random: np.random.Generator) -> None:
     """Make the scene of a shot, of what its generator draws after its plan."""
     clear()
     getattr(import_module(KINDS[plan.kind].module), f"make_{plan.kind}")(random)
-    set_up(*plan.size, "page")
+    set_up(*plan.size)
     if KINDS[plan.kind].volume:
         add_volume_passes()
     if plan.roughness:
         add_roughness_pass()
-    set_output("ZIP", multipart=False)
+    set_output()
     bpy.context.scene.render.use_persistent_data = True
 
 
@@ -46,7 +46,7 @@ def probe_luminance() -> np.ndarray:
         pixels = np.array(image.pixels[:]).reshape(-1, 4)
         bpy.data.images.remove(image)
     scene.render.resolution_percentage = before
-    set_output("ZIP", multipart=False)
+    set_output()
     return pixels[pixels[:, 3] > 0.5, :3] @ (0.2126, 0.7152, 0.0722)
 
 

@@ -6,9 +6,18 @@ import math
 
 import bpy
 import numpy as np
-from blender_crowds import add_faces
-from blender_parts import add, add_camera, make_material, put_texture, set_world
-from blender_shots import add_flakes, add_glow, make_sky, set_focus
+from blender_parts import (
+    add,
+    add_camera,
+    add_faces,
+    add_flakes,
+    add_glow,
+    make_material,
+    make_sky,
+    put_texture,
+    set_focus,
+    set_world,
+)
 from parts import (
     METALS,
     add_block,

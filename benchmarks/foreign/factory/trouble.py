@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from blender_crowds import add_faces
-from blender_parts import add, add_air, add_camera, make_material, set_world
-from blender_shots import add_glow, set_focus
+from blender_parts import add, add_air, add_camera, add_faces, add_glow, make_material, set_focus, set_world
 from parts import add_block, add_light, add_lights, add_thing, draw_color, make_surface, pick, spread, warm
 from tables import light_and_shoot, set_table
 

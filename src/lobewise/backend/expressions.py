@@ -2,7 +2,7 @@
 
 A tap needs one exponential and at most one logarithm. Both are polynomials of the mantissa, without tables, branches or
 changes of the rounding mode, so that every target vectorises them. The coefficients are minimax fits made by
-``benchmarks/performance/fit_expressions.py``; their errors are stated and tested.
+``benchmarks/performance/fit_expressions.py`` at the tag ``trials-2026-11``; their errors are stated and tested.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ from lobewise.temporal.recipe import compute_own_weight
 from lobewise.upsampling import DEFAULT_RADIUS
 
 SEQUENCE = Path(lobewise.__file__).parents[2] / "examples" / "web" / "showroom-sequence.bin.gz"
-"""The sequence in a clone, rendered by `benchmarks/pictures/web_sequence.py`. Wheels do not hold it."""
+"""The sequence in a clone, rendered by `examples/web/render_sequence.py`. Wheels do not hold it."""
 PAGE_CHAINS = {
     "history": "with a history",
     "filter": "every frame by itself",

@@ -1,8 +1,8 @@
 """Render the sequence of the page in the browser: ``showroom``, an orbit of the camera past moving objects.
 
-    python -m benchmarks.pictures.web_sequence
+    python examples/web/render_sequence.py
 
-It writes ``showroom-sequence.bin.gz`` into ``examples/web``. Rendering takes half a minute on two cores.
+It writes ``showroom-sequence.bin.gz`` beside this file. Rendering takes half a minute on two cores.
 """
 
 from __future__ import annotations
