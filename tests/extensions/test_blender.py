@@ -250,7 +250,10 @@ scene.render.filepath = str(folder / "shot_")
 scene.frame_start, scene.frame_end = 1, 2
 told["without frames"] = denoise(animation=True)
 scene.lobewise.window, scene.lobewise.passes = 1, "BESIDE"
-bpy.ops.lobewise.switch_on_passes()
+scene.view_layers.new("Second")
+for each in scene.view_layers:
+    with bpy.context.temp_override(view_layer=each):
+        bpy.ops.lobewise.switch_on_passes()
 told["vector"] = layer.use_pass_vector
 bpy.ops.render.render(animation=True)
 told["animation"] = denoise(animation=True)
@@ -315,10 +318,11 @@ def test_an_animation_is_denoised_as_by_the_command(used: tuple[Path, dict[str, 
     assert told["vector"] is True
     assert told["animation"] == ["FINISHED"]
     assert told["images"]["shot_0001.exr"] == "SEQUENCE"
-    options = ["--window", "1", "--suffix", "_clean", "--also", "Combined_*"]
+    options = ["--window", "1", "--suffix", "_clean", "--also", "Combined_*", "--all-layers"]
     assert run(["denoise", str(folder / "shot_####.exr"), "-o", str(tmp_path / "ours_####.exr"), *options]) == 0
     for number in (1, 2):
         require_same(tmp_path / f"ours_{number:04}.exr", folder / "clean" / f"shot_{number:04}.exr")
+    assert {"ViewLayer.Combined_clean.R", "Second.Combined_clean.R"} <= read_channels(tmp_path / "ours_0001.exr").keys()
 
 
 def test_operators_say_what_is_missing(used: tuple[Path, dict[str, Any]]) -> None:
