@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from lobewise.errors import InputError, LimitError
 
@@ -139,3 +141,13 @@ def require_memory(needed_bytes: float) -> None:
             got=f"one that needs {enough:g} GiB",
             action="allow more memory, choose a faster quality, or give a smaller image",
         )
+
+
+def measure_machine_memory() -> int | None:
+    """Return the memory of the machine, or of the container if this is less, in bytes; None where it is unknown."""
+    known = []
+    if hasattr(os, "sysconf"):
+        known.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    with suppress(OSError, ValueError):
+        known.append(int(Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii")))
+    return min(known, default=None)

@@ -32,6 +32,21 @@ def make_hurt(mischief: str) -> dict[str, str]:
     }
 
 
+def hurt_local_processes() -> None:
+    """Let the processes of ``--workers`` do wrong."""
+    from lobewise.farm import processes
+
+    processes.prepare_process = prepare_process
+
+
+def prepare_process(threads: int) -> None:
+    """Prepare a process of ``--workers`` that does wrong."""
+    from lobewise.farm.processes import prepare_process as prepare
+
+    prepare(threads)
+    dask_setup(None)
+
+
 def dask_setup(worker: Any) -> None:
     """Prepare a worker that does wrong."""
     mischief, number = os.environ[HURT].split()

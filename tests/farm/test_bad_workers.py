@@ -24,7 +24,7 @@ def folder(tmp_path: Path) -> Path:
     return made
 
 
-@pytest.mark.sampled("farm")
+@pytest.mark.sampled("farm", "local")
 @pytest.mark.parametrize("kind", ["farm", "nannies", "local"])
 def test_a_frame_that_kills_its_workers_is_named_and_the_others_are_done(
     kind: str, sources: Path, expected: dict[str, bytes], folder: Path, tmp_path: Path
@@ -34,10 +34,11 @@ def test_a_frame_that_kills_its_workers_is_named_and_the_others_are_done(
             done = run_program(sources, folder, "--farm", farm.address)
         assert (tmp_path / "dask.log").read_text().count(DEATH) == 3
     else:
-        before = "from lobewise.farm import connection; connection.PRELOAD = 'tests.farm.hurting'"
+        before = "from tests.farm import hurting; hurting.hurt_local_processes()"
         done = run_program(sources, folder, "--workers", "2", before=before, more=make_hurt("die 3"))
     assert done.returncode == 2, done.stderr
-    named = [line for line in done.stderr.splitlines() if line.startswith("Frame 3, worker t")]
+    worker = "process " if kind == "local" else "tcp://"
+    named = [line for line in done.stderr.splitlines() if line.startswith(f"Frame 3, worker {worker}")]
     assert len(named) == 1, done.stderr
     assert ": its process ended while it filtered this: memory was short, " in named[0]
     assert f"lobewise: 1 of {len(NUMBERS)} frames could not be filtered (frame 3); " in done.stderr

@@ -14,7 +14,7 @@ import pytest
 
 from lobewise.errors import LobewiseError
 from lobewise.farm import dispatching
-from lobewise.farm.connection import CallFailedError, CallLostError, Connection, ConnectionLostError
+from lobewise.farm.calls import CallFailedError, CallLostError, Connection, ConnectionLostError
 from lobewise.farm.dispatching import Dispatcher, Failure, Listener, Terms
 from lobewise.farm.tasks import Order, Outcome, Task, Told, cut_frames, cut_shots
 from lobewise.farm.worker import describe_worker
@@ -61,7 +61,6 @@ class FakeFarm:
     """How often a worker was started again at its address."""
     is_gone: bool = False
     address: str = "tcp://fake:8786"
-    reopened: int = 0
     keys: Iterator[int] = field(default_factory=count)
 
     def list_workers(self) -> dict[str, int]:
@@ -134,12 +133,6 @@ class FakeFarm:
         # Dask says nothing of a call whose worker is gone, or that runs again.
         is_told = call.worker in self.workers and all(other is not call for other, _ in self.waiting)
         return [call.key] if is_told else []
-
-    def reopen(self, seconds: float, tell: Callable[[], None]) -> None:
-        tell()
-        self.is_gone = False
-        self.waiting = []
-        self.reopened += 1
 
 
 @pytest.fixture(autouse=True)
@@ -401,26 +394,18 @@ def test_without_workers_the_run_says_so_once_and_waits() -> None:
     assert shown[-1] == ""
 
 
-def test_after_a_lost_scheduler_only_missing_frames_are_handed_out() -> None:
+def test_a_lost_scheduler_ends_the_run() -> None:
     farm = make_farm()
 
     def break_off(worker: str, task: Task) -> bool:
-        if task.numbers == (3,) and not farm.reopened:
-            farm.is_gone = True
-            # Frame 5 is finished by its worker while the client hears nothing.
-            farm.done.add(5)
-            return False
-        return True
+        farm.is_gone = task.numbers == (3,)
+        return not farm.is_gone
 
     farm.on_task = break_off
-    failures, told = run(farm, make_tasks(*range(8)))
-    assert failures == []
-    assert farm.done == set(range(8))
-    assert sorted(numbers[0] for _, numbers in farm.ran) == [0, 1, 2, 3, 4, 6, 7]
-    assert told == [
-        "The scheduler tcp://fake:8786 does not answer; waiting 10 minutes at most for it to come back.",
-        "The scheduler is back.",
-    ]
+    expected = "expected the scheduler tcp://fake:8786 until the end, got no answer .* give the same command again"
+    with pytest.raises(LobewiseError, match=expected):
+        run(farm, make_tasks(*range(8)))
+    assert farm.done < set(range(8))
 
 
 def test_a_file_that_is_never_seen_here_counts_as_failed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -52,7 +52,7 @@ def test_without_dask_the_sentence_names_the_command(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    told = fail(capsys, "in.#.exr", "-o", "out.#.exr", "--workers", "2")
+    told = fail(capsys, "in.#.exr", "-o", "out.#.exr", "--farm", "tcp://127.0.0.1:1")
     assert told.startswith("lobewise: A farm needs Dask, which cannot be imported")
     assert "pip install 'lobewise[farm]'" in told
     assert sorted(path.name for path in folder.iterdir()) == ["in.1.exr"]

@@ -15,7 +15,7 @@ import pytest
 
 from lobewise.errors import LobewiseError
 from lobewise.farm import connection
-from tests.farm.processes import MAX_SECONDS, Farm, count_outputs, start_program, wait_until
+from tests.farm.processes import Farm, start_program
 
 
 def answer_strangers(listener: socket.socket, answer: bytes) -> None:
@@ -85,24 +85,3 @@ def test_a_peer_that_is_no_scheduler_leaves_no_thread(peer: str, monkeypatch: py
     # Without its own deadline the call would end only now.
     assert time.monotonic() - begin < 1.0 + connection.CLOSE_SECONDS
     assert set(threading.enumerate()) <= before
-
-
-@pytest.mark.nightly
-def test_a_scheduler_that_is_stopped_and_goes_on(
-    sources: Path, farm: Farm, expected: dict[str, bytes], tmp_path: Path
-) -> None:
-    """A run notices a scheduler that is silent in the middle, tries to connect again, and ends well."""
-    folder = tmp_path / "outputs"
-    folder.mkdir()
-    program = start_program(sources, folder, "--farm", farm.address)
-    wait_until(lambda: count_outputs(folder) >= 2)
-    farm.scheduler.send_signal(signal.SIGSTOP)
-    assert program.stderr is not None
-    ending = threading.Timer(MAX_SECONDS, program.kill)
-    ending.start()
-    assert any("does not answer; waiting 10 minutes at most for it" in line for line in program.stderr)
-    farm.scheduler.send_signal(signal.SIGCONT)
-    _, told = program.communicate()
-    ending.cancel()
-    assert program.returncode == 0, told
-    assert {path.name: path.read_bytes() for path in folder.iterdir()} == expected

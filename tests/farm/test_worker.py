@@ -54,7 +54,7 @@ def dask_worker(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     found = SimpleNamespace(
         state=SimpleNamespace(nthreads=3), memory_manager=SimpleNamespace(memory_limit=int(6 * GIB))
     )
-    monkeypatch.setattr(module, "_get_worker", lambda: found)
+    monkeypatch.setattr(module, "_get_dask_worker", lambda: found)
     for name in ("HL_NUM_THREADS", "OIDN_NUM_THREADS", "OIDN_SET_AFFINITY"):
         monkeypatch.setenv(name, "x")
         monkeypatch.delenv(name)

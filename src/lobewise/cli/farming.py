@@ -21,7 +21,7 @@ from lobewise.farm.running import FarmJob, FarmReport, filter_on_farm
 from lobewise.farm.tasks import Told
 from lobewise.io.files import require_exr_name
 from lobewise.io.sequence import FramePattern, name_frames
-from lobewise.limits import get_limits, limit_call
+from lobewise.limits import limit_call
 from lobewise.reporting.picture import Pictures, name_picture
 from lobewise.sequence import filter_sequence
 
@@ -149,7 +149,7 @@ def _run_on_farm(job: Job, request: Request[Any, Any], fingerprint: str, farm: F
         follows_first=work.has_pictures and work.stops is None,
         by_runs=request.reads_neighbours,
         with_oidn=request.asks_for_oidn,
-        memory=get_limits().memory,
+        memory=farm.memory,
         numbers=job.numbers,
     )
     if job.numbers is None:

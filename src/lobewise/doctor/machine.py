@@ -16,6 +16,7 @@ from lobewise.backend.prebuilt import choose_library, has_kernels
 from lobewise.bench.machine import describe_machine
 from lobewise.doctor.report import Problem, Section, name_path
 from lobewise.errors import LobewiseError, MissingDependencyError
+from lobewise.limits import GIB, measure_machine_memory
 from lobewise.render.variant import LIBRARY_VARIABLE, locate_llvm, query_llvm_version
 
 TEST_PIXELS = 16
@@ -51,11 +52,9 @@ def examine_platform() -> Section:
         "processor": machine["processor"],
         "cores": f"{machine['cores']}, of which filters use {machine['threads']}",
     }
-    try:
-        size = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, OSError, ValueError):
-        return Section("Platform", facts)  # Windows has no sysconf
-    return Section("Platform", {**facts, "memory": f"{size / 2**30:.1f} GiB"})
+    size = measure_machine_memory()
+    memory = {} if size is None else {"memory": f"{size / GIB:.1f} GiB"}
+    return Section("Platform", facts | memory)
 
 
 def examine_terminal() -> Section:

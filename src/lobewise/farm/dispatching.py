@@ -1,7 +1,7 @@
 """Hand out tasks to workers until every frame is done, or has failed for good.
 
 The client chooses the worker of each task itself, because a frame takes a whole worker: all its threads and memory.
-Dask carries the calls, and says which workers there are.
+A connection carries the calls, and says which workers there are.
 """
 
 from __future__ import annotations
@@ -15,7 +15,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from lobewise.errors import LobewiseError
-from lobewise.farm.connection import Call, CallFailedError, CallLostError, Connection, ConnectionLostError
+from lobewise.farm.calls import (
+    Call,
+    CallFailedError,
+    CallLostError,
+    Connection,
+    ConnectionLostError,
+    WorkerLostError,
+)
 from lobewise.farm.environment import compare_environments, shorten_version
 from lobewise.farm.tasks import Order, Outcome, Task, Told
 from lobewise.farm.worker import describe_worker, run_order
@@ -34,8 +41,6 @@ POLL_SECONDS = 0.5
 MAX_SECONDS_UNSEEN = 90.0
 """Longest time until a file that a worker has written is seen here, seconds. NFS keeps what it knows of a folder for up
 to 60 s."""
-MAX_SECONDS_WITHOUT_SCHEDULER = 600.0
-"""Longest time that a lost scheduler is waited for, seconds."""
 FIRST_QUESTIONS: Mapping[str, tuple[Any, ...]] = {
     "Python": (platform.python_version,),
     "lobewise": (pydoc.locate, "lobewise.__version__"),
@@ -173,7 +178,7 @@ class Dispatcher:
     def run(self, tasks: Sequence[Task]) -> None:
         """Do all tasks; afterwards `failures` holds those that could not be done.
 
-        Raises LobewiseError if no worker can be used, or the scheduler is gone for too long.
+        Raises LobewiseError if no worker can be used, or the scheduler is gone.
         """
         self._todo.extend((0.0, task) for task in tasks)
         while self._todo or self._unseen or self.list_running():
@@ -183,7 +188,12 @@ class Dispatcher:
                 self._hand_out()
                 self._collect()
             except ConnectionLostError:
-                self._wait_for_scheduler()
+                raise LobewiseError(
+                    "--farm",
+                    expected=f"the scheduler {self._connection.address} until the end",
+                    got="no answer in the middle of the run",
+                    action="start it, and give the same command again, which filters only what is missing",
+                ) from None
             self._look_again()
             self._listener.show(self._waits_for, self.list_running())
 
@@ -239,11 +249,7 @@ class Dispatcher:
                 return
             for worker in ready:
                 if len(worker.calls) == depth and (task := self._take_task(worker)) is not None:
-                    try:
-                        call = self._connection.call(worker.address, run_order, self._make_order(task), worker.process)
-                    except ConnectionLostError:
-                        self._todo.appendleft((0.0, task))
-                        raise
+                    call = self._connection.call(worker.address, run_order, self._make_order(task), worker.process)
                     worker.calls[call.key] = call, task
                     worker.last = task.numbers[-1]
 
@@ -338,6 +344,8 @@ class Dispatcher:
         call, task = worker.calls.pop(key)
         try:
             outcome: Outcome = call.fetch()
+        except WorkerLostError:
+            outcome = Outcome(is_lost=True)
         except CallLostError:
             if self._list_missing(task):
                 self._todo.appendleft((0.0, task))
@@ -386,20 +394,3 @@ class Dispatcher:
             self.failures.append(failure)
         else:
             self._todo.append((time.monotonic() + RETRY_SECONDS * 2.0 ** (len(tries) - 1), task))
-
-    def _show_wait(self) -> None:
-        check_time()
-        self._listener.show("Waiting for the scheduler", [])
-
-    def _wait_for_scheduler(self) -> None:
-        """Take back all tasks, wait until the scheduler is there again, and leave out what was done meanwhile."""
-        running = self.list_running()
-        self._workers = {}
-        self._todo.extendleft((0.0, task) for task in reversed(running))
-        self._listener.tell(
-            f"The scheduler {self._connection.address} does not answer; waiting {MAX_SECONDS_WITHOUT_SCHEDULER / 60:g} "
-            "minutes at most for it to come back."
-        )
-        self._connection.reopen(MAX_SECONDS_WITHOUT_SCHEDULER, self._show_wait)
-        self._todo = deque(entry for entry in self._todo if self._list_missing(entry[1]))
-        self._listener.tell("The scheduler is back.")

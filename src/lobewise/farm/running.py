@@ -12,7 +12,7 @@ from itertools import takewhile
 from pathlib import Path
 
 from lobewise.errors import FileError, InputError
-from lobewise.farm.connection import Connection
+from lobewise.farm.calls import Connection
 from lobewise.farm.dispatching import WAITING, Dispatcher, Failure, Listener, Terms
 from lobewise.farm.environment import describe_environment
 from lobewise.farm.ledger import Ledger, name_ledger, refresh_folders
@@ -102,7 +102,7 @@ def filter_on_farm(
     job : FarmJob
         What to do.
     open_connection : context manager
-        See `lobewise.farm.connection`.
+        See `lobewise.farm.connection` and `lobewise.farm.processes`.
     tell : callable
         Called with sentences about the farm.
     remark : callable

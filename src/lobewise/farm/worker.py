@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import sys
 import threading
 import traceback
 import uuid
@@ -13,7 +14,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from lobewise.display.hushing import hush_libraries
 from lobewise.errors import LobewiseError, make_printable
 from lobewise.farm.environment import describe_environment
 from lobewise.farm.ledger import TOKEN, refresh_folders
@@ -30,12 +30,6 @@ KEPT_BYTES = 1 << 26
 """Freed memory that a process keeps. It is what glibc arrives at by itself, unless it is told otherwise."""
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
 """Numbers of glibc's parameters in ``malloc.h``."""
-
-
-def dask_setup(worker: Any) -> None:
-    """Prepare a worker of this machine. Dask calls this function of `lobewise.farm.connection.PRELOAD` there alone."""
-    hush_libraries()
-    worker.http_server.stop()
 
 
 def describe_worker(
@@ -86,8 +80,10 @@ def run_order(order: Order, process: str) -> Outcome:
     if process != PROCESS:
         return Outcome(is_lost=True)
     with _one_task:
-        _keep_freed_memory()
-        _limit_threads()
+        worker = _get_dask_worker()
+        if worker is not None:
+            _keep_freed_memory()
+            limit_threads(worker.state.nthreads)
         return _run(order)
 
 
@@ -131,27 +127,30 @@ def _keep_freed_memory() -> None:
         library.mallopt(M_TRIM_THRESHOLD, KEPT_BYTES)
 
 
-def _limit_threads() -> None:
+def limit_threads(threads: int) -> None:
     """Let kernels, NumPy's chunks and Open Image Denoise use as many threads as the worker has.
 
     Libraries read these variables once, before their first work. What the user sets stays.
     """
-    threads = str(_get_worker().state.nthreads)
     for name in ("HL_NUM_THREADS", "OIDN_NUM_THREADS"):
-        os.environ.setdefault(name, threads)
+        os.environ.setdefault(name, str(threads))
     # Workers of one machine would all choose the first cores.
     os.environ.setdefault("OIDN_SET_AFFINITY", "0")
 
 
 def _look_up_memory(memory: float | None) -> float | None:
-    """Return the GiB that this process may take: as the user says, else the limit of the worker, else None."""
-    if memory is not None:
+    """Return the GiB that this process may take: as the client says, else the limit of Dask's worker, else None."""
+    worker = _get_dask_worker()
+    if memory is not None or worker is None:
         return memory
-    limit = _get_worker().memory_manager.memory_limit
+    limit = worker.memory_manager.memory_limit
     return limit / GIB if limit else None
 
 
-def _get_worker() -> Any:
+def _get_dask_worker() -> Any:
+    """Return Dask's worker, None in a process of `lobewise.farm.processes`."""
+    if "distributed" not in sys.modules:
+        return None
     from distributed import get_worker
 
     return get_worker()

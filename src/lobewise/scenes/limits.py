@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from contextlib import suppress
 from pathlib import Path
 from xml.parsers import expat
 
 from lobewise.errors import InputError
+from lobewise.limits import measure_machine_memory
 
 MAX_SIDE = 32768
 """Largest width and height of an image, pixels."""
@@ -89,7 +89,7 @@ def require_size(path: Path, width: int, height: int) -> None:
 
 def require_memory(width: int, height: int, bytes_per_pixel: int) -> None:
     """Raise InputError if an image of this size would take more memory than the machine, or its container, has."""
-    needed, there = width * height * bytes_per_pixel, _read_memory()
+    needed, there = width * height * bytes_per_pixel, measure_machine_memory()
     if there is not None and needed > there:
         raise InputError(
             "image size",
@@ -97,13 +97,3 @@ def require_memory(width: int, height: int, bytes_per_pixel: int) -> None:
             got=f"{width}x{height} pixels, which take about {needed / GIB:.3g} GiB",
             action="make it smaller (--width, --height), or render it in parts by the crop of its film",
         )
-
-
-def _read_memory() -> int | None:
-    """Return the memory of the machine, or of the container if this is less, in bytes; None where it is unknown."""
-    known = []
-    if hasattr(os, "sysconf"):
-        known.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
-    with suppress(OSError, ValueError):
-        known.append(int(Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii")))
-    return min(known, default=None)

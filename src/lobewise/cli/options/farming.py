@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 from lobewise.cli.options.common import require_pattern
 from lobewise.cli.terminal.help import sequence_detail, sequence_option
 from lobewise.errors import InputError
-from lobewise.limits import GIB, get_limits
+from lobewise.limits import GIB, get_limits, measure_machine_memory
 
 if TYPE_CHECKING:
-    from lobewise.farm.connection import Connection
+    from lobewise.farm.calls import Connection
 
 MAX_WORKERS = 1024
 
@@ -76,14 +76,23 @@ class Farm:
 
             require_secure(self.farm)
 
+    @property
+    def memory(self) -> float | None:
+        """GiB that a worker may take: a given limit, else a part of this machine; None for its own limit."""
+        limit = get_limits().memory
+        if limit is not None or self.workers is None:
+            return limit
+        there = measure_machine_memory()
+        return None if there is None else there / GIB / self.workers
+
     def open(self) -> AbstractContextManager[Connection]:
-        """Return the connection to the workers; see `lobewise.farm.connection` for the errors."""
-        from lobewise.farm.connection import connect, divide_memory, require_distributed, start_local
+        """Return the connection to the workers; see `lobewise.farm` for the errors."""
+        if self.farm is None:
+            from lobewise.farm.processes import start_local
+
+            assert self.workers is not None
+            return start_local(self.workers)
+        from lobewise.farm.connection import connect, require_distributed
 
         require_distributed()
-        if self.farm is not None:
-            return connect(self.farm)
-        assert self.workers is not None
-        memory = get_limits().memory
-        memory_bytes = divide_memory(self.workers) if memory is None else int(memory * GIB)
-        return start_local(self.workers, memory_bytes=memory_bytes)
+        return connect(self.farm)
