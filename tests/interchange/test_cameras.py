@@ -394,6 +394,8 @@ SENSOR = (
         ("camera.xml", "<scene><a></scene>", "got text that is no XML from line 1, column 13 on; mend the file"),
         ("camera.xml", "<!DOCTYPE a [<!ENTITY b 'c'>]><scene/>", "a document type"),
         ("camera.xml", "<a>" * 1000, "more than 64 deep"),
+        ("camera.xml", f"<scene>{'<a/>' * 2**19}</scene>", "more than 524288 elements"),
+        ("camera.xml", SENSOR.format("<a/>" * 1024), "at most 1024 elements in its sensor"),
         ("camera.xml", '<?xml version="1.0" encoding="foo"?><scene/>', "unknown encoding"),
         ("camera.xml", SENSOR.format('<float name="fov" value="180"/>'), "fov: expected a number between 0 and 180"),
         ("camera.xml", SENSOR.format('<float name="focal_length" value="0mm"/>'), "focal_length: .* above 0"),
