@@ -54,10 +54,10 @@ def dask_setup(worker: Any) -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (int(number), int(number)))
         return
 
-    def run(order: Any) -> Any:
-        if int(number) in order.task.numbers:
+    def run(assignment: Any) -> Any:
+        if int(number) in assignment.task.numbers:
             print(DEATH, file=sys.stderr, flush=True)
             os.kill(os.getpid(), signal.SIGKILL)
-        return _run(order)
+        return _run(assignment)
 
     product._run = run

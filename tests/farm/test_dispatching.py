@@ -15,8 +15,8 @@ import pytest
 from lobewise.errors import LobewiseError
 from lobewise.farm import dispatching
 from lobewise.farm.calls import CallFailedError, CallLostError, Connection, ConnectionLostError
-from lobewise.farm.dispatching import Dispatcher, Failure, Listener, Terms
-from lobewise.farm.tasks import Order, Outcome, Task, Told, cut_frames, cut_shots
+from lobewise.farm.dispatching import Callbacks, Dispatcher, Failure, Requirements
+from lobewise.farm.tasks import Assignment, Task, TaskLog, TaskResult, cut_frames, cut_shots
 from lobewise.farm.worker import describe_worker
 
 ENVIRONMENT = {"lobewise": "1.0", "Python": ".".join(platform.python_version_tuple()[:2]), "NumPy": "2.0"}
@@ -80,7 +80,7 @@ class FakeFarm:
             self.asked.append(worker)
             answer = lambda: (self._name_process(worker), self.workers[worker], self.faults.get(worker, ""))  # noqa: E731
         else:
-            return self._take_order(worker, key, *arguments)
+            return self._take_assignment(worker, key, *arguments)
         call = FakeCall(worker, key, answer)
         self.waiting.append((call, lambda: None))
         return call
@@ -88,7 +88,7 @@ class FakeFarm:
     def _name_process(self, worker: str) -> str:
         return f"{worker}{self.restarts.get(worker, 0)}"
 
-    def _take_order(self, worker: str, key: str, order: Order, process: str) -> FakeCall:
+    def _take_assignment(self, worker: str, key: str, assignment: Assignment, process: str) -> FakeCall:
         found: list[Any] = []
 
         def answer() -> Any:
@@ -100,25 +100,25 @@ class FakeFarm:
 
         def run() -> None:
             if process != self._name_process(worker):
-                found.append(Outcome(is_lost=True))
+                found.append(TaskResult(is_lost=True))
                 return
-            if not self.on_task(worker, order.task):
+            if not self.on_task(worker, assignment.task):
                 if process == self._name_process(worker):
                     found.append(CallLostError())
                 else:
                     # Dask gives the new process what the old one had, in any order.
                     self.waiting.append((call, run))
                 return
-            self.ran.append((worker, order.task.numbers))
-            left = self.problems.get(order.task.numbers[0], [])
-            told = Told(remarks=(("key", f"about {order.task.numbers[0]}"),))
+            self.ran.append((worker, assignment.task.numbers))
+            left = self.problems.get(assignment.task.numbers[0], [])
+            told = TaskLog(remarks=(("key", f"about {assignment.task.numbers[0]}"),))
             problem = left.pop(0) if left else ""
             if problem == "raise":
                 found.append(CallFailedError("TypeError: odd"))
                 return
             if not problem:
-                self.done.update(order.task.numbers)
-            found.append(Outcome(news=told, problem=problem))
+                self.done.update(assignment.task.numbers)
+            found.append(TaskResult(log=told, problem=problem))
 
         self.waiting.append((call, run))
         return call
@@ -151,10 +151,10 @@ def run(farm: FakeFarm, tasks: list[Task], *, by_runs: bool = False) -> tuple[li
     told: list[str] = []
     dispatcher = Dispatcher(
         cast(Connection, farm),
-        Terms(environment=ENVIRONMENT, check=()),
-        make_order=lambda task: cast(Order, _Order(task)),
+        Requirements(environment=ENVIRONMENT, check=()),
+        make_assignment=lambda task: cast(Assignment, _Assignment(task)),
         list_missing=lambda task: tuple(number for number in task.numbers if number not in farm.done),
-        listener=Listener(tell=told.append, hear=lambda _: None, show=lambda *_: None),
+        callbacks=Callbacks(tell=told.append, log_task=lambda _: None, show=lambda *_: None),
         by_runs=by_runs,
     )
     dispatcher.run(tasks)
@@ -163,7 +163,7 @@ def run(farm: FakeFarm, tasks: list[Task], *, by_runs: bool = False) -> tuple[li
 
 
 @dataclass
-class _Order:
+class _Assignment:
     task: Task
 
 
@@ -362,10 +362,10 @@ def test_a_good_worker_that_went_is_waited_for() -> None:
 
     dispatcher = Dispatcher(
         cast(Connection, farm),
-        Terms(environment=ENVIRONMENT, check=()),
-        make_order=lambda task: cast(Order, _Order(task)),
+        Requirements(environment=ENVIRONMENT, check=()),
+        make_assignment=lambda task: cast(Assignment, _Assignment(task)),
         list_missing=lambda task: tuple(number for number in task.numbers if number not in farm.done),
-        listener=Listener(tell=lambda _: None, hear=lambda _: None, show=show),
+        callbacks=Callbacks(tell=lambda _: None, log_task=lambda _: None, show=show),
     )
     dispatcher.run(make_tasks(*range(20)))
     assert farm.done == set(range(20))
@@ -384,10 +384,10 @@ def test_without_workers_the_run_says_so_once_and_waits() -> None:
 
     Dispatcher(
         cast(Connection, farm),
-        Terms(environment=ENVIRONMENT, check=()),
-        make_order=lambda task: cast(Order, _Order(task)),
+        Requirements(environment=ENVIRONMENT, check=()),
+        make_assignment=lambda task: cast(Assignment, _Assignment(task)),
         list_missing=lambda task: tuple(number for number in task.numbers if number not in farm.done),
-        listener=Listener(tell=told.append, hear=lambda _: None, show=show),
+        callbacks=Callbacks(tell=told.append, log_task=lambda _: None, show=show),
     ).run(make_tasks(1))
     assert told == ["No worker is connected to tcp://fake:8786; waiting for one."]
     assert shown[:3] == ["Waiting for workers"] * 3

@@ -14,7 +14,7 @@ from lobewise.cli import farming
 from lobewise.cli.farming import FrameWork
 from lobewise.cli.main import run
 from lobewise.farm.ledger import name_ledger
-from lobewise.farm.tasks import Told
+from lobewise.farm.tasks import TaskLog
 from lobewise.io import read_image, write_frame
 from lobewise.streaming import plan
 from tests.streaming.frames import make_scene
@@ -50,7 +50,7 @@ def catch_job(*options: str, monkeypatch: pytest.MonkeyPatch, verb: Sequence[str
     return found[0]
 
 
-def do(work: FrameWork, *numbers: int, memory: float | None = None) -> tuple[Told, list[int]]:
+def do(work: FrameWork, *numbers: int, memory: float | None = None) -> tuple[TaskLog, list[int]]:
     """Let a worker filter frames; return what it told, and the frames that it called done."""
     done: list[int] = []
     sent = pickle.loads(pickle.dumps(work))

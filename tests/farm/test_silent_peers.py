@@ -18,11 +18,11 @@ from lobewise.farm import connection
 from tests.farm.processes import Farm, start_program
 
 
-def answer_strangers(listener: socket.socket, answer: bytes) -> None:
-    """Send an answer to everyone who connects, and keep the connections open until the listener is closed."""
+def answer_strangers(callbacks: socket.socket, answer: bytes) -> None:
+    """Send an answer to everyone who connects, and keep the connections open until the callbacks is closed."""
     with ExitStack() as open_ones, suppress(OSError):
         while True:
-            stranger = open_ones.enter_context(listener.accept()[0])
+            stranger = open_ones.enter_context(callbacks.accept()[0])
             stranger.sendall(answer)
 
 
@@ -43,13 +43,13 @@ def peer(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
         "many parts": (1 << 35).to_bytes(8, "little"),
         "deaf": b"",
     }
-    with socket.create_server(("127.0.0.1", 0)) as listener:
+    with socket.create_server(("127.0.0.1", 0)) as callbacks:
         if request.param != "deaf":
-            words = (listener, answers[request.param])
+            words = (callbacks, answers[request.param])
             threading.Thread(target=answer_strangers, args=words, daemon=True).start()
-        yield f"tcp://127.0.0.1:{listener.getsockname()[1]}"
+        yield f"tcp://127.0.0.1:{callbacks.getsockname()[1]}"
         with suppress(OSError):
-            listener.shutdown(socket.SHUT_RDWR)
+            callbacks.shutdown(socket.SHUT_RDWR)
 
 
 PEERS = ["silent", "deaf", "mad", "many parts", "stopped"]

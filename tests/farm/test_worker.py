@@ -1,4 +1,4 @@
-"""What a worker is asked, and what it does with an order that goes wrong."""
+"""What a worker is asked, and what it does with an assignment that goes wrong."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from lobewise.errors import InputError
 from lobewise.farm import worker as module
 from lobewise.farm.environment import compare_environments, describe_environment
 from lobewise.farm.ledger import TOKEN, Ledger
-from lobewise.farm.tasks import Order, Outcome, Told, cut_frames
-from lobewise.farm.worker import GIB, describe_worker, run_order
+from lobewise.farm.tasks import Assignment, TaskLog, TaskResult, cut_frames
+from lobewise.farm.worker import GIB, describe_worker, run_assignment
 
 
 @dataclass
@@ -39,13 +39,13 @@ class Work:
 
     def filter_frames(
         self, numbers: Sequence[int], *, first: int, memory: float | None, checkpoint: Path, done: Callable[[int], None]
-    ) -> Told:
+    ) -> TaskLog:
         self.given = first, memory
         for number in numbers:
             self.act(number)
             (self.folder / f"out.{number}").write_text("clean")
             done(number)
-        return Told(last="the last")
+        return TaskLog(last="the last")
 
 
 @pytest.fixture(autouse=True)
@@ -61,39 +61,39 @@ def dask_worker(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     return found
 
 
-def make_order(folder: Path, act: Callable[[int], None] = lambda number: None, **options: Any) -> Order:
+def make_assignment(folder: Path, act: Callable[[int], None] = lambda number: None, **options: Any) -> Assignment:
     for number in (1, 2):
         (folder / f"in.{number}").write_text("noisy")
     ledger = Ledger(folder=folder / "ledger", identity="")
     with ledger.lock():
         ledger.put_token("token")
     task = cut_frames([(1, folder / "in.1")])[0]
-    return Order(work=Work(folder, act), task=task, ledger=ledger, first=1, memory=options.get("memory"))
+    return Assignment(work=Work(folder, act), task=task, ledger=ledger, first=1, memory=options.get("memory"))
 
 
-def do(order: Order) -> Outcome:
-    """Let this process do an order that is for it."""
-    return run_order(order, module.PROCESS)
+def do(assignment: Assignment) -> TaskResult:
+    """Let this process do an assignment that is for it."""
+    return run_assignment(assignment, module.PROCESS)
 
 
-def is_done(order: Order) -> bool:
-    proof = order.ledger.prove(order.task.frames, order.work.list_sources)[1]
-    return order.ledger.is_done(1, proof, order.work.list_outputs(1))
+def is_done(assignment: Assignment) -> bool:
+    proof = assignment.ledger.prove(assignment.task.frames, assignment.work.list_sources)[1]
+    return assignment.ledger.is_done(1, proof, assignment.work.list_outputs(1))
 
 
 def test_a_frame_is_recorded_and_then_not_filtered_again(tmp_path: Path) -> None:
     seen: list[int] = []
-    order = make_order(tmp_path, seen.append)
-    assert do(order) == Outcome(news=Told(last="the last"))
-    assert is_done(order)
-    assert do(order) == Outcome()
+    assignment = make_assignment(tmp_path, seen.append)
+    assert do(assignment) == TaskResult(log=TaskLog(last="the last"))
+    assert is_done(assignment)
+    assert do(assignment) == TaskResult()
     assert seen == [1]
 
 
 def test_an_order_for_a_process_that_ended_is_not_done(tmp_path: Path) -> None:
-    order = make_order(tmp_path)
-    assert run_order(order, "another process") == Outcome(is_lost=True)
-    assert not is_done(order)
+    assignment = make_assignment(tmp_path)
+    assert run_assignment(assignment, "another process") == TaskResult(is_lost=True)
+    assert not is_done(assignment)
 
 
 def refuse(_: int) -> None:
@@ -105,35 +105,35 @@ def break_down(_: int) -> None:
 
 
 def test_an_error_of_a_user_is_its_sentence(tmp_path: Path) -> None:
-    order = make_order(tmp_path, refuse)
-    outcome = do(order)
-    assert (outcome.problem, outcome.trace) == ("radius: expected less, got more; pass less.", "")
-    assert not is_done(order)
+    assignment = make_assignment(tmp_path, refuse)
+    result = do(assignment)
+    assert (result.problem, result.trace) == ("radius: expected less, got more; pass less.", "")
+    assert not is_done(assignment)
 
 
 def test_a_mistake_of_the_program_has_its_traceback(tmp_path: Path) -> None:
-    outcome = do(make_order(tmp_path, break_down))
-    assert outcome.problem == "something went wrong inside lobewise (ValueError: odd thing)."
-    assert "break_down" in outcome.trace
+    result = do(make_assignment(tmp_path, break_down))
+    assert result.problem == "something went wrong inside lobewise (ValueError: odd thing)."
+    assert "break_down" in result.trace
 
 
 @pytest.mark.filterwarnings("default")
 def test_warnings_become_remarks(tmp_path: Path) -> None:
-    outcome = do(make_order(tmp_path, lambda _: warnings.warn("mind this", stacklevel=1)))
-    assert outcome.news.remarks == (("mind this", "mind this"),)
+    result = do(make_assignment(tmp_path, lambda _: warnings.warn("mind this", stacklevel=1)))
+    assert result.log.remarks == (("mind this", "mind this"),)
 
 
 def test_a_source_that_changes_meanwhile_is_not_done(tmp_path: Path) -> None:
-    order = make_order(tmp_path, lambda _: (tmp_path / "in.1").write_text("other"))
+    assignment = make_assignment(tmp_path, lambda _: (tmp_path / "in.1").write_text("other"))
     (tmp_path / "in.1").write_text("noisy, longer")
-    assert do(order).problem == ""
-    assert not is_done(order)
+    assert do(assignment).problem == ""
+    assert not is_done(assignment)
 
 
 def test_threads_and_memory_are_those_of_the_worker(tmp_path: Path) -> None:
-    order = make_order(tmp_path)
-    do(order)
-    assert order.work.given == (1, 6.0)  # type: ignore[attr-defined]
+    assignment = make_assignment(tmp_path)
+    do(assignment)
+    assert assignment.work.given == (1, 6.0)  # type: ignore[attr-defined]
     assert (os.environ["HL_NUM_THREADS"], os.environ["OIDN_NUM_THREADS"]) == ("3", "3")
 
 
@@ -141,15 +141,15 @@ def test_what_the_user_sets_counts_more(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dask_worker: SimpleNamespace
 ) -> None:
     monkeypatch.setenv("HL_NUM_THREADS", "2")
-    order = make_order(tmp_path, memory=4.0)
-    do(order)
-    assert order.work.given == (1, 4.0)  # type: ignore[attr-defined]
+    assignment = make_assignment(tmp_path, memory=4.0)
+    do(assignment)
+    assert assignment.work.given == (1, 4.0)  # type: ignore[attr-defined]
     assert os.environ["HL_NUM_THREADS"] == "2"
     dask_worker.memory_manager.memory_limit = 0
     (tmp_path / "out.1").unlink()
-    order = make_order(tmp_path)
-    do(order)
-    assert order.work.given == (1, None)  # type: ignore[attr-defined]
+    assignment = make_assignment(tmp_path)
+    do(assignment)
+    assert assignment.work.given == (1, None)  # type: ignore[attr-defined]
 
 
 def test_one_frame_at_a_time(tmp_path: Path) -> None:
@@ -165,7 +165,7 @@ def test_one_frame_at_a_time(tmp_path: Path) -> None:
     threads = []
     for number in range(3):
         (tmp_path / str(number)).mkdir()
-        threads.append(threading.Thread(target=do, args=(make_order(tmp_path / str(number), act),)))
+        threads.append(threading.Thread(target=do, args=(make_assignment(tmp_path / str(number), act),)))
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -174,8 +174,8 @@ def test_one_frame_at_a_time(tmp_path: Path) -> None:
 
 
 def test_what_a_worker_does_not_see(tmp_path: Path) -> None:
-    order = make_order(tmp_path)
-    folder, source = order.ledger.folder, tmp_path / "in.1"
+    assignment = make_assignment(tmp_path)
+    folder, source = assignment.ledger.folder, tmp_path / "in.1"
 
     def describe_fault(**changes: Any) -> str:
         given = {"folder": folder, "token": "token", "source": source, "size": 5, **changes}

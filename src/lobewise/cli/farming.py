@@ -18,7 +18,7 @@ from lobewise.cli.terminal.steps import Steps
 from lobewise.display.views import View
 from lobewise.errors import LobewiseError, hide_numbers
 from lobewise.farm.running import FarmJob, FarmReport, filter_on_farm
-from lobewise.farm.tasks import Told
+from lobewise.farm.tasks import TaskLog
 from lobewise.io.files import require_exr_name
 from lobewise.io.sequence import FramePattern, name_frames
 from lobewise.limits import limit_call
@@ -54,7 +54,7 @@ class FrameWork:
 
     def filter_frames(
         self, numbers: Sequence[int], *, first: int, memory: float | None, checkpoint: Path, done: Callable[[int], None]
-    ) -> Told:
+    ) -> TaskLog:
         """Filter frames into their files; see `lobewise.farm.tasks.Work`."""
         target = FramePattern.parse(self.output)
         verb, remarks = _make_filter(pickle.dumps((self, first)))
@@ -78,7 +78,7 @@ class FrameWork:
                 numbers=numbers,
             )
         last = report.last
-        return Told(
+        return TaskLog(
             remarks=tuple(remark for remark in remarks.sentences.items() if remark[0] not in before),
             last="" if last is None else describe_result(last),
             settings="" if last is None else describe_settings(last),

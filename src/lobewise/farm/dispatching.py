@@ -24,8 +24,8 @@ from lobewise.farm.calls import (
     WorkerLostError,
 )
 from lobewise.farm.environment import compare_environments, shorten_version
-from lobewise.farm.tasks import Order, Outcome, Task, Told
-from lobewise.farm.worker import describe_worker, run_order
+from lobewise.farm.tasks import Assignment, Task, TaskLog, TaskResult
+from lobewise.farm.worker import describe_worker, run_assignment
 from lobewise.io.sequence import name_frames
 from lobewise.limits import check_time
 
@@ -96,7 +96,7 @@ class _Worker:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Terms:
+class Requirements:
     """What a worker must be like.
 
     Parameters
@@ -112,21 +112,21 @@ class Terms:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Listener:
+class Callbacks:
     """What a run tells its user.
 
     Parameters
     ----------
     tell : callable
         Called with a sentence about the farm.
-    hear : callable
+    log_task : callable
         Called with what filtering told about a task.
     show : callable
         Called again and again with what is waited for, "" while frames are filtered, and the tasks that workers have.
     """
 
     tell: Callable[[str], None]
-    hear: Callable[[Told], None]
+    log_task: Callable[[TaskLog], None]
     show: Callable[[str, list[Task]], None]
 
 
@@ -137,13 +137,13 @@ class Dispatcher:
     ----------
     connection : Connection
         The scheduler.
-    terms : Terms
+    requirements : Requirements
         What workers must be like.
-    make_order : callable
-        Returns the order for a task.
+    make_assignment : callable
+        Returns the assignment for a task.
     list_missing : callable
         Returns the frames of a task that are not done on disk.
-    listener : Listener
+    callbacks : Callbacks
         What is told meanwhile.
     by_runs : bool
         Whether a worker gets consecutive frames where it can, because it has read sources of the next frame already.
@@ -152,18 +152,18 @@ class Dispatcher:
     def __init__(
         self,
         connection: Connection,
-        terms: Terms,
+        requirements: Requirements,
         *,
-        make_order: Callable[[Task], Order],
+        make_assignment: Callable[[Task], Assignment],
         list_missing: Callable[[Task], tuple[int, ...]],
-        listener: Listener,
+        callbacks: Callbacks,
         by_runs: bool = False,
     ) -> None:
         self._connection = connection
-        self._terms = terms
-        self._make_order = make_order
+        self._requirements = requirements
+        self._make_assignment = make_assignment
         self._list_missing = list_missing
-        self._listener = listener
+        self._callbacks = callbacks
         self._by_runs = by_runs
         self._workers: dict[str, _Worker] = {}
         self._todo: deque[tuple[float, Task]] = deque()
@@ -195,7 +195,7 @@ class Dispatcher:
                     action="start it, and give the same command again, which filters only what is missing",
                 ) from None
             self._look_again()
-            self._listener.show(self._waits_for, self.list_running())
+            self._callbacks.show(self._waits_for, self.list_running())
 
     def list_running(self) -> list[Task]:
         """Return the tasks that workers have."""
@@ -230,7 +230,7 @@ class Dispatcher:
             self._has_waited = False
         elif not self._has_waited:
             self._has_waited = True
-            self._listener.tell(f"No worker is connected to {self._connection.address}; waiting for one.")
+            self._callbacks.tell(f"No worker is connected to {self._connection.address}; waiting for one.")
 
     def _lose(self, worker: _Worker) -> None:
         """Take back the tasks of a worker that went. The oldest that is not done was running, so its try counts."""
@@ -249,7 +249,9 @@ class Dispatcher:
                 return
             for worker in ready:
                 if len(worker.calls) == depth and (task := self._take_task(worker)) is not None:
-                    call = self._connection.call(worker.address, run_order, self._make_order(task), worker.process)
+                    call = self._connection.call(
+                        worker.address, run_assignment, self._make_assignment(task), worker.process
+                    )
                     worker.calls[call.key] = call, task
                     worker.last = task.numbers[-1]
 
@@ -314,16 +316,16 @@ class Dispatcher:
         worker.questions = {}
         worker.fault = self._judge_all(worker, answers["all"]) if "all" in answers else self._judge_versions(answers)
         if not worker.fault and "all" not in answers:
-            worker.questions["all"] = self._connection.call(worker.address, describe_worker, *self._terms.check)
+            worker.questions["all"] = self._connection.call(worker.address, describe_worker, *self._requirements.check)
             return
         worker.is_ready = not worker.fault
         self._had_good_worker |= worker.is_ready
         if worker.fault:
-            self._listener.tell(f"The worker {worker.address} is not used: {worker.fault}.")
+            self._callbacks.tell(f"The worker {worker.address} is not used: {worker.fault}.")
 
     def _judge_versions(self, answers: Mapping[str, Any]) -> str:
         """Return why a worker cannot be asked more, in a few words; empty if it can."""
-        own = self._terms.environment
+        own = self._requirements.environment
         there = {"Python": shorten_version(str(answers["Python"])), "lobewise": str(answers["lobewise"] or "none")}
         first = compare_environments({name: own[name] for name in ("Python", "lobewise")}, there)
         if first:
@@ -336,16 +338,16 @@ class Dispatcher:
         if isinstance(answer, CallFailedError):
             return f"it cannot tell what it sees ({answer})"
         worker.process, environment, fault = answer
-        difference = compare_environments(self._terms.environment, environment)
+        difference = compare_environments(self._requirements.environment, environment)
         return f"it has {difference}, which must be installed there" if difference else fault
 
     def _take_outcome(self, worker: _Worker, key: str) -> None:
         before = dict(worker.calls)
         call, task = worker.calls.pop(key)
         try:
-            outcome: Outcome = call.fetch()
+            result: TaskResult = call.fetch()
         except WorkerLostError:
-            outcome = Outcome(is_lost=True)
+            result = TaskResult(is_lost=True)
         except CallLostError:
             if self._list_missing(task):
                 self._todo.appendleft((0.0, task))
@@ -355,13 +357,13 @@ class Dispatcher:
         except CallFailedError as problem:
             self._fail(task, worker.address, f"something went wrong ({problem}).")
             return
-        if outcome.is_lost:
+        if result.is_lost:
             worker.calls = before
             self._lose(self._workers.pop(worker.address))
             return
-        self._listener.hear(outcome.news)
-        if outcome.problem:
-            self._fail(task, worker.address, outcome.problem, outcome.trace)
+        self._callbacks.log_task(result.log)
+        if result.problem:
+            self._fail(task, worker.address, result.problem, result.trace)
         elif self._list_missing(task):
             self._unseen.append((time.monotonic() + MAX_SECONDS_UNSEEN, task, worker.address))
         else:
@@ -373,7 +375,7 @@ class Dispatcher:
             if failure.problem != LOST and failure.worker not in self._blamed:
                 self._blamed.add(failure.worker)
                 numbers = name_frames(failure.numbers)
-                self._listener.tell(f"{numbers}, tried again after worker {failure.worker} failed: {failure.problem}")
+                self._callbacks.tell(f"{numbers}, tried again after worker {failure.worker} failed: {failure.problem}")
 
     def _look_again(self) -> None:
         """Look for files that workers have written and that were not seen here."""

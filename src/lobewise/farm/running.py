@@ -13,10 +13,10 @@ from pathlib import Path
 
 from lobewise.errors import FileError, InputError
 from lobewise.farm.calls import Connection
-from lobewise.farm.dispatching import WAITING, Dispatcher, Failure, Listener, Terms
+from lobewise.farm.dispatching import WAITING, Callbacks, Dispatcher, Failure, Requirements
 from lobewise.farm.environment import describe_environment
 from lobewise.farm.ledger import Ledger, name_ledger, refresh_folders
-from lobewise.farm.tasks import Numbered, Order, Task, Told, Work, cut_frames, cut_shots
+from lobewise.farm.tasks import Assignment, Numbered, Task, TaskLog, Work, cut_frames, cut_shots
 from lobewise.io.files import require_other_files, require_writable
 from lobewise.io.replacing import remove_leftovers
 from lobewise.io.sequence import FramePattern
@@ -73,14 +73,14 @@ class FarmReport:
         Frames that this run wrote.
     failures : tuple of Failure
         What could not be done.
-    last : Told
+    last : TaskLog
         What was told about the last result.
     """
 
     frames: int
     written: int
     failures: tuple[Failure, ...]
-    last: Told
+    last: TaskLog
 
 
 def filter_on_farm(
@@ -182,7 +182,7 @@ class _Run:
         self._begun: set[int] = set()
         self._dispatcher: Dispatcher | None = None
         self._proofs: dict[tuple[int, ...], dict[int, str]] = {}
-        self.last = Told()
+        self.last = TaskLog()
 
     def list_done(self) -> frozenset[int]:
         """Return the frames that are done already."""
@@ -220,10 +220,10 @@ class _Run:
         check = (self.ledger.folder, self.token, source, source.stat().st_size, self._job.with_oidn)
         self._dispatcher = dispatcher = Dispatcher(
             connection,
-            Terms(environment=self._environment, check=check),
-            make_order=self._make_order,
+            Requirements(environment=self._environment, check=check),
+            make_assignment=self._make_assignment,
             list_missing=self.list_missing,
-            listener=Listener(tell=tell, hear=self._hear, show=self._show),
+            callbacks=Callbacks(tell=tell, log_task=self._log_task, show=self._show),
             by_runs=self._job.by_runs,
         )
         todo = [task for task in self.tasks if not self.done.issuperset(task.numbers)]
@@ -252,15 +252,17 @@ class _Run:
         if is_over and self.ledger.has_token(self.token):
             self.ledger.remove()
 
-    def _make_order(self, task: Task) -> Order:
+    def _make_assignment(self, task: Task) -> Assignment:
         self._begun.update(task.numbers)
-        return Order(work=self._job.work, task=task, ledger=self.ledger, first=self._first, memory=self._job.memory)
+        return Assignment(
+            work=self._job.work, task=task, ledger=self.ledger, first=self._first, memory=self._job.memory
+        )
 
-    def _hear(self, news: Told) -> None:
-        for key, text in news.remarks:
+    def _log_task(self, log: TaskLog) -> None:
+        for key, text in log.remarks:
             self._remark(text, key)
-        if news.last:
-            self.last = news
+        if log.last:
+            self.last = log
 
     def _show(self, waits_for: str, running: Iterable[Task]) -> None:
         count = len(self.done) + sum(map(self._count_begun, running))

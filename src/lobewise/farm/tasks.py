@@ -33,7 +33,7 @@ class Task:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Told:
+class TaskLog:
     """What filtering told about the frames of a task.
 
     Parameters
@@ -60,7 +60,7 @@ class Work(Protocol):
 
     def filter_frames(
         self, numbers: Sequence[int], *, first: int, memory: float | None, checkpoint: Path, done: Callable[[int], None]
-    ) -> Told:
+    ) -> TaskLog:
         """Filter frames into their files.
 
         Parameters
@@ -79,7 +79,7 @@ class Work(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Order:
+class Assignment:
     """A task with everything that a worker needs to do it.
 
     Parameters
@@ -104,13 +104,13 @@ class Order:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
-    """What a worker did with an order.
+class TaskResult:
+    """What a worker did with an assignment.
 
     Parameters
     ----------
-    news : Told
-        See `Told`.
+    log : TaskLog
+        See `TaskLog`.
     problem : str
         Why a frame was not filtered, in one sentence; empty if every frame was.
     trace : str
@@ -119,7 +119,7 @@ class Outcome:
         Whether the process that was to do it has ended: another one answers, which did nothing.
     """
 
-    news: Told = Told()
+    log: TaskLog = TaskLog()
     problem: str = ""
     trace: str = ""
     is_lost: bool = False

@@ -17,7 +17,7 @@ from typing import Any
 from lobewise.errors import LobewiseError, make_printable
 from lobewise.farm.environment import describe_environment
 from lobewise.farm.ledger import TOKEN, refresh_folders
-from lobewise.farm.tasks import Order, Outcome, Told
+from lobewise.farm.tasks import Assignment, TaskLog, TaskResult
 
 PROCESS = uuid.uuid4().hex
 """Name of this process. A worker that is started again may have the address of the one that ended."""
@@ -71,36 +71,36 @@ def _describe_fault(folder: Path, token: str, source: Path, size: int) -> str:
     return ""
 
 
-def run_order(order: Order, process: str) -> Outcome:
-    """Filter the frames of an order, unless they are done already; record each that is done.
+def run_assignment(assignment: Assignment, process: str) -> TaskResult:
+    """Filter the frames of an assignment, unless they are done already; record each that is done.
 
-    Dask gives the orders of a process that ended to the next one at the same address. It would end in the same way, so
-    it does only orders that name it.
+    Dask gives the assignments of a process that ended to the next one at the same address, which would end in the same
+    way: so a process does only assignments that name it.
     """
     if process != PROCESS:
-        return Outcome(is_lost=True)
+        return TaskResult(is_lost=True)
     with _one_task:
         worker = _get_dask_worker()
         if worker is not None:
             _keep_freed_memory()
             limit_threads(worker.state.nthreads)
-        return _run(order)
+        return _run(assignment)
 
 
-def _run(order: Order) -> Outcome:
-    work, ledger, task = order.work, order.ledger, order.task
+def _run(assignment: Assignment) -> TaskResult:
+    work, ledger, task = assignment.work, assignment.ledger, assignment.task
     # Take sizes and times before reading: a source that changes meanwhile voids the record.
     proofs = ledger.prove(task.frames, work.list_sources)
     # After a lost connection the client may hand out what another worker was still at.
     if all(ledger.is_done(number, proofs[number], work.list_outputs(number)) for number in task.numbers):
-        return Outcome()
-    news, problem, trace = Told(), "", ""
+        return TaskResult()
+    log, problem, trace = TaskLog(), "", ""
     with warnings.catch_warnings(record=True) as caught:
         try:
-            news = work.filter_frames(
+            log = work.filter_frames(
                 task.numbers,
-                first=order.first,
-                memory=_look_up_memory(order.memory),
+                first=assignment.first,
+                memory=_look_up_memory(assignment.memory),
                 checkpoint=ledger.name_checkpoint(task.numbers[0]),
                 done=lambda number: ledger.record(number, proofs[number], work.list_outputs(number)),
             )
@@ -110,8 +110,8 @@ def _run(order: Order) -> Outcome:
             words = " ".join(f"{type(error).__name__}: {error}".split())[:MAX_TOLD_LETTERS]
             problem, trace = f"something went wrong inside lobewise ({words}).", traceback.format_exc()
     warnings_caught = tuple((str(one.message), str(one.message)) for one in caught)
-    news = Told(remarks=(*news.remarks, *warnings_caught), last=news.last, settings=news.settings)
-    return Outcome(news=news, problem=make_printable(problem), trace=trace)
+    log = TaskLog(remarks=(*log.remarks, *warnings_caught), last=log.last, settings=log.settings)
+    return TaskResult(log=log, problem=make_printable(problem), trace=trace)
 
 
 @cache
