@@ -2,8 +2,7 @@
 
 python -m benchmarks.publish
 
-People write the pages. This program changes nothing outside the marks (see `benchmarks.pages.marks`). It also draws the
-plots of docs/bench.md.
+People write the pages. This program changes nothing outside the marks (see `benchmarks.pages.marks`).
 """
 
 from __future__ import annotations
@@ -64,10 +63,9 @@ def fill_page(name: str) -> str:
 
 
 def main() -> None:
-    """Fill every page and draw the plots."""
+    """Fill every page."""
     for name in PAGES:
         (ROOT / name).write_text(fill_page(name))
-    bench.write_pictures(bench.load_machines())
 
 
 if __name__ == "__main__":

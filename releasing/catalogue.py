@@ -18,7 +18,8 @@ import numpy as np
 
 import lobewise
 from lobewise import Frame, Radiance
-from lobewise.bench.plan import Extent, list_jobs
+from lobewise.bench.filters import add_halves, list_jobs
+from lobewise.bench.plane import make_frame as make_plane
 from lobewise.doctor.machine import examine_kernels
 from lobewise.errors import LobewiseError
 from lobewise.filters.noise.albedo import clean_albedo
@@ -165,10 +166,9 @@ def list_windows() -> Iterator[Case]:
 
 
 def list_benchmarks() -> Iterator[Case]:
-    """Yield the jobs of `lobewise bench` on small images, without Open Image Denoise."""
-    extent = Extent(size=BENCH_SIZE, sizes=(BENCH_SIZE,), recipe_size=BENCH_SIZE, radius_size=BENCH_SIZE)
-    for job in list_jobs(extent, "cpu", peers=False):
-        yield from job.make().values()
+    """Yield the calls of `lobewise bench` on a small image, without Open Image Denoise."""
+    for _, calls, _ in list_jobs(add_halves(make_plane(*BENCH_SIZE)), "cpu", peers=False):
+        yield from calls.values()
 
 
 def list_examinations() -> Iterator[Case]:

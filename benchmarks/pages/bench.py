@@ -8,11 +8,10 @@ from typing import Any
 
 from benchmarks.common import ROOT
 from benchmarks.pages.tables import describe_run, judge, list_facts, make_table
-from lobewise.bench.plots import PLOTS, draw_plots
-from lobewise.bench.summary import Section, describe_machine_in_words, make_sections
+from lobewise.bench.filters import make_tables
+from lobewise.bench.machine import describe_machine_in_words
 
 MACHINES = ROOT / "benchmarks" / "results" / "machines"
-IMAGES = ROOT / "docs" / "images"
 MAX_MILLISECONDS_OF_HELP = 300.0
 """Goal: longest time of `lobewise --help`. Users notice longer waits."""
 
@@ -20,24 +19,6 @@ MAX_MILLISECONDS_OF_HELP = 300.0
 def load_machines() -> dict[str, dict[str, Any]]:
     """Return what `lobewise bench` found on each machine, by the name of its file."""
     return {path.stem: json.loads(path.read_text()) for path in sorted(MACHINES.glob("*.json"))}
-
-
-def name_picture(machine: str, plot: str) -> str:
-    """Return the file name of a plot of a machine."""
-    return f"bench-{machine}-{plot}.png"
-
-
-def list_pictures(machines: Mapping[str, Any]) -> list[str]:
-    """Return the file names of the plots that stand in the page."""
-    drawn = {name: [section.key for section in make_sections(data)] for name, data in machines.items()}
-    return [name_picture(name, plot) for name, keys in drawn.items() for plot in PLOTS if plot in keys]
-
-
-def write_pictures(machines: Mapping[str, Any]) -> None:
-    """Draw the plots of every machine."""
-    for name, data in machines.items():
-        for plot, png in draw_plots(data).items():
-            (IMAGES / name_picture(name, plot)).write_bytes(png)
 
 
 def make_figures(startup: Mapping[str, Any]) -> dict[str, str]:
@@ -50,25 +31,14 @@ def make_machines(machines: Mapping[str, Any]) -> str:
     return "\n\n".join(make_machine(name, data) for name, data in machines.items())
 
 
-def make_machine(name: str, data: Mapping[str, Any]) -> str:
+def make_machine(name: str, measured: Mapping[str, Any]) -> str:
     """Return the chapter of a machine."""
-    devices = "\n".join(f"- `{key}`: {told}" for key, told in data["devices"].items())
-    left_out = "".join(f"Left out: {sentence}\n\n" for sentence in data["skipped"])
-    pictures = list_pictures({name: data})
-    body = "\n".join(_make_section(section, name, pictures) for section in make_sections(data))
-    return f"""## {name}
-
-{describe_machine_in_words(data)}
-
-{devices}
-
-{left_out}{body}"""
-
-
-def _make_section(section: Section, machine: str, pictures: list[str]) -> str:
-    file = name_picture(machine, section.key)
-    picture = f"\n![{section.title} on {machine}](images/{file})\n" if file in pictures else ""
-    return f"### {section.title}\n\n{section.note}\n\n{make_table(section.header, section.rows)}\n{picture}"
+    parts = [f"## {name}", describe_machine_in_words(measured)]
+    parts.append("\n".join(f"- `{key}`: {reason}" for key, reason in measured["devices"].items()))
+    parts += [f"Left out: {sentence}" for sentence in measured["skipped"]]
+    for title, (header, rows) in make_tables(measured).items():
+        parts += [f"### {title}", make_table(header, rows)]
+    return "\n\n".join(parts)
 
 
 def make_startup(startup: Mapping[str, Any]) -> dict[str, str]:

@@ -15,9 +15,10 @@ from typing import Any
 
 import lobewise
 from benchmarks.common import RESULTS, describe_machine, write_json
-from lobewise.bench.kernels import count_taps, make_kernel_calls
+from lobewise.bench.filters import make_kernel_calls
 from lobewise.bench.plane import make_features, make_frame
 from lobewise.bench.timing import time_best
+from lobewise.filters.forms import count_taps
 from lobewise.frame import Frame
 from lobewise.peers import denoise_oidn, has_oidn
 from lobewise.settings import FORM_NAMES

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 import subprocess
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,14 @@ def describe_machine() -> dict[str, Any]:
     }
     commit = _look_up_commit()
     return {**facts, "commit": commit} if commit else facts
+
+
+def describe_machine_in_words(measured: Mapping[str, Any]) -> str:
+    """Return processor, threads, other devices, version and commit of a measurement, in a sentence."""
+    machine = measured["machine"]
+    others = [f"{name}: {reason}" for name, reason in measured["devices"].items() if name != "cpu"]
+    version = f"lobewise {machine['version']}" + (f", commit {machine['commit']}" if "commit" in machine else "")
+    return "; ".join([f"{machine['processor']}, {machine['threads']} threads", *others, version]) + "."
 
 
 def look_up_processor() -> str:

@@ -61,17 +61,12 @@ def make_frame(width: int, height: int) -> Frame:
     )
 
 
-def make_place(frame: Frame) -> list[Feature]:
-    """Return the features that all similarities share: distance on the screen and from the tangent plane."""
-    position, depth = (frame.gbuffer.require(name, "the benchmark") for name in ("position", "depth"))
-    pixel_angle = frame.require_camera("the benchmark").get_pixel_angle(frame.height)
-    return [ScreenFeature(5.0), PositionFeature(position, depth, pixel_angle=pixel_angle, sigma=16.0)]
-
-
 def make_features(frame: Frame, names: tuple[str, ...] = SIMILARITIES) -> dict[str, list[Feature]]:
-    """Return the features of each similarity, by its name; all similarities share the features of `make_place`."""
+    """Return the features of each similarity, by its name; all share the distances on the screen and from the plane."""
     guides, camera = frame.gbuffer, frame.require_camera("the benchmark")
-    place = make_place(frame)
+    position, depth = (guides.require(name, "the benchmark") for name in ("position", "depth"))
+    pixel_angle = camera.get_pixel_angle(frame.height)
+    place = [ScreenFeature(5.0), PositionFeature(position, depth, pixel_angle=pixel_angle, sigma=16.0)]
     features: dict[str, list[Feature]] = {}
     if "normal" in names:
         features["normal"] = [*place, NormalFeature(guides.require("normal", "the benchmark"), 64.0)]

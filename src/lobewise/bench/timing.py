@@ -1,13 +1,10 @@
-"""Shortest times of functions that run in turn; processes with fewer threads."""
+"""Shortest times of functions that run in turn; fewer threads."""
 
 from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import ExitStack, contextmanager
-from multiprocessing import get_context
+from collections.abc import Callable, Mapping
 from typing import Any
 
 
@@ -28,24 +25,6 @@ def time_best(candidates: Mapping[str, Callable[[], Any]], seconds: float, *, ro
             best[name] = min(best[name], time.perf_counter() - begin)
         done += 1
     return best
-
-
-def keep_best(known: Mapping[str, float] | None, newest: Mapping[str, float]) -> dict[str, float]:
-    """Return the shorter of two times of each candidate; ``known`` is None before the first times."""
-    return {name: min(value, (known or newest)[name]) for name, value in newest.items()}
-
-
-@contextmanager
-def open_pools(counts: Sequence[int]) -> Iterator[dict[int, ProcessPoolExecutor]]:
-    """Yield a process for each number of threads of kernels: a process cannot change its number."""
-    with ExitStack() as stack:
-        context = get_context("spawn")
-        yield {
-            count: stack.enter_context(
-                ProcessPoolExecutor(1, mp_context=context, initializer=limit_threads, initargs=(count,))
-            )
-            for count in counts
-        }
 
 
 def limit_threads(count: int) -> None:

@@ -10,26 +10,21 @@ import typer
 from lobewise.cli.options.common import output_option, parse_size
 from lobewise.cli.terminal.help import App
 from lobewise.cli.terminal.steps import Steps
-from lobewise.errors import InputError, MissingDependencyError
+from lobewise.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
 bench = App(help="Measure how fast this machine is.", invoke_without_command=True)
 
-DEFAULT_FOLDER = Path("lobewise-bench")
-
 
 @bench.callback()
 def filters(
     context: typer.Context,
     output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output", "-o", metavar="FOLDER", help="Where page, plots and JSON go.", show_default=str(DEFAULT_FOLDER)
-        ),
+        Path | None, output_option("--output", "-o", metavar="FILE.json", help="Write the figures as JSON as well.")
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Small images and few rounds: about a minute.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Images of 512x512 pixels instead of 1920x1080.")] = False,
     device: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME", help="See `lobewise devices`; may be repeated.", show_default="all there are"),
@@ -37,7 +32,7 @@ def filters(
 ) -> None:
     """Measure how fast this machine is: filters, upsampling, whole frames, and Open Image Denoise beside them.
 
-    Takes up to ten minutes, during which nothing else should run. `interactive` measures the viewer instead.
+    Takes about two minutes, during which nothing else should run. `interactive` measures the viewer instead.
     """
     if context.invoked_subcommand is not None:
         if output is not None or quick or device:
@@ -48,38 +43,27 @@ def filters(
                 action="move or remove them",
             )
         return
-    from lobewise.bench.filters import measure_filters
-    from lobewise.bench.page import make_bench_page
-    from lobewise.bench.plan import FULL, QUICK
-    from lobewise.bench.plots import draw_plots
-    from lobewise.bench.summary import describe_machine_in_words, make_sections
+    from lobewise.bench.filters import FULL_SIZE, QUICK_SIZE, make_tables, measure_filters
+    from lobewise.bench.machine import describe_machine_in_words
     from lobewise.cli.output import print_line, print_note, print_table, to_json
-    from lobewise.io.files import make_folder, open_atomic, write_text
+    from lobewise.io.files import require_writable, write_text
 
-    folder = make_folder(output or DEFAULT_FOLDER)
+    if output is not None:
+        require_writable(output)
     with Steps() as steps:
         measured = measure_filters(
-            device, extent=QUICK if quick else FULL, progress=lambda done, total: steps.tell("Measuring", done, total)
+            device,
+            size=QUICK_SIZE if quick else FULL_SIZE,
+            progress=lambda done, total: steps.tell("runs", done, total),
         )
-    for section in make_sections(measured):
-        print_table(
-            section.title, [name.replace(" faster than ", "\nfaster than ") for name in section.header], section.rows
-        )
+    for title, (header, rows) in make_tables(measured).items():
+        print_table(title, [name.replace(", over", ",\nover") for name in header], rows)
     print_line(describe_machine_in_words(measured))
     for sentence in measured["skipped"]:
         print_note(f"Left out: {sentence}")
-    try:
-        plots = draw_plots(measured)
-    except MissingDependencyError as problem:
-        plots = {}
-        print_note(str(problem))
-    for name, png in plots.items():
-        with open_atomic(folder / f"{name}.png", what="plot") as stream:
-            stream.write(png)
-    write_text(folder / "bench.json", to_json(measured))
-    command = "lobewise bench" + " --quick" * quick + "".join(f" --device {name}" for name in device or ())
-    write_text(folder / "index.html", make_bench_page(measured, plots, command))
-    print_line(f"Wrote {folder / 'index.html'}: open it in a browser; figures and plots lie beside it.")
+    if output is not None:
+        write_text(output, to_json(measured))
+        print_line(f"Wrote {output}")
 
 
 @bench.command()
