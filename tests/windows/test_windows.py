@@ -59,7 +59,7 @@ class TestJoining:
     def test_still_frames_become_their_mean(self):
         frames = make_still()
         joined = join(frames)
-        assert joined.used == (-2, -1, 1, 2)
+        assert tuple(joined.shown) == (-2, -1, 1, 2)
         assert joined.frames.mean() > 4.0
         ratio = rel_mse(joined.frame.radiance.color, make_truth(frames[2]))
         ratio /= rel_mse(frames[2].radiance.color, make_truth(frames[2]))
@@ -99,13 +99,13 @@ class TestJoining:
     def test_a_cut_ends_the_window(self):
         far = make_camera(0.0, 40.0)
         frames = [*make_still(3), *(make_frame(far, far, noise=NOISE, seed=9 + k) for k in range(2))]
-        assert join(frames).used == (-2, -1)
-        assert join(frames, 3).used == (1,)
+        assert tuple(join(frames).shown) == (-2, -1)
+        assert tuple(join(frames, 3).shown) == (1,)
 
     def test_frames_of_another_size_end_the_window(self):
         frames = make_still(3)
         small = Frame(Radiance(np.ones((8, 8, 3))), GBuffer(normal=np.broadcast_to((0.0, 0.0, 1.0), (8, 8, 3))))
-        assert join([small, *frames], 1).used == (1, 2)
+        assert tuple(join([small, *frames], 1).shown) == (1, 2)
 
     def test_a_bad_pixel_is_taken_from_the_neighbours(self):
         frames = make_still()
@@ -172,7 +172,7 @@ class TestJoining:
         ]
         truth = make_truth(frames[2])
         joined = join(bare)
-        assert joined.used == (-2, -1, 1, 2)
+        assert tuple(joined.shown) == (-2, -1, 1, 2)
         assert rel_mse(joined.frame.radiance.color, truth) < 0.5 * rel_mse(frames[2].radiance.color, truth)
 
 
@@ -184,7 +184,7 @@ class TestAveraging:
         """Return the mean, and the frame denoised by itself."""
         window = WindowFilter(2, quality="balanced")
         shots = window._prepare(frames, range(len(frames)))
-        others = [(near, shots[number].alone) for number, near in list_neighbours(shots, index).items()]
+        others = [(near.shown, shots[number].alone) for number, near in list_neighbours(shots, index).items()]
         assert len(others) == len(frames) - 1
         return average_denoised(shots[index].alone, others), shots[index].alone
 

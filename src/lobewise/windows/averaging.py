@@ -9,10 +9,10 @@ import numpy as np
 
 from lobewise.filters.windows.weighing import compare_denoised
 from lobewise.frame import FloatArray, Result
-from lobewise.windows.gathering import Neighbour
+from lobewise.windows.gathering import Shown
 
 
-def average_denoised(own: Result, others: Sequence[tuple[Neighbour, Result]]) -> Result:
+def average_denoised(own: Result, others: Sequence[tuple[Shown, Result]]) -> Result:
     """Return a denoised frame, averaged with its denoised neighbours.
 
     A neighbour counts where it shows the same surface, and less the more its image differs. All images of a frame have
@@ -21,21 +21,21 @@ def average_denoised(own: Result, others: Sequence[tuple[Neighbour, Result]]) ->
     Parameters
     ----------
     own : Result
-    others : sequence of Neighbour and Result
-        The neighbours, and what denoising made of them.
+    others : sequence of Shown and Result
+        Where the neighbours show the surfaces of the frame, and what denoising made of them.
     """
     total, weights = np.ones(own.image.shape[:2], np.float32), []
-    for neighbour, other in others:
-        image, agreement = neighbour.gather_guide(other.image)
+    for shown, other in others:
+        image, agreement = shown.gather(other.image)
         weights.append(agreement * compare_denoised(own.image, image))
         total = total + weights[-1]
 
     def average(first: FloatArray, name: str, group: str = "") -> FloatArray:
         mean = first
-        for (neighbour, other), weight in zip(others, weights, strict=True):
+        for (shown, other), weight in zip(others, weights, strict=True):
             second = getattr(other, group).get(name) if group else getattr(other, name)
             if second is not None:
-                values, _ = neighbour.gather_guide(second)
+                values, _ = shown.gather(second)
                 mean = mean + (weight / total)[..., None] * (values - first)
         # Sampling between pixels overshoots beside strong contrast.
         return np.asarray(np.maximum(mean, np.minimum(first, np.float32(0.0))), np.float32)

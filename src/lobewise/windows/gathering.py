@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +26,20 @@ SHARP_AGREEMENT = 0.8
 """Agreement above which a reflection is interpolated: half a pixel would show on a sharp one."""
 SURFACE = "rest"
 """Kind of light whose features compare place and normal alone."""
+
+
+class Shown(NamedTuple):
+    """Where another frame shows the surfaces of a frame."""
+
+    places: FloatArray
+    """Column and row in the other frame, (height, width, 2)."""
+    agreement: FloatArray
+    """How well the surfaces match, (height, width), 0 to 1."""
+
+    def gather(self, image: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return an image of the other frame at the pixels of the frame, and how well the surfaces match."""
+        values, known = sample_cubic(image, self.places)
+        return values, np.where(known, self.agreement, np.float32(0.0))
 
 
 class Neighbour:
@@ -55,12 +70,6 @@ class Neighbour:
         grid = make_grid(self._shot.frame.shape)
         _, rows, columns = self._shot.edges
         return grid + (self._places - grid)[rows, columns]
-
-    @cached_property
-    def guide_places(self) -> FloatArray:
-        """Where guides are sampled, (height, width, 2)."""
-        edge, _, _ = self._shot.edges
-        return np.where(edge[..., None], self.front_places, self._places)
 
     @cached_property
     def reflections(self) -> FloatArray:
@@ -118,12 +127,12 @@ class Neighbour:
             agreement = np.where(edge, np.where(inside, agreement[rows, columns], np.float32(0.0)), agreement)
         return dict(zip(slots, gathered, strict=True)), agreement
 
-    def gather_guide(self, image: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return a guide of the other frame at the pixels of this frame, and how well the surfaces match."""
-        values, known = sample_cubic(image, self.guide_places)
+    @cached_property
+    def shown(self) -> Shown:
+        """Where guides are sampled: at edges, those of the surface in front."""
         edge, rows, columns = self._shot.edges
-        agreement = np.where(edge, self.surface_agreement[rows, columns], self.surface_agreement)
-        return values, np.where(known, agreement, np.float32(0.0))
+        places = np.where(edge[..., None], self.front_places, self._places)
+        return Shown(places, np.where(edge, self.surface_agreement[rows, columns], self.surface_agreement))
 
     def _gather(self, images: Sequence[FloatArray], kind: str) -> tuple[list[FloatArray], FloatArray]:
         """Return images at the pixels nearest to the places, 0 where they do not match, and the agreement.

@@ -13,7 +13,7 @@ from lobewise.denoising.bad_pixels import mark_good
 from lobewise.filters.windows.weighing import compare_pilots, estimate_relative_bias, estimate_variance
 from lobewise.frame import FloatArray, Frame, Result
 from lobewise.guides.survey import ALBEDOS
-from lobewise.windows.gathering import MIN_DIVIDING_ALBEDO, Neighbour, divide, multiply
+from lobewise.windows.gathering import MIN_DIVIDING_ALBEDO, Neighbour, Shown, divide, multiply
 from lobewise.windows.layers import PILOT, RADIANCE, LayerImages, put_back
 from lobewise.windows.places import compute_places
 from lobewise.windows.shots import Shot
@@ -46,8 +46,8 @@ class JoinedFrame:
         joined frame.
     alone : Result
         The frame denoised by itself.
-    used : tuple of int
-        The neighbours that took part, as numbers of frames relative to the frame.
+    shown : dict of int to Shown
+        Where the neighbours that took part show its surfaces, by their numbers relative to the frame.
     repeated : tuple of int
         The neighbours that repeat the noise of the frame, and are not used.
     """
@@ -55,7 +55,7 @@ class JoinedFrame:
     frame: Frame
     frames: FloatArray
     alone: Result
-    used: tuple[int, ...]
+    shown: dict[int, Shown]
     repeated: tuple[int, ...] = ()
 
 
@@ -75,7 +75,7 @@ def join_frames(shots: Mapping[int, Shot], index: int) -> JoinedFrame:
     near = {number: each for number, each in near.items() if not each.repeats}
     own = list(shot.layers.values())
     if not near:
-        return JoinedFrame(shot.frame, np.ones(shot.frame.shape, np.float32), shot.alone, (), repeated)
+        return JoinedFrame(shot.frame, np.ones(shot.frame.shape, np.float32), shot.alone, {}, repeated)
     named = {number: shots[number].layers for number in near}
     guides = _Guides(shot, shots, near)
     joined = [_join_layer(shot, layer, near, named, guides) for layer in own]
@@ -93,7 +93,7 @@ def join_frames(shots: Mapping[int, Shot], index: int) -> JoinedFrame:
         frame.with_changes(**changes),
         effective,
         shot.alone,
-        tuple(number - index for number in near),
+        {number - index: each.shown for number, each in near.items()},
         repeated,
     )
 
@@ -145,7 +145,7 @@ class _Guides:
         for number, neighbour in self._near.items():
             other = others.get(number)
             if other is not None:
-                values, agreement = neighbour.gather_guide(np.nan_to_num(other))
+                values, agreement = neighbour.shown.gather(np.nan_to_num(other))
                 total = total + values * agreement[..., None]
                 weight = weight + agreement
         # Radiance was divided by the frame's own albedo: at edges of textures the mean may be many times larger.

@@ -21,7 +21,8 @@ from lobewise.guides.usable import CheckedGuides
 from lobewise.limits import set_aside
 from lobewise.settings import DenoiseChanges, DenoiseSettings
 from lobewise.windows.averaging import average_denoised
-from lobewise.windows.joining import JoinedFrame, join_frames, list_neighbours
+from lobewise.windows.gathering import Shown
+from lobewise.windows.joining import JoinedFrame, join_frames
 from lobewise.windows.shots import Shot, extrapolate_camera
 
 if TYPE_CHECKING:
@@ -147,19 +148,16 @@ class WindowFilter:
         near = self._list_near(frames, index)
         self._forget(frames, near)
         windowed = {number: self._denoise_joined(frames, number) for number in near}
-        result, (joined, notes) = windowed[index], self._prepared[id(frames[index])].told
-        shots = self._prepare(frames, near)
-        others = [(other, windowed[number]) for number, other in list_neighbours(shots, index).items()]
-        if joined:
-            result = average_denoised(result, [(other, image) for other, image in others if not other.repeats])
-        below = self._prepared[id(frames[index])].below
+        prepared = self._prepared[id(frames[index])]
+        others = [(shown, windowed[index + step]) for step, shown in prepared.shown.items()]
+        result, below = average_denoised(windowed[index], others), prepared.below
         if below is not None:
             # Light below 0 is dim: other frames would lower its noise by little.
             result = result.subtract(filter_below(below, self._settings, ()))
         return replace(
             result,
-            notes=notes + result.notes,
-            settings={**result.settings, "window": self.reach, "joined": joined},
+            notes=prepared.window_notes + result.notes,
+            settings={**result.settings, "window": self.reach, "joined": tuple(prepared.shown)},
             seconds=time.perf_counter() - start,
             find_noisy=ref(frames[index].radiance.color),
         )
@@ -176,13 +174,13 @@ class WindowFilter:
             return prepared.windowed
         joined = self._join(frames, index)
         result = joined.alone
-        if joined.used:
+        if joined.shown:
             whole = denoise_checked(CheckedGuides(joined.frame), self._settings)
             unused = tuple(name for name in whole.unused if name not in USED_BETWEEN_FRAMES)
             result = replace(mix_results(result, whole, compute_joined_share(joined.frames)), unused=unused)
         prepared = self._prepared[id(frames[index])]
         prepared.window, prepared.windowed = window, result
-        prepared.told = joined.used, self._explain(frames, index, joined)
+        prepared.shown, prepared.window_notes = joined.shown, self._explain(frames, index, joined)
         return result
 
     def _list_near(self, frames: Sequence[Frame], index: int) -> range:
@@ -220,9 +218,9 @@ class WindowFilter:
             notes += (REPEATED,)
         if any(other.shape != frame.shape for other in near):
             notes += (OTHER_SIZE,)
-        if frame.gbuffer.motion is None and joined.used:
+        if frame.gbuffer.motion is None and joined.shown:
             notes += (STILL,)
-        if not joined.used and not joined.repeated and len(near) > 1:
+        if not joined.shown and not joined.repeated and len(near) > 1:
             knows_motion = frame.gbuffer.motion is not None or frame.is_placed
             notes += (NOTHING_FOUND if knows_motion else NO_MOTION + NO_MOTION_ADVICE[frame.gbuffer.is_placed],)
         return notes
@@ -283,5 +281,6 @@ class _Prepared:
         """The frame denoised with the samples of its neighbours."""
         self.window: tuple[int, ...] = ()
         """The `id` of each frame of its window."""
-        self.told: tuple[tuple[int, ...], tuple[str, ...]] = (), ()
-        """The neighbours that were used, as numbers relative to the frame, and what a user should know."""
+        self.shown: dict[int, Shown] = {}
+        """See `JoinedFrame`."""
+        self.window_notes: tuple[str, ...] = ()
