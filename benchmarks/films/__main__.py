@@ -49,6 +49,8 @@ WAYS: dict[str, list[str]] = {
 """Options of the command line."""
 ALONE = {"auto, window": "auto", "high, window": "high", "temporal": "auto"}
 """What the frames of a way are compared with, frame by frame."""
+STRIP = ("noisy", "oidn", "auto", "auto, window", "temporal")
+"""Rows of a strip, above the clean frames."""
 MAX_CLEAN_CHANGE = 0.002
 """Largest relative squared change of the clean images at a pixel where they agree."""
 
@@ -138,7 +140,7 @@ def measure_film(folder: Path, pictures: Path | None) -> dict[str, Any]:
         pictures.mkdir(parents=True, exist_ok=True)
         clean = [np.asarray(judge.clean, np.float32) for judge in judges]
         exposure = choose_exposure(clean[0])
-        rows = [np.concatenate(images[4:8], axis=1) for images in (*shots.values(), clean)]
+        rows = [np.concatenate(images[4:8], axis=1) for images in (*map(shots.__getitem__, STRIP), clean)]
         Image.fromarray(map_tones(np.concatenate(rows), exposure)).save(pictures / f"{folder.name}.png")
     return {"moves": json.loads((folder / "moves.json").read_text()), "ways": found}
 
