@@ -1,4 +1,4 @@
-"""The page for browsers: its files, the sequence inside it, and what a headless browser computes and shows."""
+"""The page of examples/web: its files, the sequence inside it, and what a headless browser computes and shows."""
 
 from __future__ import annotations
 
@@ -12,16 +12,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from examples.web.make_page import PAGE_CHAINS, PAGE_SETTINGS, SEQUENCE, main, take_samples, write_page
+from examples.web.packing import LIGHT_BITS, pack_frames, read_frames
 
 import lobewise
-from lobewise.cli.main import run
-from lobewise.errors import FileError
 from lobewise.exporting.names import CHAINS
-from lobewise.exporting.shaders import web
-from lobewise.exporting.shaders.bundle import LIGHT_BITS, pack_frames, read_frames
 from lobewise.exporting.shaders.chains import make_chain
 from lobewise.exporting.shaders.passes import write_pass
-from lobewise.exporting.shaders.web import PAGE_CHAINS, PAGE_SETTINGS, SEQUENCE, export_web, take_samples
 from lobewise.frame import FloatArray, Frame
 from lobewise.settings import FORM_NAMES
 from tests.exporting.chain_scene import make_frame
@@ -61,7 +58,7 @@ def engine() -> Iterator[Any]:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("web") / "page"
-    export_web(place)
+    write_page(place)
     return place
 
 
@@ -222,25 +219,18 @@ def test_bundle_keeps_frames(tmp_path: Path) -> None:
 
 def test_files(folder: Path, frames: list[Frame]) -> None:
     names = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
-    assert {"index.html", "player.js", "sequence.js", "passes.js", "passes/history/01_guides.wgsl"} <= names
+    assert names == {"index.html", "player.js", "sequence.js", "passes.js"}
     assert (folder / "sequence.js").stat().st_size < MAX_BYTES
     page = (folder / "index.html").read_text()
     assert f"{len(frames)} frames of {frames[0].width} x {frames[0].height} pixels" in page
+    assert f'width="{frames[0].width}" height="{frames[0].height}"' in page
     # Without a server a page may load scripts, and nothing else.
     assert "http" not in (folder / "player.js").read_text()
     assert "fetch(" not in (folder / "player.js").read_text()
 
 
-def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["export", "--target", "web", "-o", str(tmp_path / "out")]) == 0
+def test_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr("sys.argv", ["make_page", str(tmp_path / "new" / "page")])
+    main()
     assert "index.html" in capsys.readouterr().out
-    assert run(["export", "--target", "web", "--radius", "3", "-o", str(tmp_path / "other")]) == 2
-    assert "whose page has its own settings" in capsys.readouterr().err
-    assert run(["export", "--target", "web", "-o", str(tmp_path / "out"), "--force"]) == 0
-
-
-def test_a_package_without_the_sequence_says_where_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(web, "SEQUENCE", tmp_path / "showroom-sequence.bin.gz")
-    with pytest.raises(FileError, match=r"examples/web/showroom-sequence\.bin\.gz .*an installation of a clone"):
-        export_web(tmp_path / "page")
-    assert not (tmp_path / "page").exists()
+    assert (tmp_path / "new" / "page" / "passes.js").stat().st_size > 100_000

@@ -11,7 +11,7 @@ import typer
 from lobewise.cli.options.spreading import with_settings
 from lobewise.cli.terminal.help import FILTER_DETAILS
 from lobewise.errors import InputError
-from lobewise.exporting.names import CHAINS, SHADER_LANGUAGES, TARGETS, WEB
+from lobewise.exporting.names import CHAINS, SHADER_LANGUAGES, TARGETS
 from lobewise.exporting.pipeline.settings import PipelineSettings
 
 PIPELINE = tuple(each.name for each in fields(PipelineSettings))
@@ -28,7 +28,7 @@ def export(
         Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="The folder to write.", show_default=False)
     ] = None,
     target: Annotated[
-        str, typer.Option(metavar="NAME", help="Processor and system, or hlsl, glsl, wgsl, web; see above.")
+        str, typer.Option(metavar="NAME", help="Processor and system, or hlsl, glsl, wgsl; see above.")
     ] = "host",
     name: Annotated[
         str | None,
@@ -53,7 +53,7 @@ def export(
 ) -> None:
     """Compile a filter, or with --plan a whole plan, into a C library with README and example; or write shaders."""
     is_shader = target in SHADER_LANGUAGES
-    if chain is not None and target != WEB and not is_shader:
+    if chain is not None and not is_shader:
         raise InputError(
             "--chain",
             expected=f"a target of {', '.join(SHADER_LANGUAGES)} beside it",
@@ -67,8 +67,6 @@ def export(
         raise InputError("--output", expected="the folder to write", got="nothing", action="add -o FOLDER")
     if is_shader:
         _export_shaders(output, target, chain, settings, name, force)
-    elif target == WEB:
-        _export_page(output, chain, settings, name, force)
     else:
         _export_pipeline(output, settings, target=target, name=name or DEFAULT_NAME, force=force)
 
@@ -86,11 +84,11 @@ def _print_contents(
             got=f"-o {output}",
             action="leave one of them out",
         )
-    if target == WEB or (target in SHADER_LANGUAGES and chain is None):
+    if target in SHADER_LANGUAGES and chain is None:
         raise InputError(
             "--list",
             expected="a pipeline, or a shader language with --chain",
-            got=f"the target {target}" + ("" if target == WEB else " without --chain"),
+            got=f"the target {target} without --chain",
             action="leave --list out: the folder's README tells the contents",
         )
     if chain is not None:
@@ -106,24 +104,6 @@ def _print_contents(
         lines = list_contents(make_pipeline(_choose_pipeline(settings), target=target, name=name or DEFAULT_NAME))
     for line in lines:
         print_line(line)
-
-
-def _export_page(output: Path, chain: str | None, settings: dict[str, Any], name: str | None, force: bool) -> None:
-    """Write the page for browsers. Refuse options that it does not have."""
-    from lobewise.cli.output import print_line
-    from lobewise.exporting.shaders.web import export_web
-
-    options = {"chain": chain, "name": name, **settings}
-    unused = [each for each, value in options.items() if value is not None]
-    if unused:
-        raise InputError(
-            _name_option(unused[0]),
-            expected="another target beside it",
-            got=f"the target {WEB}, whose page has its own settings",
-            action="leave one of them out",
-        )
-    export_web(output, force=force)
-    print_line(f"Wrote {output}: open {output / 'index.html'} in a browser with WebGPU.")
 
 
 def _export_shaders(
@@ -191,5 +171,5 @@ export.__doc__ = f"""{export.__doc__}
 Targets, all compiled in the tests: {", ".join(TARGETS)}. Other combinations of these processors and systems may work.
 
 Shaders: --target {", ".join(SHADER_LANGUAGES)} writes the weights as functions, with --chain {", ".join(CHAINS)}
-whole compute passes; --target {WEB} writes a page that runs such passes in the browser.
+whole compute passes.
 """

@@ -7,8 +7,6 @@ from lobewise.errors import InputError
 MAX_NAME_LETTERS = 64
 """Longest prefix of exported files and functions."""
 SHADER_LANGUAGES = ("hlsl", "glsl", "wgsl")
-WEB = "web"
-"""The target that is a page for browsers."""
 CHAINS = {
     "filter": "which filters every frame by itself",
     "history": "which joins it with the history of the frames before",

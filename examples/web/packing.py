@@ -65,7 +65,8 @@ def round_half(image: FloatArray, bits: int) -> NDArray[np.uint16]:
 def collect_images(frame: Frame) -> dict[str, FloatArray]:
     """Return the images of a frame by the names of `CHANNELS`."""
     guides, radiance = frame.gbuffer, frame.radiance
-    assert radiance.diffuse is not None and radiance.specular is not None
+    assert radiance.diffuse is not None
+    assert radiance.specular is not None
     size = frame.height, frame.width
     rest = np.maximum(radiance.color - radiance.diffuse - radiance.specular, 0.0)
     rest = np.where(rest > 1e-3 * radiance.color, rest, 0.0)

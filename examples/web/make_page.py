@@ -1,33 +1,33 @@
-"""Write a page that runs chains in a browser on a short sequence. It needs no server: all it reads are scripts."""
+"""Write a page that runs chains in a browser on a short sequence. It needs no server: all it reads are scripts.
+
+python -m examples.web.make_page FOLDER
+"""
 
 from __future__ import annotations
 
+import argparse
 import base64
 import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import lobewise
+from examples.web.packing import read_frames
+
 from lobewise.denoising.automatic import resolve_settings
-from lobewise.errors import FileError
-from lobewise.exporting.folder import DOCS, MARK, open_folder
-from lobewise.exporting.names import WEB
-from lobewise.exporting.shaders.bundle import read_frames
 from lobewise.exporting.shaders.chains import make_chain
 from lobewise.exporting.shaders.constants import compute_constants, pack_constants
-from lobewise.exporting.shaders.declarations import copy_template, read_template
 from lobewise.exporting.shaders.passes import Chain, write_pass
 from lobewise.exporting.shaders.writing import describe_chain, name_file
 from lobewise.frame import Frame, Radiance
-from lobewise.io.files import PathLike
 from lobewise.settings import DenoiseSettings, TemporalSettings
 from lobewise.sparse_frame import AnyFrame, SparseFrame, list_places
 from lobewise.temporal.recipe import compute_own_weight
 from lobewise.upsampling import DEFAULT_RADIUS
 
-SEQUENCE = Path(lobewise.__file__).parents[2] / "examples" / "web" / "showroom-sequence.bin.gz"
-"""The sequence in a clone, rendered by `examples/web/render_sequence.py`. Wheels do not hold it."""
+HERE = Path(__file__).parent
+SEQUENCE = HERE / "showroom-sequence.bin.gz"
+"""The sequence, rendered by `examples/web/render_sequence.py`."""
 PAGE_CHAINS = {
     "history": "with a history",
     "filter": "every frame by itself",
@@ -51,7 +51,8 @@ def take_samples(frames: Sequence[Frame]) -> list[SparseFrame]:
         place = list_places(PAGE_SCALE)[number % PAGE_SCALE**2]
         shaded = slice(place[0], None, PAGE_SCALE), slice(place[1], None, PAGE_SCALE)
         light = frame.radiance
-        assert light.diffuse is not None and light.specular is not None
+        assert light.diffuse is not None
+        assert light.specular is not None
         samples = Radiance(light.color[shaded], diffuse=light.diffuse[shaded], specular=light.specular[shaded])
         samples_of_frames.append(
             SparseFrame(samples, frame.gbuffer, PAGE_SCALE, place=place, camera=frame.camera, spp=frame.spp)
@@ -97,49 +98,30 @@ def _bundle_chain(name: str, title: str, frames: Sequence[Frame]) -> dict[str, A
     return {**entry, "scale": PAGE_SCALE, "places": [frame.place for frame in sparse]}
 
 
-def export_web(output: PathLike, *, force: bool = False) -> list[str]:
-    """Write a folder whose ``index.html`` denoises a sequence in the browser, and return the names of its files.
+def main() -> None:
+    """Write the folder."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    folder = parser.parse_args().folder
+    write_page(folder)
+    print(f"Wrote {folder}: open {folder / 'index.html'} in a browser with WebGPU.")
 
-    Parameters
-    ----------
-    output : path
-        The folder, new or empty.
-    force : bool
-        Replace an earlier export and everything in its folder.
 
-    Raises
-    ------
-    FileError
-        If the folder is not empty or cannot be written, or the package was not installed from a clone with ``-e``.
-    """
-    if not SEQUENCE.is_file():
-        raise FileError(
-            f"target {WEB!r}",
-            expected=f"the sequence examples/web/{SEQUENCE.name} of the repository",
-            got="a package without it",
-            action="run the command from an installation of a clone, as pip install -e makes it",
-        )
-    frames, packed = read_frames(SEQUENCE), SEQUENCE.read_bytes()
+def write_page(folder: Path) -> None:
+    """Write a folder whose ``index.html`` denoises the sequence in the browser."""
+    frames = read_frames(SEQUENCE)
     chains = [_bundle_chain(name, title, frames) for name, title in PAGE_CHAINS.items()]
-    first = frames[0]
-    spp = f"{first.spp} sample" + ("" if first.spp == 1 else "s")
-    parts = {"spp": spp, "width": first.width, "height": first.height, "frames": len(frames)}
-    values = {**{name: str(value) for name, value in parts.items()}, "version": lobewise.__version__, "docs": DOCS}
-    show = copy_template("web/show.wgsl")
+    passes = json.dumps({"show": (HERE / "show.wgsl").read_text(), "chains": chains}, indent=1)
     texts = {
-        "index.html": read_template("web/index.html", values),
-        "player.js": copy_template("web/player.js"),
-        "sequence.js": f'"use strict";\nconst SEQUENCE = "{base64.b64encode(packed).decode()}";\n',
-        "passes.js": f'"use strict";\nconst PASSES = {json.dumps({"show": show, "chains": chains}, indent=1)};\n',
-        "passes/show.wgsl": show,
-        MARK: json.dumps({"lobewise": lobewise.__version__, "target": WEB}) + "\n",
+        "index.html": (HERE / "index.html").read_text(),
+        "player.js": (HERE / "player.js").read_text(),
+        "sequence.js": f'"use strict";\nconst SEQUENCE = "{base64.b64encode(SEQUENCE.read_bytes()).decode()}";\n',
+        "passes.js": f'"use strict";\nconst PASSES = {passes};\n',
     }
-    for chain in chains:
-        folder = f"passes/{chain['chain']['chain']}"
-        texts |= {f"{folder}/{name}": text for name, text in chain["files"].items()}
-        texts[f"{folder}/chain.json"] = json.dumps(chain["chain"], indent=2) + "\n"
-    with open_folder(output, force=force) as place:
-        for name, text in texts.items():
-            place(name).parent.mkdir(parents=True, exist_ok=True)
-            place(name).write_text(text, encoding="utf-8")
-    return list(texts)
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
