@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from lobewise.bench.machine import describe_machine
-from lobewise.frame import FloatArray, Frame
-from lobewise.io.exr import read_frame, read_image, write_frame, write_image
+from lobewise.frame import Frame
+from lobewise.io.exr import read_frame, write_frame
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
@@ -20,7 +19,7 @@ SAMPLE = FRAMES / "sample.exr"
 SHOWROOM, SHOWROOM_REFERENCE = FRAMES / "showroom-4spp.exr", FRAMES / "showroom-reference.exr"
 """A frame of 512x512 pixels with 4 samples per pixel, and its reference."""
 
-__all__ = ["RESULTS", "ROOT", "describe_machine", "fetch_frame", "fetch_image", "write_json"]
+__all__ = ["RESULTS", "ROOT", "describe_machine", "fetch_frame", "write_json"]
 
 
 def write_json(path: Path, value: Any) -> None:
@@ -36,11 +35,3 @@ def fetch_frame(path: Path, render: Callable[[], Frame]) -> Frame:
     if not path.exists():
         write_frame(path, render())
     return read_frame(path)
-
-
-def fetch_image(path: Path, render: Callable[[], Frame]) -> FloatArray:
-    """Return the radiance in ``path``, rendered there on first use."""
-    if not path.exists():
-        print(f"rendering {path.name}", file=sys.stderr)
-        write_image(path, render().radiance.color)
-    return read_image(path)
