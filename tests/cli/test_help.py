@@ -90,15 +90,16 @@ def test_examples_stand_whole_and_name_what_there_is(
     verb: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "80")
-    lines = ask(capsys, verb, "--help").splitlines()
-    known = {name for one in list_options(VERBS[(verb,)]) for name in one.opts}
+    before = tuple(verb.split())
+    lines = ask(capsys, *before, "--help").splitlines()
+    known = {name for one in list_options(VERBS[before]) for name in one.opts}
     for example in EXAMPLES[verb].splitlines():
         assert f"  {example}" in lines
         words = shlex.split(example)
-        assert words[:2] == ["lobewise", verb]
+        assert words[: len(before) + 1] == ["lobewise", *before]
         assert {word for word in words if word.startswith("-")} <= known
         # The verb accepts the command line; only its files do not exist.
-        VERBS[(verb,)].make_context(verb, words[2:], resilient_parsing=False)
+        VERBS[before].make_context(verb, words[len(before) + 1 :], resilient_parsing=False)
 
 
 def test_options_of_a_group_arrive_as_one_dataclass() -> None:

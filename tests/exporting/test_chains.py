@@ -172,11 +172,12 @@ def test_no_language_pads_constants_otherwise(language: str) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--chain", "filter"], "--chain"),
-        (["--target", "wgsl", "--chain", "fliter"], "did you mean 'filter'"),
-        (["--target", "wgsl", "--chain", "filter", "--radius", "3"], "take the radius as a constant"),
-        (["--target", "wgsl", "--radius", "3"], "whose file has all weights"),
-        (["--target", "wgsl", "--chain", "filter", "--similarity", "asg"], "expected one of ggx, sg"),
+        (["passes", "filter"], "Missing argument"),
+        (["passes", "fliter", "wgsl"], "did you mean 'filter'"),
+        (["passes", "filter", "wgls"], "did you mean 'wgsl'"),
+        (["passes", "filter", "wgsl", "--radius", "3"], "No such option: --radius"),
+        (["functions", "wgsl", "--radius", "3"], "No such option: --radius"),
+        (["passes", "filter", "wgsl", "--similarity", "asg"], "expected one of ggx, sg"),
     ],
 )
 def test_refusals(words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -186,16 +187,14 @@ def test_refusals(words: list[str], said: str, tmp_path: Path, capsys: pytest.Ca
 
 
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert (
-        run(["export", "--target", "hlsl", "--chain", "filter", "--form", "atrous", "-o", str(tmp_path / "out")]) == 0
-    )
+    assert run(["export", "passes", "filter", "hlsl", "--form", "atrous", "-o", str(tmp_path / "out")]) == 0
     assert "12 passes" in capsys.readouterr().out
     assert (tmp_path / "out" / "05_diffuse_step_8.hlsl").is_file()
 
 
 def test_listing(capsys: pytest.CaptureFixture[str]) -> None:
     """``--list`` prints what a chain contains, and writes nothing."""
-    assert run(["export", "--target", "glsl", "--chain", "history", "--list"]) == 0
+    assert run(["export", "passes", "history", "glsl", "--list"]) == 0
     lines = capsys.readouterr().out.splitlines()
     chain = make_chain("history")
     passes = [line for line in lines if re.match(r"\d+\. ", line)]
@@ -204,7 +203,7 @@ def test_listing(capsys: pytest.CaptureFixture[str]) -> None:
     assert any(line.startswith("  hits: width x height, distance") for line in lines)
     # Nine images of 16 bytes are kept, and their earlier versions.
     assert f" {2 * 9 * 16} from frame to frame" in next(line for line in lines if line.startswith("Memory"))
-    assert run(["export", "--target", "glsl", "--chain", "history", "--list", "--radius", "3"]) == 2
+    assert run(["export", "passes", "history", "glls", "--list"]) == 2
 
 
 def test_memory_is_shared_by_images_of_a_frame() -> None:

@@ -248,7 +248,7 @@ def test_a_target_that_halide_cannot_compile_for(tmp_path: Path) -> None:
 
 def fail(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     """Run a line that must fail with the user's exit code; return its one sentence."""
-    assert run(["export", *words]) == 2
+    assert run(["export", "filter", *words]) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err.startswith("lobewise: ")
@@ -264,10 +264,9 @@ def test_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Non
     assert "separable" in fail(capsys, "-o", folder, "--form", "seperable")
     assert "anisotropic" in fail(capsys, "-o", folder, "--similarity", "sg", "--anisotropic")
     assert "identifier" in fail(capsys, "-o", folder, "--name", "my-filter")
-    assert "--radius" in fail(capsys, "-o", folder, "--target", "wgsl", "--radius", "8")
-    assert "--output" in fail(capsys, "--target", "wgsl")
+    assert "--history" in fail(capsys, "-o", folder, "--history")
     assert list(tmp_path.iterdir()) == []
-    assert run(["export", "-o", folder, "--target", "glsl"]) == 0
+    assert run(["export", "functions", "glsl", "-o", folder]) == 0
     assert "lobewise.glsl" in capsys.readouterr().out
     assert run(["export", "--help"]) == 0
     text = " ".join(capsys.readouterr().out.split())

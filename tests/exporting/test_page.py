@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from lobewise.cli.exporting import PIPELINE
+from lobewise.cli.exporting import KNOBS
 from lobewise.cli.main import run
 from lobewise.exporting.names import TARGETS
 from lobewise.exporting.pipeline.writing import MAX_DEVICE_DIFFERENCE, MAX_DIFFERENCE, MAX_PLAIN_DIFFERENCE
@@ -83,6 +83,6 @@ def test_options_of_pipelines_are_those_of_the_page() -> None:
     """Every option of a pipeline is in the page's table, and the table names no other."""
     table = PAGE.split("| option | what it adds |")[1].split("\n\n")[0]
     named = set(re.findall(r"`--([a-z-]+)", table))
-    own = {name.replace("_", "-") for name in PIPELINE}
+    own = {name.replace("_", "-") for name in KNOBS}
     own = (own - {"motion", "halves", "albedo"}) | {"no-motion", "no-halves", "no-albedo"}
     assert named == own | {"name", "target", "list"}

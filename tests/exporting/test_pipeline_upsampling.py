@@ -59,7 +59,7 @@ def test_no_number_of_a_frame_is_compiled_in(history: bool) -> None:
 
 
 def test_radius_counts_samples(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["export", "--plan", "fast", "--upsample", "4", "--list"]) == 0
+    assert run(["export", "pipeline", "--upsample", "4", "--list"]) == 0
     assert "upsampling kernel, 11x11 samples, 4 pixels apart" in capsys.readouterr().out
 
 

@@ -95,11 +95,12 @@ def demo(
     print_line(f"Wrote {page}: open it in a browser.")
 
 
-for verb in (render, view, denoise, upsample, fit, compare, export):
+for verb in (render, view, denoise, upsample, fit, compare):
     app.command(epilog=EXAMPLES[verb.__name__])(verb)
 
 
 app.add_typer(bench, name="bench")
+app.add_typer(export, name="export")
 
 
 @app.command(epilog=EXAMPLES["inspect"])

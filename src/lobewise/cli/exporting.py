@@ -1,175 +1,160 @@
-"""The verb `export`."""
+"""The verbs of `export`, one for each kind of program that is written."""
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from lobewise.cli.options.spreading import with_settings
-from lobewise.cli.terminal.help import FILTER_DETAILS
-from lobewise.errors import InputError
+from lobewise.cli.options.spreading import with_groups, with_settings
+from lobewise.cli.terminal.help import EXAMPLES, FILTER_DETAILS, App, Group
+from lobewise.errors import InputError, require_choice
 from lobewise.exporting.names import CHAINS, SHADER_LANGUAGES, TARGETS
-from lobewise.exporting.pipeline.settings import PipelineSettings
+from lobewise.exporting.pipeline.settings import FILTER, PipelineSettings
+from lobewise.settings import FORM_NAMES, list_knobs
 
-PIPELINE = tuple(each.name for each in fields(PipelineSettings))
-"""Settings of a pipeline, which a single filter is, too."""
-DEFAULT_NAME = "lobewise"
+KNOBS = list_knobs(PipelineSettings)
+PIPELINE = tuple(name for name in KNOBS if name != "albedo")
+"""Settings of a pipeline."""
 USUAL = ("similarity", "form", "radius", "albedo", "plan", "history", "upsample")
 """Settings that the short help shows."""
+LANGUAGES = "|".join(SHADER_LANGUAGES)
+output_option = typer.Option("--output", "-o", metavar="FOLDER", help="The folder to write.", show_default=False)
+Force = Annotated[bool, typer.Option("--force", help="Replace an earlier export and everything in its folder.")]
+Listing = Annotated[bool, typer.Option("--list", help="Print what the folder would contain, and write nothing.")]
+Language = Annotated[str, typer.Argument(metavar=LANGUAGES, help="The shader language.", show_default=False)]
 
 
-@with_settings(PipelineSettings, *PIPELINE, only_given=True, group=FILTER_DETAILS, usual=USUAL, plan="filter")
-def export(
-    settings: dict[str, Any],
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="The folder to write.", show_default=False)
-    ] = None,
+class Products(Group):
+    """The verbs of `export`. A command line without one is refused in one sentence."""
+
+    def resolve_command(self, context: Any, words: list[str]) -> Any:
+        """Return the verb that a command line names."""
+        if words[0] not in self.commands:
+            raise InputError(
+                "export",
+                expected=f"what to write as its first word: {', '.join(self.commands)}",
+                got=repr(words[0]),
+                action="such as lobewise export filter -o filter",
+            )
+        return super().resolve_command(context, words)
+
+
+export = App(
+    cls=Products,
+    context_settings={"ignore_unknown_options": True},
+    help=f"""Write a filter as a C library with README and example, or as shaders.
+
+Targets of pipeline and filter, all compiled in the tests: {", ".join(TARGETS)}. Other combinations of these processors
+and systems may work.""",
+)
+
+
+@dataclass(frozen=True)
+class Compiled:
+    """Options of what is compiled into a C library."""
+
+    output: Annotated[Path | None, output_option] = None
     target: Annotated[
-        str, typer.Option(metavar="NAME", help="Processor and system, or hlsl, glsl, wgsl; see above.")
-    ] = "host",
-    name: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME", help="Beginning of the names of files and C functions.", show_default=DEFAULT_NAME
-        ),
-    ] = None,
-    chain: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Whole compute passes in a shader language.",
-            show_default=False,
-        ),
-    ] = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Replace an earlier export and everything in its folder.")
-    ] = False,
-    list_contents: Annotated[
-        bool, typer.Option("--list", help="Print what the pipeline or chain contains, and write nothing.")
-    ] = False,
-) -> None:
-    """Compile a filter, or with --plan a whole plan, into a C library with README and example; or write shaders."""
-    is_shader = target in SHADER_LANGUAGES
-    if chain is not None and not is_shader:
-        raise InputError(
-            "--chain",
-            expected=f"a target of {', '.join(SHADER_LANGUAGES)} beside it",
-            got=f"the target {target}, which has no passes",
-            action="leave --chain out, or choose a shader language",
-        )
-    if list_contents:
-        _print_contents(output, target, chain, settings, name)
-        return
-    if output is None:
-        raise InputError("--output", expected="the folder to write", got="nothing", action="add -o FOLDER")
-    if is_shader:
-        _export_shaders(output, target, chain, settings, name, force)
-    else:
-        _export_pipeline(output, settings, target=target, name=name or DEFAULT_NAME, force=force)
+        str, typer.Option(metavar="NAME", help="Processor and system; `lobewise export --help` lists them.")
+    ] = "host"
+    name: Annotated[str, typer.Option(metavar="NAME", help="Beginning of the names of files and C functions.")] = (
+        "lobewise"
+    )
+    force: Force = False
+    list_contents: Listing = False
+
+    def write(self, settings: PipelineSettings) -> None:
+        """Write the folder, or print what it would contain."""
+        from lobewise.cli.output import print_line
+
+        require_one(self.output, self.list_contents)
+        if self.output is None:
+            from lobewise.exporting.pipeline.contents import list_contents
+            from lobewise.exporting.pipeline.recording import make_pipeline
+
+            for line in list_contents(make_pipeline(settings, target=self.target, name=self.name)):
+                print_line(line)
+            return
+        from lobewise.exporting.pipeline.writing import export_pipeline
+
+        command = export_pipeline(self.output, settings, target=self.target, name=self.name, force=self.force)
+        print_line(f"Wrote {self.output}; README.md describes the files. In that folder: {command}")
 
 
-def _print_contents(
-    output: Path | None, target: str, chain: str | None, settings: dict[str, Any], name: str | None
-) -> None:
-    """Print what a pipeline or a chain contains. Refuse a folder, and targets without a list."""
-    from lobewise.cli.output import print_line
-
-    if output is not None:
-        raise InputError(
-            "--list",
-            expected="no folder beside it: it writes nothing",
-            got=f"-o {output}",
-            action="leave one of them out",
-        )
-    if target in SHADER_LANGUAGES and chain is None:
-        raise InputError(
-            "--list",
-            expected="a pipeline, or a shader language with --chain",
-            got=f"the target {target} without --chain",
-            action="leave --list out: the folder's README tells the contents",
-        )
-    if chain is not None:
-        from lobewise.exporting.shaders.chains import make_chain
-        from lobewise.exporting.shaders.listing import list_chain
-
-        _refuse_unused(target, chain, settings, name)
-        lines = list_chain(make_chain(chain, **settings), target)
-    else:
-        from lobewise.exporting.pipeline.contents import list_contents
-        from lobewise.exporting.pipeline.recording import make_pipeline
-
-        lines = list_contents(make_pipeline(_choose_pipeline(settings), target=target, name=name or DEFAULT_NAME))
-    for line in lines:
-        print_line(line)
-
-
-def _export_shaders(
-    output: Path, language: str, chain: str | None, settings: dict[str, Any], name: str | None, force: bool
-) -> None:
-    """Write shader functions, or the passes of a chain. Refuse options that neither has."""
-    from lobewise.cli.output import print_line
-
-    _refuse_unused(language, chain, settings, name)
-    if chain is None:
-        from lobewise.exporting.shaders.functions import export_shader
-
-        export_shader(output, language, force=force)
-        print_line(f"Wrote {output}: lobewise.{language}, README.md.")
-        return
-    from lobewise.exporting.shaders.writing import DESCRIPTION, export_chain
-
-    names = export_chain(output, language, chain, force=force, **settings)
-    count = sum(each.endswith(f".{language}") for each in names)
-    print_line(f"Wrote {output}: {count} passes, {DESCRIPTION}, README.md, which describes images and constants.")
-
-
-def _refuse_unused(language: str, chain: str | None, settings: dict[str, Any], name: str | None) -> None:
-    """Raise an error if there is an option that shader functions, or the passes of a chain, do not have."""
-    known = {"form", "similarity"} if chain is not None else set()
-    unused = [*(each for each in settings if each not in known), *(["name"] if name is not None else [])]
-    if unused:
-        has = "whose chains have a form and a similarity, and take the radius as a constant"
-        raise InputError(
-            _name_option(unused[0]),
-            expected="a processor or device as target beside it",
-            got=f"the shader language {language}, {has if chain is not None else 'whose file has all weights'}",
-            action="leave one of them out",
-        )
-
-
-def _name_option(setting: str) -> str:
-    """Return the option of a setting, as users write it."""
-    return "--" + setting.replace("_", "-")
-
-
-def _choose_pipeline(settings: dict[str, Any]) -> PipelineSettings:
-    """Return the settings of a pipeline."""
-    settings = {"plan": "filter", **settings}
+@export.command(epilog=EXAMPLES["export pipeline"])
+@with_settings(PipelineSettings, *PIPELINE, only_given=True, group=FILTER_DETAILS, usual=USUAL)
+@with_groups
+def pipeline(settings: dict[str, Any], *, compiled: Compiled) -> None:
+    """Compile a whole plan into a C library with a wrapper for C++, README and example."""
     if settings.get("upsample", 1) > 1:
         # The radius counts samples.
         from lobewise.upsampling import DEFAULT_RADIUS
 
         settings = {"radius": DEFAULT_RADIUS, **settings}
-    return PipelineSettings(**settings)
+    compiled.write(PipelineSettings(**settings))
 
 
-def _export_pipeline(output: Path, settings: dict[str, Any], *, target: str, name: str, force: bool) -> None:
-    """Write a single filter or a whole plan."""
+@export.command("filter", epilog=EXAMPLES["export filter"])
+@with_settings(PipelineSettings, *FILTER, only_given=True, group=FILTER_DETAILS, usual=USUAL)
+@with_groups
+def single_filter(settings: dict[str, Any], *, compiled: Compiled) -> None:
+    """Compile a filter for one light, a pipeline of one step, into such a library."""
+    compiled.write(PipelineSettings(plan="filter", **settings))
+
+
+@export.command(epilog=EXAMPLES["export functions"])
+def functions(language: Language, output: Annotated[Path, output_option], force: Force = False) -> None:
+    """Write the weights as functions of a shader language."""
     from lobewise.cli.output import print_line
-    from lobewise.exporting.pipeline.writing import export_pipeline
+    from lobewise.exporting.shaders.functions import export_shader
 
-    command = export_pipeline(output, _choose_pipeline(settings), target=target, name=name, force=force)
-    print_line(f"Wrote {output}; README.md describes the files. In that folder: {command}")
+    export_shader(output, language, force=force)
+    print_line(f"Wrote {output}: lobewise.{language}, README.md.")
 
 
-# The narrow columns of the options would cut these names off.
-export.__doc__ = f"""{export.__doc__}
+@export.command(epilog=EXAMPLES["export passes"])
+def passes(
+    chain: Annotated[str, typer.Argument(metavar="|".join(CHAINS), help="What they do.", show_default=False)],
+    language: Language,
+    form: Annotated[
+        str | None,
+        typer.Option(metavar="|".join(FORM_NAMES), help=KNOBS["form"].text, show_default="separable; full of upsample"),
+    ] = None,
+    similarity: Annotated[
+        str, typer.Option(metavar="ggx|sg", help="How specular lobes are compared; sg reads one image less.")
+    ] = "ggx",
+    output: Annotated[Path | None, output_option] = None,
+    force: Force = False,
+    list_contents: Listing = False,
+) -> None:
+    """Write whole compute passes in a shader language."""
+    from lobewise.cli.output import print_line
 
-Targets, all compiled in the tests: {", ".join(TARGETS)}. Other combinations of these processors and systems may work.
+    require_one(output, list_contents)
+    if output is None:
+        from lobewise.exporting.shaders.chains import make_chain
+        from lobewise.exporting.shaders.listing import list_chain
 
-Shaders: --target {", ".join(SHADER_LANGUAGES)} writes the weights as functions, with --chain {", ".join(CHAINS)}
-whole compute passes.
-"""
+        require_choice("shader language", language, SHADER_LANGUAGES)
+        for line in list_chain(make_chain(chain, form=form, similarity=similarity), language):
+            print_line(line)
+        return
+    from lobewise.exporting.shaders.writing import DESCRIPTION, export_chain
+
+    names = export_chain(output, language, chain, form=form, similarity=similarity, force=force)
+    count = sum(each.endswith(f".{language}") for each in names)
+    print_line(f"Wrote {output}: {count} passes, {DESCRIPTION}, README.md, which describes images and constants.")
+
+
+def require_one(output: Path | None, list_contents: bool) -> None:
+    """Raise InputError unless there is either a folder to write or ``--list``, which writes nothing."""
+    if (output is None) != list_contents:
+        raise InputError(
+            "--output",
+            expected="a folder to write, or --list, which writes nothing",
+            got="both" if list_contents else "neither",
+            action="give one of them",
+        )

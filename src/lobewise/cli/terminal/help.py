@@ -51,7 +51,10 @@ EXAMPLES = {
     "upsample": "lobewise upsample sparse.exr -o full.exr",
     "fit": "lobewise fit brass.binary -o brass.lobes\nlobewise fit -o pot.lobes --mitsuba 'scene.xml#pot'",
     "compare": "lobewise compare noisy.exr clean.exr -r reference.exr",
-    "export": "lobewise export -o filter --similarity ggx\nlobewise export -o weights --target wgsl",
+    "export pipeline": "lobewise export pipeline -o denoiser --history\nlobewise export pipeline --list",
+    "export filter": "lobewise export filter -o ggx8 --similarity ggx",
+    "export functions": "lobewise export functions wgsl -o weights",
+    "export passes": "lobewise export passes history wgsl -o passes",
     "doctor": "lobewise doctor\nlobewise doctor --json",
     "inspect": "lobewise inspect frame.exr\nlobewise inspect --all frame.exr",
 }
@@ -84,7 +87,7 @@ class App(typer.Typer):
     """A program of typer whose help is made here."""
 
     def __init__(self, **settings: Any) -> None:
-        super().__init__(cls=Group, rich_markup_mode=None, **settings)
+        super().__init__(**{"cls": Group, "rich_markup_mode": None, **settings})
 
     def command(self, name: str | None = None, **settings: Any) -> Callable[[Verb], Verb]:
         """Return the decorator of a verb, as typer does."""

@@ -1,4 +1,4 @@
-"""What a pipeline contains, for programs (JSON), for its README, and for `lobewise export --list`."""
+"""What a pipeline contains, for programs (JSON), for its README, and for the option ``--list``."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def _describe_image(image: GraphImage) -> dict[str, Any]:
 
 
 def list_contents(pipeline: Pipeline) -> Iterator[str]:
-    """Yield the lines of `lobewise export --list`."""
+    """Yield the lines that the option ``--list`` prints."""
     graph, memory = pipeline.graph, pipeline.memory
     yield f"{pipeline.title}, for {pipeline.target}"
     for title, images in (("Inputs", graph.inputs), ("Results", graph.results)):

@@ -20,8 +20,11 @@ from lobewise.settings.choices import MAX_SCALE_PIXELS, Quality, Similarity, get
 
 LAYERS = {"apart": ("diffuse", "specular"), "named": ("diffuse", "glossy", "transmission"), "color": ("color",)}
 """Names of the layers of each kind of light."""
-GUIDES_OF_FILTER = ("position", "anisotropic", "lobe_kind", "hit_distance")
-"""Settings of guides that a single filter has."""
+FILTER = (
+    *("similarity", "form", "radius", "lobes", "albedo"),
+    *("position", "anisotropic", "lobe_kind", "hit_distance"),
+)
+"""Settings of a single filter."""
 CONTENTS = (
     "the plan filter, for one light; the plan fast, alone, with a history, with upsampling or both; the plans balanced "
     "and high; not Open Image Denoise, and nothing that is chosen for each frame"
@@ -170,8 +173,7 @@ class PipelineSettings(Declared):
     def _check_filter(self) -> None:
         """Refuse what a single filter does not have."""
         usual = PipelineSettings()
-        only = ("plan", "similarity", "form", "radius", "lobes", "albedo", *GUIDES_OF_FILTER)
-        for name in vars(self).keys() - set(only):
+        for name in vars(self).keys() - {"plan", *FILTER}:
             if getattr(self, name) != getattr(usual, name):
                 raise _refuse(name, f"{name} with the plan filter", "choose the plan fast, or leave it out")
 
