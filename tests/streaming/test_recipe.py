@@ -322,10 +322,3 @@ def test_rows_fit_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(streaming, "choose_rows", lambda reader, settings, rows, memory: taken.append(memory) or 30)
     done = denoise_file(tmp_path / "in.exr", tmp_path / "out.exr", memory=0.5, quality="fast", similarity="normal")
     assert (done.bands, taken) == (3, [0.5])
-
-
-def test_files_of_other_renderers_are_refused_in_a_sentence(tmp_path: Path) -> None:
-    source = Path(__file__).parents[1] / "data" / "foreign" / "blender_4.5_seed1.exr"
-    with pytest.raises(InputError, match="use read_frame, denoise and write_result"):
-        denoise_file(source, tmp_path / "out.exr")
-    assert not (tmp_path / "out.exr").exists()

@@ -230,11 +230,11 @@ def read_planned(
     from lobewise.cli.options.reading import check_import, refuse_results
     from lobewise.guides.usable import CheckedGuides
     from lobewise.interchange import import_file
-    from lobewise.io.exr.bands import BandReader
+    from lobewise.streaming.checks import open_bands
 
     needs_whole = "--with-oidn" if DenoiseSettings(**settings).asks_for_oidn else reading.option
     if choose_bands(source, "auto", settings, needs_whole):
-        reader = BandReader(source)
+        reader = open_bands(source)
         return CheckedGuides(reader.read_frame(0, 1)), reader.shape[0]
     imported = import_file(source, **reading.parse(), half=reading.half, also=reading.also or (), light_passes=True)
     refuse_results(source, imported.findings)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.frame import FloatArray, Frame
-from lobewise.guides.squares import average_square, compute_square_maximum
+from lobewise.guides.squares import average_square, compute_square_maximum, sum_square
 
 MAX_DIFFERENCE = 0.03
 """Largest difference between alike neighbours, in every colour, relative to the brighter one."""
@@ -38,6 +38,8 @@ MEAN_RADIUS = 3
 COMPARED_RADIUS = 32
 """Radius of the square in which a lamp is compared with other pixels, pixels. It is larger than the radius of every
 filter: within a smaller one the inside of a large lamp would see only the lamp."""
+LAMP_REACH = MEAN_RADIUS + COMPARED_RADIUS + EDGE_WIDTH
+"""Rows around a pixel on which it depends whether it shows a lamp."""
 MIN_DARKER_SHARE = 0.15
 """Smallest share of the compared pixels that a lamp must outshine."""
 LEVEL_RATIO = 1.5
@@ -97,7 +99,9 @@ def mark_lamps(color: FloatArray, albedo: FloatArray | None = None) -> Mask:
     good: Mask = np.asarray((np.isfinite(light) & (light >= 0.0)).all(axis=-1))
     light, color = (np.where(good[..., None], image, np.float32(0.0)) for image in (light, color))
     bright = light.mean(axis=-1)
-    around = average_square(bright, MEAN_RADIUS)
+    # Sums in one order, so that a band of rows has the bits of the whole image.
+    around = sum_square(bright.astype(np.float64), MEAN_RADIUS) / sum_square(np.ones_like(bright), MEAN_RADIUS)
+    around = around.astype(np.float32)
     lamps = _outshine(bright, around, _mark_smooth(light) & (bright > 0.0), MIN_CONTRAST)
     if not lamps.any():
         return lamps

@@ -74,10 +74,13 @@ Decode = Callable[[Part, frozenset[str]], Mapping[str, Pixels]]
 
 
 class ImageReader:
-    """Reads and caches images of a file. The expected channels of a part are decoded together, others on request."""
+    """Reads and caches images of a file. The expected channels of a part are decoded together, others on request.
 
-    def __init__(self, decode: Decode) -> None:
-        self._decode = decode
+    ``rows`` is the number of rows that ``decode`` returns; by default all.
+    """
+
+    def __init__(self, decode: Decode, rows: int | None = None) -> None:
+        self._decode, self._rows = decode, rows
         self._wanted: dict[int, set[str]] = {}
         self._pixels: dict[int, dict[str, Pixels]] = {}
         self._images: dict[Key, FloatArray] = {}
@@ -117,8 +120,11 @@ class ImageReader:
         if not there.keys() >= set(found.channels):
             names = self._wanted.get(part.index, set()).union(found.channels) - there.keys()
             # A plane stays as it is in the file, and becomes float32.
-            self._bytes += part.data_window.area * sum(
-                DTYPES[each.pixel_type].itemsize + 4 for each in part.channels if each.name in names
+            rows = part.data_window.height if self._rows is None else self._rows
+            self._bytes += (
+                rows
+                * part.data_window.width
+                * sum(DTYPES[each.pixel_type].itemsize + 4 for each in part.channels if each.name in names)
             )
             require_memory(self._bytes)
             there.update(self._decode(part, frozenset(names)))

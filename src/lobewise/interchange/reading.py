@@ -68,7 +68,7 @@ def read_frame(
 
     `read_frame`, `lobewise.denoise` and `lobewise.write_result` together write the same bytes as the command ``lobewise
     denoise``, the passes of light included. The command also prints notes about the file. It filters large files in
-    lobewise's own names in bands (`lobewise.denoise_file`), with the same result.
+    bands (`lobewise.denoise_file`), with the same result.
 
     Parameters
     ----------
@@ -224,13 +224,7 @@ def import_file(
             findings=check_own_mark(container),
         )
     else:
-        if lobe_tables is not None:
-            raise InputError(
-                "lobe tables",
-                expected="a file in lobewise's own channel names",
-                got=f"{str(path)!r}, which is not",
-                action="leave them out",
-            )
+        require_no_tables(path, lobe_tables)
         with name_file(path):
             channels = map_channels(family.container, preset=preset, mapping=mapping, view=view, layer=layer)
             imported, read = import_foreign(container, read, channels, camera)
@@ -249,6 +243,17 @@ def import_file(
     other = import_file(half, **options)
     with name_file(half):
         return join_halves(imported, other)
+
+
+def require_no_tables(path: PathLike, lobe_tables: Sequence[LobeTable] | None) -> None:
+    """Raise InputError if lobe tables are given for the file of another renderer."""
+    if lobe_tables is not None:
+        raise InputError(
+            "lobe tables",
+            expected="a file in lobewise's own channel names",
+            got=f"{str(path)!r}, which is not",
+            action="leave them out",
+        )
 
 
 def import_planes(

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+from lobewise.denoising.inputs import Images
 from lobewise.errors import InputError, MissingChannelError, name_value
 from lobewise.guides.survey import GuideSurvey
-from lobewise.interchange.reading import is_own
+from lobewise.interchange.checks import check_own_mark
+from lobewise.interchange.importing.bands import ImportedBands
+from lobewise.interchange.importing.leftovers import describe_own_left_noisy
+from lobewise.interchange.reading import is_own, require_no_tables
 from lobewise.io.exr.bands import BandReader
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.files import PathLike
+from lobewise.lobe_table import LobeTable
 from lobewise.settings import DenoiseSettings
 from lobewise.streaming.plan import MEASURED_ROWS, cut_bands
 
@@ -27,13 +34,24 @@ def require_bands(source: PathLike, settings: DenoiseSettings, rows: int | None,
         raise InputError(
             "memory", expected="a finite number of GiB above 0", got=name_value(memory), action="leave it out"
         )
-    if not is_own(read_container(source)):
-        raise InputError(
-            f"input {str(source)!r}",
-            expected="a file in lobewise's own channel names, which can be read in bands",
-            got="one of another renderer",
-            action="use read_frame, denoise and write_result",
-        )
+
+
+def open_bands(
+    source: PathLike, lobe_tables: Sequence[LobeTable] | None = None, wanted: Images | None = None
+) -> BandReader:
+    """Return a reader of a file in bands, whichever renderer wrote it; see `BandReader` and `ImportedBands`."""
+    if is_own(read_container(source)):
+        return BandReader(source, lobe_tables=lobe_tables, wanted=wanted)
+    require_no_tables(source, lobe_tables)
+    return ImportedBands(source)
+
+
+def describe_file(reader: BandReader) -> tuple[str, ...]:
+    """Return what is to be told of the whole of a file: how it was read, and what stays noisy."""
+    if isinstance(reader, ImportedBands):
+        return reader.judged.notes
+    marks = (one.sentence for one in check_own_mark(reader.container))
+    return (*describe_own_left_noisy(reader.container), *marks)
 
 
 def survey_guides(reader: BandReader) -> GuideSurvey:

@@ -52,14 +52,12 @@ from lobewise.guides.negative import split_negative
 from lobewise.guides.stand_ins import stand_in_surfaces
 from lobewise.guides.survey import GuideSurvey
 from lobewise.guides.usable import Unusable, bound_guides, join_unusable, list_unusable
-from lobewise.interchange.checks import check_own_mark
-from lobewise.interchange.importing.leftovers import describe_own_left_noisy
 from lobewise.io.exr.bands import BandReader, BandWriter
 from lobewise.io.files import PathLike, open_spool, require_writable
 from lobewise.lobe_table import LobeTable
 from lobewise.settings import DenoiseChanges, DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_quality
-from lobewise.streaming.checks import require_bands, survey_guides
+from lobewise.streaming.checks import describe_file, open_bands, require_bands, survey_guides
 from lobewise.streaming.finishing import Finisher, finish_bands
 from lobewise.streaming.kept import KeptBands
 from lobewise.streaming.plan import (
@@ -147,7 +145,8 @@ def denoise_file(
     Raises
     ------
     InputError, MissingChannelError, DeviceError
-        As `lobewise.denoise`, or if ``rows`` or ``memory`` is out of range, or the file is another renderer's.
+        As `lobewise.denoise`, or if ``rows`` or ``memory`` is out of range, or the file must be read as a whole
+        (`docs/streaming.md`).
     FileError
         As `lobewise.read_frame` and `lobewise.write_result`, or if the file has subsampled channels.
     LimitError
@@ -159,13 +158,13 @@ def denoise_file(
     require_bands(source, with_quality, rows, memory)
     require_writable(output)
     tell = progress or (lambda what, done, total: None)
-    reader = BandReader(source, lobe_tables=lobe_tables, wanted=list_images(with_quality))
+    reader = open_bands(source, lobe_tables, list_images(with_quality))
     apart = {("radiance", "diffuse"), ("radiance", "specular")} <= reader.images
     height, _ = reader.shape
     with open_spool(output) as spool, open_spool(output) as waiting:
         writer = BandWriter(reader, ("color", "diffuse", "specular") if apart else ("color",), spool)
         # "auto" depends on which channels exist, not on their values, apart from the noise, which is measured.
-        survey = survey_guides(BandReader(source, lobe_tables=lobe_tables, wanted=list_images(with_quality)))
+        survey = survey_guides(reader.reopen(list_images(with_quality)))
         probe = survey.apply(reader.read_frame(0, 1))
         chosen = resolve_all(probe, with_quality, spp=1.0)
         most = choose_rows(reader, chosen, rows, memory)
@@ -173,7 +172,7 @@ def denoise_file(
 
         @cache
         def measure() -> _Measured:
-            again = BandReader(source, lobe_tables=lobe_tables, wanted=list_measured(with_quality))
+            again = reader.reopen(list_measured(with_quality))
             with engine.on(chosen.device):
                 return _measure(again, survey, chosen, cut_bands(height, min(most, MEASURED_ROWS)), tell)
 
@@ -201,7 +200,7 @@ def denoise_file(
         settings=asdict(chosen),
         seconds=time.perf_counter() - start,
         notes=seen.list_notes(reader, share_bounded, notes),
-        unused=list_unused(survey.apply(BandReader(source, lobe_tables=lobe_tables).read_frame(0, 1)), chosen),
+        unused=list_unused(survey.apply(reader.reopen().read_frame(0, 1)), chosen),
         method=describe_method(chosen, ("normal",), why_ours=explain_ours(named, whole=False)),
     )
 
@@ -244,8 +243,7 @@ class _Seen:
         """Return the notes on the whole frame, one sentence each."""
         light = np.concatenate(self.light) if self.light else np.zeros((0, 3))
         return (
-            *describe_own_left_noisy(reader.container),
-            *(one.sentence for one in check_own_mark(reader.container)),
+            *describe_file(reader),
             *self.survey.list_idle(),
             *self.survey.list_notes(),
             *map(str, join_unusable(self.unusable)),

@@ -12,6 +12,7 @@ from lobewise.cli.terminal.help import file_detail
 from lobewise.errors import InputError, LobewiseError
 
 if TYPE_CHECKING:
+    from lobewise.interchange.checks import Finding
     from lobewise.lobe_table import LobeTable
     from lobewise.streaming import DenoisedFile
 
@@ -45,9 +46,6 @@ def choose_bands(source: Path, text: str, settings: dict[str, Any], whole: str) 
         If the user gives a number of rows for a file that must be read whole, or a file in bands is a result of
         lobewise.
     """
-    from lobewise.interchange.checks import check_own_mark
-    from lobewise.io.exr.parsing import read_container
-
     bands = parse_bands(text)
     is_asked = isinstance(bands, int)
     if is_asked and whole:
@@ -59,43 +57,34 @@ def choose_bands(source: Path, text: str, settings: dict[str, Any], whole: str) 
         )
     if bands == "off" or whole:
         return False
-    if not _is_own(source):
-        if is_asked:
-            raise InputError(
-                "--bands",
-                expected="auto or off for files of other renderers, which are read as a whole",
-                got=text,
-                action="leave it out",
-            )
-        return False
     if is_asked or _is_large(source, settings):
-        refuse_results(source, check_own_mark(read_container(source)))
+        refuse_results(source, _check_mark(source))
         return True
     return False
 
 
-def _is_own(source: Path) -> bool:
-    """Return whether a file has lobewise's own channel names; also true where it cannot be read."""
+def _check_mark(source: Path) -> Sequence[Finding]:
+    """Return findings on the mark that a result of lobewise has."""
+    from lobewise.interchange.checks import check_own_mark
+    from lobewise.interchange.checks.denoised import check_mark
+    from lobewise.interchange.mapping import map_channels
     from lobewise.interchange.reading import is_own
     from lobewise.io.exr.parsing import read_container
 
-    try:
-        return is_own(read_container(source))
-    except LobewiseError:
-        # Reading the frame raises the error again.
-        return True
+    container = read_container(source)
+    return check_own_mark(container) if is_own(container) else check_mark(container, map_channels(container))
 
 
 def _is_large(source: Path, settings: dict[str, Any]) -> bool:
     from lobewise.denoising.automatic import ask
-    from lobewise.io.exr.bands import BandReader
     from lobewise.streaming import list_images, needs_bands
+    from lobewise.streaming.checks import open_bands
 
     request = ask(None, settings, whole=False)
     try:
-        reader = BandReader(source, wanted=list_images(request))
-        # Normals that stand in for missing ones are found in the whole image.
-        return ("gbuffer", "normal") in reader.images and needs_bands(reader, request)
+        reader = open_bands(source, wanted=list_images(request))
+        # Normals that stand in for missing ones are found in the whole image; another renderer's file may need it too.
+        return needs_bands(reader, request) and ("gbuffer", "normal") in reader.images
     except LobewiseError:
         # A whole frame may be readable nevertheless; if it is not, reading it raises the error again.
         return False

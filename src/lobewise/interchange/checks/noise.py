@@ -50,7 +50,13 @@ MEDIAN_OVER_DEVIATION = 0.6745 * 6.0**0.5
 Numbers = NDArray[np.float32]
 
 
-def check_noise(frame: Frame, *, has_normals: bool, has_others: bool = False) -> tuple[bool, list[Finding]]:
+def check_noise(
+    frame: Frame,
+    *,
+    has_normals: bool,
+    has_others: bool = False,
+    whole: tuple[int, int] | None = None,
+) -> tuple[bool, list[Finding]]:
     """Return whether neighbouring pixels share their noise, and a finding if they do or if a denoiser ran already.
 
     The check measures pixels inside surfaces, whose normals and albedos equal those of their neighbours. There the
@@ -68,10 +74,12 @@ def check_noise(frame: Frame, *, has_normals: bool, has_others: bool = False) ->
         check finds nothing.
     has_others : bool
         Whether the file has other images that may be the noisy one.
+    whole : (int, int), optional
+        (height, width) of the whole frame, if ``frame`` has only the rows of `list_tile_rows` of it.
     """
     if not has_normals or (frame.gbuffer.diffuse_albedo is None and frame.gbuffer.specular_albedo is None):
         return False, []
-    tiles = _choose_tiles(frame.shape)
+    tiles = _choose_tiles(frame.shape) if whole is None else _move_up(_choose_tiles(whole))
     guides = (frame.gbuffer.normal, frame.gbuffer.diffuse_albedo, frame.gbuffer.specular_albedo)
     known = [_cut(image, tiles) for image in guides if image is not None]
     seen = mark_scattering(frame)
@@ -137,6 +145,19 @@ def _choose_tiles(shape: tuple[int, int]) -> list[tuple[slice, slice]]:
         for row in range(0, down, step)
         for column in range(row // step % 2 * (step // 2), across, step)
     ]
+
+
+def list_tile_rows(shape: tuple[int, int]) -> list[tuple[int, int]]:
+    """Return the rows of an image, from the first to before the last, that the check of its noise reads."""
+    return list(dict.fromkeys((rows.start, rows.stop) for rows, _ in _choose_tiles(shape)))
+
+
+def _move_up(tiles: list[tuple[slice, slice]]) -> list[tuple[slice, slice]]:
+    """Return tiles without the rows between them."""
+    tops = list(dict.fromkeys(rows.start for rows, _ in tiles))
+    sides = {rows.start: rows.stop - rows.start for rows, _ in tiles}
+    places = {top: number * sides[top] for number, top in enumerate(tops)}
+    return [(slice(places[rows.start], places[rows.start] + sides[rows.start]), across) for rows, across in tiles]
 
 
 def _cut(image: FloatArray, tiles: list[tuple[slice, slice]]) -> Numbers:

@@ -40,8 +40,7 @@ def estimate_blur_radius(offset: FloatArray) -> FloatArray | None:
     array, shape (height, width), or None
         Pixels; NaN where no position tells it; as `lobewise.GBuffer.blur_radius`.
     """
-    apart = (np.abs(np.diff(offset, axis=axis)) > 1.0 for axis in (0, 1))
-    if not any(each.any() for each in apart):
+    if not is_blurred(offset):
         return None
     height, width, _ = offset.shape
     around = np.pad(offset, ((FAR, FAR), (FAR, FAR), (0, 0)), constant_values=np.nan)
@@ -58,6 +57,11 @@ def estimate_blur_radius(offset: FloatArray) -> FloatArray | None:
 
     run_chunks(find, height, width)
     return radius
+
+
+def is_blurred(offset: FloatArray) -> bool:
+    """Return whether some neighbours disagree, so that a lens blurs the image; ``offset`` is as above."""
+    return any((np.abs(np.diff(offset, axis=axis)) > 1.0).any() for axis in (0, 1))
 
 
 def _measure(around: FloatArray, rows: NDArray[np.intp], columns: NDArray[np.intp], reach: int) -> FloatArray:

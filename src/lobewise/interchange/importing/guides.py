@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from lobewise.frame import FloatArray
+from lobewise.guides import survey
 from lobewise.interchange.checks.compression import check_compression
 from lobewise.interchange.checks.denoised import check_mark
 from lobewise.interchange.checks.flips import check_flips
@@ -70,9 +71,21 @@ def decode_normals(draft: Draft) -> Outcome:
     normal, findings = check_encoding(draft.images["normal"], found.label, encoded="encoded" in found.convert)
     if normal is None:
         return Outcome(draft, findings)
+    return Outcome(_with_decoded(draft, normal), findings)
+
+
+def decode_declared_normals(draft: Draft) -> Outcome:
+    """Decode normals that the preset says to be stored in [0, 1]."""
+    if "encoded" not in draft.roles["normal"].convert:
+        return Outcome(draft)
+    return Outcome(_with_decoded(draft, survey.decode_normals(draft.images["normal"])))
+
+
+def _with_decoded(draft: Draft, normal: FloatArray) -> Draft:
+    """Return a draft with decoded normals, which need no further decoding."""
+    found = draft.roles["normal"]
     decoded = replace(found, convert=tuple(word for word in found.convert if word != "encoded"))
-    changed = replace(draft.with_images({"normal": normal}), roles={**draft.roles, "normal": decoded})
-    return Outcome(changed, findings)
+    return replace(draft.with_images({"normal": normal}), roles={**draft.roles, "normal": decoded})
 
 
 def check_albedo_ranges(draft: Draft) -> Outcome:

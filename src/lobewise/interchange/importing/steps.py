@@ -26,6 +26,7 @@ from lobewise.interchange.importing.guides import (
     check_albedo_ranges,
     check_own_result,
     correct_compressed_light,
+    decode_declared_normals,
     decode_normals,
     fill_missing_values,
     read_images,
@@ -37,6 +38,7 @@ from lobewise.interchange.importing.surfaces import (
     choose_camera,
     derive_depth,
     estimate_blur,
+    mirror_positions,
     take_depth,
     take_normals,
     take_positions,
@@ -83,6 +85,23 @@ STEPS = (
     Step(list_outputs, section=Section.MISSING),
 )
 """Each step reads, converts or checks one thing. Later steps rely on what earlier ones corrected."""
+
+BAND_STEPS = (
+    Step(correct_compressed_light),
+    Step(read_images),
+    Step(fill_missing_values),
+    Step(decode_declared_normals, needs=("normal",)),
+    Step(take_positions, needs=("position",)),
+    Step(mirror_positions, needs=("world_position",)),
+    Step(take_depth, needs=("depth",)),
+    Step(derive_depth, needs=("world_position", "camera")),
+    Step(take_normals, needs=("normal",)),
+    Step(choose_albedos),
+    Step(take_roughness, needs=("roughness",)),
+    Step(make_frame),
+    Step(take_out_lamps),
+)
+"""The steps for some rows of a file, after what the whole of it tells is known."""
 
 
 def import_foreign(

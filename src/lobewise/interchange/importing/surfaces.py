@@ -48,12 +48,20 @@ def estimate_blur(draft: Draft) -> Outcome:
     fit = None if is_coarse else fit_camera(position, mask, pixel_aspect, blurred=True)
     if fit is None:
         return Outcome(draft)
-    height, width = draft.shape
-    seen = project_points(fit.camera, _mirror(position) if fit.mirrored else position, width, height)
-    seen -= np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1).astype(np.float32)
-    return Outcome(
-        replace(draft, blur_radius=estimate_blur_radius(np.where(mask[..., None], seen, np.float32(np.nan))))
-    )
+    seen = measure_offsets(fit.camera, _mirror(position) if fit.mirrored else position, draft.shape)
+    return Outcome(replace(draft, blur_radius=estimate_blur_radius(seen)))
+
+
+def measure_offsets(camera: Camera, position: FloatArray, shape: tuple[int, int], first: int = 0) -> FloatArray:
+    """Return where a camera sees the position of each pixel, minus the pixel's centre; NaN where there is no surface.
+
+    ``shape`` is that of the whole image, of which ``position`` has the rows from ``first`` on.
+    """
+    height, width = shape
+    seen = project_points(camera, position, width, height)
+    rows = np.arange(first, first + len(position)) + 0.5
+    seen -= np.stack(np.meshgrid(np.arange(width) + 0.5, rows), axis=-1).astype(np.float32)
+    return np.where((position != 0.0).any(axis=-1, keepdims=True), seen, np.float32(np.nan))
 
 
 def choose_camera(draft: Draft) -> Outcome:
@@ -129,6 +137,12 @@ def _use_fit(draft: Draft, fit: CameraFit, position: FloatArray, header: Located
 
 def _mirror(vectors: FloatArray) -> FloatArray:
     return vectors * np.array([-1.0, 1.0, 1.0], np.float32)
+
+
+def mirror_positions(draft: Draft) -> Outcome:
+    """Mirror positions whose world is mirrored for a camera that is known already."""
+    assert draft.world_position is not None
+    return Outcome(replace(draft, world_position=_mirror(draft.world_position)) if draft.is_mirrored else draft)
 
 
 def take_depth(draft: Draft) -> Outcome:

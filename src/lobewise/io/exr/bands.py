@@ -7,7 +7,7 @@ as a whole.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, BinaryIO
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from lobewise.errors import FileError
 from lobewise.frame import FloatArray, Frame
-from lobewise.io.exr.container import Part, crop_part, show_name
+from lobewise.io.exr.container import Container, Part, crop_part, show_name
 from lobewise.io.exr.header import make_headers, read_camera, read_lobe_tables, read_spp
 from lobewise.io.exr.layout import (
     build_frame,
@@ -64,24 +64,36 @@ class BandReader:
         lobe_tables: Sequence[LobeTable] | None = None,
         wanted: Collection[tuple[str, str]] | None = None,
     ) -> None:
-        self.container = read_container(path)
-        require_shaded(self.container)
-        self.beauty = require_beauty(self.container)
-        self._plan = [
-            (part, [slot for slot in slots if wanted is None or (slot.owner, slot.field) in wanted])
-            for part, slots in plan_reading(self.container, self.beauty)
-        ]
-        self._plan = [(part, slots) for part, slots in self._plan if slots]
+        container = read_container(path)
+        require_shaded(container)
+        beauty = require_beauty(container)
+        self._start(
+            container,
+            beauty,
+            [
+                (part, [slot for slot in slots if wanted is None or (slot.owner, slot.field) in wanted])
+                for part, slots in plan_reading(container, beauty)
+            ],
+        )
+        with name_file(path):
+            self.camera = read_camera(beauty)
+            self.spp = read_spp(beauty)
+            self.lobe_tables = read_lobe_tables(beauty) if lobe_tables is None else tuple(lobe_tables)
+
+    def _start(self, container: Container, beauty: Part, plan: Iterable[tuple[Part, list[Slot]]]) -> None:
+        """Keep the channels of the images of ``plan``, by the parts that hold them."""
+        self.container, self.beauty = container, beauty
+        self._plan = [(part, slots) for part, slots in plan if slots]
         for part, _ in self._plan:
             self._require_plain(part)
-        with name_file(path):
-            self.camera = read_camera(self.beauty)
-            self.spp = read_spp(self.beauty)
-            self.lobe_tables = read_lobe_tables(self.beauty) if lobe_tables is None else tuple(lobe_tables)
         self._slabs: dict[tuple[int, int], dict[str, Pixels]] = {}
         self._kept: dict[int, set[str]] = {}
         for part, slots in self._plan:
             self.keep(part, {name for slot in slots for name in slot.channels})
+
+    def reopen(self, wanted: Collection[tuple[str, str]] | None = None) -> BandReader:
+        """Return another reader of the same file; ``wanted`` is as in `BandReader`."""
+        return BandReader(self.container.path, lobe_tables=self.lobe_tables, wanted=wanted)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -128,10 +140,14 @@ class BandReader:
         images: dict[tuple[str, str], FloatArray] = {}
         for part, slots in self._plan:
             for slot in slots:
-                images |= make_images([slot], self._read(part, slot.channels, first, stop))
+                images |= make_images([slot], self.read_channels(part, slot.channels, first, stop))
         camera = None if self.camera is None else self.camera.crop_rows(first, self.shape[0])
         with name_file(self.container.path):
             return build_frame(images, camera, self.spp, self.lobe_tables)
+
+    def plan_writing(self, fields: Collection[str]) -> list[tuple[Part, list[Slot]]]:
+        """Return the slots of a result's images that each part has channels for; see `plan_writing`."""
+        return plan_writing(self.container, self.beauty, fields)
 
     def read_part(self, part: Part, first: int, stop: int) -> dict[str, Pixels]:
         """Return rows of every channel of a part, in their stored types.
@@ -140,7 +156,7 @@ class BandReader:
         """
         names = sorted(channel.name for channel in part.channels)
         if self._kept.get(part.index, set()).issuperset(names):
-            return self._read(part, names, first, stop)
+            return self.read_channels(part, names, first, stop)
         return decode_part(self.container, crop_part(part, first, stop))
 
     def forget(self, row: int) -> None:
@@ -149,7 +165,8 @@ class BandReader:
             if top + count_slab_rows(self.container.parts[index]) <= row:
                 del self._slabs[index, top]
 
-    def _read(self, part: Part, names: Collection[str], first: int, stop: int) -> dict[str, Pixels]:
+    def read_channels(self, part: Part, names: Collection[str], first: int, stop: int) -> dict[str, Pixels]:
+        """Return rows of channels that are kept, in their stored types."""
         step = count_slab_rows(part)
         pieces: dict[str, list[Pixels]] = {name: [] for name in names}
         for top in range(first // step * step, stop, step):
@@ -197,8 +214,7 @@ class BandWriter:
         self._reader = reader
         container = reader.container
         self._written = [
-            _Written(part, slots, 0, ChunkSpool(container, part, spool))
-            for part, slots in plan_writing(container, reader.beauty, fields)
+            _Written(part, slots, 0, ChunkSpool(container, part, spool)) for part, slots in reader.plan_writing(fields)
         ]
         for one_part in self._written:
             if reader.count_more(one_part.part) <= MAX_KEPT_BYTES:
