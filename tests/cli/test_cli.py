@@ -98,7 +98,7 @@ class TestProgram:
         [
             (["denois"], "denoise"),
             (["denoise"], "INPUT.exr"),
-            (["denoise", "a.exr"], "--output"),
+            (["upsample", "a.exr"], "--output"),
             (["denoise", "a.exr", "-o", "b.exr", "--similarty", "sg"], "--similarity"),
             (["denoise", "a.exr", "-o", "b.exr", "--radius", "wide"], "--radius"),
             (["compare", "a.exr"], "--reference"),
@@ -356,7 +356,7 @@ class TestMistakes:
         assert "an empty file of 0 bytes" in err
 
     def test_directory_as_output(self, frame_file, tmp_path, capsys):
-        assert "expected a file name, got a directory" in fail(capsys, "denoise", frame_file, "-o", tmp_path)
+        assert "expected a file name, got a directory" in fail(capsys, "upsample", frame_file, "-o", tmp_path)
         assert "expected a file name, got a directory" in fail(capsys, "render", "showroom", "-o", tmp_path)
 
     def test_unwritable_paths(self, frame_file, tmp_path, capsys):

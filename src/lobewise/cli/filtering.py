@@ -15,6 +15,7 @@ from lobewise.cli.options.bounding import Bounds
 from lobewise.cli.options.common import OverTime, Source, Telling, parse_place
 from lobewise.cli.options.farming import Farm
 from lobewise.cli.options.frames import Frames
+from lobewise.cli.options.naming import Sources, Target, Tev, open_streams, pair_files, prepare_tev, run_each
 from lobewise.cli.options.reading import PassReading, locate_counterpart, look_up_number, name_frame, read_tables
 from lobewise.cli.options.selections import DoneOne, DoneSeveral, FileOfSeveral, FilterOfEach
 from lobewise.cli.options.shading import Reshading
@@ -49,8 +50,8 @@ if TYPE_CHECKING:
 )
 @with_groups
 def denoise(
-    source: Source,
-    output: Output,
+    sources: Sources,
+    output: Target = None,
     *,
     settings: dict[str, Any],
     material: Annotated[
@@ -72,11 +73,10 @@ def denoise(
     writing: Writing,
     overwrite: Overwrite = False,
     picture: Picture,
+    tev: Tev = False,
     telling: Telling,
 ) -> None:
-    """Denoise an EXR file of any renderer, or a sequence of them; other parts, channels and attributes are kept."""
-    besides = [reading.half, reading.camera, reading.preset, reshading.scene, *(material or [])]
-    protect_inputs(source, output, besides, overwrite=overwrite, png=picture.png)
+    """Denoise EXR files of any renderer, or a sequence of them; other parts, channels and attributes are kept."""
     request = _Denoising(
         settings=settings,
         bands=bands,
@@ -86,23 +86,27 @@ def denoise(
         writing=writing,
         reshading=reshading,
     )
+    besides = [reading.half, reading.camera, reading.preset, reshading.scene, *request.material]
     # Mistakes in these options are told before anything else is done.
     reshading.plan()
     read_tables(request.material)
-    job = Job.plan(source, output, frames, picture, telling)
-    window.require(source)
-    options = {
-        **settings,
-        "window": [window.reach, window.temporal],
-        "material": [str(path) for path in material or []],
-        "adaptive": reshading.list_values(),
-        "reading": reading.list_words(),
-        "writing": [writing.suffix, writing.only, writing.confidence],
-        "picture": picture.words,
-    }
-    from lobewise.cli.farming import run_request
 
-    run_request(job, request, options, farm, bounds)
+    def run(path: Path, target: Path) -> None:
+        from lobewise.cli.farming import run_request
+
+        job = Job.plan(path, target, frames, picture, telling)
+        # Bands change no bit of a result.
+        run_request(job, request, [replace(request, bands=""), picture], farm, bounds)
+
+    show = prepare_tev(tev)
+    with open_streams(sources, output) as (paths, target):
+        pairs = pair_files(paths, target)
+        reading.require_one(len(pairs))
+        for path, each in pairs:
+            window.require(path)
+            protect_inputs(path, each, besides, overwrite=overwrite, png=picture.png)
+        run_each(pairs, run)
+        show(pairs)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -294,17 +298,9 @@ def upsample(
     request = _Upsampling(
         settings=settings, scale=scale, place=where, bilinear=bilinear, over_time=over_time, reshading=reshading
     )
-    options = {
-        **settings,
-        "bilinear": bilinear,
-        "scale": scale,
-        "place": place,
-        "adaptive": reshading.list_values(),
-        "picture": picture.words,
-    }
     from lobewise.cli.farming import run_request
 
-    run_request(job, request, [options, over_time.extend(settings)], farm, bounds)
+    run_request(job, request, [request, picture], farm, bounds)
 
 
 @dataclass(frozen=True, kw_only=True)

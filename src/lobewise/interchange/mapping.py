@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
@@ -223,6 +224,10 @@ def map_channels(
     )
 
 
+MAX_NEAREST = 3
+"""Channels that are named where one is not in the file."""
+
+
 def parse_mapping(role: str, text: str, passes: Sequence[Pass], unread: Sequence[Pass] = ()) -> Found:
     """Return the image for a text ``channel,channel,...`` or ``pass``; either may end in ``:conversion``.
 
@@ -254,7 +259,14 @@ def parse_mapping(role: str, text: str, passes: Sequence[Pass], unread: Sequence
                 got=got,
                 action="save the channel with one value for each pixel",
             )
-        require_choice(f"--map {role}, channel", name, known)
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=MAX_NEAREST, cutoff=0.0)
+            raise InputError(
+                f"--map {role}",
+                expected="channels or a pass of the file",
+                got=repr(name),
+                action=f"the nearest are {', '.join(map(repr, near))}; `lobewise inspect --all` lists them",
+            )
     if len(names) != count:
         raise InputError(
             f"--map {role}", expected=f"{count} channels", got=repr(pass_name), action="separate them by commas"

@@ -179,8 +179,9 @@ def look_up_preset(name: PathLike) -> Preset:
                 action='write, for example, normal = ["N"]',
             )
         return preset
-    require_choice("preset", str(name), load_presets())
-    return load_presets()[str(name)]
+    name = SYNONYMS.get(str(name).casefold(), str(name))
+    require_choice("preset", name, load_presets())
+    return load_presets()[name]
 
 
 def _parse(data: bytes, where: str) -> Preset:
@@ -259,6 +260,8 @@ def _require_table(value: Any, what: str) -> dict[str, Any]:
     return value
 
 
+SYNONYMS = {"blender": "cycles", "prman": "renderman"}
+"""Names of presets as users know the programs."""
 _KINDS = {str: "a text", list: "a list", dict: "a table", bool: "true or false"}
 
 

@@ -185,6 +185,12 @@ class PassReading(Reading):
             remarks.tell_of(selection, first, note, known.get(note, note), look_up_number(path, source))
         return imported
 
+    def require_one(self, count: int) -> None:
+        """Raise InputError if a second render is named for several inputs."""
+        if self.half is not None and count > 1:
+            got = f"{count} inputs"
+            raise InputError("--half", expected="one input beside it", got=got, action="denoise them one by one")
+
     def _locate_half(self, path: Path, source: Path) -> Path:
         """Return the file of the second render that belongs to a file of the first."""
         from lobewise.io.sequence import is_pattern

@@ -74,10 +74,6 @@ class Reshading:
         expected, got = f'1 to {MAX_SPP}, or "auto"', repr(self.adaptive_spp)
         raise InputError("--adaptive-spp", expected=expected, got=got, action='"auto" is usual')
 
-    def list_values(self) -> list[str | None]:
-        """Return everything that the pixels depend on."""
-        return [self.adaptive, self.scene, self.adaptive_spp, self.light]
-
     def anchor(self) -> Reshading:
         """Return the options with an absolute path of the scene, for processes that run in another folder."""
         return self if self.scene is None else replace(self, scene=anchor_name(self.scene))

@@ -114,11 +114,6 @@ class Picture:
     ] = None
 
     @property
-    def words(self) -> list[str]:
-        """What decides the picture beside the image, as text."""
-        return list(map(str, (self.png, self.exposure, self.display, self.view, self.ocio)))
-
-    @property
     def has_view(self) -> bool:
         """Whether OpenColorIO makes the picture."""
         return any(word is not None for word in (self.display, self.view, self.ocio))

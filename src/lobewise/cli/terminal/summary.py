@@ -10,6 +10,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from lobewise.cli.options.naming import name_clean
 from lobewise.cli.output import make_text, open_console
 from lobewise.interchange.checks.finding import list_names
 from lobewise.io import FileDescription
@@ -197,7 +198,7 @@ def _print_commands(console: Console, description: FileDescription, options: Seq
     again = ["lobewise", "inspect", description.path, *options, "--all"]
     console.print()
     if description.can_be_denoised:
-        clean = str(path.with_name(f"{path.stem}_clean{path.suffix}"))
+        clean = str(name_clean(path))
         console.print(
             make_text(
                 "Denoise it:         " + shlex.join(["lobewise", "denoise", description.path, "-o", clean, *options])

@@ -1,0 +1,133 @@
+"""Several inputs, folders, names of our own, standard input and output, and tev."""
+
+from __future__ import annotations
+
+import io
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lobewise.cli.main import run
+from lobewise.cli.options.naming import name_clean
+from lobewise.io import read_image, write_frame
+from tests.streaming.frames import make_scene
+
+CHEAP = ("--quality", "fast", "--similarity", "normal")
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a folder with two frames in ``in``, and make it the current one."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "in").mkdir()
+    for number, name in enumerate("ab"):
+        write_frame(f"in/{name}.exr", make_scene((83, 19), seed=number))
+    return tmp_path
+
+
+def list_files(folder: Path) -> list[str]:
+    return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*.exr"))
+
+
+@pytest.mark.parametrize(
+    ("words", "made"),
+    [
+        (["in/a.exr"], ["in/a_clean.exr"]),
+        (["in/a.exr", "in/b.exr"], ["in/a_clean.exr", "in/b_clean.exr"]),
+        (["in"], ["in_clean/a.exr", "in_clean/b.exr"]),
+        (["in", "-o", "out"], ["out/a.exr", "out/b.exr"]),
+        (["in/a.exr", "-o", "out/"], ["out/a.exr"]),
+        (["in/a.exr", "in/b.exr", "-o", "out"], ["out/a.exr", "out/b.exr"]),
+    ],
+)
+def test_where_results_go(folder: Path, words: list[str], made: list[str]) -> None:
+    assert run(["denoise", *words, *CHEAP]) == 0
+    assert list_files(folder) == sorted(["in/a.exr", "in/b.exr", *made])
+    assert run(["denoise", "in/a.exr", "-o", "alone.exr", *CHEAP]) == 0
+    np.testing.assert_array_equal(read_image(made[0]), read_image("alone.exr"))
+
+
+def test_names_of_sequences() -> None:
+    assert name_clean(Path("x/shot.####.exr")) == Path("x/shot_clean.####.exr")
+    assert name_clean(Path("shot-%04d.exr")) == Path("shot-%04d_clean.exr".replace("-%04d_clean", "_clean-%04d"))
+    assert name_clean(Path("####.exr")) == Path("clean.####.exr")
+
+
+def test_a_file_that_fails_does_not_stop_the_others(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("in/a.exr").write_bytes(b"nothing")
+    assert run(["denoise", "in", "-o", "out", *CHEAP]) == 2
+    told = capsys.readouterr().err.splitlines()
+    assert [line for line in told if line.startswith("in/a.exr: ")]
+    assert told[-1] == ("lobewise: 1 of 2 files could not be denoised (in/a.exr); mend what is said above.")
+    assert list_files(folder / "out") == ["b.exr"]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["in", "-o", "out.exr"], ["--output", "a folder for the 2 inputs", "out.exr"]),
+        (["in/a.exr", "other/a.exr", "-o", "out"], ["inputs", "two of the name 'a.exr'"]),
+        (["other"], ["EXR files in the folder", "none"]),
+        (["in", "--half", "in/b.exr"], ["--half", "2 inputs"]),
+        (["in", "--window", "2", "-o", "out"], ["--window", "in.####.exr"]),
+        (["in", "-o", "in"], ["output", "got the input"]),
+        (["-", "in/a.exr", "-o", "out"], ["input", "one input where -"]),
+        (["-"], ["--output", "got none"]),
+        (["in/a.exr", "--tev"], ["--tev", "got none on the PATH"]),
+    ],
+)
+def test_mistakes_are_told_before_anything_is_written(
+    folder: Path,
+    words: list[str],
+    told: list[str],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    Path("other").mkdir()
+    monkeypatch.setenv("PATH", str(folder))
+    before = list_files(folder)
+    assert run(["denoise", *words, *CHEAP]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert all(word in error for word in told), error
+    assert list_files(folder) == before
+
+
+def test_standard_input_and_output_carry_the_bytes_of_files(folder: Path) -> None:
+    program = [sys.executable, "-c", "from lobewise.cli import main; main()", "denoise", *CHEAP]
+    done = subprocess.run([*program, "-", "-o", "-"], input=Path("in/a.exr").read_bytes(), capture_output=True)
+    assert done.returncode == 0, done.stderr
+    assert run(["denoise", "in/a.exr", "-o", "alone.exr", *CHEAP]) == 0
+    assert done.stdout == Path("alone.exr").read_bytes()
+    assert b"Wrote " in done.stderr
+
+
+def test_an_input_that_is_no_image_is_named_as_standard_input(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(b"nothing")))
+    assert run(["denoise", "-", "-o", "out.exr"]) == 2
+    assert "standard_input.exr" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(os.name == "nt", reason="the stand-in for tev is a script of a shell")
+def test_tev_is_started_with_results_and_inputs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tev = folder / "tev"
+    tev.write_text('#!/bin/sh\necho "$@" > shown.part && mv shown.part shown\n')
+    tev.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{folder}{os.pathsep}{os.environ['PATH']}")
+    started: list[subprocess.Popen[bytes]] = []
+    popen = subprocess.Popen
+
+    def start(*words: object, **options: object) -> subprocess.Popen[bytes]:
+        started.append(popen(*words, **options))  # type: ignore[call-overload]
+        return started[-1]
+
+    monkeypatch.setattr("lobewise.cli.options.naming.subprocess.Popen", start)
+    assert run(["denoise", "in/a.exr", "-o", "out.exr", "--tev", *CHEAP]) == 0
+    assert started[0].wait(timeout=20.0) == 0
+    assert Path("shown").read_text() == "out.exr in/a.exr\n"
