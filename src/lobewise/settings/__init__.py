@@ -73,6 +73,11 @@ class Knob:
         return self.text.replace("`", "").split(". ")[0].removesuffix(".") + "."
 
     @property
+    def meaning(self) -> str:
+        """The first sentence without its full stop, and the unit."""
+        return self.hint.removesuffix(".") + (f" ({self.unit})" if self.unit else "")
+
+    @property
     def expected(self) -> str:
         """The values that it takes, in words."""
         if self.kind is bool:

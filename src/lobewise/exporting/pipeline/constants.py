@@ -6,8 +6,10 @@ so that the pipeline computes them for every frame.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,81 +24,44 @@ from lobewise.denoising.automatic import (
     choose_tau,
     expect_noise,
 )
-from lobewise.engine.numbers import (
-    Number,
-    choose_given,
-    choose_larger,
-    compute_hypotenuse,
-    round_single,
-)
+from lobewise.engine.numbers import Number, choose_given, choose_larger, compute_hypotenuse, round_single
 from lobewise.guides.lobe_fields import NORMAL_ERROR
-from lobewise.settings import DenoiseSettings, TemporalSettings
+from lobewise.settings import DenoiseSettings, Knob, TemporalSettings, list_knobs
 from lobewise.temporal.recipe import weigh_own
 
 
-@dataclass(frozen=True)
-class Setting:
-    """A number that the user of a pipeline may set.
-
-    Parameters
-    ----------
-    name : str
-        Name in C.
-    default : float
-        Value unless it is set; 0 where the pipeline chooses.
-    text : str
-        Its meaning.
-    may_be_zero : bool
-        Whether 0 is allowed.
-    most : float
-        Largest value.
-    """
+class Setting(NamedTuple):
+    """A number that the user of a pipeline may set."""
 
     name: str
+    """Its name in C."""
     default: float
+    """Its value unless it is set; 0 where the pipeline chooses."""
     text: str
     may_be_zero: bool = False
     most: float = 1e15
 
 
+def declare(knob: Knob, name: str = "") -> Setting:
+    """Return a setting of the library as a number of a pipeline."""
+    is_chosen, has_end = "auto" in knob.choices, knob.high < math.inf
+    text = knob.meaning + ("; 0 for automatic" if is_chosen else "")
+    default = 0.0 if is_chosen else knob.default
+    return Setting(name or knob.name, default, text, is_chosen or has_end, *([knob.high] if has_end else []))
+
+
+_FILTER, _HISTORY = list_knobs(DenoiseSettings), list_knobs(TemporalSettings)
 SPATIAL = (
-    Setting("samples_per_pixel", 4.0, "samples of a pixel (of a shaded pixel); what is automatic follows them"),
-    Setting("beta", 0.0, "exponent of the similarity of specular lobes; 0 for automatic", may_be_zero=True),
-    Setting("diffuse_beta", 0.0, "exponent of the similarity of diffuse lobes; 0 for automatic", may_be_zero=True),
-    Setting(
-        "screen_sigma",
-        0.0,
-        "standard deviation of the distance on the screen, pixels; 0 for automatic",
-        may_be_zero=True,
+    Setting("samples_per_pixel", 4.0, "Samples of a pixel (of a shaded pixel); what is automatic follows them"),
+    *(
+        declare(_FILTER[name])
+        for name in ("beta", "diffuse_beta", "screen_sigma", "position_sigma", "tau", "normal_exponent")
     ),
-    Setting("position_sigma", DenoiseSettings.position_sigma, "that of the distance in the scene, pixel footprints"),
-    Setting("tau", 0.0, "smallest width of a lobe, radians; 0 for automatic", may_be_zero=True),
-    Setting("normal_exponent", DenoiseSettings.normal_exponent, "sharpness of the comparison of normals"),
 )
 OVER_TIME = (
-    Setting(
-        "memory",
-        TemporalSettings.memory,
-        "share of its history that a frame keeps for the next, 0 to 1",
-        may_be_zero=True,
-        most=1.0,
-    ),
-    Setting("history_beta", TemporalSettings.beta, "exponent of the similarity of lobes from frame to frame"),
-    Setting("plane_sigma", TemporalSettings.plane_sigma, "distance of a point from its old plane, pixel footprints"),
-    Setting(
-        "strictness",
-        TemporalSettings.strictness,
-        "how the kernel narrows as the history grows, 0 to 1",
-        may_be_zero=True,
-        most=1.0,
-    ),
-    Setting(
-        "cut_share",
-        TemporalSettings.cut_share,
-        "share of pixels with a history below which it is dropped",
-        may_be_zero=True,
-        most=1.0,
-    ),
+    declare(_HISTORY["memory"]),
+    declare(_HISTORY["beta"], "history_beta"),
+    *(declare(_HISTORY[name]) for name in ("plane_sigma", "strictness", "cut_share")),
 )
 
 

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 from lobewise.errors import InputError
 from lobewise.settings import (
-    LARGEST_RADIUS,
-    MAX_LOBES,
     Declared,
+    DenoiseSettings,
     FormName,
     Knob,
     ResolvedSettings,
     SimilarityName,
     document,
+    list_knobs,
 )
 from lobewise.settings.choices import MAX_SCALE_PIXELS, Quality, Similarity, get_quality, get_similarity
 
@@ -32,6 +32,9 @@ CONTENTS = (
 """What a pipeline can contain, for messages."""
 
 
+_KNOBS = list_knobs(DenoiseSettings)
+
+
 @dataclass(frozen=True)
 class PipelineSettings(Declared):
     """The settings of a pipeline that are fixed when it is compiled."""
@@ -42,26 +45,11 @@ class PipelineSettings(Declared):
     ] = "fast"
     similarity: Annotated[
         SimilarityName | Literal["diffuse"],
-        Knob('What two pixels must share to be averaged; "diffuse" with the plan filter.'),
+        replace(_KNOBS["similarity"], text=_KNOBS["similarity"].hint + ' The plan "filter" has "diffuse", too.'),
     ] = "ggx"
-    form: Annotated[FormName, Knob("Which neighbours count.")] = "full"
-    radius: Annotated[
-        int,
-        Knob(
-            'Pixels (samples, with upsampling) from the centre to the edge of the kernel; "atrous" does not use it.',
-            high=LARGEST_RADIUS,
-            usual="8 is usual",
-        ),
-    ] = 8
-    lobes: Annotated[
-        int,
-        Knob(
-            'With "sg_mixture": spherical Gaussians of a pixel.',
-            low=2,
-            high=MAX_LOBES,
-            usual="3 stand for GGX within 1 %, and one is similarity 'sg'",
-        ),
-    ] = 3
+    form: Annotated[FormName, _KNOBS["form"]] = "full"
+    radius: Annotated[int, _KNOBS["radius"]] = 8
+    lobes: Annotated[int, replace(_KNOBS["lobes"], low=2, usual="one lobe is similarity 'sg'")] = 3
     albedo: Annotated[
         bool, Knob("With the plan filter, whether the radiance is divided by an albedo before and multiplied after.")
     ] = True
@@ -124,51 +112,50 @@ class PipelineSettings(Declared):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.upsample > 1 and self.layers == "color":
-            raise _refuse("layers", "one layer with upsampling", "give diffuse and specular light apart")
-        if self.layers == "named" and (self.history or self.upsample > 1):
-            raise _refuse(
-                "layers", "named layers with a history or upsampling", "give diffuse and specular light apart"
-            )
         if self.is_filter:
             self._check_filter()
-        elif self.similarity == "diffuse" or not self.albedo:
-            what, got = ("similarity", "diffuse") if self.similarity == "diffuse" else ("albedo", "light without one")
-            raise _refuse(what, f"{got} in the plan {self.plan}", "choose the plan filter")
-        if self.record.is_mixture and (self.history or self.hit_distance):
-            raise _refuse(
-                "similarity", f"{self.similarity} with {'history' if self.history else 'hit distances'}", "choose ggx"
-            )
-        guided = self.is_guided
-        if guided and (self.history or self.upsample > 1):
-            what = "history" if self.history else "upsampling"
-            raise _refuse("plan", f"{self.plan} with {what}", f"choose the plan fast for {what}")
-        if self.form not in self.quality.forms or (self.upsample > 1 and self.form != "full"):
-            raise _refuse("form", self.form, "leave it out")
-        if self.emission and (self.upsample > 1 or self.layers == "color"):
-            raise _refuse(
-                "emission",
-                "upsampling, which has it anyway" if self.upsample > 1 else "one layer",
-                "leave it out" if self.upsample > 1 else "give diffuse and specular light apart",
-            )
-        if self.hit_distance and self.history and self.layers == "color":
-            raise _refuse("hit_distance", "a history with one layer", "give diffuse and specular light apart")
-        if self.hit_distance and not self.history and not self.record.has_lobes:
-            raise _refuse("hit_distance", f"{self.similarity} without a history", "choose a similarity of lobes")
-        if self.rays and self.upsample == 1:
-            raise _refuse("rays", "without upsampling", "add upsampling, or leave it out")
-        if self.coverage and ((self.upsample == 1 and not guided) or self.layers == "named"):
-            raise _refuse(
-                "coverage",
-                "with named layers" if self.layers == "named" else "in one pass",
-                "add upsampling, choose the plan balanced, or leave it out",
-            )
-        if self.hit_guides and (not guided or self.layers != "apart"):
-            raise _refuse("hit_guides", "in one pass" if not guided else f"layers {self.layers!r}", "leave it out")
-        if not self.halves and not guided:
-            raise _refuse("halves", "in one pass, which reads none", "leave it out")
-        if self.anisotropic and not self.record.has_covariance:
-            raise _refuse("anisotropic", self.similarity, "choose asg or ggx")
+        for is_refused, what, got, action in self._list_rules():
+            if is_refused:
+                raise _refuse(what, got, action)
+
+    def _list_rules(self) -> list[tuple[bool, str, str, str]]:
+        """Return what a pipeline cannot contain: whether it is asked for, the setting, what it says, what to do."""
+        guided, sparse, over_time = self.is_guided, self.upsample > 1, self.history
+        color, named, has_lobes = self.layers == "color", self.layers == "named", self.record.has_lobes
+        apart, leave = "give diffuse and specular light apart", "leave it out"
+        diffuse = self.similarity == "diffuse" and not self.is_filter
+        hits, what = self.hit_distance, "history" if over_time else "upsampling"
+        form = self.form not in self.quality.forms or (sparse and self.form != "full")
+        return [
+            (sparse and color, "layers", "one layer with upsampling", apart),
+            (named and (over_time or sparse), "layers", "named layers with a history or upsampling", apart),
+            (diffuse, "similarity", f"diffuse in the plan {self.plan}", "choose the plan filter"),
+            (
+                not self.albedo and not self.is_filter,
+                "albedo",
+                f"none in the plan {self.plan}",
+                "choose the plan filter",
+            ),
+            (self.record.is_mixture and over_time, "similarity", f"{self.similarity} with history", "choose ggx"),
+            (self.record.is_mixture and hits, "similarity", f"{self.similarity} with hit distances", "choose ggx"),
+            (guided and (over_time or sparse), "plan", f"{self.plan} with {what}", f"choose the plan fast for {what}"),
+            (form, "form", self.form, leave),
+            (self.emission and sparse, "emission", "upsampling, which has it anyway", leave),
+            (self.emission and color, "emission", "one layer", apart),
+            (hits and over_time and color, "hit_distance", "a history with one layer", apart),
+            (hits and not over_time and not has_lobes, "hit_distance", self.similarity, "choose a similarity of lobes"),
+            (self.rays and not sparse, "rays", "without upsampling", "add upsampling, or leave it out"),
+            (self.coverage and named, "coverage", "with named layers", leave),
+            (self.coverage and not sparse and not guided, "coverage", "in one pass", "add upsampling, or leave it out"),
+            (
+                self.hit_guides and (not guided or self.layers != "apart"),
+                "hit_guides",
+                "what does not read them",
+                leave,
+            ),
+            (not self.halves and not guided, "halves", "in one pass, which reads none", leave),
+            (self.anisotropic and not self.record.has_covariance, "anisotropic", self.similarity, "choose asg or ggx"),
+        ]
 
     def _check_filter(self) -> None:
         """Refuse what a single filter does not have."""

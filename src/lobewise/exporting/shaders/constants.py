@@ -14,130 +14,80 @@ from lobewise.camera import Camera
 from lobewise.exporting.shaders.language import Field, lay_out
 from lobewise.exporting.shaders.passes import Constant
 from lobewise.guides.lobe_fields import NORMAL_ERROR, default_tau
-from lobewise.settings import DenoiseSettings, ResolvedSettings, TemporalSettings
+from lobewise.settings import DenoiseSettings, ResolvedSettings, TemporalSettings, list_knobs
 from lobewise.upsampling import DEFAULT_RADIUS
 
 _PIXEL_TAU = f"sqrt(pixel_angle^2 + {2.0 * NORMAL_ERROR:g}^2)"
 
+
+def declare(kind: type, setting: str, *, name: str = "", type: str = "float", python: str = "") -> Constant:
+    """Return a setting of the library as a constant; ``python`` says how it is chosen where it is automatic."""
+    knob = list_knobs(kind)[setting]
+    return Constant(name or setting, type, knob.meaning, python or f"{knob.default:g}")
+
+
+_ACROSS = "over the tangent of half its"
 _CAMERA = (
-    Constant("eye", "vec3", "position of the camera, world units", python="camera.position"),
-    Constant(
-        "pixel_angle", "float", "angle of a pixel, radians", python="2 tan(fov_y / 2) / height: camera.get_pixel_angle"
-    ),
+    Constant("eye", "vec3", "position of the camera, world units", "camera.position"),
+    Constant("pixel_angle", "float", "angle of a pixel, radians", "2 tan(fov_y / 2) / height: camera.get_pixel_angle"),
 )
 _BEFORE = (
-    Constant("before", "vec3", "position of the camera in the frame before", python="previous.position"),
-    Constant(
-        "plane_sigma",
-        "float",
-        "how far a surface may lie off its plane of a frame ago: a standard deviation, pixel footprints",
-        python=f"{TemporalSettings.plane_sigma:g}",
-    ),
-    Constant("before_forward", "vec3", "unit direction in which that camera looked", python="previous.forward"),
-    Constant(
-        "tau_between",
-        "float",
-        "band-limit of lobes that are compared between frames, radians",
-        python=_PIXEL_TAU,
-    ),
+    Constant("before", "vec3", "position of the camera in the frame before", "previous.position"),
+    declare(TemporalSettings, "plane_sigma"),
+    Constant("before_forward", "vec3", "unit direction in which that camera looked", "previous.forward"),
+    Constant("tau_between", "float", "band-limit of lobes that are compared between frames, radians", _PIXEL_TAU),
     Constant(
         "before_right",
         "vec3",
-        "unit vector to the right of that camera, over the tangent of half its horizontal angle",
-        python="previous.right / tan(fov_x / 2)",
+        f"unit vector to the right of that camera, {_ACROSS} horizontal angle",
+        "previous.right / tan(fov_x / 2)",
     ),
-    Constant(
-        "beta_between",
-        "float",
-        "exponent of the similarity of a pixel's lobe and the lobe a frame ago",
-        python=f"{TemporalSettings.beta:g}",
-    ),
+    declare(TemporalSettings, "beta", name="beta_between"),
     Constant(
         "before_up",
         "vec3",
-        "unit vector upwards from that camera, over the tangent of half its vertical angle",
-        python="previous.up / tan(fov_y / 2)",
+        f"unit vector upwards from that camera, {_ACROSS} vertical angle",
+        "previous.up / tan(fov_y / 2)",
     ),
-    Constant(
-        "memory",
-        "float",
-        "share of the history that stays, 0 to 1; 0 at a cut and in the first frame",
-        python=f"{TemporalSettings.memory:g}",
-    ),
+    declare(TemporalSettings, "memory", python=f"{TemporalSettings.memory:g}; 0 at a cut and in the first frame"),
 )
 _SIZE = (
-    Constant("width", "int", "width of the image, pixels", python="frame.width"),
-    Constant("height", "int", "height of the image, pixels", python="frame.height"),
+    Constant("width", "int", "width of the image, pixels", "frame.width"),
+    Constant("height", "int", "height of the image, pixels", "frame.height"),
 )
 _KERNEL = (
-    Constant(
-        "screen_sigma",
-        "float",
-        "standard deviation of the Gaussian over the distance on the screen, pixels",
-        python="radius min(1, 0.6 (8 / spp)^(1/4)), at least 0.5",
-    ),
-    Constant(
-        "position_sigma",
-        "float",
-        "standard deviation of the Gaussian over the distance in the scene, pixel footprints",
-        python=f"{DenoiseSettings.position_sigma:g}",
-    ),
-    Constant(
-        "beta",
-        "float",
-        "exponent of the similarity of specular lobes: larger keeps more detail and more noise",
-        python="2.5 spp^(1/3), from 1 to 64",
-    ),
-    Constant("diffuse_beta", "float", "the same for diffuse lobes", python="as beta"),
-    Constant(
-        "tau",
-        "float",
-        "band-limit of lobes, radians: its square is added to the variances of every lobe",
-        python=f"0.03 sqrt(4 / spp), at least {_PIXEL_TAU}",
-    ),
+    declare(DenoiseSettings, "screen_sigma", python="radius min(1, 0.6 (8 / spp)^(1/4)), at least 0.5"),
+    declare(DenoiseSettings, "position_sigma"),
+    declare(DenoiseSettings, "beta", python="2.5 spp^(1/3), from 1 to 64"),
+    declare(DenoiseSettings, "diffuse_beta", python="as beta"),
+    declare(DenoiseSettings, "tau", python=f"0.03 sqrt(4 / spp), at least {_PIXEL_TAU}"),
 )
-_RADIUS = Constant("radius", "int", "pixels from the centre to the edge of the kernel", python="8")
+_RADIUS = declare(DenoiseSettings, "radius", type="int")
 _HISTORY = (
-    Constant(
-        "growth",
-        "float",
-        "how the kernel narrows as the history grows, 0 to 1",
-        python=f"TemporalSettings.strictness: {TemporalSettings.strictness:g}",
-    ),
+    declare(TemporalSettings, "strictness", name="growth"),
     Constant(
         "own",
         "float",
         "weight of a pixel's own sample, at least 1; samples of other pixels that match fully have weight 1",
-        python="1 + 0.005 / (relative variance of the samples)",
+        "1 + 0.005 / (relative variance of the samples)",
     ),
 )
-
+_SPARSE = (
+    Constant("scale", "int", "distance of neighbouring samples, pixels", "sparse_frame.scale"),
+    Constant("column", "int", "column of the shaded pixel in its block, from 0", "sparse_frame.place[1]"),
+    Constant("row", "int", "row of the shaded pixel in its block, from 0", "sparse_frame.place[0]"),
+    Constant("columns", "int", "samples across", "ceil((width - column) / scale)"),
+    Constant("rows", "int", "samples down", "ceil((height - row) / scale)"),
+    declare(TemporalSettings, "history_radius", name="known_radius", type="int"),
+    Constant("known_sigma", "float", "screen_sigma of that kernel, pixels", "screen_sigma * known_radius / radius"),
+)
 FILTER_CONSTANTS = (*_CAMERA, *_SIZE, *_KERNEL, _RADIUS)
 HISTORY_CONSTANTS = (*_CAMERA, *_BEFORE, *_SIZE, *_KERNEL, _RADIUS, *_HISTORY)
-
-_SPARSE = (
-    Constant("scale", "int", "distance of neighbouring samples, pixels", python="sparse_frame.scale"),
-    Constant("column", "int", "column of the shaded pixel in its block, from 0", python="sparse_frame.place[1]"),
-    Constant("row", "int", "row of the shaded pixel in its block, from 0", python="sparse_frame.place[0]"),
-    Constant("columns", "int", "samples across", python="ceil((width - column) / scale)"),
-    Constant("rows", "int", "samples down", python="ceil((height - row) / scale)"),
-    Constant(
-        "known_radius",
-        "int",
-        "samples from the centre to the edge of the kernel where a pixel has a history, at most radius",
-        python=f"{TemporalSettings.history_radius}",
-    ),
-    Constant(
-        "known_sigma",
-        "float",
-        "standard deviation of the Gaussian over the distance on the screen there, pixels, at most screen_sigma",
-        python="screen_sigma * known_radius / radius",
-    ),
+UPSAMPLE_CONSTANTS = (
+    *(*_CAMERA, *_BEFORE, *_SIZE, *_KERNEL),
+    replace(_RADIUS, python=f"{DEFAULT_RADIUS}"),
+    *(*_HISTORY, *_SPARSE),
 )
-_SAMPLE_RADIUS = replace(
-    _RADIUS, comment="samples from the centre to the edge of the kernel", python=f"{DEFAULT_RADIUS}"
-)
-UPSAMPLE_CONSTANTS = (*_CAMERA, *_BEFORE, *_SIZE, *_KERNEL, _SAMPLE_RADIUS, *_HISTORY, *_SPARSE)
 
 
 def compute_constants(
@@ -188,12 +138,7 @@ def compute_constants(
         "own": own,
         "width": width,
         "height": height,
-        "screen_sigma": settings.screen_sigma,
-        "position_sigma": settings.position_sigma,
-        "beta": settings.beta,
-        "diffuse_beta": settings.diffuse_beta,
-        "tau": settings.tau,
-        "radius": settings.radius,
+        **{each.name: getattr(settings, each.name) for each in (*_KERNEL, _RADIUS)},
         "scale": scale,
         "column": place[1],
         "row": place[0],

@@ -62,7 +62,7 @@ class Image:
     before: str = ""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Constant(Field):
     """A number of a chain, with the value that Python gives it."""
 
