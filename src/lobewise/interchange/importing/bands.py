@@ -241,7 +241,8 @@ class ImportedBands(BandReader):
             first = (step // 2 - top) % step
             decoded = decode_part(self.container, crop_part(part, top, bottom), names)
             for name in names:
-                pieces[name].append(decoded[name][first::step, step // 2 :: step])
+                # A copy, so that the other pixels are freed.
+                pieces[name].append(decoded[name][first::step, step // 2 :: step].copy())
         return {name: np.concatenate(each) for name, each in pieces.items()}
 
     @staticmethod
