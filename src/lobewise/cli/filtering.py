@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from lobewise.interchange import Imported
     from lobewise.interchange.selections import Selection
     from lobewise.lobe_table import LobeTable
-    from lobewise.sequence import SequenceFilter
+    from lobewise.sequence import SequenceFilter, State
     from lobewise.sparse_frame import AnyFrame, SparseFrame
     from lobewise.streaming import DenoisedFile
 
@@ -325,7 +325,9 @@ class _Upsampling:
 
     def list_sources(self, number: int, source: Path) -> list[Path]:
         """Return every file that the result of a frame depends on."""
-        return [name_frame(source, number)]
+        from lobewise.interchange.siblings import list_family
+
+        return list_family(name_frame(source, number))
 
     def list_shared_sources(self) -> list[Path]:
         """Return every file, beside the frames, that results depend on."""
@@ -347,39 +349,82 @@ class _Upsampler:
     request: _Upsampling
     shade: Callable[[Result, AnyFrame], Result]
 
-    def read(self, path: Path) -> SparseFrame:
-        """Return the sparse frame of a file."""
+    def read(self, path: Path) -> SparseFile:
+        """Return the sparse frame of a file, and for a file of another renderer how it was read."""
         from lobewise.interchange.reading import is_own
         from lobewise.io import read_sparse_frame
+        from lobewise.io.exr.layout import name_file
         from lobewise.io.exr.parsing import read_container
+        from lobewise.sparse_frame import make_sparse
 
-        if not is_own(read_container(path)):
+        scale, place = self.request.scale, self.request.place
+        if is_own(read_container(path)):
+            return SparseFile(read_sparse_frame(path, scale=scale, place=place))
+        if scale is None:
             raise InputError(
                 f"input {str(path)!r}",
-                expected="a sparse frame in lobewise's own channel names",
-                got="a file of another renderer, whose guides would be left out",
-                action="in Python, pass lobewise.sparse_frame.make_sparse(lobewise.read_frame(path), scale) to "
-                "lobewise.upsample",
+                expected="--scale for a file of another renderer, whose header names no shaded pixels",
+                got="none",
+                action="say how far they are apart, such as --scale 4",
             )
-        return read_sparse_frame(path, scale=self.request.scale, place=self.request.place)
+        reading = PassReading()
+        first = reading.list_selections(path)[0]
+        imported = reading.read(path, self.job.source, self.job.remarks, selection=first)
+        with name_file(path):
+            return SparseFile(make_sparse(imported.frame, scale, place or (0, 0)), imported)
 
-    def make_filter(self) -> SequenceFilter[SparseFrame, Result]:
+    def make_filter(self) -> SequenceFilter[SparseFile, Result]:
         """Return a filter of sparse frames, each by itself or over time."""
         from lobewise.temporal import TemporalFilter
         from lobewise.upsampling import upsample as upsample_frame
 
         changes = self.request.over_time.extend(self.request.settings)
         if changes is not None:
-            return TemporalFilter(**changes)
-        return FilterAlone(partial(upsample_frame, bilinear=self.request.bilinear, **self.request.settings))
+            return FilterOfFrames(TemporalFilter(**changes))
+        filter_one = partial(upsample_frame, bilinear=self.request.bilinear, **self.request.settings)
+        return FilterOfFrames(FilterAlone(filter_one))
 
-    def write(self, target: Path, result: Result, frame: SparseFrame) -> None:
-        """Write the result as a frame with the guides of ``frame``, and its picture."""
+    def write(self, target: Path, result: Result, file: SparseFile) -> None:
+        """Write the result, and its picture: into a copy of another renderer's file, else with the guides."""
         from lobewise.frame import Frame, Radiance
+        from lobewise.interchange import write_result
         from lobewise.io import write_frame
 
-        done = self.shade(result, frame)
-        radiance = Radiance(done.image, diffuse=done.diffuse, specular=done.specular)
-        write_frame(target, Frame(radiance, frame.gbuffer, frame.camera, spp=frame.spp, lobe_tables=frame.lobe_tables))
+        frame, done = file.frame, self.shade(result, file.frame)
+        if file.imported is None:
+            radiance = Radiance(done.image, diffuse=done.diffuse, specular=done.specular)
+            whole = Frame(radiance, frame.gbuffer, frame.camera, spp=frame.spp, lobe_tables=frame.lobe_tables)
+            write_frame(target, whole)
+        else:
+            # A result has two layers, and passes of light may be any number of them.
+            written = replace(file.imported, outputs={"color": file.imported.outputs["color"]})
+            write_result(target, done, source=written)
         if self.job.pictures is not None:
             self.job.pictures.write(target, done.image)
+
+
+@dataclass(frozen=True)
+class SparseFile:
+    """A sparse frame, and how it was read if another renderer wrote its file."""
+
+    frame: SparseFrame
+    imported: Imported | None = None
+
+
+@dataclass(frozen=True)
+class FilterOfFrames:
+    """A filter of files by the filter of their frames."""
+
+    of_frames: SequenceFilter[SparseFrame, Result]
+
+    def add(self, file: SparseFile, *, cut: bool = False) -> Result:
+        """Return the result of the frame of a file."""
+        return self.of_frames.add(file.frame, cut=cut)
+
+    def get_state(self) -> State:
+        """Return what the filter of frames remembers."""
+        return self.of_frames.get_state()
+
+    def set_state(self, state: State) -> None:
+        """Restore what the filter of frames remembers."""
+        self.of_frames.set_state(state)
