@@ -19,8 +19,9 @@ from lobewise.exporting.shaders.images import (
     list_guides,
     list_history,
 )
-from lobewise.exporting.shaders.passes import Chain, Image, Lifetime
+from lobewise.exporting.shaders.passes import Chain, Image, Lifetime, Pass
 from lobewise.exporting.shaders.steps import (
+    FOOTPRINT,
     LOBES,
     OWN_FOOTPRINT,
     Lobes,
@@ -36,88 +37,71 @@ from lobewise.exporting.shaders.steps import (
 )
 from lobewise.settings import FORM_NAMES
 
+SCREEN = "lobewise_compare_screen(offset, constants.screen_sigma)"
+KEPT = {layer: f"{layer}_kept_light" for layer in LAYERS}
+"""The sums that a history keeps of each layer."""
+
 
 def make_filter_chain(form: str, lobes: Lobes) -> Chain:
     """Return the chain that filters each frame by itself: `lobewise.denoise` with quality "fast"."""
-    passes, images = (
-        [make_guides_pass(lobes, "spot.w * constants.pixel_angle")],
-        list_guides(lobes.guides, Lifetime.FRAME),
-    )
+    images, passes = list_guides(lobes.guides, Lifetime.FRAME), [make_guides_pass(lobes, FOOTPRINT)]
     last = {}
     for layer in lobes.layers:
         more, between = make_filter_passes(layer, form, "1.0")
         passes, images = [*passes, *more], [*images, *between]
         last[layer.name] = more[-1].writes["added_light"]
-    return Chain(
-        name="filter",
-        comment="Filters every frame by itself, as lobewise.denoise does with the quality 'fast'.",
-        images=[*GIVEN, *images, RESULT],
-        constants=FILTER_CONSTANTS,
-        passes=[*passes, make_composite_pass(last, has_noisy=True)],
-    )
+    text = "Filters every frame by itself, as lobewise.denoise does with the quality 'fast'."
+    images = [*GIVEN, *images, RESULT]
+    return Chain("filter", text, images, FILTER_CONSTANTS, [*passes, make_composite_pass(last)])
 
 
 def make_history_chain(form: str, lobes: Lobes) -> Chain:
     """Return the chain that joins each frame with its history: `TemporalFilter` on whole frames."""
-    screen = "0.0" if form == "atrous" else "lobewise_compare_screen(offset, constants.screen_sigma)"
-    guides = [*list_guides(lobes.guides, Lifetime.KEPT), REFLECTIONS]
-    images = [*GIVEN, MOTION, HITS, *guides, *keep(guides)]
-    passes = [make_guides_pass(lobes, OWN_FOOTPRINT, ["motion"]), make_reflections_pass()]
+    screen = "0.0" if form == "atrous" else SCREEN
+    images, passes = begin_history(lobes)
     for layer in lobes.layers:
-        filters, between = make_filter_passes(
-            layer, form, "load(narrowing, pixel).y", narrowing=f"{layer.name}_narrowing"
-        )
-        narrowing = Image(
-            name=f"{layer.name}_narrowing",
-            comment="trust in the history (x), power to which the pixel raises its weights (y)",
-            lifetime=Lifetime.FRAME,
-        )
-        images += [*list_history(layer.name), narrowing, *between]
-        whole = {"here": "pixel", "other": "tap"}
+        trust = f"{layer.name}_narrowing"
+        filters, between = make_filter_passes(layer, form, "load(narrowing, pixel).y", narrowing=trust)
+        text = "trust in the history (x), power to which the pixel raises its weights (y)"
+        images += [*list_history(layer.name), Image(trust, text, Lifetime.FRAME), *between]
         passes += [
             make_reproject_pass(layer),
-            make_trust_pass(layer, screen, whole, ("width", "height")),
+            make_trust_pass(layer, screen, {"here": "pixel", "other": "tap"}, ("width", "height")),
             make_narrow_pass(layer, screen),
             *filters,
             make_accumulate_pass(layer, filters[-1].name),
         ]
-    return Chain(
-        name="history",
-        comment="Filters every frame and joins it with the history of those before, as lobewise.TemporalFilter does.",
-        images=[*images, RESULT],
-        constants=HISTORY_CONSTANTS,
-        passes=[*passes, make_composite_pass({layer: f"{layer}_kept_light" for layer in LAYERS}, has_noisy=True)],
-    )
+    text = "Filters every frame and joins it with the history of those before, as lobewise.TemporalFilter does."
+    return Chain("history", text, [*images, RESULT], HISTORY_CONSTANTS, [*passes, make_composite_pass(KEPT)])
 
 
 def make_upsample_chain(form: str, lobes: Lobes) -> Chain:
     """Return the chain that upsamples and accumulates sparse frames: `TemporalFilter` on sparse frames."""
     require_choice("form of the chain 'upsample'", form, ("full",))
-    screen = "lobewise_compare_screen(offset, constants.screen_sigma)"
-    guides = [*list_guides(lobes.guides, Lifetime.KEPT), REFLECTIONS]
     sparse = {"here": "lobewise_find_pixel(pixel)", "other": "lobewise_find_pixel(tap)"}
-    inputs = [replace(image, extent=SAMPLES) if image.name in LAYERS else image for image in GIVEN]
-    images = [*inputs, MOTION, HITS, *guides, *keep(guides)]
-    passes = [make_guides_pass(lobes, OWN_FOOTPRINT, ["motion"]), make_reflections_pass()]
+    images, passes = begin_history(lobes)
     for layer in lobes.layers:
-        images += [
-            replace(image, extent=SAMPLES) if image.name == f"{layer.name}_trust" else image
-            for image in list_history(layer.name)
-        ]
-        trust = make_trust_pass(layer, screen, sparse, SAMPLES)
+        images += list_history(layer.name)
         passes += [
             make_reproject_pass(layer),
-            replace(trust, libraries=[*layer.libraries, "sparse"]),
+            make_trust_pass(layer, SCREEN, sparse, SAMPLES, "sparse"),
             make_upsample_pass(layer),
         ]
-    return Chain(
-        name="upsample",
-        comment="Brings frames of which one pixel in every block is shaded to all pixels, and joins them with their "
-        "history, as lobewise.TemporalFilter does.",
-        images=[*images, RESULT],
-        constants=UPSAMPLE_CONSTANTS,
-        passes=[*passes, make_composite_pass({layer: f"{layer}_kept_light" for layer in LAYERS}, has_noisy=False)],
+    of_samples = {*LAYERS, *(f"{name}_trust" for name in LAYERS)}
+    images = [replace(image, extent=SAMPLES) if image.name in of_samples else image for image in images]
+    text = (
+        "Brings frames of which one pixel in every block is shaded to all pixels, and joins them with their history, "
+        "as lobewise.TemporalFilter does."
     )
+    composite = make_composite_pass(KEPT, has_noisy=False)
+    return Chain("upsample", text, [*images, RESULT], UPSAMPLE_CONSTANTS, [*passes, composite])
+
+
+def begin_history(lobes: Lobes) -> tuple[list[Image], list[Pass]]:
+    """Return the images and the passes with which every chain with a history begins."""
+    guides = [*list_guides(lobes.guides, Lifetime.KEPT), REFLECTIONS]
+    passes = [make_guides_pass(lobes, OWN_FOOTPRINT, ["motion"]), make_reflections_pass()]
+    return [*GIVEN, MOTION, HITS, *guides, *keep(guides)], passes
 
 
 _MAKERS = {

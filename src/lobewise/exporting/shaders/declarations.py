@@ -10,29 +10,19 @@ from functools import cache
 from importlib.resources import files
 from string import Template
 
-from lobewise.denoising.layers import MIN_HIT_DISTANCE
-from lobewise.features.ggx import GGX_UNIT
-from lobewise.features.normal import LAMBERT_COEFFICIENTS
-from lobewise.filters.cross_pass import ALBEDO_FLOOR
-from lobewise.filters.forms import ATROUS_PROFILE
-from lobewise.filters.history.accumulation import TRUST_RADIUS
-from lobewise.filters.history.accumulation_pass import (
-    FULL_TRUST_ERRORS,
-    IGNORED_DIFFERENCE,
-    MIN_KNOWN_FRAMES,
-    MIN_WEIGHT,
-    NO_TRUST_ERRORS,
-)
-from lobewise.filters.history.reprojection_pass import SNAP_PIXELS
-from lobewise.guides.places import MIN_EDGE_RATIO, MISS_DISTANCE
-from lobewise.guides.surfaces import MIN_SQUARED_NORMAL
-from lobewise.lobes.covariance import AXIS_TURN, AXIS_TURN_PER_ALPHA, GGX_LIMIT, GGX_SHARPNESS, MIN_VIEW_COSINE
-from lobewise.lobes.directions import MIN_COSINE
-from lobewise.lobes.gaussian import MIN_WARP_COSINE
-from lobewise.lobes.mixture import GGX_MIXTURES, MIN_SHARPNESS
-from lobewise.lobes.vectors import LUMINANCE
-from lobewise.temporal.validation import HIT_TOLERANCE, HIT_TOLERANCE_PER_LOBE
+from lobewise.denoising import layers
+from lobewise.features import ggx, normal
+from lobewise.filters import cross_pass, forms
+from lobewise.filters.history import accumulation, accumulation_pass, reprojection_pass
+from lobewise.guides import places, surfaces
+from lobewise.lobes import covariance, directions, gaussian, mixture, vectors
+from lobewise.temporal import validation
 
+_SHARED = (
+    *(layers, ggx, cross_pass, accumulation, accumulation_pass, reprojection_pass, places, surfaces),
+    *(covariance, directions, gaussian, mixture, validation),
+)
+"""The modules whose numbers the texts may name."""
 _NAME = re.compile(r"\b(?:lobewise_|LOBEWISE_|Lobewise)\w+")
 _DECLARED = re.compile(r"^(?:const \w+ (\w+) =|struct (\w+) \{|\w+ (\w+)\(.*\) \{$)")
 
@@ -70,43 +60,21 @@ def read_template(name: str, parts: Mapping[str, str]) -> str:
 @cache
 def list_constants() -> Mapping[str, str]:
     """Return the numbers that the texts share with the library's own filters."""
-    exponents, weights = GGX_MIXTURES[3]
-    *others, last = (write_number(value) for value in LAMBERT_COEFFICIENTS)
-    quotient = last
+    *others, last = map(write_number, normal.LAMBERT_COEFFICIENTS)
+    lambert = f"{last} * x + {others.pop()}"
     for other in reversed(others):
-        quotient = f"({quotient}) * x + {other}" if quotient != last else f"{last} * x + {other}"
-    numbers: dict[str, float] = {
-        "MIN_COSINE": MIN_COSINE,
-        "MIN_WARP_COSINE": MIN_WARP_COSINE,
-        "MIN_VIEW_COSINE": MIN_VIEW_COSINE,
-        "GGX_LIMIT": GGX_LIMIT,
-        "AXIS_TURN": AXIS_TURN,
-        "AXIS_TURN_PER_ALPHA": AXIS_TURN_PER_ALPHA,
-        "GGX_SHARPNESS": GGX_SHARPNESS,
-        "MIN_SHARPNESS": MIN_SHARPNESS,
-        "ALBEDO_FLOOR": ALBEDO_FLOOR,
-        "MIN_SQUARED_NORMAL": MIN_SQUARED_NORMAL,
-        "GGX_UNIT": GGX_UNIT,
-        "NO_TRUST_ERRORS": NO_TRUST_ERRORS,
-        "FULL_TRUST_ERRORS": FULL_TRUST_ERRORS,
-        "IGNORED_DIFFERENCE": IGNORED_DIFFERENCE,
-        "MIN_WEIGHT": MIN_WEIGHT,
-        "SNAP_PIXELS": SNAP_PIXELS,
-        "MIN_KNOWN_FRAMES": MIN_KNOWN_FRAMES,
-        "MIN_EDGE_RATIO": MIN_EDGE_RATIO,
-        "MISS_DISTANCE": MISS_DISTANCE,
-        "MIN_HIT_DISTANCE": MIN_HIT_DISTANCE,
-        "HIT_TOLERANCE": HIT_TOLERANCE,
-        "HIT_PER_LOBE": HIT_TOLERANCE_PER_LOBE,
-    }
+        lambert = f"({lambert}) * x + {other}"
+    named = [each for module in _SHARED for each in vars(module).items() if isinstance(each[1], (int, float))]
+    numbers = dict(named)
+    assert all(numbers[name] == value for name, value in named), "a name stands for two numbers"
+    exponents, weights = mixture.GGX_MIXTURES[3]
     return {
-        **{name: write_number(value) for name, value in numbers.items()},
+        **{name: str(value) if isinstance(value, int) else write_number(value) for name, value in numbers.items()},
         "MIXTURE_EXPONENTS": write_vector(exponents),
         "MIXTURE_WEIGHTS": write_vector(weights),
-        "LUMINANCE": write_vector(LUMINANCE),
-        "PROFILE": write_vector([math.log2(weight) for weight in ATROUS_PROFILE]),
-        "TRUST_RADIUS": str(TRUST_RADIUS),
-        "LAMBERT": quotient,
+        "LUMINANCE": write_vector(vectors.LUMINANCE),
+        "PROFILE": write_vector([math.log2(weight) for weight in forms.ATROUS_PROFILE]),
+        "LAMBERT": lambert,
     }
 
 

@@ -13,84 +13,64 @@ SAMPLES = "columns", "rows"
 """Constants that are the numbers of samples across and down."""
 
 
-def give(name: str, comment: str) -> Image:
-    """Return an image that the caller writes, for which half floats are enough."""
-    return Image(name=name, comment=comment, lifetime=Lifetime.GIVEN, format="rgba16float")
-
-
+_GIVEN, _KEPT, _FRAME = Lifetime.GIVEN, Lifetime.KEPT, Lifetime.FRAME
+_HALF = "rgba16float"
+"""The format of images for which half floats are enough."""
 GIVEN = (
     Image(
-        name="surface",
-        comment="unit normal in world space (xyz; 0 where the pixel shows no surface), GGX alpha (w; 0 is a mirror)",
-        lifetime=Lifetime.GIVEN,
+        "surface",
+        "unit normal in world space (xyz; 0 where the pixel shows no surface), GGX alpha (w; 0 is a mirror)",
+        _GIVEN,
     ),
     Image(
-        name="place",
-        comment="position in world space (xyz), distance from the camera (w; 0 where the pixel shows no surface)",
-        lifetime=Lifetime.GIVEN,
+        "place",
+        "position in world space (xyz), distance from the camera (w; 0 where the pixel shows no surface)",
+        _GIVEN,
     ),
-    give("diffuse", "noisy radiance that surfaces scatter diffusely, albedo included, linear"),
-    give("specular", "noisy radiance that surfaces reflect, albedo included, linear"),
-    give("diffuse_albedo", "albedo of diffuse reflection, 0 to 1"),
-    give("specular_albedo", "albedo of specular reflection, 0 to 1"),
-    give("emission", "light that reaches the camera unscattered: lamps and background, linear"),
+    Image("diffuse", "noisy radiance that surfaces scatter diffusely, albedo included, linear", _GIVEN, _HALF),
+    Image("specular", "noisy radiance that surfaces reflect, albedo included, linear", _GIVEN, _HALF),
+    Image("diffuse_albedo", "albedo of diffuse reflection, 0 to 1", _GIVEN, _HALF),
+    Image("specular_albedo", "albedo of specular reflection, 0 to 1", _GIVEN, _HALF),
+    Image("emission", "light that reaches the camera unscattered: lamps and background, linear", _GIVEN, _HALF),
 )
 MOTION = Image(
-    name="motion",
-    comment="place of the surface in the frame before minus its place in this frame, pixels, right and down (xy)",
-    lifetime=Lifetime.GIVEN,
-    format="rgba16float",
+    "motion",
+    "place of the surface in the frame before minus its place in this frame, pixels, right and down (xy)",
+    _GIVEN,
+    _HALF,
 )
-RESULT = Image(name="image", comment="the denoised image, linear (xyz); 1 (w)", lifetime=Lifetime.RESULT)
-
-
-HITS = give(
+RESULT = Image("image", "the denoised image, linear (xyz); 1 (w)", Lifetime.RESULT)
+HITS = Image(
     "hits",
     "distance from the surface to what its specular lobe hits, world units (x); 0 where unknown, infinite for the sky",
+    _GIVEN,
+    _HALF,
 )
 REFLECTIONS = Image(
-    name="reflections",
-    comment="1 over the hit distance (x), its tolerance (y), place of the reflection in the frame before, pixels (zw)",
-    lifetime=Lifetime.KEPT,
+    "reflections",
+    "1 over the hit distance (x), its tolerance (y), place of the reflection in the frame before, pixels (zw)",
+    _KEPT,
 )
+GUIDES = {
+    "points": "position in world space (xyz), width of a pixel on the surface, world units (w)",
+    "normals": "normal (xyz), distance from the camera or 0 (w)",
+    "axes": "axis of the specular lobe (xyz), its variance or the larger of two, rad^2; -1 without a lobe (w)",
+    "spreads": "vector along which the lobe is wider (xyz), its smaller variance, rad^2 (w)",
+}
+"""The images by which pixels are compared."""
 
 
 def list_guides(names: Sequence[str], lifetime: Lifetime) -> list[Image]:
     """Return some of the images by which pixels are compared."""
-    known = [
-        Image(
-            name="points",
-            comment="position in world space (xyz), width of a pixel on the surface, world units (w)",
-            lifetime=lifetime,
-        ),
-        Image(name="normals", comment="normal (xyz), distance from the camera or 0 (w)", lifetime=lifetime),
-        Image(
-            name="axes",
-            comment="axis of the specular lobe (xyz), its variance or the larger of two, rad^2; -1 without a lobe (w)",
-            lifetime=lifetime,
-        ),
-        Image(
-            name="spreads",
-            comment="vector along which the lobe is wider (xyz), its smaller variance, rad^2 (w)",
-            lifetime=lifetime,
-        ),
-    ]
-    return [image for image in known if image.name in names]
+    return [Image(name, text, lifetime) for name, text in GUIDES.items() if name in names]
 
 
 def list_sums(name: str, what: str, lifetime: Lifetime) -> list[Image]:
     """Return the two images that hold sums over samples."""
+    more = "sums of squared weights (x), of weight times squared luminance (y), frames (z)"
     return [
-        Image(
-            name=f"{name}_light",
-            comment=f"{what}: sums of weight times light over albedo (xyz) and of weights (w)",
-            lifetime=lifetime,
-        ),
-        Image(
-            name=f"{name}_more",
-            comment=f"{what}: sums of squared weights (x), of weight times squared luminance (y), frames (z)",
-            lifetime=lifetime,
-        ),
+        Image(f"{name}_light", f"{what}: sums of weight times light over albedo (xyz) and of weights (w)", lifetime),
+        Image(f"{name}_more", f"{what}: {more}", lifetime),
     ]
 
 
@@ -104,8 +84,6 @@ def keep(images: Sequence[Image]) -> list[Image]:
 def list_history(layer: str) -> list[Image]:
     """Return the images of a layer's history: what was found of it, and what is kept of it."""
     meaning = f"{layer} light of this frame and its history"
-    trust = Image(
-        name=f"{layer}_trust", comment="how far the samples confirm the history, 0 to 1 (x)", lifetime=Lifetime.FRAME
-    )
-    state = list_sums(f"{layer}_kept", meaning, Lifetime.KEPT)
-    return [*list_sums(f"{layer}_history", f"history of {layer} light", Lifetime.FRAME), trust, *state, *keep(state)]
+    trust = Image(f"{layer}_trust", "how far the samples confirm the history, 0 to 1 (x)", _FRAME)
+    state = list_sums(f"{layer}_kept", meaning, _KEPT)
+    return [*list_sums(f"{layer}_history", f"history of {layer} light", _FRAME), trust, *state, *keep(state)]

@@ -7,13 +7,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from lobewise.exporting.shaders.declarations import gather, read_template
-from lobewise.exporting.shaders.language import (
-    Binding,
-    Field,
-    translate_text,
-    write_bindings,
-    write_entry,
-)
+from lobewise.exporting.shaders.language import Binding, Field, translate_text, write_bindings, write_entry
 
 WORKGROUP = 8, 8
 """Threads of a workgroup, across and down: 64 fit every graphics card, and a square reads few pixels twice."""
@@ -36,7 +30,7 @@ class Lifetime(Enum):
     """The result."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Image:
     """An image of a chain.
 
@@ -101,7 +95,7 @@ class Pass:
     extent: tuple[str, str] = ("width", "height")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Chain:
     """Passes in order, with the images and constants that they share."""
 
@@ -118,11 +112,8 @@ class Chain:
     def list_bindings(self, shader_pass: Pass) -> list[Binding]:
         """Return the images of a pass in the order of their bindings, from 1 on: those that it reads come first."""
         read = [Binding(name, self.get_image(image).comment) for name, image in shader_pass.reads.items()]
-        written = []
-        for name, image in shader_pass.writes.items():
-            declared = self.get_image(image)
-            written.append(Binding(name, declared.comment, declared.format))
-        return [*read, *written]
+        written = [(name, self.get_image(image)) for name, image in shader_pass.writes.items()]
+        return [*read, *(Binding(name, image.comment, image.format) for name, image in written)]
 
 
 HEADERS = {

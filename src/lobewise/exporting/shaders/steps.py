@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from lobewise.exporting.shaders.declarations import copy_template
 from lobewise.exporting.shaders.images import list_sums
@@ -34,9 +35,23 @@ class Layer:
     guides: Sequence[str]
     is_reflected: bool = False
 
-    def bind_guides(self) -> dict[str, str]:
-        """Return the guides as bindings."""
-        return {name: name for name in self.guides}
+    @property
+    def samples(self) -> dict[str, str]:
+        """The noisy light and its albedo as bindings."""
+        return {"radiance": self.name, "albedo": f"{self.name}_albedo"}
+
+    def make_pass(
+        self, step: str, comment: str, *, reads: dict[str, str], writes: dict[str, str], body: str = "", **more: Any
+    ) -> Pass:
+        """Return a pass of the layer. In its comment ``{}`` stands for what the layer is."""
+        return Pass(
+            name=f"{self.name}_{step}",
+            comment=comment.format(self.light),
+            body=body or f"{step}.shader",
+            reads=reads,
+            writes=writes,
+            **{"libraries": self.libraries, **more},
+        )
 
 
 @dataclass(frozen=True)
@@ -70,11 +85,22 @@ LOBES = {
 }
 """The kinds of lobes that chains have, by similarity."""
 
+FOOTPRINT = "spot.w * constants.pixel_angle"
+"""Width of a pixel on its surface."""
 OWN_FOOTPRINT = (
-    "spot.w * constants.pixel_angle * (1.0 + "
-    "lobewise_find_own_motion(pixel, spot.xyz, load(motion, pixel).xy) / constants.plane_sigma)"
+    f"{FOOTPRINT} * (1.0 + lobewise_find_own_motion(pixel, spot.xyz, load(motion, pixel).xy) / constants.plane_sigma)"
 )
-"""Width of a pixel on its surface, wider where the surface moved by itself."""
+"""The same, wider where the surface moved by itself."""
+
+
+def bind(*names: str) -> dict[str, str]:
+    """Return images as bindings of the same names."""
+    return {name: name for name in names}
+
+
+def bind_sums(name: str, image: str) -> dict[str, str]:
+    """Return the two images of sums as bindings; ``{}`` stands for what tells them apart."""
+    return {name.format(part): image.format(part) for part in ("light", "more")}
 
 
 def make_guides_pass(lobes: Lobes, footprint: str, more: Sequence[str] = ()) -> Pass:
@@ -84,8 +110,8 @@ def make_guides_pass(lobes: Lobes, footprint: str, more: Sequence[str] = ()) -> 
         comment="Makes what the other passes compare pixels by: place, normal and the lobe of the specular reflection.",
         body="guides.shader",
         parts={"footprint": footprint, "lobe": copy_template(lobes.part), "none": lobes.none},
-        reads={name: name for name in ("surface", "place", *more)},
-        writes={name: name for name in lobes.guides},
+        reads=bind("surface", "place", *more),
+        writes=bind(*lobes.guides),
     )
 
 
@@ -128,24 +154,23 @@ def make_filter_passes(layer: Layer, form: str, power: str, **more: str) -> tupl
     """
     passes: list[Pass] = []
     images: list[Image] = []
-    read, source = "lobewise_read_radiance", {"radiance": layer.name, "albedo": f"{layer.name}_albedo"}
+    read, source = "lobewise_read_radiance", layer.samples
     for taps, _, step in list_form_passes(form, 0):
         described = _describe_taps(taps, step)
         after = f"{layer.name}_{described.name}"
         images += list_sums(after, f"{layer.name} light, summed over {described.over}", Lifetime.FRAME)
         passes.append(
-            Pass(
-                name=after,
-                comment=f"Sums similar pixels over {described.over}: {layer.light}.\n"
+            layer.make_pass(
+                described.name,
+                f"Sums similar pixels over {described.over}: {{}}.\n"
                 "weight = place on the screen * place in the scene * overlap of the lobes",
                 body=described.body,
                 parts={**described.parts, "power": power, "read": read},
-                libraries=layer.libraries,
-                reads={**layer.bind_guides(), **source, **more},
-                writes={"added_light": f"{after}_light", "added_more": f"{after}_more"},
+                reads={**bind(*layer.guides), **source, **more},
+                writes=bind_sums("added_{}", f"{after}_{{}}"),
             )
         )
-        read, source = "lobewise_read_sums", {"sums_light": f"{after}_light", "sums_more": f"{after}_more"}
+        read, source = "lobewise_read_sums", bind_sums("sums_{}", f"{after}_{{}}")
     return passes, images
 
 
@@ -155,67 +180,52 @@ def make_reflections_pass() -> Pass:
         name="reflections",
         comment="Finds where each pixel's reflection was in the frame before: at its virtual image behind the mirror.",
         body="reflections.shader",
-        reads={name: name for name in ("surface", "place", "hits")},
-        writes={"reflections": "reflections"},
+        reads=bind("surface", "place", "hits"),
+        writes=bind("reflections"),
     )
 
 
 def make_reproject_pass(layer: Layer) -> Pass:
     """Return the pass that finds a layer's history."""
-    guides = layer.bind_guides()
-    where = "at its place in the frame before"
-    part = ""
+    guides, where, part = layer.guides, "at its place in the frame before", ""
     if layer.is_reflected:
-        guides["reflections"] = "reflections"
+        guides = (*guides, "reflections")
         where = "at the places of its surface and of its reflection in the frame before"
         part = copy_template("reflection.part")
-    return Pass(
-        name=f"{layer.name}_reproject",
-        comment=f"Finds the history of every pixel {where}: {layer.light}.\n"
-        "The history counts as far as surface and lobe are alike.",
-        body="reproject.shader",
+    return layer.make_pass(
+        "reproject",
+        f"Finds the history of every pixel {where}: {{}}.\nThe history counts as far as surface and lobe are alike.",
         parts={"reflection": part},
-        libraries=layer.libraries,
         reads={
-            "motion": "motion",
-            **guides,
-            **{f"{name}_before": f"{name}_before" for name in guides},
-            **{f"past_{part}": f"{layer.name}_kept_{part}_before" for part in ("light", "more")},
+            **bind("motion", *guides, *(f"{name}_before" for name in guides)),
+            **bind_sums("past_{}", f"{layer.name}_kept_{{}}_before"),
         },
-        writes={f"history_{part}": f"{layer.name}_history_{part}" for part in ("light", "more")},
+        writes=bind_sums("history_{}", f"{layer.name}_history_{{}}"),
     )
 
 
-def make_trust_pass(layer: Layer, screen: str, parts: dict[str, str], extent: tuple[str, str]) -> Pass:
-    """Return the pass that compares the samples of a layer with its history."""
-    return Pass(
-        name=f"{layer.name}_trust",
-        comment=f"Tells how far the samples of this frame confirm the history: {layer.light}.\n"
+def make_trust_pass(layer: Layer, screen: str, parts: dict[str, str], extent: tuple[str, str], *more: str) -> Pass:
+    """Return the pass that compares the samples of a layer with its history; ``more`` are libraries."""
+    return layer.make_pass(
+        "trust",
+        "Tells how far the samples of this frame confirm the history: {}.\n"
         "The mean difference around a pixel is compared with its standard error, colour by colour.",
-        body="trust.shader",
         parts={"screen": screen, "columns": extent[0], "rows": extent[1], **parts},
-        libraries=layer.libraries,
-        reads={
-            **layer.bind_guides(),
-            "radiance": layer.name,
-            "albedo": f"{layer.name}_albedo",
-            "history_light": f"{layer.name}_history_light",
-        },
+        reads={**bind(*layer.guides), **layer.samples, "history_light": f"{layer.name}_history_light"},
         writes={"trust": f"{layer.name}_trust"},
         extent=extent,
+        libraries=[*layer.libraries, *more],
     )
 
 
 def make_narrow_pass(layer: Layer, screen: str) -> Pass:
     """Return the pass that computes the trust of every pixel, and how narrow its kernel is."""
-    return Pass(
-        name=f"{layer.name}_narrow",
-        comment=f"Averages the trust around every pixel, and narrows its kernel as its history grows: {layer.light}.",
-        body="narrow.shader",
+    return layer.make_pass(
+        "narrow",
+        "Averages the trust around every pixel, and narrows its kernel as its history grows: {}.",
         parts={"screen": screen},
-        libraries=layer.libraries,
         reads={
-            **layer.bind_guides(),
+            **bind(*layer.guides),
             "trust": f"{layer.name}_trust",
             "history_more": f"{layer.name}_history_more",
         },
@@ -225,45 +235,38 @@ def make_narrow_pass(layer: Layer, screen: str) -> Pass:
 
 def make_accumulate_pass(layer: Layer, sums: str) -> Pass:
     """Return the pass that adds the filtered frame to the history."""
-    guides = layer.bind_guides()
-    needed = ("normals", "axes") if "axes" in guides else ("normals",)
-    return Pass(
-        name=f"{layer.name}_accumulate",
-        comment=f"Adds the filtered frame and the pixel's own sample to the history: {layer.light}.",
-        body="accumulate.shader",
-        libraries=layer.libraries,
+    return layer.make_pass(
+        "accumulate",
+        "Adds the filtered frame and the pixel's own sample to the history: {}.",
         reads={
-            **{name: name for name in needed},
-            "radiance": layer.name,
-            "albedo": f"{layer.name}_albedo",
-            **{f"history_{part}": f"{layer.name}_history_{part}" for part in ("light", "more")},
+            **bind(*(name for name in layer.guides if name in ("normals", "axes"))),
+            **layer.samples,
+            **bind_sums("history_{}", f"{layer.name}_history_{{}}"),
             "narrowing": f"{layer.name}_narrowing",
-            **{f"sums_{part}": f"{sums}_{part}" for part in ("light", "more")},
+            **bind_sums("sums_{}", f"{sums}_{{}}"),
         },
-        writes={f"kept_{part}": f"{layer.name}_kept_{part}" for part in ("light", "more")},
+        writes=bind_sums("kept_{}", f"{layer.name}_kept_{{}}"),
     )
 
 
 def make_upsample_pass(layer: Layer) -> Pass:
     """Return the pass that brings samples to all pixels and adds them to the history."""
-    return Pass(
-        name=f"{layer.name}_upsample",
-        comment=f"Brings one sample of every block to all pixels and adds it to the history: {layer.light}.\n"
+    return layer.make_pass(
+        "upsample",
+        "Brings one sample of every block to all pixels and adds it to the history: {}.\n"
         "The weight of a sample is the similarity of the pixel and of the shaded pixel.",
-        body="upsample.shader",
         libraries=[*layer.libraries, "sparse"],
         reads={
-            **layer.bind_guides(),
-            "radiance": layer.name,
-            "albedo": f"{layer.name}_albedo",
-            **{f"history_{part}": f"{layer.name}_history_{part}" for part in ("light", "more")},
+            **bind(*layer.guides),
+            **layer.samples,
+            **bind_sums("history_{}", f"{layer.name}_history_{{}}"),
             "trust": f"{layer.name}_trust",
         },
-        writes={f"kept_{part}": f"{layer.name}_kept_{part}" for part in ("light", "more")},
+        writes=bind_sums("kept_{}", f"{layer.name}_kept_{{}}"),
     )
 
 
-def make_composite_pass(sums: dict[str, str], *, has_noisy: bool) -> Pass:
+def make_composite_pass(sums: dict[str, str], *, has_noisy: bool = True) -> Pass:
     """Return the last pass; ``sums`` names the image of each layer's sums."""
     noisy = {f"{layer}_noisy": layer for layer in sums} if has_noisy else {}
     black = "vec3(0.0, 0.0, 0.0)"
@@ -275,9 +278,9 @@ def make_composite_pass(sums: dict[str, str], *, has_noisy: bool) -> Pass:
         parts=parts,
         reads={
             **{f"{layer}_sums": image for layer, image in sums.items()},
-            **{f"{layer}_albedo": f"{layer}_albedo" for layer in sums},
+            **bind(*(f"{layer}_albedo" for layer in sums)),
             **noisy,
-            "emission": "emission",
+            **bind("emission"),
         },
-        writes={"image": "image"},
+        writes=bind("image"),
     )

@@ -13,7 +13,7 @@ from lobewise.exporting.shaders.chains import make_chain
 from lobewise.exporting.shaders.declarations import read_template
 from lobewise.exporting.shaders.language import lay_out
 from lobewise.exporting.shaders.listing import count_bytes
-from lobewise.exporting.shaders.passes import WORKGROUP, Chain, Image, Lifetime, Pass, write_pass
+from lobewise.exporting.shaders.passes import WORKGROUP, Chain, Image, Pass, write_pass
 from lobewise.io.files import PathLike
 
 DESCRIPTION = "chain.json"
@@ -59,7 +59,10 @@ def _describe_pass(chain: Chain, number: int, shader_pass: Pass, language: str) 
         "entry": "main",
         "meaning": shader_pass.comment.splitlines()[0],
         "workgroup": [*WORKGROUP, 1],
-        "dispatch": [*_list_groups(shader_pass), "1"],
+        "dispatch": [
+            *(f"ceil({side} / {count})" for side, count in zip(shader_pass.extent, WORKGROUP, strict=True)),
+            "1",
+        ],
         "bindings": [
             {
                 "binding": place,
@@ -72,37 +75,28 @@ def _describe_pass(chain: Chain, number: int, shader_pass: Pass, language: str) 
     }
 
 
-def _list_groups(shader_pass: Pass) -> list[str]:
-    return [f"ceil({side} / {count})" for side, count in zip(shader_pass.extent, WORKGROUP, strict=True)]
-
-
 def write_readme(chain: Chain, language: str) -> str:
-    """Return the README of a chain."""
-    offsets = lay_out(chain.constants)
-    state = [image for image in chain.images if image.lifetime is Lifetime.BEFORE]
+    """Return the README of a chain: the tables of its description."""
+    description = describe_chain(chain, language)
     images = [
-        f"| `{image.name}` | {image.lifetime.value} | {image.format} | {image.extent[0]} x {image.extent[1]} "
-        f"| {image.comment} |"
-        for image in chain.images
+        "| `{name}` | {lifetime} | {format} | {width} x {height} | {meaning} |".format(**image)
+        for image in description["images"]
     ]
     constants = [
-        f"| {offsets[one.name]} | `{one.name}` | {one.kind} | {one.comment} | {one.python} |" for one in chain.constants
+        "| {offset} | `{name}` | {type} | {meaning} | {python} |".format(**field)
+        for field in description["constants"]["fields"]
     ]
     passes = []
-    for number, shader_pass in enumerate(chain.passes, 1):
-        bound = {**shader_pass.reads, **shader_pass.writes}
+    for each in description["passes"]:
         bindings = ", ".join(
-            f"{place} `{binding.name}`" + ("" if binding.name == bound[binding.name] else f" = `{bound[binding.name]}`")
-            for place, binding in enumerate(chain.list_bindings(shader_pass), 1)
+            f"{bound['binding']} `{bound['name']}`"
+            + ("" if bound["name"] == bound["image"] else f" = `{bound['image']}`")
+            for bound in each["bindings"]
         )
-        groups = ", ".join(_list_groups(shader_pass))
-        file = name_file(number, shader_pass, language)
-        passes.append(f"| `{file}` | {shader_pass.comment.splitlines()[0]} | {groups} | {bindings} |")
+        groups = ", ".join(each["dispatch"][:2])
+        passes.append(f"| `{each['file']}` | {each['meaning']} | {groups} | {bindings} |")
     within, stays = count_bytes(chain)
-    swap = ""
-    if state:
-        names = ", ".join(f"`{image.before}`" for image in state)
-        swap = read_template("swap.md", {"names": names})
+    state = ", ".join(f"`{image.before}`" for image in chain.images if image.before)
     return read_template(
         "chain_readme.md",
         {
@@ -111,12 +105,12 @@ def write_readme(chain: Chain, language: str) -> str:
             "meaning": chain.comment,
             "images": "\n".join(images),
             "constants": "\n".join(constants),
-            "bytes": str(offsets[""]),
+            "bytes": description["constants"]["bytes"],
             "within": str(within),
             "kept": str(stays),
             "passes": "\n".join(passes),
             "binding": read_template(f"bindings_{language}.md", {}).strip(),
-            "swap": swap,
+            "swap": read_template("swap.md", {"names": state}) if state else "",
             "version": lobewise.__version__,
             "docs": DOCS,
         },

@@ -29,7 +29,7 @@ const float LOBEWISE_MISS_DISTANCE = $MISS_DISTANCE;
 const float LOBEWISE_MIN_HIT_DISTANCE = $MIN_HIT_DISTANCE;
 // Standard deviation of the logarithm of a mirror's hit distance between two frames, and more per radian of a lobe.
 const float LOBEWISE_HIT_TOLERANCE = $HIT_TOLERANCE;
-const float LOBEWISE_HIT_TOLERANCE_PER_LOBE = $HIT_PER_LOBE;
+const float LOBEWISE_HIT_TOLERANCE_PER_LOBE = $HIT_TOLERANCE_PER_LOBE;
 // Frames in a trusted history from which a pixel has the narrow kernel.
 const float LOBEWISE_MIN_KNOWN_FRAMES = $MIN_KNOWN_FRAMES;
 
