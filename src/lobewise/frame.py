@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 from lobewise.camera import Camera
 from lobewise.display.cards import make_card
 from lobewise.errors import InputError, MissingChannelError, require_kind, require_number
-from lobewise.images import ABSENT, Images, MaybeImage, as_images, refuse_size, say_size
+from lobewise.images import ABSENT, Images, MaybeImage, as_image, as_images, refuse_size, say_size
 from lobewise.images import FloatArray as FloatArray  # every room has it from here
 from lobewise.lobe_table import LobeTable
 from lobewise.radiance import Radiance as Radiance
@@ -241,6 +241,8 @@ class Frame(Guided):
     also : mapping of str to array_like, shape (height, width, 3)
         Noisy images that belong to the total, such as the light of every lamp. Images that sum to the total before
         denoising do so after it.
+    alpha : array_like, shape (height, width), optional
+        Noisy opacity, in [0, 1], by which the radiance is multiplied already: of shadow catchers, or out of focus.
     noise_is_shared : bool
         Whether neighbouring pixels share samples, as with a pixel filter that spreads samples. The noise of neighbours
         is then not independent, and without halves it is estimated from pixels that are two apart.
@@ -265,6 +267,7 @@ class Frame(Guided):
     layers: tuple[RadianceLayer, ...] = ()
     unscattered: Mapping[str, FloatArray] = field(default_factory=dict)
     also: Mapping[str, FloatArray] = field(default_factory=dict)
+    alpha: FloatArray | None = None
     noise_is_shared: bool = False
     notes: tuple[str, ...] = ()
 
@@ -295,6 +298,9 @@ class Frame(Guided):
         object.__setattr__(self, "layers", tuple(self.layers))
         for name in ("unscattered", "also"):
             object.__setattr__(self, name, as_images(name, getattr(self, name), self.shape))
+        object.__setattr__(self, "alpha", as_image("alpha", self.alpha, None))
+        if self.alpha is not None and self.alpha.shape != self.shape:
+            raise refuse_size("alpha", "the radiance", self.shape, self.alpha.shape)
         names = [layer.name for layer in self.layers]
         for layer in self.layers:
             if layer.shape != self.shape:

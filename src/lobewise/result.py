@@ -31,6 +31,8 @@ class Result:
         gathered anything.
     bad_pixels : (height, width), bool
         Pixels that were NaN, infinite or far below the light around them, had weight 0 and were refilled.
+    alpha : (height, width) or None
+        Denoised opacity, in [0, 1], where the frame has one.
     variance : (height, width) or None
         Estimated variance of the image's luminance, where the image has a history.
     energy_lost : float
@@ -66,6 +68,7 @@ class Result:
     seconds: float
     diffuse: FloatArray | None = None
     specular: FloatArray | None = None
+    alpha: FloatArray | None = None
     variance: FloatArray | None = None
     energy_lost: float = 0.0
     method: str = ""

@@ -42,12 +42,6 @@ def add_groups(written: Written) -> None:
         written.channels |= name(f"{LAYER}.Combined_{group}", 0.5 * color[:, :: 1 - 2 * number])
 
 
-def add_grain_in_alpha(written: Written) -> None:
-    surface = make_scene().surface
-    grain = np.random.default_rng(3).binomial(8, 0.5, surface.shape) / 8.0
-    written.channels[f"{LAYER}.Combined.A"] = np.where(surface, 1.0, grain)
-
-
 def add_bands(written: Written) -> None:
     for wavelength in ("450,00", "550,00", "650,00"):
         written.channels[f"S0.{wavelength}nm"] = make_scene().color[..., 0]
@@ -65,7 +59,6 @@ def leave_out_albedo(written: Written) -> None:
         (lambda written: [copy_layer(written, f"W{k}") for k in range(6)], "view layers 'W0', 'W1', 'W2', 'W3' and 2"),
         (add_eyes, "view 'right'"),
         (add_groups, "light groups 'lamp', 'sky'"),
-        (add_grain_in_alpha, "alpha"),
         (add_bands, "3 spectral bands"),
         (leave_out_albedo, "passes of light 'GlossDir', 'GlossInd'"),
     ],
@@ -84,10 +77,9 @@ def test_each_kind_is_named(change: Callable[[Written], object], told: str, tmp_
 def test_kinds_share_one_line(tmp_path: Path) -> None:
     written = WRITERS["cycles"](make_scene())
     add_groups(written)
-    add_grain_in_alpha(written)
     add_eyes(written)
     write(tmp_path / "a.exr", written)
-    assert list_left(tmp_path / "a.exr") == ["Left noisy: view 'right', light groups 'lamp', 'sky', alpha."]
+    assert list_left(tmp_path / "a.exr") == ["Left noisy: view 'right', light groups 'lamp', 'sky'."]
 
 
 def test_a_copy_of_the_picture_is_named(tmp_path: Path) -> None:
@@ -104,8 +96,7 @@ def test_a_copy_of_the_picture_is_named(tmp_path: Path) -> None:
 def test_all_three_places_say_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     written = WRITERS["cycles"](make_scene())
     add_groups(written)
-    add_grain_in_alpha(written)
-    path, told = tmp_path / "a.exr", "Left noisy: light groups 'lamp', 'sky', alpha."
+    path, told = tmp_path / "a.exr", "Left noisy: light groups 'lamp', 'sky'."
     write(path, written)
     assert lobewise.denoise(lobewise.read_frame(path), quality="fast").notes[0] == told
     assert run(["denoise", str(path), "-o", str(tmp_path / "b.exr"), "--quality", "fast"]) == 0

@@ -25,8 +25,9 @@ from lobewise.denoising.plan import bound_memory
 from lobewise.errors import UnusedGuideWarning, require_kind
 from lobewise.features import Feature
 from lobewise.filters.fireflies import compute_energy_lost
-from lobewise.frame import FloatArray, Frame, Result
+from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.guides.negative import split_negative
+from lobewise.guides.survey import ALBEDOS
 from lobewise.guides.usable import CheckedGuides, check_guides
 from lobewise.peers import require_oidn
 from lobewise.settings import DenoiseChanges, DenoiseSettings, ResolvedSettings
@@ -35,6 +36,8 @@ from lobewise.settings.choices import get_quality
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
+GUIDES_OF_COLOR = (*ALBEDOS, "mean_emission", "hit_albedo")
+"""Guides that tell colors, which opacity does not have."""
 NO_KERNELS = (
     "No filter of lobewise can run here, so Open Image Denoise denoises the image alone; `lobewise doctor` says what "
     "to do."
@@ -127,6 +130,28 @@ def check_frame(frame: Frame, named: DenoiseSettings) -> CheckedGuides[Frame]:
 
 def denoise_checked(checked: CheckedGuides[Frame], named: DenoiseSettings, features: Sequence[Feature] = ()) -> Result:
     """Denoise a frame whose guides were checked; ``named`` are the settings before anything is chosen."""
+    start = time.perf_counter()
+    result = _denoise_light(checked, named, features)
+    if checked.frame.alpha is not None:
+        result = replace(result, alpha=denoise_alpha(checked.frame, named), seconds=time.perf_counter() - start)
+    return result
+
+
+def denoise_alpha(frame: Frame, named: DenoiseSettings) -> FloatArray:
+    """Return the opacity of a frame, denoised as gray light of surfaces without albedos, (height, width), in [0, 1].
+
+    It has edges of its own, those of shadows, which the light of a shadow catcher does not show.
+    """
+    assert frame.alpha is not None
+    gray = Radiance(np.repeat(frame.alpha[..., None], 3, axis=-1))
+    guides = replace(frame.gbuffer, **dict.fromkeys(GUIDES_OF_COLOR))
+    plain = Frame(gray, guides, frame.camera, spp=frame.spp, lobe_tables=frame.lobe_tables)
+    image = _denoise_light(CheckedGuides(plain), named, ()).image
+    alpha: FloatArray = np.clip(image.mean(axis=-1, dtype=np.float32), np.float32(0.0), np.float32(1.0))
+    return alpha
+
+
+def _denoise_light(checked: CheckedGuides[Frame], named: DenoiseSettings, features: Sequence[Feature]) -> Result:
     if needs_peer_alone(named, with_features=bool(features)):
         return leave_to_peer(checked)
     frame = checked.frame

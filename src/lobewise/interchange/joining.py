@@ -133,6 +133,7 @@ def join_halves(first: Imported, second: Imported) -> Imported:
         layers=tuple(layers),
         unscattered=emitted,
         also=also,
+        alpha=mix(a.alpha, b.alpha),
         spp=None if a.spp is None else 2 * a.spp,
     )
     known = {one.what for one in first.findings}

@@ -236,7 +236,8 @@ def _list_images(result: Result) -> Mapping[str, FloatArray]:
     """Return the images of a result, by the keys of `Imported.outputs`."""
     images: dict[str, Any] = {"color": result.image, "diffuse": result.diffuse, "specular": result.specular}
     whole = {name: image for name, image in images.items() if image is not None}
-    return {**whole, **result.layers, **result.also}
+    opacity = {} if result.alpha is None else {"alpha": result.alpha[..., None]}
+    return {**whole, **opacity, **result.layers, **result.also}
 
 
 def _keep_shown(imported: Imported) -> tuple[Planes, list[str]]:

@@ -175,7 +175,8 @@ class WindowFilter:
         joined = self._join(frames, index)
         result = joined.alone
         if joined.shown:
-            whole = denoise_checked(CheckedGuides(joined.frame), self._settings)
+            # The opacity is that of the frame alone.
+            whole = denoise_checked(CheckedGuides(joined.frame.with_changes(alpha=None)), self._settings)
             unused = tuple(name for name in whole.unused if name not in USED_BETWEEN_FRAMES)
             result = replace(mix_results(result, whole, compute_joined_share(joined.frames)), unused=unused)
         prepared = self._prepared[id(frames[index])]
@@ -265,6 +266,7 @@ def mix_results(alone: Result, joined: Result, share: FloatArray) -> Result:
         layers=mix_all(alone.layers, joined.layers),
         also=mix_all(alone.also, joined.also),
         bad_pixels=alone.bad_pixels,
+        alpha=alone.alpha,
     )
 
 

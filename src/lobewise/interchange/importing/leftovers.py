@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 import numpy as np
 
 from lobewise.frame import FloatArray
+from lobewise.guides.squares import compute_square_maximum
 from lobewise.interchange.channels import COLOR, Pass, list_views
 from lobewise.interchange.imported import ImageReader, Imported
 from lobewise.interchange.lighting import is_smooth, name_pass
@@ -22,6 +23,8 @@ MAX_NAMES = 4
 """Most names of one kind in the sentence."""
 MAX_COPY_DIFFERENCE = 1e-2
 """Largest mean difference of a copy of the picture, as a share of the picture's mean. Copies differ by rounding."""
+MIN_FRACTION_SHARE = 0.002
+"""Share of the pixels that are fractions of opacity among others, above which an image of opacity is denoised."""
 FRACTIONS = (0.01, 0.99)
 """Alpha between these values is a share of the samples, and as noisy as the picture."""
 BAND = re.compile(r"\d+([.,]\d+)?\s*nm", re.IGNORECASE)
@@ -52,7 +55,7 @@ def describe_left_noisy(imported: Imported, read: ImageReader, denoised: Collect
         *_name("light group", _list_groups(channels, unused)),
         *_name("pass of light", _list_light(channels, unused, read), many="passes of light"),
         *_name_pictures(channels, [one for one in unused if _is_picture(channels, one.source)], read),
-        *(["alpha"] if _has_noisy_alpha(channels, read) else []),
+        *(["alpha"] if imported.frame.alpha is None and take_noisy_alpha(channels, read) else []),
         *_count_bands(channels.beside),
     ]
     return _say(words)
@@ -144,12 +147,19 @@ def _take_finite(read: ImageReader, found: Found) -> FloatArray:
     return np.nan_to_num(read(found), nan=0.0, posinf=0.0, neginf=0.0)
 
 
-def _has_noisy_alpha(channels: ChannelMap, read: ImageReader) -> bool:
+def take_noisy_alpha(channels: ChannelMap, read: ImageReader) -> tuple[Found, FloatArray] | None:
+    """Return the channel of an opacity that is a fraction in whole areas, and its values; None where there is none.
+
+    At silhouettes opacity is a fraction as well, and needs no filter.
+    """
     source = channels.target.source
     if "a" not in source.channels:
-        return False
-    alpha, (low, high) = read(Found(source, (source.channels["a"],))), FRACTIONS
-    return bool(((alpha > low) & (alpha < high)).any())
+        return None
+    found, (low, high) = Found(source, (source.channels["a"],)), FRACTIONS
+    alpha = _take_finite(read, found)
+    plain = ((alpha <= low) | (alpha >= high)).astype(np.float32)
+    inside = compute_square_maximum(plain, 1) == 0.0
+    return (found, alpha) if np.mean(inside) > MIN_FRACTION_SHARE else None
 
 
 def _count_bands(passes: Iterable[Pass]) -> list[str]:

@@ -1,0 +1,58 @@
+"""Measure a shadow catcher over gray: ``python -m benchmarks.foreign.catcher FOLDER`` after render_catcher.py.
+
+The error is the relative squared one of the composited picture, freed of the noise of the references. The peer is Open
+Image Denoise at its best for the light, and on the opacity, with the normals.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import lobewise
+from benchmarks.common import RESULTS, describe_machine, write_json
+from benchmarks.users.measuring import make_reference_judge
+from lobewise.frame import FloatArray, Frame, Radiance
+from lobewise.guides.survey import ALBEDOS
+from lobewise.peers import denoise_oidn
+
+GRAY = 0.5
+"""The background."""
+
+
+def main() -> None:
+    """Write benchmarks/results/catcher.json."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    folder = parser.parse_args().folder
+
+    def composite(light: FloatArray, alpha: FloatArray) -> FloatArray:
+        return np.asarray(light + (1.0 - alpha[..., None]) * GRAY, np.float32)
+
+    frames = {name: lobewise.read_frame(folder / f"{name}.exr") for name in ("noisy", "reference_1", "reference_2")}
+    opacity = {name: frame.alpha for name, frame in frames.items() if frame.alpha is not None}
+    noisy = frames["noisy"]
+    gray = Radiance(np.repeat(opacity["noisy"][..., None], 3, axis=-1))
+    peer_alpha = denoise_oidn(Frame(gray, replace(noisy.gbuffer, **dict.fromkeys(ALBEDOS))))[0].mean(axis=-1)
+    peer, own = denoise_oidn(noisy)[0], lobewise.denoise(noisy)
+    assert own.alpha is not None
+    judge = make_reference_judge(
+        *(composite(frames[name].radiance.color, opacity[name]) for name in ("reference_1", "reference_2"))
+    )
+    pictures = {
+        "noisy": composite(noisy.radiance.color, opacity["noisy"]),
+        "Open Image Denoise, noisy alpha": composite(peer, opacity["noisy"]),
+        "Open Image Denoise, alpha by itself": composite(peer, np.clip(peer_alpha, 0.0, 1.0)),
+        "auto, noisy alpha": composite(own.image, opacity["noisy"]),
+        "auto": composite(own.image, own.alpha),
+    }
+    errors = {name: round(judge.measure(picture)[0], 6) for name, picture in pictures.items()}
+    write_json(RESULTS / "catcher.json", {"errors": errors, "machine": describe_machine()})
+    print(errors)
+
+
+if __name__ == "__main__":
+    main()

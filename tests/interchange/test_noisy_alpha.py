@@ -1,0 +1,105 @@
+"""Opacity that is a fraction in whole areas is denoised with the picture: shadow catchers, things out of focus."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+from renderers import WRITERS, Written, make_scene, write
+
+import lobewise
+from lobewise.cli.main import run
+from lobewise.errors import InputError
+from lobewise.frame import FloatArray, Frame, Radiance
+from lobewise.interchange import import_file, write_result
+
+CHANNEL = "View Layer.001.Combined.A"
+SAMPLES = 16
+
+
+def read_channel(path: Path, name: str) -> FloatArray:
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        return np.array(file.channels()[name].pixels)
+
+
+def make_truth(shape: tuple[int, int]) -> FloatArray:
+    """Return the opacity of a plane with a soft shadow."""
+    height, width = shape
+    rows, columns = np.mgrid[:height, :width] / max(shape)
+    return (0.15 + 0.7 * np.exp(-30.0 * ((rows - 0.3) ** 2 + (columns - 0.5) ** 2))).astype(np.float32)
+
+
+def make_noisy(truth: FloatArray) -> FloatArray:
+    """Return the share of samples that hit."""
+    return (np.random.default_rng(5).binomial(SAMPLES, truth) / SAMPLES).astype(np.float32)
+
+
+def write_catcher(path: Path, *, with_passes: bool = True) -> FloatArray:
+    """Write a file of Cycles with noisy opacity; return the truth."""
+    written: Written = WRITERS["cycles"](make_scene())
+    if not with_passes:
+        for key in [key for key in written.channels if ".Combined." not in key and ".Normal." not in key]:
+            del written.channels[key]
+    truth = make_truth(make_scene().surface.shape)
+    written.channels[CHANNEL] = make_noisy(truth)
+    write(path, written)
+    return truth
+
+
+@pytest.mark.parametrize("quality", ["fast", "balanced"])
+def test_opacity_is_denoised(quality: str) -> None:
+    truth = make_truth((60, 80))
+    color = np.random.default_rng(1).gamma(4.0, 0.05, (60, 80, 3)).astype(np.float32)
+    frame = Frame(Radiance(color), alpha=make_noisy(truth))
+    result = lobewise.denoise(frame, quality=quality)
+    assert result.alpha is not None
+    assert np.mean((result.alpha - truth) ** 2) < 0.3 * np.mean((frame.alpha - truth) ** 2)
+    assert result.alpha.min() >= 0.0
+    assert result.alpha.max() <= 1.0
+    # The light is what it would be without opacity.
+    np.testing.assert_array_equal(result.image, lobewise.denoise(frame.with_changes(alpha=None), quality=quality).image)
+
+
+def test_windows_keep_the_opacity_of_their_frame() -> None:
+    truth = make_truth((40, 50))
+    rng = np.random.default_rng(2)
+    frames = [
+        Frame(Radiance(rng.gamma(4.0, 0.05, (40, 50, 3)).astype(np.float32)), alpha=make_noisy(truth)) for _ in range(3)
+    ]
+    result = lobewise.WindowFilter(1, quality="fast").denoise(frames, 1)
+    np.testing.assert_array_equal(result.alpha, lobewise.denoise(frames[1], quality="fast").alpha)
+
+
+def test_opacity_of_another_size_is_refused() -> None:
+    with pytest.raises(InputError, match="alpha"):
+        Frame(Radiance(np.ones((4, 5, 3), np.float32)), alpha=np.ones((5, 4), np.float32))
+
+
+def test_the_channel_of_a_file_is_replaced(tmp_path: Path) -> None:
+    truth = write_catcher(tmp_path / "a.exr")
+    assert run(["denoise", str(tmp_path / "a.exr"), "-o", str(tmp_path / "b.exr"), "--quality", "balanced"]) == 0
+    noisy, clean = (read_channel(tmp_path / name, CHANNEL) for name in ("a.exr", "b.exr"))
+    assert np.mean((clean - truth) ** 2) < 0.5 * np.mean((noisy - truth) ** 2)
+    imported = import_file(tmp_path / "a.exr")
+    assert not any("alpha" in note for note in imported.frame.notes)
+    write_result(tmp_path / "c.exr", lobewise.denoise(imported.frame, quality="balanced"), source=imported)
+    np.testing.assert_array_equal(read_channel(tmp_path / "c.exr", CHANNEL), clean)
+
+
+def test_bands_leave_opacity_as_it_is_and_say_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_catcher(tmp_path / "a.exr", with_passes=False)
+    words = ["--quality", "fast", "--bands", "16"]
+    assert run(["denoise", str(tmp_path / "a.exr"), "-o", str(tmp_path / "b.exr"), *words]) == 0
+    assert "Left noisy: alpha." in " ".join(capsys.readouterr().err.split())
+    np.testing.assert_array_equal(*(read_channel(tmp_path / name, CHANNEL) for name in ("a.exr", "b.exr")))
+
+
+def test_silhouettes_alone_are_not_filtered(tmp_path: Path) -> None:
+    written = WRITERS["cycles"](make_scene())
+    surface = make_scene().surface.astype(np.float32)
+    edge = np.abs(np.diff(surface, axis=1, prepend=surface[:, :1])) > 0.0
+    written.channels[CHANNEL] = np.where(edge, 0.5, surface)
+    write(tmp_path / "a.exr", written)
+    assert import_file(tmp_path / "a.exr").frame.alpha is None
