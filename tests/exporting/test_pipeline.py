@@ -20,8 +20,8 @@ from lobewise.errors import InputError
 from lobewise.exporting.pipeline.constants import Constants
 from lobewise.exporting.pipeline.driver import write_driver, write_header
 from lobewise.exporting.pipeline.recording import make_pipeline
-from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, WIDTH, collect_images, prepare_frame, run_recipe
-from lobewise.exporting.pipeline.scene import SPP, make_frame
+from lobewise.exporting.pipeline.sample import FRAMES, collect_images, prepare_frame, run_recipe
+from lobewise.exporting.pipeline.scene import HEIGHT, SPP, WIDTH, make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.guides.lobe_fields import default_tau
 from tests.exporting.conftest import locate_program

@@ -18,8 +18,8 @@ from lobewise.denoising.evidence import load_networks
 from lobewise.exporting.pipeline.constants import Constants
 from lobewise.exporting.pipeline.driver import write_driver
 from lobewise.exporting.pipeline.recording import make_pipeline
-from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, WIDTH, make_settings, prepare_frame
-from lobewise.exporting.pipeline.scene import make_frame
+from lobewise.exporting.pipeline.sample import FRAMES, make_settings, prepare_frame
+from lobewise.exporting.pipeline.scene import HEIGHT, WIDTH, make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.filters.glue import define_with_highlights
 from tests.exporting.conftest import locate_program

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, WIDTH, make_settings, prepare_frame, run_recipe
-from lobewise.exporting.pipeline.scene import CUT, make_frame
+from lobewise.exporting.pipeline.sample import FRAMES, make_settings, prepare_frame, run_recipe
+from lobewise.exporting.pipeline.scene import CUT, HEIGHT, WIDTH, make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.exporting.pipeline.writing import export_pipeline
 from lobewise.temporal import TemporalFilter

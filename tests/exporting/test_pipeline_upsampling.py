@@ -14,8 +14,8 @@ from lobewise.errors import InputError
 from lobewise.exporting.pipeline.constants import Constants
 from lobewise.exporting.pipeline.driver import write_driver
 from lobewise.exporting.pipeline.recording import make_pipeline
-from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, WIDTH, get_place, make_sparse, prepare_frame
-from lobewise.exporting.pipeline.scene import make_frame
+from lobewise.exporting.pipeline.sample import FRAMES, get_place, make_sparse, prepare_frame
+from lobewise.exporting.pipeline.scene import HEIGHT, WIDTH, make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from tests.exporting.conftest import locate_program
 from tests.exporting.pipelines import export, run_example

@@ -10,7 +10,8 @@ from lobewise.backend.devices import VULKAN_BLOCK, VULKAN_MULTIPLE
 from lobewise.engine.graph import GraphImage
 from lobewise.exporting.folder import DOCS, fill_template
 from lobewise.exporting.pipeline.pipeline import Pipeline
-from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, SPP, WIDTH
+from lobewise.exporting.pipeline.sample import FRAMES
+from lobewise.exporting.pipeline.scene import HEIGHT, SPP, WIDTH
 from lobewise.exporting.targets import GPU_APIS
 
 UNGUIDED = """

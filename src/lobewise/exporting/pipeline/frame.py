@@ -12,7 +12,6 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 from lobewise import engine
-from lobewise.denoising.layers import mark_surface
 from lobewise.engine.graph import Graph, GraphImage
 from lobewise.engine.numbers import Number
 from lobewise.engine.recorder import Recorder
@@ -89,26 +88,10 @@ class GivenGuides:
         """Return a guide; None if the settings of the pipeline leave it out."""
         if name.startswith("_"):
             raise AttributeError(name)
-        settings = self.settings
-        available = {
-            "position": settings.position,
-            "alpha_v": settings.anisotropic,
-            "tangent": settings.anisotropic,
-            "lobe_kind": settings.lobe_kind,
-            "hit_distance": settings.hit_distance,
-            "emission": settings.emission or settings.upsample > 1,
-            "hit_albedo": settings.hit_guides,
-            "hit_normal": settings.hit_guides,
-            "motion": settings.history and settings.motion,
-            "specular_albedo": not settings.is_filter,
-            **dict.fromkeys(("coverage", "mean_diffuse_albedo", "mean_specular_albedo"), settings.coverage),
-        }
-        if name == "mean_emission" and settings.upsample > 1:
-            name = "emission"
-        if name not in GUIDES or not available.get(name, True):
-            return None
-        if name == "alpha_u" and not settings.anisotropic:
+        if name == "alpha_u" and not self.settings.anisotropic:
             name = "alpha"
+        if name in self.settings.left_out or (name := name.replace("mean_emission", "emission")) not in GUIDES:
+            return None
         guide = GUIDES[name]
         shape = (*SIZE, guide.channels) if guide.channels else SIZE
         return self.graph.give(name, *shape, text=guide.text, unit=guide.unit)
@@ -293,8 +276,8 @@ class PipelineGuides:
     def resolved(self) -> ResolvedSettings:
         """The settings of the recipe, with the numbers that the pipeline computes for every frame."""
         constants = self.constants
-        return replace(
-            self.settings.resolve(),
+        return ResolvedSettings(
+            **self.settings.choices,
             beta=constants.beta,
             diffuse_beta=constants.diffuse_beta,
             screen_sigma=constants.screen_sigma,
@@ -351,23 +334,3 @@ class PipelineGuides:
         light = [layer.radiance for layer in self.layers] or self.parts or ()
         images = {f"light{number}": image for number, image in enumerate((self.color, *light))}
         return self._compute(define_bad, images, "bad", "bad pixels")
-
-    @property
-    def normal(self) -> GraphImage:
-        """Shading normals."""
-        return self.gbuffer.normal  # type: ignore[no-any-return]
-
-    @property
-    def depth(self) -> GraphImage:
-        """Distances of surfaces."""
-        return self.gbuffer.depth  # type: ignore[no-any-return]
-
-    @property
-    def position(self) -> GraphImage:
-        """Surface points."""
-        return compute_points(self.gbuffer, self.camera)[0]  # type: ignore[return-value]
-
-    @property
-    def surface(self) -> GraphImage:
-        """Pixels with a surface."""
-        return mark_surface(self)  # type: ignore[arg-type, return-value]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.camera import Camera, project_points
-from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
+from lobewise.frame import FloatArray, Frame, GBuffer, LobeKind, Radiance
 
 WIDTH, HEIGHT = 96, 64
 SPP = 8
@@ -23,6 +23,9 @@ BALL_STEP = np.array([0.04, 0.0, -0.02])
 """Way of the last ball from frame to frame."""
 LIGHT = np.array([0.4, 0.8, 0.45]) / np.linalg.norm([0.4, 0.8, 0.45])
 NO_BALL = -1
+LIGHTS = "color", "diffuse", "specular"
+BRUSH = np.array([0.3, 0.9, 0.1])
+"""Direction across which surfaces are brushed."""
 CUT = 4
 """Number of the frame from which on another camera looks at the scene."""
 
@@ -97,19 +100,47 @@ def make_frame(number: int, *, size: tuple[int, int] = (HEIGHT, WIDTH), halves: 
     noise = np.random.default_rng(number)
     parts = [_add_noise(each, noise, halves) for each in light]
     guides = GBuffer(
-        depth=np.where(there, hit.distance, 0.0).astype(np.float32),
-        normal=normal.astype(np.float32),
-        alpha_u=alpha.astype(np.float32),
-        diffuse_albedo=albedos[0].astype(np.float32),
-        specular_albedo=albedos[1].astype(np.float32),
+        depth=np.where(there, hit.distance, 0.0),
+        position=place,
+        normal=normal,
+        alpha_u=alpha,
+        alpha_v=0.5 * alpha,
+        tangent=np.cross(normal, BRUSH),
+        # Diffuse surfaces have no lobe; the smoothest are mirrors.
+        lobe_kind=np.select([alpha > 0.2, alpha < 0.04], [LobeKind.NONE, LobeKind.DELTA], LobeKind.GGX),
+        diffuse_albedo=albedos[0],
+        specular_albedo=albedos[1],
         motion=compute_motion(place, ray, hit.which, there, number),
-        mean_emission=emission.astype(np.float32),
-        hit_distance=np.where(there, second.distance, 0.0).astype(np.float32),
+        mean_emission=emission,
+        hit_distance=np.where(there, second.distance, 0.0),
+        # Reflections show what is some rows away.
+        hit_albedo=np.roll(albedos[0], 9, axis=0),
+        hit_normal=np.roll(normal, 9, axis=0),
+        **cover_pixels(albedos),
     )
-    whole, first, second_half = (_join(parts[0][k], parts[1][k], emission) for k in range(3))
+    first, second_half = (_join(diffuse, specular, emission) for diffuse, specular in zip(*parts, strict=True))
     if not halves:
-        return Frame(whole, guides, camera, spp=SPP)
+        return Frame(first, guides, camera, spp=SPP)
+    whole = Radiance(**{name: average(getattr(first, name), getattr(second_half, name)) for name in LIGHTS})
     return Frame(whole, guides, camera, spp=SPP, half_a=first, half_b=second_half)
+
+
+def average(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return the mean of two images, as a pipeline computes it."""
+    return np.float32(0.5) * first + np.float32(0.5) * second
+
+
+def cover_pixels(albedos: list[NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
+    """Return shares of pixels that near surfaces cover, and the albedos over pixel areas that follow."""
+    height, width, _ = albedos[0].shape
+    share = np.random.default_rng(9).uniform(0.0, 0.2, (height, width, 9))
+    share[..., 4] += 1.0 - share.sum(axis=-1)
+    images = {"coverage": share}
+    for name, albedo in zip(("diffuse", "specular"), albedos, strict=True):
+        wide = np.pad(albedo, ((1, 1), (1, 1), (0, 0)), mode="edge")
+        near = [wide[k // 3 :, k % 3 :][:height, :width] for k in range(9)]
+        images[f"mean_{name}_albedo"] = np.sum([share[..., k, None] * near[k] for k in range(9)], axis=0)
+    return images
 
 
 def _describe_surfaces(
@@ -149,13 +180,12 @@ def _shade(
 
 
 def _add_noise(light: NDArray[np.float64], noise: np.random.Generator, halves: bool) -> list[NDArray[np.float64]]:
-    """Return the mean of all samples, and of each half of them."""
+    """Return light with the noise of all samples, or of each half of them, twice."""
     share = SPP / 2 if halves else float(SPP)
     draws = [noise.gamma(0.8 * share, 1.0 / (0.8 * share), light.shape[:2])[..., None] for _ in range(2)]
     # A few fireflies.
     draws = [each * np.where(noise.random(each.shape) > 0.995, 30.0, 1.0) for each in draws]
-    first, second = (np.asarray(light * each, np.float32).astype(np.float64) for each in draws)
-    return [0.5 * (first + second), first, second] if halves else [first, first, first]
+    return [light * each for each in draws]
 
 
 def _join(diffuse: NDArray[np.float64], specular: NDArray[np.float64], emission: NDArray[np.float64]) -> Radiance:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from lobewise.errors import InputError
 from lobewise.settings import (
@@ -11,7 +11,6 @@ from lobewise.settings import (
     DenoiseSettings,
     FormName,
     Knob,
-    ResolvedSettings,
     SimilarityName,
     document,
     list_knobs,
@@ -199,22 +198,35 @@ class PipelineSettings(Declared):
         """Whether lobes are compared at their hits."""
         return self.hit_distance and not self.history
 
-    def resolve(self) -> ResolvedSettings:
-        """Return the settings of the recipe whose plan is exported; a pipeline computes their numbers itself."""
-        return ResolvedSettings(
-            quality=self.quality.name,
-            similarity=self.record.name,
-            lobes=self.lobes,
-            form=self.form,
-            radius=self.radius,
-            beta=1.0,
-            diffuse_beta=1.0,
-            screen_sigma=1.0,
-            tau=0.01,
-            device="cpu",
-            hit_distance=self.compares_hits,
-            with_oidn=False,
-        )
+    @property
+    def left_out(self) -> set[str]:
+        """The guides that are not given."""
+        given = {
+            "position": self.position,
+            "alpha_v": self.anisotropic,
+            "tangent": self.anisotropic,
+            "lobe_kind": self.lobe_kind,
+            "hit_distance": self.hit_distance,
+            "hit_albedo": self.hit_guides,
+            "hit_normal": self.hit_guides,
+            "motion": self.history and self.motion,
+            "specular_albedo": not self.is_filter,
+            "mean_emission": self.upsample > 1,
+            **dict.fromkeys(("coverage", "mean_diffuse_albedo", "mean_specular_albedo"), self.coverage),
+        }
+        return {name for name, is_given in given.items() if not is_given}
+
+    @property
+    def choices(self) -> dict[str, Any]:
+        """The settings of the recipe whose plan is exported, but for numbers."""
+        return {
+            "quality": self.quality.name,
+            "similarity": self.record.name,
+            **{name: getattr(self, name) for name in ("lobes", "form", "radius")},
+            "device": "cpu",
+            "hit_distance": self.compares_hits,
+            "with_oidn": False,
+        }
 
 
 def _refuse(what: str, got: str, action: str) -> InputError:

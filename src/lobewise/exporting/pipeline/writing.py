@@ -17,7 +17,8 @@ from lobewise.exporting.pipeline.driver import write_driver, write_header
 from lobewise.exporting.pipeline.frame import Features, no_features
 from lobewise.exporting.pipeline.pipeline import Pipeline
 from lobewise.exporting.pipeline.recording import make_pipeline
-from lobewise.exporting.pipeline.sample import FRAMES, HEIGHT, SPP, WIDTH, make_sample
+from lobewise.exporting.pipeline.sample import FRAMES, make_sample
+from lobewise.exporting.pipeline.scene import HEIGHT, SPP, WIDTH
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.exporting.targets import get_gpu_api, get_runtime_headers, parse_target, refusing_target
 from lobewise.io.files import PathLike
