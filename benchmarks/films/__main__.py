@@ -5,7 +5,7 @@
 FOLDER holds the films of ``python benchmarks/foreign/factory FOLDER --films --split validation --seeds 100-101``:
 kinds on which nothing is tuned or trained, 16 samples per pixel, two references of each frame. A film of this package's
 own scenes, ``mitsuba_NAME``, is made by ``lobewise render NAME --frames 12 --width 192 --height 144``: 16 samples in
-``16.####.exr``, and 96 with other seeds in ``reference_1.####.exr`` and ``reference_2.####.exr``. Each way to denoise is
+``16.####.exr``, and 96 with other seeds in ``reference_1.####.exr`` and ``reference_2.####.exr``. Each way is
 the command line, as people call it, in a process of its own; Open Image Denoise runs at its best, frame by frame.
 
 - "error": relative squared error of a frame, freed of the references' noise, without the worst 0.1 % of the pixels; the
