@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -99,6 +100,12 @@ def read_template(file: str) -> str:
     """Return a file of the folder ``templates``."""
     path = files("lobewise") / "exporting" / "templates" / file
     return path.read_text(encoding="utf-8")
+
+
+def read_sections(file: str) -> dict[str, str]:
+    """Return the parts of a file of the folder ``templates`` that begin with ``/* part: NAME */``, by name."""
+    parts = re.split(r"^/\* part: (\w+) \*/\n", read_template(file), flags=re.M)
+    return dict(zip(parts[1::2], parts[2::2], strict=True))
 
 
 def fill_template(file: str, **parts: object) -> str:

@@ -122,19 +122,6 @@ class Constants:
         numbers = [Number(float(value), f"{view}.{name}[{k}]") for k, value in enumerate(np.atleast_1d(values[name]))]
         return [round_single(number) for number in numbers] if single else numbers
 
-    def get_rays(self) -> dict[str, list[Number]]:
-        """Return the numbers of `lobewise.camera.Camera.get_ray_numbers`."""
-        first_row = [Number(0.0, "0.0")]
-        return {name: self.get_vector(name) for name in ("first_ray", "ray_right", "ray_down")} | {
-            "first_row": first_row
-        }
-
-    def get_projection(self) -> dict[str, list[Number]]:
-        """Return the numbers of `lobewise.camera.Camera.get_projection_numbers` for the camera of the frame before."""
-        names = {"before": "eye", "before_forward": "forward"}
-        names |= {name: name for name in ("before_right", "before_up")}
-        return {name: self.get_vector(own, before=True) for name, own in names.items()}
-
     @property
     def pixel_angle(self) -> Number:
         """Angle of a pixel, radians."""

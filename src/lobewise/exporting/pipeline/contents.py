@@ -9,6 +9,7 @@ import lobewise
 from lobewise.backend.devices import VULKAN_BLOCK, VULKAN_MULTIPLE
 from lobewise.engine.graph import GraphImage
 from lobewise.exporting.folder import DOCS, fill_template
+from lobewise.exporting.pipeline.driver import write_shape
 from lobewise.exporting.pipeline.pipeline import Pipeline
 from lobewise.exporting.pipeline.sample import FRAMES
 from lobewise.exporting.pipeline.scene import HEIGHT, SPP, WIDTH
@@ -77,7 +78,7 @@ def list_contents(pipeline: Pipeline) -> Iterator[str]:
     for title, images in (("Inputs", graph.inputs), ("Results", graph.results)):
         yield f"{title}:"
         for image in images.values():
-            yield f"  {image.name}: {_write_shape(image)}, {image.text}"
+            yield f"  {image.name}: {write_shape(image)}, {image.text}"
     yield f"Memory: {memory.made_bytes:g} bytes for each pixel between steps, {memory.kept_bytes:g} of state."
     if graph.state_pairs:
         yield f"State: {', '.join(written.name for written, _ in graph.state_pairs)}."
@@ -95,15 +96,11 @@ def _name(images: tuple[GraphImage, ...]) -> str:
     return ", ".join(dict.fromkeys(image.memory.name for image in images))
 
 
-def _write_shape(image: GraphImage) -> str:
-    return " x ".join(map(str, image.shape))
-
-
 def write_readme(pipeline: Pipeline, build: str) -> str:
     """Return the README of a pipeline in Markdown."""
     graph, memory, name = pipeline.graph, pipeline.memory, pipeline.name
     images = [
-        f"| `{image.name}` | {role} | {_write_shape(image)} | {image.unit} | {image.text} |"
+        f"| `{image.name}` | {role} | {write_shape(image)} | {image.unit} | {image.text} |"
         for role, group in (("input", graph.inputs), ("result", graph.results))
         for image in group.values()
     ]

@@ -3,67 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from string import Template
 
 from lobewise.backend.devices import VULKAN_BLOCK, VULKAN_MULTIPLE
 from lobewise.engine.graph import GraphImage, Operation
-from lobewise.exporting.folder import fill_template
+from lobewise.exporting.folder import fill_template, read_sections
 from lobewise.exporting.pipeline.pipeline import Pipeline
 
 
 def write_device(pipeline: Pipeline) -> dict[str, str]:
     """Return the parts of the driver's template that a device needs; they are empty for a processor."""
-    name, blocks = pipeline.name, pipeline.blocks
+    name, blocks, texts = pipeline.name, pipeline.blocks, read_sections("pipeline/device.c")
     if pipeline.api is None:
-        return dict.fromkeys(("device", "blocks", "keep_size", "take_blocks", "free_blocks", "finish", "declare"), "")
-    parts = sum(each.startswith("PLACES") for each in set(blocks.values()))
-    configure = vulkan = ""
-    if pipeline.api == "vulkan":
-        mark = ";" if "windows" in pipeline.target else ":"
-        words = mark.join(map(str, (0, VULKAN_BLOCK, 0, 0, VULKAN_MULTIPLE)))
-        configure = f'    is_there = has_vulkan();\n    halide_vulkan_set_alloc_config("{words}");'
-        vulkan = fill_template("pipeline/vulkan.c")
-    device = fill_template(
-        "pipeline/device.c",
-        name=name,
-        api=pipeline.api,
-        image_blocks="\n".join(f"    {blocks.get(image.name, '-1')}, /* {image.name} */" for image in pipeline.images),
-        configure=configure,
-    )
+        return dict.fromkeys(texts, "")
     results = [each for each in pipeline.graph.results.values() if each.name in blocks]
-    lines = [
-        f"    status = status == {name}_ok && copy_down(p, {pipeline.get_place(each)}) ? {name}_failed : status;"
-        for each in results
-    ]
-    return {
-        "declare": "\n".join(
-            [
-                f"extern const struct halide_device_interface_t *halide_{pipeline.api}_device_interface(void);",
-                f"enum {{ BLOCKS = PLACES + {parts} }};",
-                "",
-                "/* Memory on the device, as numbers of 32 bits. */",
-                "struct block {",
-                "    halide_buffer_t words;",
-                "    halide_dimension_t dim;",
-                "};",
-            ]
+    mark = ";" if "windows" in pipeline.target else ":"
+    words = mark.join(map(str, (0, VULKAN_BLOCK, 0, 0, VULKAN_MULTIPLE)))
+    is_vulkan = pipeline.api == "vulkan"
+    parts = {
+        "name": name,
+        "api": pipeline.api,
+        "planes": sum(each.startswith("PLACES") for each in set(blocks.values())),
+        "image_blocks": "\n".join(
+            f"    {blocks.get(image.name, '-1')}, /* {image.name} */" for image in pipeline.images
         ),
-        "device": vulkan + device,
-        "blocks": "    size_t sizes[IMAGES];\n    struct block blocks[BLOCKS];",
-        "keep_size": "        p->sizes[image] = bytes;",
-        "take_blocks": "\n".join(
-            [
-                "    {",
-                f"        const {name}_status status = take_blocks(p, most_bytes);",
-                f"        if (status != {name}_ok) {{",
-                f"            {name}_destroy(p);",
-                "            return status;",
-                "        }",
-                "    }",
-            ]
+        "configure": f'    is_there = has_vulkan();\n    halide_vulkan_set_alloc_config("{words}");' * is_vulkan,
+        "copies": "\n".join(
+            f"    status = status == {name}_ok && copy_down(p, {pipeline.get_place(each)}) ? {name}_failed : status;"
+            for each in results
         ),
-        "free_blocks": "    if (p) {\n        free_blocks(p);\n    }",
-        "finish": "\n".join(lines),
     }
+    filled = {key: Template(text.rstrip()).substitute(parts) for key, text in texts.items()}
+    return {**filled, "device": fill_template("pipeline/vulkan.c") * is_vulkan + filled["device"] + "\n"}
 
 
 def write_copies(pipeline: Pipeline, operation: Operation) -> tuple[list[str], list[str]]:

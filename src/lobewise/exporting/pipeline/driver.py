@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from itertools import groupby
 from string import Template
 
@@ -10,26 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 import lobewise
-from lobewise.denoising.light_loss import (
-    MAX_FALL,
-    MAX_GAIN,
-    MAX_GAIN_PER_FIREFLY,
-    MAX_GAIN_REFINED,
-    MAX_SHARED_AS_NOISE,
-    MAX_TAKERS_GAIN,
-)
-from lobewise.denoising.refining.whole_image import MAX_RATIO_TO_NEXT, MIN_BRIGHTNESS
+from lobewise.denoising import light_loss
+from lobewise.denoising.refining import whole_image
 from lobewise.engine.graph import Graph, GraphImage, Length, Operation
 from lobewise.engine.numbers import write_number
 from lobewise.engine.recorder import CompiledKernel
-from lobewise.exporting.folder import fill_template, read_template
+from lobewise.exporting.folder import fill_template, read_sections
 from lobewise.exporting.pipeline.device import write_copies, write_device, write_swapping_blocks
 from lobewise.exporting.pipeline.pipeline import Pipeline
 from lobewise.filters.noise.detail import FEATURE_ROWS
 
 _AXES = {"height": "HEIGHT", "width": "WIDTH", "rows": "ROWS", "columns": "COLUMNS", "band": "BAND"}
 _TYPES = {"float32": "float", "int32": "int32_t", "float64": "double"}
-_MARK = re.compile(r"^/\* routine: (\w+) \*/\n", flags=re.M)
 
 
 def write_header(pipeline: Pipeline) -> str:
@@ -44,37 +35,28 @@ def write_header(pipeline: Pipeline) -> str:
         version=lobewise.__version__,
         least=pipeline.least_width,
         settings="\n".join(f"    double {each.name}; /* {each.text} */" for each in pipeline.user_settings),
-        inputs="\n".join([*map(_declare_given, graph.inputs.values()), *_declare_place(pipeline)]),
-        results="\n".join(_declare_result(each) for each in graph.results.values()),
+        inputs="\n".join([_declare_image(each, "const float") for each in graph.inputs.values()])
+        + _declare_place(pipeline),
+        results="\n".join(_declare_image(each, "float") for each in graph.results.values()),
         history_word=", and the history from frame to frame" if history else "",
         reset_word="" if history else " (a pipeline without history has nothing to forget)",
         stage_count=len(pipeline.stages),
     )
 
 
-def _describe(image: GraphImage) -> str:
-    words = {"height": "height", "width": "width", "rows": "rows", "columns": "columns"}
-    shape = " x ".join(words.get(str(axis), str(axis)) for axis in image.shape)
-    return f"{shape}: {image.text}" + (f" ({image.unit})" if image.unit else "")
+def _declare_image(image: GraphImage, kind: str) -> str:
+    unit = f" ({image.unit})" if image.unit else ""
+    return f"    {kind} *{image.name}; /* {write_shape(image)}: {image.text}{unit} */"
 
 
-def _declare_given(image: GraphImage) -> str:
-    return f"    const float *{image.name}; /* {_describe(image)} */"
+def write_shape(image: GraphImage) -> str:
+    """Return the shape of an image in words."""
+    return " x ".join(map(str, image.shape))
 
 
-def _declare_result(image: GraphImage) -> str:
-    return f"    float *{image.name}; /* {_describe(image)} */"
-
-
-def _declare_place(pipeline: Pipeline) -> list[str]:
+def _declare_place(pipeline: Pipeline) -> str:
     scale = pipeline.settings.upsample
-    if scale == 1:
-        return []
-    return [
-        f"    int row, column; /* which pixel of each block of {scale} x {scale} was shaded, 0 to {scale - 1}; sample",
-        "                        (Y, X) was shaded at pixel (Y scale + row, X scale + column); rows is",
-        f"                        ceil((height - row) / {scale}), and columns likewise */",
-    ]
+    return f"\n{fill_template('pipeline/place.h', scale=scale, last=scale - 1).rstrip()}" if scale > 1 else ""
 
 
 def write_driver(pipeline: Pipeline) -> str:
@@ -187,30 +169,18 @@ BAND_LOOP = (
     "        const int left = p->height - p->box.top;",
     "        p->box.height = left < BAND_ROWS ? left : BAND_ROWS;",
 )
-ROUTINE_NUMBERS = {
-    "max_shared_as_noise": MAX_SHARED_AS_NOISE,
-    "max_gain_per_firefly": MAX_GAIN_PER_FIREFLY,
-    "max_fall": MAX_FALL,
-    "max_takers_gain": MAX_TAKERS_GAIN,
-    "max_gain": MAX_GAIN,
-    "max_gain_refined": MAX_GAIN_REFINED,
-    "max_ratio_to_next": MAX_RATIO_TO_NEXT,
-    "min_brightness": MIN_BRIGHTNESS,
-}
-"""Numbers of the recipe in the C functions of the driver."""
 
 
 def _list_routines(graph: Graph, name: str) -> str:
     """Return the C functions that steps call, and those that these call."""
-    parts = _MARK.split(read_template("pipeline/routines.c"))
-    texts = dict(zip(parts[1::2], parts[2::2], strict=True))
+    texts = read_sections("pipeline/routines.c")
     called = {operation.function for operation in graph.operations if not operation.is_kernel}
     unknown = called - set(texts)
     assert not unknown, f"no C functions {unknown}"
     while more := {other for each in called for other in texts if f"{other}(" in texts[each]} - called:
         called |= more
     text = "\n".join(text.rstrip() + "\n" for key, text in texts.items() if key in called)
-    return Template(text).substitute(name=name, **ROUTINE_NUMBERS)
+    return Template(text).substitute({**vars(light_loss), **vars(whole_image), "name": name})
 
 
 def _write_stage(pipeline: Pipeline, number: int, stage: tuple[str, list[Operation]]) -> str:

@@ -71,7 +71,8 @@ GUIDES = {
 def describe_light(name: str) -> str:
     """Return the meaning of an image of radiance by its name."""
     part = name.rpartition("_")[2]
-    text = "all noisy light" if part == "color" else f"noisy {part} light, albedo included"
+    every = "all noisy light: diffuse, specular, emission and background"
+    text = every if part == "color" else f"noisy {part} light, albedo included"
     return f"{text}, of one half of the samples" if name.startswith(HALVES) else text
 
 
@@ -121,11 +122,13 @@ class GivenCamera:
 
     def get_ray_numbers(self, size: object) -> dict[str, list[Number]]:
         """See `lobewise.Camera.get_ray_numbers`."""
-        return self.constants.get_rays()
+        rays = {name: self.constants.get_vector(name) for name in ("first_ray", "ray_right", "ray_down")}
+        return {**rays, "first_row": [Number(0.0, "0.0")]}
 
     def get_projection_numbers(self, size: object) -> dict[str, list[Number]]:
         """See `lobewise.Camera.get_projection_numbers`."""
-        return self.constants.get_projection()
+        names = {"before": "eye", "before_forward": "forward", "before_right": "before_right", "before_up": "before_up"}
+        return {name: self.constants.get_vector(own, before=self.is_before) for name, own in names.items()}
 
 
 @dataclass(frozen=True)
@@ -139,8 +142,7 @@ class GivenHalf:
         """Return an image of radiance; None if the pipeline has no light of this name."""
         if part != "color" and part not in self.guides.settings.layer_names:
             return None
-        name = f"{self.name}_{part}"
-        return self.guides.give_light(name, describe_light(name))
+        return self.guides.give_light(f"{self.name}_{part}")
 
 
 Features = Callable[[Any], Sequence[Feature]]
@@ -235,7 +237,7 @@ class PipelineGuides:
         return [
             SimpleNamespace(
                 name=name,
-                radiance=self.take_light(name, describe_light(name)),
+                radiance=self.take_light(name),
                 half_a=getattr(self.half_a, name, None),
                 half_b=getattr(self.half_b, name, None),
                 albedo=getattr(self.gbuffer, f"{name}_albedo"),
@@ -269,7 +271,7 @@ class PipelineGuides:
         """The light of two layers; None where all light comes in one image."""
         if self.settings.layers == "color":
             return None
-        first, second = (self.take_light(name, describe_light(name)) for name in self.settings.layer_names[:2])
+        first, second = (self.take_light(name) for name in self.settings.layer_names[:2])
         return first, second
 
     @cached_property
@@ -286,16 +288,16 @@ class PipelineGuides:
             normal_exponent=constants.get("normal_exponent"),
         )
 
-    def give_light(self, name: str, text: str) -> GraphImage:
+    def give_light(self, name: str) -> GraphImage:
         """Return an image of radiance: of the samples. All light is summed up where emission comes by itself."""
         if name.endswith("color") and self.settings.emission:
             prefix = name.removesuffix("color")
             names = [f"{prefix}{each}" for each in self.settings.layer_names]
-            images = {f"part{k}": self.give_light(each, describe_light(each)) for k, each in enumerate(names)}
+            images = {f"part{k}": self.give_light(each) for k, each in enumerate(names)}
             images |= {"rest": self.emission}
             return self._compute(define_composed, images, name, "all light of the samples")
         size = SIZE if self.settings.upsample == 1 else SAMPLES
-        return self.graph.give(name, *size, 3, text=f"{text}, linear radiance", unit="any")
+        return self.graph.give(name, *size, 3, text=f"{describe_light(name)}, linear radiance", unit="any")
 
     def _compute(self, define: Any, images: dict[str, GraphImage], name: str, text: str) -> GraphImage:
         (image,) = engine.pixels(define, images, {}, names=[name], text=text)
@@ -316,17 +318,17 @@ class PipelineGuides:
         """The other half."""
         return GivenHalf(self, HALVES[1]) if self.settings.reads_halves else None
 
-    def take_light(self, name: str, text: str) -> GraphImage:
+    def take_light(self, name: str) -> GraphImage:
         """Return some light of all samples: an image of the caller, or the mean of two."""
         if self.half_a is None:
-            return self.give_light(name, text)
+            return self.give_light(name)
         halves = {"a": getattr(self.half_a, name), "b": getattr(self.half_b, name)}
         return self._compute(define_mean, halves, name, f"{name} light of all samples")
 
     @property
     def color(self) -> GraphImage:
         """All noisy light."""
-        return self.take_light("color", "all noisy light: diffuse, specular, emission and background")
+        return self.take_light("color")
 
     @property
     def bad(self) -> GraphImage:

@@ -116,34 +116,31 @@ def write_texts(pipeline: Pipeline) -> dict[str, str]:
     """Return the text files of an export by name."""
     name, version = pipeline.name, lobewise.__version__
     objects = ['    "$' + f'{{_{name}_folder}}/kernels/{each}"' for each in name_objects(pipeline)]
-    root, more = "${pcfiledir}", list_link_options(pipeline)
+    options = list_link_options(pipeline)
+    parts = {
+        "name": name,
+        "title": pipeline.title,
+        "version": version,
+        "guard": f"{name.upper()}_HPP",
+        "objects": "\n".join(objects),
+        "link_options": f"\ntarget_link_options({name} PUBLIC {' '.join(options)})" if options else "",
+        "libraries": "".join(f" {each}" for each in options),
+        # Variables of CMake and pkg-config.
+        **{each: f"${{{each}}}" for each in ("CMAKE_CURRENT_LIST_FILE", "pcfiledir", "includedir", "libdir")},
+    }
+    templates = {
+        f"{name}.hpp": "wrapper.hpp",
+        f"{name}Config.cmake": "config.cmake",
+        f"{name}ConfigVersion.cmake": "version.cmake",
+        "CMakeLists.txt": "CMakeLists.txt",
+        f"{name}.pc": "pkgconfig.pc",
+    }
     return {
         f"{name}.h": write_header(pipeline),
         f"{name}.c": write_driver(pipeline),
-        f"{name}.hpp": fill_template(
-            "pipeline/wrapper.hpp", name=name, title=pipeline.title, guard=f"{name.upper()}_HPP"
-        ),
         "example.cpp": write_example(pipeline),
-        f"{name}Config.cmake": fill_template(
-            "pipeline/config.cmake",
-            name=name,
-            objects="\n".join(objects),
-            cmake_file="${CMAKE_CURRENT_LIST_FILE}",
-            more=f"\ntarget_link_options({name} PUBLIC {' '.join(more)})" if more else "",
-        ),
-        f"{name}ConfigVersion.cmake": fill_template("pipeline/version.cmake", name=name, version=version),
-        "CMakeLists.txt": fill_template("pipeline/CMakeLists.txt", name=name),
-        f"{name}.pc": fill_template(
-            "pipeline/pkgconfig.pc",
-            name=name,
-            title=pipeline.title,
-            version=version,
-            root=root,
-            include="${includedir}",
-            link="${libdir}",
-            more="".join(f" {each}" for each in more),
-        ),
         MARK: json.dumps(describe_contents(pipeline), indent=1) + "\n",
+        **{file: fill_template(f"pipeline/{template}", **parts) for file, template in templates.items()},
     }
 
 

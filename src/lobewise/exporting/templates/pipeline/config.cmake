@@ -4,7 +4,7 @@ if(TARGET ${name}::${name})
     return()
 endif()
 enable_language(C)
-get_filename_component(_${name}_folder "${cmake_file}" PATH)
+get_filename_component(_${name}_folder "${CMAKE_CURRENT_LIST_FILE}" PATH)
 find_package(Threads REQUIRED)
 add_library(${name} STATIC "$${_${name}_folder}/${name}.c")
 add_library(${name}::${name} ALIAS ${name})
@@ -12,7 +12,7 @@ set_target_properties(${name} PROPERTIES C_STANDARD 99 POSITION_INDEPENDENT_CODE
 target_include_directories(${name} PUBLIC "$${_${name}_folder}")
 target_link_libraries(${name} PUBLIC
 ${objects}
-    Threads::Threads $${CMAKE_DL_LIBS})${more}
+    Threads::Threads $${CMAKE_DL_LIBS})${link_options}
 if(UNIX)
     target_link_libraries(${name} PUBLIC m)
 endif()

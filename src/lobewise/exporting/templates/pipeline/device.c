@@ -1,3 +1,32 @@
+/* part: declare */
+extern const struct halide_device_interface_t *halide_${api}_device_interface(void);
+enum { BLOCKS = PLACES + ${planes} };
+
+/* Memory on the device, as numbers of 32 bits. */
+struct block {
+    halide_buffer_t words;
+    halide_dimension_t dim;
+};
+/* part: blocks */
+    size_t sizes[IMAGES];
+    struct block blocks[BLOCKS];
+/* part: keep_size */
+        p->sizes[image] = bytes;
+/* part: take_blocks */
+    {
+        const ${name}_status status = take_blocks(p, most_bytes);
+        if (status != ${name}_ok) {
+            ${name}_destroy(p);
+            return status;
+        }
+    }
+/* part: free_blocks */
+    if (p) {
+        free_blocks(p);
+    }
+/* part: finish */
+${copies}
+/* part: device */
 /* The device. A place that its kernels name has memory there, a block. Planes of a larger image are copied through blocks
    of their own. A block says which copy is newer by the flags of Halide's buffers. */
 static const int BLOCK[IMAGES] = {

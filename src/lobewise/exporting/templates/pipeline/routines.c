@@ -1,4 +1,4 @@
-/* routine: is_good_pixel */
+/* part: is_good_pixel */
 static int is_good_pixel(const float *pixel)
 {
     int channel, good = 1;
@@ -8,7 +8,7 @@ static int is_good_pixel(const float *pixel)
     return good;
 }
 
-/* routine: count_holes */
+/* part: count_holes */
 static void count_holes(${name}_pipeline *p, const halide_buffer_t *holes, double *count)
 {
     int x, y;
@@ -22,7 +22,7 @@ static void count_holes(${name}_pipeline *p, const halide_buffer_t *holes, doubl
     }
 }
 
-/* routine: find_box */
+/* part: find_box */
 static void find_box(${name}_pipeline *p, const halide_buffer_t *mask, int reach)
 {
     /* The box holds all pixels of the mask and what is so near; it is at least as wide as a vector. */
@@ -52,7 +52,7 @@ static void find_box(${name}_pipeline *p, const halide_buffer_t *mask, int reach
     p->box.height = bottom - top;
 }
 
-/* routine: measure_mean_color */
+/* part: measure_mean_color */
 static void measure_mean_color(${name}_pipeline *p, const halide_buffer_t *color, double *mean)
 {
     const float *pixel = (const float *)color->host;
@@ -72,7 +72,7 @@ static void measure_mean_color(${name}_pipeline *p, const halide_buffer_t *color
     }
 }
 
-/* routine: copy_image */
+/* part: copy_image */
 static void copy_image(${name}_pipeline *p, const halide_buffer_t *from, halide_buffer_t *to)
 {
     size_t bytes = from->type.bits / 8;
@@ -84,7 +84,7 @@ static void copy_image(${name}_pipeline *p, const halide_buffer_t *from, halide_
     memcpy(to->host, from->host, bytes);
 }
 
-/* routine: clear_image */
+/* part: clear_image */
 static void clear_image(${name}_pipeline *p, halide_buffer_t *image)
 {
     size_t bytes = image->type.bits / 8;
@@ -96,7 +96,7 @@ static void clear_image(${name}_pipeline *p, halide_buffer_t *image)
     memset(image->host, 0, bytes);
 }
 
-/* routine: measure_cover */
+/* part: measure_cover */
 static void measure_cover(${name}_pipeline *p, const halide_buffer_t *mask, double *share)
 {
     /* The share of the pixels that have the light of a mask. */
@@ -108,7 +108,7 @@ static void measure_cover(${name}_pipeline *p, const halide_buffer_t *mask, doub
     *share = (double)count / (double)pixels;
 }
 
-/* routine: measure_share */
+/* part: measure_share */
 static void measure_share(
     ${name}_pipeline *p, const halide_buffer_t *agreement, const halide_buffer_t *places, const halide_buffer_t *mask,
     double least_agreement, double longest_step, double most_samples, double *share)
@@ -133,7 +133,7 @@ static void measure_share(
     *share = count == 0 ? 1.0 : (double)found / (double)count;
 }
 
-/* routine: pick_samples */
+/* part: pick_samples */
 static void pick_samples(
     ${name}_pipeline *p, const halide_buffer_t *from, halide_buffer_t *to, int row, int column, int is_stack)
 {
@@ -153,7 +153,7 @@ static void pick_samples(
     }
 }
 
-/* routine: measure_level */
+/* part: measure_level */
 static void measure_level(
     ${name}_pipeline *p, const halide_buffer_t *sums, const halide_buffer_t *mask, double *level)
 {
@@ -172,7 +172,7 @@ static void measure_level(
     *level = light / (count > 1.0 ? count : 1.0);
 }
 
-/* routine: measure_brightness */
+/* part: measure_brightness */
 static void measure_brightness(${name}_pipeline *p, const halide_buffer_t *color, double *brightness)
 {
     /* The squared mean of the root of the light. One firefly of a row must not decide how bright the image is. */
@@ -187,13 +187,13 @@ static void measure_brightness(${name}_pipeline *p, const halide_buffer_t *color
             first = root > first ? root : first;
             row += root;
         }
-        sum += row - first + fmin(first, ${max_ratio_to_next} * second);
+        sum += row - first + fmin(first, ${MAX_RATIO_TO_NEXT} * second);
     }
     mean = sum / ((double)p->width * (double)p->height);
-    *brightness = mean * mean + ${min_brightness};
+    *brightness = mean * mean + ${MIN_BRIGHTNESS};
 }
 
-/* routine: measure_log_depth */
+/* part: measure_log_depth */
 static void measure_log_depth(${name}_pipeline *p, const halide_buffer_t *depth, double *mean)
 {
     const float *values = (const float *)depth->host;
@@ -209,7 +209,7 @@ static void measure_log_depth(${name}_pipeline *p, const halide_buffer_t *depth,
     *mean = count > 0.0 ? sum / count : 0.0;
 }
 
-/* routine: share_missing */
+/* part: share_missing */
 static void share_missing(
     ${name}_pipeline *p, const halide_buffer_t *noisy, const halide_buffer_t *filtered, const halide_buffer_t *taker,
     const halide_buffer_t *uncounted, int refined, double *gain)
@@ -236,16 +236,16 @@ static void share_missing(
     if (taking > 0.0 && squared > 0.0 && squared <= DBL_MAX && missing != 0.0) {
         const double fireflies = fmax(missing * missing / squared, 1.0);
         const double known = (1.0 - 1.0 / (fireflies * fireflies)) * fabs(missing);
-        double shared = fmax(known, fmin(fabs(missing), ${max_shared_as_noise} * whole));
-        double most = ${max_gain_per_firefly} * fireflies;
+        double shared = fmax(known, fmin(fabs(missing), ${MAX_SHARED_AS_NOISE} * whole));
+        double most = ${MAX_GAIN_PER_FIREFLY} * fireflies;
         if (missing < 0.0) {
-            gain[1] = -fmin(fmin(shared / whole, most), ${max_fall});
+            gain[1] = -fmin(fmin(shared / whole, most), ${MAX_FALL});
         } else {
-            const double first = refined ? fmin(fmin(shared / whole, most), ${max_gain_refined}) : 0.0;
+            const double first = refined ? fmin(fmin(shared / whole, most), ${MAX_GAIN_REFINED}) : 0.0;
             shared -= first * whole;
             most -= first;
-            gain[0] = fmin(fmin(shared / taking, most), ${max_takers_gain});
-            gain[1] = first + fmin(fmin((shared - gain[0] * taking) / whole, most), ${max_gain});
+            gain[0] = fmin(fmin(shared / taking, most), ${MAX_TAKERS_GAIN});
+            gain[1] = first + fmin(fmin((shared - gain[0] * taking) / whole, most), ${MAX_GAIN});
         }
     }
     /* The light of the samples, and what is missing of it after sharing. */
@@ -253,7 +253,7 @@ static void share_missing(
     gain[3] = missing - (gain[0] * taking + gain[1] * whole);
 }
 
-/* routine: measure_gain */
+/* part: measure_gain */
 static void measure_gain(
     ${name}_pipeline *p, const halide_buffer_t *noisy, const halide_buffer_t *filtered, const halide_buffer_t *taker,
     double refined, double *gain)
@@ -261,7 +261,7 @@ static void measure_gain(
     share_missing(p, noisy, filtered, taker, NULL, refined > 0.0, gain);
 }
 
-/* routine: measure_gain_outside */
+/* part: measure_gain_outside */
 static void measure_gain_outside(
     ${name}_pipeline *p, const halide_buffer_t *noisy, const halide_buffer_t *filtered, const halide_buffer_t *taker,
     const halide_buffer_t *uncounted, double refined, double *gain)
