@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.exporting.shaders.constants import pack_constants
+from lobewise.exporting.shaders.constants import compute_constants, pack_constants
 from lobewise.exporting.shaders.passes import WORKGROUP, Chain, Lifetime, Pass, write_pass
 from lobewise.frame import FloatArray, Frame
 from lobewise.sparse_frame import SparseFrame
+from lobewise.temporal.recipe import TemporalFilter, compute_own_weight
 from tests.exporting.shaders import compile_spirv
 
 
@@ -20,6 +21,22 @@ def fill(*channels: Any) -> FloatArray:
     """Return an image of four channels from images of one or more; missing channels are 0."""
     image = np.dstack([np.asarray(channel, np.float32) for channel in channels])
     return np.ascontiguousarray(np.pad(image, [(0, 0), (0, 0), (0, 4 - image.shape[2])]))
+
+
+def make_constants(
+    recipe: TemporalFilter, frame: Frame | SparseFrame, previous: Frame | SparseFrame | None
+) -> dict[str, Any]:
+    """Return the constants of a frame that joins a history."""
+    sparse = {"scale": frame.scale, "place": frame.place} if isinstance(frame, SparseFrame) else {}
+    return compute_constants(
+        frame.require_camera("a history"),
+        frame.shape,
+        recipe._resolve(frame),
+        previous=None if previous is None else previous.camera,
+        temporal=recipe.temporal,
+        own=compute_own_weight(frame),
+        **sparse,
+    )
 
 
 def give_images(frame: Frame | SparseFrame) -> dict[str, FloatArray]:

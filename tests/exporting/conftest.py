@@ -35,6 +35,12 @@ def compiler() -> str:
 
 
 @pytest.fixture(scope="session")
+def cpp() -> str:
+    """Return the system's C++ compiler."""
+    return locate_program("g++", "g++")
+
+
+@pytest.fixture(scope="session")
 def graphics() -> Any:
     """Return a Vulkan device of wgpu; the software one will do."""
     # The window system's libraries complain of a missing folder, on the terminal.

@@ -15,14 +15,13 @@ import pytest
 import lobewise
 from lobewise.denoising.layers import Layer, split_lobes
 from lobewise.exporting.shaders.chains import make_chain
-from lobewise.exporting.shaders.constants import compute_constants
 from lobewise.filters.history.accumulation import SampleGrid
 from lobewise.frame import FloatArray, Frame
 from lobewise.guides.places import add_grid, compute_virtual_places, estimate_curvature
 from lobewise.temporal.past import HistoryReprojection
 from lobewise.temporal.recipe import compute_own_weight, make_named_layers
 from lobewise.temporal.validation import Guides, compute_same_tau
-from tests.exporting.chain_device import Player, fill, give_images
+from tests.exporting.chain_device import Player, fill, give_images, make_constants
 from tests.exporting.chain_scene import make_clean_image, make_frame
 from tests.exporting.test_chains import RTOL, WEIGHT_RTOL, compare
 
@@ -42,17 +41,6 @@ class Steps:
     trust: FloatArray
     narrowing: FloatArray
     output: Any
-
-
-def make_constants(recipe: lobewise.TemporalFilter, frame: Frame, previous: Frame | None) -> dict[str, Any]:
-    return compute_constants(
-        frame.require_camera("a history"),
-        frame.shape,
-        recipe._resolve(frame),
-        previous=None if previous is None else previous.camera,
-        temporal=recipe.temporal,
-        own=compute_own_weight(frame),
-    )
 
 
 @cache

@@ -11,11 +11,10 @@ import pytest
 import lobewise
 from lobewise.errors import InputError
 from lobewise.exporting.shaders.chains import make_chain
-from lobewise.exporting.shaders.constants import compute_constants
 from lobewise.filters.history.accumulation import KnownKernel, SampleGrid
 from lobewise.sparse_frame import SparseFrame, list_places
 from lobewise.temporal.recipe import compute_own_weight, make_named_layers
-from tests.exporting.chain_device import Player, fill, give_images
+from tests.exporting.chain_device import Player, fill, give_images, make_constants
 from tests.exporting.chain_scene import make_sparse_frame
 from tests.exporting.test_chains import RTOL, WEIGHT_RTOL, compare
 from tests.exporting.test_chains_history import LAYERS, split
@@ -26,19 +25,6 @@ FRAMES = 5
 
 def make(number: int) -> SparseFrame:
     return make_sparse_frame(number, SCALE, list_places(SCALE)[number % SCALE**2], hits=True)
-
-
-def make_constants(recipe: lobewise.TemporalFilter, frame: SparseFrame, previous: SparseFrame | None) -> dict[str, Any]:
-    return compute_constants(
-        frame.require_camera("a history"),
-        frame.shape,
-        recipe._resolve(frame),
-        previous=None if previous is None else previous.camera,
-        temporal=recipe.temporal,
-        own=compute_own_weight(frame),
-        scale=frame.scale,
-        place=frame.place,
-    )
 
 
 @pytest.mark.sampled("wgsl-diffuse")

@@ -30,12 +30,6 @@ from tests.exporting.pipelines import LIBRARIES, STRICT, build, export, run_exam
 RADIUS = 3
 
 
-@pytest.fixture(scope="session")
-def cpp() -> str:
-    """Return the system's C++ compiler."""
-    return locate_program("g++", "g++")
-
-
 @pytest.fixture(scope="module")
 def fast(compiler: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of the plan fast."""
@@ -69,11 +63,14 @@ def test_automatic_numbers_are_those_of_the_recipe(spp: float, radius: int) -> N
         PipelineSettings(),
         PipelineSettings(layers="color", form="separable"),
         PipelineSettings(history=True, hit_distance=True),
+        PipelineSettings(upsample=4, radius=5),
+        PipelineSettings(upsample=4, radius=5, history=True),
+        PipelineSettings(plan="balanced"),
     ],
 )
 def test_no_number_of_a_frame_is_compiled_in(settings: PipelineSettings) -> None:
     """The program is the same whatever example values its numbers had."""
-    other = Constants(1, settings.radius, False, size=(30, 500), spp=77.0)
+    other = Constants(settings.upsample, settings.radius, settings.is_guided, size=(30, 500), spp=77.0)
     pipelines = [make_pipeline(settings), make_pipeline(settings, constants=other)]
     assert write_driver(pipelines[0]) == write_driver(pipelines[1])
     assert write_header(pipelines[0]) == write_header(pipelines[1])

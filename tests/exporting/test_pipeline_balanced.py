@@ -15,23 +15,15 @@ from lobewise.denoising.automatic import resolve_all
 from lobewise.denoising.bad_pixels import fill_holes, mark_bad_pixels
 from lobewise.denoising.chain import filter_rows, keep_light
 from lobewise.denoising.evidence import load_networks
-from lobewise.exporting.pipeline.constants import Constants
 from lobewise.exporting.pipeline.driver import write_driver
 from lobewise.exporting.pipeline.recording import make_pipeline
 from lobewise.exporting.pipeline.sample import FRAMES, make_settings, prepare_frame
 from lobewise.exporting.pipeline.scene import HEIGHT, WIDTH, make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.filters.glue import define_with_highlights
-from tests.exporting.conftest import locate_program
 from tests.exporting.pipelines import export, run_example
 
 SETTINGS: dict[str, Any] = {"radius": 2, "plan": "balanced"}
-
-
-@pytest.fixture(scope="session")
-def cpp() -> str:
-    """Return the system's C++ compiler."""
-    return locate_program("g++", "g++")
 
 
 @pytest.mark.nightly
@@ -69,13 +61,6 @@ def test_every_stage_changes_the_example() -> None:
     images = [taken.taken_from.image, taken.image, kept.image, fill_holes(*kept.mark_holes(), frame)]
     for before, after in pairwise(map(np.nan_to_num, images)):
         assert np.abs(after - before).max() > 1e-3
-
-
-def test_no_number_of_a_frame_is_compiled_in() -> None:
-    settings = PipelineSettings(plan="balanced")
-    other = Constants(1, settings.radius, True, size=(30, 500), spp=77.0)
-    texts = [write_driver(make_pipeline(settings)), write_driver(make_pipeline(settings, constants=other))]
-    assert texts[0] == texts[1]
 
 
 def test_network_is_compiled_in() -> None:

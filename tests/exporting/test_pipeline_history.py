@@ -16,16 +16,9 @@ from lobewise.exporting.pipeline.scene import CUT, HEIGHT, WIDTH, make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.exporting.pipeline.writing import export_pipeline
 from lobewise.temporal import TemporalFilter
-from tests.exporting.conftest import locate_program
 from tests.exporting.pipelines import LIBRARIES, STRICT, build, export, run_example
 
 SETTINGS: dict[str, Any] = {"radius": 2, "history": True, "hit_distance": True}
-
-
-@pytest.fixture(scope="session")
-def cpp() -> str:
-    """Return the system's C++ compiler."""
-    return locate_program("g++", "g++")
 
 
 @pytest.fixture(scope="module")

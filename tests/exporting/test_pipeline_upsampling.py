@@ -11,20 +11,10 @@ import pytest
 
 from lobewise.cli.main import run
 from lobewise.errors import InputError
-from lobewise.exporting.pipeline.constants import Constants
-from lobewise.exporting.pipeline.driver import write_driver
-from lobewise.exporting.pipeline.recording import make_pipeline
 from lobewise.exporting.pipeline.sample import FRAMES, get_place, make_sparse, prepare_frame
 from lobewise.exporting.pipeline.scene import HEIGHT, WIDTH, make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
-from tests.exporting.conftest import locate_program
 from tests.exporting.pipelines import export, run_example
-
-
-@pytest.fixture(scope="session")
-def cpp() -> str:
-    """Return the system's C++ compiler."""
-    return locate_program("g++", "g++")
 
 
 @pytest.mark.nightly
@@ -48,14 +38,6 @@ def test_every_frame_shades_another_pixel() -> None:
     settings = PipelineSettings(upsample=3)
     frames = [make_sparse(settings, prepare_frame(settings, make_frame(k)), k) for k in range(FRAMES)]
     assert len({get_place(frame) for frame in frames}) >= 3
-
-
-@pytest.mark.parametrize("history", [False, True])
-def test_no_number_of_a_frame_is_compiled_in(history: bool) -> None:
-    settings = PipelineSettings(upsample=4, history=history, radius=5)
-    other = Constants(4, 5, False, size=(30, 500), spp=77.0)
-    texts = [write_driver(make_pipeline(settings)), write_driver(make_pipeline(settings, constants=other))]
-    assert texts[0] == texts[1]
 
 
 def test_radius_counts_samples(capsys: pytest.CaptureFixture[str]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from importlib.resources import files
 from pathlib import Path
@@ -94,6 +94,13 @@ def open_folder(path: PathLike, *, force: bool = False) -> Iterator[Callable[[st
         for folder in made:
             with suppress(OSError):
                 shutil.rmtree(folder)
+
+
+def write_folder(path: PathLike, texts: Mapping[str, str], *, force: bool = False) -> None:
+    """Write a folder of texts by their names; see `open_folder`."""
+    with open_folder(path, force=force) as place:
+        for name, text in texts.items():
+            place(name).write_text(text, encoding="utf-8")
 
 
 def read_template(file: str) -> str:

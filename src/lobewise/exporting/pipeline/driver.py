@@ -14,7 +14,7 @@ from lobewise.denoising.refining import whole_image
 from lobewise.engine.graph import Graph, GraphImage, Length, Operation
 from lobewise.engine.numbers import write_number
 from lobewise.engine.recorder import CompiledKernel
-from lobewise.exporting.folder import fill_template, read_sections
+from lobewise.exporting.folder import fill_template, read_sections, read_template
 from lobewise.exporting.pipeline.device import write_copies, write_device, write_swapping_blocks
 from lobewise.exporting.pipeline.pipeline import Pipeline
 from lobewise.filters.noise.detail import FEATURE_ROWS
@@ -106,6 +106,7 @@ def write_driver(pipeline: Pipeline) -> str:
         given=_write_given(pipeline),
         forgetting=_write_forgetting(pipeline),
         swapping=_write_swapping(pipeline),
+        swap_places=read_template("pipeline/swap.c") if graph.state_pairs else "",
     )
 
 
@@ -291,12 +292,6 @@ def _write_swapping(pipeline: Pipeline) -> str:
     """Return the lines that make the state of this frame the state of the frame before."""
     lines = []
     for written, before in pipeline.graph.state_pairs:
-        lines += [
-            "        {",
-            f"            void *const written = p->memory[KEPT_{written.name}];",
-            f"            p->memory[KEPT_{written.name}] = p->memory[KEPT_{before.name}];",
-            f"            p->memory[KEPT_{before.name}] = written;",
-            "        }",
-        ]
+        lines += [f"        swap_places(p->memory, KEPT_{written.name}, KEPT_{before.name});"]
         lines += write_swapping_blocks(pipeline, f"KEPT_{written.name}", f"KEPT_{before.name}")
     return "\n".join(lines)

@@ -170,14 +170,6 @@ def write_example(pipeline: Pipeline) -> str:
         count += " * samples" if "rows" in image.shape else " * width * height"
         lines.append(f"{indent}const std::vector<float> {image.name} = read<float>(input, {count});")
         lines.append(f"{indent}frame.{image.name} = {image.name}.data();")
-    places = []
-    if scale > 1:
-        places = [
-            "frame.row = static_cast<int>(view[13]);",
-            "frame.column = static_cast<int>(view[14]);",
-            f"const std::size_t samples = static_cast<std::size_t>(((height - frame.row + {scale - 1}) / {scale}) *",
-            f"                                                     ((width - frame.column + {scale - 1}) / {scale}));",
-        ]
     return fill_template(
         "pipeline/example.cpp",
         name=pipeline.name,
@@ -185,7 +177,7 @@ def write_example(pipeline: Pipeline) -> str:
         height=HEIGHT,
         frames=FRAMES,
         spp=f"{SPP:g}",
-        places="".join(f"{indent}{line}\n" for line in places),
+        places=fill_template("pipeline/place.cpp", scale=scale, last=scale - 1) if scale > 1 else "",
         reading="\n".join(lines),
         bound=f"{choose_bound(pipeline.settings, pipeline.target):g}",
     )

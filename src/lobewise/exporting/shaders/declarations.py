@@ -52,7 +52,7 @@ def copy_template(name: str) -> str:
     return path.read_text(encoding="utf-8")
 
 
-def read_template(name: str, parts: Mapping[str, str]) -> str:
+def read_template(name: str, parts: Mapping[str, object]) -> str:
     """Return a file of this room's folder ``templates`` with every ``$name`` replaced."""
     return Template(copy_template(name)).substitute(parts)
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
+
+import lobewise
 from lobewise.errors import require_choice
-from lobewise.exporting.folder import DOCS, MARK, open_folder
+from lobewise.exporting.folder import DOCS, MARK, write_folder
 from lobewise.exporting.names import SHADER_LANGUAGES
 from lobewise.exporting.shaders.declarations import list_constants, read_template
 from lobewise.exporting.shaders.language import translate_text
@@ -37,14 +40,11 @@ def export_shader(output: PathLike, language: str, *, force: bool = False) -> No
     FileError
         If the folder is not empty or cannot be written.
     """
-    import json
-
-    import lobewise
-
-    text = make_shader(language)
     version = lobewise.__version__
-    with open_folder(output, force=force) as place:
-        place(f"lobewise.{language}").write_text(text, encoding="utf-8")
-        parts = {"title": language.upper(), "language": language, "version": version, "docs": DOCS}
-        place("README.md").write_text(read_template("functions_readme.md", parts), encoding="utf-8")
-        place(MARK).write_text(json.dumps({"lobewise": version, "target": language}) + "\n", encoding="utf-8")
+    parts = {"title": language.upper(), "language": language, "version": version, "docs": DOCS}
+    texts = {
+        f"lobewise.{language}": make_shader(language),
+        "README.md": read_template("functions_readme.md", parts),
+        MARK: json.dumps({"lobewise": version, "target": language}) + "\n",
+    }
+    write_folder(output, texts, force=force)

@@ -174,33 +174,6 @@ def _write_image(image: Binding, number: int, register: int, language: str) -> s
     return f"[[vk::binding({number}, 0)]] RWTexture2D<{kind}> {image.name} : register(u{register});"
 
 
-def write_entry(language: str, workgroup: tuple[int, int], extent: tuple[str, str]) -> str:
-    """Return the first lines of the entry point ``main``, one thread for each pixel.
-
-    Threads outside the image end at once; ``extent`` are the names of the constants of width and height.
-    """
-    across, down = workgroup
-    first = {
-        "glsl": [
-            f"layout(local_size_x = {across}, local_size_y = {down}) in;",
-            "void main() {",
-            "    ivec2 pixel = ivec2(gl_GlobalInvocationID.xy);",
-        ],
-        "hlsl": [
-            f"[numthreads({across}, {down}, 1)]",
-            "void main(uint3 thread : SV_DispatchThreadID) {",
-            "    int2 pixel = int2(thread.xy);",
-        ],
-        "wgsl": [
-            f"@compute @workgroup_size({across}, {down})",
-            "fn main(@builtin(global_invocation_id) thread: vec3<u32>) {",
-            "    let pixel = vec2<i32>(thread.xy);",
-        ],
-    }[language]
-    outside = f"    if (pixel.x >= constants.{extent[0]} || pixel.y >= constants.{extent[1]}) {{"
-    return "\n".join([*first, outside, "        return;", "    }"]) + "\n"
-
-
 def lay_out(fields: Sequence[Field]) -> dict[str, int]:
     """Return the offset of each field in the block of constants, bytes, and the size of the block under "".
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from lobewise.exporting.shaders.declarations import gather, read_template
-from lobewise.exporting.shaders.language import Binding, Field, translate_text, write_bindings, write_entry
+from lobewise.exporting.shaders.language import Binding, Field, translate_text, write_bindings
 
 WORKGROUP = 8, 8
 """Threads of a workgroup, across and down: 64 fit every graphics card, and a square reads few pixels twice."""
@@ -131,6 +131,9 @@ def write_pass(chain: Chain, shader_pass: Pass, language: str) -> str:
     comment = "".join(f"// {line}\n" for line in shader_pass.comment.splitlines())
     first, *lines = body.splitlines()
     assert first == "main {", f"{shader_pass.body} must begin with its entry point"
-    main = write_entry(language, WORKGROUP, shader_pass.extent) + translate_text("\n".join(lines), language)
+    # Threads outside the image end at once.
+    names = "across", "down", "columns", "rows"
+    entry = read_template(f"entry.{language}", dict(zip(names, (*WORKGROUP, *shader_pass.extent), strict=True)))
+    main = entry + translate_text("\n".join(lines), language)
     bindings = write_bindings(chain.constants, chain.list_bindings(shader_pass), language)
     return f"{HEADERS[language]}{comment}\n{bindings}\n{functions}\n{main}"

@@ -7,7 +7,7 @@ from typing import Any
 
 import lobewise
 from lobewise.errors import require_choice
-from lobewise.exporting.folder import DOCS, MARK, open_folder
+from lobewise.exporting.folder import DOCS, MARK, write_folder
 from lobewise.exporting.names import SHADER_LANGUAGES
 from lobewise.exporting.shaders.chains import make_chain
 from lobewise.exporting.shaders.declarations import read_template
@@ -159,7 +159,5 @@ def export_chain(
     texts[DESCRIPTION] = json.dumps(description, indent=2) + "\n"
     texts["README.md"] = write_readme(made, language)
     texts[MARK] = json.dumps({"lobewise": lobewise.__version__, "target": language, "chain": chain}) + "\n"
-    with open_folder(output, force=force) as place:
-        for name, text in texts.items():
-            place(name).write_text(text, encoding="utf-8")
+    write_folder(output, texts, force=force)
     return list(texts)

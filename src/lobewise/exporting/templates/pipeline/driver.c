@@ -209,7 +209,7 @@ static size_t describe_image(${name}_pipeline *p, int image)
 
 ${crop}
 ${device}
-static void place_images(${name}_pipeline *p)
+${swap_places}static void place_images(${name}_pipeline *p)
 {
     int image;
     for (image = 0; image < IMAGES; image++) {
