@@ -9,7 +9,7 @@ are those of the layer. So an image stays black where it has no light, whatever 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -151,14 +151,25 @@ def _finish_parts(
     parts: Mapping[str, FloatArray], filtered: Sequence[FilteredOther], layer: Passed
 ) -> dict[str, FloatArray]:
     """Return filtered parts of a layer, brought to the layer's result; the last of more images is the layer itself."""
-    whole, good = len(filtered) == len(parts), [blacken_bad(each.image) for each in filtered]
-    base = _sum_whole(good, whole)
+    refined = refine_parts(filtered, layer, are_parts=len(filtered) == len(parts))
+    return bring_parts(parts, refined, layer.clean)
+
+
+def refine_parts(filtered: Sequence[FilteredOther], layer: Passed, *, are_parts: bool = True) -> list[FloatArray]:
+    """Return filtered images of a layer after its network, and with its noisy image taken back; see `_sum_whole`."""
+    good = [blacken_bad(each.image) for each in filtered]
+    base = _sum_whole(good, are_parts)
     factor = np.float32(1.0) if layer.before is None else _divide(layer.before, base)
     refined = [each * factor for each in good]
-    if layer.share is not None:
-        refined = [mix_noisy(each, own.samples, layer.share) for each, own in zip(refined, filtered, strict=True)]
-    ratio = _divide(layer.clean, _sum_whole(refined, whole))
-    return {part: np.asarray(each * ratio) for part, each in zip(parts, refined, strict=False)}
+    if layer.share is None:
+        return refined
+    return [mix_noisy(each, own.samples, layer.share) for each, own in zip(refined, filtered, strict=True)]
+
+
+def bring_parts(names: Collection[str], refined: Sequence[FloatArray], clean: FloatArray) -> dict[str, FloatArray]:
+    """Return images of a layer by the names of its parts, brought to the layer's result ``clean``."""
+    ratio = _divide(clean, _sum_whole(refined, len(refined) == len(names)))
+    return {name: np.asarray(each * ratio) for name, each in zip(names, refined, strict=False)}
 
 
 def _sum_whole(images: Sequence[FloatArray], are_parts: bool) -> FloatArray:

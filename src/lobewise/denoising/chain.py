@@ -147,6 +147,13 @@ class Filtered:
         """Return the share of each pixel's light that takes part in sharing, for every layer; see `compute_takers`."""
         return [compute_takers(*each) for each in zip(self.layers, self.parts, self.levels, strict=False)]
 
+    def look_up_passed(self, name: str) -> Passed:
+        """Return what happened to a layer, for further images that take the same steps."""
+        number = [layer.name for layer in self.layers].index(name)
+        before = self.taken_from
+        refined = before.parts[number] if before is not None and before.is_refined else None
+        return Passed(clean=blacken_bad(self.parts[number]), before=refined, share=self.share_taken)
+
     def sum_missing(self, takers: Sequence[FloatArray], rows: slice) -> list[NDArray[np.float64]]:
         """Return the sums of `lobewise.denoising.light_loss.sum_missing` for every layer in some rows."""
         layers = zip((layer.radiance for layer in self.layers), self.parts, takers, strict=False)
@@ -435,14 +442,10 @@ def filter_passes(
     frame: Frame, settings: ResolvedSettings, features: Sequence[Feature], filtered: Filtered
 ) -> dict[str, FloatArray]:
     """Return the images that belong to a layer or to the total, filtered by the same weights."""
-    before, share = filtered.taken_from, filtered.share_taken
     # Passes take the steps of their layer: filter, network, noisy image taken back, light shared out.
+    before, share = filtered.taken_from, filtered.share_taken
     refined = before if before is not None and before.is_refined else None
-    parts: Mapping[str, FloatArray] = {}
-    if refined is not None:
-        parts = {layer.name: part for layer, part in zip(refined.layers, refined.parts, strict=True)}
-    clean = name_layers(frame, filtered)
-    layers = {name: Passed(clean=image, before=parts.get(name), share=share) for name, image in clean.items()}
+    layers = {layer.name: filtered.look_up_passed(layer.name) for layer in frame.layers}
     # What is not in the layers had no filter. Where there is none, all of a filled hole counts as scattered.
     rest = compute_rest(frame)
     rest = np.zeros_like(filtered.image) if rest is None else rest

@@ -15,7 +15,7 @@ import numpy as np
 from lobewise import engine
 from lobewise.denoising.automatic import ask, change_settings, needs_peer_alone, resolve_all
 from lobewise.denoising.bad_pixels import blacken_bad, describe_bad, mark_bad_pixels, mark_good, require_some_good
-from lobewise.denoising.chain import Clean, Filtered, clean_frame, name_layers
+from lobewise.denoising.chain import Filtered, clean_frame, name_layers
 from lobewise.denoising.combining import denoise_with_peer, describe_peer_alone, name_method
 from lobewise.denoising.evidence import count_blurred, describe_blurred
 from lobewise.denoising.inputs import DEPTH_WITHOUT_CAMERA, describe_lacks, list_unused
@@ -174,7 +174,7 @@ def _denoise_light(checked: CheckedGuides[Frame], named: DenoiseSettings, featur
         diffuse=diffuse,
         specular=specular,
         layers=name_layers(frame, filtered),
-        also={**clean.also, **scale_unscattered(frame, clean)},
+        also={**clean.also, **scale_unscattered(frame, filtered, clean.gains)},
         weight_sum=np.ascontiguousarray(weight_sum),
         effective_samples=np.ascontiguousarray(effective_samples),
         bad_pixels=filtered.bad,
@@ -224,15 +224,15 @@ def filter_below(below: Frame, named: DenoiseSettings, features: Sequence[Featur
     return denoise_checked(CheckedGuides(below), replace(named, quality="fast", with_oidn=False), features)
 
 
-def scale_unscattered(frame: Frame, clean: Clean) -> dict[str, FloatArray]:
+def scale_unscattered(frame: Frame, filtered: Filtered, gains: Sequence[FloatArray]) -> dict[str, FloatArray]:
     """Return emission and background where a lens blurs them, or where they were scaled."""
-    sharing = clean.filtered.sharing
-    if not clean.gains and sharing is None:
+    sharing = filtered.sharing
+    if not gains and sharing is None:
         return {}
     unscattered = dict(frame.unscattered)
     if sharing is not None:
         unscattered = {name: sharing.apply(blacken_bad(light)) for name, light in unscattered.items()}
-    scaled = {name: reduce(np.multiply, clean.gains, light) for name, light in unscattered.items()}
+    scaled = {name: reduce(np.multiply, gains, light) for name, light in unscattered.items()}
     return {name: np.where(np.isfinite(light), light, np.float32(0.0)) for name, light in scaled.items()}
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -101,11 +101,7 @@ def take_layers(color: FloatArray, layer_passes: Sequence[FoundLayer], read: Rea
             continue
         known = sum_so_far
         if image.any():
-            name = (
-                one_layer.rule.name
-                if len(one_layer.light) == 1
-                else f"{one_layer.rule.name}/{name_pass(one.source.path)}"
-            )
+            name = _name_exact(one_layer, one)
             outputs[name] = PartOutput(one)
             if name == BACKGROUND and is_foggy and not is_smooth(image):
                 layers.append(RadianceLayer(name, "volume", image))
@@ -121,11 +117,31 @@ def _take_layer(
     layer_pass: FoundLayer, read: Read, known: FloatArray
 ) -> tuple[RadianceLayer | None, dict[str, PartOutput]]:
     """Return a layer, None if it is black, and the channels that receive it. Add its finite light to ``known``."""
+    layer, outputs = _make_layer(layer_pass, read, known)
+    return (layer, outputs) if layer.radiance.any() else (None, {})
+
+
+def take_known_layers(
+    color: FloatArray, layer_passes: Sequence[FoundLayer], read: Read, names: Collection[str]
+) -> Light:
+    """Return the layers and the exact light of some rows of an image, of which the whole has those of ``names``."""
+    there = {name.partition("/")[0] for name in names}
+    known = [one for one in layer_passes if one.rule.name in there]
+    layers = [_make_layer(one, read, np.zeros_like(color))[0] for one in known if one.rule.lobe != "exact"]
+    exact = [(_name_exact(one, light), light) for one in known if one.rule.lobe == "exact" for light in one.light]
+    return Light(tuple(layers), {name: read(light) for name, light in exact if name in names})
+
+
+def _name_exact(layer: FoundLayer, one: Found) -> str:
+    """Return the name of one pass of light that no surface scattered."""
+    return layer.rule.name if len(layer.light) == 1 else f"{layer.rule.name}/{name_pass(one.source.path)}"
+
+
+def _make_layer(layer_pass: FoundLayer, read: Read, known: FloatArray) -> tuple[RadianceLayer, dict[str, PartOutput]]:
+    """Return a layer, and the channels that receive it. Add its finite light to ``known``."""
     albedo = read(layer_pass.albedo) if layer_pass.albedo else None
     factor = albedo if layer_pass.rule.times_albedo else None
     parts, total = _add_passes([read(one) for one in layer_pass.light], factor, known)
-    if not total.any():
-        return None, {}
     names = [name_pass(one.source.path) for one in layer_pass.light]
     named = make_read_only(**dict(zip(names, parts, strict=True))) if len(parts) > 1 else {}
     shares = None if albedo is None else np.clip(albedo, 0.0, 1.0)

@@ -28,10 +28,14 @@ NEAREST_FIRST = ((-1, 0), (0, -1), (0, 1), (1, 0), (-1, -1), (-1, 1), (1, -1), (
 
 
 class Silhouettes(NamedTuple):
-    """Values of `lobewise.GBuffer.coverage` and `object_share`; None if the file does not show silhouettes."""
+    """Values of `lobewise.GBuffer.coverage` and `object_share`; None if the file does not show silhouettes.
+
+    ``source`` is what shows them: the passes of a Cryptomatte, or alpha.
+    """
 
     coverage: FloatArray | None = None
     object_share: FloatArray | None = None
+    source: tuple[Found, ...] = ()
 
 
 def take_silhouettes(channels: ChannelMap, read: ImageReader) -> tuple[Silhouettes, list[str]]:
@@ -48,11 +52,9 @@ def take_silhouettes(channels: ChannelMap, read: ImageReader) -> tuple[Silhouett
         if kinds != {"float"}:
             notes.append(f"{passes[0].label} does not store its ids as 32-bit floats, so it is not used.")
             continue
-        planes = [plane for one in passes for plane in read.read_planes(one)]
-        ids, shares = [plane.view(np.uint32) for plane in planes[0::2]], planes[1::2]
-        if any(plane.any() for plane in shares):
+        if any(plane.any() for one in passes for plane in read.read_planes(one)[1::2]):
             notes.append(f"Silhouettes are told by Cryptomatte ({passes[0].label} and {len(passes) - 1} more).")
-            return Silhouettes(compute_coverage(ids, shares), compute_object_share(shares)), notes
+            return compute_silhouettes(passes, read), notes
     silhouettes, alpha_notes = _take_alpha_silhouettes(channels, read)
     return silhouettes, [*notes, *alpha_notes]
 
@@ -70,8 +72,17 @@ def _take_alpha_silhouettes(channels: ChannelMap, read: ImageReader) -> tuple[Si
     if not MIN_EDGE_SHARE < edges.mean() < 0.5 or not (alpha >= 0.99).any():
         return Silhouettes(), []
     note = f"Silhouettes against the background are told by {alpha_pass.label}; no Cryptomatte tells the others."
-    ids, shares = [np.ones(alpha.shape, np.uint32)], [alpha]
-    return Silhouettes(compute_coverage(ids, shares), compute_object_share(shares)), [note]
+    return compute_silhouettes((alpha_pass,), read), [note]
+
+
+def compute_silhouettes(source: tuple[Found, ...], read: ImageReader) -> Silhouettes:
+    """Return the silhouettes that the passes of a Cryptomatte show, or alpha, which is one channel."""
+    planes = [plane for one in source for plane in read.read_planes(one)]
+    if len(planes) == 1:
+        ids, shares = [np.ones(planes[0].shape, np.uint32)], [planes[0].astype(np.float32)]
+    else:
+        ids, shares = [plane.view(np.uint32) for plane in planes[0::2]], planes[1::2]
+    return Silhouettes(compute_coverage(ids, shares), compute_object_share(shares), source)
 
 
 def compute_coverage(ids: Sequence[NDArray[np.uint32]], shares: Sequence[FloatArray]) -> FloatArray:

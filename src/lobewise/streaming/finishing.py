@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.denoising.also import bring_parts
 from lobewise.denoising.bad_pixels import REFILL_REACH, refill
 from lobewise.denoising.light_loss import Gain, share_light
 from lobewise.frame import FloatArray
@@ -24,16 +25,26 @@ def finish_bands(
     for images in held.read():
         holes, row = images.pop("holes"), row + len(images["color"])
         takers = [images.pop(f"taker{number}") for number in range(len(gains))]
-        names = ("diffuse", "specular") if "diffuse" in images else ("color",)
+        names = reader.layers or ("color",)
         if any(map(any, gains)):
             total, parts = share_light(images["color"], [images[name] for name in names], takers, gains)
             images |= {**dict(zip(names, parts, strict=True)), "color": total}
-        finisher.add(images, holes)
+        finisher.add({**images, **finish_parts(names, images)}, holes)
         last = row == height
         done = finisher.release(last=last)
         if done is not None:
             writer.add(done)
         reader.forget(writer.row)
+
+
+def finish_parts(layers: Sequence[str], images: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """Return the parts of layers, ``layer/part``, brought to the results of their layers."""
+    finished: dict[str, FloatArray] = {}
+    for layer in layers:
+        refined = {name: image for name, image in images.items() if name.startswith(f"{layer}/")}
+        if refined:
+            finished |= bring_parts(refined, list(refined.values()), images[layer])
+    return finished
 
 
 class Finisher:

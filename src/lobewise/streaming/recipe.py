@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise import engine
+from lobewise.denoising.also import refine_parts
 from lobewise.denoising.automatic import (
     ask,
     change_settings,
@@ -29,7 +30,7 @@ from lobewise.denoising.bad_pixels import (
     require_some_good,
     sum_colors,
 )
-from lobewise.denoising.chain import Filtered, filter_rows
+from lobewise.denoising.chain import Filtered, compute_gains, filter_rows
 from lobewise.denoising.combining import describe_method
 from lobewise.denoising.evidence import count_blurred, describe_blurred
 from lobewise.denoising.inputs import describe_lacks, list_images, list_unused
@@ -43,11 +44,13 @@ from lobewise.denoising.light_loss import (
     sum_light,
 )
 from lobewise.denoising.noisy import make_bounded_layers, measure_layer
+from lobewise.denoising.recipe import scale_unscattered
 from lobewise.denoising.refining.unguided import LEFT_OUT, MIN_SHARE, count_isolated, judge_guides
 from lobewise.denoising.refining.whole_image import WholeImage, join_measured, measure_rows
+from lobewise.errors import InputError
 from lobewise.filters.fireflies import FIREFLY_REACH, compute_energy_lost
 from lobewise.filters.noise_guides import compute_mean_light
-from lobewise.frame import FloatArray
+from lobewise.frame import FloatArray, Frame
 from lobewise.guides.negative import split_negative
 from lobewise.guides.stand_ins import stand_in_surfaces
 from lobewise.guides.survey import GuideSurvey
@@ -58,7 +61,7 @@ from lobewise.lobe_table import LobeTable
 from lobewise.settings import DenoiseChanges, DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_quality
 from lobewise.streaming.checks import describe_file, open_bands, require_bands, survey_guides
-from lobewise.streaming.finishing import Finisher, finish_bands
+from lobewise.streaming.finishing import Finisher, finish_bands, finish_parts
 from lobewise.streaming.kept import KeptBands
 from lobewise.streaming.plan import (
     CHECKED_REACH,
@@ -158,11 +161,14 @@ def denoise_file(
     require_bands(source, with_quality, rows, memory)
     require_writable(output)
     tell = progress or (lambda what, done, total: None)
-    reader = open_bands(source, lobe_tables, list_images(with_quality))
-    apart = {("radiance", "diffuse"), ("radiance", "specular")} <= reader.images
+    reader = open_bands(source, lobe_tables, list_images(with_quality)).reopen(list_images(with_quality))
     height, _ = reader.shape
     with open_spool(output) as spool, open_spool(output) as waiting:
-        writer = BandWriter(reader, ("color", "diffuse", "specular") if apart else ("color",), spool)
+        guided = get_quality(with_quality.quality).reads_halves
+        # Only the recipes that take the noisy image back change light that no surface scattered.
+        scattered = {"color", *reader.layers}
+        written = [name for name in reader.outputs if guided or name.partition("/")[0] in scattered]
+        writer = BandWriter(reader, written, spool)
         # "auto" depends on which channels exist, not on their values, apart from the noise, which is measured.
         survey = survey_guides(reader.reopen(list_images(with_quality)))
         probe = survey.apply(reader.read_frame(0, 1))
@@ -176,7 +182,6 @@ def denoise_file(
             with engine.on(chosen.device):
                 return _measure(again, survey, chosen, cut_bands(height, min(most, MEASURED_ROWS)), tell)
 
-        guided = get_quality(with_quality.quality).reads_halves
         if not guided and needs_spp(with_quality):
             variances = measure().variances if ("variance", "color") in reader.images else np.empty(0)
             chosen = resolve_all(probe, with_quality, spp=judge_noise(variances, probe.spp))
@@ -358,24 +363,44 @@ def _filter_band(
     if not get_quality(settings.above.quality).reads_halves:
         band = (rows[0] + core.start, rows[0] + core.stop)
         seen.blurred.append(count_blurred(frame, band_result.image, band, rows[0], reader.shape[0]))
-    images: dict[str, NDArray[Any]] = {"holes": holes[core], **_name_fields(band_result, core)}
+    images: dict[str, NDArray[Any]] = {"holes": holes[core], **_name_fields(reader, band_result, core)}
+    with engine.on(settings.above.device):
+        images |= _refine_parts(reader, frame, band_result, core)
     nothing = {f"below {field}": np.zeros_like(images[field]) for field in images if field != "holes"}
     if below is None:
         images |= nothing
     else:
         with engine.on(settings.below.device):
             filtered = filter_rows(below, settings.below, (), mark_bad_pixels(below))
-        fields = _name_fields(filtered, core)
+            refined = _refine_parts(reader, below, filtered, core)
+        fields = _name_fields(reader, filtered, core)
+        fields |= finish_parts(reader.layers, {**fields, **refined})
         images |= {f"below {field}": image for field, image in fields.items()}
     images |= {f"taker{number}": taker[core] for number, taker in enumerate(takers)}
+    scaled = scale_unscattered(frame, band_result, compute_gains(band_result))
+    images |= {name: light[core] for name, light in scaled.items()}
     return images, int(np.count_nonzero(bad[core]))
 
 
-def _name_fields(filtered: Filtered, core: slice) -> dict[str, FloatArray]:
-    """Return the rows of ``core`` of the filtered images by their fields."""
-    images = {"color": filtered.image[core]}
-    if len(filtered.parts) == 2:
-        images |= {
-            field: blacken_bad(part[core]) for field, part in zip(("diffuse", "specular"), filtered.parts, strict=True)
-        }
+def _refine_parts(reader: BandReader, frame: Frame, filtered: Filtered, core: slice) -> dict[str, FloatArray]:
+    """Return the rows of ``core`` of the parts of layers, which are not brought to the results of their layers yet."""
+    images: dict[str, FloatArray] = {}
+    for layer in frame.layers:
+        others = filtered.others[layer.name] if layer.parts else ()
+        if len(others) > len(layer.parts):
+            raise InputError(
+                f"input {str(reader.container.path)!r}",
+                expected="passes that add up to their layer",
+                got=f"others for {layer.name}, by light below 0",
+                action="denoise it as a whole (--bands off)",
+            )
+        if others:
+            refined = refine_parts(others, filtered.look_up_passed(layer.name))
+            images |= {f"{layer.name}/{part}": each[core] for part, each in zip(layer.parts, refined, strict=True)}
     return images
+
+
+def _name_fields(reader: BandReader, filtered: Filtered, core: slice) -> dict[str, FloatArray]:
+    """Return the rows of ``core`` of the filtered images by their fields."""
+    parts = zip(reader.layers, filtered.parts, strict=True) if reader.layers else ()
+    return {"color": filtered.image[core], **{name: blacken_bad(part[core]) for name, part in parts}}

@@ -7,7 +7,7 @@ its pixels, or if a step needs the whole image.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -27,8 +27,10 @@ from lobewise.interchange.importing.draft import Draft, Step, run_steps
 from lobewise.interchange.importing.leftovers import describe_left_noisy
 from lobewise.interchange.importing.steps import BAND_STEPS, import_foreign
 from lobewise.interchange.importing.surfaces import measure_offsets
+from lobewise.interchange.lighting import BACKGROUND, REST, PartOutput
 from lobewise.interchange.mapping import ChannelMap, Found, map_channels
 from lobewise.interchange.siblings import look_up_family
+from lobewise.interchange.silhouettes import Silhouettes, take_silhouettes
 from lobewise.io.exr.bands import BandReader, count_slab_rows
 from lobewise.io.exr.container import Part, crop_part
 from lobewise.io.exr.layout import name_file
@@ -69,6 +71,10 @@ class Judged:
         As `lobewise.Frame.noise_is_shared`.
     findings, notes
         As of `Imported`; the notes on what stays noisy come first.
+    outputs : mapping of str to PartOutput
+        As of `Imported`.
+    silhouettes : tuple of Found
+        What shows the silhouettes, as of `Silhouettes`.
     may_blur : bool
         Whether a lens may blur the image at pixels by which the file was not judged.
     """
@@ -79,6 +85,8 @@ class Judged:
     noise_is_shared: bool
     findings: tuple[Finding, ...]
     notes: tuple[str, ...]
+    outputs: Mapping[str, PartOutput]
+    silhouettes: tuple[Found, ...]
     may_blur: bool
 
 
@@ -102,6 +110,9 @@ class ImportedBands(BandReader):
         if judged is not None:
             self.judged = judged
         used = [one for role, one in self._channels.roles.items() if role not in UNUSED_ROLES]
+        for layer in self._channels.layers:
+            used += [*layer.light, *([layer.albedo] if layer.albedo else [])]
+        used += () if judged is None else judged.silhouettes
         parts = {one.source.part.index: one.source.part for one in used}
         plan = [
             (part, [_make_slot(one) for one in used if one.source.part.index == index]) for index, part in parts.items()
@@ -127,6 +138,18 @@ class ImportedBands(BandReader):
         known = {("gbuffer", "normal"): "normal", ("variance", "color"): "variance"}
         return frozenset({("radiance", "color"), *(image for image, role in known.items() if role in roles)})
 
+    @property
+    def layers(self) -> tuple[str, ...]:
+        """The names of the layers of light, in their order."""
+        there = {name.partition("/")[0] for name in self.outputs}
+        rules = [one.rule for one in self.judged.channels.layers]
+        return tuple(rule.name for rule in rules if rule.name in there and rule.lobe != "exact")
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """The names of the images of a result that the file has channels for."""
+        return tuple(self.judged.outputs)
+
     def reopen(self, wanted: Collection[tuple[str, str]] | None = None) -> ImportedBands:
         """Return another reader of the same file; it reads all images."""
         return ImportedBands(self.container.path, self.judged)
@@ -137,9 +160,16 @@ class ImportedBands(BandReader):
         return stored, COPIES * read
 
     def plan_writing(self, fields: Collection[str]) -> list[tuple[Part, list[Slot]]]:
-        """Return the image that the result replaces, by its part."""
-        target = self._channels.target
-        return [(target.source.part, [replace(_make_slot(target), field="color")])]
+        """Return the slots of a result's images that each part has channels for."""
+        found = {name: one.target for name, one in self.judged.outputs.items() if name in fields}
+        parts = {one.source.part.index: one.source.part for one in found.values()}
+        return [
+            (
+                part,
+                [replace(_make_slot(one), field=name) for name, one in found.items() if one.source.part.index == index],
+            )
+            for index, part in parts.items()
+        ]
 
     def read_frame(self, first: int, stop: int) -> Frame:
         """Return the rows from ``first`` to before ``stop``, counted from the top, as a frame."""
@@ -165,6 +195,8 @@ class ImportedBands(BandReader):
             read=ImageReader(decode, bottom - top),
             camera=None if judged.camera is None else judged.camera.crop_rows(top, self.shape[0]),
             is_mirrored=judged.is_mirrored,
+            outputs=judged.outputs,
+            silhouettes=Silhouettes(source=judged.silhouettes),
         )
         frame = run_steps(draft, steps).frame
         assert frame is not None
@@ -198,6 +230,7 @@ class ImportedBands(BandReader):
                 raise self._refuse(path, "one whose positions are stored too coarsely to be judged by some pixels")
         if imported.frame.gbuffer.position is None and "depth" in roles:
             roles.pop("position", None)
+        silhouettes, _ = take_silhouettes(imported.map, read)
         left = describe_left_noisy(imported, read, {imported.map.selection})
         judged = Judged(
             replace(imported.map, roles=roles),
@@ -206,6 +239,8 @@ class ImportedBands(BandReader):
             imported.frame.noise_is_shared,
             imported.findings,
             (*left, *imported.remarks),
+            outputs=imported.outputs,
+            silhouettes=silhouettes.source if imported.frame.gbuffer.coverage is not None else (),
             may_blur=step > 1 and grain is not None and not grain.is_coarse,
         )
         return judged if step == 1 else self._judge_noise(judged)
@@ -223,8 +258,11 @@ class ImportedBands(BandReader):
     def _describe_obstacle(self, imported: Imported) -> str:
         """Return why a file must be read as a whole, worded to follow "got"; empty if it need not."""
         frame, header = imported.frame, read_camera_attributes(self.container.parts, self.beauty)
-        if frame.layers or frame.unscattered or frame.radiance.parts is not None:
-            return "one whose light is in several passes, which are held against the whole image"
+        names = [layer.name for layer in frame.layers]
+        if any(one.divided_by is not None for one in imported.outputs.values()):
+            return "one whose passes of light are divided by an albedo"
+        if REST in names or BACKGROUND in names or (frame.radiance.parts is not None and not names):
+            return "one with noisy light that is in no layer"
         if frame.camera is not None and (header is None or not _is_same(frame.camera, header.camera)):
             return "one whose camera is found from all of its positions"
         if frame.gbuffer.blur_radius is not None:
@@ -270,17 +308,46 @@ def _is_same(one: Camera, other: Camera) -> bool:
 
 def _crop(frame: Frame, rows: slice) -> Frame:
     """Return some rows of a frame, without its camera."""
-    variance = frame.variance
-    return Frame(
-        Radiance(frame.radiance.color[rows]),
-        GBuffer(**{name: getattr(frame.gbuffer, name)[rows] for name in frame.gbuffer.names}),
-        variance=None if variance is None else Radiance(variance.color[rows]),
-        spp=frame.spp,
-    )
+    return _rebuild(frame, {key: image[rows] for key, image in _list_images(frame).items()})
 
 
-def _join(frames: list[Frame]) -> Frame:
+def _join(frames: Sequence[Frame]) -> Frame:
     """Return one frame of frames below each other."""
-    names = frames[0].gbuffer.names
-    guides = {name: np.concatenate([getattr(one.gbuffer, name) for one in frames]) for name in names}
-    return Frame(Radiance(np.concatenate([one.radiance.color for one in frames])), GBuffer(**guides), spp=frames[0].spp)
+    listed = list(map(_list_images, frames))
+    return _rebuild(frames[0], {key: np.concatenate([each[key] for each in listed]) for key in listed[0]})
+
+
+def _list_images(frame: Frame) -> dict[tuple[str, str], FloatArray]:
+    """Return the images of a frame by what holds them and their name there."""
+    owners = {"radiance": frame.radiance, "variance": frame.variance, "gbuffer": frame.gbuffer}
+    images = {(key, name): getattr(one, name) for key, one in owners.items() if one is not None for name in one.names}
+    images |= {("light", layer.name): layer.radiance for layer in frame.layers}
+    images |= {("albedo", layer.name): layer.albedo for layer in frame.layers if layer.albedo is not None}
+    for layer in frame.layers:
+        images |= {(f"parts of {layer.name}", name): part for name, part in layer.parts.items()}
+    return images | {("unscattered", name): light for name, light in frame.unscattered.items()}
+
+
+def _rebuild(frame: Frame, images: Mapping[tuple[str, str], FloatArray]) -> Frame:
+    """Return a frame of other images that are listed alike."""
+
+    def take(key: str) -> dict[str, FloatArray]:
+        return {name: image for (owner, name), image in images.items() if owner == key}
+
+    light, albedos = take("light"), take("albedo")
+    return Frame(
+        Radiance(**take("radiance")),
+        GBuffer(**take("gbuffer")),
+        variance=None if frame.variance is None else Radiance(**take("variance")),
+        spp=frame.spp,
+        layers=tuple(
+            replace(
+                layer,
+                radiance=light[layer.name],
+                albedo=albedos.get(layer.name),
+                parts=take(f"parts of {layer.name}"),
+            )
+            for layer in frame.layers
+        ),
+        unscattered=take("unscattered"),
+    )

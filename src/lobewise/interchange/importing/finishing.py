@@ -19,10 +19,11 @@ from lobewise.interchange.lighting import (
     lend_albedo,
     make_radiance,
     take_albedos,
+    take_known_layers,
     take_layers,
 )
 from lobewise.interchange.siblings import FIRST_SIBLING_INDEX
-from lobewise.interchange.silhouettes import take_silhouettes
+from lobewise.interchange.silhouettes import compute_silhouettes, take_silhouettes
 from lobewise.interchange.values import convert_plain, undo_mean_roughness
 
 
@@ -32,6 +33,12 @@ def take_light(draft: Draft) -> Outcome:
         return Outcome(draft)
     light, notes = take_layers(draft.images["color"], draft.channels.layers, draft.read_corrected)
     return Outcome(replace(draft, light=light), notes=notes)
+
+
+def take_known_light(draft: Draft) -> Outcome:
+    """Take the layers of light for which there are outputs already."""
+    light = take_known_layers(draft.images["color"], draft.channels.layers, draft.read_corrected, draft.outputs)
+    return Outcome(replace(draft, light=light))
 
 
 def lend_lone_albedo(draft: Draft) -> Outcome:
@@ -92,6 +99,12 @@ def estimate_silhouettes(draft: Draft) -> Outcome:
         return Outcome(draft)
     silhouettes, notes = take_silhouettes(draft.channels, draft.read)
     return Outcome(replace(draft, silhouettes=silhouettes), notes=notes)
+
+
+def compute_known_silhouettes(draft: Draft) -> Outcome:
+    """Compute the silhouettes that are shown by passes that are known already."""
+    source = draft.silhouettes.source
+    return Outcome(replace(draft, silhouettes=compute_silhouettes(source, draft.read)) if source else draft)
 
 
 def make_frame(draft: Draft) -> Outcome:

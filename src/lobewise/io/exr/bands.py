@@ -106,6 +106,17 @@ class BandReader:
         """Owner and field of every image that is read."""
         return frozenset((slot.owner, slot.field) for _, slots in self._plan for slot in slots)
 
+    @property
+    def layers(self) -> tuple[str, ...]:
+        """The names of the layers of light, in their order; none where it is not told apart."""
+        names = ("diffuse", "specular")
+        return names if all(("radiance", name) in self.images for name in names) else ()
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """The names of the images of a result that the file has channels for."""
+        return ("color", *self.layers)
+
     def count_bytes(self) -> tuple[int, int]:
         """Return bytes per pixel: of all kept channels in their stored types, and of the images of a frame."""
         stored = sum(
