@@ -15,9 +15,11 @@ from lobewise.settings import DenoiseSettings
 QUALITIES = ("auto", "fast", "balanced", "high")
 
 
-def test_blender_is_not_renderman() -> None:
+def test_programs_are_names_of_presets() -> None:
+    assert look_up_preset("Blender") is look_up_preset("cycles")
+    assert look_up_preset("prman") is look_up_preset("renderman")
     with pytest.raises(InputError) as caught:
-        look_up_preset("blender")
+        look_up_preset("houdini")
     assert "cycles" in str(caught.value)
     assert "did you mean" not in str(caught.value)
 

@@ -120,7 +120,7 @@ class TestTarget:
         with pytest.raises(FileError, match="got a name that ends with a slash"):
             write_frame(f"{target}/", frame)
         for line in (
-            ["denoise", str(noisy), "-o", f"{target}/"],
+            ["upsample", str(noisy), "-o", f"{target}/"],
             ["inspect", str(noisy), "--html", f"{target}/"],
             ["compare", str(noisy), "--reference", str(noisy), "--json", f"{target}/"],
             ["fit", "a.binary", "-o", f"{target}/"],

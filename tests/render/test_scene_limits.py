@@ -10,8 +10,9 @@ import pytest
 from lobewise.cli.main import run
 from lobewise.errors import InputError
 from lobewise.interactive import Session
+from lobewise.limits import measure_machine_memory
 from lobewise.render import load_scene, render_frame, render_reference
-from lobewise.scenes.limits import MAX_DEPTH, _read_memory, require_memory, require_shallow
+from lobewise.scenes.limits import MAX_DEPTH, require_memory, require_shallow
 
 pytestmark = pytest.mark.mitsuba
 
@@ -70,15 +71,15 @@ def test_an_image_that_does_not_fit_the_memory_is_refused(
     changes: dict[str, str], mi: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scene = load_scene(write_scene(tmp_path, **changes))
-    monkeypatch.setattr("lobewise.scenes.limits._read_memory", lambda: 16 * 8 * 29)
+    monkeypatch.setattr("lobewise.scenes.limits.measure_machine_memory", lambda: 16 * 8 * 29)
     for make in (lambda: render_frame(scene, spp=1), lambda: render_reference(scene, spp=1), lambda: Session(scene)):
         with pytest.raises(InputError, match=r"expected an image that fits the memory .* got 16x8 pixels, which take"):
             make()
-    monkeypatch.setattr("lobewise.scenes.limits._read_memory", lambda: 16 * 8 * 31)
+    monkeypatch.setattr("lobewise.scenes.limits.measure_machine_memory", lambda: 16 * 8 * 31)
     render_reference(scene, spp=1)
 
 
 def test_the_memory_of_this_machine_is_known() -> None:
-    there = _read_memory()
+    there = measure_machine_memory()
     assert there is None or there > 1 << 28
     require_memory(1024, 1024, 30)

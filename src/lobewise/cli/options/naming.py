@@ -92,7 +92,8 @@ def pair_files(sources: Sequence[str], target: str | None) -> list[tuple[Path, P
 
 
 def _list_inputs(source: Path) -> list[Path]:
-    if not source.is_dir():
+    # `Path.is_dir` would raise an error for a name that is too long.
+    if not os.path.isdir(source):
         return [source]
     found = sorted(path for path in source.iterdir() if path.suffix.lower() == ".exr" and path.is_file())
     if not found:
