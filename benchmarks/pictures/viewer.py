@@ -1,7 +1,6 @@
 """Take the picture of the browser page for docs/viewer.md: the showroom with a wipe, in a headless Chromium.
 
 python -m benchmarks.pictures.viewer             # needs playwright and Debian's chromium
-python -m benchmarks.pictures.viewer --target frame.exr --output frame.png
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ PATIENCE = 300.0
 def main() -> None:
     """Open the page, compare the lobes with normals, let frames accumulate, write a PNG."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--target", default="showroom", help="a scene, or an EXR file")
+    parser.add_argument("--target", default="showroom", help="a scene")
     parser.add_argument("--output", type=Path, default=ROOT / "docs" / "images" / "viewer.png")
     parser.add_argument("--frames", type=int, default=12, help="frames of a scene that are averaged, or of its motion")
     moving = {"nargs": "?", "const": BY_THEMSELVES, "metavar": "FILE.json"}
@@ -31,9 +30,7 @@ def main() -> None:
     arguments = parser.parse_args()
     from playwright.sync_api import sync_playwright
 
-    is_frame = arguments.target.endswith(".exr")
-    options: dict[str, Any] = {"is_frame": is_frame, "moving": arguments.moving_objects}
-    with Viewer(arguments.target, port=0, **options) as viewer, sync_playwright() as driver:
+    with Viewer(arguments.target, port=0, moving=arguments.moving_objects) as viewer, sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
         page = browser.new_page(viewport={"width": 1280, "height": 860})
         page.goto(viewer.url)
@@ -46,7 +43,7 @@ def main() -> None:
         wait(page, lambda: viewer.statistics["frames"] > seen + 1)
         if arguments.moving_objects:
             wait(page, lambda: viewer.statistics["moments"][0] >= arguments.frames)
-        elif not is_frame:
+        else:
             wait(page, lambda: viewer.statistics["accumulated"][0] >= arguments.frames)
         # Away from the controls, whose hints would cover others.
         page.mouse.move(300, 60)

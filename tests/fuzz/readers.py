@@ -349,7 +349,6 @@ def read_viewer(path: Path, _: Answer) -> None:
     from lobewise.interactive.settings import InteractiveSettings
     from lobewise.viewer.cameras import CameraMap, read_pose
     from lobewise.viewer.door.incoming import Control, read_message
-    from lobewise.viewer.looks import FrameLook
     from lobewise.viewer.messages import Description
 
     controls = {"a": Control(("one", "two")), "b": Control((), 0.0, 8.0), "c": Control()}
@@ -361,16 +360,9 @@ def read_viewer(path: Path, _: Answer) -> None:
         return
     handle = type("Handle", (), message)
     pose = read_pose(handle)
-    for described in (
-        Description(InteractiveSettings(), 64, 64, CAMERA, (0.0, 0.0, -2.0)),
-        Description(FrameLook(), 64, 64),
-    ):
-        cameras = CameraMap(described)
-        camera = cameras.to_camera(pose)
-        window = cameras.to_window(pose, message["image_width"], message["image_height"])
-        assert np.isfinite([window.zoom, *window.centre]).all()
-        if camera is not None:
-            _use(camera)
+    camera = CameraMap(Description(InteractiveSettings(), 64, 64, CAMERA, (0.0, 0.0, -2.0))).to_camera(pose)
+    if camera is not None:
+        _use(camera)
 
 
 READERS = {

@@ -128,10 +128,6 @@ class Page:
         for _ in range(times):
             knob.press(keys)
 
-    def shows(self, label: str) -> bool:
-        """Return whether there is a control of that label."""
-        return bool(self.page.get_by_text(label, exact=True).first.is_visible())
-
     def save(self, kind: str) -> tuple[str, bytes]:
         """Return name and bytes of a file that the page saves."""
         with self.page.expect_download(timeout=1e3 * PATIENCE) as download:
@@ -154,32 +150,6 @@ class Page:
         while not condition():
             assert time.monotonic() < end, f"waited {PATIENCE:.0f} s for {what}"
             self.page.wait_for_timeout(50)
-
-    def settle(self) -> np.ndarray:
-        """Return what is shown as soon as the server has nothing more to send and it stays.
-
-        A picture comes with loss first and without a moment later: noise differs by several codes between them.
-        """
-        found = [np.zeros(0)]
-
-        def stays() -> bool:
-            if not all(self.viewer.statistics["resting"]):
-                return False
-            # What was sent has to be drawn.
-            self.page.wait_for_timeout(500)
-            found[0] = self.look()
-            self.page.wait_for_timeout(250)
-            return np.array_equal(self.look(), found[0]) and all(self.viewer.statistics["resting"])
-
-        self.wait(stays, "a picture that stays")
-        return found[0]
-
-    def settle_after(self, before: np.ndarray, least: float = 1.0) -> np.ndarray:
-        """Return what is shown as soon as it differs from a picture that had settled, and stays."""
-        self.wait_for_change(before, least)
-        after = self.settle()
-        assert compare(after, before) > least
-        return after
 
     def wait_for_frames(self, count: int, since: int | None = None) -> None:
         """Return when so many more pictures were shown than now, or than ``since``."""

@@ -8,11 +8,13 @@ from multiprocessing.connection import Connection
 
 import numpy as np
 
-from lobewise.viewer.looks import FrameLook
+from lobewise.camera import Camera
+from lobewise.interactive.settings import METHODS, InteractiveSettings
 from lobewise.viewer.messages import Description, Opened, Picture, Problem, Request, Save, SavedFile, Target
 
 SECONDS = 0.15
 UNSEEN = "The pictures show no fog."
+CAMERA = Camera(position=(0.0, 0.0, 4.0), forward=(0.0, 0.0, -1.0), up=(0.0, 1.0, 0.0), fov_y=0.8)
 
 
 def run_slow_worker(pipe: Connection, target: Target) -> None:
@@ -24,7 +26,8 @@ def run_slow_worker(pipe: Connection, target: Target) -> None:
         pipe.send(Problem("something is broken.", ours=True))
         return
     unseen = UNSEEN if target.name == "foggy" else ""
-    pipe.send(Opened(Description(FrameLook("none"), 4, 4, similarities=("normal", "none"), unseen=unseen)))
+    look = InteractiveSettings(similarity="none")
+    pipe.send(Opened(Description(look, 4, 4, CAMERA, methods=METHODS, similarities=("normal", "none"), unseen=unseen)))
     forgotten: list[int] = []
     while (order := pipe.recv()) is not None:
         if isinstance(order, Request):

@@ -10,8 +10,7 @@ import pytest
 from lobewise.camera import Camera
 from lobewise.interactive.settings import InteractiveSettings
 from lobewise.viewer.cameras import CameraMap, Pose, choose_up
-from lobewise.viewer.looks import FrameLook
-from lobewise.viewer.messages import Description, Window
+from lobewise.viewer.messages import Description
 
 Z_UP = Camera(position=(3.0, -900.0, 40.0), forward=(0.0, 1.0, -0.2), up=(0.0, 0.0, 1.0), fov_y=0.7)
 FAR = Camera(position=(2.0, -9000.0, 1800.0), forward=(0.0, 1.0, -0.2), up=(0.0, 0.0, 1.0), fov_y=3e-4)
@@ -71,23 +70,3 @@ class TestScenes:
     def test_a_scene_without_anything_ahead(self):
         cameras = CameraMap(Description(InteractiveSettings(), 64, 64, Y_UP, (0.0, 5.0, 90.0)))
         np.testing.assert_allclose(cameras.to_camera(cameras.start).forward, Y_UP.forward)
-
-    def test_a_scene_is_never_cut(self):
-        cameras = CameraMap(describe(Y_UP, 1.0))
-        assert cameras.to_window(cameras.start, 300, 200) == Window(300, 200)
-
-
-class TestFinishedFrames:
-    cameras = CameraMap(Description(FrameLook(), 64, 64))
-
-    def test_all_of_it_first(self):
-        assert self.cameras.to_window(self.cameras.start, 300, 200) == Window(300, 200, 1.0, (0.0, 0.0))
-        assert self.cameras.to_camera(self.cameras.start) is None
-
-    def test_nearer_is_larger_and_aside_is_aside(self):
-        start = self.cameras.start
-        half = replace(start, position=0.5 * start.position)
-        assert self.cameras.to_window(half, 300, 200).zoom == pytest.approx(2.0)
-        shift = np.array([0.25, -0.5, 0.0])
-        aside = replace(start, position=start.position + shift, look_at=shift)
-        assert self.cameras.to_window(aside, 300, 200).centre == (0.25, -0.5)

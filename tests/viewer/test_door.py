@@ -33,9 +33,9 @@ from lobewise.viewer.door.incoming import (
     clamp_window,
     read_message,
 )
+from lobewise.viewer.door.site import LOOPBACK
 from lobewise.viewer.messages import Window
 from lobewise.viewer.pictures import MAX_PIXELS_WITH_BARS, fit_window
-from lobewise.viewer.server import LOOPBACK
 from tests.viewer.slow_worker import UNSEEN, run_slow_worker
 
 TOKEN = "a-token-of-the-tests"
@@ -180,7 +180,7 @@ class TestAccess:
     @pytest.mark.parametrize("token", ["", "short", "a" * (MIN_TOKEN_CHARACTERS - 1), "with spaces and &c. in it"])
     def test_a_token_that_protects_nothing_is_refused(self, token):
         with pytest.raises(InputError, match="--token: expected at least 16 letters"):
-            Viewer("thing", is_frame=True, token=token)
+            Viewer("thing", token=token)
 
     @pytest.mark.parametrize(
         ("words", "token"), [([], "of the environment"), (["--token", "of the line"], "of the line")]
@@ -301,7 +301,7 @@ class TestMessages:
         assert msgpack.decode(moved) == {**VIEW, "image_width": 6400}
 
 
-@pytest.mark.parametrize("window", [Window(6400, 400), Window(400, 6400), Window(6400, 400, zoom=0.5)])
+@pytest.mark.parametrize("window", [Window(6400, 400), Window(400, 6400)])
 def test_a_long_window_gets_a_coarse_picture_of_its_aspect(window):
     picture = np.full((320, 480, 3), 200, np.uint8)
     found = fit_window(picture, window)
@@ -317,7 +317,7 @@ def slow_viewer():
     told: list[str] = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(link, "run_worker", run_slow_worker)
-        with Viewer("foggy", is_frame=True, port=0, tell=told.append) as viewer:
+        with Viewer("foggy", port=0, tell=told.append) as viewer:
             yield SimpleNamespace(viewer=viewer, told=told)
 
 
@@ -466,7 +466,7 @@ class TestServer:
         pytest.importorskip("viser", reason="pip install 'lobewise[viewer]'")
         monkeypatch.setattr(link, "run_worker", run_slow_worker)
         monkeypatch.setattr("lobewise.viewer.door.serving.guard_serving", lambda *_: contextlib.nullcontext())
-        viewer = Viewer("thing", is_frame=True, port=0)
+        viewer = Viewer("thing", port=0)
         with pytest.raises(MissingDependencyError, match="cannot protect with a token"):
             viewer.start()
         assert viewer._server is None

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,105 +18,139 @@ from lobewise.errors import FileError, InputError
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.interchange import read_frame as read_any
 from lobewise.io import read_frame, read_image, read_sparse_frame, write_frame, write_sparse_frame
+from lobewise.settings import DenoiseSettings
 from lobewise.sparse_frame import make_sparse
-from lobewise.upsampling import upsample
-from lobewise.viewer.frames import FrameTarget
-from lobewise.viewer.looks import FrameLook, name_sides
-from lobewise.viewer.messages import FrameReading, Request, Window
+from lobewise.upsampling import DEFAULT_RADIUS, upsample
+from lobewise.viewer import frames
+from lobewise.viewer.frames import CONTROLS, FrameTarget
+from lobewise.viewer.messages import FrameReading
+from lobewise.viewer.pictures import RADIANCE, paint
 
 FOREIGN = Path(__file__).parents[1] / "data" / "foreign"
 RENDERED = ("blender_4.5_seed1.exr", "blender_5.2_multipart.exr", "luxcore/RGB.exr")
-NORMAL = FrameLook(similarity="normal", quality="fast", radius=2, form="separable")
+NORMAL = DenoiseSettings(similarity="normal", quality="fast", radius=2, form="separable")
 
 
-def ask(look: FrameLook, other: FrameLook | None = None, client: int = 0) -> Request:
-    return Request(client, 1, Window(8, 8), look, other)
+def list_controls(target: FrameTarget) -> dict[str, dict[str, Any]]:
+    return {control["name"]: control for control in target.describe()["controls"]}
+
+
+def show(target: FrameTarget, image: Any) -> np.ndarray:
+    """Return an image as the page gets it."""
+    return np.asarray(np.asarray(image) * np.float32(2.0**target.stops), np.float16)
 
 
 class TestWholeFrames:
     def test_what_it_allows(self, floor_file):
-        found = FrameTarget(str(floor_file)).describe()
-        assert (found.width, found.height, found.camera, found.sparse) == (48, 32, None, False)
-        assert found.similarities[0] == "auto"
-        assert (found.qualities, found.look.quality) == (("auto", "fast", "balanced", "high"), "balanced")
-        assert found.hit_distance
-        assert set(found.views) > {"image", "noisy", "specular", "sharpness", "weight_sum", "hit_distance", "normal"}
+        target = FrameTarget(str(floor_file))
+        found, controls = target.describe(), list_controls(target)
+        assert (found["name"], found["width"], found["height"]) == ("floor", 48, 32)
+        assert tuple(controls) == CONTROLS
+        assert controls["similarity"]["words"][0] == controls["similarity"]["default"] == "auto"
+        assert controls["quality"]["words"] == ("auto", "fast", "balanced", "high")
+        assert controls["quality"]["default"] == "auto"
+        assert list(found["pictures"])[:2] == ["noisy", "image"]
+        assert set(found["pictures"]) > {"specular", "sharpness", "weight_sum", "hit_distance", "normal", "albedo"}
+        assert "reference" not in found["pictures"]
+
+    def test_what_has_no_effect_has_no_control(self, floor_file):
+        when = {name: control["when"] for name, control in list_controls(FrameTarget(str(floor_file))).items()}
+        assert when["form"] == {"quality": ["fast"]}
+        assert when["radius"] == {"form": ["full", "separable"]}
+        assert when["normal_exponent"] == {"similarity": ["normal"]}
+        assert set(when["tau"]["similarity"]) == {"auto", "sg", "sg_mixture", "asg", "ggx"}
+        assert set(when["hit_distance"]["similarity"]) == {"auto", "sg", "asg", "ggx"}
+
+    @pytest.mark.parametrize(
+        "values", [{"radius": "x"}, {"lobes": 2}, {"tau": [1]}, {"form": "atrous", "quality": "high"}]
+    )
+    def test_settings_that_the_page_does_not_have(self, values, floor_file):
+        with pytest.raises(InputError):
+            FrameTarget(str(floor_file)).make_settings(values)
 
     def test_color_alone_is_filtered_too(self, tmp_path, rng):
         path = tmp_path / "plain.exr"
         write_frame(path, Frame(Radiance(rng.random((4, 5, 3)))))
         target = FrameTarget(str(path))
-        found = target.describe()
-        assert found.similarities == ("normal", "none")
-        assert found.look.similarity == "normal"
-        assert found.views == ("image", "noisy", "weight_sum", "effective_samples")
-        look = replace(found.look, quality="fast")
-        expected = denoise(read_frame(path), similarity="normal", quality="fast")
-        np.testing.assert_array_equal(target.render(ask(look, look))[0].image, expected.image)
+        controls = list_controls(target)
+        assert "similarity" not in controls
+        assert controls["normal_exponent"]["when"] == {"similarity": ["normal", "auto"]}
+        assert list(target.describe()["pictures"]) == ["noisy", "image", "weight_sum", "effective_samples"]
+        expected = denoise(read_frame(path), quality="fast")
+        np.testing.assert_array_equal(
+            target.paint("image", target.make_settings({"quality": "fast"})), show(target, expected.image)
+        )
 
     def test_it_is_filtered_as_asked(self, floor_file):
         target = FrameTarget(str(floor_file))
-        shot, other = target.render(ask(NORMAL, FrameLook(similarity="none")))
         expected = denoise(read_frame(floor_file), similarity="normal", radius=2, form="separable")
-        np.testing.assert_array_equal(shot.image, expected.image)
-        np.testing.assert_array_equal(other.image, read_frame(floor_file).radiance.color)
-        weight = shot.get_view("weight_sum")
-        np.testing.assert_allclose(weight, expected.weight_sum / (1.0 + expected.weight_sum), rtol=1e-6)
+        np.testing.assert_array_equal(target.paint("image", NORMAL), show(target, expected.image))
+        np.testing.assert_array_equal(
+            target.paint("noisy", NORMAL), show(target, read_frame(floor_file).radiance.color)
+        )
+        weight = expected.weight_sum / (1.0 + expected.weight_sum)
+        np.testing.assert_array_equal(target.paint("weight_sum", NORMAL), paint("weight_sum", weight, 1.0))
 
-    @pytest.mark.nightly
-    def test_a_quality_is_filtered_as_asked(self, floor_file):
-        looks = [FrameLook(similarity="normal", quality=quality, radius=2) for quality in ("fast", "balanced")]
-        shots = FrameTarget(str(floor_file)).render(ask(*looks))
-        for look, shot in zip(looks, shots, strict=True):
-            expected = denoise(read_frame(floor_file), similarity="normal", quality=look.quality, radius=2)
-            np.testing.assert_array_equal(shot.image, expected.image)
-        assert not np.allclose(shots[0].image, shots[1].image, rtol=0.01)
-        assert name_sides(*looks) == ("A: fast", "B: balanced")
-
-    def test_what_was_filtered_once_is_there(self, floor_file):
+    def test_few_results_are_kept(self, floor_file, monkeypatch):
+        calls: list[DenoiseSettings] = []
+        filtered = frames.denoise_quietly
+        monkeypatch.setattr(
+            frames, "denoise_quietly", lambda frame, settings: (calls.append(settings), filtered(frame, settings))[1]
+        )
         target = FrameTarget(str(floor_file))
-        assert target.is_slow(ask(NORMAL))
-        first = target.render(ask(NORMAL))[0]
-        assert not target.is_slow(ask(NORMAL, client=5))
-        assert target.render(ask(NORMAL, client=5))[0].image is first.image
+        many = [replace(NORMAL, normal_exponent=8.0 + step) for step in range(12)]
+        for settings in [*many, many[-1], many[0]]:
+            target.paint("image", settings)
+        assert calls == [*many, many[0]]
 
-    def test_few_results_are_kept(self, floor_file):
+    def test_every_picture_has_the_size(self, floor_file):
         target = FrameTarget(str(floor_file))
-        looks = [replace(NORMAL, normal_exponent=8.0 + step) for step in range(12)]
-        for look in looks:
-            target.render(ask(look))
-        assert target.is_slow(ask(looks[0]))
-        assert not target.is_slow(ask(looks[-1]))
-
-    def test_every_view_is_an_image(self, floor_file):
-        target = FrameTarget(str(floor_file))
-        shot = target.render(ask(NORMAL))[0]
-        for view in target.describe().views:
-            values = shot.get_view(view)
-            assert values.shape[:2] == (32, 48), view
-            assert np.isfinite(values).all()
-            if values.ndim == 2:
-                assert values.min() >= 0.0
-                assert values.max() <= 1.0
+        for name in target.describe()["pictures"]:
+            picture = target.paint(name, NORMAL)
+            assert picture.shape == (32, 48, 3), name
+            assert picture.dtype == (np.float16 if name in RADIANCE else np.uint8)
+            assert np.isfinite(picture).all()
 
     def test_sharp_lobes_are_bright(self, floor_frame, tmp_path):
         alpha = np.where(np.arange(48) < 24, 0.5, 0.05) * np.ones((32, 1))
         path = tmp_path / "two.exr"
         write_frame(path, floor_frame.with_changes(gbuffer=replace(floor_frame.gbuffer, alpha_u=alpha)), half=False)
-        shown = FrameTarget(str(path)).render(ask(FrameLook(similarity="none")))[0].get_view("sharpness")
-        assert shown[:, 24:].min() > shown[:, :24].max() + 0.1
+        shown = FrameTarget(str(path)).paint("sharpness", NORMAL).astype(float).sum(axis=-1)
+        assert shown[:, 24:].min() > shown[:, :24].max() + 30
 
     def test_hit_distance_as_a_share(self, floor_file, floor_frame):
-        shown = FrameTarget(str(floor_file)).render(ask(NORMAL))[0].get_view("hit_distance")
-        depth = np.asarray(floor_frame.gbuffer.depth)
-        np.testing.assert_allclose(shown, 2.0 / (2.0 + depth), rtol=1e-5)
+        depth = np.asarray(floor_frame.gbuffer.depth, np.float32)
+        expected = paint("hit_distance", 2.0 / (2.0 + depth), 1.0).astype(int)
+        shown = FrameTarget(str(floor_file)).paint("hit_distance", NORMAL)
+        assert np.abs(shown - expected).max() <= 4
 
-    def test_saving_what_is_seen(self, floor_file, tmp_path):
-        target = FrameTarget(str(floor_file))
-        shot = target.render(ask(NORMAL, client=3))[0]
-        for client, expected in ((3, shot.image), (4, read_image(floor_file))):
-            np.testing.assert_allclose(read_image(target.write(client, tmp_path)), expected, rtol=1e-6)
-        target.forget(3)
+    def test_values_of_a_pixel(self, floor_file, floor_frame):
+        reference = str(floor_file)
+        target = FrameTarget(str(floor_file), reference=reference)
+        values = dict(target.list_values(5, 9, NORMAL))
+        color = "  ".join(f"{value:.4g}" for value in floor_frame.radiance.color[9, 5])
+        assert values["noisy"] == values["reference"] == color
+        assert (values["specular light"], values["normal"]) == (color, "0  1  0")
+        assert (values["alpha u"], values["hit distance"]) == ("0.2", "2")
+        assert "denoised" not in values
+        target.paint("image", NORMAL)
+        result = denoise(read_frame(floor_file), similarity="normal", radius=2, form="separable").image[9, 5]
+        assert dict(target.list_values(5, 9, NORMAL))["denoised"] == "  ".join(f"{value:.4g}" for value in result)
+        assert target.list_values(48, 0, NORMAL) == []
+
+    def test_a_reference_has_the_size(self, floor_file, tmp_path, rng):
+        path = tmp_path / "small.exr"
+        write_frame(path, Frame(Radiance(rng.random((4, 5, 3)))))
+        with pytest.raises(InputError, match=r"--reference: expected the size of the frame, 48x32.*with 5x4"):
+            FrameTarget(str(floor_file), reference=str(path))
+        target = FrameTarget(str(path), reference=str(path))
+        np.testing.assert_array_equal(target.paint("reference", NORMAL), target.paint("noisy", NORMAL))
+
+    def test_saving(self, floor_file, tmp_path):
+        expected = denoise(read_frame(floor_file), similarity="normal", radius=2, form="separable").image
+        saved = FrameTarget(str(floor_file)).write(NORMAL, tmp_path)
+        assert saved.name == "floor-lobewise.exr"
+        np.testing.assert_allclose(read_image(saved), expected, rtol=1e-6)
 
     def test_a_missing_file(self, tmp_path):
         with pytest.raises(FileError, match="no such file"):
@@ -129,33 +164,34 @@ class TestFramesOfOtherRenderers:
         source, written = FOREIGN / name, tmp_path / "command.exr"
         assert run(["denoise", str(source), "-o", str(written), "--quality", "fast"]) == 0
         target = FrameTarget(str(source))
-        found = target.describe()
-        assert found.notes[0].startswith("Read as ")
-        assert {"diffuse", "specular", "normal"} < set(found.views)
-        shot = target.render(ask(replace(found.look, quality="fast")))[0]
-        np.testing.assert_array_equal(shot.image, denoise(read_any(source), quality="fast").image)
-        assert target.write(0, tmp_path).read_bytes() == written.read_bytes()
+        assert target.notes[0].startswith("Read as ")
+        assert {"diffuse", "specular", "normal"} < set(target.describe()["pictures"])
+        fast = DenoiseSettings(quality="fast")
+        expected = denoise(read_any(source), quality="fast").image
+        np.testing.assert_array_equal(target.paint("image", fast), show(target, expected))
+        assert target.write(fast, tmp_path).read_bytes() == written.read_bytes()
 
     def test_options_say_what_a_file_does_not(self, floor_file):
-        plain = FrameTarget(str(FOREIGN / RENDERED[0])).describe()
-        assert "sharpness" in plain.views
+        plain = FrameTarget(str(FOREIGN / RENDERED[0]))
+        assert "sharpness" in plain.describe()["pictures"]
         # Read as its own image alone, there is nothing that tells lobes.
         reading = FrameReading(preset="generic", mapping={"color": "Combined"})
-        found = FrameTarget(str(FOREIGN / RENDERED[0]), reading).describe()
+        found = FrameTarget(str(FOREIGN / RENDERED[0]), reading)
         assert "an unknown renderer" in found.notes[0]
         camera = Camera((0.0, 1.0, 4.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0), 0.5)
-        looks = [FrameTarget(str(floor_file), FrameReading(camera=one)) for one in (None, camera)]
-        one, other = (target.render(ask(FrameLook(quality="fast")))[0].image for target in looks)
-        np.testing.assert_array_equal(other, denoise(read_any(floor_file, camera=camera), quality="fast").image)
+        targets = [FrameTarget(str(floor_file), FrameReading(camera=one)) for one in (None, camera)]
+        one, other = (target.paint("image", DenoiseSettings(quality="fast")) for target in targets)
+        expected = denoise(read_any(floor_file, camera=camera), quality="fast").image
+        np.testing.assert_array_equal(other, show(targets[1], expected))
         assert not np.array_equal(one, other)
 
 
 def test_they_are_shown_where_mitsuba_is_not_installed(floor_file):
     code = f"""
 import sys
-sys.modules["mitsuba"] = sys.modules["drjit"] = None
+sys.modules["mitsuba"] = sys.modules["drjit"] = sys.modules["viser"] = None
 from lobewise.viewer.frames import FrameTarget
-print(FrameTarget({str(floor_file)!r}).describe().width)
+print(FrameTarget({str(floor_file)!r}).describe()["width"])
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (0, "48\n"), done.stderr
@@ -170,28 +206,27 @@ class TestSparseFrames:
 
     def test_it_is_upsampled(self, sparse_file):
         target = FrameTarget(str(sparse_file))
-        found = target.describe()
-        assert (found.sparse, found.forms, found.width) == (True, ("full",), 48)
-        assert (found.qualities, found.look.quality) == (("fast",), "fast")
-        shot = target.render(ask(FrameLook(similarity="normal", quality="fast", radius=2)))[0]
-        expected = upsample(read_sparse_frame(sparse_file), similarity="normal", radius=2)
-        np.testing.assert_array_equal(shot.image, expected.image)
+        assert not {"quality", "form"} & set(list_controls(target))
+        settings = target.make_settings({"similarity": "normal"})
+        assert (settings.quality, settings.radius) == ("fast", DEFAULT_RADIUS)
+        expected = upsample(read_sparse_frame(sparse_file), similarity="normal")
+        np.testing.assert_array_equal(target.paint("image", settings), show(target, expected.image))
 
     def test_it_tells_itself_how_it_is_read(self, sparse_file):
         with pytest.raises(InputError, match=r"--preset.*sparse\.exr', which was shaded sparsely"):
             FrameTarget(str(sparse_file), FrameReading(preset="cycles"))
 
     def test_unfiltered_each_sample_fills_its_block(self, sparse_file, floor_frame):
-        shot = FrameTarget(str(sparse_file)).render(ask(FrameLook(similarity="none")))[0]
-        color = np.asarray(floor_frame.radiance.color)
-        np.testing.assert_array_equal(shot.image[1::4, 2::4], color[1::4, 2::4])
-        np.testing.assert_array_equal(shot.image[4, 5], color[1, 2])
+        target = FrameTarget(str(sparse_file))
+        shown, color = target.paint("noisy", NORMAL), show(target, floor_frame.radiance.color)
+        np.testing.assert_array_equal(shown[1::4, 2::4], color[1::4, 2::4])
+        np.testing.assert_array_equal(shown[4, 5], color[1, 2])
 
 
 def test_gbuffers_without_roughness_compare_normals(tmp_path, rng):
     path = tmp_path / "normals.exr"
     normal = np.broadcast_to([0.0, 0.0, 1.0], (6, 7, 3))
     write_frame(path, Frame(Radiance(rng.random((6, 7, 3))), GBuffer(normal=normal)))
-    found = FrameTarget(str(path)).describe()
-    assert found.similarities == ("normal", "none")
-    assert "sharpness" not in found.views
+    target = FrameTarget(str(path))
+    assert "similarity" not in list_controls(target)
+    assert "sharpness" not in target.describe()["pictures"]

@@ -17,13 +17,13 @@ import pytest
 
 from lobewise.cli.main import run
 from lobewise.errors import InputError, LobewiseError, MissingDependencyError
-from lobewise.viewer import Viewer, link
+from lobewise.interactive.settings import InteractiveSettings
+from lobewise.viewer import FrameViewer, Viewer, link
+from lobewise.viewer.door.site import choose_port
 from lobewise.viewer.link import MAX_RESTARTS, Link
-from lobewise.viewer.looks import FrameLook
 from lobewise.viewer.messages import Opened, Picture, Problem, Request, SavedFile, Target, Window
-from lobewise.viewer.server import choose_port
 from tests.interrupts import LISTEN
-from tests.viewer.slow_worker import SECONDS, run_slow_worker
+from tests.viewer.slow_worker import CAMERA, SECONDS, run_slow_worker
 
 PATIENCE = 120.0
 
@@ -36,7 +36,7 @@ def wait_until(condition: Callable[[], object], patience: float = PATIENCE) -> N
 
 
 def ask(client: int, number: int, *, fresh: bool = True) -> Request:
-    return Request(client, number, Window(4, 4), FrameLook(), fresh=fresh)
+    return Request(client, number, Window(4, 4), InteractiveSettings(), CAMERA, fresh=fresh)
 
 
 def is_alive(process: int) -> bool:
@@ -56,7 +56,7 @@ def open_link(monkeypatch):
     def start(name: str = "thing") -> tuple[Link, list[Any], list[Any]]:
         reports: list[Any] = []
         remarks: list[Any] = []
-        links.append(Link(Target(name, True), reports.append, lambda text, again: remarks.append((text, again))))
+        links.append(Link(Target(name), reports.append, lambda text, again: remarks.append((text, again))))
         links[-1].start()
         wait_until(lambda: reports)
         return links[-1], reports, remarks
@@ -174,18 +174,19 @@ class TestEnd:
     @pytest.mark.parametrize(
         ("number", "code"), [(signal.SIGINT, 0), (signal.SIGTERM, -signal.SIGTERM), (signal.SIGKILL, -signal.SIGKILL)]
     )
-    def test_no_process_is_left(self, number, code, floor_file):
+    @pytest.mark.mitsuba
+    def test_no_process_is_left(self, number, code):
         pytest.importorskip("viser", reason="pip install 'lobewise[viewer]'")
         program = LISTEN + "from lobewise.cli import main; main()"
         running = subprocess.Popen(
-            [sys.executable, "-c", program, "view", str(floor_file), "--port", "0", "--similarity", "none"],
+            [sys.executable, "-c", program, "view", "showroom", "--port", "0", "--similarity", "none"],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
         )
         assert running.stdout is not None
         line = running.stdout.readline()
-        assert re.match(rf"Showing {floor_file} at http://127\.0\.0\.1:\d+/\?token=[\w-]{{40,}} ", line)
+        assert re.match(r"Showing showroom at http://127\.0\.0\.1:\d+/\?token=[\w-]{40,} ", line)
         assert line.endswith(" (only this machine can reach it); Ctrl-C ends it.\n")
         children = [
             int(word)
@@ -202,14 +203,13 @@ class TestEnd:
 class TestViewer:
     def test_what_cannot_be_opened_ends_it(self, tmp_path):
         pytest.importorskip("viser", reason="pip install 'lobewise[viewer]'")
-        path = tmp_path / "broken.exr"
-        path.write_bytes(b"no image")
-        with Viewer(str(path), is_frame=True, port=0) as viewer, pytest.raises(LobewiseError, match=r"broken\.exr"):
+        path = tmp_path / "broken.xml"
+        path.write_bytes(b"no scene")
+        with Viewer(str(path), port=0) as viewer, pytest.raises(LobewiseError, match=r"broken\.xml"):
             viewer.wait()
 
     @pytest.mark.parametrize("options", [[], ["--map", "normal=N.X,N.Y,N.Z"]], ids=["damaged", "no such channel"])
     def test_a_frame_is_checked_before_there_is_a_url(self, options, floor_file, tmp_path, capsys):
-        pytest.importorskip("viser", reason="pip install 'lobewise[viewer]'")
         path = tmp_path / "broken.exr"
         content = floor_file.read_bytes()
         path.write_bytes(content if options else content[: len(content) // 2])
@@ -218,30 +218,30 @@ class TestViewer:
         assert told.out == ""
         assert re.fullmatch(r"lobewise: .*broken\.exr.*\n", told.err)
 
-    def test_options_of_frames_are_refused_beside_a_scene(self, capsys):
-        assert run(["view", "showroom", "--preset", "cycles"]) == 2
-        assert "--preset: expected a finished frame" in capsys.readouterr().err
+    @pytest.mark.parametrize("options", [["--preset", "cycles"], ["--reference", "right.exr"]])
+    def test_options_of_frames_are_refused_beside_a_scene(self, options, capsys):
+        assert run(["view", "showroom", *options]) == 2
+        assert f"{options[0]}: expected a finished frame" in capsys.readouterr().err
 
     def test_without_viser_it_says_what_to_install(self, monkeypatch):
         monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
         with pytest.raises(MissingDependencyError, match=r"pip install 'lobewise\[viewer\]'"):
-            Viewer("thing", is_frame=True).start()
+            Viewer("thing").start()
 
     def test_mistakes_of_ours_are_told_apart(self, monkeypatch):
         pytest.importorskip("viser", reason="pip install 'lobewise[viewer]'")
         monkeypatch.setattr(link, "run_worker", run_slow_worker)
         for name, kind in (("missing", LobewiseError), ("broken", RuntimeError)):
-            with Viewer(name, is_frame=True, port=0) as viewer, pytest.raises(kind):
+            with Viewer(name, port=0) as viewer, pytest.raises(kind):
                 viewer.wait()
 
-    @pytest.mark.parametrize(("is_frame", "kind"), [(False, LobewiseError), (True, RuntimeError)])
-    def test_a_renderer_that_dies_again_and_again_ends_it(self, is_frame, kind, monkeypatch):
+    def test_a_renderer_that_dies_again_and_again_ends_it(self, monkeypatch):
         pytest.importorskip("viser", reason="pip install 'lobewise[viewer]'")
         monkeypatch.setattr(link, "run_worker", run_slow_worker)
-        with Viewer("thing", is_frame=is_frame, port=0) as viewer:
+        with Viewer("thing", port=0) as viewer:
             viewer.wait_until_open()
             viewer._audience.link.submit(ask(1, 666))
-            with pytest.raises(kind, match="'thing'.* by exit code 7; " if not is_frame else "code 7, 4 times within"):
+            with pytest.raises(LobewiseError, match=r"'thing'.* by exit code 7; "):
                 viewer.wait()
 
     def test_it_leaves_the_process_to_others(self, monkeypatch, capfd):
@@ -261,7 +261,7 @@ class TestViewer:
         before = signal.getsignal(signal.SIGINT)
         monkeypatch.setattr(signal, "signal", None)
         try:
-            with Viewer("thing", is_frame=True, port=0):
+            with Viewer("thing", port=0):
                 assert signal.getsignal(signal.SIGINT) is before
         finally:
             over.set()
@@ -271,11 +271,10 @@ class TestViewer:
         assert err == ""
 
     def test_the_page_of_the_manual_runs(self, monkeypatch, floor_file):
-        pytest.importorskip("viser", reason="pip install 'lobewise[viewer]'")
         text = (Path(__file__).parents[2] / "docs" / "viewer.md").read_text()
         (block,) = re.findall(r"```python\n(.*?)```", text, flags=re.S)
         waited = []
-        monkeypatch.setattr(Viewer, "wait", lambda viewer: waited.append(viewer.url))
+        monkeypatch.setattr(FrameViewer, "wait", lambda viewer: waited.append(viewer.url))
         monkeypatch.chdir(floor_file.parent)
         exec(compile(block.replace("frame.exr", floor_file.name), "viewer.md", "exec"), {"__name__": "__main__"})
         assert waited[0].startswith("http://127.0.0.1:")
@@ -298,4 +297,4 @@ class TestViewer:
         [("127.0.0.1", True), ("127.0.0.3", True), ("::1", True), ("localhost", True), ("0.0.0.0", False)],
     )
     def test_who_can_reach_it(self, host, private):
-        assert Viewer("thing", is_frame=True, host=host).is_private is private
+        assert Viewer("thing", host=host).is_private is private

@@ -5,14 +5,12 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from lobewise.interactive.settings import InteractiveSettings
 from lobewise.viewer.link import Link
-from lobewise.viewer.looks import FrameLook
 from lobewise.viewer.messages import Description, Opened, Picture, Problem, Request, Target, Window
 
 pytestmark = pytest.mark.nightly
@@ -55,25 +53,14 @@ def ask_for_pictures(target: Target, make_request: Callable[[Description, int], 
     return memory
 
 
-def test_a_frame_filtered_and_exposed_anew(floor_file: Path) -> None:
-    looks = [FrameLook(similarity="none"), FrameLook(similarity="normal", quality="fast", radius=3)]
-
-    def make_request(_: Description, number: int) -> Request:
-        return Request(1, number, Window(300, 200), looks[number % 2], stops=0.1 * (number % 20))
-
-    memory = ask_for_pictures(Target(str(floor_file), True), make_request)
-    assert memory[-1] < (1.0 + GROWTH) * memory[PICTURES // 2]
-
-
 @pytest.mark.mitsuba
 def test_an_orbit_of_a_scene(mi: Any) -> None:
     look = InteractiveSettings(similarity="none", adaptive=0.0, temporal=False, filter_direct=False, scale=8)
 
     def make_request(description: Description, number: int) -> Request:
-        assert description.camera is not None
         step = 0.02 * (16 - abs(16 - number % 32))
         camera = replace(description.camera, position=description.camera.position + step * description.camera.right)
-        return Request(1, number, Window(300, 200), look, camera=camera, size=(96, 64))
+        return Request(1, number, Window(300, 200), look, camera, size=(96, 64))
 
-    memory = ask_for_pictures(Target("showroom", False, (96, 64)), make_request)
+    memory = ask_for_pictures(Target("showroom", (96, 64)), make_request)
     assert memory[-1] < (1.0 + GROWTH) * memory[PICTURES // 2]

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 
 from lobewise.interactive.settings import METHODS, InteractiveSettings
-from lobewise.settings import FORM_NAMES, QUALITY_NAMES
-from lobewise.viewer.looks import FRAME_SIMILARITIES, SCENE_SIMILARITIES, FrameLook
+from lobewise.viewer.looks import SCENE_SIMILARITIES
 from lobewise.viewer.messages import Description
 from lobewise.viewer.panel import LookPanel
+from tests.viewer.slow_worker import CAMERA
 
 
 class Page:
@@ -37,14 +36,11 @@ class Page:
         return self.keep(label, value, hint=hint)
 
 
-def make_panel(look, **found):
+def make_panel(look):
     """Return a page and the panel on it."""
-    scene = isinstance(look, InteractiveSettings)
-    usual = {"similarities": SCENE_SIMILARITIES, "methods": METHODS} if scene else {"similarities": FRAME_SIMILARITIES}
-    if not scene:
-        usual |= {"qualities": QUALITY_NAMES, "forms": FORM_NAMES, "hit_distance": True}
     page = Page()
-    return page, LookPanel(page, Description(look, 64, 64, **{**usual, **found}), look, lambda: None)
+    described = Description(look, 64, 64, CAMERA, similarities=SCENE_SIMILARITIES, methods=METHODS)
+    return page, LookPanel(page, described, look, lambda: None)
 
 
 @pytest.mark.parametrize(
@@ -54,10 +50,6 @@ def make_panel(look, **found):
         InteractiveSettings(
             "voxel_cones", 8, 2, "sg_mixture", 2.5, 5, temporal=False, adaptive=0.125, filter_direct=False
         ),
-        FrameLook(),
-        FrameLook("none"),
-        FrameLook("asg", "fast", "atrous", 3, 4.5, 32.0, 0.01, True),
-        FrameLook("normal", "high", radius=2, normal_exponent=8.0),
     ],
 )
 def test_what_is_shown_is_what_is_set(look):
@@ -79,38 +71,13 @@ def test_labels_and_hints_are_there():
         "Adaptive, %",
         "Filter direct light",
     ]
-    frame, _ = make_panel(FrameLook())
-    assert {"Quality", "Kernel", "Normal exponent", "Auto band-limit", "Band-limit, log", "Hit distance"} <= set(
-        frame.controls
-    )
-    for control in (*page.controls.values(), *frame.controls.values()):
+    for control in page.controls.values():
         assert control.hint.endswith(".")
         assert len(control.hint) < 200
     assert page.controls["Similarity"].names[0] == "ggx (covariance)"
 
 
-def test_what_leaves_no_choice_has_no_control():
-    look = FrameLook("ggx", "fast")
-    page, panel = make_panel(look, qualities=("fast",), forms=("full",), sparse=True, hit_distance=False)
-    assert not {"Quality", "Kernel", "Hit distance"} & set(page.controls)
-    assert page.controls["Radius"].ends == (0, 16, 1)
-    assert panel.get_look() == look
-
-
-def test_settings_that_mean_nothing_are_left_out():
-    page, panel = make_panel(FrameLook("ggx", "fast", "separable", hit_distance=True))
-    page.controls["Quality"].value = "balanced"
-    assert panel.get_look().form == "full"
-    page.controls["Similarity"].value = "normal-aware"
-    assert panel.get_look() == replace(FrameLook("normal", "balanced"), hit_distance=False)
-    page.controls["Similarity"].value = "none"
-    assert panel.get_look() == FrameLook("none")
-
-
 def test_what_changes_nothing_is_hidden():
-    page, _ = make_panel(FrameLook("normal", "fast", "atrous"))
-    hidden = {label for label, control in page.controls.items() if not control.visible}
-    assert hidden == {"Radius", "Beta", "Auto band-limit", "Band-limit, log", "Hit distance"}
     page, _ = make_panel(InteractiveSettings(similarity="none", scale=1))
     hidden = {label for label, control in page.controls.items() if not control.visible}
     assert hidden == {"Radius", "Auto beta", "Beta", "Temporal", "Filter direct light", "Adaptive, %"}

@@ -7,7 +7,7 @@ import pytest
 
 from lobewise.display.tones import map_tones, map_tones_quickly
 from lobewise.interactive.settings import InteractiveSettings
-from lobewise.viewer.looks import FrameLook, name_sides
+from lobewise.viewer.looks import name_sides
 from lobewise.viewer.messages import Window
 from lobewise.viewer.pictures import BARS, LEGENDS, MAX_STOPS, VIEWS, choose_stops, fit_window, paint, wipe
 
@@ -73,21 +73,6 @@ class TestWindow:
         np.testing.assert_array_equal(fit_window(self.picture, Window(60, 30, fill=True)), self.picture[5:25])
         np.testing.assert_array_equal(fit_window(self.picture, Window(30, 30, fill=True)), self.picture[:, 5:35])
 
-    def test_zoom_shows_whole_pixels(self):
-        seen = fit_window(self.picture, Window(400, 300, zoom=2.0))
-        assert seen.shape == (300, 400, 3)
-        np.testing.assert_array_equal(seen, self.picture[7:23, 10:30].repeat(20, axis=0).repeat(20, axis=1)[10:310])
-
-    def test_the_centre_moves_what_is_seen(self):
-        right = fit_window(self.picture, Window(40, 30, zoom=1.0, centre=(0.2, 0.0)))
-        np.testing.assert_array_equal(right[:, :37], self.picture[:, 3:])
-        assert (right[:, 37:] == BARS).all()
-        up = fit_window(self.picture, Window(40, 30, zoom=1.0, centre=(0.0, 0.2)))
-        np.testing.assert_array_equal(up[3:], self.picture[:27])
-
-    def test_far_outside_there_are_only_bars(self):
-        assert (fit_window(self.picture, Window(40, 30, zoom=8.0, centre=(2.0, 2.0))) == BARS).all()
-
 
 class TestWipe:
     left, right = np.full((100, 200, 3), 40, np.uint8), np.full((100, 200, 3), 90, np.uint8)
@@ -126,8 +111,8 @@ class TestWipe:
                 InteractiveSettings(temporal=False),
                 ("A: temporal", "B: no temporal"),
             ),
-            (FrameLook(beta="auto"), FrameLook(beta=2.5), ("A: beta auto", "B: beta 2.5")),
-            (FrameLook(), FrameLook(similarity="none", radius=3), ("A: auto", "B: no filter")),
+            (InteractiveSettings(beta="auto"), InteractiveSettings(beta=2.5), ("A: beta auto", "B: beta 2.5")),
+            (InteractiveSettings(), InteractiveSettings(similarity="none", radius=3), ("A: ggx", "B: no filter")),
         ],
     )
     def test_labels_say_what_differs(self, left, right, labels):

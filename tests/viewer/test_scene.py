@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import os
+import signal
 
 import numpy as np
 import pytest
@@ -138,11 +140,30 @@ class TestScene:
         second.wait(lambda: showroom_viewer.statistics["browsers"] == 1, "the first browser to be forgotten")
         drag(second, 2)
 
+    def test_exposure(self, showroom_viewer, visit):
+        page = arrive(visit, showroom_viewer)
+        before = page.look()
+        page.slide("Exposure, stops", "End")
+        page.wait(lambda: page.look().mean() > before.mean() + 50.0, "a brighter picture")
+        page.page.get_by_role("button", name="Auto exposure").click()
+        page.wait(lambda: page.look().mean() < before.mean() + 50.0, "the exposure to come back")
+
+    def test_a_renderer_that_dies_is_started_again(self, showroom_viewer, visit):
+        page = arrive(visit, showroom_viewer)
+        before = showroom_viewer.statistics
+        os.kill(before["process"], signal.SIGKILL)
+        page.wait(lambda: showroom_viewer.statistics["restarts"] == before["restarts"] + 1, "a new process")
+        page.page.get_by_text("was killed by signal 9 and was started again").first.wait_for()
+        # Counted from before the kill: the new process may be quicker than the notification.
+        page.wait_for_frames(1, since=before["frames"])
+        assert showroom_viewer.statistics["process"] != before["process"]
+
     def test_a_long_orbit(self, showroom_viewer, visit):
         page = arrive(visit, showroom_viewer)
+        before = showroom_viewer.statistics["restarts"]
         drag(page, 16)
         assert page.closed_sockets == 0
-        assert showroom_viewer.statistics["restarts"] == 0
+        assert showroom_viewer.statistics["restarts"] == before
 
 
 @pytest.fixture(scope="module")

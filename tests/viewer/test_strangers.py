@@ -28,7 +28,7 @@ def viewers(browser: Any) -> Iterator[tuple[Viewer, Viewer]]:
     """Return two viewers at once, the first of something foggy."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(link, "run_worker", run_slow_worker)
-        with Viewer("foggy", is_frame=True, port=0) as first, Viewer("thing", is_frame=True, port=0) as second:
+        with Viewer("foggy", port=0) as first, Viewer("thing", port=0) as second:
             yield first, second
 
 

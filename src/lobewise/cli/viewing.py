@@ -16,10 +16,11 @@ from lobewise.cli.terminal.help import FILTERING, page_option
 from lobewise.cli.terminal.interrupts import hold_interrupts
 from lobewise.errors import InputError, require_choice
 from lobewise.scenes import BY_THEMSELVES, list_scenes
-from lobewise.viewer.looks import FRAME_SIMILARITIES, KNOBS, SCENE_SIMILARITIES
+from lobewise.settings import SIMILARITY_NAMES
+from lobewise.viewer.looks import KNOBS, SCENE_SIMILARITIES
 
 if TYPE_CHECKING:
-    from lobewise.viewer import Viewer
+    from lobewise.viewer import FrameViewer, Viewer
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,10 @@ class Page:
             help="Objects of a scene move, as the file says, or as showroom and parlour do by themselves.",
             show_default=False,
         ),
+    ] = None
+    reference: Annotated[
+        Path | None,
+        page_option(metavar="FILE", help="The image that a frame should be, to compare with.", show_default=False),
     ] = None
     open_page: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in the browser.")] = False
 
@@ -84,12 +89,20 @@ def view(
     _check_settings(is_frame, settings)
     if page.moving_objects is not None:
         _check_motion(target, page.moving_objects)
-    from lobewise.cli.output import print_note
-    from lobewise.viewer import FrameReading, Viewer
+    # Ctrl-C is the usual end of a page, and it leaves no file half written.
+    with suppress(KeyboardInterrupt):
+        if is_frame:
+            _serve(_open_frame(target, settings, page, reading), target, page)
+        else:
+            _serve(_open_scene(target, settings, page), target, page)
 
-    viewer = Viewer(
+
+def _open_scene(target: str, settings: dict[str, Any], page: Page) -> Viewer:
+    from lobewise.cli.output import print_note
+    from lobewise.viewer import Viewer
+
+    return Viewer(
         target,
-        is_frame=is_frame,
         host=page.host,
         port=page.port,
         size=None if page.size is None else parse_size(page.size),
@@ -97,12 +110,25 @@ def view(
         changes=settings,
         token=page.token,
         tell=print_note,
-        reading=FrameReading(**reading.parse(), half=reading.half),
         moving=page.moving_objects,
     )
-    # Ctrl-C is the usual end of a page, and it leaves no file half written.
-    with suppress(KeyboardInterrupt):
-        _serve(viewer, target, page, is_frame)
+
+
+def _open_frame(target: str, settings: dict[str, Any], page: Page, reading: Reading) -> FrameViewer:
+    """Read the frame before there is a page, so that a file that cannot be read ends the command."""
+    from lobewise.cli.output import print_note
+    from lobewise.viewer import FrameReading, FrameViewer
+
+    return FrameViewer(
+        target,
+        host=page.host,
+        port=page.port,
+        changes=settings,
+        token=page.token,
+        tell=print_note,
+        reading=FrameReading(**reading.parse(), half=reading.half),
+        reference=None if page.reference is None else str(page.reference),
+    )
 
 
 def _refuse_options(is_frame: bool, settings: dict[str, Any], page: Page, reading: Reading) -> None:
@@ -112,8 +138,9 @@ def _refuse_options(is_frame: bool, settings: dict[str, Any], page: Page, readin
     of_scenes += ["--moving-objects"] * (page.moving_objects is not None)
     if is_frame and of_scenes:
         raise InputError(of_scenes[0], expected="a scene beside it", got="a finished frame", action="leave it out")
-    if reading.option and not is_frame:
-        raise InputError(reading.option, expected="a finished frame beside it", got="a scene", action="leave it out")
+    of_frames = "--reference" if page.reference is not None else reading.option
+    if of_frames and not is_frame:
+        raise InputError(of_frames, expected="a finished frame beside it", got="a scene", action="leave it out")
 
 
 def _check_motion(target: str, moving: str) -> None:
@@ -131,11 +158,11 @@ def _check_settings(is_frame: bool, settings: dict[str, Any]) -> None:
     for name, value in settings.items():
         knob = KNOBS[name]
         if name == "similarity":
-            knob = replace(knob, choices=FRAME_SIMILARITIES if is_frame else SCENE_SIMILARITIES)
+            knob = replace(knob, choices=("auto", *SIMILARITY_NAMES) if is_frame else SCENE_SIMILARITIES)
         knob.check(value)
 
 
-def _serve(viewer: Viewer, target: str, page: Page, is_frame: bool) -> None:
+def _serve(viewer: Viewer | FrameViewer, target: str, page: Page) -> None:
     """Serve the page until Ctrl-C, and print its address."""
     from lobewise.cli.output import print_line
 
@@ -143,9 +170,6 @@ def _serve(viewer: Viewer, target: str, page: Page, is_frame: bool) -> None:
         # Let Ctrl-C wait until everything has started, so that everything is stopped.
         with hold_interrupts():
             started.enter_context(viewer)
-        if is_frame:
-            # A scene takes longer to open, and its page shows the progress.
-            viewer.wait_until_open()
         reach = "only this machine can reach it" if viewer.is_private else f"other machines can reach it by {page.host}"
         print_line(f"Showing {target} at {viewer.url} ({reach}); Ctrl-C ends it.")
         if page.open_page:

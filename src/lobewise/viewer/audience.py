@@ -11,13 +11,12 @@ from typing import Any
 import numpy as np
 
 from lobewise.errors import LobewiseError
-from lobewise.interactive.settings import UNFILTERED, Unfiltered
+from lobewise.interactive.settings import UNFILTERED, InteractiveSettings, Unfiltered
 from lobewise.settings import SimilarityName
 from lobewise.viewer.cameras import CameraMap, place_camera, read_pose
 from lobewise.viewer.door.incoming import Control
 from lobewise.viewer.guest import Guest, has_moved
 from lobewise.viewer.link import Link
-from lobewise.viewer.looks import Look
 from lobewise.viewer.messages import Description, Opened, Picture, Progress, Report, SavedFile, Target
 from lobewise.viewer.panel import Actions, Panel
 from lobewise.viewer.pictures import BARS
@@ -37,8 +36,8 @@ class Audience:
     """All browsers, between the page and the process that renders.
 
     With ``fixed_size`` a picture always has the target's size, whatever the window's aspect and the speed of rendering.
-    ``changes`` are settings to begin with, fields of a `Look`. ``tell`` is called with sentences about the target, for
-    whoever started the viewer. ``controls`` holds the controls of all browsers by viser's identities.
+    ``changes`` are settings to begin with, fields of `InteractiveSettings`. ``tell`` is called with sentences about the
+    target, for whoever started the viewer. ``controls`` holds the controls of all browsers by viser's identities.
     """
 
     def __init__(self, target: Target, fixed_size: bool, changes: dict[str, Any], tell: Callable[[str], None]) -> None:
@@ -49,7 +48,6 @@ class Audience:
         self.opened, self.over = threading.Event(), threading.Event()
         self.controls: dict[str, Control] = {}
         self._fixed_size, self._changes, self._tell_starter = fixed_size, changes, tell
-        self._is_frame = target.is_frame
         self._lock = threading.RLock()
         self._guests: dict[int, Guest] = {}
         self._notice = f"Opening {target.name} \u2026"
@@ -211,8 +209,8 @@ class Audience:
             guests = list(self._guests.values())
             for guest in guests:
                 self._furnish(guest)
-        for note in (*description.notes, *([description.unseen] if description.unseen else [])):
-            self._tell_starter(note)
+        if description.unseen:
+            self._tell_starter(description.unseen)
         self.opened.set()
         for guest in guests:
             self._ask(guest)
@@ -225,7 +223,7 @@ class Audience:
                 return
             self._frames += 1
             guest.add_picture(picture)
-        if guest.expose and picture.final:
+        if picture.stops is not None and picture.final:
             guest.expose = False
             guest.panel.set_stops(picture.stops)
         assert self.description is not None
@@ -242,11 +240,9 @@ class Audience:
         if picture is None or guest.status is None or not (now or moment - guest.told_at > _STATUS_EVERY):
             return
         guest.told_at = moment
-        rendered = self.description is not None and self.description.camera is not None
-        rate = guest.get_rate() if rendered else None
         note = guest.note or ("" if picture.final else "Unfiltered yet: compiling the kernels \u2026")
         unseen = "" if self.description is None else self.description.unseen
-        guest.status.content = write_figures(picture, guest.shown, rate, note, rendered=rendered, unseen=unseen)
+        guest.status.content = write_figures(picture, guest.shown, guest.get_rate(), note, unseen=unseen)
 
     def _announce(self, text: str, *, bad: bool = False) -> None:
         """Show one line to every browser, and to later ones until the target is open."""
@@ -272,7 +268,7 @@ class Audience:
             guest.client.add_notification("lobewise", text, color="orange" if again else "red", auto_close_seconds=8.0)
         self._announce(text, bad=True)
         if not again:
-            self.failure = RuntimeError(text) if self._is_frame else LobewiseError(text)
+            self.failure = LobewiseError(text)
             self.over.set()
 
     def watch(self) -> None:
@@ -305,7 +301,7 @@ BASELINE: SimilarityName = "normal"
 """Similarity that the right of the wipe shows at first."""
 
 
-def choose_other(description: Description, look: Look) -> Look:
+def choose_other(description: Description, look: InteractiveSettings) -> InteractiveSettings:
     """Return the first look right of the wipe: the normal-aware filter, or no filter if the left side has it."""
     has_baseline = BASELINE in description.similarities and look.similarity != BASELINE
     plain: SimilarityName | Unfiltered = BASELINE if has_baseline else UNFILTERED

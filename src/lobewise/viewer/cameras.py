@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.camera import Camera
-from lobewise.viewer.messages import Description, Window
+from lobewise.viewer.messages import Description
 
 Vector = NDArray[np.float64]
 
-FRAME_FOV = 0.8
-"""Vertical angle of view, radians, under which the browser's camera sees a finished frame at first."""
+FAR_FOV = 0.8
+"""Vertical angle of view, radians, of a browser's camera that stands for an orthographic one."""
 _DISTANCE = 4.0
 """First distance from the browser's camera to its look-at point, in the browser's unit. Its keys fly 2 units a second,
 whatever the scene's unit is."""
@@ -37,18 +37,9 @@ class Pose:
 
 
 class CameraMap:
-    """Maps the browser's camera to the camera of a scene, or to the visible part of a finished frame.
-
-    A description without a camera is that of a finished frame.
-    """
+    """Maps the browser's camera to the camera of a scene."""
 
     def __init__(self, description: Description) -> None:
-        self._scene = description.camera is not None
-        if description.camera is None:
-            distance = 1.0 / float(np.tan(0.5 * FRAME_FOV))
-            self._scale = 1.0
-            self.start = Pose(np.array([0.0, 0.0, distance]), np.zeros(3), np.array([0.0, 1.0, 0.0]), FRAME_FOV)
-            return
         camera = description.camera
         gap = float(np.dot(np.asarray(description.look_at) - camera.position, camera.forward))
         # With the look-at point behind the camera, any other point will do.
@@ -57,40 +48,25 @@ class CameraMap:
         """Of a far camera: its distance over that of the browser's camera, and its angle of view."""
         if camera.fov_y < _MIN_FOV:
             half_height = gap * float(np.tan(0.5 * camera.fov_y))
-            self._scale = _DISTANCE * float(np.tan(0.5 * FRAME_FOV)) / half_height
+            self._scale = _DISTANCE * float(np.tan(0.5 * FAR_FOV)) / half_height
             self._far = gap / _DISTANCE, camera.fov_y
             look_at = self._scale * (camera.position + gap * camera.forward)
-            self.start = Pose(look_at - _DISTANCE * camera.forward, look_at, choose_up(camera), FRAME_FOV)
+            self.start = Pose(look_at - _DISTANCE * camera.forward, look_at, choose_up(camera), FAR_FOV)
             return
         self._scale = _DISTANCE / gap
         position = self._scale * camera.position
         self.start = Pose(position, position + _DISTANCE * camera.forward, choose_up(camera), camera.fov_y)
 
     def to_camera(self, pose: Pose) -> Camera | None:
-        """Return the camera of a scene.
-
-        None for a finished frame, or if the browser's camera looks along the axis of its orbit.
-        """
+        """Return the camera of a scene; None if the browser's camera looks along the axis of its orbit."""
         forward = pose.look_at - pose.position
         across = float(np.linalg.norm(np.cross(forward, pose.up)))
-        if not self._scene or not across > 1e-6 * float(np.linalg.norm(forward) * np.linalg.norm(pose.up)):
+        if not across > 1e-6 * float(np.linalg.norm(forward) * np.linalg.norm(pose.up)):
             return None
         if self._far is not None:
             ratio, angle = self._far
             return Camera(pose.look_at / self._scale - ratio * forward, forward, pose.up, angle)
         return Camera(position=pose.position / self._scale, forward=forward, up=pose.up, fov_y=pose.fov)
-
-    def to_window(self, pose: Pose, width: int, height: int) -> Window:
-        """Return the picture area and, for a finished frame, the part of the frame that is visible."""
-        if self._scene:
-            return Window(max(width, 1), max(height, 1))
-        gap = float(np.linalg.norm(pose.look_at - pose.position))
-        start = float(self.start.position[2])
-        zoom = float(np.clip(start / max(gap, 1e-6), 0.5, 64.0))
-        # The browser computes in single precision.
-        zoom = 1.0 if abs(zoom - 1.0) < 1e-3 else zoom
-        x, y = (0.0 if abs(value) < 1e-3 else float(np.clip(value, -2.0, 2.0)) for value in pose.look_at[:2])
-        return Window(max(width, 1), max(height, 1), zoom, (x, y))
 
 
 def choose_up(camera: Camera) -> Vector:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from dataclasses import replace
 from typing import Any
 
 from lobewise.viewer.cameras import CameraMap, Pose
@@ -76,21 +75,18 @@ class Guest:
         panel, camera = self.panel, self.client.camera
         if panel is None:
             return None
-        window = cameras.to_window(self.pose, camera.image_width, camera.image_height)
-        size, placed = (description.width, description.height), None
-        if description.camera is not None:
-            placed = cameras.to_camera(self.pose)
-            if placed is None:
-                return None
-            # Sizes are multiples of 8, so aspects differ by a few pixels: crop them.
-            window = replace(window, fill=not self._fixed_size)
-            self.pace.fixed = self._fixed_size or not panel.adapt
-            factor = self.pace.factor if self.is_moving else 1.0
-            size = self._choose_size(description, window, factor)
-            if not fresh and self.picture is not None:
-                size = self.picture.size
-            self._factors = {number: value for number, value in self._factors.items() if number > self._number - 8}
-            self._factors[self._number + 1] = factor if self.is_moving else 0.0
+        placed = cameras.to_camera(self.pose)
+        if placed is None:
+            return None
+        # Sizes are multiples of 8, so aspects differ by a few pixels: crop them.
+        window = Window(max(camera.image_width, 1), max(camera.image_height, 1), fill=not self._fixed_size)
+        self.pace.fixed = self._fixed_size or not panel.adapt
+        factor = self.pace.factor if self.is_moving else 1.0
+        size = self._choose_size(description, window, factor)
+        if not fresh and self.picture is not None:
+            size = self.picture.size
+        self._factors = {number: value for number, value in self._factors.items() if number > self._number - 8}
+        self._factors[self._number + 1] = factor if self.is_moving else 0.0
         self._number += 1
         wiped = panel.wipe
         return Request(
@@ -122,7 +118,7 @@ class Guest:
     def needs_more(self, description: Description) -> bool:
         """Return whether objects move, or a camera that stands still needs more frames or a frame of the full size."""
         picture, panel = self.picture, self.panel
-        if description.camera is None or picture is None or panel is None:
+        if picture is None or panel is None:
             return False
         if self.is_moving:
             # Moving cameras ask by themselves.

@@ -189,9 +189,7 @@ class Link:
         how = f"was killed by signal {-code}" if code is not None and code < 0 else f"ended with exit code {code}"
         if len(self._deaths) > MAX_RESTARTS or not self._was_ready:
             # Of a scene that it cannot open, a new renderer would die as well.
-            times = f", {len(self._deaths)} times within a minute" if self._was_ready else ""
-            text = f"The renderer {how}{times}; it stays off."
-            self._remark(text if self._target.is_frame else str(describe_crash(self._target.name, code or 0)), False)
+            self._remark(str(describe_crash(self._target.name, code or 0)), False)
             return False
         self._remark(f"The renderer {how} and was started again.", True)
         with self._lock:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.camera import Camera
+from lobewise.interactive.settings import InteractiveSettings
 from lobewise.io.files import PathLike
-from lobewise.viewer.looks import Look
 
 
 @dataclass(frozen=True)
@@ -30,45 +30,33 @@ class FrameReading:
 
 @dataclass(frozen=True)
 class Target:
-    """The scene or finished frame that the viewer shows."""
+    """The scene that the viewer shows."""
 
     name: str
-    """A built-in scene, a Mitsuba XML file or an EXR file."""
-    is_frame: bool
-    """Whether the target is a finished frame."""
+    """A built-in scene or a Mitsuba XML file."""
     size: tuple[int, int] | None = None
-    """Columns and rows of a rendered scene; None for the scene's own size."""
-    reading: FrameReading = field(default_factory=FrameReading)
-    """How the file of a finished frame is read."""
+    """Columns and rows of the picture; None for the scene's own size."""
     moving: str | None = None
-    """File with the paths of a scene's objects, or `lobewise.scenes.BY_THEMSELVES`; None if nothing moves."""
+    """File with the paths of the objects, or `lobewise.scenes.BY_THEMSELVES`; None if nothing moves."""
 
 
 @dataclass(frozen=True)
 class Description:
     """The properties of an open target, from which the controls of a page are built."""
 
-    look: Look
+    look: InteractiveSettings
     """The first settings."""
     # Pixels of the picture.
     width: int
     height: int
-    camera: Camera | None = None
-    """The first camera of a scene; None for a finished frame."""
+    camera: Camera
+    """The first camera."""
     look_at: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """The point about which an orbit turns."""
     # Choices of the controls. Views are keys of `lobewise.viewer.pictures.VIEWS`.
     methods: tuple[str, ...] = ()
     similarities: tuple[str, ...] = ()
-    qualities: tuple[str, ...] = ()
-    forms: tuple[str, ...] = ()
     views: tuple[str, ...] = ("image",)
-    sparse: bool = False
-    """Whether a finished frame was shaded sparsely."""
-    hit_distance: bool = False
-    """Whether a finished frame has hit distances and lobes to compare them with."""
-    notes: tuple[str, ...] = ()
-    """Sentences about the file of a finished frame: what was found, converted, or is missing."""
     moves: bool = False
     """Whether objects of a scene move."""
     unseen: str = ""
@@ -77,15 +65,11 @@ class Description:
 
 @dataclass(frozen=True)
 class Window:
-    """The browser's picture area, and the part of a finished frame that it shows."""
+    """The browser's picture area."""
 
     # Pixels of the picture area.
     width: int = 1
     height: int = 1
-    zoom: float = 1.0
-    """1 shows the whole picture."""
-    centre: tuple[float, float] = (0.0, 0.0)
-    """Centre of the visible part from the picture's centre, in half visible heights at zoom 1; x right, y up."""
     fill: bool = False
     """Whether a picture of another aspect is cropped instead of getting bars."""
 
@@ -99,9 +83,10 @@ class Request:
     number: int
     """Counts the requests of the browser."""
     window: Window
-    look: Look
+    look: InteractiveSettings
     """Settings of the picture, or of its part left of the wipe."""
-    other: Look | None = None
+    camera: Camera
+    other: InteractiveSettings | None = None
     """Settings right of the wipe; None without a wipe."""
     wipe: float = 0.5
     """Position of the line, from 0 at the left to 1 at the right."""
@@ -109,12 +94,10 @@ class Request:
     """A key of `lobewise.viewer.pictures.VIEWS`."""
     stops: float | None = None
     """Exposure, base-2 logarithm; None to choose it from the image."""
-    camera: Camera | None = None
-    """The camera of a scene."""
     size: tuple[int, int] = (512, 512)
     """Columns and rows to render."""
     fresh: bool = True
-    """Whether a new frame of a scene is rendered. If not, the last frame is shown again with another view or window."""
+    """Whether a new frame is rendered. If not, the last frame is shown again with another view or window."""
     accumulate: bool = True
     """Whether frames of a camera that stands still are averaged."""
     speed: float = 0.0
@@ -161,8 +144,8 @@ class Picture:
     """sRGB, shape (height, width, 3)."""
     size: tuple[int, int]
     """Columns and rows that were rendered."""
-    stops: float
-    """Exposure of the picture, base-2 logarithm."""
+    stops: float | None
+    """Exposure that was chosen from the image, base-2 logarithm; None where the request named one."""
     seconds: dict[str, float] = field(default_factory=dict)
     """Wall time by stage; "total" is the sum of the stages of rendering."""
     accumulated: int = 1
@@ -200,3 +183,9 @@ class Problem:
 
 Order = Request | Save | Forget
 Report = Opened | Progress | Picture | SavedFile | Problem
+
+
+def describe_failure(problem: Exception) -> str:
+    """Return one line about an error of the program."""
+    what = " ".join(f"{type(problem).__name__}: {problem}".split())[:300]
+    return f"Something went wrong inside lobewise: {what}"

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from lobewise.interactive.settings import InteractiveSettings
 from lobewise.settings import Knob
-from lobewise.settings.choices import QUALITIES, SIMILARITIES
 from lobewise.viewer.door.incoming import Control
-from lobewise.viewer.looks import KNOBS, FrameLook, Look, list_controls
+from lobewise.viewer.looks import KNOBS, SCENE_CONTROLS
 from lobewise.viewer.messages import Description
 from lobewise.viewer.pictures import LEGENDS, MAX_STOPS, VIEWS
 from lobewise.viewer.status import write_message
@@ -25,13 +23,11 @@ NAMES = {
     "asg": "anisotropic SG",
     "sg_mixture": "SG mixture",
     "normal": "normal-aware",
-    "atrous": "à-trous",
 }
 """Words of settings that have another name on the page."""
 FLY_HINT = "Left drag orbits, right drag moves, the wheel zooms. W A S D E Q fly, the arrow keys turn."
 MIN_SPEED, MAX_SPEED = 0.1, 4.0
 """Frames of the objects' motion from picture to picture; the smallest number is also the slider's step."""
-ZOOM_HINT = "The wheel zooms, right drag moves; W A S D fly."
 
 
 class Slider(NamedTuple):
@@ -42,8 +38,6 @@ class Slider(NamedTuple):
     step: float
     at_auto: float = 0.0
     """Number of the slider while the setting is "auto"."""
-    note: str = ""
-    """Text after the label."""
     to_slider: Callable[[float], float] = float
     from_slider: Callable[[float], float] = float
 
@@ -51,10 +45,9 @@ class Slider(NamedTuple):
 SLIDERS = {
     "scale": Slider(1, 16, 1, from_slider=int),
     "spp": Slider(1, 16, 1, from_slider=int),
+    "radius": Slider(0, 16, 1, from_slider=int),
     "beta": Slider(0.5, 64.0, 0.5, 4.0),
-    "normal_exponent": Slider(1.0, 256.0, 1.0),
-    "tau": Slider(-5.0, 0.0, 0.05, -1.5, ", log", math.log10, lambda number: 10.0**number),
-    "adaptive": Slider(0.0, 25.0, 0.5, 0.0, "", lambda share: 100.0 * share, lambda percent: percent / 100.0),
+    "adaptive": Slider(0.0, 25.0, 0.5, 0.0, lambda share: 100.0 * share, lambda percent: percent / 100.0),
 }
 
 
@@ -67,35 +60,29 @@ class LookPanel:
         Controls are added to its current folder.
     found : Description
         The choices.
-    look : Look
+    look : InteractiveSettings
         The first settings.
     changed : callable
         Called when the user changed a setting.
     """
 
-    def __init__(self, gui: Any, description: Description, look: Look, changed: Callable[[], None]) -> None:
+    def __init__(
+        self, gui: Any, description: Description, look: InteractiveSettings, changed: Callable[[], None]
+    ) -> None:
         self._gui = gui
         self._changed = changed
         self._look = look
         self._handles: dict[str, Any] = {}
-        limit = 16 if isinstance(look, InteractiveSettings) or description.sparse else 32
-        self._sliders = {**SLIDERS, "radius": Slider(0, limit, 1, from_slider=int)}
-        choices = {
-            "method": description.methods,
-            "similarity": description.similarities,
-            "quality": description.qualities,
-            "form": description.forms,
-        }
-        for field in list_controls(look):
-            knob, value, words = KNOBS[field], getattr(look, field), choices.get(field, ())
-            # A list of one word is no choice.
-            if field in choices and (len(words) > 1 or field in ("method", "similarity")):
-                names = [NAMES.get(word, word) for word in words]
+        choices = {"method": description.methods, "similarity": description.similarities}
+        for field in SCENE_CONTROLS:
+            knob, value = KNOBS[field], getattr(look, field)
+            if field in choices:
+                names = [NAMES.get(word, word) for word in choices[field]]
                 arguments = {"initial_value": NAMES.get(value, value), "hint": knob.hint}
                 self._keep(field, gui.add_dropdown(knob.label, names, **arguments))
-            elif field in self._sliders:
+            elif field in SLIDERS:
                 self._slide(knob, value)
-            elif field not in choices and (field != "hit_distance" or description.hit_distance):
+            else:
                 self._keep(field, gui.add_checkbox(knob.label, value, hint=knob.hint))
         self._refresh()
 
@@ -104,66 +91,45 @@ class LookPanel:
         """viser's handles of the controls."""
         return tuple(self._handles.values())
 
-    def get_look(self) -> Look:
+    def get_look(self) -> InteractiveSettings:
         """Return the current settings."""
         values = {name: self._get(name) for name in self._handles if not name.startswith("auto_")}
-        look = replace(self._look, **values)
-        if isinstance(look, InteractiveSettings):
-            return look
-        if look.similarity == "none":
-            # The other settings change nothing: return one look for all of them, which is computed once.
-            return FrameLook(similarity="none")
-        return replace(
-            look,
-            form=look.form if _has_forms(look.quality) else "full",
-            hit_distance=look.hit_distance and _takes_hits(look.similarity),
-        )
+        return replace(self._look, **values)
 
     def _get(self, name: str) -> Any:
         """Return the value of a setting that has a control."""
         value = self._handles[name].value
-        if name in self._sliders:
+        if name in SLIDERS:
             auto = self._handles.get(f"auto_{name}")
-            return "auto" if auto is not None and auto.value else self._sliders[name].from_slider(value)
+            return "auto" if auto is not None and auto.value else SLIDERS[name].from_slider(value)
         return next((word for word, shown in NAMES.items() if shown == value), value)
 
     def _refresh(self) -> None:
         """Hide controls that change nothing with the current settings."""
         handles = self._handles
-        similarity = self._get("similarity")
-        filtered, compares_normals = similarity != "none", _compares_normals(similarity)
-        plain = "quality" not in handles or _has_forms(self._get("quality"))
+        filtered = self._get("similarity") != "none"
         shown = {
             "radius": filtered,
-            "quality": filtered,
-            "form": filtered and plain,
             "auto_beta": filtered,
             "beta": filtered and not handles["auto_beta"].value,
             "temporal": filtered,
             "filter_direct": filtered,
-            "normal_exponent": compares_normals,
-            "auto_tau": filtered and not compares_normals,
-            "hit_distance": _takes_hits(similarity),
+            "adaptive": handles["scale"].value > 1,
         }
-        if "form" in handles:
-            shown["radius"] = filtered and not (plain and self._get("form") == "atrous")
-        if "auto_tau" in handles:
-            shown["tau"] = shown["auto_tau"] and not handles["auto_tau"].value
-        if "adaptive" in handles:
-            shown["adaptive"] = handles["scale"].value > 1
         for name, visible in shown.items():
-            if name in handles and handles[name].visible != visible:
+            if handles[name].visible != visible:
                 handles[name].visible = visible
 
     def _slide(self, knob: Knob, value: Any) -> None:
         """Add a slider, after a checkbox for "auto" if the setting can be "auto"."""
-        slider, auto = self._sliders[knob.name], value == "auto"
+        slider, auto = SLIDERS[knob.name], value == "auto"
         if "auto" in knob.choices:
             hint = f"{knob.label} follows the noise."
             self._keep(f"auto_{knob.name}", self._gui.add_checkbox(f"Auto {knob.label.lower()}", auto, hint=hint))
         first = slider.at_auto if auto else slider.to_slider(value)
-        label = knob.label + slider.note
-        self._keep(knob.name, self._gui.add_slider(label, slider.low, slider.high, slider.step, first, hint=knob.hint))
+        self._keep(
+            knob.name, self._gui.add_slider(knob.label, slider.low, slider.high, slider.step, first, hint=knob.hint)
+        )
 
     def _keep(self, name: str, handle: Any) -> None:
         self._handles[name] = handle
@@ -173,21 +139,6 @@ class LookPanel:
             self._changed()
 
         handle.on_update(react)
-
-
-def _has_forms(quality: str) -> bool:
-    """Return whether a quality is known to have other kernels than the full one; "auto" is not."""
-    return quality in QUALITIES and len(QUALITIES[quality].forms) > 1
-
-
-def _takes_hits(similarity: str) -> bool:
-    """Return whether a similarity is known to compare the surfaces that lobes hit; "auto" and "none" are not."""
-    return similarity in SIMILARITIES and SIMILARITIES[similarity].takes_hits
-
-
-def _compares_normals(similarity: str) -> bool:
-    """Return whether a similarity is known to compare normals instead of lobes; "auto" and "none" are not."""
-    return similarity in SIMILARITIES and not SIMILARITIES[similarity].has_lobes
 
 
 @dataclass
@@ -219,7 +170,7 @@ class Panel:
     gui : viser's GUI of that browser
     found : Description
         The choices.
-    look, other : Look
+    look, other : InteractiveSettings
         The first settings of the left and the right side.
     actions : Actions
     fixed_size : bool
@@ -227,11 +178,17 @@ class Panel:
     """
 
     def __init__(
-        self, gui: Any, description: Description, look: Look, other: Look, actions: Actions, *, fixed_size: bool
+        self,
+        gui: Any,
+        description: Description,
+        look: InteractiveSettings,
+        other: InteractiveSettings,
+        actions: Actions,
+        *,
+        fixed_size: bool,
     ) -> None:
         self._gui = gui
         self._actions = actions
-        scene = description.camera is not None
         self.status = gui.add_html("")
         with gui.add_folder("View"):
             names = [VIEWS[name] for name in description.views]
@@ -241,8 +198,7 @@ class Panel:
                 "Exposure, stops", -MAX_STOPS, MAX_STOPS, 0.1, 0.0, hint="Each stop doubles the light."
             )
             self._expose = gui.add_button("Auto exposure", hint="Put the brightest 2 % above the shoulder.", icon=None)
-            hint = FLY_HINT if scene else ZOOM_HINT
-            reset = gui.add_button("Reset camera" if scene else "Show all", hint=hint)
+            reset = gui.add_button("Reset camera", hint=FLY_HINT)
         self._plays: Any = None
         self._speed: Any = None
         if description.moves:
@@ -253,23 +209,18 @@ class Panel:
         with gui.add_folder("Wipe"):
             self._wiped = gui.add_checkbox("Compare A, B", False, hint="Left of the line A, right of it B.")
             self._place = gui.add_slider("Line", 0.0, 1.0, 0.005, 0.5, visible=False, hint="Where the line is.")
-        with gui.add_folder("Settings A" if scene else "Filter A"):
+        with gui.add_folder("Settings A"):
             self.left = LookPanel(gui, description, look, actions.render)
-        self._right_folder = gui.add_folder("Settings B" if scene else "Filter B", visible=False)
+        self._right_folder = gui.add_folder("Settings B", visible=False)
         with self._right_folder:
             self.right = LookPanel(gui, description, other, actions.render)
-        self._accumulate: Any = None
         self._adapt: Any = None
-        if scene:
-            with gui.add_folder("Pace"):
-                knob = KNOBS["accumulate"]
-                self._accumulate = gui.add_checkbox(knob.label, True, hint=knob.hint)
-                if not fixed_size:
-                    self._adapt = gui.add_checkbox(
-                        "Fewer pixels in motion",
-                        True,
-                        hint="Lower the resolution of a moving camera to keep responding.",
-                    )
+        with gui.add_folder("Pace"):
+            knob = KNOBS["accumulate"]
+            self._accumulate = gui.add_checkbox(knob.label, True, hint=knob.hint)
+            if not fixed_size:
+                hint = "Lower the resolution of a moving camera to keep responding."
+                self._adapt = gui.add_checkbox("Fewer pixels in motion", True, hint=hint)
         save = gui.add_button_group(
             "Save", ("EXR", "PNG"), hint="EXR: linear radiance of A and guides. PNG: the picture that is shown."
         )
@@ -298,7 +249,7 @@ class Panel:
     @property
     def accumulate(self) -> bool:
         """Whether frames of a camera that stands still are averaged."""
-        return self._accumulate is not None and bool(self._accumulate.value)
+        return bool(self._accumulate.value)
 
     @property
     def adapt(self) -> bool:

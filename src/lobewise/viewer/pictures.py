@@ -48,14 +48,12 @@ LEGENDS = {
 }
 """Meaning of the colours of a view."""
 
-_RADIANCE = ("image", "noisy", "diffuse", "specular", "direct", "indirect")
+RADIANCE = ("image", "noisy", "diffuse", "specular", "direct", "indirect")
 _COLORS = ("normal", "albedo")
 BARS = (16, 17, 20)
 """Colour of the bars beside a picture, sRGB."""
 _LABEL_MARGIN = 6
 """Pixels between a label and the line of the wipe, or the edge of the picture."""
-_MAX_MAGNIFICATION = 24
-"""Largest side of a magnified pixel, pixels."""
 MAX_PIXELS_WITH_BARS = 4.0
 """Largest number of pixels of picture and bars, relative to the picture alone. In a longer window the picture gets
 coarser."""
@@ -76,7 +74,7 @@ def paint(view: str, values: NDArray[np.float32], exposure: float) -> Pixels:
     ``values`` are radiance or colours in [0, 1], (height, width, 3), or numbers in [0, 1], (height, width), which are
     shown from dark to bright. ``exposure`` is a factor for radiance and changes nothing else.
     """
-    if view in _RADIANCE:
+    if view in RADIANCE:
         return map_tones_quickly(values, exposure)
     codes = np.clip(np.nan_to_num(values) * 255.0, 0.0, 255.0).astype(np.uint8)
     out: Pixels = codes if view in _COLORS else make_error_palette()[codes]
@@ -86,26 +84,19 @@ def paint(view: str, values: NDArray[np.float32], exposure: float) -> Pixels:
 def fit_window(picture: Pixels, window: Window) -> Pixels:
     """Return the part of a picture that the window shows, with the window's aspect.
 
-    Bars fill the rest of the window, and a zoomed picture has square magnified pixels. In a window so long that bars
-    would be most of the result, the picture keeps only every second or third pixel. A picture with the window's aspect
-    is returned as it is at zoom 1.
+    Bars fill the rest of the window. In a window so long that bars would be most of the result, the picture keeps only
+    every second or third pixel. A picture with the window's aspect is returned as it is.
     """
     height, width = picture.shape[:2]
     aspect = window.width / window.height
     tall = min(float(height), width / aspect) if window.fill else max(float(height), width / aspect)
     # Ignore differences of about a pixel.
-    alike = abs(tall * aspect - width) < 1.5 and abs(tall - height) < 1.5
-    if window.zoom == 1.0 and window.centre == (0.0, 0.0) and alike:
+    if abs(tall * aspect - width) < 1.5 and abs(tall - height) < 1.5:
         return picture
-    seen = tall / window.zoom
-    times = max(1.0, min(np.ceil(window.height / seen), _MAX_MAGNIFICATION)) if seen * 1.5 < window.height else 1.0
-    if times == 1.0:
-        times = min(1.0, math.sqrt(MAX_PIXELS_WITH_BARS * height * width / (seen * seen * aspect)))
-    rows, columns = max(round(seen * times), 1), max(round(seen * aspect * times), 1)
-    row = np.floor(0.5 * height - 0.5 * window.centre[1] * tall - 0.5 * seen + (np.arange(rows) + 0.5) / times)
-    column = np.floor(
-        0.5 * width + 0.5 * window.centre[0] * tall - 0.5 * seen * aspect + (np.arange(columns) + 0.5) / times
-    )
+    times = min(1.0, math.sqrt(MAX_PIXELS_WITH_BARS * height * width / (tall * tall * aspect)))
+    rows, columns = max(round(tall * times), 1), max(round(tall * aspect * times), 1)
+    row = np.floor(0.5 * height - 0.5 * tall + (np.arange(rows) + 0.5) / times)
+    column = np.floor(0.5 * width - 0.5 * tall * aspect + (np.arange(columns) + 0.5) / times)
     inside_rows, inside_columns = (row >= 0) & (row < height), (column >= 0) & (column < width)
     out = np.empty((rows, columns, 3), np.uint8)
     out[:] = BARS

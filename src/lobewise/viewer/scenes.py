@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from lobewise.frame import Frame, Radiance
+from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.interactive import InteractiveFrame, InteractiveSettings, Session
 from lobewise.interactive.settings import METHODS
 from lobewise.interactive.views import VIEWS
@@ -16,9 +16,28 @@ from lobewise.render import MovingScene, PlacedScene, find_orbit_centre, load_sc
 from lobewise.render.integrators import tell_unseen
 from lobewise.render.moving.shapes import Matrix
 from lobewise.scenes import BY_THEMSELVES
-from lobewise.viewer.looks import SCENE_SIMILARITIES, Look
+from lobewise.viewer.looks import SCENE_SIMILARITIES
 from lobewise.viewer.messages import Description, Request
-from lobewise.viewer.shots import Shot
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One image and how it was made."""
+
+    image: FloatArray
+    """Linear radiance, shape (height, width, 3)."""
+    get_view: Callable[[str], FloatArray]
+    """Return a view by its name: radiance or colours, (height, width, 3), or numbers in [0, 1], (height, width)."""
+    size: tuple[int, int]
+    """Columns and rows."""
+    seconds: dict[str, float] = field(default_factory=dict)
+    """Wall time by stage, "total" among them."""
+    accumulated: int = 1
+    """Frames in the mean."""
+    recomputed: int = 0
+    """Pixels that were shaded again."""
+    moment: float | None = None
+    """Moment of the objects' motion, frames from 0; None if nothing moves."""
 
 
 @dataclass(frozen=True)
@@ -126,9 +145,7 @@ class SceneTarget:
         Raises LobewiseError if the scene has nothing for the method to work with, or the camera is invalid.
         """
         looks = [
-            _to_settings(look, accumulate=request.accumulate)
-            for look in (request.look, request.other)
-            if look is not None
+            replace(look, accumulate=request.accumulate) for look in (request.look, request.other) if look is not None
         ]
         last = self._last.get(request.client, [])
         if request.fresh or [frame.settings for frame in last] != looks:
@@ -170,11 +187,6 @@ class SceneTarget:
         path = folder / f"{Path(self._name).stem}.exr"
         write_frame(path, whole, half=False, attributes={"lobewise/scene": self._name})
         return path
-
-
-def _to_settings(look: Look, *, accumulate: bool) -> InteractiveSettings:
-    assert isinstance(look, InteractiveSettings)
-    return replace(look, accumulate=accumulate)
 
 
 def _to_shot(frame: InteractiveFrame) -> Shot:

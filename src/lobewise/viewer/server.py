@@ -4,31 +4,24 @@ from __future__ import annotations
 
 import importlib.util
 import logging
-import socket
 import threading
 import warnings
 from collections.abc import Callable
 from typing import Any
 
-from lobewise.errors import InputError, MissingDependencyError
-from lobewise.io.files import say_reason
+from lobewise.errors import MissingDependencyError
 from lobewise.viewer.audience import Audience
-from lobewise.viewer.door.access import Access, is_loopback
-from lobewise.viewer.messages import FrameReading, Target
-
-LOOPBACK = "127.0.0.1"
-_MAX_TRIED_PORTS = 100
+from lobewise.viewer.door.site import LOOPBACK, Site, choose_port
+from lobewise.viewer.messages import Target
 
 
-class Viewer:
-    """A page that shows a scene or a finished frame, and the process behind it.
+class Viewer(Site):
+    """A page that shows a scene, and the process behind it. `FrameViewer` shows a finished frame.
 
     Parameters
     ----------
     target : str
-        A built-in scene, a Mitsuba XML file, or an EXR file.
-    is_frame : bool
-        Whether it is an EXR file.
+        A built-in scene or a Mitsuba XML file.
     host, port : str, int
         Address of the page. If the port is taken, the next free one; if it is 0, any free one.
     size : (int, int), optional
@@ -36,15 +29,13 @@ class Viewer:
     fixed_size : bool
         Always render at the size of the target, whatever the window's aspect and the speed of rendering.
     changes : dict, optional
-        Settings to begin with: fields of `lobewise.interactive.InteractiveSettings` or `FrameLook`.
+        Settings to begin with: fields of `lobewise.interactive.InteractiveSettings`.
     token : str, optional
         The secret in the URL without which nobody gets the page: 16 or more letters, digits and any of ``. _ ~ -``; by
         default a random one.
     tell : callable, optional
-        Called from any thread with sentences for whoever started the viewer: how the file was read, which parts of the
-        scene are not shown, why a browser was disconnected. By default they are logged as warnings.
-    reading : FrameReading, optional
-        How an EXR file is read.
+        Called from any thread with sentences for whoever started the viewer: which parts of the scene are not
+        shown, why a browser was disconnected. By default they are logged as warnings.
     moving : str, optional
         A file with the paths of a scene's objects, for `lobewise.render.read_object_paths`, or "by-themselves" for the
         objects of a built-in scene. By default nothing moves.
@@ -56,7 +47,7 @@ class Viewer:
 
     Examples
     --------
-    >>> with Viewer("frame.exr", is_frame=True) as viewer:  # doctest: +SKIP
+    >>> with Viewer("showroom") as viewer:  # doctest: +SKIP
     ...     print(viewer.url)
     ...     viewer.wait()
     """
@@ -65,7 +56,6 @@ class Viewer:
         self,
         target: str,
         *,
-        is_frame: bool = False,
         host: str = LOOPBACK,
         port: int = 8080,
         size: tuple[int, int] | None = None,
@@ -73,14 +63,11 @@ class Viewer:
         changes: dict[str, Any] | None = None,
         token: str | None = None,
         tell: Callable[[str], None] | None = None,
-        reading: FrameReading | None = None,
         moving: str | None = None,
     ) -> None:
-        self._host, self._asked_port = host, port
-        self._access = Access(host, token)
+        super().__init__(host, port, token)
         self._tell = tell or logging.getLogger(__name__).warning
-        shown = Target(target, is_frame, size, reading or FrameReading(), moving)
-        self._audience = Audience(shown, fixed_size, dict(changes or {}), self._tell)
+        self._audience = Audience(Target(target, size, moving), fixed_size, dict(changes or {}), self._tell)
         self._server: Any = None
         self._ticker = threading.Thread(target=self._audience.watch, name="lobewise-viewer", daemon=True)
 
@@ -103,27 +90,15 @@ class Viewer:
         """
         if importlib.util.find_spec("viser") is None:
             raise MissingDependencyError("viser is not installed; pip install 'lobewise[viewer]'.")
-        port = choose_port(self._host, self._asked_port)
+        self._port = choose_port(self._host, self._port)
         try:
             # Start the worker first, because it takes longer than the page.
             self._audience.link.start()
-            self._serve(port)
+            self._serve()
             self._ticker.start()
         except BaseException:
             self.stop()
             raise
-
-    @property
-    def url(self) -> str:
-        """The URL of the page with the secret token. Anyone who has this URL can use the page."""
-        host = f"[{self._host}]" if ":" in self._host else self._host
-        place = f"http://{'localhost' if host in ('0.0.0.0', '[::]') else host}:{self._server.get_port()}"
-        return f"{place}/?token={self._access.token}"
-
-    @property
-    def is_private(self) -> bool:
-        """Whether only this machine can reach the page."""
-        return is_loopback(self._host)
 
     @property
     def statistics(self) -> dict[str, Any]:
@@ -169,7 +144,7 @@ class Viewer:
         if server is not None:
             server.stop()
 
-    def _serve(self, port: int) -> None:
+    def _serve(self) -> None:
         import rich
         import viser
 
@@ -178,10 +153,11 @@ class Viewer:
         # viser prints a greeting in this thread and a farewell in its own, both by rich, which captures by threads.
         console = rich.get_console()
         with console.capture(), guard_serving(self._access, self._audience.controls, self._tell):
-            server = viser.ViserServer(host=self._host, port=port, label="lobewise", verbose=False)
+            server = viser.ViserServer(host=self._host, port=self._port, label="lobewise", verbose=False)
         self._server = server
         server.get_event_loop().call_soon_threadsafe(console.begin_capture)
-        require_guard(self._host, server.get_port())
+        self._port = server.get_port()
+        require_guard(self._host, self._port)
         # A picture may be on its way to a browser that is just leaving.
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
         # Otherwise any browser could make the page public, by a tunnel through another server.
@@ -189,29 +165,6 @@ class Viewer:
         server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, control_width="medium")
         server.gui.main_panel.dock_right()
         self._audience.join(server)
-
-
-def choose_port(host: str, port: int) -> int:
-    """Return ``port``, or the next one that is free on the host.
-
-    Raises InputError if there is no such host here, or no port of the next hundred is free.
-    """
-    reason = ""
-    for candidate in range(port, min(port + _MAX_TRIED_PORTS, 65536)) if port else (0,):
-        try:
-            kind, _, _, _, address = socket.getaddrinfo(host, candidate, type=socket.SOCK_STREAM)[0]
-            with socket.socket(kind, socket.SOCK_STREAM) as probe:
-                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-                probe.bind(address)
-                return int(probe.getsockname()[1])
-        except OSError as problem:
-            reason = say_reason(problem)
-    raise InputError(
-        "--host and --port",
-        expected="an address of this machine with a free port",
-        got=f"{host}:{port} ({reason})",
-        action="pass another",
-    )
 
 
 def _refuse_sharing(verbose: bool = True) -> None:

@@ -12,7 +12,6 @@ STAGES = {
     "upsampling": "upsampling",
     "adaptive": "adaptive",
     "composite": "composite",
-    "filter": "filter",
     "picture": "tone map",
 }
 """Stages by their keys in the seconds of a picture, with their names on the page."""
@@ -28,18 +27,14 @@ def write_message(text: str, *, bad: bool = False) -> str:
     return f'<div style="{_BOX}{color}">{escape(text)}</div>'
 
 
-def write_figures(
-    picture: Picture, shown: int, fps: float | None, note: str = "", *, rendered: bool = True, unseen: str = ""
-) -> str:
+def write_figures(picture: Picture, shown: int, fps: float | None, note: str = "", *, unseen: str = "") -> str:
     """Return HTML with the size and the times of a picture.
 
-    ``shown`` counts the pictures so far. ``fps`` is None where pictures per second mean nothing. ``note`` is a line of
-    plain text below. ``rendered`` tells whether the picture shows a scene, and ``unseen`` says what is missing in it.
+    ``shown`` counts the pictures so far. ``fps`` is None while there are too few. ``note`` is a line of plain text
+    below. ``unseen`` says what is missing in the picture.
     """
     width, height = picture.size
-    parts = [f"{width}\u202f\u00d7\u202f{height}"]
-    if rendered:
-        parts += [f"frame {shown}", f"{picture.accumulated} averaged"]
+    parts = [f"{width}\u202f\u00d7\u202f{height}", f"frame {shown}", f"{picture.accumulated} averaged"]
     if picture.moment is not None:
         parts.append(f"objects at {picture.moment:.1f}")
     if picture.recomputed:

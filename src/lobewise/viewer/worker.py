@@ -30,10 +30,11 @@ from lobewise.viewer.messages import (
     Save,
     SavedFile,
     Target,
+    describe_failure,
 )
 
 if TYPE_CHECKING:
-    from lobewise.viewer.shots import OpenTarget, Shot
+    from lobewise.viewer.scenes import SceneTarget, Shot
 
 _PARENT_GONE = 3
 """Exit code of a worker whose parent has ended."""
@@ -86,12 +87,7 @@ class Worker:
     def _send(self, report: Report) -> None:
         self._pipe.send(report)
 
-    def _open(self, target: Target) -> OpenTarget:
-        if target.is_frame:
-            from lobewise.viewer.frames import FrameTarget
-
-            return FrameTarget(target.name, target.reading)
-        self._send(Progress(f"Loading {Path(target.name).name}"))
+    def _open(self, target: Target) -> SceneTarget:
         from lobewise.viewer.scenes import SceneTarget
 
         return SceneTarget(target.name, target.size, self._tell_preparing, target.moving)
@@ -102,7 +98,7 @@ class Worker:
             self._told = now
             self._send(Progress(f"Preparing the scene, {100 * done // max(total, 1)} %"))
 
-    def _answer(self, opened: OpenTarget, order: Order) -> None:
+    def _answer(self, opened: SceneTarget, order: Order) -> None:
         """Execute one order. An error is reported to its browser, and the worker goes on."""
         try:
             if isinstance(order, Forget):
@@ -143,7 +139,7 @@ class Worker:
             number=order.number,
             pixels=pixels,
             size=first.size,
-            stops=stops,
+            stops=stops if order.stops is None else None,
             seconds={**first.seconds, "picture": time.perf_counter() - start},
             accumulated=first.accumulated,
             recomputed=first.recomputed,
@@ -152,7 +148,7 @@ class Worker:
             final=final,
         )
 
-    def _save(self, opened: OpenTarget, order: Save) -> SavedFile:
+    def _save(self, opened: SceneTarget, order: Save) -> SavedFile:
         if order.client not in self._shown:
             raise InputError("save", expected="a picture", got="none yet", action="wait until there is one")
         if order.kind == "exr":
@@ -163,12 +159,6 @@ class Worker:
 
         name = f"{Path(self._target.name).stem}.png"
         return SavedFile(order.client, name, encode_png(self._shown[order.client]))
-
-
-def describe_failure(problem: Exception) -> str:
-    """Return one line about an error of the program."""
-    what = " ".join(f"{type(problem).__name__}: {problem}".split())[:300]
-    return f"Something went wrong inside lobewise: {what}"
 
 
 def measure_memory() -> int:

@@ -13,7 +13,7 @@ import http.client
 import inspect
 import logging
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache, partial
 from typing import Any
@@ -21,18 +21,10 @@ from typing import Any
 from lobewise.errors import MissingDependencyError
 from lobewise.viewer.door.access import Access, Visit
 from lobewise.viewer.door.incoming import MAX_MESSAGE_BYTES, Control, MessageError, read_message
+from lobewise.viewer.door.site import HEADERS, REFUSED, Tell
 
-Tell = Callable[[str], None]
-REFUSED = 403
 _POLICY_VIOLATION = 1008
 _PATIENCE = 20.0
-_HEADERS = {
-    # The URL holds the token: keep it from other servers and caches, and the page out of frames of other pages.
-    "Referrer-Policy": "no-referrer",
-    "Cache-Control": "no-store",
-    "Content-Security-Policy": "frame-ancestors 'none'",
-    "X-Content-Type-Options": "nosniff",
-}
 _starting = threading.Lock()
 
 
@@ -105,7 +97,7 @@ async def _process_request(access: Access, pages: Any, connection: Any, request:
         if inspect.isawaitable(answer):
             answer = await answer
     if answer is not None:
-        for name, value in _HEADERS.items():
+        for name, value in HEADERS.items():
             answer.headers[name] = value
         if not refusal and access.knows_token(visit):
             answer.headers["Set-Cookie"] = access.make_cookie(visit)

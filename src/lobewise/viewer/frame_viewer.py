@@ -1,0 +1,235 @@
+"""The page of a finished frame: plain HTML, and a small server that filters for it."""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+import socket
+import tempfile
+import threading
+from collections.abc import Callable, Mapping
+from http.server import BaseHTTPRequestHandler
+from pathlib import Path
+from socketserver import ThreadingTCPServer
+from typing import Any
+
+import numpy as np
+
+from lobewise.display.tones import map_tones
+from lobewise.errors import InputError, LobewiseError
+from lobewise.io.documents import parse_json
+from lobewise.reporting.report import fill_page
+from lobewise.viewer.door.access import Visit
+from lobewise.viewer.door.incoming import MAX_MESSAGE_BYTES
+from lobewise.viewer.door.site import HEADERS, LOOPBACK, REFUSED, Site, Tell, choose_port
+from lobewise.viewer.frames import FrameTarget
+from lobewise.viewer.messages import FrameReading, describe_failure
+
+_PATIENCE = 20.0
+"""Seconds that a browser may be silent in the middle of a request."""
+_POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self'; img-src data:"
+
+
+class FrameViewer(Site):
+    """A page that shows a finished frame: a wipe between the noisy and the denoised image, values, a histogram.
+
+    Parameters
+    ----------
+    path : str
+        An EXR file of any renderer.
+    host, port : str, int
+        Address of the page. If the port is taken, the next free one; if it is 0, any free one.
+    changes : dict, optional
+        Settings to begin with, fields of `lobewise.DenoiseSettings` that the page has a control for.
+    token : str, optional
+        The secret in the URL, as for `Viewer`.
+    tell : callable, optional
+        Called with sentences for whoever started the viewer. By default they are logged as warnings.
+    reading : FrameReading, optional
+        How the file is read.
+    reference : str, optional
+        Another EXR file, of the same size, to compare with.
+
+    Raises
+    ------
+    LobewiseError
+        If a file cannot be read, the reference has another size, or a setting or the token is wrong.
+
+    Examples
+    --------
+    >>> with FrameViewer("frame.exr") as viewer:  # doctest: +SKIP
+    ...     print(viewer.url)
+    ...     viewer.wait()
+    """
+
+    def __init__(
+        self,
+        path: str,
+        *,
+        host: str = LOOPBACK,
+        port: int = 8080,
+        changes: Mapping[str, Any] | None = None,
+        token: str | None = None,
+        tell: Tell | None = None,
+        reading: FrameReading | None = None,
+        reference: str | None = None,
+    ) -> None:
+        super().__init__(host, port, token)
+        self._tell = tell or logging.getLogger(__name__).warning
+        self._target = FrameTarget(path, reading, reference)
+        self._target.make_settings(changes or {})
+        self._changes = dict(changes or {})
+        self._over = threading.Event()
+        self._server: ThreadingTCPServer | None = None
+
+    def __enter__(self) -> FrameViewer:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def start(self) -> None:
+        """Start the page; returns when it can be opened.
+
+        Raises InputError if the host is unknown or no port is free.
+        """
+        self._port = choose_port(self._host, self._port)
+        self._server = _Server((self._host, self._port), self)
+        threading.Thread(target=self._server.serve_forever, args=(0.05,), name="lobewise-page", daemon=True).start()
+        for note in self._target.notes:
+            self._tell(note)
+
+    def wait(self) -> None:
+        """Wait until the viewer was stopped."""
+        # Without a timeout Ctrl-C would not interrupt the wait on every system.
+        while not self._over.wait(0.5):
+            pass
+
+    def stop(self) -> None:
+        """End the page. A filter that is running is not waited for."""
+        self._over.set()
+        server, self._server = self._server, None
+        if server is not None:
+            server.shutdown()
+            server.server_close()
+
+    def refuse(self, visit: Visit) -> str:
+        """Return a sentence that says why a request is refused; empty if it is allowed."""
+        return self._access.refuse(visit)
+
+    def get_cookie(self, visit: Visit) -> str:
+        """Return the cookie that answers a request with the token; empty if the request has none."""
+        return self._access.make_cookie(visit) if self._access.knows_token(visit) else ""
+
+    def write_page(self) -> bytes:
+        """Return the page."""
+        description = {**self._target.describe(), "changes": self._changes}
+        return fill_page("frame.html", {"data": json.dumps(description).replace("<", "\\u003c")}).encode()
+
+    def answer(self, path: str, wish: Mapping[str, Any]) -> bytes:
+        """Return what the page asks for, by its path.
+
+        Raises LobewiseError if the wish is none that the page has, or cannot be met.
+        """
+        if path == "/tones":
+            # The display value of every half float, by its bits, so that the page needs no tone curve of its own.
+            factor = 2.0 ** (_read_number(wish, "stops", -64.0, 64.0) - self._target.stops)
+            with np.errstate(invalid="ignore"):
+                return map_tones(np.arange(65536, dtype=np.uint16).view(np.float16), factor).tobytes()
+        values = wish.get("settings")
+        if not isinstance(values, dict):
+            raise InputError("settings", expected="an object", got=type(values).__name__, action="load the page again")
+        settings = self._target.make_settings(values)
+        if path == "/picture":
+            return self._target.paint(str(wish.get("name")), settings).tobytes()
+        if path == "/values":
+            x, y = (int(_read_number(wish, axis, 0.0, 1e6)) for axis in "xy")
+            return json.dumps(self._target.list_values(x, y, settings)).encode()
+        if path == "/file":
+            with tempfile.TemporaryDirectory() as folder:
+                return self._target.write(settings, Path(folder)).read_bytes()
+        raise InputError("path", expected="one of the page", got=repr(path[:80]), action="load the page again")
+
+
+class _Server(ThreadingTCPServer):
+    allow_reuse_address = daemon_threads = True
+
+    def __init__(self, address: tuple[str, int], viewer: FrameViewer) -> None:
+        self.address_family = socket.getaddrinfo(*address, type=socket.SOCK_STREAM)[0][0]
+        self.viewer = viewer
+        super().__init__(address, _Handler)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Say nothing of a browser that has left or was silent: the others go on."""
+        logging.getLogger(__name__).debug("in the server of the page", exc_info=True)
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: _Server
+    timeout = _PATIENCE
+    server_version, sys_version = "lobewise", ""
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Print no line for a request."""
+
+    def do_GET(self) -> None:
+        """Answer with the page."""
+        self._admit(False, lambda: self.server.viewer.write_page() if self._place == "/" else None)
+
+    def do_POST(self) -> None:
+        """Answer a wish of the page. Browsers name the page that asks, as with a WebSocket."""
+        self._admit(True, lambda: self.server.viewer.answer(self._place, self._read_wish()))
+
+    @property
+    def _place(self) -> str:
+        return self.path.partition("?")[0]
+
+    def _admit(self, is_wish: bool, make: Callable[[], bytes | None]) -> None:
+        """Answer a request by ``make`` if the visitor may ask; None is what does not exist."""
+        hosts, origins, cookies = (self.headers.get_all(name, []) for name in ("Host", "Origin", "Cookie"))
+        visit = Visit(self.path, hosts, origins, cookies, is_socket=is_wish)
+        refusal = self.server.viewer.refuse(visit)
+        if refusal:
+            self._send(REFUSED, f"{refusal}\n".encode())
+            return
+        try:
+            data, status = make(), 200
+        except LobewiseError as problem:
+            data, status = str(problem).encode(), 400
+        except (TimeoutError, ConnectionError):
+            raise
+        except Exception as problem:
+            data, status = describe_failure(problem).encode(), 500
+        kind = "text/plain" if status != 200 or is_wish else "text/html"
+        self._send(404 if data is None else status, data or b"", kind, self.server.viewer.get_cookie(visit))
+
+    def _send(self, status: int, data: bytes, kind: str = "text/plain", cookie: str = "") -> None:
+        self.send_response(status)
+        headers = {**HEADERS, "Content-Type": f"{kind}; charset=utf-8", "Content-Length": str(len(data))}
+        headers["Content-Security-Policy"] = f"{_POLICY}; {HEADERS['Content-Security-Policy']}"
+        for name, value in {**headers, **({"Set-Cookie": cookie} if cookie else {})}.items():
+            self.send_header(name, value)
+        self.end_headers()
+        self.wfile.write(data)
+
+    def _read_wish(self) -> Mapping[str, Any]:
+        """Return the JSON object of a request. Raises LobewiseError if it is too long or none."""
+        length = self.headers.get("Content-Length", "")
+        body = self.rfile.read(min(int(length), MAX_MESSAGE_BYTES + 1)) if re.fullmatch("[0-9]{1,9}", length) else b""
+        if not 0 < len(body) <= MAX_MESSAGE_BYTES:
+            expected = f"1 to {MAX_MESSAGE_BYTES} bytes"
+            raise InputError("request", expected=expected, got=f"{length or 'no'} bytes"[:40], action="send fewer")
+        wish = parse_json(body, what="request", action="correct it")
+        if not isinstance(wish, dict):
+            raise InputError("request", expected="an object", got=type(wish).__name__, action="load the page again")
+        return wish
+
+
+def _read_number(wish: Mapping[str, Any], name: str, low: float, high: float) -> float:
+    value = wish.get(name)
+    # The comparison fails for NaN.
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
+        raise InputError(name, expected=f"a number from {low:g} to {high:g}", got=repr(value)[:80], action="correct it")
+    return value
