@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from lobewise.camera import Camera
 from lobewise.denoising.automatic import resolve_settings
 from lobewise.denoising.recipe import check_frame, denoise_checked
 from lobewise.engine.graph import Graph
@@ -27,50 +26,22 @@ FRAMES = CUT + 1
 """The last one follows a cut."""
 
 
-@dataclass(frozen=True)
-class SampleFrame:
-    """A frame of the example.
-
-    Parameters
-    ----------
-    camera : Camera
-    place : (int, int)
-        Row and column of the shaded pixel in each block.
-    images : mapping of str to array
-        Inputs by name.
-    expected : (height, width, 3)
-        What Python makes of it.
-    """
-
-    camera: Camera
-    place: tuple[int, int]
-    images: Mapping[str, FloatArray]
-    expected: FloatArray
-
-    def pack(self) -> bytes:
-        """Return camera, place and inputs as they lie in frames.raw."""
-        camera = self.camera
-        view = [*camera.position, *camera.forward, *camera.up, camera.fov_y, camera.fov_x or 0.0, *camera.shift]
-        numbers = np.array([*view, *self.place], np.float64)
-        return numbers.tobytes() + b"".join(
-            np.ascontiguousarray(each, np.float32).tobytes() for each in self.images.values()
-        )
-
-
-def make_sample(settings: PipelineSettings, graph: Graph, features: Features = no_features) -> list[SampleFrame]:
-    """Return the frames of the example, filtered by the recipe whose plan is exported."""
+def make_sample(settings: PipelineSettings, graph: Graph, features: Features = no_features) -> tuple[bytes, bytes]:
+    """Return the frames of the example, as frames.raw holds them, and what the recipe of the plan makes of them."""
     made = [make_frame(number, halves=settings.reads_halves) for number in range(FRAMES)]
     frames = [make_sparse(settings, prepare_frame(settings, frame), number) for number, frame in enumerate(made)]
-    results = run_recipe(settings, frames, features)
-    return [
-        SampleFrame(
-            frame.require_camera("a pipeline"),
-            get_place(frame),
-            collect_images(graph, frame, whole.gbuffer.mean_emission),
-            expected,
-        )
-        for whole, frame, expected in zip(made, frames, results, strict=True)
-    ]
+    given = [_pack(graph, frame, whole.gbuffer.mean_emission) for frame, whole in zip(frames, made, strict=True)]
+    return b"".join(given), np.array(run_recipe(settings, frames, features), "<f4").tobytes()
+
+
+def _pack(graph: Graph, frame: AnyFrame, emission: FloatArray | None) -> bytes:
+    """Return camera, place of the shaded pixels, and inputs of a frame."""
+    camera = frame.require_camera("a pipeline")
+    view = [*camera.position, *camera.forward, *camera.up, camera.fov_y, camera.fov_x or 0.0, *camera.shift]
+    images = collect_images(graph, frame, emission).values()
+    return np.array([*view, *get_place(frame)], "<f8").tobytes() + b"".join(
+        np.ascontiguousarray(each, "<f4").tobytes() for each in images
+    )
 
 
 def prepare_frame(settings: PipelineSettings, frame: Frame) -> Frame:

@@ -6,7 +6,7 @@ may read. The light is invented: smooth functions of place and direction times r
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 from lobewise.camera import Camera, project_points
 from lobewise.frame import FloatArray, Frame, GBuffer, LobeKind, Radiance
 
+Image = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Numbers = NDArray[np.intp]
 WIDTH, HEIGHT = 96, 64
 SPP = 8
 FOV_Y = 0.8
@@ -30,20 +33,13 @@ CUT = 4
 """Number of the frame from which on another camera looks at the scene."""
 
 
-@dataclass(frozen=True)
-class Traced:
-    """What the rays of an image hit.
+class Traced(NamedTuple):
+    """What the rays of an image hit."""
 
-    Parameters
-    ----------
-    distance : (height, width)
-        Length of the ray; infinite where it hits nothing.
-    which : (height, width)
-        Number of the ball, or `NO_BALL`.
-    """
-
-    distance: NDArray[np.float64]
-    which: NDArray[np.intp]
+    distance: Image
+    """Length of the ray; infinite where it hits nothing."""
+    which: Numbers
+    """Number of the ball, or `NO_BALL`."""
 
 
 def place_camera(number: int) -> Camera:
@@ -55,14 +51,14 @@ def place_camera(number: int) -> Camera:
     return Camera(position, np.array([0.02, 0.5, 0.0]) - position, (0.0, 1.0, 0.0), FOV_Y)
 
 
-def place_balls(number: int) -> list[tuple[NDArray[np.float64], float, float]]:
+def place_balls(number: int) -> list[tuple[Image, float, float]]:
     """Return centre, radius and roughness of the balls of a frame."""
     balls = [(np.array(centre), radius, alpha) for centre, radius, alpha in BALLS]
     centre, radius, alpha = balls[-1]
     return [*balls[:-1], (centre + number * BALL_STEP, radius, alpha)]
 
 
-def trace(origin: NDArray[np.float64], ray: NDArray[np.float64], number: int) -> Traced:
+def trace(origin: Image, ray: Image, number: int) -> Traced:
     """Return what rays hit; ``ray`` has unit length."""
     with np.errstate(divide="ignore", invalid="ignore"):
         floor = -origin[..., 1] / ray[..., 1]
@@ -78,7 +74,7 @@ def trace(origin: NDArray[np.float64], ray: NDArray[np.float64], number: int) ->
     return Traced(distance, which)
 
 
-def shade_sky(ray: NDArray[np.float64]) -> NDArray[np.float64]:
+def shade_sky(ray: Image) -> Image:
     """Return the light that comes along rays from far away."""
     glow = 6.0 * np.maximum(ray @ LIGHT, 0.0) ** 40
     return np.stack([0.3 + glow, 0.4 + 0.2 * ray[..., 1] + glow, 0.7 + 0.3 * ray[..., 1] + 0.8 * glow], axis=-1)
@@ -130,7 +126,7 @@ def average(first: FloatArray, second: FloatArray) -> FloatArray:
     return np.float32(0.5) * first + np.float32(0.5) * second
 
 
-def cover_pixels(albedos: list[NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
+def cover_pixels(albedos: list[Image]) -> dict[str, Image]:
     """Return shares of pixels that near surfaces cover, and the albedos over pixel areas that follow."""
     height, width, _ = albedos[0].shape
     share = np.random.default_rng(9).uniform(0.0, 0.2, (height, width, 9))
@@ -143,9 +139,7 @@ def cover_pixels(albedos: list[NDArray[np.float64]]) -> dict[str, NDArray[np.flo
     return images
 
 
-def _describe_surfaces(
-    place: NDArray[np.float64], which: NDArray[np.intp], there: NDArray[np.bool_], number: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64], list[NDArray[np.float64]]]:
+def _describe_surfaces(place: Image, which: Numbers, there: Mask, number: int) -> tuple[Image, Image, list[Image]]:
     """Return normals, roughness, and the albedos of diffuse and specular light."""
     checker = (np.floor(2.0 * place[..., 0]) + np.floor(2.0 * place[..., 2])) % 2.0
     normal = np.where(there[..., None], np.array([0.0, 1.0, 0.0]), 0.0)
@@ -163,13 +157,7 @@ def _describe_surfaces(
     return normal, alpha, [np.where(there[..., None], each, 0.0) for each in (diffuse, specular)]
 
 
-def _shade(
-    normal: NDArray[np.float64],
-    mirrored: NDArray[np.float64],
-    second: Traced,
-    albedos: list[NDArray[np.float64]],
-    there: NDArray[np.bool_],
-) -> list[NDArray[np.float64]]:
+def _shade(normal: Image, mirrored: Image, second: Traced, albedos: list[Image], there: Mask) -> list[Image]:
     """Return diffuse and specular light without noise."""
     facing = np.maximum(normal @ LIGHT, 0.0)[..., None]
     seen = np.where(
@@ -179,16 +167,15 @@ def _shade(
     return [np.where(there[..., None], each, 0.0) for each in parts]
 
 
-def _add_noise(light: NDArray[np.float64], noise: np.random.Generator, halves: bool) -> list[NDArray[np.float64]]:
+def _add_noise(light: Image, noise: np.random.Generator, halves: bool) -> list[Image]:
     """Return light with the noise of all samples, or of each half of them, twice."""
     share = SPP / 2 if halves else float(SPP)
     draws = [noise.gamma(0.8 * share, 1.0 / (0.8 * share), light.shape[:2])[..., None] for _ in range(2)]
     # A few fireflies.
-    draws = [each * np.where(noise.random(each.shape) > 0.995, 30.0, 1.0) for each in draws]
-    return [light * each for each in draws]
+    return [light * each * np.where(noise.random(each.shape) > 0.995, 30.0, 1.0) for each in draws]
 
 
-def _join(diffuse: NDArray[np.float64], specular: NDArray[np.float64], emission: NDArray[np.float64]) -> Radiance:
+def _join(diffuse: Image, specular: Image, emission: Image) -> Radiance:
     parts = [each.astype(np.float32) for each in (diffuse, specular, emission)]
     # Some pixels have no value, as renderers write them: on a ball, where its light fills them, and in the sky.
     color = parts[0] + parts[1] + parts[2]
@@ -198,9 +185,7 @@ def _join(diffuse: NDArray[np.float64], specular: NDArray[np.float64], emission:
     return Radiance(color, diffuse=parts[0], specular=parts[1])
 
 
-def compute_motion(
-    place: NDArray[np.float64], ray: NDArray[np.float64], which: NDArray[np.intp], there: NDArray[np.bool_], number: int
-) -> FloatArray:
+def compute_motion(place: Image, ray: Image, which: Numbers, there: Mask, number: int) -> FloatArray:
     """Return from every pixel to its surface's pixel in the frame before: columns and rows."""
     height, width = which.shape
     before = place_camera(number - 1)

@@ -72,7 +72,7 @@ def export_pipeline(
     require_folder(output, force=force)
     with refusing_target(target):
         pipeline = make_pipeline(settings, target=target, name=name, features=features)
-    sample = make_sample(settings, pipeline.graph, features)
+    frames, expected = make_sample(settings, pipeline.graph, features)
     with open_folder(output, force=force) as place:
         place("kernels").mkdir()
         with refusing_target(target):
@@ -81,8 +81,8 @@ def export_pipeline(
             place(f"kernels/{file}").write_bytes(content)
         for header in get_runtime_headers(pipeline.target):
             shutil.copyfile(header, place(header.name))
-        place("frames.raw").write_bytes(b"".join(each.pack() for each in sample))
-        place("expected.raw").write_bytes(b"".join(each.expected.astype("<f4").tobytes() for each in sample))
+        place("frames.raw").write_bytes(frames)
+        place("expected.raw").write_bytes(expected)
         for file, text in write_texts(pipeline).items():
             place(file).write_text(text, encoding="utf-8")
         command = describe_build(pipeline, build_libraries(pipeline, place))
