@@ -122,6 +122,12 @@ def test_layers_of_light_in_bands(
     assert {"specular/specular_direct", "specular/specular_indirect"} <= {*result.also}
 
 
+def test_a_real_file_of_vray_in_bands(exr_folder: Path, tmp_path: Path) -> None:
+    source = tmp_path / "in.exr"
+    source.write_bytes((exr_folder / "vray_cornellBox_CryptoWildcard.0001.exr").read_bytes())
+    compare(source, quality="fast")
+
+
 def refuse(path: Path) -> str:
     """Return the sentence that refuses a file in bands."""
     with pytest.raises(InputError, match=r"expected a file that can be read in bands, .*\(--bands off\)") as caught:
