@@ -137,7 +137,7 @@ def test_page_for_mitsubas_users_runs(mi: Any) -> None:
     blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "mitsuba.md").read_text(), flags=re.S)
     for block in blocks:
         exec(compile(block, "mitsuba.md", "exec"), names)
-    assert len(blocks) == 4
+    assert len(blocks) == 5
     assert np.array(names["denoised"]).shape == names["previous"].shape == (256, 256, 3)
     assert np.isfinite(np.array(names["dr"].grad(names["noisy"]))).all()
 
