@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from lobewise import Camera, Frame, GBuffer, Radiance
+from lobewise.filters.dual_buffer import MORE_AT_ONCE
 from lobewise.radiance import LOBES, RadianceLayer
 
 SIZE = 24, 40
@@ -170,7 +171,10 @@ def _split_layers(frame: Frame) -> Iterator[Frame]:
         image = getattr(light, part)
         own = {name: half and getattr(half, part) for name, half in zip(("half_a", "half_b"), halves, strict=True)}
         for albedo, shares in product((None, getattr(frame.gbuffer, f"{part}_albedo")), ({}, own)):
-            layer = RadianceLayer(lobe, lobe, image, albedo, parts={"lamp": 0.25 * image}, **shares)
-            yield frame.with_changes(layers=(layer,), half_a=None, half_b=None)
-            if shares:
-                yield frame.with_changes(layers=(layer,))
+            # With the layer itself, which the parts do not sum to, these are all counts of images.
+            for count in range(1, MORE_AT_ONCE):
+                parts = {f"lamp {number}": 0.2 * image for number in range(count)}
+                layer = RadianceLayer(lobe, lobe, image, albedo, parts=parts, **shares)
+                yield frame.with_changes(layers=(layer,), half_a=None, half_b=None)
+                if shares:
+                    yield frame.with_changes(layers=(layer,))
