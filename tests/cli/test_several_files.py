@@ -51,9 +51,19 @@ def test_where_results_go(folder: Path, words: list[str], made: list[str]) -> No
     np.testing.assert_array_equal(read_image(made[0]), read_image("alone.exr"))
 
 
+def test_the_current_folder_and_the_one_above_it(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder / "in")
+    assert run(["denoise", ".", *CHEAP]) == 0
+    (folder / "in" / "below").mkdir()
+    monkeypatch.chdir(folder / "in" / "below")
+    (folder / "in_clean" / "a.exr").unlink()
+    assert run(["denoise", "..", *CHEAP]) == 0
+    assert list_files(folder) == ["in/a.exr", "in/b.exr", "in_clean/a.exr", "in_clean/b.exr"]
+
+
 def test_names_of_sequences() -> None:
     assert name_clean(Path("x/shot.####.exr")) == Path("x/shot_clean.####.exr")
-    assert name_clean(Path("shot-%04d.exr")) == Path("shot-%04d_clean.exr".replace("-%04d_clean", "_clean-%04d"))
+    assert name_clean(Path("shot-%04d.exr")) == Path("shot_clean-%04d.exr")
     assert name_clean(Path("####.exr")) == Path("clean.####.exr")
 
 
@@ -70,7 +80,7 @@ def test_a_file_that_fails_does_not_stop_the_others(folder: Path, capsys: pytest
     ("words", "told"),
     [
         (["in", "-o", "out.exr"], ["--output", "a folder for the 2 inputs", "out.exr"]),
-        (["in/a.exr", "other/a.exr", "-o", "out"], ["inputs", "two of the name 'a.exr'"]),
+        (["in/a.exr", "other/a.exr", "-o", "out"], ["inputs", "two for 'out/a.exr'"]),
         (["other"], ["EXR files in the folder", "none"]),
         (["in", "--half", "in/b.exr"], ["--half", "2 inputs"]),
         (["in", "--window", "2", "-o", "out"], ["--window", "in.####.exr"]),
@@ -78,6 +88,11 @@ def test_a_file_that_fails_does_not_stop_the_others(folder: Path, capsys: pytest
         (["-", "in/a.exr", "-o", "out"], ["input", "one input where -"]),
         (["-"], ["--output", "got none"]),
         (["in/a.exr", "--tev"], ["--tev", "got none on the PATH"]),
+        (["in/a.exr", "in/a.exr"], ["inputs", "two for 'in/a_clean.exr'"]),
+        (["in", "--frames", "1-2"], ["--frames", "in.####.exr"]),
+        (["in", "--workers", "2"], ["--workers", "in.####.exr"]),
+        (["in", "--exposure", "1"], ["--exposure", "--png beside it"]),
+        (["in/a.exr", "-o", "-", "--png"], ["--png", "files as input and output"]),
     ],
 )
 def test_mistakes_are_told_before_anything_is_written(
@@ -89,12 +104,12 @@ def test_mistakes_are_told_before_anything_is_written(
 ) -> None:
     Path("other").mkdir()
     monkeypatch.setenv("PATH", str(folder))
-    before = list_files(folder)
+    before = sorted(folder.rglob("*"))
     assert run(["denoise", *words, *CHEAP]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert all(word in error for word in told), error
-    assert list_files(folder) == before
+    assert sorted(folder.rglob("*")) == before
 
 
 def test_standard_input_and_output_carry_the_bytes_of_files(folder: Path) -> None:

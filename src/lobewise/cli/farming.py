@@ -119,7 +119,6 @@ def run_request(job: Job, request: Request[Any, Any], fingerprint: Any, farm: Fa
         If a frame could not be filtered, on a farm at the end; see `lobewise.farm.running.filter_on_farm` for others.
     """
     require_exr_name(job.output)
-    farm.check(job.source)
     with bounds.limit():
         if farm.is_wanted:
             _run_on_farm(job, request, repr(fingerprint), farm)

@@ -14,8 +14,17 @@ from lobewise.cli.options.bands import Bands, FileInBands, choose_bands
 from lobewise.cli.options.bounding import Bounds
 from lobewise.cli.options.common import OverTime, Source, Telling, parse_place
 from lobewise.cli.options.farming import Farm
-from lobewise.cli.options.frames import Frames
-from lobewise.cli.options.naming import Sources, Target, Tev, open_streams, pair_files, prepare_tev, run_each
+from lobewise.cli.options.frames import Frames, choose_numbers
+from lobewise.cli.options.naming import (
+    Sources,
+    Target,
+    Tev,
+    open_streams,
+    pair_files,
+    prepare_tev,
+    require_files,
+    run_each,
+)
 from lobewise.cli.options.reading import PassReading, locate_counterpart, look_up_number, name_frame, read_tables
 from lobewise.cli.options.selections import DoneOne, DoneSeveral, FileOfSeveral, FilterOfEach
 from lobewise.cli.options.shading import Reshading
@@ -89,6 +98,7 @@ def denoise(
     besides = [reading.half, reading.camera, reading.preset, reshading.scene, *request.material]
     # Mistakes in these options are told before anything else is done.
     reshading.plan()
+    picture.check()
     read_tables(request.material)
 
     def run(path: Path, target: Path) -> None:
@@ -99,13 +109,16 @@ def denoise(
         run_request(job, request, [replace(request, bands=""), picture], farm, bounds)
 
     show = prepare_tev(tev)
+    require_files(sources, output, "--tev" if tev else "--png" if picture.png else "")
     with open_streams(sources, output) as (paths, target):
-        pairs = pair_files(paths, target)
+        pairs, folders = pair_files(paths, target)
         reading.require_one(len(pairs))
         for path, each in pairs:
             window.require(path)
+            farm.check(path)
+            choose_numbers(frames, path, picture)
             protect_inputs(path, each, besides, overwrite=overwrite, png=picture.png)
-        run_each(pairs, run)
+        run_each(pairs, folders, run)
         show(pairs)
 
 
@@ -298,6 +311,7 @@ def upsample(
     request = _Upsampling(
         settings=settings, scale=scale, place=where, bilinear=bilinear, over_time=over_time, reshading=reshading
     )
+    farm.check(source)
     from lobewise.cli.farming import run_request
 
     run_request(job, request, [request, picture], farm, bounds)

@@ -12,7 +12,7 @@ from pathlib import Path
 from lobewise.errors import FileError, InputError, choose_nearest
 from lobewise.io.files import PathLike, say_reason
 
-# Placeholder of the number: #### as in Blender, @@@@ as in Shake, %04d as in C and ffmpeg, $F4 as in Houdini. Names of
+# Signs for the number: #### as in Blender, @@@@ as in Shake, %04d as in C and ffmpeg, $F4 as in Houdini. Names of
 # files often have a single @, and $FF is another variable of Houdini.
 _RUN = re.compile(r"#+|@{2,}|%(?:0([1-9]\d?))?d|\$F([1-9]?)(?!\w)")
 
@@ -52,7 +52,7 @@ def describe_gaps(numbers: Sequence[int]) -> str:
 
 
 def is_pattern(text: PathLike) -> bool:
-    """Return whether a path stands for numbered files: its name has a placeholder, and no such file exists."""
+    """Return whether a path stands for numbered files: its name has a sign for the number, and no such file exists."""
     path = Path(text)
     # `Path.is_file` would raise an error for a name that is too long.
     return _RUN.search(path.name) is not None and not os.path.isfile(path)
@@ -74,7 +74,7 @@ class FramePattern:
     def parse(cls, text: PathLike) -> FramePattern:
         """Return the pattern of a path such as ``out/render.####.exr``; ``@@@@``, ``%04d`` and ``$F4`` are the same.
 
-        Raises InputError if the name of the file has no such placeholder, or more than one.
+        Raises InputError if the name of the file has no sign for a number, or more than one.
         """
         path = Path(text)
         runs = list(_RUN.finditer(path.name))

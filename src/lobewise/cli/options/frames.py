@@ -21,7 +21,7 @@ Frames = Annotated[
         "--frames",
         metavar="RANGES",
         help="Filter only these, such as 1001-1050x2 or 1,5-9. --window still reads the frames around them. With "
-        "--temporal the history begins at the first of them, and anew after a gap.",
+        "upsample --temporal the history begins at the first of them, and anew after a gap.",
         show_default=False,
     ),
 ]

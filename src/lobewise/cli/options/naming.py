@@ -8,7 +8,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
 from typing import Annotated
 
@@ -54,60 +54,73 @@ def name_clean(source: Path) -> Path:
     return source.with_name(start + source.name[len(pattern.before) :])
 
 
-def pair_files(sources: Sequence[str], target: str | None) -> list[tuple[Path, Path]]:
-    """Return the inputs, files of folders one by one, each with its output.
+def pair_files(sources: Sequence[str], target: str | None) -> tuple[list[tuple[Path, Path]], list[Path]]:
+    """Return the inputs, files of folders one by one, each with its output, and the folders of outputs to be made.
 
-    Raises InputError if a folder holds no EXR file, several inputs have one output file, or two have one name.
+    Raises FileError if a folder cannot be read, and InputError if a folder holds no EXR file, or several inputs have
+    one output.
     """
-    from lobewise.io.files import make_folder, require_file_name
+    from lobewise.io.files import require_file_name
 
-    paths = [path for source in sources for path in _list_inputs(Path(source))]
-    folders = [Path(source) for source in sources if os.path.isdir(source)]
+    listed = [(Path(source), _list_inputs(Path(source))) for source in sources]
+    inputs = [path for _, paths in listed for path in paths]
+    is_folder = target is not None and (os.path.isdir(target) or target.endswith((os.sep, os.altsep or os.sep)))
     if target is None:
-        # Results among their inputs would be denoised by the next run.
-        by_folder = {folder: folder.with_name(f"{folder.resolve().name}_clean") for folder in folders}
-        for folder in by_folder.values():
-            make_folder(folder)
-        return [
-            (path, by_folder[path.parent] / path.name if path.parent in by_folder else name_clean(path))
+        folders = [_name_clean_folder(source) for source, paths in listed if paths != [source]]
+        pairs = [
+            (path, name_clean(path) if path == source else _name_clean_folder(source) / path.name)
+            for source, paths in listed
             for path in paths
         ]
-    is_folder = os.path.isdir(target) or target.endswith((os.sep, os.altsep or os.sep))
-    if len(paths) == 1 and not folders and not is_folder:
-        return [(paths[0], require_file_name(target))]
-    if not is_folder and Path(target).suffix.lower() == ".exr":
+    elif inputs == [Path(sources[0])] and not is_folder:
+        return [(inputs[0], require_file_name(target))], []
+    elif not is_folder and Path(target).suffix.lower() == ".exr":
         raise InputError(
             "--output",
-            expected=f"a folder for the {len(paths)} inputs",
+            expected=f"a folder for the {len(inputs)} inputs",
             got=f"the file {target!r}",
             action="name a folder",
         )
-    names = [path.name for path in paths]
-    twice = next((name for name in names if names.count(name) > 1), None)
+    else:
+        folders, pairs = [Path(target)], [(path, Path(target) / path.name) for path in inputs]
+    outputs = [output for _, output in pairs]
+    twice = next((output for output in outputs if outputs.count(output) > 1), None)
     if twice is not None:
-        got = f"two of the name {twice!r}"
-        raise InputError("inputs", expected="names that differ, in one folder", got=got, action="give them one by one")
-    folder = make_folder(target)
-    return [(path, folder / path.name) for path in paths]
+        got = f"two for {str(twice)!r}"
+        raise InputError("inputs", expected="one for each output", got=got, action="give them one by one")
+    return pairs, folders
 
 
 def _list_inputs(source: Path) -> list[Path]:
+    """Return the EXR files of a folder, or the input itself."""
+    from lobewise.io.files import refusing
+
     # `Path.is_dir` would raise an error for a name that is too long.
     if not os.path.isdir(source):
         return [source]
-    found = sorted(path for path in source.iterdir() if path.suffix.lower() == ".exr" and path.is_file())
+    with refusing(f"input {str(source)!r}", "a folder that can be read", "check its permissions"):
+        found = sorted(path for path in source.iterdir() if path.suffix.lower() == ".exr" and path.is_file())
     if not found:
         raise InputError(f"input {str(source)!r}", expected="EXR files in the folder", got="none", action="name files")
     return found
 
 
-def run_each(pairs: Sequence[tuple[Path, Path]], run: Callable[[Path, Path], None]) -> None:
-    """Run a verb on every pair of input and output.
+def _name_clean_folder(folder: Path) -> Path:
+    """Return a folder beside another one: results among their inputs would be denoised by the next run."""
+    named = folder if folder.name not in ("", "..") else folder.resolve()
+    return named.with_name(f"{named.name}_clean")
+
+
+def run_each(pairs: Sequence[tuple[Path, Path]], folders: Sequence[Path], run: Callable[[Path, Path], None]) -> None:
+    """Make the folders of outputs, and run a verb on every pair of input and output.
 
     Of several inputs one that fails does not stop the others. Raises LobewiseError at the end if any failed.
     """
     from lobewise.cli.output import print_note
+    from lobewise.io.files import make_folder
 
+    for folder in folders:
+        make_folder(folder)
     if len(pairs) == 1:
         return run(*pairs[0])
     failed = []
@@ -127,7 +140,7 @@ def run_each(pairs: Sequence[tuple[Path, Path]], run: Callable[[Path, Path], Non
 
 @contextmanager
 def open_streams(sources: Sequence[str], target: str | None) -> Iterator[tuple[list[str], str | None]]:
-    """Put files in place of standard input and output; what is written to the file goes to standard output at the end.
+    """Put files in place of standard input and output; the bytes of the output file go to standard output at the end.
 
     Raises InputError if one of several inputs is standard input, or several are to be written to standard output.
     """
@@ -147,13 +160,19 @@ def open_streams(sources: Sequence[str], target: str | None) -> Iterator[tuple[l
                 shutil.copyfileobj(sys.stdin.buffer, file)
         if target == STREAM:
             output = str(Path(folder) / "standard_output.exr")
-        # What is said of the result must not stand among the bytes of the image.
-        with redirect_stdout(sys.stderr) if target == STREAM else redirect_stdout(sys.stdout):
+        # Sentences about the result must not stand among the bytes of the image.
+        with redirect_stdout(sys.stderr) if target == STREAM else nullcontext():
             yield [source], output
         if target == STREAM:
             with Path(str(output)).open("rb") as file:
                 shutil.copyfileobj(file, sys.stdout.buffer)
             sys.stdout.buffer.flush()
+
+
+def require_files(sources: Sequence[str], target: str | None, option: str) -> None:
+    """Raise InputError if an option that needs files to stay meets a stream; ``option`` is empty where it is absent."""
+    if option and STREAM in (*sources, target):
+        raise InputError(option, expected="files as input and output", got=repr(STREAM), action="name files")
 
 
 def prepare_tev(is_wanted: bool) -> Callable[[Sequence[tuple[Path, Path]]], None]:

@@ -118,18 +118,15 @@ class Picture:
         """Whether OpenColorIO makes the picture."""
         return any(word is not None for word in (self.display, self.view, self.ocio))
 
-    def plan(self, first: Path) -> Pictures | None:
-        """Return the writer of pictures, None where none are asked for; ``first`` is the first EXR file to be written.
+    def check(self) -> float | None:
+        """Return the exposure in stops, None for one by the picture.
 
-        Raises InputError if an exposure or a view is given without a picture, or the exposure is out of range;
-        FileError if the first picture cannot be written; errors of `lobewise.display.views.open_view`.
+        Raises InputError if an exposure or a view is given without a picture, or the exposure is out of range.
         """
         stops = 0.0 if self.exposure is None and self.has_view else self.exposure
-        if not self.png:
-            for name in ("exposure", "display", "view", "ocio"):
-                if getattr(self, name) is not None:
-                    raise InputError(f"--{name}", expected="--png beside it", got="none", action="add --png")
-            return None
+        for name in () if self.png else ("exposure", "display", "view", "ocio"):
+            if getattr(self, name) is not None:
+                raise InputError(f"--{name}", expected="--png beside it", got="none", action="add --png")
         # Written so that NaN fails.
         if stops is not None and not -MAX_EXPOSURE_STOPS <= stops <= MAX_EXPOSURE_STOPS:
             raise InputError(
@@ -138,6 +135,17 @@ class Picture:
                 got=f"{stops:g}",
                 action="try 0",
             )
+        return stops
+
+    def plan(self, first: Path) -> Pictures | None:
+        """Return the writer of pictures, None where none are asked for; ``first`` is the first EXR file to be written.
+
+        Raises the errors of `check` and of `lobewise.display.views.open_view`, and FileError if the first picture
+        cannot be written.
+        """
+        stops = self.check()
+        if not self.png:
+            return None
         from lobewise.display.views import open_view
         from lobewise.io.files import require_writable
         from lobewise.reporting.picture import Pictures, name_picture
