@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 
 import lobewise
 from benchmarks.common import RESULTS, describe_machine, write_json
@@ -33,12 +34,16 @@ def main() -> None:
         return np.asarray(light + (1.0 - alpha[..., None]) * GRAY, np.float32)
 
     frames = {name: lobewise.read_frame(folder / f"{name}.exr") for name in ("noisy", "reference_1", "reference_2")}
-    opacity = {name: frame.alpha for name, frame in frames.items() if frame.alpha is not None}
+    opacity = {}
+    for name in frames:
+        with OpenEXR.File(str(folder / f"{name}.exr"), separate_channels=True) as file:
+            opacity[name] = np.array(file.channels()["ViewLayer.Combined.A"].pixels)
     noisy = frames["noisy"]
     gray = Radiance(np.repeat(opacity["noisy"][..., None], 3, axis=-1))
     peer_alpha = denoise_oidn(Frame(gray, replace(noisy.gbuffer, **dict.fromkeys(ALBEDOS))))[0].mean(axis=-1)
-    peer, own = denoise_oidn(noisy)[0], lobewise.denoise(noisy)
+    peer, own, fast = denoise_oidn(noisy)[0], lobewise.denoise(noisy), lobewise.denoise(noisy, quality="fast")
     assert own.alpha is not None
+    assert fast.alpha is not None
     judge = make_reference_judge(
         *(composite(frames[name].radiance.color, opacity[name]) for name in ("reference_1", "reference_2"))
     )
@@ -48,6 +53,7 @@ def main() -> None:
         "Open Image Denoise, alpha by itself": composite(peer, np.clip(peer_alpha, 0.0, 1.0)),
         "auto, noisy alpha": composite(own.image, opacity["noisy"]),
         "auto": composite(own.image, own.alpha),
+        "fast": composite(fast.image, fast.alpha),
     }
     errors = {name: round(judge.measure(picture)[0], 6) for name, picture in pictures.items()}
     write_json(RESULTS / "catcher.json", {"errors": errors, "machine": describe_machine()})

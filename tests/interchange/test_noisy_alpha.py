@@ -62,6 +62,28 @@ def test_opacity_is_denoised(quality: str) -> None:
     np.testing.assert_array_equal(result.image, lobewise.denoise(frame.with_changes(alpha=None), quality=quality).image)
 
 
+def test_surfaces_stay_opaque_and_the_background_clear() -> None:
+    truth = make_truth((60, 80))
+    alpha = make_noisy(truth)
+    alpha[:20, :30], alpha[40:, 50:] = 1.0, 0.0
+    color = np.random.default_rng(1).gamma(4.0, 0.05, (60, 80, 3)).astype(np.float32)
+    clean = lobewise.denoise(Frame(Radiance(color), alpha=alpha), quality="balanced").alpha
+    assert clean is not None
+    assert (clean[:17, :27] == 1.0).all()
+    assert (clean[43:, 53:] == 0.0).all()
+
+
+def test_many_samples_leave_opacity_as_it_is(tmp_path: Path) -> None:
+    written = WRITERS["cycles"](make_scene())
+    written.channels[CHANNEL] = make_noisy(make_truth(make_scene().surface.shape))
+    written.attributes["cycles.View Layer.001.samples"] = "65"
+    write(tmp_path / "a.exr", written)
+    imported = import_file(tmp_path / "a.exr")
+    assert imported.frame.spp == 65
+    assert imported.frame.alpha is None
+    assert any(note.endswith("and stays: 65 samples leave little noise in it.") for note in imported.notes)
+
+
 def test_windows_keep_the_opacity_of_their_frame() -> None:
     truth = make_truth((40, 50))
     rng = np.random.default_rng(2)
@@ -70,6 +92,13 @@ def test_windows_keep_the_opacity_of_their_frame() -> None:
     ]
     result = lobewise.WindowFilter(1, quality="fast").denoise(frames, 1)
     np.testing.assert_array_equal(result.alpha, lobewise.denoise(frames[1], quality="fast").alpha)
+
+
+def test_a_filter_over_time_says_that_opacity_stays() -> None:
+    frame = Frame(Radiance(np.ones((8, 9, 3), np.float32)), alpha=np.full((8, 9), 0.5, np.float32))
+    result = lobewise.TemporalFilter().add(frame)
+    assert result.alpha is None
+    assert "The opacity of the frame is not filtered." in result.notes
 
 
 def test_opacity_of_another_size_is_refused() -> None:
@@ -84,6 +113,7 @@ def test_the_channel_of_a_file_is_replaced(tmp_path: Path) -> None:
     assert np.mean((clean - truth) ** 2) < 0.5 * np.mean((noisy - truth) ** 2)
     imported = import_file(tmp_path / "a.exr")
     assert not any("alpha" in note for note in imported.frame.notes)
+    assert "ViewLayer.Combined.A is a fraction" in " ".join(imported.notes).replace("View Layer.001", "ViewLayer")
     write_result(tmp_path / "c.exr", lobewise.denoise(imported.frame, quality="balanced"), source=imported)
     np.testing.assert_array_equal(read_channel(tmp_path / "c.exr", CHANNEL), clean)
 

@@ -27,6 +27,7 @@ from lobewise.features import Feature
 from lobewise.filters.fireflies import compute_energy_lost
 from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.guides.negative import split_negative
+from lobewise.guides.squares import compute_square_maximum
 from lobewise.guides.survey import ALBEDOS
 from lobewise.guides.usable import CheckedGuides, check_guides
 from lobewise.peers import require_oidn
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
 
 GUIDES_OF_COLOR = (*ALBEDOS, "mean_emission", "hit_albedo")
 """Guides that tell colors, which opacity does not have."""
+ALPHA_REACH = 2
+"""Pixels around a fraction of opacity that are denoised. Surfaces stay opaque, exactly, and the background clear."""
 NO_KERNELS = (
     "No filter of lobewise can run here, so Open Image Denoise denoises the image alone; `lobewise doctor` says what "
     "to do."
@@ -140,15 +143,25 @@ def denoise_checked(checked: CheckedGuides[Frame], named: DenoiseSettings, featu
 def denoise_alpha(frame: Frame, named: DenoiseSettings) -> FloatArray:
     """Return the opacity of a frame, denoised as gray light of surfaces without albedos, (height, width), in [0, 1].
 
-    It has edges of its own, those of shadows, which the light of a shadow catcher does not show.
+    Opacity has edges of its own, those of shadows, which neither guides nor the light of a shadow catcher show. So it
+    is not filtered by the weights of the light, nor by guides alone: every named quality counts as "high". Pixels with
+    no fraction of opacity near them keep theirs.
     """
     assert frame.alpha is not None
-    gray = Radiance(np.repeat(frame.alpha[..., None], 3, axis=-1))
-    guides = replace(frame.gbuffer, **dict.fromkeys(GUIDES_OF_COLOR))
-    plain = Frame(gray, guides, frame.camera, spp=frame.spp, lobe_tables=frame.lobe_tables)
-    image = _denoise_light(CheckedGuides(plain), named, ()).image
-    alpha: FloatArray = np.clip(image.mean(axis=-1, dtype=np.float32), np.float32(0.0), np.float32(1.0))
-    return alpha
+    plain = Frame(
+        Radiance(np.repeat(frame.alpha[..., None], 3, axis=-1)),
+        replace(frame.gbuffer, **dict.fromkeys(GUIDES_OF_COLOR)),
+        frame.camera,
+        spp=frame.spp,
+        lobe_tables=frame.lobe_tables,
+        noise_is_shared=frame.noise_is_shared,
+    )
+    best = named if named.quality == "auto" else replace(named, quality="high")
+    image = _denoise_light(CheckedGuides(plain), best, ()).image
+    fractions = ((frame.alpha > 0.0) & (frame.alpha < 1.0)).astype(np.float32)
+    alpha = np.where(compute_square_maximum(fractions, ALPHA_REACH) > 0.0, image.mean(axis=-1), frame.alpha)
+    clipped: FloatArray = np.clip(np.nan_to_num(alpha), np.float32(0.0), np.float32(1.0))
+    return clipped
 
 
 def _denoise_light(checked: CheckedGuides[Frame], named: DenoiseSettings, features: Sequence[Feature]) -> Result:

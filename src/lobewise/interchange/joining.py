@@ -1,4 +1,4 @@
-"""Add to an imported frame: further noisy passes, or a second render as the other half of the samples."""
+"""Add to an imported frame: noisy opacity, further noisy passes, or a second render as half of the samples."""
 
 from __future__ import annotations
 
@@ -11,8 +11,13 @@ from lobewise.errors import InputError, require_choice
 from lobewise.frame import FloatArray, Radiance
 from lobewise.interchange.channels import COLOR, Pass, list_passes
 from lobewise.interchange.imported import ImageReader, Imported
+from lobewise.interchange.importing.leftovers import take_noisy_alpha
 from lobewise.interchange.lighting import PartOutput, name_pass
-from lobewise.interchange.mapping import Found
+from lobewise.interchange.mapping import ChannelMap, Found
+
+MAX_ALPHA_SPP = 64
+"""Most samples per pixel with which the opacity of a file is denoised. Renderers spread the samples of a pixel evenly,
+so that its opacity has less noise than its light, and fine leaves lose more than they gain."""
 
 
 def add_also(imported: Imported, patterns: Sequence[str], read: ImageReader) -> Imported:
@@ -62,6 +67,23 @@ def add_also(imported: Imported, patterns: Sequence[str], read: ImageReader) -> 
             notes.append(f"{found_one.label} is filtered like {divided}.")
     frame = imported.frame.with_changes(layers=tuple(layers.values()), also=whole)
     return replace(imported, frame=frame, outputs=outputs, notes=tuple(notes))
+
+
+def add_noisy_alpha(imported: Imported, channels: ChannelMap, read: ImageReader) -> Imported:
+    """Return a frame with the opacity of its file, if `take_noisy_alpha` returns one and the samples are few."""
+    noisy = take_noisy_alpha(channels, read)
+    if noisy is None:
+        return imported
+    found, alpha = noisy
+    told, spp = f"{found.label} is a fraction in whole areas", imported.frame.spp
+    if spp is not None and spp > MAX_ALPHA_SPP:
+        return replace(imported, notes=(*imported.notes, f"{told}, and stays: {spp} samples leave little noise in it."))
+    return replace(
+        imported,
+        frame=imported.frame.with_changes(alpha=alpha),
+        outputs={**imported.outputs, "alpha": PartOutput(found)},
+        notes=(*imported.notes, f"{told}, and is denoised by itself."),
+    )
 
 
 def _look_up_owner(imported: Imported, one: Pass) -> tuple[str | None, Found | None]:

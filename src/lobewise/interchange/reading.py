@@ -15,10 +15,10 @@ from lobewise.frame import FloatArray, Frame
 from lobewise.interchange.channels import list_passes
 from lobewise.interchange.checks import check_own_mark
 from lobewise.interchange.imported import ImageReader, Imported
-from lobewise.interchange.importing.leftovers import describe_left_noisy, describe_own_left_noisy, take_noisy_alpha
+from lobewise.interchange.importing.leftovers import describe_left_noisy, describe_own_left_noisy
 from lobewise.interchange.importing.steps import import_foreign
-from lobewise.interchange.joining import add_also, join_halves
-from lobewise.interchange.lighting import PartOutput, name_pass
+from lobewise.interchange.joining import add_also, add_noisy_alpha, join_halves
+from lobewise.interchange.lighting import name_pass
 from lobewise.interchange.mapping import map_channels
 from lobewise.interchange.selections import Selection, look_up_mapped_view
 from lobewise.interchange.siblings import look_up_family
@@ -232,10 +232,8 @@ def import_file(
         with name_file(path):
             imported = add_also(imported, also, read)
     if imported.map is not None:
-        selection, noisy = imported.map.selection, take_noisy_alpha(imported.map, read)
-        if noisy is not None:
-            outputs = {**imported.outputs, "alpha": PartOutput(noisy[0])}
-            imported = replace(imported, frame=imported.frame.with_changes(alpha=noisy[1]), outputs=outputs)
+        selection = imported.map.selection
+        imported = add_noisy_alpha(imported, imported.map, read)
         notes = describe_left_noisy(imported, read, {selection, *denoised})
         imported = replace(imported, frame=imported.frame.with_changes(notes=notes))
     if not light_passes:

@@ -53,6 +53,8 @@ from lobewise.upsampling import DEFAULT_RADIUS, UNSCATTERED, join_sparse, spread
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
+ALPHA_STAYS = "The opacity of the frame is not filtered."
+"""What a filter over time says of `Frame.alpha`."""
 HISTORY_SHARE = 3.0
 """Memory of the history, as a multiple of that of a frame."""
 MAX_OWN_WEIGHT = 1e8
@@ -190,7 +192,7 @@ class TemporalFilter:
         if isinstance(frame, SparseFrame):
             notes += describe_exact_light(frame)
         else:
-            notes += frame.notes
+            notes += (*frame.notes, *(() if frame.alpha is None else (ALPHA_STAYS,)))
         frame, below = split_negative(frame)
         if isinstance(frame, SparseFrame):
             frame = tint_samples(frame)

@@ -24,7 +24,7 @@ from lobewise.interchange.checks.precision import MAX_COARSENESS, measure_grain
 from lobewise.interchange.imported import ImageReader, Imported
 from lobewise.interchange.importing.blur import is_blurred
 from lobewise.interchange.importing.draft import Draft, Step, run_steps
-from lobewise.interchange.importing.leftovers import describe_left_noisy
+from lobewise.interchange.importing.leftovers import describe_left_noisy, take_noisy_alpha
 from lobewise.interchange.importing.steps import BAND_STEPS, import_foreign
 from lobewise.interchange.importing.surfaces import measure_offsets
 from lobewise.interchange.lighting import BACKGROUND, REST, PartOutput
@@ -231,7 +231,8 @@ class ImportedBands(BandReader):
         if imported.frame.gbuffer.position is None and "depth" in roles:
             roles.pop("position", None)
         silhouettes, _ = take_silhouettes(imported.map, read)
-        left = describe_left_noisy(imported, read, {imported.map.selection})
+        alpha_stays = take_noisy_alpha(imported.map, read) is not None
+        left = describe_left_noisy(imported, read, {imported.map.selection}, alpha_stays=alpha_stays)
         judged = Judged(
             replace(imported.map, roles=roles),
             imported.frame.camera,

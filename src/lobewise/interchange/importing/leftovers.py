@@ -33,7 +33,9 @@ OWN_PARTS = ("direct", "indirect")
 """Light of files in lobewise's own channel names that no filter writes."""
 
 
-def describe_left_noisy(imported: Imported, read: ImageReader, denoised: Collection[Selection]) -> tuple[str, ...]:
+def describe_left_noisy(
+    imported: Imported, read: ImageReader, denoised: Collection[Selection], *, alpha_stays: bool = False
+) -> tuple[str, ...]:
     """Return a sentence that names the noisy images that stay in the file; nothing if none stay.
 
     Parameters
@@ -44,6 +46,8 @@ def describe_left_noisy(imported: Imported, read: ImageReader, denoised: Collect
         Reads images of the file.
     denoised : collection of Selection
         The views and view layers of the file that are denoised.
+    alpha_stays : bool
+        Whether there is a noisy opacity that is not denoised.
     """
     channels = imported.map
     assert channels is not None
@@ -55,7 +59,7 @@ def describe_left_noisy(imported: Imported, read: ImageReader, denoised: Collect
         *_name("light group", _list_groups(channels, unused)),
         *_name("pass of light", _list_light(channels, unused, read), many="passes of light"),
         *_name_pictures(channels, [one for one in unused if _is_picture(channels, one.source)], read),
-        *(["alpha"] if imported.frame.alpha is None and take_noisy_alpha(channels, read) else []),
+        *(["alpha"] if alpha_stays else []),
         *_count_bands(channels.beside),
     ]
     return _say(words)
