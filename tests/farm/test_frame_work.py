@@ -101,6 +101,8 @@ def test_everything_that_changes_a_frame_is_among_its_sources(folder: Path, monk
     work = windowed.work
     assert (job.by_runs, windowed.by_runs) == (False, True)
     assert work.list_sources(2, job.source.name(2)) == [folder / "in.1.exr", folder / "in.2.exr"]
+    past = catch_job("--temporal", monkeypatch=monkeypatch).work
+    assert past.list_sources(1, job.source.name(1)) == [folder / "in.1.exr"]
     (folder / "camera.json").write_text("{ }")
     other = catch_job("--half", "half.#.exr", "--camera", "camera.json", monkeypatch=monkeypatch)
     assert other.fingerprint != job.fingerprint

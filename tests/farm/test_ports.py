@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from pathlib import Path
 
 import pytest
 
 from lobewise.farm.processes import start_local
+from tests.farm.processes import wait_until
 
 LISTENING = "0A"
 """State of a socket in ``/proc/net/tcp``."""
@@ -56,4 +58,9 @@ def test_local_workers_listen_at_no_port() -> None:
             seen |= list_ports()
         assert len({call.fetch() for call in calls} & list_processes()) == 2
         assert seen | list_ports() == before
+        # A terminal sends Ctrl-C to them as well.
+        (name, _) = workers.list_workers()
+        call = workers.call(name, signal.pthread_sigmask, signal.SIG_BLOCK, [])
+        wait_until(lambda: call.has_ended)
+        assert signal.SIGINT in call.fetch()
     assert list_processes().isdisjoint({call.fetch() for call in calls})

@@ -5,11 +5,15 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from lobewise import write_sparse_frame
+from lobewise.errors import LobewiseError
+from lobewise.farm import processes
+from lobewise.farm.calls import WorkerLostError
 from lobewise.farm.ledger import TOKEN
 from lobewise.sparse_frame import list_places, make_sparse
 from tests.farm.conftest import NUMBERS, read_outputs
@@ -142,7 +146,7 @@ def test_processes_end_with_a_killed_client(sources: Path, folder: Path) -> None
     program = start_program(sources, folder, "--workers", "2")
     wait_until(lambda: count_outputs(folder) >= 2)
     program.kill()
-    program.communicate()
+    program.wait()
 
     def is_over() -> bool:
         try:
@@ -151,4 +155,24 @@ def test_processes_end_with_a_killed_client(sources: Path, folder: Path) -> None
             return True
         return False
 
-    wait_until(is_over, 20.0)
+    try:
+        wait_until(is_over, 20.0)
+    finally:
+        # A process that is left would keep the pipes open.
+        with suppress(ProcessLookupError):
+            os.killpg(program.pid, signal.SIGKILL)
+        program.communicate()
+
+
+def test_processes_that_end_at_once_end_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Called with the number of threads, as a process begins.
+    monkeypatch.setattr(processes, "prepare_process", os._exit)
+    with processes.start_local(1) as workers:
+        for _ in range(processes.MAX_FALSE_STARTS):
+            (name,) = workers.list_workers()
+            call = workers.call(name, os.getpid)
+            assert workers.wait_for_finished(MAX_SECONDS) == [call.key]
+            with pytest.raises(WorkerLostError):
+                call.fetch()
+        with pytest.raises(LobewiseError, match="1 processes that start"):
+            workers.list_workers()

@@ -12,7 +12,7 @@ from renderers import WRITERS, Written, make_scene, write
 import lobewise
 from lobewise.cli.main import run
 from lobewise.errors import InputError
-from lobewise.frame import FloatArray, Frame, Radiance
+from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.interchange import import_file, write_result
 
 CHANNEL = "View Layer.001.Combined.A"
@@ -60,6 +60,20 @@ def test_opacity_is_denoised(quality: str) -> None:
     assert result.alpha.max() <= 1.0
     # The light is what it would be without opacity.
     np.testing.assert_array_equal(result.image, lobewise.denoise(frame.with_changes(alpha=None), quality=quality).image)
+
+
+def test_named_qualities_count_as_high_and_colors_do_not_count() -> None:
+    truth = make_truth((40, 50))
+    truth[:, 20:] *= 0.3
+    color = np.random.default_rng(1).gamma(4.0, 0.05, (40, 50, 3)).astype(np.float32)
+    normal = np.broadcast_to(np.float32([0.0, 0.0, 1.0]), (40, 50, 3))
+    plain = Frame(Radiance(color), GBuffer(normal=normal), alpha=make_noisy(truth))
+    alphas = [lobewise.denoise(plain, quality=quality).alpha for quality in ("fast", "high")]
+    np.testing.assert_array_equal(*alphas)
+    stripes = np.where(np.arange(50) % 6 < 3, 0.2, 0.8)[None, :, None] * np.ones((40, 1, 3))
+    guides = GBuffer(normal=normal, diffuse_albedo=stripes, specular_albedo=0.1 * stripes)
+    colored = plain.with_changes(gbuffer=guides)
+    np.testing.assert_array_equal(lobewise.denoise(colored, quality="high").alpha, alphas[1])
 
 
 def test_surfaces_stay_opaque_and_the_background_clear() -> None:

@@ -203,7 +203,7 @@ class WindowFilter:
             self._prepared[id(frame)] = prepared
             if prepared.shot is None:
                 camera = frames[number - 1].camera if number else None
-                following = frames[number + 1].camera if number + 1 < len(frames) and not self.past_only else None
+                following = frames[number + 1].camera if number + 1 < len(frames) else None
                 if camera is None and frame.camera is not None and following is not None:
                     camera = extrapolate_camera(prepared.checked.require_camera("a window"), following)
                 similarity = choose_similarity(prepared.checked, self._settings)
