@@ -79,7 +79,7 @@ def locate_shown(context):
     image = getattr(context.space_data, "image", None)
     if image is None or image.type == "RENDER_RESULT" or not image.filepath:
         return None
-    return Path(bpy.path.abspath(image.filepath, library=image.library))
+    return Path(image.filepath_from_user())
 
 
 def load_result(output):
