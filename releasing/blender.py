@@ -39,8 +39,6 @@ SOURCE = ROOT / "extensions" / "blender"
 MANIFEST = "blender_manifest.toml"
 OF_BLENDER = frozenset({"numpy"})
 """Packages that Blender has. A wheel of an extension would replace them for all of Blender."""
-WITHOUT_OIDN = frozenset({"linux-arm-64"})
-"""Systems for which `pyoidn` has no wheel."""
 LINUX_TAGS = (*(f"manylinux_2_{minor}" for minor in range(28, 16, -1)), "manylinux2014")
 MACOS_TAG = "macosx_13_0"
 """The newest macOS that wheels may require."""
@@ -91,12 +89,11 @@ def list_bundled(wheel: Path, system: System, minor: int) -> list[Locked]:
     with zipfile.ZipFile(wheel) as file:
         (name,) = (name for name in file.namelist() if name.endswith(".dist-info/METADATA"))
         metadata, _ = parse_email(file.read(name))
-    extra = "" if system.name in WITHOUT_OIDN else "best"
     environment = make_environment(system, minor)
     lines = [
         line
         for line in metadata["requires_dist"]
-        if (marker := Requirement(line).marker) is None or marker.evaluate({**environment, "extra": extra})
+        if (marker := Requirement(line).marker) is None or marker.evaluate({**environment, "extra": "best"})
     ]
     return [each for each in list_needed(lines, read_lock(), [environment]) if each.name not in OF_BLENDER]
 

@@ -46,6 +46,7 @@ LICENCES = {
     "colorama": "BSD-3-Clause",
     "cyclonedx-python-lib": "Apache-2.0",
     "halide": "MIT",
+    "hatch-fancy-pypi-readme": "MIT",
     "hatchling": "MIT",
     "lazy-loader": "BSD-3-Clause",
     "llvm": "Apache-2.0 WITH LLVM-exception",
@@ -134,7 +135,8 @@ def list_tools(index: Mapping[str, Any]) -> list[Component]:
     linker, _, number = index["linker"].partition(" ")
     # A compiler of the system has no number here, and no licence that concerns its output.
     linkers = [describe(linker, number, "")] if number else [Component(name=linker)]
-    builders = [describe(name, version(name), "") for name in ("hatchling", "cyclonedx-python-lib")]
+    names = ("hatchling", "hatch-fancy-pypi-readme", "cyclonedx-python-lib")
+    builders = [describe(name, version(name), "") for name in names]
     return [describe("llvm", index["llvm"], ""), *linkers, *builders]
 
 

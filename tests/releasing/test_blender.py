@@ -22,7 +22,10 @@ else:
     import tomli as tomllib
 
 KERNELS, COMPILED = ["numpy>=1.26", "typer>=0.15", "OpenEXR>=3.5.3; python_version >= '3.11'"], ["halide>=21,<22"]
-BEST = "pyoidn>=2.5; extra == 'best'"
+BEST = [
+    f"{package}; ({marker}) and extra == 'best'"
+    for package, _, marker in (line.partition("; ") for line in read_project()["optional-dependencies"]["best"])
+]
 
 
 def make_wheel(folder: Path, tag: str, requirements: list[str]) -> Path:
@@ -30,7 +33,7 @@ def make_wheel(folder: Path, tag: str, requirements: list[str]) -> Path:
     path = folder / f"lobewise-0.1.0-py3-none-{tag}.whl"
     lines = ["Metadata-Version: 2.4", "Name: lobewise", "Version: 0.1.0"]
     with zipfile.ZipFile(path, "w") as file:
-        text = "\n".join([*lines, *(f"Requires-Dist: {each}" for each in [*requirements, BEST])])
+        text = "\n".join([*lines, *(f"Requires-Dist: {each}" for each in [*requirements, *BEST])])
         file.writestr("lobewise-0.1.0.dist-info/METADATA", text + "\n")
     return path
 
