@@ -5,7 +5,7 @@
 
 The wheel comes to ``dist``, the figures to ``benchmarks/results/core.json``: the size of all that ``pip install``
 brings apart from NumPy, and the times of the first and the second ``lobewise denoise`` by a user without caches.
-The environment must be that of ``lock.txt``: it compiles the kernels and builds the wheel (CONTRIBUTING.md).
+The environment must be that of ``lock.txt``: it compiles the kernels and builds the wheel (docs/releasing.md).
 ``--readme`` also runs the commands of the README from a fresh clone.
 
 Only wheels of the system that this runs on can be measured. Others are built and checked (``--no-measure``).
@@ -32,6 +32,7 @@ from typing import Any
 from benchmarks.common import RESULTS, ROOT, SHOWROOM, describe_machine, write_json
 from releasing.lock import require_locked
 from releasing.sbom import make_sbom
+from releasing.trial import install
 
 MAX_MEGABYTES = 120.0
 """Largest size of an installation without NumPy."""
@@ -66,16 +67,6 @@ def build_wheel(libraries: Path, folder: Path) -> Path:
         shutil.copy(bill, found.with_suffix(".cdx.json"))
     subprocess.run([sys.executable, "-m", "twine", "check", "--strict", str(found)], check=True)
     return found
-
-
-def install(python: str, wheel: Path, folder: Path) -> Path:
-    """Install a wheel and what it needs into a fresh environment, and return the environment's folder of programs."""
-    subprocess.run([python, "-m", "venv", str(folder)], check=True)
-    programs = folder / "bin"
-    command = [str(programs / "python"), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", str(wheel)]
-    # What PYTHONPATH shows would count as installed.
-    subprocess.run(command, env={name: value for name, value in os.environ.items() if name != "PYTHONPATH"}, check=True)
-    return programs
 
 
 def weigh_packages(programs: Path) -> dict[str, float]:
@@ -139,7 +130,7 @@ def run_readme(python: str) -> list[dict[str, Any]]:
         with tempfile.TemporaryDirectory() as scratch:
             subprocess.run(["git", "clone", "--quiet", str(ROOT), scratch], check=True)
             words = command.replace("python3 -m venv", f"{shlex.quote(python)} -m venv", 1)
-            words += " -m 'not slow' tests/test_startup.py tests/backend" if words.endswith("pytest") else ""
+            words += " tests/test_startup.py tests/backend" if words.endswith("pytest") else ""
             start = time.perf_counter()
             subprocess.run(["bash", "-c", words], cwd=scratch, check=True)
             found.append({"command": command, "ran": words, "seconds": round(time.perf_counter() - start)})

@@ -12,7 +12,10 @@ from pathlib import Path
 
 import pytest
 
+import lobewise
+from releasing import trial
 from releasing.sbom import read_project
+from releasing.trial import try_wheel
 
 ROOT = Path(__file__).parents[2]
 MAX_SOURCE_MEGABYTES = 5.0
@@ -29,7 +32,7 @@ def read_citation(name: str) -> str:
 def test_all_files_name_the_same_release() -> None:
     heads = re.findall(r"^## \[(.*)\] - (.*)$", (ROOT / "CHANGELOG.md").read_text(), flags=re.M)
     assert heads[0] == (read_project()["version"], read_citation("date-released"))
-    assert read_citation("version") == read_project()["version"]
+    assert read_citation("version") == read_project()["version"] == lobewise.__version__
     assert read_citation("repository-code") == read_project()["urls"]["Repository"]
 
 
@@ -75,6 +78,9 @@ class TestDistributions:
                     own += 1
         assert own > 20
 
+    def test_the_wheel_works(self, made: tuple[Path, Path], tmp_path: Path) -> None:
+        try_wheel(made[1], tmp_path)
+
     def test_the_wheel_holds_licence_and_data(self, made: tuple[Path, Path]) -> None:
         with zipfile.ZipFile(made[1]) as file:
             names = set(file.namelist())
@@ -85,3 +91,14 @@ class TestDistributions:
         }
         assert kept
         assert names >= {f"{folder}/licenses/LICENSE", "lobewise/py.typed", *kept}
+
+
+def test_a_wheel_that_writes_no_picture_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ran: list[list[str]] = []
+    monkeypatch.setattr(trial.subprocess, "run", lambda command, **_: ran.append(command))
+    with pytest.raises(SystemExit, match=r"wrote no clean\.exr"):
+        try_wheel(tmp_path / "lobewise.whl", tmp_path)
+    assert "lobewise.denoise(frame)" in ran[-1][-1]
+    (tmp_path / "clean.exr").touch()
+    try_wheel(tmp_path / "lobewise.whl", tmp_path)
+    assert ran[-1][-1] == "doctor"

@@ -127,3 +127,12 @@ def test_wheels_hold_pictures_only_where_verbs_read_them() -> None:
     assert sizes.keys() == {"demo.exr", "demo-reference.exr"}
     assert sizes["demo.exr"] < 400_000
     assert sum(sizes.values()) < 500_000
+
+
+def test_the_readme_has_the_commands_that_a_release_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    ran: list[list[str]] = []
+    monkeypatch.setattr(wheels.subprocess, "run", lambda command, **_: ran.append(command))
+    demo, tests = wheels.run_readme("python3.12")
+    assert demo["ran"].endswith("lobewise demo")
+    assert tests["ran"].endswith("pytest tests/test_startup.py tests/backend")
+    assert [command[0] for command in ran] == ["git", "bash"] * 2
