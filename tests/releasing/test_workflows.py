@@ -82,7 +82,7 @@ def find_checker(name: str) -> str:
     """Return a program that checks workflows. Skips the test where it is missing, and fails it on GitHub."""
     program = shutil.which(name, path=os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]))
     if program is None:
-        reason = f"{name} is not installed: pip install {name}"
+        reason = f"{name} is not installed: see CONTRIBUTING.md"
         pytest.fail(reason) if os.environ.get("GITHUB_ACTIONS") else pytest.skip(reason)
     return program
 
