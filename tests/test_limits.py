@@ -156,12 +156,7 @@ def test_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source = Path(__file__).parent / "data" / "foreign" / "blender_4.5_seed1.exr"
     target = tmp_path / "out.exr"
     words = ["denoise", str(source), "-o", str(target), "--quality", "fast", "--quiet"]
-    for more, told in (
-        (["--max-seconds", "0.000001"], "expected an end within 1e-06 seconds"),
-        (["--max-seconds", "0"], "--max-seconds: expected a number above 0, got 0"),
-        (["--max-memory", "8"], "--max-memory: expected a size of at least 1GiB"),
-    ):
-        assert run([*words, *more]) == 2
-        assert told in capsys.readouterr().err
-        assert not target.exists()
+    assert run([*words, "--max-seconds", "0.000001"]) == 2
+    assert "expected an end within 1e-06 seconds" in capsys.readouterr().err
+    assert not target.exists()
     assert run([*words, "--max-seconds", "100", "--max-memory", "2GiB"]) == 0

@@ -306,9 +306,9 @@ FRONTENDS = (
     Mutation(
         "a mistake of the user ends the command with the exit code of a bug",
         "cli/main.py",
-        "return _fail(str(problem), EXIT_USER_ERROR, debug)",
-        "return _fail(str(problem), EXIT_INTERNAL_ERROR, debug)",
-        ("cli/test_overwriting.py", "cli/test_cli.py"),
+        "return _fail(name_option(str(problem), arguments), EXIT_USER_ERROR, debug)",
+        "return _fail(name_option(str(problem), arguments), EXIT_INTERNAL_ERROR, debug)",
+        ("cli/test_overwriting.py", "cli/test_mistakes.py"),
     ),
     Mutation(
         "histories are forgotten ten times as fast by default",

@@ -16,8 +16,10 @@ from lobewise.lobe_table import LobeTable
 from lobewise.settings.choices import MAX_SCALE_PIXELS
 
 
-def _check_blocks(size: tuple[int, int], scale: int, place: tuple[int, int]) -> None:
-    """Raise InputError unless an image of ``size`` has blocks of ``scale`` with a pixel at ``place``."""
+def require_place(
+    scale: int, place: tuple[int, int], size: tuple[int, int] = (MAX_SCALE_PIXELS, MAX_SCALE_PIXELS)
+) -> None:
+    """Raise InputError unless blocks of ``scale`` have a pixel at ``place``, in an image of ``size`` if it is known."""
     if isinstance(scale, bool) or not isinstance(scale, int) or not 1 <= scale <= MAX_SCALE_PIXELS:
         raise InputError(
             "scale",
@@ -141,7 +143,7 @@ class SparseFrame(Guided):
             raise InputError(
                 "gbuffer", expected="the guides of the full image", got="none", action="render the normals at least"
             )
-        _check_blocks(size, self.scale, self.place)
+        require_place(self.scale, self.place, size)
         row, column = self.place
         # Let Frame check the radiance, the variance and the sample count.
         samples = Frame(self.radiance, variance=self.variance, spp=self.spp)
@@ -195,7 +197,7 @@ def list_places(scale: int) -> list[tuple[int, int]]:
     Source: Bayer 1973, "An optimum method for two-level rendition of continuous-tone pictures"; for the fixed
     permutation, Herzog et al. 2010.
     """
-    _check_blocks((MAX_SCALE_PIXELS, MAX_SCALE_PIXELS), scale, (0, 0))
+    require_place(scale, (0, 0))
     bits = (scale - 1).bit_length()
     places = []
     for count in range(4**bits):
@@ -217,7 +219,7 @@ AnyFrame = Frame | SparseFrame
 def make_sparse(frame: Frame, scale: int, place: tuple[int, int] = (0, 0)) -> SparseFrame:
     """Return a frame that keeps the radiance of one pixel in every block, and all guides. Raises as `SparseFrame`."""
     require_kind("frame", frame, Frame)
-    _check_blocks(frame.shape, scale, place)
+    require_place(scale, place, frame.shape)
     shaded = slice(place[0], None, scale), slice(place[1], None, scale)
 
     def pick(part: Radiance) -> Radiance:

@@ -187,31 +187,6 @@ def test_the_verb_prints_tables_and_writes_figures(
     assert list(tmp_path.iterdir()) == [path]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["--device", "abacus"], "abacus"),
-        (["-o", "no/such/folder/b.json"], "no/such/folder"),
-        (["--quick", "interactive"], "bench"),
-        (["filters"], "filters"),
-        (["--radius", "8"], "radius"),
-    ],
-    ids=str,
-)
-def test_bad_input_is_told_in_a_sentence(
-    arguments: list[str],
-    says: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert run(["bench", *arguments]) == 2
-    told = capsys.readouterr().err
-    assert says in told
-    assert told.count("\n") == 1
-
-
 def test_an_unknown_device_is_refused_before_anything_is_measured() -> None:
     with pytest.raises(InputError, match="device"):
         filters.measure_filters(["abacus"])

@@ -93,22 +93,6 @@ class TestProgram:
         assert (done.returncode, done.stdout) == (2, "")
         assert done.stderr.startswith("lobewise: input '/nowhere.exr': expected an existing file")
 
-    @pytest.mark.parametrize(
-        ("arguments", "words"),
-        [
-            (["denois"], "denoise"),
-            (["denoise"], "INPUT.exr"),
-            (["upsample", "a.exr"], "--output"),
-            (["denoise", "a.exr", "-o", "b.exr", "--similarty", "sg"], "--similarity"),
-            (["denoise", "a.exr", "-o", "b.exr", "--radius", "wide"], "--radius"),
-            (["compare", "a.exr"], "--reference"),
-        ],
-    )
-    def test_bad_usage_is_one_sentence(self, arguments, words, capsys):
-        err = fail(capsys, *arguments)
-        assert words in err
-        assert "--help." in err
-
     def test_our_own_failures_are_told_apart(self, frame_file, monkeypatch, capsys):
         def explode(_path, **_options):
             raise ZeroDivisionError("a\nb")
@@ -206,16 +190,6 @@ class TestDenoise:
         assert err.endswith("Open Image Denoise is not here; install it.\n")
         assert not (tmp_path / "out.exr").exists()
 
-    @pytest.mark.parametrize(
-        ("option", "value", "words"),
-        [
-            ("--quality", "fast", "quality: expected 'balanced' or 'high' with Open Image Denoise, got 'fast'"),
-            ("--form", "atrous", "form: expected 'full' with quality 'balanced', got 'atrous'"),
-        ],
-    )
-    def test_open_image_denoise_is_not_mixed_with_fast(self, option, value, words, frame_file, tmp_path, capsys):
-        assert words in fail(capsys, "denoise", frame_file, "-o", tmp_path / "out.exr", "--with-oidn", option, value)
-
     def test_refilled_pixels_are_told_and_no_share_of_fireflies(self):
         """The share holds noise as well as light. Only clearly lost light gives a note."""
         from lobewise.cli.output import describe_result
@@ -275,26 +249,6 @@ class TestUpsample:
         assert text.startswith(f"Wrote {out}: 16x12 pixels, interpolated between pixels, ")
         assert "Settings: similarity " in err
 
-    @pytest.mark.parametrize(
-        ("words", "told"),
-        [
-            ([], "expected the attribute lobewise/sparse"),
-            (["--scale", "99"], "scale: expected an integer from 1 to 16"),
-            (["--scale", "2", "--place", "1"], "--place: expected ROW,COLUMN"),
-            (["--scale", "2", "--place", "0,2"], "place: expected row and column from 0 to 1"),
-            (["--scale", "2", "--adaptive", "5%"], "--adaptive: expected --scene beside it"),
-            (["--scale", "2", "--adaptive", "many"], "--adaptive: expected 0% to 100%, got 'many'"),
-            (
-                ["--scale", "2", "--adaptive", "5%", "--scene", "showroom", "--adaptive-spp", "0"],
-                "--adaptive-spp: expected 1 to 65536, or \"auto\", got '0'",
-            ),
-        ],
-    )
-    def test_mistakes(self, words, told, frame_file, tmp_path, capsys):
-        assert run(["upsample", str(frame_file), "-o", str(tmp_path / "out.exr"), *words]) == 2
-        assert told in capsys.readouterr().err
-        assert not (tmp_path / "out.exr").exists()
-
 
 @pytest.mark.mitsuba
 @pytest.mark.nightly
@@ -332,17 +286,6 @@ class TestMistakes:
         err = fail(capsys, "denoise", frame_file, "-o", tmp_path / "out.exr", "--similarity", "sg")
         assert "camera" in err
 
-    def test_truncated_file(self, frame_file, tmp_path, capsys):
-        frame_file.write_bytes(frame_file.read_bytes()[:-100])
-        for line in (["denoise", frame_file, "-o", tmp_path / "out.exr"], ["inspect", frame_file]):
-            assert "truncated" in fail(capsys, *line)
-
-    def test_mismatched_sizes(self, rng, tmp_path, capsys):
-        write_image(tmp_path / "a.exr", rng.random((4, 4, 3)))
-        write_image(tmp_path / "b.exr", rng.random((4, 5, 3)))
-        err = fail(capsys, "compare", tmp_path / "a.exr", "--reference", tmp_path / "b.exr")
-        assert "a.exr': image: expected the size of the reference, 5x4 pixels, got 4x4" in err
-
     def test_image_of_zero_size(self, frame_file, tmp_path, capsys):
         data = frame_file.read_bytes()
         at = data.index(b"dataWindow\0box2i\0") + len(b"dataWindow\0box2i\0") + 4
@@ -350,30 +293,15 @@ class TestMistakes:
         err = fail(capsys, "denoise", frame_file, "-o", tmp_path / "out.exr")
         assert "an image of zero size" in err
 
-    def test_empty_file(self, tmp_path, capsys):
-        (tmp_path / "a.exr").write_bytes(b"")
-        err = fail(capsys, "denoise", tmp_path / "a.exr", "-o", tmp_path / "out.exr")
-        assert "an empty file of 0 bytes" in err
-
-    def test_directory_as_output(self, frame_file, tmp_path, capsys):
-        assert "expected a file name, got a directory" in fail(capsys, "upsample", frame_file, "-o", tmp_path)
-        assert "expected a file name, got a directory" in fail(capsys, "render", "showroom", "-o", tmp_path)
-
     def test_unwritable_paths(self, frame_file, tmp_path, capsys):
         os.mkfifo(tmp_path / "pipe")
         for path, words in (
-            (frame_file / "out.exr", "which is not a folder"),
-            (tmp_path / "missing" / "out.exr", "no folder"),
             ("/proc/out.exr", ""),
             (tmp_path / "pipe", "a device or pipe"),
         ):
             err = fail(capsys, "denoise", frame_file, "--quality", "fast", "-o", path)
-            assert f"output '{path}'" in err
+            assert f"--output '{path}'" in err
             assert words in err
-        err = fail(capsys, "compare", frame_file, "-r", frame_file, "--json", frame_file / "a.json")
-        assert "which is not a folder" in err
-        err = fail(capsys, "demo", "-o", frame_file)
-        assert "expected a folder that can be made, got file exists" in err
 
     @pytest.mark.parametrize("value", [np.nan, np.inf])
     def test_nothing_but_bad_pixels(self, value, frame_file, tmp_path, capsys):
@@ -382,22 +310,6 @@ class TestMistakes:
         write_frame(frame_file, frame.with_changes(radiance=bad))
         err = fail(capsys, "denoise", frame_file, "-o", tmp_path / "out.exr")
         assert "expected at least one pixel that is finite and not negative" in err
-
-    @pytest.mark.parametrize(
-        ("option", "value", "words"),
-        [
-            ("--similarity", "gxx", "did you mean 'ggx'?"),
-            ("--form", "ful", "did you mean 'full'?"),
-            ("--radius", "-1", "radius"),
-            ("--beta", "strong", "beta: expected \"auto\" or a finite number above 0, got 'strong'"),
-            ("--beta", "-2", "beta"),
-            ("--beta", "nan", "beta"),
-            ("--quality", "balancd", "did you mean 'balanced'?"),
-            ("--device", "cpux", "did you mean 'cpu'?"),
-        ],
-    )
-    def test_bad_values(self, option, value, words, frame_file, tmp_path, capsys):
-        assert words in fail(capsys, "denoise", frame_file, "-o", tmp_path / "out.exr", option, value)
 
     def test_comparing_bad_pixels(self, rng, tmp_path, capsys):
         image = rng.random((4, 4, 3))
@@ -408,15 +320,6 @@ class TestMistakes:
         assert "bad.exr': image: expected finite pixels, got 1 of 16" in err
         err = fail(capsys, "compare", tmp_path / "good.exr", "-r", tmp_path / "bad.exr")
         assert "bad.exr': reference: expected finite pixels" in err
-
-    def test_rendering_what_is_not_there(self, tmp_path, capsys):
-        assert "showroom" in fail(capsys, "render", "showrom", "-o", tmp_path / "out.exr")
-        err = fail(capsys, "render", "showroom", "-o", tmp_path / "out.exr", "--aov-only", "--reference")
-        assert "leave one of them out" in err
-
-    def test_demo_options_without_live(self, tmp_path, capsys):
-        assert "add --live" in fail(capsys, "demo", "-o", tmp_path / "demo", "--spp", "8")
-        assert not (tmp_path / "demo").exists()
 
 
 class TestCompare:
@@ -624,8 +527,3 @@ class TestFitMitsuba:
         before = sorted(tmp_path.iterdir())
         assert words in fail(capsys, "fit", "--mitsuba", reference.format(scene), "-o", tmp_path / "a.lobes")
         assert sorted(tmp_path.iterdir()) == before
-
-    def test_one_material_and_not_two(self, scene, tmp_path, capsys):
-        assert "got neither" in fail(capsys, "fit", "-o", tmp_path / "a.lobes")
-        both = ["fit", "gold.binary", "--mitsuba", f"{scene}#brass", "-o", tmp_path / "a.lobes"]
-        assert "got both" in fail(capsys, *both)

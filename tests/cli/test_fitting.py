@@ -99,14 +99,6 @@ class TestMistakes:
             path.write_bytes(data)
             assert words in fail(path)
 
-    def test_wrong_options(self, material, tmp_path, fail):
-        assert "1 to 4" in fail(material, "--lobes", 5)
-        assert "did you mean 'asg'" in fail(material, "--kind", "asgs")
-        assert "another file" in fail(material, "--plot", tmp_path / "out.lobes")
-        assert "no folder" in fail(material, "--plot", tmp_path / "nowhere" / "a.png")
-        assert "--plot" in fail(material, "--plot", tmp_path / "a.png", "--no-plot")
-        assert "no such file" in fail(tmp_path / "missing.binary")
-
     def test_without_matplotlib(self, material, fail, monkeypatch):
         monkeypatch.setitem(sys.modules, "matplotlib.backends.backend_agg", None)
         assert "lobewise[fit]" in fail(material)

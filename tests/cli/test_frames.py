@@ -98,22 +98,3 @@ def test_records_of_other_runs_are_kept(folder: Path) -> None:
     assert not own.exists()
     assert denoise() == 0
     assert [records.exists() for records in others] == [False, True]
-
-
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        (["in.#.exr", "-o", "out.#.exr", "--frames", "1-2", "--png"], "--png: expected --exposure beside --frames, "),
-        (["in.1.exr", "-o", "out.exr", "--frames", "1"], "--frames: expected a sequence such as 'in.####.exr', got "),
-        (["in.#.exr", "-o", "out.#.exr", "--frames", "2-1"], "--frames: expected at most 1000000 frames, such as "),
-        (["in.1.exr", "-o", "out.####.exr"], "--output: expected the name of one file for the one input 'in.1.exr', "),
-        (["in.1.exr", "-o", "out.$F4.exr", "--overwrite"], "--output: expected the name of one file for the one "),
-    ],
-)
-@pytest.mark.parametrize("verb", ["denoise", "upsample"])
-def test_mistakes(verb: str, words: list[str], told: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run([verb, *words]) == 2
-    err = capsys.readouterr().err
-    assert err.startswith(f"lobewise: {told}")
-    assert err.count("\n") == 1
-    assert list_written(folder) == []

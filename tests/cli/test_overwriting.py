@@ -81,11 +81,9 @@ def test_what_is_read_besides_is_not_replaced(
     noisy: Path, rng: np.random.Generator, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_frame("second.exr", make_frame(rng))
-    Path("camera.json.exr").write_text("{}")
-    for words in (
-        ["--half", "second.exr", "-o", "second.exr"],
-        ["--camera", "camera.json.exr", "-o", "camera.json.exr"],
-    ):
+    Path("camera.json").write_text('{"position": [0, 0, 0], "forward": [0, 0, -1], "up": [0, 1, 0], "fov_y": 1}')
+    Path("camera.exr").symlink_to("camera.json")
+    for words in (["--half", "second.exr", "-o", "second.exr"], ["--camera", "camera.json", "-o", "camera.exr"]):
         assert ENDS in refuse(capsys, "denoise", "noisy.exr", *words)
 
 
@@ -120,11 +118,12 @@ def test_figures_replace_no_image(noisy: Path, capsys: pytest.CaptureFixture[str
 def test_a_render_and_a_fit_replace_nothing_that_they_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("mitsuba")
     pytest.importorskip("matplotlib")
-    scene = tmp_path / "scene.xml"
+    scene, link = tmp_path / "scene.xml", tmp_path / "scene.exr"
     scene.write_text('<scene version="3.0.0"/>')
-    assert ENDS in refuse(capsys, "render", scene, "-o", scene)
-    assert ENDS in refuse(capsys, "render", scene, "-o", scene, "--scale", "2")
-    assert ENDS in refuse(capsys, "render", scene, "-o", scene, "--frames", "1")
+    link.symlink_to(scene)
+    assert ENDS in refuse(capsys, "render", scene, "-o", link)
+    assert ENDS in refuse(capsys, "render", scene, "-o", link, "--scale", "2")
+    assert ENDS in refuse(capsys, "render", scene, "-o", link, "--frames", "1")
     assert ENDS in refuse(capsys, "bench", "interactive", scene, "-o", scene)
     assert ENDS in refuse(capsys, "fit", scene, "-o", scene, "--no-plot")
     assert ENDS in refuse(capsys, "fit", "--mitsuba", f"{scene}#wall", "-o", tmp_path / "a.lobes", "--plot", scene)

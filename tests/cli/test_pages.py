@@ -6,7 +6,6 @@ import re
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 import lobewise
 from lobewise.cli.main import run as run_program
@@ -53,16 +52,6 @@ def test_inspect_shows_a_file_of_lobewise(tmp_path: Path) -> None:
     assert set(frame.gbuffer.names) <= set(list_figures(page))
 
 
-def test_inspect_refuses_to_write_over_its_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    source = tmp_path / "frame.exr"
-    lobewise.write_frame(source, make_scene((12, 16)))
-    before = source.read_bytes()
-    assert run("inspect", source, "--html", source) == 2
-    assert source.read_bytes() == before
-    assert run("inspect", source, "--plan", "--html", tmp_path / "a.html") == 2
-    assert capsys.readouterr().err.count("expected") == 2
-
-
 def test_compare_writes_a_page(tmp_path: Path) -> None:
     image = np.full((8, 9, 3), 0.5, np.float32)
     for name, factor in (("a", 1.5), ("b", 1.1), ("c", 1.0)):
@@ -73,12 +62,3 @@ def test_compare_writes_a_page(tmp_path: Path) -> None:
     assert all(f"{name}.exr" in text for name in "abc")
     assert "c.exr (reference)" in text
     assert not re.search(r'(src|href)="(?!data:)', text)
-
-
-def test_compare_refuses_a_page_of_sequences(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for name in ("a", "r"):
-        write_image(tmp_path / f"{name}.0001.exr", np.full((8, 9, 3), 0.5, np.float32))
-    page = tmp_path / "page.html"
-    assert run("compare", tmp_path / "a.####.exr", "-r", tmp_path / "r.####.exr", "--html", page) == 2
-    assert "single files" in capsys.readouterr().err
-    assert not page.exists()

@@ -33,21 +33,6 @@ def test_it_prints_the_steps_of_the_quality(quality: str, frame_file: Path, caps
     assert "Time: about" in printed
 
 
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        (["--quality", "high"], "--quality: expected --plan beside it"),
-        (["--plan", "--json"], "--plan: expected no --json"),
-        (["--plan", "--radius", "900"], "radius"),
-    ],
-)
-def test_what_does_not_fit_is_refused(
-    words: list[str], told: str, frame_file: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["inspect", str(frame_file), *words]) == 2
-    assert told in capsys.readouterr().err
-
-
 def test_a_file_in_bands_is_planned_without_open_image_denoise(
     frame_file: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

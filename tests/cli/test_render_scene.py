@@ -62,7 +62,10 @@ def test_a_frame_of_an_own_integrator_is_denoised(fog: Path) -> None:
         (["-D", "density"], "-D: expected NAME=VALUE"),
         (["-D", "density=2", "-D", "density=3"], "-D: expected every name once"),
         ([], "undefined parameter: $density"),
-        (["-D", "density=2", "--max-depth", "3"], "max_depth: expected none, as the scene's own integrator, 'volpath'"),
+        (
+            ["-D", "density=2", "--max-depth", "3"],
+            "--max-depth: expected none, as the scene's own integrator, 'volpath'",
+        ),
         (["-D", "density=2", "--scale", "2", "--light", "indirect"], "light: expected 'all'"),
         (["-D", "density=2", "--light", "indirect"], "light: expected 'all'"),
         (["-D", "density=2", "--integrator", "path"], "did you mean 'paths'?"),

@@ -76,42 +76,6 @@ def test_a_file_that_fails_does_not_stop_the_others(folder: Path, capsys: pytest
     assert list_files(folder / "out") == ["b.exr"]
 
 
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        (["in", "-o", "out.exr"], ["--output", "a folder for the 2 inputs", "out.exr"]),
-        (["in/a.exr", "other/a.exr", "-o", "out"], ["inputs", "two for 'out/a.exr'"]),
-        (["other"], ["EXR files in the folder", "none"]),
-        (["in", "--half", "in/b.exr"], ["--half", "2 inputs"]),
-        (["in", "--window", "2", "-o", "out"], ["--window", "in.####.exr"]),
-        (["in", "-o", "in"], ["output", "got the input"]),
-        (["-", "in/a.exr", "-o", "out"], ["input", "one input where -"]),
-        (["-"], ["--output", "got none"]),
-        (["in/a.exr", "--tev"], ["--tev", "got none on the PATH"]),
-        (["in/a.exr", "in/a.exr"], ["inputs", "two for 'in/a_clean.exr'"]),
-        (["in", "--frames", "1-2"], ["--frames", "in.####.exr"]),
-        (["in", "--workers", "2"], ["--workers", "in.####.exr"]),
-        (["in", "--exposure", "1"], ["--exposure", "--png beside it"]),
-        (["in/a.exr", "-o", "-", "--png"], ["--png", "files as input and output"]),
-    ],
-)
-def test_mistakes_are_told_before_anything_is_written(
-    folder: Path,
-    words: list[str],
-    told: list[str],
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    Path("other").mkdir()
-    monkeypatch.setenv("PATH", str(folder))
-    before = sorted(folder.rglob("*"))
-    assert run(["denoise", *words, *CHEAP]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert all(word in error for word in told), error
-    assert sorted(folder.rglob("*")) == before
-
-
 def test_standard_input_and_output_carry_the_bytes_of_files(folder: Path) -> None:
     program = [sys.executable, "-c", "from lobewise.cli import main; main()", "denoise", *CHEAP]
     done = subprocess.run([*program, "-", "-o", "-"], input=Path("in/a.exr").read_bytes(), capture_output=True)

@@ -104,40 +104,6 @@ def test_a_run_that_was_stopped_goes_on_with_the_same_bits(folder: Path, tmp_pat
     assert not name_checkpoint(stopped / "o.####.exr").exists()
 
 
-@pytest.mark.parametrize(
-    ("line", "words"),
-    [
-        (["denoise", "d.0001.exr", "-o", "o.exr", "--temporal"], ["--temporal", "in.####.exr", "d.0001.exr"]),
-        (["denoise", "d.####.exr", "-o", "o.exr", "--temporal"], ["o.exr"]),
-        (["denoise", "x.####.exr", "-o", "o.####.exr", "--temporal"], ["x.####.exr"]),
-        (["upsample", "s.####.exr", "-o", "o.####.exr", "--temporal", "--memory", "2"], ["memory", "0 to 1"]),
-        (["upsample", "s.####.exr", "-o", "o.####.exr", "--temporal", "--bilinear"], ["--bilinear", "--temporal"]),
-        (["denoise", "d.0001.exr", "-o", "o.exr", "--adaptive", "5%"], ["--adaptive", "--scene"]),
-        (["upsample", "d.####.exr", "-o", "o.####.exr", "--temporal"], ["lobewise/sparse", "d.0001.exr"]),
-    ],
-    ids=[
-        "no pattern",
-        "one output",
-        "no files",
-        "memory",
-        "bilinear",
-        "no scene",
-        "not sparse",
-    ],
-)
-def test_mistakes_are_told_in_one_sentence(line, words, folder: Path, tmp_path: Path, capsys, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    for path in folder.iterdir():
-        (tmp_path / path.name).symlink_to(path)
-    assert run(line) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("lobewise: ")
-    assert error.count("\n") == 1
-    for word in words:
-        assert word in error
-    assert not list(tmp_path.glob("o*"))
-
-
 def test_a_missing_frame_is_named_and_notes_name_their_frame(
     tmp_path: Path, rng: np.random.Generator, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -68,24 +68,3 @@ def test_parts_of_a_sequence_are_those_of_the_whole(folder):
     assert sorted(path.name for path in folder.glob("o.*")) == sorted(whole)[:3]
     assert denoise(folder, "--window", "1", "--frames", "4-5") == 0
     assert {path.name: path.read_bytes() for path in folder.glob("o.*")} == whole
-
-
-@pytest.mark.parametrize(
-    ("more", "words"),
-    [
-        (["--window", "9"], ["--window", "1 to 8"]),
-        (["--window", "-1"], ["--window", "1 to 8"]),
-        (["--temporal", "--bands", "64"], ["--bands", "--temporal"]),
-        (["--window", "2", "--bands", "64"], ["--bands", "--window"]),
-    ],
-)
-def test_what_cannot_be_done_is_refused(folder, capsys, more, words):
-    assert denoise(folder, *more) == 2
-    told = capsys.readouterr().err
-    assert all(word in told for word in words), told
-    assert not list(folder.glob("o.*"))
-
-
-def test_a_single_file_is_refused(folder, capsys):
-    assert run(["denoise", str(folder / "d.0001.exr"), "-o", str(folder / "o.exr"), "--window", "2"]) == 2
-    assert "in.####.exr" in capsys.readouterr().err

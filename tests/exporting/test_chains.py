@@ -169,23 +169,6 @@ def test_no_language_pads_constants_otherwise(language: str) -> None:
         assert lay_out(make_chain(name).constants)[""] % 16 == 0
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["passes", "filter"], "Missing argument"),
-        (["passes", "fliter", "wgsl"], "did you mean 'filter'"),
-        (["passes", "filter", "wgls"], "did you mean 'wgsl'"),
-        (["passes", "filter", "wgsl", "--radius", "3"], "No such option: --radius"),
-        (["functions", "wgsl", "--radius", "3"], "No such option: --radius"),
-        (["passes", "filter", "wgsl", "--similarity", "asg"], "expected one of ggx, sg"),
-    ],
-)
-def test_refusals(words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["export", *words, "-o", str(tmp_path / "out")]) == 2
-    assert said in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
 def test_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["export", "passes", "filter", "hlsl", "--form", "atrous", "-o", str(tmp_path / "out")]) == 0
     assert "12 passes" in capsys.readouterr().out

@@ -293,15 +293,12 @@ def test_every_step_says_what_it_does(settings: dict[str, Any]) -> None:
         (["--plan", "fast", "--no-halves"], "what a pipeline can contain"),
         (["--plan", "balanced", "--hit-guides", "--layers", "color"], "what a pipeline can contain"),
         (["--plan", "fast", "--coverage"], "what a pipeline can contain"),
-        (["--plan", "auto"], "balanced"),
         (["--plan", "fast", "--history", "--similarity", "sg_mixture"], "what a pipeline can contain"),
         (["--plan", "fast", "--similarity", "diffuse"], "choose the plan filter"),
-        (["--no-albedo"], "No such option: --no-albedo"),
         (["--plan", "fast", "--emission", "--layers", "color"], "what a pipeline can contain"),
         (["--plan", "fast", "--emission", "--upsample", "2"], "what a pipeline can contain"),
         (["--plan", "filter", "--history"], "history with the plan filter"),
         (["--similarity", "normal", "--hit-distance"], "a similarity of lobes"),
-        (["--plan", "fast", "--name", "9"], "an identifier of C"),
     ],
 )
 def test_what_a_pipeline_cannot_contain_is_refused(
@@ -315,22 +312,3 @@ def test_what_a_pipeline_cannot_contain_is_refused(
 def test_settings_name_no_unknown_layers() -> None:
     with pytest.raises(InputError, match="layers"):
         PipelineSettings(layers="three")  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("words", [["pipeline"], ["filter"], ["passes", "filter", "wgsl"]], ids=" ".join)
-def test_a_folder_is_written_or_a_list_printed(
-    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    for more, got in ((["--list", "-o", "folder"], "both"), ([], "neither")):
-        assert run(["export", *words, *more]) == 2
-        assert f"or --list, which writes nothing, got {got}" in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("words", [["--plan", "fast", "--list"], ["-o", "folder", "--similarity", "sg"], ["web"]])
-def test_what_is_written_is_named_first(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["export", *words]) == 2
-    said = capsys.readouterr().err
-    assert f"as its first word: pipeline, filter, functions, passes, got '{words[0]}'" in said
-    assert said.count("\n") == 1

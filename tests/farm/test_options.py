@@ -31,23 +31,6 @@ def fail(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     return capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        (["in.#.exr", "--workers", "0"], "--workers: expected a number from 1 to 1024, got 0"),
-        (["in.#.exr", "--workers", "2", "--farm", "tcp://a:1"], "--workers: expected no --farm beside it"),
-        (["in.#.exr", "--workers", "2", "--max-memory", "8"], "expected a size of at least 1GiB"),
-        (["in.#.exr", "--workers", "2", "--max-memory", "100MB"], "expected a size of at least 1GiB"),
-        (["in.#.exr", "--insecure"], "--insecure: expected --farm beside it"),
-        (["in.1.exr", "--workers", "2"], "--workers: expected a sequence such as 'in.####.exr', got 'in.1.exr'"),
-        (["in.1.exr", "--farm", "tcp://a:1"], "--farm: expected a sequence such as 'in.####.exr', got 'in.1.exr'"),
-    ],
-)
-def test_mistakes(words: list[str], told: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert told in fail(capsys, *words, "-o", "out.#.exr" if "#" in words[0] else "out.exr")
-    assert sorted(path.name for path in folder.iterdir()) == ["in.1.exr"]
-
-
 def test_without_dask_the_sentence_names_the_command(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -218,11 +218,6 @@ class TestViewer:
         assert told.out == ""
         assert re.fullmatch(r"lobewise: .*broken\.exr.*\n", told.err)
 
-    @pytest.mark.parametrize("options", [["--preset", "cycles"], ["--reference", "right.exr"]])
-    def test_options_of_frames_are_refused_beside_a_scene(self, options, capsys):
-        assert run(["view", "showroom", *options]) == 2
-        assert f"{options[0]}: expected a finished frame" in capsys.readouterr().err
-
     def test_without_viser_it_says_what_to_install(self, monkeypatch):
         monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
         with pytest.raises(MissingDependencyError, match=r"pip install 'lobewise\[viewer\]'"):

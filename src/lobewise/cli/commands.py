@@ -68,9 +68,11 @@ def demo(
     ] = False,
     live: Annotated[bool, typer.Option("--live", help="Render the frame first, instead of the one inside.")] = False,
     scene: Annotated[str, typer.Option(metavar="SCENE", help="With --live: the scene to render.")] = "showroom",
-    spp: Annotated[int, typer.Option(metavar="N", help="With --live: samples per pixel.")] = 4,
-    reference_spp: Annotated[int, typer.Option(metavar="N", help="With --live: samples of the reference.")] = 1024,
-    size: Annotated[int, typer.Option(metavar="N", help="With --live: pixels per side.")] = 512,
+    spp: Annotated[int, typer.Option(metavar="N", min=1, help="With --live: samples per pixel.")] = 4,
+    reference_spp: Annotated[
+        int, typer.Option(metavar="N", min=1, help="With --live: samples of the reference.")
+    ] = 1024,
+    size: Annotated[int, typer.Option(metavar="N", min=1, help="With --live: pixels per side.")] = 512,
     device: Annotated[
         str, typer.Option(metavar="auto|NAME", help="Device of the filters; see `lobewise devices`.")
     ] = "auto",
@@ -143,6 +145,7 @@ def inspect(
     from lobewise.cli.output import print_description, to_json
     from lobewise.cli.terminal.summary import print_summary
     from lobewise.interchange.describing import inspect_file
+    from lobewise.io.files import require_other_files, require_writable
 
     if plan:
         if as_json or everything or attributes or page:
@@ -154,6 +157,9 @@ def inspect(
     if settings:
         names = ", ".join(f"--{name.replace('_', '-')}" for name in settings)
         raise InputError(names, expected="--plan beside it", got="none", action="add --plan")
+    if page is not None:
+        require_writable(page)
+        require_other_files([page], [source])
     description, imported = inspect_file(
         source, **reading.parse(), half=reading.half, also=reading.also or (), all_layers=reading.all_layers
     )
@@ -174,11 +180,9 @@ def write_contents(page: Path, source: Path, description: FileDescription, readi
     """Write the page of a file's images."""
     from lobewise.cli.output import print_note
     from lobewise.interchange import import_file
-    from lobewise.io.files import require_other_files, require_writable, write_text
+    from lobewise.io.files import write_text
     from lobewise.reporting.contents import make_contents_page
 
-    require_writable(page)
-    require_other_files([page], [source])
     frame = import_file(source, **reading.parse(), half=reading.half, also=reading.also or (), light_passes=True).frame
     write_text(page, make_contents_page(description, frame))
     print_note(f"Wrote {page}.")

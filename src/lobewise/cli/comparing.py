@@ -68,7 +68,7 @@ def compare(
         require_other_files([json_output], list_files(inputs))
     are_sequences = _are_sequences(inputs, guides)
     if page is not None:
-        _require_page(page, inputs, are_sequences=are_sequences)
+        _require_page(page, json_output, inputs, are_sequences=are_sequences)
     metrics, missing = _list_metrics()
     if are_sequences:
         compared = _compare_sequences(images, reference, guides, metrics)
@@ -91,12 +91,16 @@ def compare(
     print_comparison(title, metrics, [(row["path"], row) for row in compared["images"]])
 
 
-def _require_page(page: Path, inputs: Sequence[Path], *, are_sequences: bool) -> None:
-    """Raise unless the page can be written, is none of the inputs, and shows single files."""
+def _require_page(page: Path, figures: Path | None, inputs: Sequence[Path], *, are_sequences: bool) -> None:
+    """Raise unless the page can be written, is neither the file of figures nor an input, and shows single files."""
     from lobewise.io.files import require_other_files, require_writable
 
     if are_sequences:
         raise InputError("--html", expected="single files", got="sequences", action="name one frame of each")
+    if page == figures:
+        raise InputError(
+            "--html", expected="another file than that of --json", got=repr(str(page)), action="rename one"
+        )
     require_writable(page)
     require_other_files([page], list_files(inputs))
 

@@ -13,6 +13,7 @@ from typing import Any
 
 from lobewise.bench.machine import look_up_processor
 from lobewise.chunks import count_cores
+from lobewise.cli.options.common import require_device, require_scene
 from lobewise.denoising import denoise
 from lobewise.denoising.bad_pixels import blacken_bad
 from lobewise.errors import InputError
@@ -114,6 +115,9 @@ def make_demo(
             got="none",
             action="add --live, which needs Mitsuba",
         )
+    require_device(device)
+    if live:
+        require_scene(scene)
     page = make_folder(folder) / "report.html"
     if live:
         say(f"Rendering {scene} with {spp} samples per pixel, and a reference with {reference_spp}.")

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from lobewise.cli.options.spreading import with_groups, with_settings
-from lobewise.cli.terminal.help import EXAMPLES, FILTER_DETAILS, App, Group
+from lobewise.cli.terminal.help import EXAMPLES, FILTER_DETAILS, App
 from lobewise.errors import InputError, require_choice
 from lobewise.exporting.names import CHAINS, SHADER_LANGUAGES, TARGETS
 from lobewise.exporting.pipeline.settings import FILTER, PipelineSettings
@@ -27,24 +27,7 @@ Listing = Annotated[bool, typer.Option("--list", help="Print what the folder wou
 Language = Annotated[str, typer.Argument(metavar=LANGUAGES, help="The shader language.", show_default=False)]
 
 
-class Products(Group):
-    """The verbs of `export`. A command line without one is refused in one sentence."""
-
-    def resolve_command(self, context: Any, words: list[str]) -> Any:
-        """Return the verb that a command line names."""
-        if words[0] not in self.commands:
-            raise InputError(
-                "export",
-                expected=f"what to write as its first word: {', '.join(self.commands)}",
-                got=repr(words[0]),
-                action="such as lobewise export filter -o filter",
-            )
-        return super().resolve_command(context, words)
-
-
 export = App(
-    cls=Products,
-    context_settings={"ignore_unknown_options": True},
     help=f"""Write a filter as a C library with README and example, or as shaders.
 
 Targets of pipeline and filter, all compiled in the tests: {", ".join(TARGETS)}. Other combinations of these processors

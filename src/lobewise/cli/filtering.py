@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lobewise.cli.options.bands import Bands, FileInBands, choose_bands
+from lobewise.cli.options.bands import Bands, FileInBands, choose_bands, require_bands
 from lobewise.cli.options.bounding import Bounds
-from lobewise.cli.options.common import OverTime, Source, Telling, parse_place
+from lobewise.cli.options.common import OverTime, Source, Telling, parse_place, require_device
 from lobewise.cli.options.farming import Farm
 from lobewise.cli.options.frames import Frames, choose_numbers
 from lobewise.cli.options.naming import (
@@ -23,6 +23,7 @@ from lobewise.cli.options.naming import (
     pair_files,
     prepare_tev,
     require_files,
+    require_inputs,
     run_each,
 )
 from lobewise.cli.options.reading import PassReading, locate_counterpart, look_up_number, name_frame, read_tables
@@ -34,7 +35,7 @@ from lobewise.cli.options.writing import Output, Overwrite, Picture, Writing, pr
 from lobewise.cli.running import FilterAlone, Job
 from lobewise.cli.terminal.help import FILTER_DETAILS
 from lobewise.errors import InputError
-from lobewise.settings import DenoiseSettings
+from lobewise.settings import DenoiseSettings, TemporalSettings
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -96,10 +97,9 @@ def denoise(
         reshading=reshading,
     )
     besides = [reading.half, reading.camera, reading.preset, reshading.scene, *request.material]
-    # Mistakes in these options are told before anything else is done.
-    reshading.plan()
+    request.check()
     picture.check()
-    read_tables(request.material)
+    bounds.limit()
 
     def run(path: Path, target: Path) -> None:
         from lobewise.cli.farming import run_request
@@ -118,6 +118,7 @@ def denoise(
             farm.check(path)
             choose_numbers(frames, path, picture)
             protect_inputs(path, each, besides, overwrite=overwrite, png=picture.png)
+        require_inputs(paths, [each for _, each in pairs] if output is not None and not folders else [])
         run_each(pairs, folders, run)
         show(pairs)
 
@@ -133,6 +134,15 @@ class _Denoising:
     reading: PassReading
     writing: Writing
     reshading: Reshading
+
+    def check(self) -> None:
+        """Raise a LobewiseError if an option is wrong, before a file is read or written."""
+        DenoiseSettings(**self.settings)
+        require_device(self.settings["device"])
+        self.reshading.plan()
+        self.reading.parse()
+        require_bands(self.bands, self.whole_option)
+        read_tables(self.material)
 
     @property
     def whole_option(self) -> str:
@@ -301,9 +311,20 @@ def upsample(
     telling: Telling,
 ) -> None:
     """Bring sparsely shaded radiance to every pixel, in one file or a sequence of them; the guides are kept."""
+    from lobewise.io.files import require_exr_name
+    from lobewise.sparse_frame import require_place
+
     if bilinear and over_time.temporal:
         raise InputError("--bilinear", expected="no --temporal beside it", got="both", action="leave one out")
     where = None if place is None else parse_place(place)
+    DenoiseSettings(**settings)
+    TemporalSettings(memory=over_time.memory)
+    require_device(settings["device"])
+    if scale is not None:
+        require_place(scale, where or (0, 0))
+    picture.check()
+    bounds.limit()
+    require_exr_name(output)
     protect_inputs(source, output, [reshading.scene], overwrite=overwrite, png=picture.png)
     reshading.plan()
     job = Job.plan(source, output, frames, picture, telling)

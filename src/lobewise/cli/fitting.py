@@ -10,7 +10,8 @@ import typer
 
 from lobewise.cli.options.common import output_option
 from lobewise.cli.terminal.children import go_on_in_child
-from lobewise.errors import InputError
+from lobewise.errors import InputError, require_choice, require_integer
+from lobewise.settings import MAX_LOBES
 
 if TYPE_CHECKING:
     from lobewise.fitting.fit import Evaluate
@@ -53,6 +54,8 @@ def fit(
             got="neither" if material is None else "both",
             action="name one material",
         )
+    require_choice("kind", kind, ("sg", "asg"))
+    require_integer("lobes", lobes, 1, MAX_LOBES)
     if mitsuba is not None:
         go_on_in_child(mitsuba.partition("#")[0], [output])
     from lobewise.io.files import require_other_files

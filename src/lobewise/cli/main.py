@@ -30,6 +30,7 @@ def run(arguments: list[str]) -> int:
     from lobewise.cli.commands import EXIT_USER_ERROR, app
     from lobewise.cli.rendering import give_switches_values
     from lobewise.cli.terminal.help import asks_for_all
+    from lobewise.cli.terminal.mistakes import describe_mistake, name_option
 
     for stream in (sys.stdout, sys.stderr):
         # File names may hold bytes, and messages letters, that the terminal's encoding lacks.
@@ -54,7 +55,7 @@ def run(arguments: list[str]) -> int:
     except typer.Exit as leave:
         return int(leave.exit_code)
     except LobewiseError as problem:
-        return _fail(str(problem), EXIT_USER_ERROR, debug)
+        return _fail(name_option(str(problem), arguments), EXIT_USER_ERROR, debug)
     except BrokenPipeError:
         # The reader closed the pipe. Python flushes stdout again at exit: give it an open file.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -65,11 +66,7 @@ def run(arguments: list[str]) -> int:
         if interrupts:
             return _fail(INTERRUPTED, EXIT_INTERRUPTED, debug)
         if hasattr(problem, "format_message"):
-            # The parser found a mistake in the command line. The class of its error depends on typer's version.
-            verb = next((word for word in arguments if not word.startswith("-")), "")
-            known = verb in getattr(command, "commands", {})
-            text = problem.format_message().rstrip(".")
-            return _fail(f"{text}; see lobewise {verb + ' ' if known else ''}--help.", EXIT_USER_ERROR, debug)
+            return _fail(describe_mistake(problem, arguments), EXIT_USER_ERROR, debug)
         if isinstance(problem, MemoryError) or getattr(problem, "errno", None) in SYSTEM_REFUSALS:
             return _fail(_describe_refusal(problem), EXIT_USER_ERROR, debug)
         what = " ".join(f"{type(problem).__name__}: {problem}".split())[:300]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lobewise.cli.options.common import parse_place
+from lobewise.cli.options.common import parse_place, require_pattern, require_scene
 from lobewise.cli.options.spreading import complete_from, with_groups
 from lobewise.cli.options.writing import Output, Picture, protect_from_pictures
 from lobewise.cli.terminal.children import go_on_in_child
@@ -33,14 +34,17 @@ CAMERA_PATHS = ("orbit", "still")
 class Sampling:
     """Options that tell what to render of a scene, and with how many samples."""
 
-    spp: Annotated[int, typer.Option(metavar="N", help="Samples per pixel.")] = 4
-    width: Annotated[int | None, typer.Option(metavar="N", help="Columns; by default those of the scene.")] = None
-    height: Annotated[int | None, typer.Option(metavar="N", help="Rows; by default those of the scene.")] = None
+    spp: Annotated[int, typer.Option(metavar="N", min=1, help="Samples per pixel.")] = 4
+    width: Annotated[int | None, typer.Option(metavar="N", min=1, help="Columns; by default those of the scene.")] = (
+        None
+    )
+    height: Annotated[int | None, typer.Option(metavar="N", min=1, help="Rows; by default those of the scene.")] = None
     seed: Annotated[int, typer.Option(metavar="N", help="The same seed gives the same image.")] = 0
     max_depth: Annotated[
         int | None,
         scene_detail(
             metavar="N",
+            min=1,
             help="Longest path, in vertices after the camera.",
             show_default="the scene's, or 8 without any",
         ),
@@ -169,9 +173,15 @@ class Motion:
         """Return the file of every frame, by the frame's number."""
         from lobewise.io.sequence import FramePattern, is_pattern
 
-        assert self.frames is not None
+        if self.frames is None:
+            if is_pattern(output):
+                expected, got = "--frames beside a name with # for the number", repr(str(output))
+                raise InputError("--output", expected=expected, got=got, action="say how many frames")
+            return {1: output}
+        if self.frames > 1:
+            require_pattern("--output", output)
         first = self.start or 1
-        pattern = FramePattern.parse(output) if self.frames > 1 or is_pattern(output) else None
+        pattern = FramePattern.parse(output) if is_pattern(output) else None
         numbers = range(first, first + self.frames)
         return {number: pattern.name(number) if pattern else output for number in numbers}
 
@@ -196,11 +206,16 @@ def render(
     picture: Picture,
 ) -> None:
     """Render a scene with Mitsuba into one EXR file per frame, with every channel that denoising can use."""
+    from lobewise.io.files import require_exr_name
+
     _refuse_contradictions(contents, sparse, motion, picture)
     # A wrong place is an error even where it is not used.
     place = sparse.parse_place()
     parse_definitions(sampling.define or [])
-    go_on_in_child(scene, [output] if motion.frames is None else motion.list_files(output).values())
+    require_exr_name(output)
+    files = motion.list_files(output).values()
+    require_scene(scene)
+    go_on_in_child(scene, files)
     if motion.frames is not None:
         _render_sequence(scene, output, sampling, contents, sparse.scale, motion, picture)
     elif sparse.scale != 1:
@@ -234,6 +249,8 @@ def _refuse_contradictions(contents: Contents, sparse: Sparse, motion: Motion, p
         for other, given in needs_frames.items():
             if given:
                 raise InputError(other, expected="--frames beside it", got="none", action="say how many frames")
+    if motion.speed is not None and not math.isfinite(motion.speed):
+        raise InputError("--speed", expected="a finite number", got=f"{motion.speed:g}", action="0.25 is usual")
     rules: list[tuple[str, bool, dict[str, bool]]] = [
         ("--frames", motion.frames is not None, {"--aov-only": contents.aov_only, "--place": sparse.place is not None}),
         (

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lobewise.cli.options.common import parse_size
+from lobewise.cli.options.common import parse_size, require_scene
 from lobewise.cli.options.reading import Reading
 from lobewise.cli.options.spreading import with_groups, with_settings
 from lobewise.cli.terminal.help import FILTERING, page_option
 from lobewise.cli.terminal.interrupts import hold_interrupts
-from lobewise.errors import InputError, require_choice
+from lobewise.errors import InputError
 from lobewise.scenes import BY_THEMSELVES, list_scenes
 from lobewise.settings import SIMILARITY_NAMES
 from lobewise.viewer.looks import KNOBS, SCENE_SIMILARITIES
@@ -183,13 +183,8 @@ def _is_frame(target: str) -> bool:
     """Return whether the target is an EXR file rather than a scene; raise an error where it is neither."""
     from lobewise.io.files import require_readable
 
-    path = Path(target)
-    if target in list_scenes():
-        return False
-    if path.suffix.lower() == ".exr":
-        require_readable(path)
+    if Path(target).suffix.lower() == ".exr":
+        require_readable(target)
         return True
-    if path.suffix.lower() != ".xml" and path.name == target and not path.exists():
-        require_choice("scene", target, list_scenes())
-    require_readable(path, what="scene")
+    require_scene(target)
     return False

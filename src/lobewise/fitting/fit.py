@@ -88,7 +88,7 @@ def fit_lobes(
     MissingDependencyError
         If SciPy is not installed.
     """
-    require_choice("kind of lobes", kind, KINDS)
+    require_choice("kind", kind, KINDS)
     lobes = require_integer("lobes", lobes, 1, MAX_LOBES)
     grid = _check_grid("cosines", cosines, "numbers above 0 and at most 1", lambda c: (c > 0.0) & (c <= 1.0))
     turns = np.zeros(1)

@@ -113,12 +113,11 @@ def join_halves(first: Imported, second: Imported) -> Imported:
     """
     a, b = first.frame, second.frame
     names = ([layer.name for layer in a.layers], [layer.name for layer in b.layers])
-    if (
-        a.shape != b.shape
-        or names[0] != names[1]
-        or set(a.unscattered) != set(b.unscattered)
-        or a.radiance.names != b.radiance.names
-    ):
+    if a.shape != b.shape:
+        size, got = (f"{one.width}x{one.height} pixels" for one in (a, b))
+        expected = f"the same frame rendered again, {size}"
+        raise InputError("--half", expected=expected, got=got, action="render both alike, with another seed")
+    if names[0] != names[1] or set(a.unscattered) != set(b.unscattered) or a.radiance.names != b.radiance.names:
         raise InputError(
             "--half",
             expected="the same frame rendered again: the same size and passes",

@@ -237,10 +237,7 @@ def parse_mapping(role: str, text: str, passes: Sequence[Pass], unread: Sequence
         If the role, a channel or a conversion is unknown, the conversion does not fit the role, a channel belongs to
         the unreadable passes ``unread``, or the number of channels does not fit the role.
     """
-    require_choice("--map", role, ROLES)
-    pass_name, *convert = text.split(":")
-    for word in convert:
-        require_conversion(f"--map {role}", role, word)
+    pass_name, convert = split_mapping(role, text)
     names = [name.strip() for name in pass_name.split(",")]
     count = 1 if role in SINGLE_VALUE_ROLES else 2 if role == "motion" else 3
     known = {channel: one for one in passes for channel in one.channels.values()}
@@ -276,6 +273,15 @@ def parse_mapping(role: str, text: str, passes: Sequence[Pass], unread: Sequence
             f"--map {role}", expected="channels of one part", got=repr(pass_name), action="put them into one part"
         )
     return Found(known[names[0]], tuple(names), tuple(convert))
+
+
+def split_mapping(role: str, text: str) -> tuple[str, list[str]]:
+    """Return the channels or the pass of a mapped role, and its conversions; raise InputError if a word is unknown."""
+    require_choice("--map", role, ROLES)
+    pass_name, *convert = text.split(":")
+    for word in convert:
+        require_conversion(f"--map {role}", role, word)
+    return pass_name, convert
 
 
 def _pick(role: str, one: Pass, component: str | None = None) -> tuple[str, ...] | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import stat
 import tempfile
 from collections.abc import Iterable, Iterator
@@ -58,7 +59,7 @@ def require_readable(path: PathLike, *, what: str = "input", holds: str = "") ->
     except FileNotFoundError:
         near = _choose_sibling(file)
         expected, got = "an existing file", "no such file"
-        action = f"did you mean {near!r}?" if near else "check the path"
+        action = f"did you mean {near!r}?" if near else _advise(str(file))
     except (OSError, ValueError) as problem:
         expected, got, action = "a readable file", say_reason(problem), "check the path"
     raise FileError(f"{what} {str(file)!r}", expected=expected, got=got, action=action)
@@ -160,6 +161,7 @@ def _identify_file(path: PathLike) -> tuple[int, int] | None:
     return status.st_dev, status.st_ino
 
 
+_WILD = re.compile(r"[*?]")
 EXR_NAMES = (".exr", ".sxr", ".mxr", "")
 
 
@@ -245,7 +247,18 @@ def _choose_sibling(file: Path) -> str | None:
     except (OSError, ValueError):
         return None
     near = difflib.get_close_matches(file.name, names, n=1, cutoff=0.8)
-    return str(file.parent / near[0]) if near else None
+    return str(file.parent / near[0]) if near and not _WILD.search(file.name) else None
+
+
+def _advise(path: str) -> str:
+    """Return what to do about a path of no file: a shell may not have replaced what it replaces outside quotes."""
+    if path.startswith("~") or "$" in path:
+        return "write out the folder, or leave the quotes out, so that the shell does"
+    if _WILD.search(path):
+        return "name files, a folder, or a sequence with # for the number"
+    if "\\" in path and os.sep == "/":
+        return "write / between folders, and the path that this machine has"
+    return "leave the quotation marks out" if path[:1] in "'\"" else "check the path"
 
 
 def say_reason(problem: OSError | ValueError) -> str:

@@ -206,7 +206,7 @@ class DenoiseSettings(Declared):
             'Pixels from the centre to the edge of the kernel (samples, where few pixels are shaded). "atrous" does '
             "not use it.",
             high=LARGEST_RADIUS,
-            usual="8 is usual; form='atrous' reaches further",
+            usual="8 is usual; form atrous reaches further",
             label="Radius",
             unit="pixels",
         ),

@@ -35,6 +35,19 @@ def parse_bands(text: str) -> str | int:
     raise InputError("--bands", expected="auto, off or a number of rows", got=repr(text), action="leave it out")
 
 
+def require_bands(text: str, whole: str) -> str | int:
+    """Return the result of `parse_bands`; raise InputError if rows are given beside ``whole``, see `choose_bands`."""
+    bands = parse_bands(text)
+    if isinstance(bands, int) and whole:
+        raise InputError(
+            "--bands",
+            expected=f"auto or off with {whole}, which takes whole frames",
+            got=text,
+            action="drop one of them",
+        )
+    return bands
+
+
 def choose_bands(source: Path, text: str, settings: dict[str, Any], whole: str) -> bool:
     """Return whether to denoise a file in bands.
 
@@ -46,15 +59,8 @@ def choose_bands(source: Path, text: str, settings: dict[str, Any], whole: str) 
         If the user gives a number of rows for a file that must be read whole, or a file in bands is a result of
         lobewise.
     """
-    bands = parse_bands(text)
+    bands = require_bands(text, whole)
     is_asked = isinstance(bands, int)
-    if is_asked and whole:
-        raise InputError(
-            "--bands",
-            expected=f"auto or off with {whole}, which takes whole frames",
-            got=text,
-            action="drop one of them",
-        )
     if bands == "off" or whole:
         return False
     if is_asked or _is_large(source, settings):

@@ -11,7 +11,8 @@ from typing import Annotated, Any
 import typer
 
 from lobewise.cli.terminal.help import sequence_detail, sequence_option
-from lobewise.errors import InputError
+from lobewise.errors import InputError, require_choice
+from lobewise.scenes import list_scenes
 from lobewise.settings import TemporalSettings, list_knobs
 
 MIN_SIDE, MAX_SIDE = 8, 8192
@@ -75,6 +76,25 @@ def require_pattern(option: str, source: Path) -> None:
             got=repr(str(source)),
             action="put # in place of the digits of the number, and quote the name",
         )
+
+
+def require_scene(scene: str) -> None:
+    """Raise InputError or FileError unless a scene is built in, or a file."""
+    from lobewise.io.files import require_readable
+
+    path = Path(scene)
+    if scene in list_scenes():
+        return
+    if path.suffix.lower() != ".xml" and path.name == scene and not path.exists():
+        require_choice("scene", scene, list_scenes())
+    require_readable(path, what="scene")
+
+
+def require_device(name: str) -> None:
+    """Raise InputError unless a device has this name. Another machine of a farm may have it."""
+    from lobewise.backend.devices import DEVICES
+
+    require_choice("device", name, ("auto", *DEVICES))
 
 
 def parse_place(text: str) -> tuple[int, int]:

@@ -44,10 +44,11 @@ Tev = Annotated[bool, file_detail("--tev", help="Show results and inputs in tev.
 
 def name_clean(source: Path) -> Path:
     """Return the name beside an input that its result gets by default: ``a_clean.exr``, ``shot_clean.####.exr``."""
+    from lobewise.io.files import EXR_NAMES
     from lobewise.io.sequence import FramePattern, is_pattern
 
     if not is_pattern(source):
-        return source.with_name(f"{source.stem}_clean{source.suffix}")
+        return source.with_name(f"{source.stem}_clean{source.suffix if source.suffix in EXR_NAMES else '.exr'}")
     pattern = FramePattern.parse(source)
     before = pattern.before.rstrip("._- ")
     start = f"{before}_clean{pattern.before[len(before) :]}" if before else "clean."
@@ -89,6 +90,20 @@ def pair_files(sources: Sequence[str], target: str | None) -> tuple[list[tuple[P
         got = f"two for {str(twice)!r}"
         raise InputError("inputs", expected="one for each output", got=got, action="give them one by one")
     return pairs, folders
+
+
+def require_inputs(sources: Sequence[str], outputs: Sequence[Path]) -> None:
+    """Raise FileError or InputError if an output that the user names cannot be written, or an input is missing."""
+    from lobewise.io.files import require_exr_name, require_readable, require_writable
+    from lobewise.io.sequence import is_pattern
+
+    for output in outputs:
+        require_exr_name(output)
+        if not is_pattern(output):
+            require_writable(output)
+    for source in sources:
+        if not (is_pattern(source) or os.path.isdir(source)):
+            require_readable(source)
 
 
 def _list_inputs(source: Path) -> list[Path]:

@@ -95,12 +95,22 @@ class Reading:
         return [name_frame(self.half, number) if is_pattern(self.half) else self.half]
 
     def parse(self) -> dict[str, Any]:
-        """Return the conventions, channels and camera, as parameters of `lobewise.read_frame`."""
-        from lobewise.interchange.cameras.files import read_camera_file
+        """Return the conventions, channels and camera, as parameters of `lobewise.read_frame`.
 
+        Raises InputError or FileError if one of them is wrong in every file.
+        """
+        from lobewise.interchange.cameras.files import read_camera_file
+        from lobewise.interchange.mapping import split_mapping
+        from lobewise.interchange.preset import look_up_preset
+
+        mapping = parse_maps(self.maps or [])
+        for role, text in mapping.items():
+            split_mapping(role, text)
+        if self.preset is not None:
+            look_up_preset(self.preset)
         return {
             "preset": self.preset,
-            "mapping": parse_maps(self.maps or []),
+            "mapping": mapping,
             "camera": None if self.camera is None else read_camera_file(self.camera),
         }
 

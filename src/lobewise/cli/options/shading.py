@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from lobewise.cli.options.common import require_scene
 from lobewise.cli.options.reading import anchor_name
 from lobewise.cli.terminal.help import shading_option
-from lobewise.errors import InputError
+from lobewise.errors import InputError, require_choice
 
 if TYPE_CHECKING:
     from lobewise.frame import Result
@@ -82,6 +83,13 @@ class Reshading:
         """Return the file of the scene, unless it is built in."""
         return [Path(self.scene)] if self.scene is not None and Path(self.scene).is_file() else []
 
+    def _require_unused(self) -> None:
+        """Raise InputError if an option is given that nothing uses without ``--adaptive``."""
+        for one in fields(self):
+            if getattr(self, one.name) != one.default and one.name != "adaptive":
+                option = f"--{one.name.replace('_', '-')}"
+                raise InputError(option, expected="--adaptive beside it", got="none", action="add --adaptive 5%")
+
     def plan(self, tell: Callable[[str], None] | None = None) -> Callable[[Result, AnyFrame], Result]:
         """Return a function that shades the least supported pixels of a result again.
 
@@ -90,9 +98,12 @@ class Reshading:
         """
         budget = self.share
         if budget == 0.0:
+            self._require_unused()
             return lambda result, frame: result
         if self.scene is None:
             raise InputError("--adaptive", expected="--scene beside it", got="none", action="name the scene")
+        require_scene(self.scene)
+        require_choice("light", self.light, ("all", "indirect"))
         scene, loaded, light = self.scene, list[Any](), self.light
         spp = self.choose_spp()
         parts = next(parts for parts in range(min(PARTS, spp), 0, -1) if spp % parts == 0)

@@ -24,14 +24,14 @@ class Window:
     """Options that let a frame of a sequence use the frames around it."""
 
     window: Annotated[
-        int,
+        int | None,
         sequence_option(
             "--window",
             metavar="N",
             help="Use N frames before and N after every frame. 2 is usual.",
             show_default=False,
         ),
-    ] = 0
+    ] = None
     temporal: Annotated[
         bool,
         sequence_option("--temporal", help="Use only frames before every frame: 2, or N."),
@@ -45,13 +45,13 @@ class Window:
     @property
     def option(self) -> str:
         """The option that was given; empty for none."""
-        return "--window" if self.window else "--temporal" if self.temporal else ""
+        return "--window" if self.window is not None else "--temporal" if self.temporal else ""
 
     def require(self, source: Path) -> None:
         """Raise InputError unless the window can be used."""
         from lobewise.windows import MAX_REACH
 
-        if not 0 <= self.window <= MAX_REACH:
+        if self.window is not None and not 1 <= self.window <= MAX_REACH:
             got = str(self.window)
             raise InputError("--window", expected=f"1 to {MAX_REACH} frames", got=got, action="2 is usual")
         if self.option:

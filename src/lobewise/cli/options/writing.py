@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from lobewise.cli.options.common import output_option
+from lobewise.cli.options.common import output_option, require_pattern
 from lobewise.cli.terminal.help import file_detail, result_option
 from lobewise.errors import InputError
 
 if TYPE_CHECKING:
     from lobewise.cli.terminal.outcome import Remarks
+    from lobewise.display.views import View
     from lobewise.frame import Result
     from lobewise.interchange import Imported
     from lobewise.interchange.replacing import PlannedResult
@@ -121,8 +122,10 @@ class Picture:
     def check(self) -> float | None:
         """Return the exposure in stops, None for one by the picture.
 
-        Raises InputError if an exposure or a view is given without a picture, or the exposure is out of range.
+        Raises InputError if an exposure or a view is given without a picture, or the exposure is out of range, and the
+        errors of `lobewise.display.views.open_view`.
         """
+        self.open_view()
         stops = 0.0 if self.exposure is None and self.has_view else self.exposure
         for name in () if self.png else ("exposure", "display", "view", "ocio"):
             if getattr(self, name) is not None:
@@ -137,22 +140,27 @@ class Picture:
             )
         return stops
 
+    def open_view(self) -> View | None:
+        """Return the view that makes the picture, None where there is no picture or no view."""
+        if not (self.png and self.has_view):
+            return None
+        from lobewise.display.views import open_view
+
+        return open_view(self.ocio, self.display, self.view)
+
     def plan(self, first: Path) -> Pictures | None:
         """Return the writer of pictures, None where none are asked for; ``first`` is the first EXR file to be written.
 
-        Raises the errors of `check` and of `lobewise.display.views.open_view`, and FileError if the first picture
-        cannot be written.
+        Raises the errors of `check`, and FileError if the first picture cannot be written.
         """
         stops = self.check()
         if not self.png:
             return None
-        from lobewise.display.views import open_view
         from lobewise.io.files import require_writable
         from lobewise.reporting.picture import Pictures, name_picture
 
         require_writable(name_picture(first), what="picture")
-        view = open_view(self.ocio, self.display, self.view) if self.has_view else None
-        return Pictures(stops=stops, first=first, view=view)
+        return Pictures(stops=stops, first=first, view=self.open_view())
 
 
 def name_first_output(source: Path, output: Path, numbers: Collection[int] | None) -> Path:
@@ -208,6 +216,7 @@ def protect_inputs(
         )
     besides = list_files(Path(path) for path in others if path is not None)
     if is_pattern(source):
+        require_pattern("--output", output)
         frames = FramePattern.parse(source).find()
         pattern = FramePattern.parse(output)
         outputs, inputs = [pattern.name(number) for number, _ in frames], [*(path for _, path in frames), *besides]

@@ -17,6 +17,8 @@ from typing import Any, TypeVar
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from lobewise.errors import InputError, require_choice
+
 OPTIONS, FILES, RESULT, SEQUENCES = "Options", "What the file holds", "What is written", "Sequences"
 FILTERING, PAGE = "What the sliders begin with", "The page"
 FILTER_DETAILS, SEQUENCE_DETAILS = "Details of the filter", "Details of sequences"
@@ -80,7 +82,18 @@ class Command(_Helpful, TyperCommand):
 
 
 class Group(_Helpful, TyperGroup):
-    """A group of verbs."""
+    """A group of verbs. A command line without one of them is refused in one sentence."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the verb that a command line names."""
+        name, path = args[0], ctx.command_path
+        if name not in self.commands and not name.startswith("-"):
+            if name.lower().endswith(".exr"):
+                raise InputError(
+                    path, expected="a verb before the file", got=repr(name), action=f"such as {path} denoise {name}"
+                )
+            require_choice(path, name, self.commands)
+        return super().resolve_command(ctx, args)
 
 
 class App(typer.Typer):
@@ -99,7 +112,7 @@ def _list_lines(command: Any, ctx: Any, width: int, *, everything: bool) -> Iter
     options = [one for one in command.params if one.param_type_name == "option" and not one.hidden]
     arguments = [one for one in command.params if one.param_type_name == "argument"]
     verbs = getattr(command, "commands", {})
-    words = [_get_metavar(one) if one.required else f"[{_get_metavar(one)}]" for one in arguments]
+    words = [get_metavar(one) if one.required else f"[{get_metavar(one)}]" for one in arguments]
     usage = [*words, "VERB ..."] if verbs else words
     yield f"Usage: {' '.join([ctx.command_path, '[OPTIONS]', *usage])}"
     for paragraph in (command.help or "").split("\n\n"):
@@ -108,7 +121,7 @@ def _list_lines(command: Any, ctx: Any, width: int, *, everything: bool) -> Iter
     if command.epilog:
         yield from ["", _make_title("Examples"), *(INDENT + line for line in command.epilog.splitlines())]
     if arguments:
-        rows = [(_get_metavar(one), _describe(one, everything=True)) for one in arguments]
+        rows = [(get_metavar(one), _describe(one, everything=True)) for one in arguments]
         yield from ["", _make_title("Arguments"), *_align(rows, width)]
     if verbs:
         rows = [(name, _shorten(verb.help or "")) for name, verb in verbs.items()]
@@ -136,7 +149,8 @@ def _make_title(text: str) -> str:
     return typer.style(f"{text}:", bold=True)
 
 
-def _get_metavar(one: Any) -> str:
+def get_metavar(one: Any) -> str:
+    """Return the word that stands for the value of an argument or option."""
     return str(one.metavar or one.name.upper())
 
 
@@ -144,7 +158,7 @@ def _join_names(one: Any) -> str:
     """Return the names of an option and its metavar, the word for its value."""
     names = sorted(one.opts, key=len)
     text = ", ".join(names) + (f" / {', '.join(one.secondary_opts)}" if one.secondary_opts else "")
-    return text if one.is_flag else f"{text} {_get_metavar(one)}"
+    return text if one.is_flag else f"{text} {get_metavar(one)}"
 
 
 def _describe(one: Any, *, everything: bool) -> str:

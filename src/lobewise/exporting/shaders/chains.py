@@ -118,7 +118,7 @@ def make_chain(name: str, *, form: str | None = None, similarity: str = "ggx") -
     Raises InputError if there is no such chain, or if it has no filter of this form or no lobes of this similarity.
     """
     require_choice("chain", name, tuple(CHAINS))
-    require_choice("similarity of a chain", similarity, tuple(LOBES))
+    require_choice("similarity", similarity, tuple(LOBES))
     make, usual = _MAKERS[name]
     require_choice("form", form or usual, FORM_NAMES)
     return make(form or usual, LOBES[similarity])

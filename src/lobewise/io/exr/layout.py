@@ -75,13 +75,15 @@ def make_images(slots: Iterable[Slot], pixels: Mapping[str, Pixels]) -> dict[tup
 
 @contextmanager
 def name_file(path: PathLike) -> Iterator[None]:
-    """Add the name of the file to errors about its content."""
+    """Add the name of the file to errors about its content, at the end where an option is wrong for this file."""
     try:
         yield
     except LobewiseError as problem:
         if repr(str(path)) in str(problem):
             raise
-        raise type(problem)(f"input {str(path)!r}: {problem}") from None
+        text, name = str(problem), f"input {str(path)!r}"
+        named = f"{text[:-1]} ({name}){text[-1]}" if text.startswith("--") else f"{name}: {text}"
+        raise type(problem)(named) from None
 
 
 def plan_writing(container: Container, beauty: Part, fields: Collection[str]) -> list[tuple[Part, list[Slot]]]:
