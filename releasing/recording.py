@@ -2,7 +2,8 @@
 
 Kernels that are recorded do not compute: they fill their outputs with fixed random numbers. So a recipe runs to its end
 in milliseconds, and asks for every kernel on its way. Branches that depend on pixels are taken as these numbers say.
-Kernels that look for faults find none with even seeds, and some with odd ones.
+Kernels that look for faults find none with even seeds, and some with odd ones. Images that may be 0 everywhere
+(`lobewise.engine.some`), such as highlights, are so with odd seeds.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import numpy as np
 from lobewise.backend import jit
 from lobewise.backend.devices import make_target
 from lobewise.backend.signature import Parameter, check_call
+from lobewise.engine.here import Here
 
 FAULT_FINDERS = ("odd", "lost", "filtered_sum")
 """Names of kernels that return whether a pixel is impossible."""
@@ -77,5 +79,12 @@ def record_kernels(seed: int = 0) -> Iterator[dict[str, Wanted]]:
             shapes[identity or "", key] = signature.name, signature.parameters
         return _RecordedKernel(*shapes[identity or "", key], seed)
 
-    with patch.object(jit, "_look_up_prebuilt", take), patch.object(jit, "_kernels", {}):
+    def some(_: Here, image: Any) -> Any:
+        return None if seed % 2 else image
+
+    with (
+        patch.object(jit, "_look_up_prebuilt", take),
+        patch.object(jit, "_kernels", {}),
+        patch.object(Here, "some", some),
+    ):
         yield found

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 
 import lobewise
+from lobewise.backend import jit
 from lobewise.cli.main import run
 from lobewise.doctor.machine import examine_kernels
 from lobewise.filters.cross_pass import PassKey
@@ -20,6 +24,7 @@ from releasing.recording import Wanted, record_kernels
 
 TESTS = Path(__file__).parents[1]
 FILES = sorted((TESTS / "data" / "foreign").rglob("*.exr"))
+BUNDLED = Path(lobewise.__file__).parent / "data" / "demo.exr"
 
 
 @pytest.fixture(scope="module")
@@ -41,6 +46,22 @@ def list_missing(catalogue: set[str], *commands: list[str]) -> list[str]:
     return [f"{wanted.make} {wanted.key}" for name, wanted in found.items() if name not in catalogue]
 
 
+@contextmanager
+def note_kernels() -> Iterator[dict[str, Wanted]]:
+    """Note the kernels that are asked for inside the ``with`` block, by identity; they compute."""
+    found: dict[str, Wanted] = {}
+    look_up = jit._look_up_prebuilt
+
+    def note(key: Any, make: Any, *, strict: bool) -> Any:
+        identity = jit.identify_kernel(key, make, strict=strict)
+        if identity is not None:
+            found[identity] = Wanted(key, make, strict)
+        return look_up(key, make, strict=strict)
+
+    with patch.object(jit, "_look_up_prebuilt", note), patch.object(jit, "_kernels", {}):
+        yield found
+
+
 @pytest.fixture
 def own_file(tmp_path: Path) -> Path:
     """Return a file with every guide that lobewise writes."""
@@ -58,6 +79,24 @@ class TestVerbs:
     def test_denoise(self, file: Path, catalogue: set[str], tmp_path: Path) -> None:
         words = ["denoise", str(file), "-o", str(tmp_path / "out.exr"), "--offline", "--device", "cpu"]
         assert list_missing(catalogue, *([*words, "--quality", name] for name in QUALITIES)) == []
+
+    @pytest.mark.parametrize("file", [BUNDLED, *FILES], ids=lambda path: path.stem)
+    def test_denoise_by_what_pixels_hold(self, file: Path, catalogue: set[str], tmp_path: Path) -> None:
+        with note_kernels() as found:
+            for name in QUALITIES:
+                words = [
+                    "denoise",
+                    str(file),
+                    "-o",
+                    str(tmp_path / f"{name}.exr"),
+                    "--device",
+                    "cpu",
+                    "--quality",
+                    name,
+                ]
+                assert run(words) == 0, words
+        assert found
+        assert [wanted.key for name, wanted in found.items() if name not in catalogue] == []
 
     def test_denoise_own_files(self, own_file: Path, catalogue: set[str], tmp_path: Path) -> None:
         words = ["denoise", str(own_file), "-o", str(tmp_path / "out.exr"), "--offline", "--device", "cpu"]
@@ -85,6 +124,19 @@ class TestVerbs:
         lobewise.write_sparse_frame(sparse, lobewise.make_sparse(make_frame((50, 70)), 4, (1, 2)))
         words = ["upsample", str(sparse), "-o", str(tmp_path / "out.exr"), "--device", "cpu"]
         assert list_missing(catalogue, words) == []
+
+
+@pytest.mark.parametrize("quality", QUALITIES)
+def test_even_and_odd_seeds_record_what_pixels_ask_for(quality: str) -> None:
+    frame, recorded = lobewise.read_frame(BUNDLED), set()
+    for seed in (0, 1):
+        with record_kernels(seed) as found:
+            lobewise.denoise(frame, quality=quality, device="cpu", with_oidn=False)
+        recorded |= found.keys()
+    with note_kernels() as asked:
+        lobewise.denoise(frame, quality=quality, device="cpu", with_oidn=False)
+    assert asked
+    assert [wanted.key for name, wanted in asked.items() if name not in recorded] == []
 
 
 def test_recording_runs_recipes_to_their_end() -> None:
