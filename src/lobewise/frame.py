@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 from lobewise.camera import Camera
 from lobewise.display.cards import make_card
 from lobewise.errors import InputError, MissingChannelError, require_kind, require_number
-from lobewise.images import ABSENT, Images, MaybeImage, as_image, as_images, refuse_size, say_size
+from lobewise.images import ABSENT, Images, MaybeImage, as_image, as_images, refuse_size, say_size, wrap_columns
 from lobewise.images import FloatArray as FloatArray  # every room has it from here
 from lobewise.lobe_table import LobeTable
 from lobewise.radiance import Radiance as Radiance
@@ -248,12 +248,15 @@ class Frame(Guided):
         is then not independent, and without halves it is estimated from pixels that are two apart.
     notes : tuple of str
         Sentences on the frame's file that results repeat, such as which of its noisy images are not in the frame.
+    wraps : bool
+        Whether the left and the right border are neighbours: an image of 360 degrees, such as a panorama by latitude
+        and longitude. No pinhole camera sees one.
 
     Raises
     ------
     InputError
-        If the parts do not have one size, two layers have one name, ``spp`` is below 1, or a pixel names a table that
-        is not there.
+        If the parts do not have one size, two layers have one name, ``spp`` is below 1, a pixel names a table that is
+        not there, or an image that wraps around has a camera.
     """
 
     radiance: Radiance
@@ -270,6 +273,7 @@ class Frame(Guided):
     alpha: FloatArray | None = None
     noise_is_shared: bool = False
     notes: tuple[str, ...] = ()
+    wraps: bool = False
 
     def __post_init__(self) -> None:
         require_kind("radiance", self.radiance, Radiance)
@@ -292,6 +296,14 @@ class Frame(Guided):
                 expected=f"numbers from 0 to {len(self.lobe_tables)}, the count of lobe tables",
                 got=f"{material.min():g} to {material.max():g}",
                 action="give the frame the tables of its materials, or leave the channel out",
+            )
+
+        if self.wraps and self.camera is not None:
+            raise InputError(
+                "camera",
+                expected="none for an image that wraps around, which no pinhole camera sees",
+                got="one",
+                action="leave the camera out, or say that the image does not wrap around (--no-wrap)",
             )
 
     def _check_layers(self) -> None:
@@ -334,6 +346,16 @@ class Frame(Guided):
     def shape(self) -> tuple[int, int]:
         """(height, width)."""
         return int(self.radiance.color.shape[0]), int(self.radiance.color.shape[1])
+
+    def surround(self) -> Frame:
+        """Return an image that wraps around with half of itself on each side, and any other frame as it is.
+
+        Every pixel then has its neighbours, and every column counts twice in sums over the image.
+        """
+        if not self.wraps:
+            return self
+        images = {item.name: wrap_columns(getattr(self, item.name), self.width // 2) for item in fields(self)}
+        return replace(self, **{**images, "wraps": False})
 
     def with_changes(self, **changes: Any) -> Frame:
         """Return a copy with some fields replaced, checked again."""

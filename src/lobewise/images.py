@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
@@ -101,6 +102,49 @@ def make_read_only(**images: Any) -> dict[str, Any]:
             image.flags.writeable = False
             image = image.base
     return images
+
+
+def wrap_columns(value: Any, margin: int) -> Any:
+    """Return an image, or a record or collection of images, with columns of the other border beside each border.
+
+    Parameters
+    ----------
+    value : array, `Images`, mapping or tuple
+        Images of one size; everything else in it stays as it is.
+    margin : int
+        Columns to each side.
+    """
+    if not margin:
+        return value
+
+    def wrap(image: NDArray[Any]) -> NDArray[Any]:
+        around = np.pad(image, [(0, 0), (margin, margin), *[(0, 0)] * (image.ndim - 2)], mode="wrap")
+        return make_read_only(image=around)["image"]  # type: ignore[no-any-return]
+
+    return _change_images(value, wrap)
+
+
+def crop_columns(value: Any, width: int) -> Any:
+    """Return only the ``width`` columns in the middle: what `wrap_columns` was given."""
+
+    def crop(image: NDArray[Any]) -> NDArray[Any]:
+        margin = (image.shape[1] - width) // 2
+        return np.ascontiguousarray(image[:, margin : margin + width])
+
+    return _change_images(value, crop)
+
+
+def _change_images(value: Any, change: Callable[[NDArray[Any]], NDArray[Any]]) -> Any:
+    if isinstance(value, np.ndarray):
+        return change(value)
+    if isinstance(value, Mapping):
+        return {name: _change_images(each, change) for name, each in value.items()}
+    if isinstance(value, tuple):
+        return tuple(_change_images(each, change) for each in value)
+    if isinstance(value, Images):
+        images = {item.name: _change_images(getattr(value, item.name), change) for item in fields(value)}  # type: ignore[arg-type]
+        return replace(value, **images)  # type: ignore[type-var]
+    return value
 
 
 def advise_shape(shape: tuple[int, ...], channels: int | None) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.display.cards import make_card
-from lobewise.images import FloatArray, make_array, read_array, say_size
+from lobewise.images import FloatArray, crop_columns, make_array, read_array, say_size
 
 
 @dataclass(frozen=True, repr=False)
@@ -112,6 +112,12 @@ class Result:
             layers=take_all(self.layers, other.layers),
             also=take_all(self.also, other.also),
         )
+
+    def crop_columns(self, width: int) -> Result:
+        """Return the result of only the ``width`` columns in the middle."""
+        if self.image.shape[1] == width:
+            return self
+        return replace(self, **{each.name: crop_columns(getattr(self, each.name), width) for each in fields(self)})
 
     def __repr__(self) -> str:
         images = [name for name in ("image", "diffuse", "specular", "variance") if getattr(self, name) is not None]

@@ -123,7 +123,7 @@ def test_an_image_that_is_too_small_has_no_share() -> None:
 @pytest.fixture
 def guided(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave the image of the color alone out."""
-    monkeypatch.setattr(chain, "mix_unguided", lambda frame, settings, found, seen: (found, []))
+    monkeypatch.setattr(chain, "mix_unguided", lambda frame, settings, found, *_: (found, []))
 
 
 def test_noise_of_normals_does_no_harm_any_more(rng: np.random.Generator, request: pytest.FixtureRequest) -> None:

@@ -213,9 +213,16 @@ def filter_whole(
     bad: NDArray[np.bool_],
     *,
     exact: FloatArray | None = None,
+    outside: NDArray[np.bool_] | None = None,
 ) -> tuple[Filtered, Filtered]:
-    """Return the filtered layers of a whole frame; first as `filter_rows` has left them. Parameters as there."""
+    """Return the filtered layers of a whole frame; first as `filter_rows` has left them. Parameters as there.
+
+    ``outside``, (height, width), marks the columns that `Frame.surround` has added.
+    """
     before = filtered = filter_rows(frame, settings, features, bad, exact=exact)
+    if filtered.levels and outside is not None:
+        edges = filtered.uncounted
+        filtered = replace(filtered, uncounted=outside if edges is None else outside | edges)
     if filtered.levels:
         filtered = keep_light(filtered)
     with engine.part("fill holes"):
@@ -249,6 +256,7 @@ def clean_frame(
     features: Sequence[Feature],
     bad: NDArray[np.bool_],
     seen: GBuffer | None = None,
+    outside: NDArray[np.bool_] | None = None,
 ) -> Clean:
     """Return a frame after everything that happens to it.
 
@@ -258,12 +266,14 @@ def clean_frame(
         As of `filter_rows`.
     seen : GBuffer, optional
         The guides of the frame before any stood in for missing ones; by default all are the frame's own.
+    outside : (height, width), bool, optional
+        As of `filter_whole`.
     """
-    before, filtered = filter_whole(frame, settings, features, bad)
+    before, filtered = filter_whole(frame, settings, features, bad, outside=outside)
     gains = compute_gains(filtered)
     # Only the features of the user tell what they compare.
     if get_quality(settings.quality).refines and settings.radius > 0 and not features:
-        filtered, further_gains = mix_unguided(frame, settings, filtered, seen or frame.gbuffer)
+        filtered, further_gains = mix_unguided(frame, settings, filtered, seen or frame.gbuffer, outside)
         gains += further_gains
     if settings.with_oidn:
         filtered, further_gains = mix_peer(frame, filtered, seen)
@@ -405,7 +415,11 @@ def compute_gains(filtered: Filtered) -> list[FloatArray]:
 
 
 def mix_unguided(
-    frame: Frame, settings: ResolvedSettings, filtered: Filtered, seen: GBuffer
+    frame: Frame,
+    settings: ResolvedSettings,
+    filtered: Filtered,
+    seen: GBuffer,
+    outside: NDArray[np.bool_] | None,
 ) -> tuple[Filtered, list[FloatArray]]:
     """Mix in the image of the color alone where guides are noise, and scale the parts so that they sum to the image."""
     # Share: how far the guides are noise, of the light that filters changed.
@@ -416,7 +430,7 @@ def mix_unguided(
         return filtered, []
     # Image: filter the color alone, by the same steps.
     bare, by_color = forget_guides(frame), replace(settings, similarity="normal", hit_distance=False)
-    _, alone = filter_whole(bare, by_color, (), mark_bad_pixels(bare))
+    _, alone = filter_whole(bare, by_color, (), mark_bad_pixels(bare), outside=outside)
     mixed = mix_noisy(filtered.image, alone.image, share)
     image, parts, gain = share_out(mixed, filtered.image, filtered.parts)
     return replace(filtered, image=image, parts=parts), [gain]

@@ -156,8 +156,9 @@ def foretell(frame: Frame, settings: DenoiseSettings, *, height: int | None = No
     rows, width = frame.shape
     height = height or rows
     held = count_bytes(frame) * height // rows
-    working = estimate_work_bytes(height * width, chosen.quality, with_oidn=bool(chosen.with_oidn))
-    seconds = height * width / 1e6 * estimate_seconds_per_megapixel(near, chosen)
+    pixels = height * width * (2 if frame.wraps else 1)
+    working = estimate_work_bytes(pixels, chosen.quality, with_oidn=bool(chosen.with_oidn))
+    seconds = pixels / 1e6 * estimate_seconds_per_megapixel(near, chosen)
     alone = ", without Open Image Denoise" if chosen.with_oidn else ""
     bands = "" if whole else " Bands of rows take less."
     return [

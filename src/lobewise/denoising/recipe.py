@@ -30,6 +30,7 @@ from lobewise.guides.negative import split_negative
 from lobewise.guides.squares import compute_square_maximum
 from lobewise.guides.survey import ALBEDOS
 from lobewise.guides.usable import CheckedGuides, check_guides
+from lobewise.images import crop_columns, wrap_columns
 from lobewise.peers import require_oidn
 from lobewise.settings import DenoiseChanges, DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_quality
@@ -155,11 +156,15 @@ def denoise_alpha(frame: Frame, named: DenoiseSettings) -> FloatArray:
         spp=frame.spp,
         lobe_tables=frame.lobe_tables,
         noise_is_shared=frame.noise_is_shared,
+        wraps=frame.wraps,
     )
     best = named if named.quality == "auto" else replace(named, quality="high")
     image = _denoise_light(CheckedGuides(plain), best, ()).image
-    fractions = ((frame.alpha > 0.0) & (frame.alpha < 1.0)).astype(np.float32)
-    alpha = np.where(compute_square_maximum(fractions, ALPHA_REACH) > 0.0, image.mean(axis=-1), frame.alpha)
+    around = frame.surround().alpha
+    assert around is not None
+    fractions = ((around > 0.0) & (around < 1.0)).astype(np.float32)
+    near = crop_columns(compute_square_maximum(fractions, ALPHA_REACH), frame.width)
+    alpha = np.where(near > 0.0, image.mean(axis=-1), frame.alpha)
     clipped: FloatArray = np.clip(np.nan_to_num(alpha), np.float32(0.0), np.float32(1.0))
     return clipped
 
@@ -169,16 +174,19 @@ def _denoise_light(checked: CheckedGuides[Frame], named: DenoiseSettings, featur
         return leave_to_peer(checked)
     frame = checked.frame
     notes = (*frame.notes, *checked.notes)
-    start, noisy = time.perf_counter(), ref(frame.radiance.color)
+    start, noisy, width = time.perf_counter(), ref(frame.radiance.color), frame.width
     chosen = resolve_all(frame, ask(named, {}, with_features=bool(features)))
     if chosen.with_oidn:
         require_oidn()
-    frame, below = split_negative(frame)
+    frame, below = split_negative(frame.surround())
     bad_pixels = mark_bad_pixels(frame)
     bad = int(np.count_nonzero(bad_pixels))
     require_some_good(bad, bad_pixels.size, "pixel")
     with bound_memory(frame, chosen.quality, with_oidn=bool(chosen.with_oidn)), engine.on(chosen.device):
-        clean = clean_frame(frame, chosen, features, bad_pixels, checked.seen)
+        margin = (frame.width - width) // 2
+        seen = wrap_columns(checked.seen, margin)
+        outside = np.pad(np.zeros((frame.height, width), np.bool_), [(0, 0), (margin, margin)], constant_values=True)
+        clean = clean_frame(frame, chosen, features, bad_pixels, seen, outside if margin else None)
     filtered = clean.filtered
     diffuse, specular = join_parts(filtered.layers, filtered.parts)
     weight_sum, effective_samples = filtered.compute_support()
@@ -205,13 +213,13 @@ def _denoise_light(checked: CheckedGuides[Frame], named: DenoiseSettings, featur
     )
     if below is not None:
         result = result.subtract(filter_below(below, named, features))
-    return replace(result, seconds=time.perf_counter() - start)
+    return replace(result.crop_columns(width), seconds=time.perf_counter() - start)
 
 
 def leave_to_peer(checked: CheckedGuides[Frame]) -> Result:
     """Denoise a frame by Open Image Denoise alone, without any kernel; light below 0 stays as it is."""
-    start, noisy = time.perf_counter(), ref(checked.frame.radiance.color)
-    frame, below = split_negative(checked.frame)
+    start, noisy, width = time.perf_counter(), ref(checked.frame.radiance.color), checked.frame.width
+    frame, below = split_negative(checked.frame.surround())
     samples = frame.radiance.color
     bad = ~mark_good(samples)
     count = int(np.count_nonzero(bad))
@@ -219,7 +227,7 @@ def leave_to_peer(checked: CheckedGuides[Frame]) -> Result:
     with bound_memory(frame, "", with_oidn=True):
         image = denoise_with_peer(frame, samples, blacken_bad(samples))
     unfiltered = np.zeros(frame.shape, np.float32)
-    return Result(
+    result = Result(
         image=image if below is None else image - below.radiance.color,
         weight_sum=unfiltered,
         effective_samples=unfiltered.copy(),
@@ -230,6 +238,7 @@ def leave_to_peer(checked: CheckedGuides[Frame]) -> Result:
         notes=(*frame.notes, *checked.notes, *describe_bad(count, bad.size), NO_KERNELS),
         find_noisy=noisy,
     )
+    return result.crop_columns(width)
 
 
 def filter_below(below: Frame, named: DenoiseSettings, features: Sequence[Feature]) -> Result:

@@ -20,6 +20,7 @@ from lobewise.guides.squares import count_neighbours
 from lobewise.guides.stand_ins import stand_in_normals, stand_in_surfaces
 from lobewise.guides.surfaces import mark_surface_pixels
 from lobewise.guides.survey import GuideSurvey
+from lobewise.images import crop_columns
 from lobewise.sparse_frame import AnyFrame
 
 MAX_ALBEDO = 1.1
@@ -85,6 +86,16 @@ def check_guides(frame: FrameT) -> CheckedGuides[FrameT]:
     (`bound_guides`); most frames have none, which one pass over the guides tells. Missing normals are filled in
     (`stand_in_normals`), and surfaces of pixels that have scattered light but no surface (`stand_in_surfaces`).
     """
+    checked = _check_guides(frame)
+    if not isinstance(frame, Frame) or not frame.wraps:
+        return checked
+    # Notes count the pixels of the image; what stands in is found among all neighbours.
+    around = _check_guides(frame.surround())
+    changed, seen = (crop_columns(each, frame.width) for each in (around.frame.gbuffer, around.seen))
+    return replace(checked, frame=replace(checked.frame, gbuffer=changed), seen=seen)
+
+
+def _check_guides(frame: FrameT) -> CheckedGuides[FrameT]:
     survey = GuideSurvey()
     survey.look_at(frame)
     frame = survey.apply(frame)

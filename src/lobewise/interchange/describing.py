@@ -39,6 +39,7 @@ def describe_file(
     half: PathLike | None = None,
     also: Sequence[str] = (),
     all_layers: bool = False,
+    wraps: bool | None = None,
 ) -> FileDescription:
     """Return a description of an EXR file: its contents, its preset and the reason for it, and the use of each pass.
 
@@ -51,7 +52,14 @@ def describe_file(
         As `import_file`, for a file of another renderer. Errors in a lobewise file become notes instead.
     """
     return inspect_file(
-        path, preset=preset, mapping=mapping, camera=camera, half=half, also=also, all_layers=all_layers
+        path,
+        preset=preset,
+        mapping=mapping,
+        camera=camera,
+        half=half,
+        also=also,
+        all_layers=all_layers,
+        wraps=wraps,
     )[0]
 
 
@@ -64,6 +72,7 @@ def inspect_file(
     half: PathLike | None = None,
     also: Sequence[str] = (),
     all_layers: bool = False,
+    wraps: bool | None = None,
 ) -> tuple[FileDescription, Imported | None]:
     """Return the description of a file as `describe_file`, and the file itself if its pixels were read."""
     container = read_container(path)
@@ -75,6 +84,7 @@ def inspect_file(
         return replace(own, notes=(*left, *own.notes, *marks), refusals=(*own.refusals, *marks)), None
     selections = list_selections(path, preset=preset, mapping=mapping, all_layers=all_layers)
     options = {"preset": preset, "mapping": mapping, "camera": camera, "half": half, "also": also, "light_passes": True}
+    options["wraps"] = wraps
     first, *others = (
         import_file(path, view=selected.view or None, layer=selected.layer or None, denoised=selections, **options)  # type: ignore[arg-type]
         for selected in selections

@@ -24,6 +24,7 @@ from lobewise.interchange.selections import Selection, look_up_mapped_view
 from lobewise.interchange.siblings import look_up_family
 from lobewise.io.exr.container import Channel, Container, Part, Window
 from lobewise.io.exr.frames import read_whole
+from lobewise.io.exr.header import wraps_around
 from lobewise.io.exr.layout import look_up_beauty, name_file, plan_reading, require_shaded
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.schema import SCHEMA
@@ -31,6 +32,10 @@ from lobewise.io.files import PathLike
 from lobewise.lobe_table import LobeTable
 from lobewise.radiance import RadianceLayer
 
+WRAPS_AROUND = (
+    "The image wraps around, as the header says (envmap): pixels at its left and right border are neighbours; "
+    "--no-wrap filters them apart."
+)
 MAX_SELECTIONS = 256
 """Most pairs of a view and a view layer in a file."""
 
@@ -59,6 +64,7 @@ def read_frame(
     light_passes: bool = True,
     view: str | None = None,
     layer: str | None = None,
+    wraps: bool | None = None,
 ) -> Frame:
     """Return the frame of an EXR file, whichever renderer wrote it.
 
@@ -94,6 +100,8 @@ def read_frame(
         Name of the view, such as ``right`` in a stereo file; by default the first view of the file.
     layer : str, optional
         Name of the view layer, such as ``ViewLayer``; by default the first one of the file.
+    wraps : bool, optional
+        As of `lobewise.Frame`; by default, the header tells (the attribute ``envmap`` of OpenEXR).
 
     Raises
     ------
@@ -115,6 +123,7 @@ def read_frame(
         light_passes=light_passes,
         view=view,
         layer=layer,
+        wraps=wraps,
     ).frame
 
 
@@ -184,12 +193,13 @@ def import_file(
     view: str | None = None,
     layer: str | None = None,
     denoised: Collection[Selection] = (),
+    wraps: bool | None = None,
 ) -> Imported:
     """Return the frame of an EXR file, with notes, findings and the channels that receive results.
 
     Parameters
     ----------
-    path, preset, mapping, camera, half, lobe_tables, view, layer
+    path, preset, mapping, camera, half, lobe_tables, view, layer, wraps
         As in `read_frame`.
     also : sequence of str
         Patterns, with the wildcards * and ?, of further passes to filter. A pass is filtered like the layer whose pass
@@ -205,6 +215,8 @@ def import_file(
         As `read_frame`; also if no pass matches a pattern of ``also``.
     """
     container = read_container(path)
+    told = (WRAPS_AROUND,) if wraps is None and wraps_around(container) else ()
+    wraps = bool(wraps or told)
     family = look_up_family(container)
     read = ImageReader(family.decode)
     if preset is None and not mapping and is_own(container):
@@ -219,7 +231,7 @@ def import_file(
         frame = read_whole(path, container, lobe_tables)
         frame = frame if camera is None else frame.with_changes(camera=camera)
         imported = Imported(
-            frame.with_changes(notes=describe_own_left_noisy(container)),
+            frame.with_changes(notes=(*told, *describe_own_left_noisy(container)), wraps=wraps),
             container,
             findings=check_own_mark(container),
         )
@@ -227,7 +239,8 @@ def import_file(
         require_no_tables(path, lobe_tables)
         with name_file(path):
             channels = map_channels(family.container, preset=preset, mapping=mapping, view=view, layer=layer)
-            imported, read = import_foreign(container, read, channels, camera)
+            imported, read = import_foreign(container, read, channels, camera, wraps=wraps)
+        imported = replace(imported, notes=(*told, *imported.notes))
     if also:
         with name_file(path):
             imported = add_also(imported, also, read)
@@ -241,7 +254,7 @@ def import_file(
     if half is None:
         return imported
     options: dict[str, Any] = {"preset": preset, "mapping": mapping, "camera": camera, "lobe_tables": lobe_tables}
-    options |= {"also": also, "light_passes": light_passes, "view": view, "layer": layer}
+    options |= {"also": also, "light_passes": light_passes, "view": view, "layer": layer, "wraps": wraps}
     other = import_file(half, **options)
     with name_file(half):
         return join_halves(imported, other)

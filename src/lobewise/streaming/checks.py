@@ -12,6 +12,7 @@ from lobewise.interchange.importing.bands import ImportedBands
 from lobewise.interchange.importing.leftovers import describe_own_left_noisy
 from lobewise.interchange.reading import is_own, require_no_tables
 from lobewise.io.exr.bands import BandReader
+from lobewise.io.exr.header import wraps_around
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.files import PathLike
 from lobewise.lobe_table import LobeTable
@@ -40,7 +41,15 @@ def open_bands(
     source: PathLike, lobe_tables: Sequence[LobeTable] | None = None, wanted: Images | None = None
 ) -> BandReader:
     """Return a reader of a file in bands, whichever renderer wrote it; see `BandReader` and `ImportedBands`."""
-    if is_own(read_container(source)):
+    container = read_container(source)
+    if wraps_around(container):
+        raise InputError(
+            f"input {str(source)!r}",
+            expected="a file that can be read in bands",
+            got="one that wraps around, as its header says (envmap)",
+            action="denoise it as a whole (--bands off)",
+        )
+    if is_own(container):
         return BandReader(source, lobe_tables=lobe_tables, wanted=wanted)
     require_no_tables(source, lobe_tables)
     return ImportedBands(source)

@@ -55,6 +55,7 @@ if TYPE_CHECKING:
 
 ALPHA_STAYS = "The opacity of the frame is not filtered."
 """What a filter over time says of `Frame.alpha`."""
+BORDERS_APART = "The image wraps around, and a filter over time filters its borders apart."
 HISTORY_SHARE = 3.0
 """Memory of the history, as a multiple of that of a frame."""
 MAX_OWN_WEIGHT = 1e8
@@ -192,7 +193,11 @@ class TemporalFilter:
         if isinstance(frame, SparseFrame):
             notes += describe_exact_light(frame)
         else:
-            notes += (*frame.notes, *(() if frame.alpha is None else (ALPHA_STAYS,)))
+            notes += (
+                *frame.notes,
+                *(() if frame.alpha is None else (ALPHA_STAYS,)),
+                *((BORDERS_APART,) if frame.wraps else ()),
+            )
         frame, below = split_negative(frame)
         if isinstance(frame, SparseFrame):
             frame = tint_samples(frame)

@@ -73,7 +73,7 @@ class FrameTarget:
         if beauty is not None and beauty.get(SPARSE) is not None:
             if self._reading.is_given:
                 raise InputError(
-                    "--preset, --map, --camera and --half",
+                    "--preset, --map, --camera, --half and --wrap",
                     expected="a frame that was shaded everywhere",
                     got=f"{path!r}, which was shaded sparsely",
                     action="leave them out",
@@ -239,6 +239,7 @@ class FrameTarget:
             mapping=reading.mapping,
             camera=reading.camera,
             half=reading.half,
+            wraps=reading.wraps,
             light_passes=light_passes,
         )
 

@@ -21,11 +21,12 @@ class FrameReading:
     mapping: Mapping[str, str] | None = None
     camera: Camera | None = None
     half: PathLike | None = None
+    wraps: bool | None = None
 
     @property
     def is_given(self) -> bool:
         """Whether any field is set."""
-        return any((self.preset, self.mapping, self.camera, self.half))
+        return self.wraps is not None or any((self.preset, self.mapping, self.camera, self.half))
 
 
 @dataclass(frozen=True)

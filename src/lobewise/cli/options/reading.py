@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from lobewise.cli.terminal.help import file_option
+from lobewise.cli.terminal.help import file_detail, file_option
 from lobewise.errors import InputError
 
 if TYPE_CHECKING:
@@ -62,10 +62,19 @@ class Reading:
         ),
     ] = None
 
+    wrap: Annotated[
+        bool | None,
+        file_detail(
+            "--wrap/--no-wrap",
+            help="The left and the right border are neighbours: a panorama of 360 degrees.",
+            show_default="what the header tells",
+        ),
+    ] = None
+
     def list_words(self) -> list[str]:
         """Return the options that the user gave, as words of a command line."""
         options = {"--preset": [self.preset], "--map": self.maps, "--camera": [self.camera], "--half": [self.half]}
-        return _list_words(options)
+        return [*_list_words(options), *({True: ["--wrap"], False: ["--no-wrap"], None: []}[self.wrap])]
 
     @property
     def option(self) -> str:
@@ -95,7 +104,7 @@ class Reading:
         return [name_frame(self.half, number) if is_pattern(self.half) else self.half]
 
     def parse(self) -> dict[str, Any]:
-        """Return the conventions, channels and camera, as parameters of `lobewise.read_frame`.
+        """Return the conventions, channels, camera and borders, as parameters of `lobewise.read_frame`.
 
         Raises InputError or FileError if one of them is wrong in every file.
         """
@@ -112,6 +121,7 @@ class Reading:
             "preset": self.preset,
             "mapping": mapping,
             "camera": None if self.camera is None else read_camera_file(self.camera),
+            "wraps": self.wrap,
         }
 
 

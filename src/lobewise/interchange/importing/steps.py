@@ -110,7 +110,7 @@ BAND_STEPS = (
 
 
 def import_foreign(
-    container: Container, read: ImageReader, channels: ChannelMap, camera: Camera | None
+    container: Container, read: ImageReader, channels: ChannelMap, camera: Camera | None, *, wraps: bool = False
 ) -> tuple[Imported, ImageReader]:
     """Return the frame of another renderer's file, and a reader of its images that has the corrected light.
 
@@ -124,11 +124,13 @@ def import_foreign(
         Which channels are which image.
     camera : Camera or None
         The user's camera.
+    wraps : bool
+        As of `lobewise.Frame`.
     """
     read.expect(channels)
     channels = leave_out_empty(channels, read)
     used = leave_out_denoised_light(container, channels)
-    start = Draft(container=container, mapped=channels, channels=used, read=read, given_camera=camera)
+    start = Draft(container=container, mapped=channels, channels=used, read=read, given_camera=camera, wraps=wraps)
     draft = run_steps(start, STEPS)
     assert draft.frame is not None
     imported = Imported(

@@ -45,7 +45,7 @@ def estimate_blur(draft: Draft) -> Outcome:
     mask: Mask = (position != 0.0).any(axis=-1)
     pixel_aspect = read_pixel_aspect(draft.image_part) or 1.0
     is_coarse = measure_grain(position).is_coarse
-    fit = None if is_coarse else fit_camera(position, mask, pixel_aspect, blurred=True)
+    fit = None if is_coarse or draft.wraps else fit_camera(position, mask, pixel_aspect, blurred=True)
     if fit is None:
         return Outcome(draft)
     seen = measure_offsets(fit.camera, _mirror(position) if fit.mirrored else position, draft.shape)
@@ -66,6 +66,9 @@ def measure_offsets(camera: Camera, position: FloatArray, shape: tuple[int, int]
 
 def choose_camera(draft: Draft) -> Outcome:
     """Choose the camera: the user's, else the header's unless the positions contradict it, else one fitted to them."""
+    if draft.wraps and draft.given_camera is None:
+        # No pinhole sees all around.
+        return Outcome(draft)
     pixel_aspect, notes = read_pixel_aspect(draft.image_part), []
     if pixel_aspect is None:
         pixel_aspect = 1.0
@@ -97,7 +100,9 @@ def _choose_camera(draft: Draft, header: Located | None, pixel_aspect: float) ->
         return _use_header(draft, header, None, "; it does not see the positions where they are, so they are not used.")
     height, width = draft.shape
     why = (
-        ": the image is a panorama." if width == PANORAMA_ASPECT * height else "; give --camera, unless rays are bent."
+        ": the image is a panorama; --wrap joins its borders."
+        if width == PANORAMA_ASPECT * height
+        else "; give --camera, unless rays are bent."
     )
     return Outcome(draft, notes=[NO_PINHOLE + why])
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from lobewise.errors import require_choice, require_kind
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.io.exr.container import Container
-from lobewise.io.exr.header import describe_camera, read_camera, read_lobe_tables, read_spp
+from lobewise.io.exr.header import ENVMAP, ENVMAP_LATLONG, describe_camera, read_camera, read_lobe_tables, read_spp
 from lobewise.io.exr.layout import (
     MAX_HALF,
     build_frame,
@@ -139,6 +139,8 @@ def write_frame(
         header[SPP] = frame.spp
     if frame.camera is not None:
         header.update(describe_camera(frame.camera))
+    if frame.wraps:
+        header[ENVMAP] = ENVMAP_LATLONG
     header.update({f"{LOBES}{k}": lobe_table_to_json(table) for k, table in enumerate(frame.lobe_tables, start=1)})
     with open_atomic(path) as out:
         out.write(encode_file(header, pixels, compression=compression))

@@ -20,6 +20,8 @@ from lobewise.lobe_table import LobeTable
 
 MAX_PIXEL_ASPECT = 100.0
 """Largest plausible ratio of the sides of a pixel."""
+ENVMAP, ENVMAP_LATLONG = "envmap", 0
+"""OpenEXR's attribute of maps of the surroundings, and its value for a map by latitude and longitude."""
 REPLACED = "replaced"
 """Key, beside the settings, of the denoised channels by the name of their part."""
 
@@ -97,6 +99,19 @@ def read_pixel_aspect(part: Part) -> float | None:
     item = part.get("pixelAspectRatio")
     aspect = 1.0 if item is None else float(struct.unpack("<f", item.value)[0])
     return aspect if 1.0 / MAX_PIXEL_ASPECT <= aspect <= MAX_PIXEL_ASPECT else None
+
+
+def wraps_around(container: Container) -> bool:
+    """Return whether a file is a map by latitude and longitude, as the attribute ``envmap`` of OpenEXR says.
+
+    A part that is cropped has no borders that are neighbours.
+    """
+    return any(
+        item is not None and item.type == ENVMAP and item.value == bytes([ENVMAP_LATLONG])
+        for part in container.parts
+        if part.data_window == part.display_window
+        for item in (part.get(ENVMAP),)
+    )
 
 
 def read_chromaticities(container: Container) -> Chromaticities | None:

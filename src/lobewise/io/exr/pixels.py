@@ -189,6 +189,8 @@ def encode_file(
     full["type"] = OpenEXR.tiledimage if part and part.tiled else OpenEXR.scanlineimage
     if "lineOrder" in full:
         full["lineOrder"] = OpenEXR.LineOrder(full["lineOrder"])
+    if "envmap" in full:
+        full["envmap"] = OpenEXR.Envmap(full["envmap"])
     if part and part.tiled:
         full["tiles"] = OpenEXR.TileDescription()
         full["tiles"].xSize, full["tiles"].ySize = part.tile_size
