@@ -238,9 +238,10 @@ class Frame(Guided):
     unscattered : mapping of str to array_like, shape (height, width, 3)
         Light of the total that no surface scattered, by name: emission, background. It is not filtered, but where
         ``gbuffer.blur_radius`` tells that the lens blurs it, it is shared out among neighbours.
-    also : mapping of str to array_like, shape (height, width, 3)
+    also : mapping of str to array_like, shape (height, width, 3) or (height, width)
         Noisy images that belong to the total, such as the light of every lamp. Images that sum to the total before
-        denoising do so after it.
+        denoising do so after it. A plane (height, width) whose name ends in a wavelength, such as ``S0.550nm``, is
+        light too. Any other plane, such as ambient occlusion, is averaged by the weights of the total and no more.
     alpha : array_like, shape (height, width), optional
         Noisy opacity, in [0, 1], by which the radiance is multiplied already: of shadow catchers, or out of focus.
     noise_is_shared : bool
@@ -308,8 +309,8 @@ class Frame(Guided):
 
     def _check_layers(self) -> None:
         object.__setattr__(self, "layers", tuple(self.layers))
-        for name in ("unscattered", "also"):
-            object.__setattr__(self, name, as_images(name, getattr(self, name), self.shape))
+        object.__setattr__(self, "unscattered", as_images("unscattered", self.unscattered, self.shape))
+        object.__setattr__(self, "also", as_images("also", self.also, self.shape, with_planes=True))
         object.__setattr__(self, "alpha", as_image("alpha", self.alpha, None))
         if self.alpha is not None and self.alpha.shape != self.shape:
             raise refuse_size("alpha", "the radiance", self.shape, self.alpha.shape)

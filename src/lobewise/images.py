@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields, replace
@@ -28,6 +29,9 @@ if TYPE_CHECKING:
 
 else:
     MaybeImage = FloatArray | None
+_BETWEEN = "\n"
+"""Stands between the names of planes in the name of the image that holds them."""
+_BAND = re.compile(r"\d+([.,]\d+)?\s*nm$", re.IGNORECASE)
 ABSENT: Any = None
 """Default of a field that holds an optional image."""
 HOST_DEVICES = (1, 3, 11, 13)
@@ -228,17 +232,62 @@ def make_array(maker: str, image: NDArray[Any]) -> Any:
     return image if make is None else make(np.require(image, requirements=["C", "W"]))
 
 
-def as_images(what: str, images: Mapping[str, ArrayLike], shape: tuple[int, int] | None) -> Mapping[str, FloatArray]:
-    """Return images of light (height, width, 3) by name, checked like `as_image`, and of the size ``shape``."""
+def as_images(
+    what: str, images: Mapping[str, ArrayLike], shape: tuple[int, int] | None, *, with_planes: bool = False
+) -> Mapping[str, FloatArray]:
+    """Return images of light (height, width, 3) by name, checked like `as_image`, and of the size ``shape``.
+
+    With ``with_planes`` an image may also be a plane (height, width).
+    """
     checked = {}
     for name, value in images.items():
-        image = as_image(f"{what} {name!r}", value, 3, is_light=True)
+        is_plane = with_planes and len(getattr(value, "shape", ())) == 2
+        image = as_image(f"{what} {name!r}", value, None if is_plane else 3, is_light=True)
         if image is None:
             continue
         if shape is not None and image.shape[:2] != shape:
             raise refuse_size(f"{what} {name!r}", "the radiance", shape, image.shape)
         checked[name] = image
     return checked
+
+
+def is_band(name: str) -> bool:
+    """Return whether the name of a plane is that of a spectral band, such as ``S0.550,000000nm``.
+
+    Source: Fichet et al. 2021, "An OpenEXR Layout for Spectral Images".
+    """
+    return bool(_BAND.search(name))
+
+
+def pack_planes(images: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """Return images by name with up to three planes (height, width) as one image (height, width, 3).
+
+    Kernels take images of three channels. Spectral bands and other planes are packed apart. The last plane of an image
+    stands for what lacks to three. The name of the image holds the names of all its planes.
+    """
+    packed = {name: image for name, image in images.items() if image.ndim == 3}
+    planes = [name for name in images if name not in packed]
+    for names in ([name for name in planes if is_band(name) == are_bands] for are_bands in (True, False)):
+        for start in range(0, len(names), 3):
+            some = names[start : start + 3]
+            some += some[-1:] * (3 - len(some))
+            packed[_BETWEEN.join(some)] = np.stack([images[name] for name in some], axis=-1)
+    return packed
+
+
+def list_packed(name: str) -> list[str]:
+    """Return the names of the planes of an image of `pack_planes`; of another image its own name."""
+    return name.split(_BETWEEN)
+
+
+def unpack_planes(images: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """Return images with the planes of `pack_planes` by their own names."""
+    unpacked: dict[str, FloatArray] = {}
+    for name, image in images.items():
+        names = list_packed(name)
+        planes = np.moveaxis(image, -1, 0) if len(names) > 1 else [image]
+        unpacked |= {each: np.ascontiguousarray(plane) for each, plane in zip(names, planes, strict=True)}
+    return unpacked
 
 
 def refuse_size(

@@ -41,7 +41,7 @@ class Result:
         0 with the quality "fast", which does not measure it.
     layers : mapping of str to (height, width, 3)
         The filtered layers of a frame that has any, by name.
-    also : mapping of str to (height, width, 3)
+    also : mapping of str to (height, width, 3) or (height, width)
         The filtered images of ``Frame.also``; the images of ``Frame.unscattered`` that changed; and the parts of the
         layers, named ``layer/part``.
     settings : dict

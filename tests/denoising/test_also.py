@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import reduce
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from lobewise import read_frame
+from lobewise import WindowFilter, read_frame
 from lobewise.denoising import denoise
 from lobewise.frame import FloatArray, Frame, Radiance
+from lobewise.images import pack_planes, unpack_planes
 from lobewise.peers import has_oidn
 from lobewise.radiance import RadianceLayer
 from tests.denoising.test_denoising import make_frame
@@ -141,3 +143,69 @@ def test_a_lamp_in_view_stays_in_its_own_light_group(quality: str) -> None:
         assert result.also[name][lamp].max() < 3.0 * image.max(), name
     total = reduce(np.add, (result.also[name] for name in groups))
     np.testing.assert_allclose(total, result.image, rtol=2e-3, atol=1e-4)
+
+
+def make_planes() -> tuple[Frame, FloatArray]:
+    """Return a frame of gray light on colourful textures, with bands and planes of values, and the truth of a band."""
+    rng = np.random.default_rng(5)
+    noisy, truth = make_groups()
+    albedo = rng.uniform(0.1, 0.9, (*SHAPE, 3))
+    frame = make_frame(SHAPE, apart=False, diffuse_albedo=albedo, specular_albedo=albedo)
+    light = noisy["key"][..., 0]
+    bands = {f"S0.{wavelength},00nm": 0.25 * light for wavelength in range(400, 750, 50)}
+    values = {"AO": np.float32(0.7) + rng.normal(0.0, 0.2, SHAPE), "mask": np.full(SHAPE, 0.7, np.float32)}
+    also = {**values, **bands, "S1.400,00nm": -0.25 * light, "RGBA_key": noisy["key"]}
+    # A band without the highlight and the firefly.
+    also["S0.380nm"] = 0.25 * make_group(rng, 1.0, 0.5)[..., 0]
+    return frame.with_changes(radiance=Radiance(noisy["key"]), also=also), 0.25 * truth["key"][..., 0]
+
+
+@pytest.mark.parametrize("quality", QUALITIES)
+def test_planes_are_filtered_by_the_weights_of_the_light(quality: str) -> None:
+    frame, truth = make_planes()
+    result = denoise(frame, quality=quality)
+    assert set(result.also) == set(frame.also)
+    first, *others = (result.also[name] for name in frame.also if name.endswith(",00nm") and name.startswith("S0"))
+    for other in others:
+        np.testing.assert_allclose(other, first, rtol=2e-6)
+    noisy = frame.also["S0.400,00nm"]
+    assert np.square(first - truth).mean() < 0.5 * np.square(noisy - truth).mean()
+    # A band of 0.25 follows the image in neither of both.
+    assert result.also["S0.380nm"][8:15, 10:17].max() < 1.5
+    assert result.also["S0.380nm"][25:36, 15:26].mean() > 0.2
+    # Light below 0 is filtered apart.
+    assert np.square(result.also["S1.400,00nm"] + truth).mean() < np.square(noisy - truth).mean()
+    # Neither albedo nor highlights nor fireflies nor what was mixed in leave a trace in values.
+    np.testing.assert_allclose(result.also["mask"], 0.7, rtol=1e-5)
+    assert result.also["AO"].std() < 0.5 * frame.also["AO"].std()
+
+
+def test_bands_of_gray_light_are_as_the_image() -> None:
+    frame, _ = make_planes()
+    gray = replace(frame.gbuffer, diffuse_albedo=None, specular_albedo=None)
+    result = denoise(frame.with_changes(gbuffer=gray))
+    first, *others = (image for name, image in result.also.items() if name.endswith(",00nm") and name.startswith("S0"))
+    np.testing.assert_allclose(4.0 * first, result.image[..., 0], rtol=1e-4)
+    for other in others:
+        np.testing.assert_array_equal(other, first)
+
+
+def test_planes_in_windows_of_frames() -> None:
+    frame, truth = make_planes()
+    frames = [frame, frame.with_changes(also={name: image[::-1] for name, image in frame.also.items()})]
+    result = WindowFilter(1, quality="fast").denoise(frames, 0)
+    assert {name: image.shape for name, image in result.also.items() if name != "RGBA_key"} == {
+        name: SHAPE for name in frame.also if name != "RGBA_key"
+    }
+    first = result.also["S0.400,00nm"]
+    assert np.square(first - truth).mean() < 0.5 * np.square(frame.also["S0.400,00nm"] - truth).mean()
+
+
+def test_as_few_images_as_can_be() -> None:
+    bands = {f"S0.{wavelength}nm": np.full((2, 3), wavelength, np.float32) for wavelength in range(400, 710, 10)}
+    packed = pack_planes({**bands, "AO": np.ones((2, 3), np.float32)})
+    assert [image.shape for image in packed.values()] == [(2, 3, 3)] * 12
+    unpacked = unpack_planes(packed)
+    assert set(unpacked) == {*bands, "AO"}
+    for name, plane in bands.items():
+        np.testing.assert_array_equal(unpacked[name], plane)

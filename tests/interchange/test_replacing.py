@@ -164,6 +164,36 @@ def test_light_groups_sum_to_what_they_belong_to(quality: str, tmp_path: Path) -
     np.testing.assert_allclose(diffuse, result.layers["diffuse"], rtol=1e-4, atol=1e-4 * result.image.mean())
 
 
+@pytest.mark.parametrize("part_each", [False, True])
+def test_single_channels_go_back_to_their_own_places(
+    part_each: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = make_scene()
+    written = WRITERS["karma"](scene)
+    rng = np.random.default_rng(2)
+    value = 0.4 + 0.2 * scene.normal[..., 2]
+    light = value * (scene.diffuse_albedo + scene.specular_albedo).mean(axis=-1)
+    clean = {f"S0.{wavelength},000000nm": light for wavelength in range(400, 750, 50)} | {"mask.Y": value}
+    for name, plane in clean.items():
+        written.channels[name] = plane * rng.gamma(4.0, 0.25, plane.shape)
+    source, output = tmp_path / "a.exr", tmp_path / "b.exr"
+    write(source, written, half=True, part_each=part_each)
+    assert run(["denoise", str(source), "-o", str(output), "--also", "*nm", "--also", "mask"]) == 0
+    told = " ".join(capsys.readouterr().err.split())
+    assert "400,000000nm and 6 more single channels are filtered by the weights of the image." in told
+    assert "Left noisy" not in told
+    before, after = (
+        {name: plane for _, part in read_all(path) for name, plane in part.items()} for path in (source, output)
+    )
+    for name, plane in clean.items():
+        own = name.rpartition(".")[2] if part_each else name
+        errors = [np.square(image[own] - plane).mean() for image in (after, before)]
+        assert errors[0] < 0.3 * errors[1], name
+        assert after[own].dtype == np.float16
+    assert run(["inspect", str(source)]) == 0
+    assert "7 spectral bands (--also '*nm' takes all)" in " ".join(capsys.readouterr().out.split())
+
+
 def test_beside_alone_and_with_confidence(tmp_path: Path) -> None:
     source = tmp_path / "a.exr"
     write(source, WRITERS["arnold"](make_scene()))

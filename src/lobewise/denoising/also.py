@@ -5,6 +5,9 @@ passes of the layer run over each of these images. What else happens to the laye
 the image itself: its own samples are bounded, its own highlights are kept, and its own samples are taken back where the
 layer's are. Only factors of the layer's light (of the refining network, of light that is shared out, of the mixture)
 are those of the layer. So an image stays black where it has no light, whatever the layer has there.
+
+Planes of one channel come packed, three to an image (`lobewise.images.pack_planes`). Spectral bands are filtered like
+gray light of the total; other planes are averaged by its weights, and nothing else happens to them.
 """
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ import numpy as np
 from lobewise.backend.buffers import device_scope
 from lobewise.denoising.bad_pixels import blacken_bad
 from lobewise.denoising.evidence import mix_noisy
-from lobewise.denoising.layers import Layer, filter_layer, make_layers
+from lobewise.denoising.layers import Layer, compute_whole_albedo, filter_layer, make_layers
 from lobewise.denoising.noisy import NoisyLayer, join_halves, make_noisy_layers
 from lobewise.denoising.passes import FilteredOther, OtherImage, filter_layer_halves
 from lobewise.features import Feature
@@ -25,6 +28,7 @@ from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.dual_buffer import MORE_AT_ONCE
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.guides.halves import mark_bad
+from lobewise.images import is_band, list_packed
 from lobewise.lobes.vectors import compute_image_luminance
 from lobewise.settings import ResolvedSettings
 from lobewise.settings.choices import get_quality
@@ -87,14 +91,63 @@ def filter_also(
     if frame.also:
         before, after = rest
         share = _compute_part_share(before, frame.radiance.color)
-        with np.errstate(invalid="ignore"):  # bad pixels stay bad
-            scattered = {name: image - share * image for name, image in frame.also.items()}
         total = frame.with_changes(layers=(), radiance=Radiance(frame.radiance.color - before))
-        images = list_parts(total.radiance.color, scattered)
-        filtered = _finish_parts(scattered, _filter_by_total(total, settings, features, images), whole)
-        exact = share * _divide(after, before)
-        clean |= {name: image + exact * blacken_bad(frame.also[name]) for name, image in filtered.items()}
+        images, bands, values = _sort_images(frame.also)
+        with np.errstate(invalid="ignore"):  # bad pixels stay bad
+            scattered, grays = (
+                {name: image - share * image for name, image in some.items()} for some in (images, bands)
+            )
+        if images:
+            parts = list_parts(total.radiance.color, scattered)
+            filtered = _finish_parts(scattered, _filter_by_total(total, settings, features, parts), whole)
+            exact = share * _divide(after, before)
+            clean |= {name: image + exact * blacken_bad(images[name]) for name, image in filtered.items()}
+        if bands or values:
+            lights, averaged = _filter_planes(total, settings, features, grays, values)
+            refined = None if whole.before is None else _make_gray(whole.before)
+            gray = replace(whole, clean=_make_gray(whole.clean), before=refined)
+            filtered = _finish_parts(grays, lights, gray) if bands else {}
+            exact = share * _divide(_make_gray(after), _make_gray(before))
+            clean |= {name: image + exact * blacken_bad(bands[name]) for name, image in filtered.items()}
+            clean |= {name: blacken_bad(each.image) for name, each in zip(values, averaged, strict=True)}
     return clean
+
+
+def _sort_images(also: Mapping[str, FloatArray]) -> list[dict[str, FloatArray]]:
+    """Return the images of three colours, the packed spectral bands, and the packed planes of other values."""
+    packs = [name for name in also if len(list_packed(name)) > 1]
+    bands = [name for name in packs if is_band(name)]
+    return [
+        {name: also[name] for name in some}
+        for some in ([name for name in also if name not in packs], bands, [n for n in packs if n not in bands])
+    ]
+
+
+def _filter_planes(
+    total: Frame,
+    settings: ResolvedSettings,
+    features: Sequence[Feature],
+    bands: Mapping[str, FloatArray],
+    values: Mapping[str, FloatArray],
+) -> tuple[list[FilteredOther], list[FilteredOther]]:
+    """Return packed bands with the gray light of the frame as the last, and packed values, filtered as one layer.
+
+    The filter divides by the albedo of each colour, which no plane belongs to. So bands are brought to gray albedo
+    first, and values to none.
+    """
+    albedo = compute_whole_albedo(total.gbuffer)
+    one = np.ones_like(total.radiance.color) if albedo is None else albedo
+    lights = [*bands.values(), _make_gray(total.radiance.color)] if bands else []
+    scales = [one / _make_gray(one)] * len(lights) + [one] * len(values)
+    scaled = [image * scale for image, scale in zip([*lights, *values.values()], scales, strict=True)]
+    filtered = _filter_by_total(total, settings, features, scaled, lights=len(lights))
+    planes = [FilteredOther(each.image / by, each.samples / by) for each, by in zip(filtered, scales, strict=True)]
+    return planes[: len(lights)], planes[len(lights) :]
+
+
+def _make_gray(image: FloatArray) -> FloatArray:
+    """Return an image, (height, width, 3), with the mean of its channels in each."""
+    return np.repeat(image.mean(axis=-1, keepdims=True), 3, axis=-1)
 
 
 def list_layer_parts(frame: Frame) -> dict[str, list[FloatArray]]:
@@ -123,6 +176,25 @@ def filter_plain_layer(
     return output, [FilteredOther(np.where(lost, blacken_bad(own), image), own) for image, own in pairs]
 
 
+def _bound_planes(
+    noisy: NoisyLayer, joined: FloatArray, lights: Sequence[FloatArray], values: Sequence[FloatArray]
+) -> list[OtherImage]:
+    """Return packed planes as the passes over a layer take them.
+
+    Planes of light have other units than the layer. They lose the share of light that the layer's fireflies lost, and
+    keep the share that its highlights hold. Planes of values have neither.
+    """
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+        kept = compute_image_luminance(joined) / compute_image_luminance(noisy.layer.radiance)
+    kept = np.where(np.isnan(kept), np.float32(1.0), np.minimum(kept, np.float32(1.0)))[..., None]
+    share = None if noisy.highlights is None else _compute_part_share(noisy.highlights, joined)
+    others = []
+    for image in (light * kept for light in lights):
+        highlights = None if share is None else image * share
+        others.append(OtherImage(image, mark_bad(image if highlights is None else image - highlights), highlights))
+    return [*others, *(OtherImage(image, mark_bad(image)) for image in values)]
+
+
 def bound_parts(noisy: NoisyLayer, joined: FloatArray, images: Sequence[FloatArray]) -> list[OtherImage]:
     """Return images as the passes over a layer take them, without fireflies; ``joined`` is that of `join_halves`."""
     share = None if noisy.highlights is None or not images else _compute_part_share(noisy.highlights, joined)
@@ -137,14 +209,26 @@ def bound_parts(noisy: NoisyLayer, joined: FloatArray, images: Sequence[FloatArr
 
 
 def _filter_by_total(
-    frame: Frame, settings: ResolvedSettings, features: Sequence[Feature], images: Sequence[FloatArray]
+    frame: Frame,
+    settings: ResolvedSettings,
+    features: Sequence[Feature],
+    images: Sequence[FloatArray],
+    lights: int | None = None,
 ) -> Sequence[FilteredOther]:
-    """Return images after the filter of a frame whose light is one layer."""
+    """Return images after the filter of a frame whose light is one layer.
+
+    ``lights`` says that the images are packed planes, and how many of them, the first ones, are light.
+    """
     if not get_quality(settings.quality).reads_halves:
         (layer,) = make_layers(frame, settings, features, finest=True)
         return filter_plain_layer(layer, settings, images)[1]
     (noisy,) = make_noisy_layers(frame, settings, features)
-    return filter_layer_halves(frame, noisy, settings, bound_parts(noisy, join_halves(noisy), images)).others
+    joined = join_halves(noisy)
+    if lights is None:
+        others = bound_parts(noisy, joined, images)
+    else:
+        others = _bound_planes(noisy, joined, images[:lights], images[lights:])
+    return filter_layer_halves(frame, noisy, settings, others).others
 
 
 def _finish_parts(

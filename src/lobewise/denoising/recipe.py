@@ -30,7 +30,7 @@ from lobewise.guides.negative import split_negative
 from lobewise.guides.squares import compute_square_maximum
 from lobewise.guides.survey import ALBEDOS
 from lobewise.guides.usable import CheckedGuides, check_guides
-from lobewise.images import crop_columns, wrap_columns
+from lobewise.images import crop_columns, pack_planes, unpack_planes, wrap_columns
 from lobewise.peers import require_oidn
 from lobewise.settings import DenoiseChanges, DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_quality
@@ -133,9 +133,18 @@ def check_frame(frame: Frame, named: DenoiseSettings) -> CheckedGuides[Frame]:
 
 
 def denoise_checked(checked: CheckedGuides[Frame], named: DenoiseSettings, features: Sequence[Feature] = ()) -> Result:
-    """Denoise a frame whose guides were checked; ``named`` are the settings before anything is chosen."""
+    """Denoise a frame whose guides were checked; ``named`` are the settings before anything is chosen.
+
+    Planes of a frame are packed for the kernels, and unpacked in the result. What the caller has packed stays packed.
+    """
     start = time.perf_counter()
+    packed = pack_planes(checked.frame.also)
+    has_planes = packed.keys() != checked.frame.also.keys()
+    if has_planes:
+        checked = replace(checked, frame=checked.frame.with_changes(also=packed))
     result = _denoise_light(checked, named, features)
+    if has_planes:
+        result = replace(result, also=unpack_planes(result.also))
     if checked.frame.alpha is not None:
         result = replace(result, alpha=denoise_alpha(checked.frame, named), seconds=time.perf_counter() - start)
     return result

@@ -40,20 +40,22 @@ def add_also(imported: Imported, patterns: Sequence[str], read: ImageReader) -> 
     layers = {layer.name: layer for layer in imported.frame.layers}
     whole, outputs, notes = dict(imported.frame.also), dict(imported.outputs), list(imported.notes)
     for pattern in patterns:
-        chosen = [(one, one.pick(COLOR)) for one in imported.map.beside if one.matches(pattern)]
+        chosen = [(one, _pick_noisy(one)) for one in imported.map.beside if one.matches(pattern)]
         taken = [(one, channels) for one, channels in chosen if channels and not used.intersection(channels)]
+        planes = [Found(one, channels).label for one, channels in taken if len(channels) == 1]
         if not taken and any(one.matches(pattern) for one in list_passes(imported.container)):
             notes.append(f"No pass of {imported.map.selection.label or 'the picture'} matches --also {pattern}.")
         elif not taken:
             raise InputError(
                 f"--also {pattern}",
-                expected="passes of three channels that are not used yet",
+                expected="passes of three channels or of one that are not used yet",
                 got="no such pass",
                 action="see lobewise inspect",
             )
         for one, channels in taken:
             image, found_one = read(Found(one, channels)), Found(one, channels)
-            owner, albedo = _look_up_owner(imported, one)
+            # What a single channel holds is no part of a layer.
+            owner, albedo = (None, None) if image.ndim == 2 else _look_up_owner(imported, one)
             if owner is None:
                 name, divided = one.path, "the image"
                 whole[name] = image
@@ -64,7 +66,11 @@ def add_also(imported: Imported, patterns: Sequence[str], read: ImageReader) -> 
                 layers[owner] = replace(layers[owner], parts={**layers[owner].parts, one.path: radiance})
                 outputs[name] = PartOutput(found_one, factor)
             outputs.setdefault(name, PartOutput(found_one))
-            notes.append(f"{found_one.label} is filtered like {divided}.")
+            if image.ndim == 3:
+                notes.append(f"{found_one.label} is filtered like {divided}.")
+        if planes:
+            more = f" and {len(planes) - 1} more single channels are" if len(planes) > 1 else " is"
+            notes.append(f"{planes[0]}{more} filtered by the weights of the image.")
     frame = imported.frame.with_changes(layers=tuple(layers.values()), also=whole)
     return replace(imported, frame=frame, outputs=outputs, notes=tuple(notes))
 
@@ -84,6 +90,12 @@ def add_noisy_alpha(imported: Imported, channels: ChannelMap, read: ImageReader)
         outputs={**imported.outputs, "alpha": PartOutput(found)},
         notes=(*imported.notes, f"{told}, and is denoised by itself."),
     )
+
+
+def _pick_noisy(one: Pass) -> tuple[str, ...] | None:
+    """Return the three colours of a pass, or the one channel beside alpha that it has; None for any other number."""
+    values = [name for letter, name in one.channels.items() if letter != "a"] or list(one.channels.values())
+    return one.pick(COLOR) or (tuple(values) if len(values) == 1 else None)
 
 
 def _look_up_owner(imported: Imported, one: Pass) -> tuple[str | None, Found | None]:

@@ -237,7 +237,8 @@ def _list_images(result: Result) -> Mapping[str, FloatArray]:
     images: dict[str, Any] = {"color": result.image, "diffuse": result.diffuse, "specular": result.specular}
     whole = {name: image for name, image in images.items() if image is not None}
     opacity = {} if result.alpha is None else {"alpha": result.alpha[..., None]}
-    return {**whole, **opacity, **result.layers, **result.also}
+    also = {name: image if image.ndim == 3 else image[..., None] for name, image in result.also.items()}
+    return {**whole, **opacity, **result.layers, **also}
 
 
 def _keep_shown(imported: Imported) -> tuple[Planes, list[str]]:

@@ -111,7 +111,8 @@ def _list_light(frame: Frame) -> Iterator[tuple[str, NDArray[np.float32]]]:
     for layer in frame.layers:
         yield f"light: {layer.name}", layer.radiance
     yield from frame.unscattered.items()
-    yield from frame.also.items()
+    for name, image in frame.also.items():
+        yield name, image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=-1)
     halves: dict[str, Radiance | None] = {"half a": frame.half_a, "half b": frame.half_b, "variance": frame.variance}
     for name, half in halves.items():
         if half is not None:

@@ -18,6 +18,7 @@ from lobewise.filters.noise.pooling import blur_image
 from lobewise.frame import FloatArray, Frame, Result
 from lobewise.guides.negative import split_negative
 from lobewise.guides.usable import CheckedGuides
+from lobewise.images import pack_planes, unpack_planes
 from lobewise.limits import set_aside
 from lobewise.settings import DenoiseChanges, DenoiseSettings
 from lobewise.windows.averaging import average_denoised
@@ -156,6 +157,7 @@ class WindowFilter:
             result = result.subtract(filter_below(below, self._settings, ()))
         return replace(
             result,
+            also=unpack_planes(result.also),
             notes=prepared.window_notes + result.notes,
             settings={**result.settings, "window": self.reach, "joined": tuple(prepared.shown)},
             seconds=time.perf_counter() - start,
@@ -276,7 +278,8 @@ class _Prepared:
     def __init__(self, frame: Frame, settings: DenoiseSettings) -> None:
         self.frame = frame
         checked = check_frame(frame, settings)
-        self.checked, self.below = split_negative(checked.frame)
+        packed = checked.frame.with_changes(also=pack_planes(checked.frame.also))
+        self.checked, self.below = split_negative(packed)
         self.notes = checked.notes
         self.shot: Shot | None = None
         self.windowed: Result | None = None

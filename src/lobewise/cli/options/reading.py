@@ -133,7 +133,7 @@ class PassReading(Reading):
         list[str] | None,
         file_option(
             metavar="PATTERN",
-            help="Further noisy passes, such as 'Combined_*', which are filtered alike; again for more.",
+            help="Further noisy passes, such as 'Combined_*', AO or '*nm', which are filtered alike; again for more.",
             show_default=False,
         ),
     ] = None

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Iterable, Iterator, Sequence
 
 import numpy as np
 
 from lobewise.frame import FloatArray
 from lobewise.guides.squares import compute_square_maximum
+from lobewise.images import is_band
 from lobewise.interchange.channels import COLOR, Pass, list_views
 from lobewise.interchange.imported import ImageReader, Imported
 from lobewise.interchange.lighting import is_smooth, name_pass
@@ -27,8 +27,6 @@ MIN_FRACTION_SHARE = 0.002
 """Share of the pixels that are fractions of opacity among others, above which an image of opacity is denoised."""
 FRACTIONS = (0.01, 0.99)
 """Alpha between these values is a share of the samples, and as noisy as the picture."""
-BAND = re.compile(r"\d+([.,]\d+)?\s*nm", re.IGNORECASE)
-"""Last word of the name of a spectral band. Source: Fichet et al. 2021, "An OpenEXR Layout for Spectral Images"."""
 OWN_PARTS = ("direct", "indirect")
 """Light of files in lobewise's own channel names that no filter writes."""
 
@@ -60,7 +58,7 @@ def describe_left_noisy(
         *_name("pass of light", _list_light(channels, unused, read), many="passes of light"),
         *_name_pictures(channels, [one for one in unused if _is_picture(channels, one.source)], read),
         *(["alpha"] if alpha_stays else []),
-        *_count_bands(channels.beside),
+        *_count_bands(imported, channels),
     ]
     return _say(words)
 
@@ -166,6 +164,7 @@ def take_noisy_alpha(channels: ChannelMap, read: ImageReader) -> tuple[Found, Fl
     return (found, alpha) if np.mean(inside) > MIN_FRACTION_SHARE else None
 
 
-def _count_bands(passes: Iterable[Pass]) -> list[str]:
-    count = sum(bool(BAND.search(name)) for one in passes for name in one.channels.values())
-    return [f"{count} spectral band{'s' if count > 1 else ''}"] if count else []
+def _count_bands(imported: Imported, channels: ChannelMap) -> list[str]:
+    denoised = {name for one in imported.outputs.values() for name in one.target.channels}
+    count = sum(is_band(name) for one in channels.beside for name in {*one.channels.values()} - denoised)
+    return [f"{count} spectral band{'s' if count > 1 else ''} (--also '*nm' takes all)"] if count else []
