@@ -15,6 +15,7 @@ ROOMS = [
     "errors",
     "settings",
     "chunks",
+    "progress",
     "limits",
     "lobe_table",
     "camera",

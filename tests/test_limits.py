@@ -155,7 +155,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20)
 def test_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source = Path(__file__).parent / "data" / "foreign" / "blender_4.5_seed1.exr"
     target = tmp_path / "out.exr"
-    words = ["denoise", str(source), "-o", str(target), "--quality", "fast", "--quiet"]
+    words = ["denoise", str(source), "-o", str(target), "--quality", "fast", "--progress", "off"]
     assert run([*words, "--max-seconds", "0.000001"]) == 2
     assert "expected an end within 1e-06 seconds" in capsys.readouterr().err
     assert not target.exists()

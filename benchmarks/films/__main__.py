@@ -118,7 +118,7 @@ def denoise_film(folder: Path, options: list[str], count: int) -> tuple[list[Flo
     """Return what the command line makes of a film, and its processor time for a frame and its memory."""
     with tempfile.TemporaryDirectory() as home:
         output = Path(home, "out.####.exr")
-        used = run(["denoise", str(folder / f"{SPP}.####.exr"), "-o", str(output), "--quiet", *options])
+        used = run(["denoise", str(folder / f"{SPP}.####.exr"), "-o", str(output), "--progress", "off", *options])
         paths = [Path(home, f"out.{number:04d}.exr") for number in range(1, count + 1)]
         images = [read_frame(path, light_passes=False).radiance.color for path in paths]
     return images, {"cpu_seconds": round(used["cpu_seconds"] / count, 3), "peak_gib": used["peak_gib"]}

@@ -267,7 +267,7 @@ def measure_memory(bench: Bench) -> dict[str, Any]:
         words = ["denoise", str(source), "-o", str(bench.home / "out.exr"), "--quality", quality, "--bands", "off"]
         told = call([*words[1:], "--max-memory", "1GiB"], bench.environment)[1]
         needed = float(told.split("got one that needs ")[1].split(" GiB")[0])
-        used = run([*words, "--quiet", "--max-memory", f"{needed}GiB"])
+        used = run([*words, "--progress", "off", "--max-memory", f"{needed}GiB"])
         rows[quality] = {"limit_gib": needed, "peak_gib": used["peak_gib"]}
     return rows
 
@@ -319,7 +319,7 @@ def measure_16k(bench: Bench) -> dict[str, Any]:
     part, source = bench.home / "part.exr", bench.home / "16k.exr"
     write_frame(part, kills.make_frame(1))
     tile(part, source, COPIES_16K)
-    words = ["denoise", str(source), "-o", str(bench.home / "out.exr"), "--quality", "fast", "--quiet"]
+    words = ["denoise", str(source), "-o", str(bench.home / "out.exr"), "--quality", "fast", "--progress", "off"]
     used = run([*words, "--max-memory", MEMORY_16K])
     head = lobewise.io.exr.parsing.read_container(bench.home / "out.exr").parts[0]
     window = head.data_window

@@ -56,7 +56,7 @@ def make_sources(count: int) -> Path:
 def make_command(sources: Path, outputs: Path, *options: str, quality: str = QUALITY) -> list[str]:
     """Return the command that filters a sequence."""
     names = [str(sources / "in.####.exr"), "-o", str(outputs / "out.####.exr")]
-    return [*PROGRAM, "denoise", *names, "--quality", quality, "--quiet", *options]
+    return [*PROGRAM, "denoise", *names, "--quality", quality, "--progress", "off", *options]
 
 
 def run_program(command: list[str], *, on_one_core: bool = False) -> dict[str, float]:

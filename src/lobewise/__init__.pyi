@@ -20,6 +20,7 @@ from .io.exr.sparse import write_sparse_frame as write_sparse_frame
 from .limits import limit_call as limit_call
 from .lobe_table import LobeTable as LobeTable
 from .peers import denoise_oidn as denoise_oidn
+from .progress import Progress as Progress
 from .settings import DenoiseSettings as DenoiseSettings
 from .settings import TemporalSettings as TemporalSettings
 from .sparse_frame import Rays as Rays

@@ -59,6 +59,10 @@ class LimitError(LobewiseError):
     """A call would take more memory or time than it may; see `lobewise.limit_call`."""
 
 
+class CancelledError(LobewiseError):
+    """The function that was given as ``progress`` has returned False; nothing was written."""
+
+
 class UnsupportedBsdfError(LobewiseError):
     """A scene uses a BSDF that cannot be evaluated."""
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from lobewise.errors import InputError, LimitError
+from lobewise.progress import tick
 
 GIB = float(2**30)
 MIN_MEMORY_GIB = 1.0
@@ -118,8 +119,9 @@ def set_aside(held_bytes: float) -> Iterator[None]:
         _limits.reset(token)
 
 
-def check_time() -> None:
-    """Raise LimitError if the time is over."""
+def check_limits() -> None:
+    """Tell how far the call is. Raise LimitError if its time is over, CancelledError if its caller cancels it."""
+    tick()
     limits = get_limits()
     if time.monotonic() > limits.deadline:
         raise LimitError(

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import importlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from functools import cache
+from queue import SimpleQueue
+from threading import Event, Thread
 from typing import Any
 
 import numpy as np
@@ -18,7 +20,8 @@ from lobewise.errors import DeviceError, MissingDependencyError, make_printable,
 from lobewise.frame import FloatArray, Frame
 from lobewise.guides.survey import STRIDE
 from lobewise.images import make_array
-from lobewise.limits import GIB, check_time
+from lobewise.limits import GIB, check_limits
+from lobewise.progress import enter_stage, follow_stage
 
 LIBRARY_BYTES_PER_PIXEL = 820
 """Memory that the library works on, bytes, unless it is bounded."""
@@ -269,6 +272,59 @@ def _make_finite(image: FloatArray) -> FloatArray:
     return np.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0)
 
 
+def name_call(images: Iterable[str]) -> str:
+    """Return the name of a call of the library, as a stage of a call that is watched."""
+    return f"Open Image Denoise with {', '.join(images)}"
+
+
+@cache
+def _load_monitor() -> Any:
+    """Return the function of the library that sets the monitor of a filter, which pyoidn does not declare."""
+    capi = importlib.import_module("pyoidn.capi")
+    capi.oidn_ffi.cdef("void oidnSetFilterProgressMonitorFunction(OIDNFilter, OIDNProgressMonitorFunction, void*);")
+    return capi.oidn_Capi.oidnSetFilterProgressMonitorFunction
+
+
+@contextmanager
+def _watch(network: Any) -> Iterator[Callable[[], None]]:
+    """Give what runs a filter of the library and tells its share, so that the caller can cancel it.
+
+    The library calls its monitor in threads of its own. It runs in a thread, so that this one tells the share.
+    """
+    follow = follow_stage()
+    if follow is None:
+        yield network.execute
+        return
+    ffi, monitor = importlib.import_module("pyoidn.capi").oidn_ffi, _load_monitor()
+    shares: SimpleQueue[float | None] = SimpleQueue()
+    is_cancelled = Event()
+
+    def tell(_user: Any, share: float) -> bool:
+        shares.put(share)
+        return not is_cancelled.is_set()
+
+    def run() -> None:
+        network.execute()
+        shares.put(None)
+
+    def execute() -> None:
+        thread = Thread(target=run)
+        thread.start()
+        try:
+            while (share := shares.get()) is not None:
+                follow(share)
+        finally:
+            is_cancelled.set()
+            thread.join()
+
+    held = ffi.callback("OIDNProgressMonitorFunction", tell)
+    monitor(network._filter, held, ffi.NULL)
+    try:
+        yield execute
+    finally:
+        monitor(network._filter, ffi.NULL, ffi.NULL)
+
+
 def _run_library(quality: str, **images: FloatArray) -> FloatArray:
     """Return the first of the images denoised: ``color``, with guides that have no noise, or a guide by itself.
 
@@ -279,7 +335,8 @@ def _run_library(quality: str, **images: FloatArray) -> FloatArray:
     """
     import pyoidn
 
-    check_time()
+    check_limits()
+    enter_stage(name_call(images))
     name, source = next(iter(images.items()))
     output = np.empty_like(source)
     # A filter holds the images of one call: another thread would replace them before the library reads them.
@@ -298,9 +355,12 @@ def _run_library(quality: str, **images: FloatArray) -> FloatArray:
         most = _most_bytes.get()
         network.set_int("maxMemoryMB", -1 if most is None else int(max(most, MIN_LIBRARY_BYTES) / 1e6))
         network.set_quality(getattr(pyoidn, f"OIDN_QUALITY_{quality.upper()}"))
-        network.commit()
-        network.execute()
-        problem = _opened.device.get_error()
+        try:
+            with _watch(network) as execute:
+                network.commit()
+                execute()
+        finally:
+            problem = _opened.device.get_error()
     if problem:
         raise DeviceError(
             "device",

@@ -13,8 +13,27 @@ from lobewise.display.cards import make_card
 from lobewise.images import FloatArray, crop_columns, make_array, read_array, say_size
 
 
+class Described:
+    """A result whose facts can be told, such as `Result`."""
+
+    def describe(self: Any) -> dict[str, Any]:
+        """Return the facts of the result for JSON: size, method, settings, seconds, light, bad pixels and notes."""
+        height, width = self.shape
+        return {
+            "width": width,
+            "height": height,
+            "method": self.method,
+            "settings": self.settings,
+            "seconds": self.seconds,
+            "energy_lost": self.energy_lost,
+            "bad_pixels": self.bad_pixel_count,
+            "notes": list(self.notes),
+            "unused": list(self.unused),
+        }
+
+
 @dataclass(frozen=True, repr=False)
-class Result:
+class Result(Described):
     """A denoised frame. Its arrays have the type that the frame's color had: NumPy's, PyTorch's, JAX's, Dr.Jit's.
 
     Parameters
@@ -77,6 +96,11 @@ class Result:
     notes: tuple[str, ...] = ()
     unused: tuple[str, ...] = ()
     find_noisy: Callable[[], FloatArray | None] | None = field(default=None, compare=False)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width)."""
+        return self.image.shape[0], self.image.shape[1]
 
     @property
     def bad_pixel_count(self) -> int:

@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 import lobewise
-from lobewise.errors import InputError, LobewiseError
+from lobewise.errors import CancelledError, InputError, LobewiseError
 from lobewise.io.exr.layout import name_file
 from lobewise.io.files import PathLike, open_atomic, require_other_files, require_writable
 from lobewise.io.sequence import FramePattern
+from lobewise.progress import WRITE, Watcher, enter_stage, follow_frame, watched
 
 State = dict[str, NDArray[Any]]
 """The memory of a filter: arrays by name."""
@@ -77,6 +78,7 @@ class SequenceReport(Generic[ResultT]):
     last: ResultT | None
 
 
+@watched
 def filter_sequence(
     source: FramePattern | PathLike,
     output: FramePattern | PathLike,
@@ -85,7 +87,7 @@ def filter_sequence(
     read: Callable[[Path], FrameT],
     write: Callable[[Path, ResultT, FrameT, Path], None],
     fingerprint: str,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Watcher | None = None,
     remark: Callable[[str], None] | None = None,
     checkpoint: PathLike | None = None,
     checkpoint_seconds: float = 20.0,
@@ -114,7 +116,7 @@ def filter_sequence(
     fingerprint : str
         The settings, as text: everything but the files that the results depend on.
     progress : callable, optional
-        Called at the start and after every frame with ("frames", done, total).
+        Called with the `lobewise.Progress` of the sequence; False cancels it, and the next run goes on.
     remark : callable, optional
         Called before the first frame with a sentence that a checkpoint is used, or why it is not.
     checkpoint : path, optional
@@ -131,6 +133,8 @@ def filter_sequence(
     InputError
         If a path is no pattern, an output would replace a source, the checkpoint has another ending, the time is
         negative, or the filter refuses a frame: the message names its file.
+    CancelledError
+        If ``progress`` has returned False.
     """
     source, output = _parse(source), _parse(output)
     checkpoint_path = name_checkpoint(output, numbers) if checkpoint is None else Path(checkpoint)
@@ -143,19 +147,20 @@ def filter_sequence(
     resumed_after = frames[start - 1][0] if start else None
     if remark is not None and (start or note):
         remark(note or f"Going on after frame {resumed_after}, as the checkpoint {str(checkpoint_path)!r} says.")
-    tell = progress or (lambda what, done, total: None)
-    tell("frames", start, len(frames))
     last: ResultT | None = None
     saved = time.monotonic()
     for index in range(start, len(frames)):
         number, path = frames[index]
         before = active.get_state() if index else {}
         try:
-            frame = read(path)
-            with name_file(path):
-                last = active.add(frame, cut=index == 0 or number != frames[index - 1][0] + 1)
-            write(output.name(number), last, frame, path)
-        except KeyboardInterrupt:
+            with follow_frame(path.name, index, len(frames)):
+                frame = read(path)
+                enter_stage("")
+                with name_file(path):
+                    last = active.add(frame, cut=index == 0 or number != frames[index - 1][0] + 1)
+                enter_stage(WRITE)
+                write(output.name(number), last, frame, path)
+        except (KeyboardInterrupt, CancelledError):
             if index:
                 with suppress(LobewiseError):
                     run.save(checkpoint_path, before)
@@ -166,7 +171,6 @@ def filter_sequence(
         if index + 1 < len(frames) and time.monotonic() - saved >= checkpoint_seconds:
             run.save(checkpoint_path, active.get_state())
             saved = time.monotonic()
-        tell("frames", index + 1, len(frames))
     with suppress(OSError):
         checkpoint_path.unlink()
     return SequenceReport(len(frames), len(frames) - start, resumed_after, note, last)

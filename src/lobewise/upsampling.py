@@ -31,6 +31,8 @@ from lobewise.filters.history.joining import JoinedLayers, join_layers
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance, Result
 from lobewise.guides.negative import split_negative
 from lobewise.guides.usable import check_guides
+from lobewise.progress import Watcher, enter_stage, plan_stages, watched
+from lobewise.progress.stages import FILL
 from lobewise.settings import DenoiseChanges, DenoiseSettings, ResolvedSettings
 from lobewise.sparse_frame import SparseFrame
 
@@ -39,16 +41,20 @@ if TYPE_CHECKING:
 
 UNSCATTERED = ("rest", "background")
 """Layers of light that no lobe scattered."""
+UPSAMPLE = "average the samples of every layer"
+"""The stage that takes most of the time."""
 DEFAULT_RADIUS = 5
 """Samples from the centre to the edge of the kernel."""
 
 
+@watched
 def upsample(
     frame: SparseFrame,
     settings: DenoiseSettings | None = None,
     *,
     bilinear: bool = False,
     features: Sequence[Feature] = (),
+    progress: Watcher | None = None,
     **changes: Unpack[DenoiseChanges],
 ) -> Result:
     """Bring sparsely shaded radiance to every pixel, by averaging the samples whose pixels reflect like it.
@@ -67,6 +73,8 @@ def upsample(
         Interpolate on the screen alone instead: the baseline without guides.
     features : sequence of Feature
         More distributions that pixel and sample must share.
+    progress : callable, optional
+        As of `lobewise.denoise`.
     **changes
         Single parameters, by name, that replace those of ``settings``.
 
@@ -84,6 +92,8 @@ def upsample(
         If the frame lacks what the similarity compares.
     DeviceError
         If the device cannot run here.
+    CancelledError
+        If ``progress`` has returned False.
     """
     start = time.perf_counter()
     require_kind("frame", frame, SparseFrame)
@@ -99,13 +109,19 @@ def upsample(
         frame = tint_samples(frame)
     bad = mark_bad_pixels(Frame(frame.radiance))
     require_some_good(int(np.count_nonzero(bad)), bad.size, "sample")
-    with bound_memory(frame, "fast", with_oidn=False), engine.on(chosen.device):
+    with (
+        bound_memory(frame, "fast", with_oidn=False),
+        engine.on(chosen.device),
+        plan_stages({UPSAMPLE: 10.0, FILL: 1.0}),
+    ):
         if bilinear:
+            enter_stage(UPSAMPLE)
             everywhere = np.ones(frame.shape, dtype=bool)
             tent = Layer(frame.radiance.color, None, everywhere, (TentFeature(float(frame.scale)), *features))
             joined = join_layers([upsample_layer(frame, tent, 1)], [(everywhere, None)])
         else:
             joined = upsample_by_guides(frame, chosen, features)
+        enter_stage(FILL)
         image = fill_holes(joined.image, joined.holes, frame)
     diffuse, specular = joined.parts or (None, None)
     result = Result(
@@ -140,7 +156,8 @@ def upsample_by_guides(
     # Light of lobes, and light that no lobe scattered, which is compared by place alone.
     layers = [*make_layers(frame, settings, features), *make_rest_layers(frame, settings, features)]
     outputs = []
-    for layer in layers:
+    for number, layer in enumerate(layers):
+        enter_stage(UPSAMPLE, (number / len(layers), (number + 1) / len(layers)))
         with engine.part(f"{layer.name}: {describe_upsampling(settings.radius, frame.scale)}"):
             outputs.append(upsample_layer(frame, layer, settings.radius))
     with engine.part("sum of the light"):

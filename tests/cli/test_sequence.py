@@ -95,7 +95,7 @@ class TestEveryFrame:
             return made[-1]
 
         told = []
-        done = run(make, progress=lambda *words: told.append(words))
+        done = run(make, progress=told.append)
         assert (done.frames, done.written, done.resumed_after, done.note) == (7, 7, None, "")
         assert [number for number, _ in made[0].seen] == list(NUMBERS)
         assert [number for number, cut in made[0].seen if cut] == [1, 7]
@@ -104,7 +104,12 @@ class TestEveryFrame:
         frames = {number: np.load(f"in.{number:04d}.npy") for number in NUMBERS}
         np.testing.assert_array_equal(np.load("out.0001.npy"), frames[1])
         np.testing.assert_allclose(np.load("out.0008.npy"), (0.9 * frames[7] + frames[8]) / 2.0, rtol=1e-15)
-        assert told == [("frames", count, 7) for count in range(8)]
+        begun = [each for each in told if (each.stage, each.detail) == ("filtering", "reading")]
+        assert [(each.frame, each.done, each.frames) for each in begun] == [
+            (f"in.{number:04d}.npy", count, 7) for count, number in enumerate(NUMBERS)
+        ]
+        np.testing.assert_allclose([each.share for each in begun], np.arange(7) / 7)
+        assert (told[-1].stage, told[-1].share, told[-1].done) == ("done", 1.0, 7)
         assert not (folder / KEPT).exists()
 
     def test_writing_is_told_everything(self, folder):

@@ -10,10 +10,13 @@ from pathlib import Path
 
 import pytest
 
+from lobewise import progress
 from lobewise.backend.watching import tell_compiling
 from lobewise.cli.main import run
 from lobewise.cli.output import print_line, print_note
+from lobewise.cli.terminal import steps as steps_module
 from lobewise.cli.terminal.steps import COMPILING, Steps
+from lobewise.progress import Progress
 
 FOREIGN = Path(__file__).parents[1] / "data" / "foreign"
 CHEAP = ["--quality", "fast", "--similarity", "normal", "--radius", "1"]
@@ -55,18 +58,19 @@ def denoise(frame: Path, *more: str) -> int:
 def test_a_terminal_shows_what_is_done(frame: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = attach(monkeypatch)
     assert denoise(frame) == 0
-    steps = [step for step in terminal.list_steps() if step.split()[0] in ("Reading", "Filtering", "Writing")]
-    assert list(dict.fromkeys(steps)) == ["Reading in.exr", "Filtering", "Writing out.exr"]
+    steps = [step for step in terminal.list_steps() if step.startswith("in.exr: ")]
+    assert list(dict.fromkeys(steps)) == ["in.exr: reading", "in.exr: filtering", "in.exr: writing"]
+    assert "%" not in terminal.getvalue()
     # The line is gone, and the terminal's cursor is back.
-    assert terminal.getvalue().rindex(ERASE) > terminal.getvalue().rindex("Writing")
+    assert terminal.getvalue().rindex(ERASE) > terminal.getvalue().rindex("writing")
     assert "\x1b[?25h" in terminal.getvalue()
 
 
 def test_quiet_shows_notes_alone(frame: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = attach(monkeypatch)
-    assert denoise(frame, "--quiet") == 0
+    assert denoise(frame, "--progress", "off") == 0
     assert "Read as Blender Cycles" in terminal.getvalue()
-    assert not {"Reading in.exr", "Filtering", "Writing out.exr"}.intersection(terminal.list_steps())
+    assert "in.exr: " not in terminal.getvalue()
 
 
 @pytest.mark.parametrize("forced", [True, False])
@@ -78,27 +82,28 @@ def test_nothing_is_shown_in_a_pipe(
     assert denoise(frame) == 0
     err = capsys.readouterr().err
     assert "Read as Blender Cycles" in err
-    assert "Reading" not in err
-    assert "Filtering" not in err
+    assert "in.exr: " not in err
 
 
-def test_bands_show_how_much_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_takes_long_shows_how_much_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = attach(monkeypatch)
+    monkeypatch.setattr(steps_module, "MIN_SECONDS_WITH_BAR", 0.0)
+    monkeypatch.setattr(progress, "MIN_SECONDS", 0.0)
     from lobewise.io import write_frame
     from tests.streaming.frames import make_scene
 
     write_frame(tmp_path / "in.exr", make_scene((83, 19)))
     assert denoise(tmp_path / "in.exr", "--bands", "9") == 0
-    assert "Filtering" in terminal.list_steps()
-    assert "100 %" in terminal.getvalue()
+    assert "in.exr: filtering" in terminal.list_steps()
+    assert re.search(r"[1-9]\d %, 0:00:0\d left", terminal.getvalue())
 
 
 def test_frames_a_minute_are_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = attach(monkeypatch)
     with Steps() as steps:
         for done in range(3):
-            steps.tell("Filtering", done, 10, unit="frames")
-    assert re.search(r"20 %, [0-9.]+ frames a minute, 0:\d\d:\d\d left", terminal.getvalue())
+            steps.follow(Progress("filtering", done / 10, done=done, frames=10, seconds_left=80.0 - done))
+    assert re.search(r"20 %, [0-9.]+ frames a minute, 0:01:18 left", terminal.getvalue())
 
 
 def test_compiling_is_shown_in_place_of_the_step(monkeypatch: pytest.MonkeyPatch) -> None:

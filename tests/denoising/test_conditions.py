@@ -164,18 +164,15 @@ class Stop(Exception):
 def test_progress_grows_and_cancels(quality: str, tmp_path: Any) -> None:
     source, output = tmp_path / "a.exr", tmp_path / "b.exr"
     write_frame(source, make_scene((40, 21)))
-    shares: dict[str, list[float]] = {}
-
-    def tell(what: str, done: int, total: int) -> None:
-        shares.setdefault(what, []).append(done / total)
-
-    lobewise.denoise_file(source, output, rows=9, quality=quality, progress=tell)
-    assert shares["Filtering"][-1] == 1.0
-    assert all(steps == sorted(steps) and steps[0] >= 0.0 for steps in shares.values())
+    told: list[lobewise.Progress] = []
+    lobewise.denoise_file(source, output, rows=9, quality=quality, progress=told.append)
+    shares = [each.share for each in told]
+    assert shares == sorted(shares)
+    assert (shares[0], shares[-1]) == (0.0, 1.0)
     whole = output.read_bytes()
 
-    def stop(what: str, done: int, total: int) -> None:
-        if what == "Filtering" and done >= total // 2:
+    def stop(record: lobewise.Progress) -> None:
+        if record.stage == "filtering" and record.share >= 0.5:
             raise Stop
 
     with pytest.raises(Stop):

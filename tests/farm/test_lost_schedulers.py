@@ -76,6 +76,5 @@ def test_what_workers_had_begun_when_the_scheduler_went_is_cleaned_up(tmp_path: 
             cast(Any, contextlib.nullcontext(farm)),
             tell=lambda _: None,
             remark=lambda *_: None,
-            progress=lambda *_: None,
         )
     assert list(tmp_path.glob(".out.*.part")) == []

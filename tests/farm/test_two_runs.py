@@ -65,7 +65,6 @@ def run_job(job: FarmJob, farm: FakeFarm) -> FarmReport:
         contextlib.nullcontext(cast(Any, farm)),
         tell=lambda _: None,
         remark=lambda *_: None,
-        progress=lambda *_: None,
     )
 
 

@@ -15,11 +15,12 @@ import lobewise
 from lobewise.denoising import denoise
 from lobewise.denoising.automatic import ask
 from lobewise.denoising.evidence import NOTED_STRIP_ROWS
-from lobewise.errors import FileError, InputError, LobewiseError
+from lobewise.errors import CancelledError, FileError, InputError, LobewiseError
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.interchange import write_result
 from lobewise.io import read_frame, write_frame
 from lobewise.io.exr.bands import BandReader, BandWriter
+from lobewise.progress import Progress
 from lobewise.settings import DenoiseSettings
 from lobewise.settings.choices import QUALITIES
 from lobewise.streaming import denoise_file, list_images, needs_bands, plan
@@ -195,11 +196,17 @@ def test_images_that_are_not_read_do_not_matter(quality: str, make_frame: Any) -
 
 def test_progress_goes_over_the_frame_twice(tmp_path: Path) -> None:
     write_frame(tmp_path / "in.exr", make_scene(SHAPE))
-    told: list[tuple[str, int, int]] = []
+    told: list[Progress] = []
     options: dict[str, Any] = {"quality": "fast", "similarity": "normal", "rows": 40}
-    denoise_file(tmp_path / "in.exr", tmp_path / "out.exr", progress=lambda *what: told.append(what), **options)
-    assert [what for what in told if what[0] == "Measuring"] == [("Measuring", rows, 83) for rows in (27, 55, 83)]
-    assert [what for what in told if what[0] == "Filtering"] == [("Filtering", rows, 83) for rows in (0, 27, 55, 83)]
+    denoise_file(tmp_path / "in.exr", tmp_path / "out.exr", progress=told.append, **options)
+    stages = [each.stage for each in told]
+    assert list(dict.fromkeys(stages)) == ["measuring", "filtering", "writing", "done"]
+    # Measuring is 1 of 4.5, and both begin at rows 0, 27 and 55 of 83.
+    shares = np.array([each.share for each in told])
+    for stage, first, cost in (("measuring", 0.0, 1.0), ("filtering", 1.0, 3.0)):
+        for rows in (0, 27, 55):
+            where = (first + cost * rows / 83) / 4.5
+            assert np.isclose(shares[[each == stage for each in stages]], where).any(), (stage, rows)
 
 
 def test_a_frame_is_measured_where_something_hangs_on_it(tmp_path: Path) -> None:
@@ -217,31 +224,37 @@ def test_a_frame_is_measured_where_something_hangs_on_it(tmp_path: Path) -> None
         (far, "fast", True),
     ):
         write_frame(tmp_path / "in.exr", case)
-        told: list[str] = []
+        told: list[Progress] = []
         denoise_file(
             tmp_path / "in.exr",
             tmp_path / "out.exr",
             quality=quality,
-            progress=lambda what, done, total, told=told: told.append(what),
+            progress=told.append,
             **options,
         )
-        assert ("Measuring" in told) == expected
+        assert any(each.stage == "measuring" for each in told) == expected
 
 
 class Stop(BaseException):
     """As KeyboardInterrupt, which pytest takes for itself."""
 
 
-@pytest.mark.parametrize("moment", [("Measuring", 27), ("Filtering", 0), ("Filtering", 55), ("Filtering", 83)], ids=str)
-def test_whatever_interrupts_leaves_no_trace(moment: tuple[str, int], tmp_path: Path) -> None:
+@pytest.mark.parametrize("way", ["raises", "returns False"])
+@pytest.mark.parametrize(
+    "moment", [("measuring", 0.05), ("filtering", 0.3), ("filtering", 0.6), ("writing", 0.8)], ids=str
+)
+def test_whatever_interrupts_leaves_no_trace(moment: tuple[str, float], way: str, tmp_path: Path) -> None:
     write_frame(tmp_path / "in.exr", make_scene(SHAPE))
     (tmp_path / "out.exr").write_text("before")
 
-    def stop(what: str, done: int, total: int) -> None:
-        if (what, done) == moment:
+    def stop(record: Progress) -> bool | None:
+        if record.stage != moment[0] or record.share < moment[1]:
+            return None
+        if way == "raises":
             raise Stop
+        return False
 
-    with pytest.raises(Stop):
+    with pytest.raises(Stop if way == "raises" else CancelledError):
         denoise_file(
             tmp_path / "in.exr", tmp_path / "out.exr", quality="fast", similarity="normal", rows=40, progress=stop
         )

@@ -31,7 +31,7 @@ from lobewise.backend.signature import Parameter, Signature, check_call, unpack_
 from lobewise.backend.sources import PACKAGE, describe_definitions
 from lobewise.backend.watching import tell_compiling
 from lobewise.chunks import make_fork_lock
-from lobewise.limits import check_time
+from lobewise.limits import check_limits
 
 _SCALARS: dict[str, type[ctypes._SimpleCData[Any]]] = {
     "int32": ctypes.c_int32,
@@ -102,7 +102,7 @@ class Kernel:
         DeviceError
             If the device fails. The outputs are then undefined.
         """
-        check_time()
+        check_limits()
         # Everything that `check_call` examines: calls of one description have one result.
         layout = tuple(
             (name, getattr(value, "layout", None) or (value if isinstance(value, Integral) else type(value)))

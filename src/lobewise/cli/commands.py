@@ -142,7 +142,8 @@ def inspect(
     """
     from dataclasses import asdict
 
-    from lobewise.cli.output import print_description, to_json
+    from lobewise.cli.output import print_description
+    from lobewise.cli.terminal.lines import to_json
     from lobewise.cli.terminal.summary import print_summary
     from lobewise.interchange.describing import inspect_file
     from lobewise.io.files import require_other_files, require_writable

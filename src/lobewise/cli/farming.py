@@ -92,7 +92,7 @@ class FrameWork:
             source=self.source,
             output=self.output,
             pictures=pictures if self.has_pictures else None,
-            steps=Steps(quiet=True),
+            steps=Steps("off"),
             verbose=False,
             remarks=remarks,
             tell_pixels=lambda text: remarks.tell(text, hide_numbers(text)),
@@ -153,15 +153,15 @@ def _run_on_farm(job: Job, request: Request[Any, Any], fingerprint: str, farm: F
     )
     if job.numbers is None:
         tell_gaps(farm_job.source)
-    filtering = f"Filtering {job.source.name}"
     with job.steps as steps:
         report = filter_on_farm(
             farm_job,
             farm.open(),
             tell=print_note,
             remark=job.remarks.tell,
-            progress=lambda waits, done, total: steps.tell(waits or filtering, done, total, unit="frames"),
+            progress=steps.follow,
         )
+    job.steps.finish(output=str(job.output), frames=report.frames, written=report.written)
     counted = f"{report.written} of {report.frames} frames"
     counted += f"; the last: {report.last.last}" if report.last.last else ""
     print_line(f"Wrote {job.output}: {counted}.")

@@ -238,7 +238,6 @@ class _Denoiser:
     def _make_filter_of_one(self) -> SequenceFilter[Any, Result | DenoisedFile]:
         from lobewise.cli.options.reading import check_import
         from lobewise.denoising.recipe import denoise_checked
-        from lobewise.io.sequence import is_pattern
         from lobewise.windows import WindowFilter
 
         settings, window = self.request.settings, self.request.window
@@ -249,8 +248,7 @@ class _Denoiser:
 
         def filter_one(frame: Imported | FileInBands) -> Result | DenoisedFile:
             if isinstance(frame, FileInBands):
-                # A sequence shows how many files are done instead.
-                return frame.denoise(None if is_pattern(self.job.source) else self.job.steps.tell)
+                return frame.denoise()
             return denoise_checked(check_import(frame, named), named)
 
         return FilterAlone(filter_one)

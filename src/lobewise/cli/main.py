@@ -14,6 +14,7 @@ import typer
 
 import lobewise
 from lobewise.cli.terminal.interrupts import EXIT_INTERRUPTED, INTERRUPTED, interrupts
+from lobewise.cli.terminal.lines import choose_progress, write_line, writes_lines
 from lobewise.errors import LobewiseError, describe_problem, make_printable
 
 EXIT_OK, EXIT_INTERNAL_ERROR = 0, 1
@@ -45,6 +46,7 @@ def run(arguments: list[str]) -> int:
     if COMPLETION_VARIABLE in os.environ:
         command.main(prog_name="lobewise", complete_var=COMPLETION_VARIABLE)  # prints words for the shell, and exits
     warnings.showwarning = _show_warning
+    choose_progress("auto")
     try:
         # Typer's own `main` handles exit codes, interrupts and closed pipes differently.
         with command.make_context("lobewise", arguments or ["--help"], obj=asks_for_all(arguments[:end])) as context:
@@ -95,12 +97,14 @@ def _show_warning(message: Warning | str, category: type[Warning], *rest: object
 def _fail(text: str, code: int, debug: bool) -> int:
     if debug:
         traceback.print_exc()
-    _write_line(text)
+    _write_line(text, "error")
     return code
 
 
-def _write_line(text: str) -> None:
+def _write_line(text: str, kind: str = "note") -> None:
+    if writes_lines():
+        write_line(**{kind: make_printable(text)})
     # A process can be started without standard error.
-    if sys.stderr is not None:
+    elif sys.stderr is not None:
         with suppress(OSError):
             sys.stderr.write(f"lobewise: {make_printable(text)}\n")

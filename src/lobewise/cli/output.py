@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import math
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from lobewise.cli.terminal.lines import write_line, writes_lines
 from lobewise.cli.terminal.steps import pause_steps
 from lobewise.errors import make_printable
 from lobewise.frame import Result
@@ -44,14 +45,20 @@ def open_console() -> Console:
 
 def print_line(text: str) -> None:
     """Print a line of a result, without markup or line breaks."""
+    if writes_lines() and sys.stdout is sys.stderr:
+        return write_line(note=text)
     with pause_steps():
         _Console().print(make_text(text), soft_wrap=True)
+    return None
 
 
 def print_note(text: str) -> None:
     """Print a remark on standard error."""
+    if writes_lines():
+        return write_line(note=text)
     with pause_steps():
         Console(stderr=True).print(make_text(text, style="dim"), soft_wrap=True)
+    return None
 
 
 def describe_result(result: Result | DenoisedFile | DoneSeveral) -> str:
@@ -86,23 +93,6 @@ def describe_settings(result: Result | DenoisedFile | DoneSeveral) -> str:
     """Return in one line the settings of the filter by their names."""
     names = ("similarity", "form", "quality", "radius", "beta", "device")
     return ", ".join(f"{name} {_format(result.settings[name])}" for name in names if name in result.settings)
-
-
-def to_json(value: Any) -> str:
-    """Return strict JSON: arrays become lists; infinities and NaN become null."""
-
-    def clean(item: Any) -> Any:
-        if isinstance(item, Mapping):
-            return {str(key): clean(part) for key, part in item.items()}
-        if isinstance(item, (list, tuple)):
-            return [clean(part) for part in item]
-        if hasattr(item, "tolist"):
-            return clean(item.tolist())
-        if isinstance(item, float) and not math.isfinite(item):
-            return None
-        return item
-
-    return json.dumps(clean(value), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def print_comparison(reference: str, metrics: Iterable[str], rows: Sequence[tuple[str, Mapping[str, Any]]]) -> None:

@@ -6,12 +6,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
-from lobewise.cli.options.bands import FileInBands
 from lobewise.cli.options.common import Telling
 from lobewise.cli.options.frames import choose_numbers
 from lobewise.cli.options.writing import Picture, name_first_output
 from lobewise.cli.terminal.outcome import Remarks, tell_gaps, tell_picture, tell_settings
 from lobewise.cli.terminal.steps import Steps
+from lobewise.progress import FILTER, WRITE, enter_stage, follow_file, watch_call
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
@@ -56,7 +56,7 @@ class Job:
             source=source,
             output=output,
             pictures=picture.plan(name_first_output(source, output, numbers)),
-            steps=Steps(quiet=telling.quiet),
+            steps=Steps(telling.progress),
             verbose=telling.verbose,
             numbers=numbers,
         )
@@ -139,14 +139,16 @@ def run_filter(job: Job, request: Request[FileT, ResultT], fingerprint: Any) -> 
     last: ResultT | None
     if is_pattern(job.source):
         report = _filter_sequence(job, verb, repr(fingerprint))
-        last = report.last
+        last, frames, written = report.last, report.frames, report.written
         # Every frame was made: what a stopped farm has recorded is of no use any more.
         remove_records(job.output, job.numbers)
-        counted = f"{report.written} of {report.frames} frames"
+        counted = f"{written} of {frames} frames"
         counted += "" if last is None else f"; the last: {describe_result(last)}"
     else:
         last = result = _filter_file(job, verb)
-        counted = describe_result(result)
+        counted, frames, written = describe_result(result), 1, 1
+    facts = {} if last is None else last.describe()
+    job.steps.finish(output=str(job.output), frames=frames, written=written, **facts)
     print_line(f"Wrote {job.output}: {counted}.")
     tell_picture(job.output, job.pictures)
     tell_settings(last, job.verbose)
@@ -157,15 +159,12 @@ def _filter_file(job: Job, verb: FileFilter[FileT, ResultT]) -> ResultT:
     from lobewise.io.files import require_writable
 
     require_writable(job.output)
-    with job.steps as steps:
-        steps.tell(f"Reading {job.source.name}")
+    with job.steps as steps, watch_call(steps.follow), follow_file(job.source.name):
         frame = verb.read(job.source)
-        steps.tell("Filtering")
+        enter_stage(FILTER)
         with name_file(job.source):
             result = verb.make_filter().add(frame)
-        if not isinstance(frame, FileInBands):
-            # A file in bands is written while it is filtered.
-            steps.tell(f"Writing {job.output.name}")
+        enter_stage(WRITE)
         verb.write(job.output, result, frame)
     job.remarks.tell_result(result)
     return result
@@ -191,7 +190,7 @@ def _filter_sequence(job: Job, verb: FileFilter[FileT, ResultT], fingerprint: st
             read=verb.read,
             write=write,
             fingerprint=fingerprint,
-            progress=lambda what, done, total: steps.tell(f"Filtering {job.source.name}", done, total, unit="frames"),
+            progress=steps.follow,
             remark=print_note,
             numbers=job.numbers,
         )

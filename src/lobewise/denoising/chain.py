@@ -26,7 +26,7 @@ from lobewise.denoising.also import (
     list_layer_parts,
 )
 from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, mark_bad_pixels
-from lobewise.denoising.combining import choose_between, denoise_with_peer, share_out
+from lobewise.denoising.combining import CHOOSE, choose_between, denoise_with_peer, list_peer_costs, share_out
 from lobewise.denoising.evidence import estimate_share_lost, get_image_halves, mix_noisy
 from lobewise.denoising.layers import Layer, make_layers
 from lobewise.denoising.light_loss import (
@@ -58,6 +58,19 @@ from lobewise.filters.forms import describe_form
 from lobewise.filters.glue import define_checked, define_support
 from lobewise.filters.specks import Sharing, choose_sharing
 from lobewise.frame import FloatArray, Frame, GBuffer
+from lobewise.progress import enter_stage, plan_stages, raise_cost
+from lobewise.progress.stages import (
+    FILL,
+    FILTER_HALVES,
+    FILTER_ONCE,
+    FILTER_OTHERS,
+    MIX_PEER,
+    MIX_UNGUIDED,
+    REFINE,
+    SECONDS_PER_MEGAPIXEL,
+    SHARE_OUT,
+    TAKE_BACK,
+)
 from lobewise.settings import ResolvedSettings
 from lobewise.settings.choices import get_quality
 
@@ -225,6 +238,7 @@ def filter_whole(
         filtered = replace(filtered, uncounted=outside if edges is None else outside | edges)
     if filtered.levels:
         filtered = keep_light(filtered)
+    enter_stage(FILL)
     with engine.part("fill holes"):
         filtered = replace(filtered, image=fill_holes(*filtered.mark_holes(), frame))
     return before, filtered
@@ -269,11 +283,16 @@ def clean_frame(
     outside : (height, width), bool, optional
         As of `filter_whole`.
     """
-    before, filtered = filter_whole(frame, settings, features, bad, outside=outside)
-    gains = compute_gains(filtered)
+    unguided = None
     # Only the features of the user tell what they compare.
     if get_quality(settings.quality).refines and settings.radius > 0 and not features:
-        filtered, further_gains = mix_unguided(frame, settings, filtered, seen or frame.gbuffer, outside)
+        unguided = compute_unguided_share(frame.radiance.color, seen or frame.gbuffer)
+        if float(unguided.max()) >= MIN_SHARE:
+            raise_cost(MIX_UNGUIDED, sum(SECONDS_PER_MEGAPIXEL[each] for each in (FILTER_HALVES, REFINE, TAKE_BACK)))
+    before, filtered = filter_whole(frame, settings, features, bad, outside=outside)
+    gains = compute_gains(filtered)
+    if unguided is not None:
+        filtered, further_gains = mix_unguided(frame, settings, filtered, unguided, outside)
         gains += further_gains
     if settings.with_oidn:
         filtered, further_gains = mix_peer(frame, filtered, seen)
@@ -294,6 +313,7 @@ def filter_plain(
 
     Source: Tokuyoshi 2015, "Specular Lobe-Aware Filtering and Upsampling for Interactive Indirect Illumination".
     """
+    enter_stage(FILTER_ONCE)
     # Each layer is one light: its albedo divides it, and its features compare its pixels.
     layers, parts = make_layers(frame, settings, features, finest=True), list_layer_parts(frame)
     outputs: list[FilterOutput] = []
@@ -325,13 +345,17 @@ def filter_halves(
     exact: FloatArray | None,
 ) -> Filtered:
     """Return the layers after their passes over both halves of the samples."""
+    # The layers follow one another, after their samples.
+    step = 1.0 / (1.0 + len(frame.layers or (frame.radiance.parts or (None,))))
+    enter_stage(FILTER_HALVES, (0.0, step))
     # Samples: bound fireflies, and split off highlights.
     halves = make_noisy_layers(frame, settings, features, None if whole is None else whole.levels)
     noisy = [join_halves(layer) for layer in halves]
     parts_of = list_layer_parts(frame)
     # Passes: filter each layer, and its parts by the same weights.
     clean_layers = []
-    for layer, joined in zip(halves, noisy, strict=True):
+    for number, (layer, joined) in enumerate(zip(halves, noisy, strict=True), 1):
+        enter_stage(FILTER_HALVES, (number * step, (number + 1) * step))
         others = bound_parts(layer, joined, parts_of.get(layer.name, ()))
         clean_layers.append(filter_layer_halves(frame, layer, settings, others))
     with engine.part("sum of the light"):
@@ -360,6 +384,7 @@ def filter_halves(
 
 def refine(frame: Frame, filtered: Filtered, whole: WholeImage | None) -> Filtered:
     """Refine the image by the network, and scale the layers and the other light so that they still sum to it."""
+    enter_stage(REFINE)
     with engine.part("refine by the network"):
         whole = measure_whole(frame, filtered.levels) if whole is None else whole
         parts, rest, edges = refine_light(frame, filtered.layers, filtered.noisy, filtered.parts, filtered.rest, whole)
@@ -369,6 +394,7 @@ def refine(frame: Frame, filtered: Filtered, whole: WholeImage | None) -> Filter
 
 def take_back(frame: Frame, filtered: Filtered) -> Filtered:
     """Take the noisy image back where it has less error than the filtered one."""
+    enter_stage(TAKE_BACK)
     with engine.part("take the noisy image back"):
         level, samples = reduce(choose_larger, filtered.levels), bound_samples(frame, filtered)
         halves, shared = get_image_halves(frame), frame.noise_is_shared
@@ -390,6 +416,7 @@ def bound_samples(frame: Frame, filtered: Filtered) -> FloatArray:
 
 def keep_light(filtered: Filtered) -> Filtered:
     """Share the light that bounding took out over each layer, so that the layer sums to the light of its samples."""
+    enter_stage(SHARE_OUT)
     with engine.part("share out the light of fireflies"):
         takers, losses = filtered.compute_takers(), []
         for layer, part, taker in zip(filtered.layers, filtered.parts, takers, strict=True):
@@ -418,19 +445,23 @@ def mix_unguided(
     frame: Frame,
     settings: ResolvedSettings,
     filtered: Filtered,
-    seen: GBuffer,
+    share: FloatArray,
     outside: NDArray[np.bool_] | None,
 ) -> tuple[Filtered, list[FloatArray]]:
-    """Mix in the image of the color alone where guides are noise, and scale the parts so that they sum to the image."""
-    # Share: how far the guides are noise, of the light that filters changed.
-    share = compute_unguided_share(frame.radiance.color, seen)
+    """Mix in the image of the color alone, and scale the parts so that they sum to the image.
+
+    ``share`` tells how far the guides are noise, see `compute_unguided_share`. It counts for the light that filters
+    changed.
+    """
+    enter_stage(MIX_UNGUIDED)
     if filtered.rest is not None:
-        share *= compute_share_filtered(filtered.rest, filtered.image, frame.gbuffer.blur_radius)
+        share = share * compute_share_filtered(filtered.rest, filtered.image, frame.gbuffer.blur_radius)
     if float(share.max()) < MIN_SHARE:
         return filtered, []
     # Image: filter the color alone, by the same steps.
     bare, by_color = forget_guides(frame), replace(settings, similarity="normal", hit_distance=False)
-    _, alone = filter_whole(bare, by_color, (), mark_bad_pixels(bare), outside=outside)
+    with plan_stages({step: SECONDS_PER_MEGAPIXEL[step] for step in (FILTER_HALVES, REFINE, TAKE_BACK)}):
+        _, alone = filter_whole(bare, by_color, (), mark_bad_pixels(bare), outside=outside)
     mixed = mix_noisy(filtered.image, alone.image, share)
     image, parts, gain = share_out(mixed, filtered.image, filtered.parts)
     return replace(filtered, image=image, parts=parts), [gain]
@@ -438,10 +469,13 @@ def mix_unguided(
 
 def mix_peer(frame: Frame, filtered: Filtered, seen: GBuffer | None) -> tuple[Filtered, list[FloatArray]]:
     """Mix in the image of Open Image Denoise and the noisy one, and scale the parts so that they sum to the image."""
+    enter_stage(MIX_PEER)
     samples = bound_samples(frame, filtered)
-    peer = denoise_with_peer(frame, samples, filtered.image, seen)
     noisy = compose(filtered.noisy, filtered.noisy_rest)
-    mixed, share = choose_between(frame, samples, filtered.image, peer, noisy)
+    with plan_stages(list_peer_costs(frame)):
+        peer = denoise_with_peer(frame, samples, filtered.image, seen)
+        enter_stage(CHOOSE)
+        mixed, share = choose_between(frame, samples, filtered.image, peer, noisy)
     # Give each part its own noisy light first: else the detail of one part is spread over all.
     if filtered.share_taken is None:
         parts = [mix_noisy(*each, share) for each in zip(filtered.parts, filtered.noisy, strict=True)]
@@ -456,6 +490,7 @@ def filter_passes(
     frame: Frame, settings: ResolvedSettings, features: Sequence[Feature], filtered: Filtered
 ) -> dict[str, FloatArray]:
     """Return the images that belong to a layer or to the total, filtered by the same weights."""
+    enter_stage(FILTER_OTHERS)
     # Passes take the steps of their layer: filter, network, noisy image taken back, light shared out.
     before, share = filtered.taken_from, filtered.share_taken
     refined = before if before is not None and before.is_refined else None

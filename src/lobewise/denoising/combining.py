@@ -27,10 +27,12 @@ from lobewise.filters.noise.detail import compute_detail
 from lobewise.filters.specks import MIN_BLUR_RADIUS
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.lobes.vectors import compute_image_luminance
-from lobewise.peers import denoise_oidn, has_clean_guides, keep_library_memory, name_oidn_guides
+from lobewise.peers import denoise_oidn, has_clean_guides, keep_library_memory, name_call, name_oidn_guides
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_similarity
 
+CHOOSE = "choose the shares of the images"
+"""The stage after the calls of Open Image Denoise."""
 MAX_BLACK_RADIANCE = 1e-30
 """Radiance up to which light counts as black, so that no part has a share of it."""
 MAX_RATIO_TO_IMAGE = 2.0
@@ -271,6 +273,21 @@ def share_out(image: FloatArray, before: FloatArray, parts: Sequence[FloatArray]
 def _divide(light: Any, by: Any, where: Any) -> FloatArray:
     """Return a quotient, 0 outside of ``where``."""
     return np.asarray(np.divide(light, by, out=np.zeros_like(by), where=where))
+
+
+def list_peer_costs(frame: Frame) -> dict[str, float]:
+    """Return the stages of the mixture, and the seconds that each takes for a megapixel."""
+    guides = name_oidn_guides(frame)
+    if not guides:
+        return {name_call(["color"]): 3.0}
+    if has_clean_guides(frame):
+        calls = {("color", "albedo", "normal"): 3.0, ("color",): 0.6}
+    else:
+        calls = {("normal",): 1.4, ("color", "albedo", "normal"): 3.0, ("color",): 1.3}
+    # The library takes normals only beside an albedo.
+    known = ("color", *guides, *(("albedo",) if "normal" in guides else ()))
+    given = {tuple(name for name in images if name in known): cost for images, cost in calls.items()}
+    return {**{name_call(images): cost for images, cost in given.items() if images}, CHOOSE: 1.0}
 
 
 @keep_library_memory()

@@ -28,6 +28,18 @@ from lobewise.frame import Frame
 from lobewise.guides.lobe_fields import SPREAD_REACH
 from lobewise.limits import GIB, get_limits, require_memory
 from lobewise.peers import LIBRARY_BYTES_PER_PIXEL, MIN_LIBRARY_BYTES, bound_library_memory, require_oidn
+from lobewise.progress.stages import (
+    FILL,
+    FILTER_HALVES,
+    FILTER_ONCE,
+    FILTER_OTHERS,
+    MIX_PEER,
+    MIX_UNGUIDED,
+    REFINE,
+    SECONDS_PER_MEGAPIXEL,
+    SHARE_OUT,
+    TAKE_BACK,
+)
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_quality
 from lobewise.sparse_frame import AnyFrame
@@ -72,7 +84,7 @@ def list_steps(
         reach = ATROUS_REACH if settings.form == "atrous" else settings.radius
         taps, kernel = count_taps(settings.form, settings.radius), describe_form(settings.form, settings.radius)
         parts = tuple(f"{name}: {kernel}" for name in layers)
-        near = [Step("filter every layer by its guides", reach, len(layers) * taps, parts)]
+        near = [Step(FILTER_ONCE, reach, len(layers) * taps, parts)]
     else:
         passes = {
             name: make_passes(settings.radius, is_diffuse=is_diffuse, has_seen=has_seen and not is_diffuse)
@@ -80,7 +92,7 @@ def list_steps(
         }
         near = [
             Step(
-                "filter both halves of every layer by its passes",
+                FILTER_HALVES,
                 max(map(compute_passes_reach, passes.values())),
                 sum(layer_pass.taps for layer_passes in passes.values() for layer_pass in layer_passes),
                 tuple(
@@ -90,16 +102,16 @@ def list_steps(
         ]
         if refines:
             reach = REFINEMENT_REACH + LAMPS_REACH
-            near.append(Step("refine the image by the network that weighs neighbours", reach))
+            near.append(Step(REFINE, reach))
         if not (settings.with_oidn and halves):
-            near.append(Step("take the noisy image back where the filter removed detail", DETAIL_REACH))
-    far = [Step("fill bad pixels that no layer reached from their neighbours")]
+            near.append(Step(TAKE_BACK, DETAIL_REACH))
+    far = [Step(FILL)]
     if quality.reads_halves:
-        far.insert(0, Step("share out the light that bounding took from fireflies"))
+        far.insert(0, Step(SHARE_OUT))
     if refines:
-        far.append(Step("mix in an image filtered by its color alone where guides are noise"))
+        far.append(Step(MIX_UNGUIDED))
     if settings.with_oidn:
-        far.append(Step("mix in the image of Open Image Denoise, pixel by pixel"))
+        far.append(Step(MIX_PEER))
     return near, far
 
 
@@ -207,8 +219,18 @@ def list_frame_steps(frame: Frame, settings: ResolvedSettings) -> tuple[list[Ste
     halves = get_image_halves(frame) is not None
     near, far = list_steps(settings, layers, has_seen=has_seen and "color" not in layers, halves=halves)
     if has_passes(frame):
-        far.append(Step("filter the light passes that belong to the layers by the same weights"))
+        far.append(Step(FILTER_OTHERS))
     return near, far
+
+
+def compute_costs(frame: Frame, settings: ResolvedSettings) -> dict[str, float]:
+    """Return the steps of a frame and the seconds that each takes for a megapixel, for `lobewise.progress`."""
+    near, far = list_frame_steps(frame, settings)
+    by_layer = 1 if frame.radiance.parts is None else len(frame.layers) or len(MEASURED_LAYERS)
+    return {
+        step.text: SECONDS_PER_MEGAPIXEL[step.text] * (by_layer if step.text in (FILTER_ONCE, FILTER_HALVES) else 1)
+        for step in (*near, *far)
+    }
 
 
 def describe_steps(near: list[Step], far: list[Step]) -> Iterator[str]:

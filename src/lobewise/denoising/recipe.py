@@ -21,7 +21,7 @@ from lobewise.denoising.evidence import count_blurred, describe_blurred
 from lobewise.denoising.inputs import DEPTH_WITHOUT_CAMERA, describe_lacks, list_unused
 from lobewise.denoising.layers import Layer
 from lobewise.denoising.light_loss import MIN_SHARE_BOUNDED, compute_share_missing, describe_loss, sum_light
-from lobewise.denoising.plan import bound_memory
+from lobewise.denoising.plan import bound_memory, compute_costs
 from lobewise.errors import UnusedGuideWarning, require_kind
 from lobewise.features import Feature
 from lobewise.filters.fireflies import compute_energy_lost
@@ -32,12 +32,15 @@ from lobewise.guides.survey import ALBEDOS
 from lobewise.guides.usable import CheckedGuides, check_guides
 from lobewise.images import crop_columns, pack_planes, unpack_planes, wrap_columns
 from lobewise.peers import require_oidn
+from lobewise.progress import Watcher, enter_stage, plan_stages, watched
 from lobewise.settings import DenoiseChanges, DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_quality
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
+OPACITY = "filter the opacity"
+"""The stage after those of the light."""
 GUIDES_OF_COLOR = (*ALBEDOS, "mean_emission", "hit_albedo")
 """Guides that tell colors, which opacity does not have."""
 ALPHA_REACH = 2
@@ -52,11 +55,13 @@ FEATURES_SOFTENED = (
 )
 
 
+@watched
 def denoise(
     frame: Frame,
     settings: DenoiseSettings | None = None,
     *,
     features: Sequence[Feature] = (),
+    progress: Watcher | None = None,
     **changes: Unpack[DenoiseChanges],
 ) -> Result:
     """Denoise a frame by averaging, for every pixel, the neighbours that reflect like it.
@@ -80,6 +85,9 @@ def denoise(
         More distributions that two pixels must share, of your own or from `lobewise.features`; their
         similarities multiply the others in every layer. With any, "auto" is "balanced", and Open Image Denoise is
         used only if it is asked for: neither it nor the network of "high" reads them.
+    progress : callable, optional
+        Called with a `Progress` several times in a second. As with Open Image Denoise, it cancels the call by returning
+        False. What it raises, the call raises.
     **changes
         Single parameters, by name, that replace those of ``settings``.
 
@@ -104,6 +112,8 @@ def denoise(
         If the device cannot run here.
     LimitError
         Inside `lobewise.limit_call`.
+    CancelledError
+        If ``progress`` has returned False.
 
     Examples
     --------
@@ -115,7 +125,7 @@ def denoise(
     named = change_settings(settings or DenoiseSettings(), changes)
     checked = check_frame(frame, named)
     for note in checked.idle:
-        warnings.warn(note, UnusedGuideWarning, stacklevel=2)
+        warnings.warn(note, UnusedGuideWarning, stacklevel=3)
     return denoise_checked(checked, named, features).convert(frame.radiance.maker)
 
 
@@ -142,11 +152,15 @@ def denoise_checked(checked: CheckedGuides[Frame], named: DenoiseSettings, featu
     has_planes = packed.keys() != checked.frame.also.keys()
     if has_planes:
         checked = replace(checked, frame=checked.frame.with_changes(also=packed))
-    result = _denoise_light(checked, named, features)
-    if has_planes:
-        result = replace(result, also=unpack_planes(result.also))
-    if checked.frame.alpha is not None:
-        result = replace(result, alpha=denoise_alpha(checked.frame, named), seconds=time.perf_counter() - start)
+    has_alpha = checked.frame.alpha is not None
+    with plan_stages({"": 1.0, OPACITY: float(has_alpha)}):
+        enter_stage("")
+        result = _denoise_light(checked, named, features)
+        if has_planes:
+            result = replace(result, also=unpack_planes(result.also))
+        if has_alpha:
+            enter_stage(OPACITY)
+            result = replace(result, alpha=denoise_alpha(checked.frame, named), seconds=time.perf_counter() - start)
     return result
 
 
@@ -191,7 +205,8 @@ def _denoise_light(checked: CheckedGuides[Frame], named: DenoiseSettings, featur
     bad_pixels = mark_bad_pixels(frame)
     bad = int(np.count_nonzero(bad_pixels))
     require_some_good(bad, bad_pixels.size, "pixel")
-    with bound_memory(frame, chosen.quality, with_oidn=bool(chosen.with_oidn)), engine.on(chosen.device):
+    room = bound_memory(frame, chosen.quality, with_oidn=bool(chosen.with_oidn))
+    with room, engine.on(chosen.device), plan_stages(compute_costs(frame, chosen)):
         margin = (frame.width - width) // 2
         seen = wrap_columns(checked.seen, margin)
         outside = np.pad(np.zeros((frame.height, width), np.bool_), [(0, 0), (margin, margin)], constant_values=True)

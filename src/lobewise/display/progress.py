@@ -8,6 +8,7 @@ from importlib import import_module
 from typing import Any
 
 from lobewise.errors import InputError
+from lobewise.progress import Progress
 
 MIN_STEP_SHARE = 0.005
 """A bar is drawn again when it has grown by this share."""
@@ -42,10 +43,12 @@ class ProgressBar:
         self._terminal: Any = None
 
     def __call__(self, *told: Any) -> None:
-        """Show how far the work is: ``(done, total)``, or ``(what, done, total)`` where the steps have names.
+        """Show how far the work is: a `lobewise.Progress`, ``(done, total)``, or ``(what, done, total)``.
 
-        Raises InputError if there are neither two nor three values.
+        Raises InputError if the values are none of these.
         """
+        if len(told) == 1 and isinstance(told[0], Progress):
+            told = (told[0].stage, told[0].share, 1.0)
         if len(told) not in (2, 3):
             raise InputError(
                 "progress", expected="done and total", got=f"{len(told)} values", action="pass it as progress="
@@ -77,12 +80,12 @@ class ProgressBar:
 
     def _draw_in_terminal(self, text: str, share: float) -> None:
         from rich.console import Console
-        from rich.progress import Progress
+        from rich.progress import Progress as Display
 
         if self._terminal is None:
             # A redirected standard error says that it is no terminal, and both streams belong to the program.
             console = Console(stderr=True)
-            self._terminal = Progress(console=console, transient=True, redirect_stdout=False, redirect_stderr=False)
+            self._terminal = Display(console=console, transient=True, redirect_stdout=False, redirect_stderr=False)
             self._terminal.add_task(text, total=1.0)
             self._terminal.start()
         self._terminal.update(self._terminal.task_ids[0], description=text, completed=share, refresh=True)

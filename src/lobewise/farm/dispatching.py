@@ -27,7 +27,7 @@ from lobewise.farm.environment import compare_environments, shorten_version
 from lobewise.farm.tasks import Assignment, Task, TaskLog, TaskResult
 from lobewise.farm.worker import describe_worker, run_assignment
 from lobewise.io.sequence import name_frames
-from lobewise.limits import check_time
+from lobewise.limits import check_limits
 
 WAITING = "Waiting for workers"
 MAX_RETRIES = 2
@@ -182,7 +182,7 @@ class Dispatcher:
         """
         self._todo.extend((0.0, task) for task in tasks)
         while self._todo or self._unseen or self.list_running():
-            check_time()
+            check_limits()
             try:
                 self._meet_workers()
                 self._hand_out()

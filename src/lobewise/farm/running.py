@@ -20,6 +20,7 @@ from lobewise.farm.tasks import Assignment, Numbered, Task, TaskLog, Work, cut_f
 from lobewise.io.files import require_other_files, require_writable
 from lobewise.io.replacing import remove_leftovers
 from lobewise.io.sequence import FramePattern
+from lobewise.progress import FILTER, Watcher, tell_frames, watched
 from lobewise.sequence import name_checkpoint
 
 
@@ -83,13 +84,14 @@ class FarmReport:
     last: TaskLog
 
 
+@watched
 def filter_on_farm(
     job: FarmJob,
     open_connection: AbstractContextManager[Connection],
     *,
     tell: Callable[[str], None],
     remark: Callable[[str, str], None],
-    progress: Callable[[str, int, int], None],
+    progress: Watcher | None = None,
 ) -> FarmReport:
     """Filter every frame of a sequence on the workers of a scheduler, into the files that one process would write.
 
@@ -107,8 +109,8 @@ def filter_on_farm(
         Called with sentences about the farm.
     remark : callable
         Called with remarks on frames and their keys: remarks with one key differ in figures alone.
-    progress : callable
-        Called with what is waited for ("" while frames are filtered), the frames that are done, and all frames.
+    progress : callable, optional
+        Called with the `lobewise.Progress` of the sequence; the stage says what is waited for.
 
     Raises
     ------
@@ -122,7 +124,7 @@ def filter_on_farm(
         If the scheduler does not answer, or no worker can be used.
     """
     frames = _list_frames(job)
-    run = _Run(job, frames, remark, progress)
+    run = _Run(job, frames, remark)
     with run.ledger.lock():
         try:
             run.ledger.put_token(run.token)
@@ -132,7 +134,7 @@ def filter_on_farm(
             if job.by_shot and len(run.tasks) == 1:
                 tell("The sequence is one shot, and one worker filters a shot, because frames use those before them.")
             if len(done) < len(frames):
-                progress(WAITING, len(done), len(frames))
+                tell_frames(WAITING, len(done), len(frames))
                 with open_connection as connection:
                     run.do_tasks(connection, tell)
         finally:
@@ -161,16 +163,10 @@ def _list_frames(job: FarmJob) -> list[Numbered]:
 class _Run:
     """The state of a run."""
 
-    def __init__(
-        self,
-        job: FarmJob,
-        frames: list[Numbered],
-        remark: Callable[[str, str], None],
-        progress: Callable[[str, int, int], None],
-    ) -> None:
+    def __init__(self, job: FarmJob, frames: list[Numbered], remark: Callable[[str, str], None]) -> None:
         self._job = job
         self._frames = frames
-        self._remark, self._progress = remark, progress
+        self._remark = remark
         self._environment = describe_environment(with_oidn=job.with_oidn)
         names = [Path(str(pattern)).name for pattern in (job.source, job.output)]
         identity = json.dumps([job.fingerprint, *names, self._environment])
@@ -266,7 +262,7 @@ class _Run:
 
     def _show(self, waits_for: str, running: Iterable[Task]) -> None:
         count = len(self.done) + sum(map(self._count_begun, running))
-        self._progress(waits_for, count, len(self._frames))
+        tell_frames(waits_for or FILTER, count, len(self._frames))
 
     def _count_begun(self, task: Task) -> int:
         """Return how many frames of a shot are done while a worker is at it."""

@@ -16,7 +16,7 @@ from lobewise.io.exr.container import Container, Part
 from lobewise.io.exr.describe import Lack
 from lobewise.io.exr.layout import join_planes
 from lobewise.io.exr.pixels import DTYPES, Pixels
-from lobewise.limits import check_time, require_memory
+from lobewise.limits import check_limits, require_memory
 
 OWN_PRESET = "lobewise"
 """Preset name that is reported for a file in lobewise's own channel names."""
@@ -102,7 +102,7 @@ class ImageReader:
     def __call__(self, found: Found) -> FloatArray:
         """Return an image without conversions: (height, width, channels), or (height, width) for one channel."""
         if found.key not in self._images:
-            check_time()
+            check_limits()
             planes = self.read_planes(found)
             self._images[found.key] = planes[0].astype(np.float32) if len(planes) == 1 else join_planes(planes)
         return self._images[found.key]

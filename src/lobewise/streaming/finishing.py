@@ -12,6 +12,7 @@ from lobewise.denoising.bad_pixels import REFILL_REACH, refill
 from lobewise.denoising.light_loss import Gain, share_light
 from lobewise.frame import FloatArray
 from lobewise.io.exr.bands import BandReader, BandWriter
+from lobewise.progress import WRITE, enter_stage
 from lobewise.streaming.kept import KeptBands
 
 
@@ -23,7 +24,8 @@ def finish_bands(
     reader.forget(height)
     row = 0
     for images in held.read():
-        holes, row = images.pop("holes"), row + len(images["color"])
+        before, holes, row = row, images.pop("holes"), row + len(images["color"])
+        enter_stage(WRITE, (before / height, row / height))
         takers = [images.pop(f"taker{number}") for number in range(len(gains))]
         names = reader.layers or ("color",)
         if any(map(any, gains)):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -58,6 +58,8 @@ from lobewise.guides.usable import Unusable, bound_guides, join_unusable, list_u
 from lobewise.io.exr.bands import BandReader, BandWriter
 from lobewise.io.files import PathLike, open_spool, require_writable
 from lobewise.lobe_table import LobeTable
+from lobewise.progress import FILTER, WRITE, Watcher, enter_stage, plan_stages, raise_cost, watched
+from lobewise.result import Described
 from lobewise.settings import DenoiseChanges, DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_quality
 from lobewise.streaming.checks import describe_file, open_bands, require_bands, survey_guides
@@ -78,12 +80,13 @@ from lobewise.streaming.plan import (
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-Progress = Callable[[str, int, int], None]
-"""Takes the name of the work, the rows that are done, and all rows."""
+MEASURE = "measuring"
+COSTS = {MEASURE: 0.0, FILTER: 3.0, WRITE: 0.5}
+"""The stages of a file in bands, and their time over that of measuring it, which not all settings need."""
 
 
 @dataclass(frozen=True)
-class DenoisedFile:
+class DenoisedFile(Described):
     """The report of `denoise_file`.
 
     Parameters
@@ -107,6 +110,7 @@ class DenoisedFile:
     method: str = ""
 
 
+@watched
 def denoise_file(
     source: PathLike,
     output: PathLike,
@@ -115,7 +119,7 @@ def denoise_file(
     lobe_tables: Sequence[LobeTable] | None = None,
     rows: int | None = None,
     memory: float | None = None,
-    progress: Progress | None = None,
+    progress: Watcher | None = None,
     **changes: Unpack[DenoiseChanges],
 ) -> DenoisedFile:
     """Denoise an EXR file of any size in bounded memory.
@@ -139,7 +143,8 @@ def denoise_file(
         GiB that a band may take, > 0; by default `DEFAULT_MEMORY`, or less inside `lobewise.limit_call`. With large
         kernels the rows around a band alone may take more: the band then has `MIN_ROWS` rows.
     progress : callable, optional
-        Called with the name of the work, the rows that are done, and all rows.
+        As of `lobewise.denoise`. The stages are "measuring", where something hangs on the whole frame, "filtering" and
+        "writing".
 
     Returns
     -------
@@ -154,16 +159,17 @@ def denoise_file(
         As `lobewise.read_frame` and `lobewise.write_result`, or if the file has subsampled channels.
     LimitError
         Inside `lobewise.limit_call`, also if a band of the smallest height would take more memory.
+    CancelledError
+        If ``progress`` has returned False.
     """
     start = time.perf_counter()
     named = change_settings(settings or DenoiseSettings(), changes)
     with_quality = ask(named, {}, whole=False)
     require_bands(source, with_quality, rows, memory)
     require_writable(output)
-    tell = progress or (lambda what, done, total: None)
     reader = open_bands(source, lobe_tables, list_images(with_quality)).reopen(list_images(with_quality))
     height, _ = reader.shape
-    with open_spool(output) as spool, open_spool(output) as waiting:
+    with open_spool(output) as spool, open_spool(output) as waiting, plan_stages(COSTS):
         guided = get_quality(with_quality.quality).reads_halves
         # Only the recipes that take the noisy image back change light that no surface scattered.
         scattered = {"color", *reader.layers}
@@ -178,11 +184,13 @@ def denoise_file(
 
         @cache
         def measure() -> _Measured:
-            again = reader.reopen(list_measured(with_quality))
             with engine.on(chosen.device):
-                return _measure(again, survey, chosen, cut_bands(height, min(most, MEASURED_ROWS)), tell)
+                again = reader.reopen(list_measured(with_quality))
+                return _measure(again, survey, chosen, cut_bands(height, min(most, MEASURED_ROWS)))
 
-        if not guided and needs_spp(with_quality):
+        judges = not guided and needs_spp(with_quality)
+        raise_cost(MEASURE, float(guided or (judges and ("variance", "color") in reader.images)))
+        if judges:
             variances = measure().variances if ("variance", "color") in reader.images else np.empty(0)
             chosen = resolve_all(probe, with_quality, spp=judge_noise(variances, probe.spp))
         below = resolve_all(replace(probe, variance=None), replace(with_quality, quality="fast", with_oidn=False))
@@ -190,13 +198,12 @@ def denoise_file(
         share_bounded = compute_energy_lost(measure().tallies) if guided else 0.0
         seen = _Seen(survey, share_bounded >= MIN_SHARE_BOUNDED, get_quality(chosen.quality).refines)
         held = KeptBands(waiting)
-        bad_count = _filter(reader, held, _Settings(chosen, below), whole, bands, tell, seen)
+        bad_count = _filter(reader, held, _Settings(chosen, below), whole, bands, seen)
         with engine.on(chosen.device):
             losses = seen.compute_losses()
             finish_bands(reader, held, writer, Finisher(lambda: measure().mean_color), [loss.gain for loss in losses])
         writer.finish(output, asdict(chosen))
-    notes = (*describe_lacks(probe, named), *describe_bad(bad_count, height * reader.shape[1]))
-    notes = (*notes, *measure().notes) if guided else notes
+    lacks = (*describe_lacks(probe, named), *describe_bad(bad_count, height * reader.shape[1]))
     return DenoisedFile(
         shape=reader.shape,
         bands=len(bands),
@@ -204,7 +211,7 @@ def denoise_file(
         energy_lost=compute_share_missing(losses),
         settings=asdict(chosen),
         seconds=time.perf_counter() - start,
-        notes=seen.list_notes(reader, share_bounded, notes),
+        notes=seen.list_notes(reader, share_bounded, (*lacks, *(measure().notes if guided else ()))),
         unused=list_unused(survey.apply(reader.reopen().read_frame(0, 1)), chosen),
         method=describe_method(chosen, ("normal",), why_ours=explain_ours(named, whole=False)),
     )
@@ -263,9 +270,7 @@ class _Seen:
         return [compute_loss(blocks, refined=self.refined) for blocks in rows]
 
 
-def _measure(
-    reader: BandReader, survey: GuideSurvey, settings: ResolvedSettings, bands: Bands, tell: Progress
-) -> _Measured:
+def _measure(reader: BandReader, survey: GuideSurvey, settings: ResolvedSettings, bands: Bands) -> _Measured:
     """Read a frame once and sum it row by row, to the same bits as of the whole frame."""
     height, width = reader.shape
     guided = get_quality(settings.quality).reads_halves
@@ -277,6 +282,7 @@ def _measure(
     isolated: list[RowSums] = []
     bad_count = 0
     for number, band in enumerate(bands):
+        enter_stage(MEASURE, (band[0] / height, band[1] / height))
         top, bottom = widen_band(band, CHECKED_REACH + (FIREFLY_REACH if guided else 0), height)
         bounded = bound_guides(survey.apply(reader.read_frame(top, bottom)))
         frame, _ = split_negative(stand_in_surfaces(bounded)[0])
@@ -294,7 +300,6 @@ def _measure(
             variances.append(list_relative_variances(reader.read_frame(*band)))
         if number + 1 < len(bands):
             reader.forget(widen_band(bands[number + 1], CHECKED_REACH + FIREFLY_REACH, height)[0])
-        tell("Measuring", band[1], height)
     require_some_good(bad_count, height * width, "pixel")
     levels = tuple(compute_mean_light(np.concatenate(light)) for light in zip(*lights, strict=True))
     return _Measured(
@@ -312,14 +317,13 @@ def _filter(
     settings: _Settings,
     whole: WholeImage | None,
     bands: Bands,
-    tell: Progress,
     seen: _Seen,
 ) -> int:
     """Filter and keep band after band; return the number of bad pixels. ``seen`` collects the notes."""
     height, width = reader.shape
     reach, bad_count = compute_band_reach(settings.above), 0
-    tell("Filtering", 0, height)
     for number, band in enumerate(bands):
+        enter_stage(FILTER, (band[0] / height, band[1] / height))
         top, bottom = widen_band(band, reach, height)
         core = slice(band[0] - top, band[1] - top)
         images, bad = _filter_band(reader, settings, whole, (top, bottom), core, seen)
@@ -328,7 +332,6 @@ def _filter(
         del images
         if number + 1 < len(bands):
             reader.forget(widen_band(bands[number + 1], reach, height)[0])
-        tell("Filtering", band[1], height)
     require_some_good(bad_count, height * width, "pixel")
     return bad_count
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -109,7 +109,7 @@ class FileInBands:
     settings: dict[str, Any]
     """Settings of `lobewise.denoise`."""
 
-    def denoise(self, progress: Callable[[str, int, int], None] | None = None) -> DenoisedFile:
+    def denoise(self) -> DenoisedFile:
         """Denoise the file into its target; see `lobewise.streaming.denoise_file`."""
         from lobewise.streaming import denoise_file
 
@@ -119,6 +119,5 @@ class FileInBands:
             self.target,
             lobe_tables=self.tables,
             rows=bands if isinstance(bands, int) else None,
-            progress=progress,
             **self.settings,
         )

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from lobewise.cli.terminal.help import sequence_detail, sequence_option
+from lobewise.cli.terminal.lines import choose_progress
 from lobewise.errors import InputError, require_choice
 from lobewise.scenes import list_scenes
 from lobewise.settings import TemporalSettings, list_knobs
@@ -62,7 +63,14 @@ class Telling:
     """Options that tell how much to print."""
 
     verbose: Annotated[bool, typer.Option("--verbose", help="Print the settings of the filter.")] = False
-    quiet: Annotated[bool, typer.Option("--quiet", help="Show no progress.")] = False
+    progress: Annotated[
+        str,
+        typer.Option(
+            metavar="auto|json|off",
+            callback=choose_progress,
+            help="A bar, lines of JSON, or neither. All are on standard error.",
+        ),
+    ] = "auto"
 
 
 def require_pattern(option: str, source: Path) -> None:

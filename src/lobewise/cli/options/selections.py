@@ -62,6 +62,10 @@ class DoneSeveral:
         """The settings of the first result."""
         return self.first.settings
 
+    def describe(self) -> dict[str, Any]:
+        """Return the facts of the first result, with the time and the bad pixels of all."""
+        return {**self.first.describe(), "seconds": self.seconds, "bad_pixels": self.bad_pixel_count}
+
     @property
     def seconds(self) -> float:
         """Wall time of all results."""

@@ -3,38 +3,47 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import asdict
 from datetime import timedelta
 from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from lobewise.backend.watching import watch_compiling
+from lobewise.cli.terminal.lines import write_line
+from lobewise.progress import DONE
+from lobewise.progress import Progress as Record
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
 _shown: list[Progress] = []
 """Displays that are shown now, one at most."""
+MIN_SECONDS_WITH_BAR = 2.0
+"""Time that a single file takes before its bar is shown, seconds."""
 COMPILING = "Compiling kernels, which is done once on a machine"
 
 
 class Steps:
     """Shows the current step of the work, with a bar where it is known how much is done.
 
-    While kernels are compiled, the line says so instead. Nothing is shown if ``quiet`` is true, or where standard error
-    is not a terminal that can erase a line.
+    While kernels are compiled, the line says so instead. Nothing is shown where standard error is not a terminal that
+    can erase a line, or ``progress`` is "off". With "json" records are lines of JSON.
     """
 
-    def __init__(self, *, quiet: bool = False) -> None:
-        self._quiet = quiet
+    def __init__(self, progress: str = "auto") -> None:
+        self._progress = progress
+        self._begun = time.monotonic()
         self._display: Progress | None = None
         self._task: TaskID | None = None
-        self._told: tuple[str, int, int | None, str] | None = None
+        self._told: tuple[str, float, float | None, dict[str, Any]] | None = None
         self._context = ExitStack()
 
     def __enter__(self) -> Steps:
-        if not self._quiet:
+        self._begun = time.monotonic()
+        if self._progress == "auto":
             self._display = _make_display()
         if self._display is not None:
             _shown.append(self._display)
@@ -51,15 +60,31 @@ class Steps:
             self._display.stop()
         self._display = self._task = self._told = None
 
-    def tell(self, what: str, done: int = 0, total: int | None = None, unit: str = "") -> None:
-        """Show a step in place of the step before; ``total`` is None where it is unknown how much is done.
+    def tell(self, what: str, done: float = 0, total: float | None = None) -> None:
+        """Show a step in place of the step before; ``total`` is None where it is unknown how much is done."""
+        is_new, self._told = self._told is None or self._told[0] != what, (what, done, total, {})
+        self._show(what, done, total, {}, is_new=is_new)
 
-        With a ``unit`` such as "frames", how many are done in a minute is shown as well.
-        """
-        is_new, self._told = self._told is None or self._told[0] != what, (what, done, total, unit)
-        self._show(what, done, total, unit, is_new=is_new)
+    def follow(self, record: Record) -> None:
+        """Show a record of `lobewise.progress`: a bar where there are several frames, or the work takes long."""
+        if record.stage == DONE:
+            return
+        if self._progress == "json":
+            write_line(**asdict(record))
+            return
+        several, what = record.frames > 1, ": ".join(filter(None, [record.frame, record.stage]))
+        is_long = several or time.monotonic() - self._begun >= MIN_SECONDS_WITH_BAR
+        fields = {"frames": several, "left": record.seconds_left}
+        is_first, done = self._told is None, record.share * record.frames
+        self._told = what, done, record.frames if is_long else None, fields
+        self._show(*self._told, is_new=is_first)
 
-    def _show(self, what: str, done: int, total: int | None, unit: str = "", *, is_new: bool) -> None:
+    def finish(self, **facts: Any) -> None:
+        """Write the facts of the result as the last line, where lines of JSON are written."""
+        if self._progress == "json":
+            write_line(stage=DONE, share=1.0, **facts)
+
+    def _show(self, what: str, done: float, total: float | None, fields: dict[str, Any], *, is_new: bool) -> None:
         if self._display is None:
             return
         if self._task is not None and is_new:
@@ -67,12 +92,14 @@ class Steps:
             self._task = None
         if self._task is None:
             # What is done already says nothing of the speed.
-            self._task = self._display.add_task(what, total=total, completed=done, unit=unit)
-        self._display.update(self._task, completed=done, total=total)
+            self._task = self._display.add_task(what, total=total, completed=int(done), **fields)
+        # A step that is quickly over is shown as well.
+        is_other = self._display.tasks[-1].description != what
+        self._display.update(self._task, description=what, completed=done, total=total, refresh=is_other, **fields)
 
     def _tell_compiling(self, begins: bool) -> None:
         if begins:
-            self._show(COMPILING, 0, None, is_new=True)
+            self._show(COMPILING, 0, None, {}, is_new=True)
         elif self._told is not None:
             self._show(*self._told, is_new=True)
 
@@ -116,9 +143,10 @@ def _make_display() -> Progress | None:
         def render(self, task: Task) -> Text:
             if task.total is None:
                 return Text(f"{task.elapsed or 0.0:.0f} s")
-            left = "" if task.time_remaining is None else f", {timedelta(seconds=int(task.time_remaining))} left"
-            speed, unit = task.finished_speed or task.speed, task.fields.get("unit")
-            rate = f", {_format_rate(60.0 * speed)} {unit} a minute" if unit and speed else ""
+            seconds = task.fields.get("left", task.time_remaining)
+            left = "" if seconds is None else f", {timedelta(seconds=int(seconds))} left"
+            speed = task.finished_speed or task.speed
+            rate = f", {_format_rate(60.0 * speed)} frames a minute" if task.fields.get("frames") and speed else ""
             return Text(f"{task.percentage:3.0f} %{rate}{left}")
 
     console = Console(stderr=True)

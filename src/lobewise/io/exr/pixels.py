@@ -23,7 +23,7 @@ from lobewise.io.exr.container import COMPRESSIONS, Container, Part, Window, cro
 from lobewise.io.exr.parsing import parse_bytes
 from lobewise.io.exr.splice import pack_part
 from lobewise.io.files import say_reason
-from lobewise.limits import check_time
+from lobewise.limits import check_limits
 
 Pixels = NDArray[Any]
 
@@ -275,7 +275,7 @@ def _enter_library(kept_bytes: int, pixel_bytes: int) -> Iterator[None]:
     On damaged pixels the library prints, by Python's print and to file descriptor 2, and cannot be told to be silent.
     The command hides these lines.
     """
-    check_time()
+    check_limits()
     needed = kept_bytes + SCRATCH_COPIES * pixel_bytes + FIXED_BYTES
     with _gate.enter(), hide_lines("EXR_ERR", "ojph", "Warning: Exception raised reading pixel data"):
         _threads.start()
