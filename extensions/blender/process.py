@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import glob
 import importlib.util
+import json
 import os
 import re
 import signal
 import subprocess
 import sys
-import tempfile
-import time
 from pathlib import Path
+from threading import Thread
 
 SECONDS_TO_STOP = 2.0
 """Time in which an interrupted process removes its unfinished files, before it is killed."""
@@ -68,21 +68,36 @@ class Denoising:
 
     def __init__(self, source: Path, output: Path, options: list[str]) -> None:
         self.source, self.output = source, output
-        self.total = len(list_frames(source))
         self.is_cancelled = False
-        self._begin = time.time()
+        self._record = {"stage": "starting", "share": 0.0}
+        self._messages = []
         output.parent.mkdir(parents=True, exist_ok=True)
         folders = [str(locate_package()), os.environ.get("PYTHONPATH", "")]
-        # A file, because a pipe that nobody reads would stop the process. `take_messages` closes it.
-        self._log = tempfile.TemporaryFile()  # noqa: SIM115
+        command = [sys.executable, "-m", "lobewise", "denoise", str(source), "-o", str(output), "--progress", "json"]
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "lobewise", "denoise", str(source), "-o", str(output), *options],
+            [*command, *options],
             env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, folders))},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
-            stderr=self._log,
+            stderr=subprocess.PIPE,
             creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
         )
+        self._reader = Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self):
+        """Keep the last record of the progress, and all remarks."""
+        with self._process.stderr as lines:
+            for line in lines:
+                try:
+                    told = dict(json.loads(line))
+                except (ValueError, TypeError):
+                    # Python itself writes so.
+                    told = {"error": line.decode(errors="replace").strip()}
+                if "share" in told:
+                    self._record = told
+                else:
+                    self._messages += filter(None, told.values())
 
     def is_done(self) -> bool:
         """Return whether the process has ended."""
@@ -94,11 +109,13 @@ class Denoising:
 
     def describe(self) -> tuple[str, float]:
         """Return how far the work is, in words and as a share from 0 to 1."""
-        words = f"{time.time() - self._begin:.0f} s"
-        if "#" not in self.source.name:
-            return words, 0.0
-        done = sum(path.stat().st_mtime >= self._begin for path in list_frames(self.output))
-        return f"{done} of {self.total} frames, {words}", done / max(self.total, 1)
+        record = self._record
+        words = f"{record['stage']}, {100 * record['share']:.0f} %"
+        if record.get("frames", 1) > 1:
+            words = f"{record.get('done', record['frames'])} of {record['frames']} frames, {words}"
+        if record.get("seconds_left"):
+            words += f", {record['seconds_left']:.0f} s left"
+        return words, record["share"]
 
     def cancel(self) -> None:
         """Stop the process: frames that are written stay, an unfinished file is removed."""
@@ -115,7 +132,5 @@ class Denoising:
 
     def take_messages(self) -> tuple[bool, list[str]]:
         """Return whether the work was done, and the remarks of the program; the last tells why it was not."""
-        self._log.seek(0)
-        lines = self._log.read().decode(errors="replace").splitlines()
-        self._log.close()
-        return self._process.returncode == 0, [line.removeprefix("lobewise: ") for line in lines if line.strip()]
+        self._reader.join(SECONDS_TO_STOP)
+        return self._process.returncode == 0, self._messages

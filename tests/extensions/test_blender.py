@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import io
 import json
 import os
 import signal
@@ -89,7 +90,6 @@ def test_a_file_is_denoised_by_the_command(process: Any, tmp_path: Path) -> None
     source.parent.mkdir()
     source.write_bytes(FOREIGN.read_bytes())
     work = process.Denoising(source, process.name_output(source), ["--quality", "fast"])
-    assert work.total == 1
     work.wait()
     is_done, messages = work.take_messages()
     assert is_done, messages
@@ -129,7 +129,7 @@ def test_progress_and_cancelling(process: Any, sequence: Path) -> None:
         time.sleep(0.02)
     words, share = work.describe()
     done = int(words.split()[0])
-    assert words.startswith(f"{done} of 399 frames, ")
+    assert words.startswith(f"{done} of 399 frames, filtering, ")
     assert share == pytest.approx(done / 399, abs=0.05)
     work.cancel()
     assert work.is_cancelled
@@ -142,21 +142,17 @@ def test_progress_and_cancelling(process: Any, sequence: Path) -> None:
     assert messages[-1].startswith("interrupted")
 
 
-def test_frames_of_an_earlier_run_are_no_progress(
-    process: Any, sequence: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_file_tells_its_share_and_whatever_python_says_is_a_message(
+    process: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    output = process.name_output(sequence)
-    output.parent.mkdir()
-    old = output.parent / "in.0001.exr"
-    old.write_bytes(b"")
-    os.utime(old, (1e9, 1e9))
-    monkeypatch.setattr(process.subprocess, "Popen", lambda *_, **__: SimpleNamespace(returncode=0))
-    work = process.Denoising(sequence, output, [])
-    assert work.describe() == ("0 of 399 frames, 0 s", 0.0)
-    old.touch()
-    os.utime(old, (time.time() + 1.0,) * 2)
-    assert work.describe()[1] == pytest.approx(1 / 399)
-    assert work.take_messages() == (True, [])
+    lines = (
+        b'{"stage": "filtering", "share": 0.25, "frames": 1, "done": 0, "seconds_left": 7.2}\n{"note": "Hm."}\nbad\n1\n'
+    )
+    made = SimpleNamespace(returncode=1, stderr=io.BytesIO(lines))
+    monkeypatch.setattr(process.subprocess, "Popen", lambda *_, **__: made)
+    work = process.Denoising(FOREIGN, tmp_path / "clean.exr", [])
+    assert work.take_messages() == (False, ["Hm.", "bad", "1"])
+    assert work.describe() == ("filtering, 25 %, 7 s left", 0.25)
 
 
 def test_a_missing_package_is_named(process: Any, monkeypatch: pytest.MonkeyPatch) -> None:
