@@ -222,7 +222,8 @@ class Frame(Guided):
     gbuffer : GBuffer
         The first surface of every pixel.
     camera : Camera, optional
-        Every similarity of lobes needs it.
+        Every similarity of lobes needs it. Of an image that wraps around it tells only where the camera stands and the
+        angle of a pixel; positions tell where the pixels look.
     half_a, half_b : Radiance, optional
         The images of the two halves of the samples.
     variance : Radiance, optional
@@ -251,13 +252,13 @@ class Frame(Guided):
         Sentences on the frame's file that results repeat, such as which of its noisy images are not in the frame.
     wraps : bool
         Whether the left and the right border are neighbours: an image of 360 degrees, such as a panorama by latitude
-        and longitude. No pinhole camera sees one.
+        and longitude.
 
     Raises
     ------
     InputError
         If the parts do not have one size, two layers have one name, ``spp`` is below 1, a pixel names a table that is
-        not there, or an image that wraps around has a camera.
+        not there, or an image that wraps around has a camera and no positions.
     """
 
     radiance: Radiance
@@ -299,11 +300,11 @@ class Frame(Guided):
                 action="give the frame the tables of its materials, or leave the channel out",
             )
 
-        if self.wraps and self.camera is not None:
+        if self.wraps and self.camera is not None and self.gbuffer.position is None:
             raise InputError(
                 "camera",
-                expected="none for an image that wraps around, which no pinhole camera sees",
-                got="one",
+                expected="positions beside it for an image that wraps around, whose rays are not those of a pinhole",
+                got="none",
                 action="leave the camera out, or say that the image does not wrap around (--no-wrap)",
             )
 
@@ -355,8 +356,9 @@ class Frame(Guided):
         """
         if not self.wraps:
             return self
-        images = {item.name: wrap_columns(getattr(self, item.name), self.width // 2) for item in fields(self)}
-        return replace(self, **{**images, "wraps": False})
+        return replace(
+            self, **{item.name: wrap_columns(getattr(self, item.name), self.width // 2) for item in fields(self)}
+        )
 
     def with_changes(self, **changes: Any) -> Frame:
         """Return a copy with some fields replaced, checked again."""

@@ -230,7 +230,7 @@ def make_sparse(frame: Frame, scale: int, place: tuple[int, int] = (0, 0)) -> Sp
         frame.gbuffer,
         scale,
         place,
-        camera=frame.camera,
+        camera=None if frame.wraps else frame.camera,
         variance=None if frame.variance is None else pick(frame.variance),
         spp=frame.spp,
         lobe_tables=frame.lobe_tables,

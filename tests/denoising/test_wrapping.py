@@ -143,8 +143,20 @@ def test_a_note_counts_every_pixel_once() -> None:
     assert any("at 1 pixel:" in note for note in check_guides(frame).notes)
 
 
-def test_a_pinhole_camera_is_refused() -> None:
-    with pytest.raises(InputError, match="none for an image that wraps around"):
+def test_fog_has_one_wall_behind_it() -> None:
+    frame = make_panorama()
+    normal, position = np.array(frame.gbuffer.normal), -5.0 * np.array(frame.gbuffer.normal)
+    normal[:, 90:130] = position[:, 90:130] = 0.0
+    guides = GBuffer(normal=normal, position=position)
+    frame = frame.with_changes(gbuffer=guides, camera=lobewise.Camera((0, 0, 0), (0, 0, 1), (0, 1, 0), 1.0))
+    wall = check_guides(frame).frame.gbuffer.normal
+    assert wall is not None
+    # A pinhole's rays, by which it would face the camera, are not those of the panorama.
+    np.testing.assert_array_equal(wall[:, 95:125], np.broadcast_to(wall[0, 95], (SIZE[0], 30, 3)))
+
+
+def test_a_pinhole_camera_without_positions_is_refused() -> None:
+    with pytest.raises(InputError, match="positions beside it for an image that wraps around"):
         make_panorama().with_changes(camera=lobewise.Camera((0, 0, 0), (0, 0, 1), (0, 1, 0), 1.0))
 
 
@@ -205,7 +217,7 @@ def test_the_command_says_what_the_header_tells(
 ) -> None:
     source, told, asked, apart = (tmp_path / f"{name}.exr" for name in ("source", "told", "asked", "apart"))
     write(source, 0, foreign=foreign)
-    assert tell(capsys, source, told).count("wraps around, as the header says (envmap)") == 1
+    assert tell(capsys, source, told).count("wraps around, as its header says (envmap)") == 1
     assert "wraps around" not in tell(capsys, source, apart, "--no-wrap")
     tell(capsys, write(source, None, foreign=foreign), asked, "--wrap")
     images = [lobewise.read_frame(path).radiance.color for path in (told, asked, apart)]

@@ -260,30 +260,6 @@ def test_a_known_camera_is_not_called_missing(tmp_path: Path) -> None:
     assert lack.remedy == "the AOV P"
 
 
-@pytest.mark.parametrize("width", [72, 60])
-def test_a_panorama_is_not_told_what_it_has(width: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    height, rng = 36, np.random.default_rng(0)
-    down, around = (np.arange(height) + 0.5) / height * np.pi, (np.arange(width) + 0.5) / width * 2.0 * np.pi
-    rays = np.stack(
-        [
-            np.sin(down)[:, None] * np.cos(around),
-            np.sin(down)[:, None] * np.sin(around),
-            np.cos(down)[:, None] + 0 * around,
-        ],
-        axis=-1,
-    )
-    position = (rays * rng.uniform(1.0, 5.0, (height, width, 1))).astype("f4")
-    planes = {f"ViewLayer.Combined.{name}": rng.random((height, width), np.float32) for name in "RGB"}
-    for k, name in enumerate("XYZ"):
-        planes[f"ViewLayer.Position.{name}"] = position[..., k].copy()
-        planes[f"ViewLayer.Normal.{name}"] = -rays[..., k].astype("f4")
-    OpenEXR.File({"cycles.ViewLayer.samples": "4"}, planes).write(str(tmp_path / "a.exr"))
-    told = " ".join(ask(capsys, "inspect", tmp_path / "a.exr").split())
-    assert "No pinhole camera shows the positions where they are seen" in told
-    assert "Data > Position" not in told
-    assert ("--camera" in told) == (width != 2 * height)
-
-
 def test_json_holds_what_the_summary_says(capsys: pytest.CaptureFixture[str], exr_folder: Path) -> None:
     found = json.loads(ask(capsys, "inspect", "--json", exr_folder / "arnold_multichannel.exr"))
     assert found["version"] == "Arnold 5.1.0.0"

@@ -236,7 +236,8 @@ def _denoise_light(checked: CheckedGuides[Frame], named: DenoiseSettings, featur
         find_noisy=noisy,
     )
     if below is not None:
-        result = result.subtract(filter_below(below, named, features))
+        # The neighbours across the border stand beside it already.
+        result = result.subtract(filter_below(below.with_changes(wraps=False), named, features))
     return replace(result.crop_columns(width), seconds=time.perf_counter() - start)
 
 

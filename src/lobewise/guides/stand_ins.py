@@ -91,7 +91,8 @@ def stand_in_surfaces(frame: FrameT) -> tuple[FrameT, tuple[str, ...]]:
         left[here] &= ~taken
     if left.any():
         far = np.float32(BACKDROP_DISTANCE)
-        wall = put_backdrop(~left, guides["normal"], guides.get("position"), frame.camera, BACKDROP_DISTANCE)
+        camera = None if frame.wraps else frame.camera
+        wall = put_backdrop(~left, guides["normal"], guides.get("position"), camera, BACKDROP_DISTANCE)
         guides["normal"] = wall.facing
         if wall.position is not None:
             guides["position"] = wall.position

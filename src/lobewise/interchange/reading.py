@@ -17,6 +17,7 @@ from lobewise.interchange.checks import check_own_mark
 from lobewise.interchange.imported import ImageReader, Imported
 from lobewise.interchange.importing.leftovers import describe_left_noisy, describe_own_left_noisy
 from lobewise.interchange.importing.steps import import_foreign
+from lobewise.interchange.importing.surfaces import WRAPS_AROUND
 from lobewise.interchange.joining import add_also, add_noisy_alpha, join_halves
 from lobewise.interchange.lighting import name_pass
 from lobewise.interchange.mapping import map_channels
@@ -32,10 +33,6 @@ from lobewise.io.files import PathLike
 from lobewise.lobe_table import LobeTable
 from lobewise.radiance import RadianceLayer
 
-WRAPS_AROUND = (
-    "The image wraps around, as the header says (envmap): pixels at its left and right border are neighbours; "
-    "--no-wrap filters them apart."
-)
 MAX_SELECTIONS = 256
 """Most pairs of a view and a view layer in a file."""
 
@@ -101,7 +98,8 @@ def read_frame(
     layer : str, optional
         Name of the view layer, such as ``ViewLayer``; by default the first one of the file.
     wraps : bool, optional
-        As of `lobewise.Frame`; by default, the header tells (the attribute ``envmap`` of OpenEXR).
+        As of `lobewise.Frame`; by default, the header tells (the attribute ``envmap`` of OpenEXR), or positions
+        all around a camera.
 
     Raises
     ------
@@ -215,8 +213,8 @@ def import_file(
         As `read_frame`; also if no pass matches a pattern of ``also``.
     """
     container = read_container(path)
-    told = (WRAPS_AROUND,) if wraps is None and wraps_around(container) else ()
-    wraps = bool(wraps or told)
+    told = (WRAPS_AROUND.format("its header says (envmap)"),) if wraps is None and wraps_around(container) else ()
+    wraps = True if told else wraps
     family = look_up_family(container)
     read = ImageReader(family.decode)
     if preset is None and not mapping and is_own(container):
@@ -231,7 +229,7 @@ def import_file(
         frame = read_whole(path, container, lobe_tables)
         frame = frame if camera is None else frame.with_changes(camera=camera)
         imported = Imported(
-            frame.with_changes(notes=(*told, *describe_own_left_noisy(container)), wraps=wraps),
+            frame.with_changes(notes=(*told, *describe_own_left_noisy(container)), wraps=bool(wraps)),
             container,
             findings=check_own_mark(container),
         )

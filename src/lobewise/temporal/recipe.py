@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 
 ALPHA_STAYS = "The opacity of the frame is not filtered."
 """What a filter over time says of `Frame.alpha`."""
-BORDERS_APART = "The image wraps around, and a filter over time filters its borders apart."
+BORDERS_APART = "The image wraps around: a filter over time filters its borders apart, and compares no places."
 HISTORY_SHARE = 3.0
 """Memory of the history, as a multiple of that of a frame."""
 MAX_OWN_WEIGHT = 1e8
@@ -175,6 +175,9 @@ class TemporalFilter:
         """
         start = time.perf_counter()
         require_kind("frame", frame, Frame, SparseFrame)
+        maker = frame.radiance.maker
+        if isinstance(frame, Frame) and frame.wraps:
+            frame = frame.with_changes(camera=None)
         checked = check_guides(frame)
         chosen = self._resolve(checked.frame)
         with (
@@ -184,7 +187,7 @@ class TemporalFilter:
             engine.on(chosen.device),
         ):
             result = self._add(checked, chosen, features, cut)
-        return replace(result, seconds=time.perf_counter() - start).convert(frame.radiance.maker)
+        return replace(result, seconds=time.perf_counter() - start).convert(maker)
 
     def _add(
         self, checked: CheckedGuides[AnyFrame], chosen: ResolvedSettings, features: Sequence[Feature], cut: bool

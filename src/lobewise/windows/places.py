@@ -30,7 +30,7 @@ def compute_places(shots: Mapping[int, Shot], index: int, other: int) -> FloatAr
         None if neither cameras nor motion tell.
     """
     shot = shots[index]
-    first, second = shot.frame.camera, shots[other].frame.camera
+    first, second = shot.guides.camera, shots[other].guides.camera
     still = None
     if first is not None and second is not None and shot.is_placed:
         still, _ = compute_surface_places(first, second, shot.guides.places, None)
@@ -47,7 +47,7 @@ def compute_reflections(shot: Shot, other: Shot) -> FloatArray | None:
 
     None without cameras.
     """
-    first, second = shot.frame.camera, other.frame.camera
+    first, second = shot.guides.camera, other.guides.camera
     if first is None or second is None or not shot.is_placed:
         return None
     return compute_virtual_places(shot.guides.places[0], shot.curvature, shot.hits, first, second)

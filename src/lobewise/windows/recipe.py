@@ -208,7 +208,7 @@ class WindowFilter:
                 following = frames[number + 1].camera if number + 1 < len(frames) else None
                 if camera is None and frame.camera is not None and following is not None:
                     camera = extrapolate_camera(prepared.checked.require_camera("a window"), following)
-                similarity = choose_similarity(prepared.checked, self._settings)
+                similarity = "normal" if frame.wraps else choose_similarity(prepared.checked, self._settings)
                 prepared.shot = Shot(prepared.checked, camera, similarity, self._settings, self.reach)
             shots[number] = prepared.shot
         return shots

@@ -55,7 +55,8 @@ class Shot:
         self, frame: Frame, previous: Camera | None, similarity: SimilarityName, settings: DenoiseSettings, reach: int
     ) -> None:
         self.frame = frame
-        self.guides = Guides(frame.gbuffer, frame.camera, frame.lobe_tables)
+        # The camera of an image that wraps around has no rays of its own, and projects nothing.
+        self.guides = Guides(frame.gbuffer, None if frame.wraps else frame.camera, frame.lobe_tables)
         self._previous = previous
         self._similarity = similarity
         self._settings = settings
@@ -63,13 +64,13 @@ class Shot:
 
     @property
     def is_placed(self) -> bool:
-        """Whether camera and surface points are known."""
-        return self.frame.is_placed
+        """Whether camera and surface points are known, and how the camera moved tells where points were."""
+        return self.guides.is_placed
 
     @cached_property
     def own_motion(self) -> FloatArray:
         """Distance in pixels that surfaces moved in addition to the camera's motion, (height, width)."""
-        motion, camera = self.frame.gbuffer.motion, self.frame.camera
+        motion, camera = self.frame.gbuffer.motion, self.guides.camera
         if motion is None or camera is None or self._previous is None or not self.is_placed:
             return np.zeros(self.frame.shape, np.float32)
         _, distance = compute_surface_places(camera, self._previous, self.guides.places, motion)

@@ -111,8 +111,16 @@ class Reshading:
         def improve(result: Result, frame: AnyFrame) -> Result:
             from lobewise.adaptive import recompute
             from lobewise.cli.output import print_line
+            from lobewise.frame import Frame
             from lobewise.render import load_scene, render_pixels, set_camera
 
+            if isinstance(frame, Frame) and frame.wraps:
+                raise InputError(
+                    "--adaptive",
+                    expected="frames of a pinhole camera",
+                    got="one that wraps around",
+                    action="leave it out",
+                )
             if not loaded:
                 loaded.append(load_scene(scene, width=frame.width, height=frame.height))
             if frame.camera is not None:

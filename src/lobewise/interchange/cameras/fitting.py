@@ -15,6 +15,8 @@ Matrix = NDArray[np.float64]
 
 MAX_PIXELS = 20000
 """Largest number of pixels to which a camera is fitted."""
+MIN_POINTS = 100
+"""Smallest number of pixels to which a camera is fitted."""
 MAX_FIT_ERROR = 1.5
 """Largest median distance, pixels, between a pixel and the projection of its position, of a camera that fits.
 The position of a sample lies anywhere within the pixel filter."""
@@ -54,7 +56,7 @@ class CameraFit:
 def measure_fit(camera: Camera, position: FloatArray, mask: NDArray[np.bool_]) -> float:
     """Return the median distance, pixels, between some pixels and the projections of their positions."""
     height, width = mask.shape
-    rows, columns = _choose_pixels(mask)
+    rows, columns = choose_pixels(mask)
     if not len(rows):
         return float("inf")
     seen = project_points(camera, position[rows, columns].astype(np.float64), width, height)
@@ -152,7 +154,7 @@ def fit_orthographic(
     forward = np.cross(up, right)
     mirrored = False
     if depth is not None:
-        rows, columns = _choose_pixels(mask)
+        rows, columns = choose_pixels(mask)
         away = depth[rows, columns].astype(np.float64)
         along = (world - center) @ forward
         mirrored = bool(np.sum((away - away.mean()) * along) < 0.0)
@@ -189,16 +191,17 @@ def _gather(position: FloatArray, mask: NDArray[np.bool_], pixel_aspect: float) 
 
     Return None if the points are too few or not finite.
     """
-    rows, columns = _choose_pixels(mask)
+    rows, columns = choose_pixels(mask)
     points = position[rows, columns].astype(np.float64)
-    if len(rows) < 100 or not np.isfinite(points).all() or not points.std() > 0.0:
+    if len(rows) < MIN_POINTS or not np.isfinite(points).all() or not points.std() > 0.0:
         return None
     height, width = mask.shape
     x = (columns + 0.5 - 0.5 * width) / (0.5 * height) * pixel_aspect
     return points, x, (0.5 * height - rows - 0.5) / (0.5 * height)
 
 
-def _choose_pixels(mask: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def choose_pixels(mask: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return rows and columns of at most about `MAX_PIXELS` pixels of a mask, spread evenly."""
     rows, columns = np.nonzero(mask)
     step = max(1, len(rows) // MAX_PIXELS)
     return rows[::step], columns[::step]

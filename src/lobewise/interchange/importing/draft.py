@@ -44,8 +44,8 @@ class Draft:
         Reads an image of the file; light that compression left just below 0 is corrected.
     given_camera : Camera or None
         The user's camera.
-    wraps : bool
-        As of `lobewise.Frame`.
+    wraps : bool or None
+        As of `lobewise.Frame`; None before positions tell.
     images : mapping of str to array
         Images by role, as in the file; the checks replace those that they correct.
     roles : mapping of str to Found
@@ -94,7 +94,7 @@ class Draft:
     channels: ChannelMap
     read: ImageReader
     given_camera: Camera | None = None
-    wraps: bool = False
+    wraps: bool | None = None
     images: Mapping[str, FloatArray] = field(default_factory=dict)
     roles: Mapping[str, Found] = field(default_factory=dict)
     light: Light = field(default_factory=Light)

@@ -138,7 +138,7 @@ def make_frame(draft: Draft) -> Outcome:
         spp=spp,
         layers=draft.light.layers,
         unscattered=draft.light.unscattered,
-        wraps=draft.wraps,
+        wraps=bool(draft.wraps),
     )
     return Outcome(replace(draft, frame=frame))
 

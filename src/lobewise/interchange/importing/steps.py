@@ -110,7 +110,7 @@ BAND_STEPS = (
 
 
 def import_foreign(
-    container: Container, read: ImageReader, channels: ChannelMap, camera: Camera | None, *, wraps: bool = False
+    container: Container, read: ImageReader, channels: ChannelMap, camera: Camera | None, *, wraps: bool | None = None
 ) -> tuple[Imported, ImageReader]:
     """Return the frame of another renderer's file, and a reader of its images that has the corrected light.
 
@@ -124,8 +124,8 @@ def import_foreign(
         Which channels are which image.
     camera : Camera or None
         The user's camera.
-    wraps : bool
-        As of `lobewise.Frame`.
+    wraps : bool or None
+        As of `lobewise.Frame`; None if positions may tell.
     """
     read.expect(channels)
     channels = leave_out_empty(channels, read)

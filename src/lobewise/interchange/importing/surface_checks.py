@@ -23,7 +23,8 @@ def check_position_precision(draft: Draft) -> Outcome:
     )
     depth = draft.images.get("depth")
     is_finer = depth is not None and measure_grain(depth, grain.distance).coarseness < 0.5 * grain.coarseness
-    if is_finer and draft.camera is not None and draft.distance is not None and not draft.is_orthographic:
+    has_rays = draft.camera is not None and not draft.is_orthographic and not draft.wraps
+    if is_finer and has_rays and draft.distance is not None:
         note += f"depth ({draft.roles['depth'].label}) and camera stand for it."
         return Outcome(replace(draft, world_position=None), [Finding("positions coarse", note, mended=True)])
     lacks = [*(["a depth"] if depth is None else []), *(["a camera"] if draft.camera is None else [])]

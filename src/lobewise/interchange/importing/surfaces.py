@@ -11,15 +11,22 @@ from lobewise.camera import Camera, project_points
 from lobewise.frame import FloatArray
 from lobewise.interchange.cameras.fitting import MAX_FIT_ERROR, CameraFit, fit_any_camera, fit_camera, measure_fit
 from lobewise.interchange.cameras.header import Located, read_camera_attributes
+from lobewise.interchange.cameras.panorama import fit_panorama
 from lobewise.interchange.checks.precision import measure_grain
 from lobewise.interchange.importing.blur import estimate_blur_radius
 from lobewise.interchange.importing.draft import Draft, Outcome
 from lobewise.interchange.values import MIN_EMPTY_DISTANCE, convert_depth, convert_plain, convert_space
 from lobewise.io.exr.header import read_pixel_aspect
 
-NO_PINHOLE = "No pinhole camera shows the positions where they are seen, so places are not compared"
-PANORAMA_ASPECT = 2
-"""Width over height of a panorama of the whole sphere."""
+NO_CAMERA = (
+    "Neither a pinhole camera nor a panorama shows the positions where they are seen, so places are not compared; give "
+    "--camera, unless rays are bent."
+)
+NO_PANORAMA = "The positions are not those of a panorama by latitude and longitude, so places are not compared."
+WRAPS_AROUND = (
+    "The image wraps around, as {}: pixels at its left and right border are neighbours; --no-wrap filters them apart."
+)
+"""Note on an image that wraps around; the word that is left out tells how that is known."""
 
 Mask = NDArray[np.bool_]
 
@@ -67,8 +74,11 @@ def measure_offsets(camera: Camera, position: FloatArray, shape: tuple[int, int]
 def choose_camera(draft: Draft) -> Outcome:
     """Choose the camera: the user's, else the header's unless the positions contradict it, else one fitted to them."""
     if draft.wraps and draft.given_camera is None:
-        # No pinhole sees all around.
-        return Outcome(draft)
+        return (
+            Outcome(draft)
+            if draft.world_position is None
+            else _use_panorama(draft) or Outcome(draft, notes=[NO_PANORAMA])
+        )
     pixel_aspect, notes = read_pixel_aspect(draft.image_part), []
     if pixel_aspect is None:
         pixel_aspect = 1.0
@@ -96,15 +106,27 @@ def _choose_camera(draft: Draft, header: Located | None, pixel_aspect: float) ->
     fit = fit_any_camera(position, mask, draft.images.get("depth"), pixel_aspect)
     if fit is not None:
         return _use_fit(draft, fit, position, header)
+    panorama = _use_panorama(draft) if draft.wraps is None else None
+    if panorama is not None:
+        return panorama
     if header is not None:
         return _use_header(draft, header, None, "; it does not see the positions where they are, so they are not used.")
-    height, width = draft.shape
-    why = (
-        ": the image is a panorama; --wrap joins its borders."
-        if width == PANORAMA_ASPECT * height
-        else "; give --camera, unless rays are bent."
+    return Outcome(draft, notes=[NO_CAMERA])
+
+
+def _use_panorama(draft: Draft) -> Outcome | None:
+    """Place the camera of a panorama by its positions. Return None if they are not those of one."""
+    position, part = draft.world_position, draft.image_part
+    assert position is not None
+    fit = fit_panorama(position, (position != 0.0).any(axis=-1)) if part.data_window == part.display_window else None
+    if fit is None:
+        return None
+    notes = [] if draft.wraps else [WRAPS_AROUND.format("its positions show all around the camera")]
+    notes.append(
+        f"The camera was found from the positions, which its panorama shows where they are seen to {fit.error:.2f} "
+        "pixels."
     )
-    return Outcome(draft, notes=[NO_PINHOLE + why])
+    return Outcome(replace(draft, camera=fit.camera, wraps=True), notes=notes)
 
 
 def _use_given_camera(draft: Draft, camera: Camera) -> Outcome:
@@ -151,8 +173,11 @@ def mirror_positions(draft: Draft) -> Outcome:
 
 
 def take_depth(draft: Draft) -> Outcome:
-    """Convert the depth to distances along the rays; not for orthographic cameras, whose depth starts at a plane."""
-    if draft.is_orthographic:
+    """Convert the depth to distances along the rays.
+
+    Positions tell the distances of orthographic cameras, whose depth starts at a plane, and of panoramas.
+    """
+    if draft.is_orthographic or (draft.wraps and draft.camera is not None):
         return Outcome(draft)
     found = draft.roles["depth"]
     distance = convert_depth(convert_plain(draft.images["depth"], found.convert), found.convert, draft.camera)
