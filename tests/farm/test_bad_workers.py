@@ -107,7 +107,7 @@ def test_a_farm_of_another_version_is_refused(sources: Path, folder: Path, tmp_p
         done = run_program(sources, folder, "--farm", farm.address)
     assert done.returncode == 2
     refused = (
-        rf"lobewise: farm: expected a worker that can be used, got none \({ADDRESS}: {OLD}\); see docs/farm\.md\.\n"
+        rf"lobewise: --farm: expected a worker that can be used, got none \({ADDRESS}: {OLD}\); see docs/farm\.md\.\n"
     )
     assert re.search(refused, done.stderr), done.stderr
     assert list(folder.iterdir()) == []

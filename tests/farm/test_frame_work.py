@@ -21,6 +21,7 @@ from tests.streaming.frames import make_scene
 
 pytestmark = pytest.mark.usefixtures("dask")
 CHEAP = ("--quality", "fast", "--similarity", "normal")
+CAMERA = '{"position": [0, 0, 0], "forward": [0, 0, -1], "up": [0, 1, 0], "fov_y": 1}'
 
 
 @pytest.fixture
@@ -93,7 +94,7 @@ def test_a_frame_that_is_too_large_for_the_worker_is_filtered_in_bands(
 
 def test_everything_that_changes_a_frame_is_among_its_sources(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (folder / "half.2.exr").write_bytes((folder / "in.2.exr").read_bytes())
-    (folder / "camera.json").write_text("{}")
+    (folder / "camera.json").write_text(CAMERA)
     job = catch_job("--half", "half.#.exr", "--camera", "camera.json", monkeypatch=monkeypatch)
     sources = job.work.list_sources(2, job.source.name(2))
     assert sources == [folder / "in.2.exr", folder / "half.2.exr"]
@@ -103,7 +104,7 @@ def test_everything_that_changes_a_frame_is_among_its_sources(folder: Path, monk
     assert work.list_sources(2, job.source.name(2)) == [folder / "in.1.exr", folder / "in.2.exr"]
     past = catch_job("--temporal", monkeypatch=monkeypatch).work
     assert past.list_sources(1, job.source.name(1)) == [folder / "in.1.exr"]
-    (folder / "camera.json").write_text("{ }")
+    (folder / "camera.json").write_text(f"{CAMERA} ")
     other = catch_job("--half", "half.#.exr", "--camera", "camera.json", monkeypatch=monkeypatch)
     assert other.fingerprint != job.fingerprint
     silent = catch_job("--progress", "off", monkeypatch=monkeypatch)
@@ -119,7 +120,7 @@ def test_only_the_frames_that_are_asked_for(folder: Path, monkeypatch: pytest.Mo
 
 
 def test_paths_are_absolute(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (folder / "camera.json").write_text("{}")
+    (folder / "camera.json").write_text(CAMERA)
     work = catch_job("--camera", "camera.json", "--half", "in.#.exr", monkeypatch=monkeypatch).work
     paths = [work.source, work.output, work.request.reading.camera, work.request.reading.half]
     assert all(path.is_absolute() for path in paths)
