@@ -12,6 +12,7 @@ import lobewise
 from lobewise.camera import Camera
 from lobewise.cli.main import run
 from lobewise.frame import FloatArray, Frame, Radiance
+from lobewise.guides.lamps import keep_lamps
 from lobewise.interchange.cameras.panorama import fit_panorama
 from lobewise.interchange.reading import import_file
 from lobewise.io import write_frame
@@ -118,6 +119,46 @@ def test_positions_tell_a_panorama(tmp_path: Path) -> None:
     # The lobes are those of the views from the eye, not of a pinhole's rays.
     elsewhere = frame.with_changes(camera=Camera(frame.camera.position, (0, 1, 0), (0, 0, 1), frame.camera.fov_y))
     np.testing.assert_array_equal(result.image, lobewise.denoise(elsewhere, quality="fast").image)
+
+
+def write_split(path: Path, turn: int) -> Path:
+    """Write a turned image of light by lobe, whose alpha has edges beside its border."""
+    random = np.random.default_rng(0)
+    alpha = np.zeros((*SIZE, 1))
+    alpha[:, :20], alpha[:, -1:] = 1.0, 0.4
+    light = random.gamma(2.0, 0.5, (*SIZE, 3)) * alpha
+    images = {"Combined": (np.concatenate([0.4 * light, alpha], -1), "RGBA"), "Normal": (NORMAL * alpha, "XYZ")}
+    images |= dict.fromkeys(("DiffDir", "DiffInd"), (0.5 * light, "RGB"))
+    images |= {"DiffCol": (np.full((*SIZE, 3), 0.4), "RGB")}
+    images |= {name: (np.zeros((*SIZE, 3)), "RGB") for name in ("GlossDir", "GlossInd", "GlossCol")}
+    planes = {
+        f"ViewLayer.{name}.{letter}": np.ascontiguousarray(np.roll(image[..., k], turn, axis=1), np.float32)
+        for name, (image, letters) in images.items()
+        for k, letter in enumerate(letters)
+    }
+    OpenEXR.File({"cycles.ViewLayer.samples": "4"}, planes).write(str(path))
+    return path
+
+
+def test_silhouettes_go_on_across_the_border(tmp_path: Path) -> None:
+    plain, turned = (
+        import_file(write_split(tmp_path / f"{turn}.exr", turn), wraps=True).frame.gbuffer for turn in (0, 40)
+    )
+    assert plain.coverage is not None
+    assert turned.coverage is not None
+    np.testing.assert_array_equal(np.roll(plain.coverage, 40, axis=1), turned.coverage)
+    # The last column is owned by the background, and shows a part of the surface in the first one.
+    assert plain.coverage[8, -1, 5] == pytest.approx(0.4)
+
+
+def test_lamps_go_on_across_the_border() -> None:
+    light = np.ones((*SIZE, 3), np.float32) * np.random.default_rng(0).gamma(2.0, 0.5, (*SIZE, 1)).astype(np.float32)
+    light[20:26, :1] = light[20:26, -1:] = 200.0
+    frame = Frame(Radiance(light), lobewise.GBuffer(normal=NORMAL), wraps=True)
+    turned = Frame(Radiance(np.roll(light, 40, axis=1)), frame.gbuffer, wraps=True)
+    counts = [keep_lamps(each)[1] for each in (frame, turned)]
+    assert counts[0] == counts[1] > 0
+    assert keep_lamps(frame.with_changes(wraps=False))[1] != counts[0]
 
 
 def test_a_panorama_that_is_not_joined(tmp_path: Path) -> None:

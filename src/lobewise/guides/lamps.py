@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from lobewise.frame import FloatArray, Frame
 from lobewise.guides.squares import average_square, compute_square_maximum, sum_square
+from lobewise.images import crop_columns
 
 MAX_DIFFERENCE = 0.03
 """Largest difference between alike neighbours, in every colour, relative to the brighter one."""
@@ -60,9 +61,11 @@ def keep_lamps(frame: Frame) -> tuple[Frame, int]:
     guides = frame.gbuffer
     if frame.radiance.parts is not None or guides.normal is None:
         return frame, 0
-    known = [albedo for albedo in (guides.diffuse_albedo, guides.specular_albedo) if albedo is not None]
+    around = frame.surround()
+    seen = (around.gbuffer.diffuse_albedo, around.gbuffer.specular_albedo)
+    known = [albedo for albedo in seen if albedo is not None]
     albedo = lift_albedo(np.sum(known, axis=0, dtype=np.float32)) if known else None
-    lamps = mark_lamps(frame.radiance.color, albedo)
+    lamps = crop_columns(mark_lamps(around.radiance.color, albedo), frame.width)
     if not lamps.any():
         return frame, 0
     normal = np.where(lamps[..., None], np.float32(0.0), guides.normal)

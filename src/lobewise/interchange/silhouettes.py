@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from lobewise.chunks import Chunk, run_chunks
 from lobewise.errors import InputError
 from lobewise.frame import FloatArray
+from lobewise.images import crop_columns, wrap_columns
 from lobewise.interchange.imported import ImageReader
 from lobewise.interchange.mapping import ChannelMap, Found
 
@@ -38,11 +39,11 @@ class Silhouettes(NamedTuple):
     source: tuple[Found, ...] = ()
 
 
-def take_silhouettes(channels: ChannelMap, read: ImageReader) -> tuple[Silhouettes, list[str]]:
+def take_silhouettes(channels: ChannelMap, read: ImageReader, *, wraps: bool = False) -> tuple[Silhouettes, list[str]]:
     """Return the silhouettes of a file, and notes that name their source.
 
     The first usable Cryptomatte counts; it is the finest. Without Cryptomatte, alpha serves. Alpha separates surfaces
-    from the background, but not from each other.
+    from the background, but not from each other. ``wraps`` is as of `lobewise.Frame`.
     """
     notes = []
     for passes in channels.cryptomatte:
@@ -54,12 +55,12 @@ def take_silhouettes(channels: ChannelMap, read: ImageReader) -> tuple[Silhouett
             continue
         if any(plane.any() for one in passes for plane in read.read_planes(one)[1::2]):
             notes.append(f"Silhouettes are told by Cryptomatte ({passes[0].label} and {len(passes) - 1} more).")
-            return compute_silhouettes(passes, read), notes
-    silhouettes, alpha_notes = _take_alpha_silhouettes(channels, read)
+            return compute_silhouettes(passes, read, wraps=wraps), notes
+    silhouettes, alpha_notes = _take_alpha_silhouettes(channels, read, wraps=wraps)
     return silhouettes, [*notes, *alpha_notes]
 
 
-def _take_alpha_silhouettes(channels: ChannelMap, read: ImageReader) -> tuple[Silhouettes, list[str]]:
+def _take_alpha_silhouettes(channels: ChannelMap, read: ImageReader, *, wraps: bool) -> tuple[Silhouettes, list[str]]:
     color = channels.roles["color"]
     chosen = color.source.pick(("a",))
     if chosen is None:
@@ -72,17 +73,23 @@ def _take_alpha_silhouettes(channels: ChannelMap, read: ImageReader) -> tuple[Si
     if not MIN_EDGE_SHARE < edges.mean() < 0.5 or not (alpha >= 0.99).any():
         return Silhouettes(), []
     note = f"Silhouettes against the background are told by {alpha_pass.label}; no Cryptomatte tells the others."
-    return compute_silhouettes((alpha_pass,), read), [note]
+    return compute_silhouettes((alpha_pass,), read, wraps=wraps), [note]
 
 
-def compute_silhouettes(source: tuple[Found, ...], read: ImageReader) -> Silhouettes:
-    """Return the silhouettes that the passes of a Cryptomatte show, or alpha, which is one channel."""
-    planes = [plane for one in source for plane in read.read_planes(one)]
+def compute_silhouettes(source: tuple[Found, ...], read: ImageReader, *, wraps: bool = False) -> Silhouettes:
+    """Return the silhouettes that the passes of a Cryptomatte show, or alpha, which is one channel.
+
+    ``wraps`` is as of `lobewise.Frame`.
+    """
+    planes = tuple(plane for one in source for plane in read.read_planes(one))
+    width = planes[0].shape[1]
+    planes = wrap_columns(planes, 1 if wraps else 0)
     if len(planes) == 1:
         ids, shares = [np.ones(planes[0].shape, np.uint32)], [planes[0].astype(np.float32)]
     else:
         ids, shares = [plane.view(np.uint32) for plane in planes[0::2]], planes[1::2]
-    return Silhouettes(compute_coverage(ids, shares), compute_object_share(shares), source)
+    coverage, object_share = crop_columns((compute_coverage(ids, shares), compute_object_share(shares)), width)
+    return Silhouettes(coverage, object_share, source)
 
 
 def compute_coverage(ids: Sequence[NDArray[np.uint32]], shares: Sequence[FloatArray]) -> FloatArray:

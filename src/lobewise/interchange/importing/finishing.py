@@ -97,7 +97,7 @@ def estimate_silhouettes(draft: Draft) -> Outcome:
     """Find which surfaces share a pixel. Light that is not told apart is not resolved by silhouettes."""
     if not draft.light.layers and not (draft.has("diffuse") and draft.has("specular")):
         return Outcome(draft)
-    silhouettes, notes = take_silhouettes(draft.channels, draft.read)
+    silhouettes, notes = take_silhouettes(draft.channels, draft.read, wraps=bool(draft.wraps))
     return Outcome(replace(draft, silhouettes=silhouettes), notes=notes)
 
 
