@@ -9,8 +9,16 @@ from typing import Any
 from lobewise.cli.terminal.help import get_metavar
 from lobewise.errors import choose_nearest, describe_problem, name_value
 
-OUTPUTS = ("--output", "--html", "--json", "--plot")
-"""Options that name files to write. One file can be written and, by mistake, read."""
+STAND_FOR = {
+    "--half": "input",
+    "--reference": "input",
+    "--guides": "input",
+    "--html": "output",
+    "--json": "output",
+    "--material": "lobe file",
+    "--ocio": "file",
+}
+"""What errors call the files of options, where it is not the name of the option."""
 SHORT = {"-o": "--output", "-r": "--reference", "-D": "--define"}
 """Short names of options whose values can be wrong."""
 
@@ -25,12 +33,10 @@ def name_option(sentence: str, arguments: Sequence[str]) -> str:
     >>> name_option("output 'a/b.json': expected ...", ["--json=a/b.json"])
     "--json 'a/b.json': expected ..."
     """
-    is_output = sentence.startswith(("output", "plot", "picture"))
     for option, value in _list_options(arguments):
-        begin = f"{re.escape(option[2:].replace('-', '_'))}(?=:)"
-        if (option in OUTPUTS) == is_output:
-            begin += f"|[a-z ]+(?= {re.escape(repr(value))}:)"
-        if match := re.match(begin, sentence):
+        name = option[2:].replace("-", "_")
+        file = STAND_FOR.get(option, name.replace("_", " "))
+        if match := re.match(rf"{re.escape(name)}(?=:)|{re.escape(file)}(?= {re.escape(repr(value))}:)", sentence):
             return option + sentence[match.end() :]
     return sentence
 
