@@ -13,10 +13,11 @@ import lobewise
 from lobewise import progress
 from lobewise.denoising.automatic import resolve_all
 from lobewise.denoising.plan import list_frame_steps
-from lobewise.denoising.recipe import OPACITY
+from lobewise.denoising.recipe import NEGATIVE, OPACITY
 from lobewise.errors import CancelledError, InputError
+from lobewise.limits import check_limits
 from lobewise.peers import has_oidn, name_call
-from lobewise.progress import Progress, enter_stage, plan_stages, raise_cost, tick, watch_call
+from lobewise.progress import Progress, enter_stage, plan_stages, raise_cost, watch_call
 from lobewise.settings import DenoiseSettings
 from tests.streaming.frames import make_scene
 
@@ -80,16 +81,16 @@ def test_between_steps_the_clock_goes_on_at_the_speed_so_far(clock: Clock) -> No
     told: list[Progress] = []
     with watch_call(told.append), plan_stages({"first": 1.0, "second": 3.0}):
         enter_stage("first")
-        tick()
+        check_limits()
         clock.now += 2.0
         enter_stage("second")
         clock.now += 2.0
-        tick()
+        check_limits()
         # So soon nothing is told.
         clock.now += 0.01
-        tick()
+        check_limits()
         clock.now += 60.0
-        tick()
+        check_limits()
     shares = [each.share for each in told]
     np.testing.assert_allclose(shares, [0.0, 0.25, 0.5, 0.25 + 0.95 * 0.75, 1.0])
     assert [each.seconds_left for each in told[:3]] == [None, 6.0, 4.0]
@@ -104,6 +105,20 @@ def test_a_frame_tells_the_steps_of_its_plan(quality: str) -> None:
     steps = {step.text for steps in list_frame_steps(frame, chosen) for step in steps}
     assert {each.stage for each in told} - {OPACITY} == {*steps, "done"}
     np.testing.assert_array_equal(clean.image, lobewise.denoise(frame, quality=quality, with_oidn=False).image)
+
+
+def test_opacity_and_light_below_0_have_their_share() -> None:
+    frame, told = make_scene((40, 21)), list[Progress]()
+    color = frame.radiance.color.copy()
+    color[3:9] -= 2.0
+    alpha = np.linspace(0.0, 1.0, 40 * 21, dtype=np.float32).reshape(40, 21)
+    changed = frame.with_changes(radiance=lobewise.Radiance(color), half_a=None, half_b=None, alpha=alpha)
+    lobewise.denoise(changed, quality="fast", progress=told.append)
+    require_growing(told)
+    first = {each.stage: each.share for each in reversed(told)}
+    # In the qualities' seconds for a megapixel: "fast" for the light, "high" for the opacity.
+    assert first[OPACITY] == pytest.approx(0.55 / (0.55 + 2.3))
+    assert 0.3 < first[NEGATIVE] / first[OPACITY] < 0.7
 
 
 def make_sparse() -> lobewise.SparseFrame:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from lobewise.errors import InputError, LimitError
-from lobewise.progress import tick
+from lobewise.progress import work_in_progress
 
 GIB = float(2**30)
 MIN_MEMORY_GIB = 1.0
@@ -121,7 +121,9 @@ def set_aside(held_bytes: float) -> Iterator[None]:
 
 def check_limits() -> None:
     """Tell how far the call is. Raise LimitError if its time is over, CancelledError if its caller cancels it."""
-    tick()
+    work = work_in_progress.get()
+    if work is not None:
+        work.tick()
     limits = get_limits()
     if time.monotonic() > limits.deadline:
         raise LimitError(

@@ -69,6 +69,8 @@ def test_a_sequence(more: list[str], tmp_path: Path, capsys: pytest.CaptureFixtu
     lines = read_lines(capsys.readouterr().err)
     assert {line["frames"] for line in lines if "share" in line} == {3}
     assert {line["done"] for line in lines if "done" in line} >= {0, 1, 2}
+    if not more:
+        assert {line.get("detail") for line in lines} >= {"reading", "writing", "filter every layer by its guides"}
     assert (lines[-1]["stage"], lines[-1]["written"]) == ("done", 3)
 
 
@@ -78,4 +80,5 @@ def test_mistakes_are_lines_as_well(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "none.exr" in line["error"]
     # The next command line writes sentences again.
     assert run(["denoise", str(FOREIGN), "-o", str(tmp_path / "out.exr"), "--progress", "jsno"]) == 2
-    assert "--progress: expected one of auto, json, off, got 'jsno'; did you mean 'json'?" in capsys.readouterr().err
+    told = "lobewise: --progress: expected one of auto, json, off, got 'jsno'; did you mean 'json'?"
+    assert capsys.readouterr().err.startswith(told)

@@ -279,7 +279,7 @@ def list_peer_costs(frame: Frame) -> dict[str, float]:
     """Return the stages of the mixture, and the seconds that each takes for a megapixel."""
     guides = name_oidn_guides(frame)
     if not guides:
-        return {name_call(["color"]): 3.0}
+        return {name_call(["color"]): 1.5}
     if has_clean_guides(frame):
         calls = {("color", "albedo", "normal"): 3.0, ("color",): 0.6}
     else:

@@ -12,7 +12,7 @@ import numpy as np
 
 from lobewise.denoising.also import has_passes
 from lobewise.denoising.automatic import ask, needs_peer_alone, resolve_all
-from lobewise.denoising.combining import describe_peer_alone, name_method
+from lobewise.denoising.combining import describe_peer_alone, list_peer_costs, name_method
 from lobewise.denoising.evidence import get_image_halves
 from lobewise.denoising.passes import LayerPass, make_passes
 from lobewise.denoising.refining.lamps import LAMPS_REACH
@@ -226,9 +226,10 @@ def list_frame_steps(frame: Frame, settings: ResolvedSettings) -> tuple[list[Ste
 def compute_costs(frame: Frame, settings: ResolvedSettings) -> dict[str, float]:
     """Return the steps of a frame and the seconds that each takes for a megapixel, for `lobewise.progress`."""
     near, far = list_frame_steps(frame, settings)
+    costs = SECONDS_PER_MEGAPIXEL | {MIX_PEER: sum(list_peer_costs(frame).values())}
     by_layer = 1 if frame.radiance.parts is None else len(frame.layers) or len(MEASURED_LAYERS)
     return {
-        step.text: SECONDS_PER_MEGAPIXEL[step.text] * (by_layer if step.text in (FILTER_ONCE, FILTER_HALVES) else 1)
+        step.text: costs[step.text] * (by_layer if step.text in (FILTER_ONCE, FILTER_HALVES) else 1)
         for step in (*near, *far)
     }
 

@@ -16,7 +16,7 @@ from lobewise import engine
 from lobewise.denoising.automatic import ask, change_settings, needs_peer_alone, resolve_all
 from lobewise.denoising.bad_pixels import blacken_bad, describe_bad, mark_bad_pixels, mark_good, require_some_good
 from lobewise.denoising.chain import Filtered, clean_frame, name_layers
-from lobewise.denoising.combining import denoise_with_peer, describe_peer_alone, name_method
+from lobewise.denoising.combining import denoise_with_peer, describe_peer_alone, list_peer_costs, name_method
 from lobewise.denoising.evidence import count_blurred, describe_blurred
 from lobewise.denoising.inputs import DEPTH_WITHOUT_CAMERA, describe_lacks, list_unused
 from lobewise.denoising.layers import Layer
@@ -33,14 +33,15 @@ from lobewise.guides.usable import CheckedGuides, check_guides
 from lobewise.images import crop_columns, pack_planes, unpack_planes, wrap_columns
 from lobewise.peers import require_oidn
 from lobewise.progress import Watcher, enter_stage, plan_stages, watched
+from lobewise.progress.stages import FILTER_ONCE, SECONDS_PER_MEGAPIXEL
 from lobewise.settings import DenoiseChanges, DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_quality
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-OPACITY = "filter the opacity"
-"""The stage after those of the light."""
+NEGATIVE, OPACITY = "filter the light below 0", "filter the opacity"
+"""The stages after those of the light."""
 GUIDES_OF_COLOR = (*ALBEDOS, "mean_emission", "hit_albedo")
 """Guides that tell colors, which opacity does not have."""
 ALPHA_REACH = 2
@@ -153,7 +154,9 @@ def denoise_checked(checked: CheckedGuides[Frame], named: DenoiseSettings, featu
     if has_planes:
         checked = replace(checked, frame=checked.frame.with_changes(also=packed))
     has_alpha = checked.frame.alpha is not None
-    with plan_stages({"": 1.0, OPACITY: float(has_alpha)}):
+    # Opacity takes the time of the best quality, and "auto" is the best.
+    light, best = (get_quality(each.replace("auto", "high")).seconds_per_megapixel for each in (named.quality, "high"))
+    with plan_stages({"": light, OPACITY: best * has_alpha}):
         enter_stage("")
         result = _denoise_light(checked, named, features)
         if has_planes:
@@ -206,11 +209,15 @@ def _denoise_light(checked: CheckedGuides[Frame], named: DenoiseSettings, featur
     bad = int(np.count_nonzero(bad_pixels))
     require_some_good(bad, bad_pixels.size, "pixel")
     room = bound_memory(frame, chosen.quality, with_oidn=bool(chosen.with_oidn))
-    with room, engine.on(chosen.device), plan_stages(compute_costs(frame, chosen)):
+    costs = compute_costs(frame, chosen) | ({} if below is None else {NEGATIVE: SECONDS_PER_MEGAPIXEL[FILTER_ONCE]})
+    with room, engine.on(chosen.device), plan_stages(costs):
         margin = (frame.width - width) // 2
         seen = wrap_columns(checked.seen, margin)
         outside = np.pad(np.zeros((frame.height, width), np.bool_), [(0, 0), (margin, margin)], constant_values=True)
         clean = clean_frame(frame, chosen, features, bad_pixels, seen, outside if margin else None)
+        enter_stage(NEGATIVE)
+        # The neighbours across the border stand beside it already.
+        negative = None if below is None else filter_below(below.with_changes(wraps=False), named, features)
     filtered = clean.filtered
     diffuse, specular = join_parts(filtered.layers, filtered.parts)
     weight_sum, effective_samples = filtered.compute_support()
@@ -235,9 +242,7 @@ def _denoise_light(checked: CheckedGuides[Frame], named: DenoiseSettings, featur
         unused=list_unused(frame, chosen),
         find_noisy=noisy,
     )
-    if below is not None:
-        # The neighbours across the border stand beside it already.
-        result = result.subtract(filter_below(below.with_changes(wraps=False), named, features))
+    result = result if negative is None else result.subtract(negative)
     return replace(result.crop_columns(width), seconds=time.perf_counter() - start)
 
 
@@ -249,7 +254,7 @@ def leave_to_peer(checked: CheckedGuides[Frame]) -> Result:
     bad = ~mark_good(samples)
     count = int(np.count_nonzero(bad))
     require_some_good(count, bad.size, "pixel")
-    with bound_memory(frame, "", with_oidn=True):
+    with bound_memory(frame, "", with_oidn=True), plan_stages(list_peer_costs(frame)):
         image = denoise_with_peer(frame, samples, blacken_bad(samples))
     unfiltered = np.zeros(frame.shape, np.float32)
     result = Result(

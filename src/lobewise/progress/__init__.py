@@ -96,6 +96,11 @@ class _Work:
     done: int = 0
     frames: int = 1
 
+    @property
+    def has_stage(self) -> bool:
+        """Whether a stage with a name has begun."""
+        return any(each.stage for each in self.spans)
+
     def enter(self, stage: str, inside: tuple[float, float]) -> None:
         """Begin a stage of the innermost span, or a part of it."""
         span = self.spans[-1]
@@ -105,7 +110,7 @@ class _Work:
         span.inside = inside
         self.share = max(self.share, span.locate(inside[0]))
         self.entered = time.monotonic(), self.share
-        if any(each.stage for each in self.spans):
+        if self.has_stage:
             self.tell()
 
     @contextmanager
@@ -126,9 +131,9 @@ class _Work:
             self.tell()
 
     def tick(self) -> None:
-        """Tell how far the current step is, by the clock."""
+        """Tell some times in a second how far the current step is, by the clock, once there is a stage to tell."""
         now = time.monotonic()
-        if now - self.told < MIN_SECONDS_BETWEEN:
+        if now - self.told < MIN_SECONDS_BETWEEN or not self.has_stage:
             return
         since, share = self.entered
         end = self.spans[-1].locate(self.spans[-1].inside[1])
@@ -150,7 +155,8 @@ class _Work:
             raise CancelledError("cancelled: the function that was given as progress has returned False.")
 
 
-_work: ContextVar[_Work | None] = ContextVar("work", default=None)
+work_in_progress: ContextVar[_Work | None] = ContextVar("work_in_progress", default=None)
+"""The work of the innermost call that is watched; None where nobody watches."""
 
 
 @contextmanager
@@ -170,11 +176,11 @@ def watch_call(watcher: Watcher | None) -> Iterator[None]:
     if not callable(watcher):
         raise InputError("progress", expected="a function", got=type(watcher).__name__, action="leave it out")
     work = _Work(watcher)
-    token = _work.set(work)
+    token = work_in_progress.set(work)
     try:
         yield
     finally:
-        _work.reset(token)
+        work_in_progress.reset(token)
     watcher(Progress(DONE, 1.0, done=work.frames, frames=work.frames, seconds_left=0.0))
 
 
@@ -195,7 +201,7 @@ def plan_stages(costs: Mapping[str, float]) -> Iterator[None]:
 
     `enter_stage` begins each of them. The name "" is no stage of its own: the stages inside of it are told.
     """
-    work = _work.get()
+    work = work_in_progress.get()
     if work is None:
         yield
         return
@@ -207,7 +213,7 @@ def plan_stages(costs: Mapping[str, float]) -> Iterator[None]:
 @contextmanager
 def follow_file(name: str) -> Iterator[None]:
     """Begin with reading a file, whose stages are those of `FRAME_COSTS`."""
-    work = _work.get()
+    work = work_in_progress.get()
     if work is not None:
         work.frame = name
     with plan_stages({stage or FILTER: cost for stage, cost in FRAME_COSTS.items()}):
@@ -218,7 +224,7 @@ def follow_file(name: str) -> Iterator[None]:
 @contextmanager
 def follow_frame(name: str, index: int, frames: int) -> Iterator[None]:
     """Begin with reading the next frame of a sequence, whose stages are `FRAME_COSTS`; ``index`` are done."""
-    work = _work.get()
+    work = work_in_progress.get()
     if work is None:
         yield
         return
@@ -232,7 +238,7 @@ def follow_frame(name: str, index: int, frames: int) -> Iterator[None]:
 
 def tell_frames(stage: str, done: int, frames: int) -> None:
     """Tell how many frames are done, where several are filtered at a time. Raises CancelledError as `enter_stage`."""
-    work = _work.get()
+    work = work_in_progress.get()
     if work is not None:
         work.done, work.frames = done, frames
         work.spans[:] = [_Span(0.0, 1.0, {stage: 1.0}, stage=stage)]
@@ -245,23 +251,16 @@ def enter_stage(stage: str, inside: tuple[float, float] = (0.0, 1.0)) -> None:
 
     Raises CancelledError if the caller cancels.
     """
-    work = _work.get()
+    work = work_in_progress.get()
     if work is not None and work.spans and stage in work.spans[-1].costs:
         work.enter(stage, inside)
 
 
 def raise_cost(stage: str, cost: float) -> None:
     """Set the cost of a planned stage of the innermost plan, before its first stage begins."""
-    work = _work.get()
+    work = work_in_progress.get()
     if work is not None and work.spans and stage in work.spans[-1].costs:
         work.spans[-1].costs[stage] = cost
-
-
-def tick() -> None:
-    """Tell the caller, some times in a second, that work goes on. Raises CancelledError if the caller cancels."""
-    work = _work.get()
-    if work is not None and any(each.stage for each in work.spans):
-        work.tick()
 
 
 def follow_stage() -> Callable[[float], None] | None:
@@ -269,5 +268,5 @@ def follow_stage() -> Callable[[float], None] | None:
 
     The function raises CancelledError if the caller cancels.
     """
-    work = _work.get()
-    return work.follow if work is not None and any(each.stage for each in work.spans) else None
+    work = work_in_progress.get()
+    return work.follow if work is not None and work.has_stage else None

@@ -20,7 +20,6 @@ SECONDS_PER_MEGAPIXEL = {
     SHARE_OUT: 0.03,
     FILL: 0.03,
     MIX_UNGUIDED: 0.05,
-    MIX_PEER: 6.0,
     FILTER_OTHERS: 0.5,
 }
 """Time of every step on two threads, that of `FILTER_ONCE` and `FILTER_HALVES` for one layer. It decides the share of a
