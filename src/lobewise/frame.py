@@ -88,7 +88,7 @@ class GBuffer(Images):
         >= 0, without the noise of samples.
     coverage : array_like, shape (height, width, 9), optional
         Shares of the pixel's area, row by row, that belong to the surfaces at the centres of its 3x3 neighbours: in
-        [0, 1], sum 1; the pixel itself has index 4; 0 for neighbours outside the image.
+        [0, 1], sum 1; the pixel itself has index 4; 0 for neighbours outside the image, if it does not wrap around.
     object_share : array_like, shape (height, width), optional
         Largest share of the pixel's area that shows one object or the background, in (0, 1]. It is below 1 at
         silhouettes, and in wide areas where depth of field or motion blurs them.
