@@ -35,6 +35,8 @@ BENCH_SIZE = 64, 48
 """Columns and rows of the images of benchmarks here."""
 RANDOM_FRAMES = 1000
 """Random sets of images of a frame."""
+RANDOM_SPARSE_FRAMES = 300
+"""The same for upsampling, which has fewer kernels."""
 Case = Callable[[], Any]
 
 
@@ -64,8 +66,9 @@ def list_drawn_images() -> Iterator[Case]:
     for frame in draw_images(make_frame(), RANDOM_FRAMES):
         for quality in QUALITIES:
             yield denoise(frame, quality=quality)
-        for similarity in ("sg", "normal"):
-            yield denoise(frame, quality="fast", similarity=similarity)
+        for similarity in SIMILARITIES:
+            for quality in ("fast", "balanced"):
+                yield denoise(frame, quality=quality, similarity=similarity)
 
 
 def list_similarities() -> Iterator[Case]:
@@ -88,12 +91,25 @@ def list_similarities() -> Iterator[Case]:
                 yield denoise(frame, quality="fast", similarity="sg_mixture", lobes=lobes)
 
 
+def upsample(frame: Frame, scale: int, **changes: Any) -> Case:
+    """Return a call of upsampling."""
+    return lambda: lobewise.upsample(lobewise.make_sparse(frame, scale, (1, 1)), device="cpu", **changes)
+
+
+def follow(frame: Frame, scale: int, **changes: Any) -> Case:
+    """Return a history of four frames: recorded, it goes on for two and is then cut."""
+
+    def run() -> None:
+        history = lobewise.TemporalFilter(device="cpu", **changes)
+        for number in range(4):
+            given = lobewise.make_sparse(frame, scale, (number % scale, 0)) if scale > 1 else frame
+            history.add(given)
+
+    return run
+
+
 def list_upsampling() -> Iterator[Case]:
     """Yield upsampling by every similarity and scale."""
-
-    def upsample(frame: Frame, scale: int, **changes: Any) -> Case:
-        return lambda: lobewise.upsample(lobewise.make_sparse(frame, scale, (1, 1)), device="cpu", **changes)
-
     rich = make_frame((32, 48))
     for frame in (rich, combine(rich), drop(rich, "tangent", "alpha_v"), drop(rich, "position"), drop(rich, *_HITS)):
         for similarity in SIMILARITIES:
@@ -118,17 +134,7 @@ def _recompute(frame: Frame) -> Any:
 
 
 def list_histories() -> Iterator[Case]:
-    """Yield histories of three frames."""
-
-    def follow(frame: Frame, scale: int, **changes: Any) -> Case:
-        def run() -> None:
-            history = lobewise.TemporalFilter(device="cpu", **changes)
-            for number in range(3):
-                given = lobewise.make_sparse(frame, scale, (number, 0)) if scale > 1 else frame
-                history.add(given)
-
-        return run
-
+    """Yield histories by every form, similarity and usual scale."""
     rich = make_frame((32, 48))
     frames = (
         rich,
@@ -148,6 +154,18 @@ def list_histories() -> Iterator[Case]:
             yield follow(frame, 4, similarity=similarity)
         for scale in (2, 3, 8):
             yield follow(frame, scale)
+
+
+def list_sparse_images() -> Iterator[Case]:
+    """Yield upsampling and histories of every usual combination of images, and of random sets."""
+    rich = make_frame((32, 48))
+    # Recorded masks always show a background. Without light it has no layer.
+    black = Radiance(np.zeros_like(rich.radiance.color))
+    frames = [*vary_main_images(rich), *vary_rare_images(rich), *draw_images(rich, RANDOM_SPARSE_FRAMES)]
+    frames += [frame.with_changes(radiance=black) for frame in vary_main_images(combine(rich))]
+    for frame in frames:
+        yield upsample(frame, 4)
+        yield follow(frame, 4)
 
 
 def list_windows() -> Iterator[Case]:
@@ -212,6 +230,7 @@ PARTS: dict[str, Callable[[], Iterator[Case]]] = {
     "similarities": list_similarities,
     "upsampling": list_upsampling,
     "histories": list_histories,
+    "sparse images": list_sparse_images,
     "windows": list_windows,
     "benchmarks": list_benchmarks,
     "examinations": list_examinations,

@@ -3,7 +3,7 @@
 Kernels that are recorded do not compute: they fill their outputs with fixed random numbers. So a recipe runs to its end
 in milliseconds, and asks for every kernel on its way. Branches that depend on pixels are taken as these numbers say.
 Kernels that look for faults find none with even seeds, and some with odd ones. Images that may be 0 everywhere
-(`lobewise.engine.some`), such as highlights, are so with odd seeds.
+(`lobewise.engine.some`), such as highlights, are so with odd seeds. A history goes on twice, and is then cut.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import cycle
 from typing import Any
 from unittest.mock import patch
 
@@ -21,6 +22,7 @@ from lobewise.backend import jit
 from lobewise.backend.devices import make_target
 from lobewise.backend.signature import Parameter, check_call
 from lobewise.engine.here import Here
+from lobewise.temporal import past
 
 FAULT_FINDERS = ("odd", "lost", "filtered_sum")
 """Names of kernels that return whether a pixel is impossible."""
@@ -79,6 +81,8 @@ def record_kernels(seed: int = 0) -> Iterator[dict[str, Wanted]]:
             shapes[identity or "", key] = signature.name, signature.parameters
         return _RecordedKernel(*shapes[identity or "", key], seed)
 
+    shares = cycle((1.0, 1.0, 0.0))
+
     def some(_: Here, image: Any) -> Any:
         return None if seed % 2 else image
 
@@ -86,5 +90,6 @@ def record_kernels(seed: int = 0) -> Iterator[dict[str, Wanted]]:
         patch.object(jit, "_look_up_prebuilt", take),
         patch.object(jit, "_kernels", {}),
         patch.object(Here, "some", some),
+        patch.object(past, "measure_share", lambda *_: next(shares)),
     ):
         yield found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,12 +19,14 @@ from lobewise.cli.main import run
 from lobewise.doctor.machine import examine_kernels
 from lobewise.filters.cross_pass import PassKey
 from lobewise.settings.choices import FORM_NAMES, QUALITIES, SIMILARITIES
-from releasing.catalogue import list_kernels
+from releasing.catalogue import follow, list_kernels
 from releasing.frames import SIZE, make_frame
 from releasing.recording import Wanted, record_kernels
 
 TESTS = Path(__file__).parents[1]
 FILES = sorted((TESTS / "data" / "foreign").rglob("*.exr"))
+SINGLE_IMAGES = sorted((TESTS / "data" / "foreign" / "luxcore").glob("*.exr"))
+"""Files without guides, which have nothing to compare but the image."""
 BUNDLED = Path(lobewise.__file__).parent / "data" / "demo.exr"
 
 
@@ -81,20 +84,23 @@ class TestVerbs:
         assert list_missing(catalogue, *([*words, "--quality", name] for name in QUALITIES)) == []
 
     @pytest.mark.parametrize("file", [BUNDLED, *FILES], ids=lambda path: path.stem)
-    def test_denoise_by_what_pixels_hold(self, file: Path, catalogue: set[str], tmp_path: Path) -> None:
+    def test_what_pixels_ask_for(self, file: Path, catalogue: set[str], tmp_path: Path) -> None:
+        words = [str(file), "-o", str(tmp_path / "out.exr"), "--overwrite", "--device", "cpu"]
+        commands = [["denoise", *words, "--quality", name] for name in QUALITIES]
+        if file not in SINGLE_IMAGES:
+            commands += [
+                ["denoise", *words, "--quality", quality, "--similarity", name]
+                for quality in ("fast", "balanced")
+                for name in SIMILARITIES
+            ]
+            commands += [["upsample", *words, "--scale", "2"]]
+            for number in range(1, 4):
+                shutil.copy(file, tmp_path / f"in.{number:04}.exr")
+            frames = [str(tmp_path / "in.####.exr"), "-o", str(tmp_path / "out.####.exr"), "--device", "cpu"]
+            commands += [["upsample", *frames, "--scale", "2", "--temporal"], ["denoise", *frames, "--window", "1"]]
         with note_kernels() as found:
-            for name in QUALITIES:
-                words = [
-                    "denoise",
-                    str(file),
-                    "-o",
-                    str(tmp_path / f"{name}.exr"),
-                    "--device",
-                    "cpu",
-                    "--quality",
-                    name,
-                ]
-                assert run(words) == 0, words
+            for command in commands:
+                assert run(command) == 0, command
         assert found
         assert [wanted.key for name, wanted in found.items() if name not in catalogue] == []
 
@@ -135,6 +141,16 @@ def test_even_and_odd_seeds_record_what_pixels_ask_for(quality: str) -> None:
         recorded |= found.keys()
     with note_kernels() as asked:
         lobewise.denoise(frame, quality=quality, device="cpu", with_oidn=False)
+    assert asked
+    assert [wanted.key for name, wanted in asked.items() if name not in recorded] == []
+
+
+def test_recorded_histories_go_on() -> None:
+    run_history = follow(lobewise.read_frame(BUNDLED), 4)
+    with record_kernels() as recorded:
+        run_history()
+    with note_kernels() as asked:
+        run_history()
     assert asked
     assert [wanted.key for name, wanted in asked.items() if name not in recorded] == []
 
