@@ -146,7 +146,7 @@ def test_even_and_odd_seeds_record_what_pixels_ask_for(quality: str) -> None:
 
 
 def test_recorded_histories_go_on() -> None:
-    run_history = follow(lobewise.read_frame(BUNDLED), 4)
+    run_history = follow(make_frame((32, 48)), 4)
     with record_kernels() as recorded:
         run_history()
     with note_kernels() as asked:
