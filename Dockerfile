@@ -1,5 +1,5 @@
 # Images of a release: `core` denoises files, `farm` is a scheduler or a worker of Dask. The wheel lies in dist/.
-# docs/releasing.md says how to build and run them.
+# docs/developers/releasing.md says how to build and run them.
 FROM python:3.13-slim-trixie AS core
 RUN --mount=type=bind,source=dist,target=/dist \
     pip install --no-cache-dir --no-compile "$(ls /dist/lobewise-*manylinux*_"$(uname -m)".whl)[best]" \

@@ -2,7 +2,7 @@
 
     python -m benchmarks.notebooks [NAME ...]
 
-Without names, all notebooks of docs/tutorials are run, each from top to bottom in a fresh Python process and a copy of
+Without names, all notebooks of docs are run, each from top to bottom in a fresh Python process and a copy of
 the folder, so that the files that they write vanish.
 """
 
@@ -20,14 +20,14 @@ from nbclient import NotebookClient
 
 from benchmarks.common import ROOT
 
-TUTORIALS = ROOT / "docs" / "tutorials"
+DOCS = ROOT / "docs"
 MAX_CELL_SECONDS = 600
 VERSION = 4
 
 
 def list_notebooks() -> list[Path]:
     """Return all tutorials."""
-    return sorted(TUTORIALS.glob("*.ipynb"))
+    return sorted(DOCS.rglob("*.ipynb"))
 
 
 def run_notebook(path: Path) -> Any:
@@ -35,7 +35,7 @@ def run_notebook(path: Path) -> Any:
     book = nbformat.read(path, as_version=VERSION)
     with tempfile.TemporaryDirectory() as folder:
         for each in path.parent.iterdir():
-            if each.suffix != ".ipynb":
+            if each.is_file() and each.suffix not in (".ipynb", ".md"):
                 shutil.copy(each, folder)
         client = NotebookClient(
             book, timeout=MAX_CELL_SECONDS, kernel_name="python3", resources={"metadata": {"path": folder}}

@@ -38,18 +38,20 @@ class Source(NamedTuple):
 
 PAGES = {
     "README.md": Source(users.make_readme_figures, ("users", "blender_shots", "without_lobes")),
-    "docs/bench.md": Source(bench.make_figures, ("startup",)),
+    "docs/developers/bench.md": Source(bench.make_figures, ("startup",)),
     "docs/export.md": Source(exports.make_figures, ("pipelines", "chains")),
     "docs/farm.md": Source(farm.make_figures, ("farm",)),
-    "docs/interactive.md": Source(interactive.make_figures, ("interactive_quality", "interactive", "viewer")),
-    "docs/performance.md": Source(performance.make_figures, ("filters", "budget")),
-    "docs/quality_results.md": Source(quality.make_figures, ("quality",)),
+    "docs/developers/interactive.md": Source(
+        interactive.make_figures, ("interactive_quality", "interactive", "viewer")
+    ),
+    "docs/developers/performance.md": Source(performance.make_figures, ("filters", "budget")),
+    "docs/developers/quality_results.md": Source(quality.make_figures, ("quality",)),
     "docs/start.md": Source(core.make_figures, ("core",)),
-    "docs/research/mixing_networks.md": Source(shares.make_figures, ("shares",)),
-    "docs/results.md": Source(performance.make_result_figures, ("filters",)),
+    "docs/developers/research/mixing_networks.md": Source(shares.make_figures, ("shares",)),
+    "docs/developers/filter_results.md": Source(performance.make_result_figures, ("filters",)),
     "docs/serving.md": Source(serving.make_figures, ("robustness",)),
     "docs/streaming.md": Source(streaming.make_figures, ("streaming",)),
-    "docs/users_results.md": Source(users.make_figures, ("users", "blender_shots")),
+    "docs/developers/users_results.md": Source(users.make_figures, ("users", "blender_shots")),
     "docs/windows.md": Source(films.make_figures, ("films",)),
 }
 """The pages that have marked places."""

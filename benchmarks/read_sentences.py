@@ -2,7 +2,7 @@
 
 python -m benchmarks.read_sentences --seed 1
 
-Half of the sentences come from comments and docstrings of `src`, half from the prose of README.md and docs/*.md.
+Half of the sentences come from comments and docstrings of `src`, half from the prose of README.md and docs.
 Tables, code, headings and the figures that programs fill in are left out. The same seed and the same text give the same
 sentences.
 """
@@ -112,11 +112,11 @@ def _blank_lines(match: re.Match[str]) -> str:
 
 
 def draw_sentences(root: Path, seed: int, count: int) -> list[Sentence]:
-    """Return half of ``count`` sentences from `src` and half from README.md and docs/*.md."""
+    """Return half of ``count`` sentences from `src` and half from README.md and docs."""
     code, pages = [], []
     for path in sorted((root / "src").rglob("*.py")):
         code += list_code_sentences(path.relative_to(root), path.read_text())
-    for path in [root / "README.md", *sorted((root / "docs").glob("*.md"))]:
+    for path in [root / "README.md", *sorted((root / "docs").rglob("*.md"))]:
         pages += list_page_sentences(path.relative_to(root), path.read_text())
     draw = random.Random(seed)
     return [*draw.sample(code, min(count // 2, len(code))), *draw.sample(pages, min(count // 2, len(pages)))]

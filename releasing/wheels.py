@@ -5,8 +5,8 @@
 
 The wheel comes to ``dist``, the figures to ``benchmarks/results/core.json``: the size of all that ``pip install``
 brings apart from NumPy, and the times of the first and the second ``lobewise denoise`` by a user without caches.
-The environment must be that of ``lock.txt``: it compiles the kernels and builds the wheel (docs/releasing.md).
-``--readme`` also runs the commands of the README from a fresh clone.
+The environment must be that of ``lock.txt``: it compiles the kernels and builds the wheel
+(docs/developers/releasing.md). ``--readme`` also runs the commands of the README from a fresh clone.
 
 Only wheels of the system that this runs on can be measured. Others are built and checked (``--no-measure``).
 """

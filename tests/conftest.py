@@ -38,7 +38,7 @@ def locate_data(name: str) -> Path:
     """Return a folder of the test data, or skip the test and say how to get it."""
     root = os.environ.get("LOBEWISE_TEST_DATA")
     if not root:
-        pytest.skip("set LOBEWISE_TEST_DATA to a folder that contains exr/ with the files docs/conventions.md lists")
+        pytest.skip("set LOBEWISE_TEST_DATA to a folder with exr/: docs/developers/conventions.md lists its files")
     folder = Path(root) / name
     if not folder.is_dir():
         pytest.fail(f"LOBEWISE_TEST_DATA is {root!r}, which has no folder {name}/")

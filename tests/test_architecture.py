@@ -1,4 +1,4 @@
-"""docs/architecture.md is true: it names every room, and the files that each recipe goes through."""
+"""docs/developers/architecture.md is true: it names every room, and the files that each recipe goes through."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import lobewise
 from tests.streaming.frames import make_scene
 from tests.test_house import ROOMS, SOURCE
 
-PAGE = Path(__file__).parents[1] / "docs" / "architecture.md"
+PAGE = Path(__file__).parents[1] / "docs" / "developers" / "architecture.md"
 SHAPE = (24, 40)
 
 

@@ -27,6 +27,14 @@ def load_publisher() -> ModuleType:
     return import_module("benchmarks.publish")
 
 
+def run_blocks(name: str) -> dict[str, Any]:
+    """Run the Python blocks of a page of docs one after the other; return the names that they define."""
+    names: dict[str, Any] = {}
+    for block in re.findall(r"```python\n(.*?)```", (ROOT / "docs" / name).read_text(), flags=re.S):
+        exec(compile(block, name, "exec"), names)
+    return names
+
+
 def test_readme_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shutil.copy(BUNDLED, tmp_path / "frame.exr")
     monkeypatch.chdir(tmp_path)
@@ -99,9 +107,7 @@ def test_blender_page_has_every_menu_entry_that_notes_name() -> None:
 
 @pytest.mark.nightly
 def test_upsampling_page_runs() -> None:
-    names: dict[str, Any] = {}
-    for block in re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "upsampling.md").read_text(), flags=re.S):
-        exec(compile(block, "upsampling.md", "exec"), names)
+    names = run_blocks("upsampling.md")
     assert names["image"].shape == (64, 80, 3)
     np.testing.assert_allclose(names["image"], 0.5, rtol=1e-5)
     np.testing.assert_allclose(names["shine"], 0.2, rtol=1e-5)
@@ -123,9 +129,7 @@ def test_what_the_notebook_on_arrays_does_not_run_is_true(needs: str) -> None:
 
 @pytest.mark.nightly
 def test_temporal_page_runs() -> None:
-    names: dict[str, Any] = {}
-    for block in re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "temporal.md").read_text(), flags=re.S):
-        exec(compile(block, "temporal.md", "exec"), names)
+    names = run_blocks("developers/temporal.md")
     assert names["result"].image.shape == (48, 64, 3)
     np.testing.assert_allclose(names["result"].image.mean(), 0.5, rtol=0.05)
 
@@ -145,9 +149,7 @@ def test_page_for_mitsubas_users_runs(mi: Any) -> None:
 @pytest.mark.mitsuba
 @pytest.mark.nightly
 def test_interactive_page_runs(mi: Any) -> None:
-    names: dict[str, Any] = {}
-    for block in re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "interactive.md").read_text(), flags=re.S):
-        exec(compile(block, "interactive.md", "exec"), names)
+    names = run_blocks("developers/interactive.md")
     assert [image.shape for image in names["images"]] == [(128, 128, 3)] * 3
 
 
@@ -196,7 +198,7 @@ def test_places_and_figures_must_agree(figures: dict[str, str]) -> None:
 def test_performance_page_names_every_device() -> None:
     from lobewise.backend.devices import DEVICES
 
-    text = (ROOT / "docs" / "performance.md").read_text()
+    text = (ROOT / "docs" / "developers" / "performance.md").read_text()
     for name in DEVICES:
         assert f"`{name}`" in text
 

@@ -119,7 +119,7 @@ def complaints(tmp_path_factory) -> dict[str, list[tuple[int, str]]]:
     folder = tmp_path_factory.mktemp("user")
     (folder / "mistakes.py").write_text(PROLOGUE + MISTAKES)
     (folder / "correct.py").write_text(PROLOGUE + CORRECT)
-    for page in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]:
+    for page in [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "developers").glob("*.md")]:
         blocks = re.findall(r"```python\n(.*?)```", page.read_text(), flags=re.S)
         if blocks:
             # This page goes on where a reader is.

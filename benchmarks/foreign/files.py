@@ -51,7 +51,7 @@ RENDERERS = (
     Renderer("luxcore", ("ALBEDO", "AVG_SHADING_NORMAL"), apart=True),
 )
 """Blender 4.5 writes one part; 5.2, in a folder of its own, a part for each pass. The programs that rendered these
-scenes of Blender are kept at the tag `trials-2026-11` (docs/research/trials.md)."""
+scenes of Blender are kept at the tag `trials-2026-11` (docs/developers/research/trials.md)."""
 
 
 def list_frames(renderer: Renderer, folder: Path) -> dict[str, dict[int, dict[int, Path]]]:

@@ -1,4 +1,4 @@
-"""The figures of docs/bench.md, measured by `performance/startup.py` and by `lobewise bench` on several machines."""
+"""The figures of docs/developers/bench.md, by `performance/startup.py` and `lobewise bench` on several machines."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def load_machines() -> dict[str, dict[str, Any]]:
 
 
 def make_figures(startup: Mapping[str, Any]) -> dict[str, str]:
-    """Return the figures of docs/bench.md by place."""
+    """Return the figures of docs/developers/bench.md by place."""
     return {**make_startup(startup), "machines": make_machines(load_machines())}
 
 

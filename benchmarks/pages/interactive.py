@@ -1,4 +1,4 @@
-"""The figures of docs/interactive.md, measured by `lobewise bench interactive` and `benchmarks/interactive`."""
+"""The figures of docs/developers/interactive.md, by `lobewise bench interactive` and `benchmarks/interactive`."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def make_viewer_facts(viewer: dict[str, Any]) -> str:
 
 
 def make_figures(quality: dict[str, Any], stages: dict[str, Any], viewer: dict[str, Any]) -> dict[str, str]:
-    """Return the figures of docs/interactive.md by place."""
+    """Return the figures of docs/developers/interactive.md by place."""
     tables = "\n\n".join(
         f"Rays on {'the CPU' if device == 'cpu' else device}:\n\n{make_stage_table(stages, device)}"
         for device in stages["devices"]

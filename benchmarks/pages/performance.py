@@ -1,4 +1,4 @@
-"""The figures of docs/performance.md and docs/results.md, measured by `benchmarks/performance`."""
+"""The figures of performance.md and filter_results.md in docs/developers, by `benchmarks/performance`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TIMED = ("normal", "sg", "sg_mixture, 3 lobes", "sg_mixture, 3 coaxial", "asg", 
 
 
 def make_figures(filters: Mapping[str, Any], budget: Mapping[str, Any]) -> dict[str, str]:
-    """Return the figures of docs/performance.md by place."""
+    """Return the figures of docs/developers/performance.md by place."""
     return {
         "run": list_facts({"Machine": describe_run(filters)}),
         "ratios": make_ratio_rows(filters),
@@ -27,7 +27,7 @@ def make_figures(filters: Mapping[str, Any], budget: Mapping[str, Any]) -> dict[
 
 
 def make_result_figures(filters: Mapping[str, Any]) -> dict[str, str]:
-    """Return the figures of docs/results.md by place: the times of kernels."""
+    """Return the figures of docs/developers/filter_results.md by place: the times of kernels."""
     rows = []
     for row in filters["kernels"]:
         cells = [f"{row['width']}x{row['height']}", row["form"], str(row["radius"])]

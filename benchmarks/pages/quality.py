@@ -1,4 +1,4 @@
-"""The figures of docs/quality_results.md, measured by `quality/measure.py`."""
+"""The figures of docs/developers/quality_results.md, measured by `quality/measure.py`."""
 
 from __future__ import annotations
 
@@ -166,7 +166,7 @@ def make_part(data: dict[str, Any], part: str, samples: list[str]) -> dict[str, 
 
 
 def make_figures(data: dict[str, Any]) -> dict[str, str]:
-    """Return the figures of docs/quality_results.md by place."""
+    """Return the figures of docs/developers/quality_results.md by place."""
     samples = [str(spp) for spp in data["samples"]]
     machine = data["machine"]
     train, held_out = (", ".join(f"`{scene}`" for scene in PARTS[part]) for part in PARTS)

@@ -1,4 +1,4 @@
-"""The figures of docs/research/mixing_networks.md, measured by `benchmarks/training/shares.py`."""
+"""The figures of docs/developers/research/mixing_networks.md, measured by `benchmarks/training/shares.py`."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def make_shares(ratios: dict[str, dict[str, float]], image: str, other: str) -> 
 
 
 def make_figures(share: dict[str, Any]) -> dict[str, str]:
-    """Return the figures of docs/research/mixing_networks.md by place."""
+    """Return the figures of docs/developers/research/mixing_networks.md by place."""
     detail = share["noisy"]["kept aside"] | share["refined"]["kept aside"]
     made = [f"{share[name]['scenes']} ({result})" for name, result in (("noisy", "`balanced`"), ("refined", "`high`"))]
     drawn = [str(share[name]["drawn_frames"]) for name in ("noisy", "refined")]

@@ -1,4 +1,4 @@
-"""The figures of README.md and docs/users_results.md, measured by `benchmarks/users`."""
+"""The figures of README.md and docs/developers/users_results.md, measured by `benchmarks/users`."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ MAX_LISTED = 60
 
 
 def make_figures(data: Mapping[str, Any], shots: Mapping[str, Any]) -> dict[str, str]:
-    """Return the figures of docs/users_results.md by place."""
+    """Return the figures of docs/developers/users_results.md by place."""
     rows, summary = list(list_rows(data["scenes"])), data["summary"]
     held_out, train = (summary["ratios"].get(part, {}) for part in (HELD_OUT, TRAIN))
     return {

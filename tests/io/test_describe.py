@@ -108,7 +108,7 @@ def test_real_files(exr_folder):
 
 
 def test_the_documented_channels_are_the_ones_in_use():
-    page = (Path(__file__).parents[2] / "docs" / "conventions.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "developers" / "conventions.md").read_text(encoding="utf-8")
     table = page.split("## Channels of an EXR file")[1].split("## Header attributes")[0]
     documented = set()
     for row in re.findall(r"^\| (`.*?) \|", table, re.MULTILINE):

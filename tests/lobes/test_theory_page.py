@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-PAGE = (Path(__file__).parents[2] / "docs" / "theory.md").read_text()
+PAGE = (Path(__file__).parents[2] / "docs" / "developers" / "theory.md").read_text()
 LOBES = ["albedo", "clusters", "covariance", "directions", "gaussian", "hits", "mixture", "roughness"]
 ORACLES = ["asg", "brdf", "hits", "mixture", "roughness", "sg", "tangent"]
 

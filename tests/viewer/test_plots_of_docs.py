@@ -1,4 +1,4 @@
-"""The plots of docs/how_it_works.md compute what the package computes, and follow their sliders."""
+"""The plots of docs/developers/how_it_works.md compute what the package computes, and follow their sliders."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ def point(angle: float) -> list[float]:
 
 
 def test_plots(browser: Any, tmp_path: Path) -> None:
-    plots = re.findall(r'<div class="lobe-plot".*?</div>', (DOCS / "how_it_works.md").read_text(), flags=re.S)
+    page = (DOCS / "developers" / "how_it_works.md").read_text()
+    plots = re.findall(r'<div class="lobe-plot".*?</div>', page, flags=re.S)
     script = (DOCS / "_static" / "lobes.js").read_text()
     path = tmp_path / "plots.html"
     path.write_text(f"<!doctype html><meta charset=utf-8>{''.join(plots)}<script>{script}</script>")

@@ -41,7 +41,7 @@ TRUST_WITHOUT_HALVES = 0.75
 """Factor of the shares that the network gives to other images than the peer's where the frame has no halves. Where
 pixels share samples the factor is 1, because the peer leaves such noise. The network was trained on frames of our
 renderer. Most files without halves are of other renderers, and on these it trusts our image too much
-(docs/research/quality_trials.md)."""
+(docs/developers/research/quality_trials.md)."""
 
 PREFILTER_QUALITY, UNGUIDED_QUALITY = "fast", "balanced"
 """Qualities of Open Image Denoise for its filters of guides, and for the image without guides. Higher ones cost 0.4 of

@@ -20,7 +20,7 @@ from lobewise.metrics.images import EPSILON
 
 MAX_CONCENTRATION = 4.0
 """Concentration that `estimate_noisy_share` expects of the error of our filters: this error lies along edges and
-textures (docs/research/quality_trials.md)."""
+textures (docs/developers/research/quality_trials.md)."""
 MIN_SHARE_BLURRED = 0.01
 """Share of the pixels. The user is told if a result has clearly more error than its input in more of them."""
 MAX_RADIANCE = 1e36

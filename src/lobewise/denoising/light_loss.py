@@ -53,7 +53,7 @@ MAX_TAKERS_GAIN, MAX_GAIN = 1.0, 4.0
 """Largest gain of the light that takes part in sharing, and largest gain of all light. The rest of the lost light goes
 to all light in proportion."""
 MAX_GAIN_REFINED = 0.05
-"""Gain up to which all light of a refined layer takes part (docs/research/refinement.md)."""
+"""Gain up to which all light of a refined layer takes part (docs/developers/research/refinement.md)."""
 MAX_FALL = 0.5
 """Largest share of its light that a layer loses where its filter added light."""
 ROWS_AT_ONCE = 128

@@ -31,7 +31,7 @@ SEEN_ALBEDO, SEEN_NORMAL = 8.0, 2.0
 """Sharpness of the comparison of the albedo and of the normal of reflected surfaces."""
 MAX_MIRROR_ALPHA = 0.01
 """Roughness alpha up to which a lobe counts as a mirror: all samples of a pixel hit one surface
-(docs/research/quality_trials.md)."""
+(docs/developers/research/quality_trials.md)."""
 
 
 Places = Sequence[ScreenFeature | PositionFeature]

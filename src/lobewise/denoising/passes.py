@@ -93,9 +93,9 @@ SPECULAR_PASSES = (
     LayerPass(3, 30.0, 6.0, lobes=64.0, lobes_with_seen=64.0, step=4, of_samples=False),
 )
 """Passes at radius 8. Tuned on the scenes that ``benchmarks/quality/measure.py`` calls train
-(docs/research/quality_trials.md). Diffuse light varies slowly: a second, sparse pass over the image of the first
-reaches as far as a dense kernel of three times the cost. Of reflections only the rough ones take part in the sparse
-pass: 4 pixels apart, the axes of sharp lobes are too different for so high a power."""
+(docs/developers/research/quality_trials.md). Diffuse light varies slowly: a second, sparse pass over the image of the
+first reaches as far as a dense kernel of three times the cost. Of reflections only the rough ones take part in the
+sparse pass: 4 pixels apart, the axes of sharp lobes are too different for so high a power."""
 
 
 def make_passes(radius: int, *, is_diffuse: bool, has_seen: bool = False) -> list[LayerPass]:

@@ -28,7 +28,7 @@ class AsgFeature(CovarianceFeature):
     """Overlap of two anisotropic spherical Gaussians (Xu et al. 2013), to the power beta.
 
     Near its axis the lobe ``exp(-w^T A w)`` is a planar Gaussian of covariance ``S = A^-1 / 2``, which describes it.
-    docs/theory.md derives the evaluation without eigenvectors.
+    docs/developers/theory.md derives the evaluation without eigenvectors.
 
     Parameters
     ----------
@@ -52,7 +52,8 @@ class AsgFeature(CovarianceFeature):
         quadratic, invariant = _compare(i, j, d)
         least = i.s * j.s
         inverse = hl.f32(1.0) / hl.max(invariant, least)
-        # R holds variances here, but half inverse sharpnesses in docs/theory.md: c is half of Q / P, and T / P doubles.
+        # R holds variances here, but half inverse sharpnesses in docs/developers/theory.md: c is half of Q / P, and T /
+        # P doubles.
         half, quarter, one = hl.f32(0.5), hl.f32(0.25), hl.f32(1.0)
         c = half * quadratic * inverse
         trace_i, trace_j = _sum(i.diagonal), _sum(j.diagonal)

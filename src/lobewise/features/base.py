@@ -5,7 +5,8 @@ distributions, to the power beta (Tokuyoshi 2015). The filter multiplies the sim
 their base-2 logarithms, so that a tap costs one exponential for any number of features.
 
 To write a feature, derive from `Feature`: return the per-pixel arrays, and the log-similarity of two pixels as an
-expression. The feature then runs in every form and on every device. docs/features.md explains how; `examples/` has two.
+expression. The feature then runs in every form and on every device. docs/developers/features.md explains how;
+`examples/` has two.
 """
 
 from __future__ import annotations

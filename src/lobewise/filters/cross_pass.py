@@ -96,7 +96,7 @@ class PassKey:
 def chain_passes(whole: PassKey, taps: Sequence[Taps], *, mirror: bool) -> list[PassKey]:
     """Return the keys of passes over ``taps`` that pass on sums and together compute ``whole``.
 
-    ``mirror`` if the device gains from `PassKey.mirrored`; only rows do (docs/performance.md).
+    ``mirror`` if the device gains from `PassKey.mirrored`; only rows do (docs/developers/performance.md).
     """
     last = len(taps) - 1
     return [

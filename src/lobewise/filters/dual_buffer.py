@@ -9,7 +9,7 @@ The distance in the guide is equation 2 of Rousselle, Knaus and Zwicker 2012, "A
 Filtering": squared differences minus the part that noise explains, over the noise. Departs: compares pixels instead of
 patches, because the guide is a filtered image; uses one guide for both halves instead of each half's for the other,
 because a filtered pilot hardly depends on the noise of a single pixel, and one weight is less work than two
-(docs/research/quality_trials.md).
+(docs/developers/research/quality_trials.md).
 """
 
 from __future__ import annotations

@@ -158,8 +158,8 @@ def spread_lobes(field: Field) -> Field:
     grows, in every direction, by `SPREAD_TURNS` times the squared turn of the axis to the neighbour (of four) with the
     nearest axis.
 
-    Measured in docs/research/quality_trials.md, "Mirrors": taking the larger of the turns along row and column blurs
-    normal maps.
+    Measured in docs/developers/research/quality_trials.md, "Mirrors": taking the larger of the turns along row and
+    column blurs normal maps.
 
     Parameters
     ----------

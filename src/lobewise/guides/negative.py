@@ -3,7 +3,7 @@
 Colours outside of the gamut have a negative channel. Pixel filters with negative lobes (Lanczos, Mitchell, Blackman)
 ring below 0 beside lamps. Both is light: without it edges get brighter and colours paler. Estimates of noise, networks
 and Open Image Denoise know no light below 0. So a frame is the difference of two frames that are nowhere negative. The
-second is smooth and dim, and is filtered by the guides alone (docs/decisions.md).
+second is smooth and dim, and is filtered by the guides alone (docs/developers/decisions.md).
 
 A pixel far below everything around it is no light but damage, as of an overflow. It stays negative, and filters leave
 it out.

@@ -21,7 +21,7 @@ _HOMES: dict[str, tuple[str, str]] = {
 """Module below `lobewise.render` and class of each method."""
 _USUAL: dict[str, dict[str, Any]] = {"virtual_lights": {"kind": "gaussians"}}
 """Arguments of classes that options may replace. Clusters of lights have less error than points in every scene of
-docs/virtual_lights.md."""
+docs/developers/virtual_lights.md."""
 _WITH_PROGRESS = ("voxel_cones",)
 """Methods that take seconds to prepare, and call ``progress`` meanwhile."""
 

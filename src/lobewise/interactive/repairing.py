@@ -18,7 +18,7 @@ from lobewise.temporal.recipe import TemporalFilter
 
 NOISY_PARTS = 4
 """How often a pixel is shaded again where samples are noisy. A quarter of the pixels, each shaded four times, has less
-error than all of them once; see docs/interactive.md."""
+error than all of them once; see docs/developers/interactive.md."""
 
 
 def repair(

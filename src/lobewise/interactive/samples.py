@@ -22,7 +22,7 @@ def make_rays(light: IndirectLight, shape: tuple[int, int]) -> Rays | None:
     """Return the weights of the rays of some pixels as an image of (rows, columns) pixels.
 
     There are none if the method tells none. The weight of several samples is their mean. Directions are left out: with
-    the noise of one path at one of 16 pixels, they raise the error (docs/research/rays.md).
+    the noise of one path at one of 16 pixels, they raise the error (docs/developers/research/rays.md).
     """
     if light.ray_weight is None:
         return None

@@ -65,9 +65,9 @@ def read_frame(
 ) -> Frame:
     """Return the frame of an EXR file, whichever renderer wrote it.
 
-    Files in lobewise's own channel names (``docs/conventions.md``) are not converted. Files of other renderers are
-    recognised by their attributes and channel names, and converted (``docs/renderers.md``). Pixels that are NaN,
-    infinite or negative stay so, with one exception: light that lossy compression left just below 0 becomes 0.
+    Files in lobewise's own channel names (``docs/developers/conventions.md``) are not converted. Files of other
+    renderers are recognised by their attributes and channel names, and converted (``docs/renderers.md``). Pixels that
+    are NaN, infinite or negative stay so, with one exception: light that lossy compression left just below 0 becomes 0.
 
     `read_frame`, `lobewise.denoise` and `lobewise.write_result` together write the same bytes as the command ``lobewise
     denoise``, the passes of light included. The command also prints notes about the file. It filters large files in

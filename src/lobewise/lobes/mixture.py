@@ -60,7 +60,7 @@ def spread_ggx_mixture(
     sharpness ``b k / (2 n.v)``, which is at least `MIN_SHARPNESS`. Their amplitudes are ``w`` times a common peak.
     Common denominators avoid divisions by 0 for alpha from 0 to 1.
     Validity: with three lobes the similarity of lobes with the shape of GGX normals has an error of 0.003; that of GGX
-    reflections is limited by the shape and the axis of the lobe, see docs/theory.md.
+    reflections is limited by the shape and the axis of the lobe, see docs/developers/theory.md.
     """
     deficit = 1.0 - alpha_square
     rows = [[xp.number(value) for value in row] for row in zip(*GGX_MIXTURES[lobes], strict=True)]

@@ -26,7 +26,7 @@ QUALITY_NAMES: tuple[QualityName, ...] = get_args(QualityName)
 SIMILARITY_NAMES: tuple[SimilarityName, ...] = get_args(SimilarityName)
 OIDN_QUALITY: QualityName = "balanced"
 """The quality of our own image that is mixed with the image of Open Image Denoise, where none is named. The network of
-"high" made the mixture no better (docs/decisions.md)."""
+"high" made the mixture no better (docs/developers/decisions.md)."""
 LARGEST_RADIUS = 64
 MAX_LOBES = 4
 """Largest number of spherical Gaussians in a mixture."""

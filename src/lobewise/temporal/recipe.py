@@ -77,7 +77,7 @@ class TemporalFilter:
     and their passes are not. Where the noise is moderate `lobewise.denoise`, frame by frame, has less error.
 
     Source: Herzog et al. 2010, "Spatio-temporal upsampling on the GPU" (sums over space and time); Tokuyoshi 2015
-    (weights). Departs: the kernel narrows as a pixel's history grows; see docs/temporal.md.
+    (weights). Departs: the kernel narrows as a pixel's history grows; see docs/developers/temporal.md.
 
     Parameters
     ----------

@@ -197,8 +197,8 @@ def tangent_approx_similarity(
     ``(sqrt(det_i) + sqrt(det_j))^2``, which it never is below but for rounding. The kernel is ``(1 + q / 4)^-2.4``,
     whose exponent is eight times 0.3 (within 3.7e-3 of the other, the same slope at 0).
 
-    Validity: the RMSE of S against quadrature keeps the bounds of `tangent_ggx_similarity` in docs/theory.md, which the
-    tests hold for both.
+    Validity: the RMSE of S against quadrature keeps the bounds of `tangent_ggx_similarity` in
+    docs/developers/theory.md, which the tests hold for both.
     """
     (beta,) = as_reals(beta)
     difference = _separate(lobe_i, lobe_j, shift)

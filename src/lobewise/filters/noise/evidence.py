@@ -37,7 +37,8 @@ from lobewise.filters.noise.pooling import (
 from lobewise.frame import FloatArray
 
 MARGIN_STANDARD_ERRORS = 2.2
-"""Standard errors subtracted from the mean excess; chosen among 1.7, 2.2 and 3 (docs/research/quality_trials.md)."""
+"""Standard errors subtracted from the mean excess; chosen among 1.7, 2.2 and 3
+(docs/developers/research/quality_trials.md)."""
 BLUR_COUNT = 4
 """Number of blurs. Each blurs the result of the one before with taps twice as far apart. Their standard deviations are
 1, 2.2, 4.6 and 9.2 pixels."""

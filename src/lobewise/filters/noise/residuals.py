@@ -31,7 +31,8 @@ SHARED_NOISE_VARIANCE = 3.2
 for a Gaussian pixel filter of standard deviation 0.5 pixels."""
 RESIDUAL_NOISE_SHARE = 0.5
 """Share of the squared residual that counts as noise. The rest is detail that differences do not cancel, and outliers
-that dominate the mean of a few squares. Tuned on ``showroom`` and ``parlour`` (docs/research/quality_trials.md)."""
+that dominate the mean of a few squares. Tuned on ``showroom`` and ``parlour``
+(docs/developers/research/quality_trials.md)."""
 DIFFERENCES = (1.0, -2.0, 1.0)
 """Weights of a second difference."""
 _MIN_LIGHT = 1e-12

@@ -35,7 +35,7 @@ MIN_NORMAL_HALF = 2.0**-14
 
 
 def read_frame(path: PathLike, *, lobe_tables: Sequence[LobeTable] | None = None) -> Frame:
-    """Return the frame of an EXR file in lobewise's own channel names (``docs/conventions.md``).
+    """Return the frame of an EXR file in lobewise's own channel names (``docs/developers/conventions.md``).
 
     Pixels that are NaN, infinite or negative stay as they are. The image of a multi-part file is the first part with
     channels R, G and B. Its other channels may be in this part or in other parts with an equal data window.

@@ -150,7 +150,7 @@ class VirtualLights:
 
     @property
     def worth(self) -> float:
-        """See `lobewise.render.tracing.points.IndirectMethod`; measured in docs/virtual_lights.md."""
+        """See `lobewise.render.tracing.points.IndirectMethod`; measured in docs/developers/virtual_lights.md."""
         return WORTH["gaussians" if self._has_clusters else "points"]
 
     @property
