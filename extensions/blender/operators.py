@@ -131,7 +131,7 @@ class LOBEWISE_OT_denoise(bpy.types.Operator):
             quality=settings.quality,
             passes=settings.passes,
             window=settings.window if self.animation else 0,
-            light_groups=settings.light_groups and any(len(layer.lightgroups) for layer in layers),
+            light_groups=settings.light_groups,
             all_layers=len(layers) > 1,
         )
         try:

@@ -23,7 +23,7 @@ PASSES = {"REPLACE": [], "BESIDE": ["--suffix", SUFFIX], "ONLY": ["--only"]}
 def list_options(*, quality: str, passes: str, window: int, light_groups: bool, all_layers: bool) -> list[str]:
     """Return the options of `lobewise denoise` for the settings of the panel."""
     options = ["--quality", quality.lower(), *PASSES[passes]]
-    options += ["--also", "Combined_*"] if light_groups else []
+    options += [] if light_groups else ["--no-light-groups"]
     options += ["--all-layers"] if all_layers else []
     return options + (["--window", str(window)] if window else [])
 

@@ -240,9 +240,10 @@ class Frame(Guided):
         Light of the total that no surface scattered, by name: emission, background. It is not filtered, but where
         ``gbuffer.blur_radius`` tells that the lens blurs it, it is shared out among neighbours.
     also : mapping of str to array_like, shape (height, width, 3) or (height, width)
-        Noisy images that belong to the total, such as the light of every lamp. Images that sum to the total before
-        denoising do so after it. A plane (height, width) whose name ends in a wavelength, such as ``S0.550nm``, is
-        light too. Any other plane, such as ambient occlusion, is averaged by the weights of the total and no more.
+        Further noisy images with the same guides, such as the light of every lamp. Each is denoised by itself, which
+        takes as long as the total does. Images that sum to the total before denoising do so after it. A plane (height,
+        width) whose name ends in a wavelength, such as ``S0.550nm``, is light too. Any other plane, such as ambient
+        occlusion, is averaged by the weights of the total and no more.
     alpha : array_like, shape (height, width), optional
         Noisy opacity, in [0, 1], by which the radiance is multiplied already: of shadow catchers, or out of focus.
     noise_is_shared : bool

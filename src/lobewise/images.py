@@ -34,6 +34,8 @@ _BETWEEN = "\n"
 _BAND = re.compile(r"\d+([.,]\d+)?\s*nm$", re.IGNORECASE)
 ABSENT: Any = None
 """Default of a field that holds an optional image."""
+MAX_HALF_ROUNDING = 2e-3
+"""Largest error of an image by the rounding of its passes to 16-bit floats, as a share of the pixel's light."""
 HOST_DEVICES = (1, 3, 11, 13)
 """DLPack's numbers of devices whose memory the processor reads: its own, pinned for CUDA and ROCm, and shared."""
 

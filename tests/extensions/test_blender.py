@@ -72,7 +72,7 @@ def test_the_pattern_of_an_animation(first: str, far: str, pattern: str, process
 
 @pytest.mark.parametrize("passes", ["REPLACE", "BESIDE", "ONLY"])
 def test_settings_are_options_of_the_command(passes: str, process: Any, tmp_path: Path) -> None:
-    options = process.list_options(quality="FAST", passes=passes, window=0, light_groups=False, all_layers=True)
+    options = process.list_options(quality="FAST", passes=passes, window=0, light_groups=True, all_layers=True)
     assert run(["denoise", str(FOREIGN), "-o", str(tmp_path / "clean.exr"), *options]) == 0
     before, after = read_channels(FOREIGN), read_channels(tmp_path / "clean.exr")
     kept = {name for name, pixels in before.items() if np.array_equal(after.get(name), pixels)}
@@ -81,8 +81,8 @@ def test_settings_are_options_of_the_command(passes: str, process: Any, tmp_path
 
 
 def test_options_of_sequences_and_light_groups(process: Any) -> None:
-    options = process.list_options(quality="AUTO", passes="REPLACE", window=2, light_groups=True, all_layers=False)
-    assert options == ["--quality", "auto", "--also", "Combined_*", "--window", "2"]
+    options = process.list_options(quality="AUTO", passes="REPLACE", window=2, light_groups=False, all_layers=False)
+    assert options == ["--quality", "auto", "--no-light-groups", "--window", "2"]
 
 
 def test_a_file_is_denoised_by_the_command(process: Any, tmp_path: Path) -> None:

@@ -21,7 +21,6 @@ REFERENCES, BASELINES = DATA / "references", DATA / "baselines"
 NAMES = tuple(sorted(path.stem for path in REFERENCES.glob("*.exr")))
 QUALITIES = ("fast", "balanced", "high", "auto")
 """What is committed for every frame; "auto" is `lobewise.denoise` as people call it, with Open Image Denoise."""
-LIGHT_GROUPS = "Combined_*"
 """Passes of the frame ``groups`` that are filtered too, one for each light."""
 SPARSE = "sparse"
 """The frame that is upsampled, which one quality does."""
@@ -60,8 +59,7 @@ def read_light(path: Path, view: str = "") -> Frame:
     """Return the frame of one view, with all passes of light."""
     from lobewise.interchange.reading import import_file
 
-    groups = (LIGHT_GROUPS,) if path.stem == "groups" else ()
-    return import_file(path, view=view or None, also=groups, light_passes=True).frame
+    return import_file(path, view=view or None, light_passes=True).frame
 
 
 def locate_file(name: str) -> Path:

@@ -13,6 +13,9 @@ import lobewise
 from lobewise.cli.main import run
 from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.io import write_frame
+from lobewise.io.exr.parsing import read_container
+from lobewise.io.exr.pixels import decode_part
+from lobewise.temporal.recipe import ALSO_STAYS
 
 LAYER = "View Layer.001"
 
@@ -38,8 +41,9 @@ def add_eyes(written: Written) -> None:
 
 def add_groups(written: Written) -> None:
     color = make_scene().color
-    for number, group in enumerate(("lamp", "sky")):
-        written.channels |= name(f"{LAYER}.Combined_{group}", 0.5 * color[:, :: 1 - 2 * number])
+    lamp = np.linspace(0.1, 0.9, color.shape[1], dtype=np.float32)[None, :, None] * color
+    for group, light in (("lamp", lamp), ("sky", color - lamp)):
+        written.channels |= name(f"{LAYER}.Combined_{group}", light)
 
 
 def add_bands(written: Written) -> None:
@@ -58,7 +62,6 @@ def leave_out_albedo(written: Written) -> None:
         (lambda written: copy_layer(written, "Wood"), "view layer 'Wood'"),
         (lambda written: [copy_layer(written, f"W{k}") for k in range(6)], "view layers 'W0', 'W1', 'W2', 'W3' and 2"),
         (add_eyes, "view 'right'"),
-        (add_groups, "light groups 'lamp', 'sky'"),
         (add_bands, "3 spectral bands"),
         (leave_out_albedo, "passes of light 'GlossDir', 'GlossInd'"),
     ],
@@ -76,10 +79,12 @@ def test_each_kind_is_named(change: Callable[[Written], object], told: str, tmp_
 
 def test_kinds_share_one_line(tmp_path: Path) -> None:
     written = WRITERS["cycles"](make_scene())
-    add_groups(written)
-    add_eyes(written)
+    add_bands(written)
+    copy_layer(written, "Wood")
     write(tmp_path / "a.exr", written)
-    assert list_left(tmp_path / "a.exr") == ["Left noisy: view 'right', light groups 'lamp', 'sky'."]
+    assert list_left(tmp_path / "a.exr") == [
+        "Left noisy: view layer 'Wood', 3 spectral bands (--also '*nm' takes all)."
+    ]
 
 
 def test_a_copy_of_the_picture_is_named(tmp_path: Path) -> None:
@@ -95,8 +100,8 @@ def test_a_copy_of_the_picture_is_named(tmp_path: Path) -> None:
 
 def test_all_three_places_say_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     written = WRITERS["cycles"](make_scene())
-    add_groups(written)
-    path, told = tmp_path / "a.exr", "Left noisy: light groups 'lamp', 'sky'."
+    add_bands(written)
+    path, told = tmp_path / "a.exr", "Left noisy: 3 spectral bands (--also '*nm' takes all)."
     write(path, written)
     assert lobewise.denoise(lobewise.read_frame(path), quality="fast").notes[0] == told
     assert run(["denoise", str(path), "-o", str(tmp_path / "b.exr"), "--quality", "fast"]) == 0
@@ -114,8 +119,35 @@ def test_what_is_filtered_is_not_named(tmp_path: Path, capsys: pytest.CaptureFix
     add_groups(written)
     path = tmp_path / "a.exr"
     write(path, written)
-    assert run(["denoise", str(path), "-o", str(tmp_path / "b.exr"), "--quality", "fast", "--also", "Combined_*"]) == 0
-    assert "Left noisy" not in capsys.readouterr().err
+    command = ["denoise", str(path), "-o", str(tmp_path / "b.exr"), "--quality", "fast"]
+    groups = [key for key in written.channels if "Combined_" in key]
+    for options, is_filtered in (([], True), (["--also", "Combined_*"], True), (["--no-light-groups"], False)):
+        assert run([*command, *options]) == 0
+        told = " ".join(capsys.readouterr().err.split())
+        assert ("Left noisy: light groups 'lamp', 'sky'." in told) != is_filtered
+        container = read_container(tmp_path / "b.exr")
+        after = decode_part(container, container.parts[0])
+        assert all(np.array_equal(after[key], written.channels[key]) != is_filtered for key in groups)
+
+
+def test_light_groups_sum_to_the_image_and_others_are_none_of_it(tmp_path: Path) -> None:
+    written = WRITERS["cycles"](make_scene())
+    add_groups(written)
+    write(tmp_path / "a.exr", written)
+    frame = lobewise.read_frame(tmp_path / "a.exr")
+    assert set(frame.also) == {f"{LAYER}.Combined_lamp", f"{LAYER}.Combined_sky"}
+    for quality in ("fast", "balanced"):
+        result = lobewise.denoise(frame, quality=quality)
+        np.testing.assert_allclose(sum(result.also[each] for each in frame.also), result.image, rtol=1e-5, atol=1e-6)
+    assert lobewise.TemporalFilter().add(frame).notes.count(ALSO_STAYS) == 1
+    # More light than the image has, as an albedo in the dark, or an image without noise.
+    color = make_scene().color
+    for light in (3.0 * color, np.full_like(color, 0.01)):
+        for group in ("lamp", "sky"):
+            written.channels |= name(f"{LAYER}.Combined_{group}", light)
+        write(tmp_path / "b.exr", written)
+        assert not lobewise.read_frame(tmp_path / "b.exr").also
+        assert list_left(tmp_path / "b.exr") == ["Left noisy: light groups 'lamp', 'sky'."]
 
 
 def test_what_lobewise_wrote_before_is_not_named(tmp_path: Path) -> None:

@@ -41,13 +41,16 @@ def main() -> None:
     parser.add_argument("--seeds", type=read_seeds, default=range(4), help="one, or the first and the last, as 0-3")
     parser.add_argument("--threads", type=int, default=0, help="0 for all")
     parser.add_argument("--films", action="store_true", help="films of 12 frames with two references of each")
+    parser.add_argument("--groups", action="store_true", help="put lamps and sky into light groups")
     asked = parser.parse_args(sys.argv[1:])
     kinds = splits[asked.split] if asked.split else asked.kinds.split(",") if asked.kinds else list(KINDS)
     if unknown := set(kinds) - set(KINDS):
         parser.error(f"unknown kinds: {', '.join(sorted(unknown))}; there are {', '.join(KINDS)}")
     for kind, seed in list_shots(list(kinds), asked.seeds):
-        render = render_film if asked.films else render_shot
-        render(asked.folder, *plan_shot(kind, seed), asked.threads)
+        if asked.films:
+            render_film(asked.folder, *plan_shot(kind, seed), asked.threads)
+        else:
+            render_shot(asked.folder, *plan_shot(kind, seed), asked.threads, groups=asked.groups)
 
 
 if __name__ == "__main__":

@@ -34,6 +34,19 @@ def make_scene(plan: Plan, random: np.random.Generator) -> None:
     bpy.context.scene.render.use_persistent_data = True
 
 
+def put_into_light_groups() -> None:
+    """Put every second lamp of the scene, the other lamps, what glows, and the sky each into a light group."""
+    scene = bpy.context.scene
+    for name in ("even", "odd", "glow", "sky"):
+        scene.view_layers[0].lightgroups.add(name=name)
+    lamps = 0
+    for one in scene.objects:
+        one.lightgroup = "glow" if one.type != "LIGHT" else ("even", "odd")[lamps % 2]
+        lamps += one.type == "LIGHT"
+    if scene.world:
+        scene.world.lightgroup = "sky"
+
+
 def probe_luminance() -> np.ndarray:
     """Return the luminance of the pixels of a small render without exposure; not of those that show the film alone."""
     scene = bpy.context.scene
@@ -77,8 +90,10 @@ def set_threads(threads: int) -> None:
         bpy.context.scene.render.threads_mode, bpy.context.scene.render.threads = "FIXED", threads
 
 
-def render_shot(folder: Path, plan: Plan, random: np.random.Generator, threads: int = 0) -> None:
-    """Render all files of a shot that are not there."""
+def render_shot(
+    folder: Path, plan: Plan, random: np.random.Generator, threads: int = 0, *, groups: bool = False
+) -> None:
+    """Render all files of a shot that are not there, with light groups if asked."""
     target = folder / f"{plan.kind}_{plan.seed}"
     references = [target / f"reference_{part}.exr" for part in range(1, len(plan.reference_spp) + 1)]
     if references[-1].exists():
@@ -86,6 +101,8 @@ def render_shot(folder: Path, plan: Plan, random: np.random.Generator, threads: 
     start = time.process_time()
     target.mkdir(parents=True, exist_ok=True)
     make_scene(plan, random)
+    if groups:
+        put_into_light_groups()
     set_threads(threads)
     scene = bpy.context.scene
     scene.cycles.film_exposure = describe_shot(target / "shot.json", plan)["exposure"]

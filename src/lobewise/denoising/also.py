@@ -19,6 +19,7 @@ import numpy as np
 
 from lobewise.backend.buffers import device_scope
 from lobewise.denoising.bad_pixels import blacken_bad
+from lobewise.denoising.combining import share_by_noise
 from lobewise.denoising.evidence import mix_noisy
 from lobewise.denoising.layers import Layer, compute_whole_albedo, filter_layer, make_layers
 from lobewise.denoising.noisy import NoisyLayer, join_halves, make_noisy_layers
@@ -28,10 +29,13 @@ from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.dual_buffer import MORE_AT_ONCE
 from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.guides.halves import mark_bad
-from lobewise.images import is_band, list_packed
+from lobewise.images import MAX_HALF_ROUNDING, is_band
 from lobewise.lobes.vectors import compute_image_luminance
 from lobewise.settings import ResolvedSettings
 from lobewise.settings.choices import get_quality
+
+HALF_STEP = 2.0**-24
+"""Smallest 16-bit float above 0, and the step of those near it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +72,7 @@ def filter_also(
     whole: Passed,
     rest: tuple[FloatArray, FloatArray],
 ) -> dict[str, FloatArray]:
-    """Return the images of ``frame.also`` and, as ``layer/part``, the parts of its layers, filtered.
+    """Return the packed planes of ``frame.also`` and, as ``layer/part``, the parts of its layers, filtered.
 
     Parameters
     ----------
@@ -92,35 +96,44 @@ def filter_also(
         before, after = rest
         share = _compute_part_share(before, frame.radiance.color)
         total = frame.with_changes(layers=(), radiance=Radiance(frame.radiance.color - before))
-        images, bands, values = _sort_images(frame.also)
+        bands = {name: image for name, image in frame.also.items() if is_band(name)}
+        values = {name: image for name, image in frame.also.items() if name not in bands}
         with np.errstate(invalid="ignore"):  # bad pixels stay bad
-            scattered, grays = (
-                {name: image - share * image for name, image in some.items()} for some in (images, bands)
-            )
-        if images:
-            parts = list_parts(total.radiance.color, scattered)
-            filtered = _finish_parts(scattered, _filter_by_total(total, settings, features, parts), whole)
-            exact = share * _divide(after, before)
-            clean |= {name: image + exact * blacken_bad(images[name]) for name, image in filtered.items()}
-        if bands or values:
-            lights, averaged = _filter_planes(total, settings, features, grays, values)
-            refined = None if whole.before is None else _make_gray(whole.before)
-            gray = replace(whole, clean=_make_gray(whole.clean), before=refined)
-            filtered = _finish_parts(grays, lights, gray) if bands else {}
-            exact = share * _divide(_make_gray(after), _make_gray(before))
-            clean |= {name: image + exact * blacken_bad(bands[name]) for name, image in filtered.items()}
-            clean |= {name: blacken_bad(each.image) for name, each in zip(values, averaged, strict=True)}
+            grays = {name: image - share * image for name, image in bands.items()}
+        lights, averaged = _filter_planes(total, settings, features, grays, values)
+        refined = None if whole.before is None else _make_gray(whole.before)
+        gray = replace(whole, clean=_make_gray(whole.clean), before=refined)
+        filtered = _finish_parts(grays, lights, gray) if bands else {}
+        exact = share * _divide(_make_gray(after), _make_gray(before))
+        clean |= {name: image + exact * blacken_bad(bands[name]) for name, image in filtered.items()}
+        clean |= {name: blacken_bad(each.image) for name, each in zip(values, averaged, strict=True)}
     return clean
 
 
-def _sort_images(also: Mapping[str, FloatArray]) -> list[dict[str, FloatArray]]:
-    """Return the images of three colours, the packed spectral bands, and the packed planes of other values."""
-    packs = [name for name in also if len(list_packed(name)) > 1]
-    bands = [name for name in packs if is_band(name)]
-    return [
-        {name: also[name] for name in some}
-        for some in ([name for name in also if name not in packs], bands, [n for n in packs if n not in bands])
-    ]
+def keep_sum(
+    clean: Mapping[str, FloatArray], noisy: Mapping[str, FloatArray], before: FloatArray, after: FloatArray
+) -> dict[str, FloatArray]:
+    """Return images so that those that summed to the noisy image do so to the clean one; see `share_by_noise`.
+
+    Parameters
+    ----------
+    clean, noisy : mapping of str to (height, width, 3)
+        Images, by the same names.
+    before, after : (height, width, 3)
+        The noisy and the clean image. Where images exceed ``before``, the first ones are its parts.
+    """
+    names: list[str] = []
+    for name, image in noisy.items():
+        total = np.sum([image, *(noisy[each] for each in names)], axis=0, dtype=np.float32)
+        with np.errstate(invalid="ignore", over="ignore"):
+            exceeds = bool((total - before > _compute_rounding(before, len(names) + 1)).any())
+        names += [] if exceeds else [name]
+    if not names or not _is_sum(before, [noisy[name] for name in names]):
+        return dict(clean)
+    shared = share_by_noise(
+        after, [blacken_bad(clean[name]) for name in names], [blacken_bad(noisy[name]) for name in names]
+    )
+    return {**clean, **dict(zip(names, shared, strict=True))}
 
 
 def _filter_planes(
@@ -212,22 +225,15 @@ def _filter_by_total(
     frame: Frame,
     settings: ResolvedSettings,
     features: Sequence[Feature],
-    images: Sequence[FloatArray],
-    lights: int | None = None,
+    planes: Sequence[FloatArray],
+    lights: int,
 ) -> Sequence[FilteredOther]:
-    """Return images after the filter of a frame whose light is one layer.
-
-    ``lights`` says that the images are packed planes, and how many of them, the first ones, are light.
-    """
+    """Return packed planes after the filter of a frame whose light is one layer; the first ``lights`` are light."""
     if not get_quality(settings.quality).reads_halves:
         (layer,) = make_layers(frame, settings, features, finest=True)
-        return filter_plain_layer(layer, settings, images)[1]
+        return filter_plain_layer(layer, settings, planes)[1]
     (noisy,) = make_noisy_layers(frame, settings, features)
-    joined = join_halves(noisy)
-    if lights is None:
-        others = bound_parts(noisy, joined, images)
-    else:
-        others = _bound_planes(noisy, joined, images[:lights], images[lights:])
+    others = _bound_planes(noisy, join_halves(noisy), planes[:lights], planes[lights:])
     return filter_layer_halves(frame, noisy, settings, others).others
 
 
@@ -269,7 +275,12 @@ def _is_sum(image: FloatArray, parts: Sequence[FloatArray]) -> bool:
     """Return whether parts add up to an image, within the rounding of 16-bit floats."""
     with np.errstate(invalid="ignore", over="ignore"):
         apart = np.abs(np.sum(parts, axis=0, dtype=np.float32) - image)
-        return not bool((apart > np.float32(2e-3) * np.abs(image)).any())
+        return not bool((apart > _compute_rounding(image, len(parts))).any())
+
+
+def _compute_rounding(image: FloatArray, count: int) -> FloatArray:
+    """Return how far the sum of so many parts may be from an image where all are 16-bit floats."""
+    return np.float32(MAX_HALF_ROUNDING) * np.abs(image) + np.float32((count + 1) * HALF_STEP)
 
 
 def _bound_part(image: FloatArray, bounded: FloatArray) -> FloatArray:

@@ -26,6 +26,7 @@ from lobewise.filters.noise.albedo import clean_albedo
 from lobewise.filters.noise.detail import compute_detail
 from lobewise.filters.specks import MIN_BLUR_RADIUS
 from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
+from lobewise.guides.squares import sum_square
 from lobewise.lobes.vectors import compute_image_luminance
 from lobewise.peers import denoise_oidn, has_clean_guides, keep_library_memory, name_call, name_oidn_guides
 from lobewise.settings import DenoiseSettings, ResolvedSettings
@@ -42,6 +43,10 @@ TRUST_WITHOUT_HALVES = 0.75
 pixels share samples the factor is 1, because the peer leaves such noise. The network was trained on frames of our
 renderer. Most files without halves are of other renderers, and on these it trusts our image too much
 (docs/developers/research/quality_trials.md)."""
+
+NOISE_RADIUS, MAX_DEVIATIONS = 2, 3.0
+"""Pixels around a pixel whose noise is its noise, and largest change of a part by `share_by_noise`, in standard
+deviations of its noise."""
 
 PREFILTER_QUALITY, UNGUIDED_QUALITY = "fast", "balanced"
 """Qualities of Open Image Denoise for its filters of guides, and for the image without guides. Higher ones cost 0.4 of
@@ -251,7 +256,7 @@ def share_out(image: FloatArray, before: FloatArray, parts: Sequence[FloatArray]
         Parts of ``before``; bad pixels count as 0.
     """
     good = [np.where(np.isfinite(part), part, np.float32(0.0)) for part in parts]
-    filtered = np.sum(good, axis=0, dtype=np.float32)
+    filtered = sum_finite(parts)
     rest = np.maximum(before - filtered, np.float32(0.0))
     scattered, exact = filtered > MAX_BLACK_RADIANCE, rest > MAX_BLACK_RADIANCE
     image = np.where(scattered | exact, image, before)
@@ -268,6 +273,43 @@ def share_out(image: FloatArray, before: FloatArray, parts: Sequence[FloatArray]
         where=exact & (~scattered | (factor != alone)),
     )
     return Shares(image, [part * factor for part in good], gain)
+
+
+def sum_finite(parts: Sequence[FloatArray]) -> FloatArray:
+    """Return the sum of parts; what is not finite counts as 0."""
+    return np.asarray(
+        np.sum([np.where(np.isfinite(part), part, np.float32(0.0)) for part in parts], axis=0, dtype=np.float32)
+    )
+
+
+def share_by_noise(image: FloatArray, parts: Sequence[FloatArray], noisy: Sequence[FloatArray]) -> list[FloatArray]:
+    """Return parts that sum to an image. Each takes as much of the difference as its samples have of the noise.
+
+    Where the difference is larger than the noise explains, all parts keep their shares of the image. So a dim part
+    without noise does not take the errors of a bright one.
+
+    Parameters
+    ----------
+    image : (height, width, 3)
+        Finite, >= 0.
+    parts, noisy : sequences of (height, width, 3)
+        The filtered parts and their samples; finite, >= 0.
+    """
+    side = np.float32(2 * NOISE_RADIUS + 1)
+    variances = [
+        sum_square(np.square(samples - part), NOISE_RADIUS) / (side * side)
+        for part, samples in zip(parts, noisy, strict=True)
+    ]
+    apart = image - np.sum(parts, axis=0, dtype=np.float32)
+    total = np.sum(variances, axis=0, dtype=np.float32)
+    shared = []
+    for part, variance in zip(parts, variances, strict=True):
+        most = np.float32(MAX_DEVIATIONS) * np.sqrt(variance)
+        change = np.clip(apart * _divide(variance, total, total > 0.0), -most, most)
+        shared.append(np.maximum(part + change, np.float32(0.0)))
+    together = np.sum(shared, axis=0, dtype=np.float32)
+    ratio = np.divide(image, together, out=np.ones_like(together), where=together > MAX_BLACK_RADIANCE)
+    return [part * ratio for part in shared]
 
 
 def _divide(light: Any, by: Any, where: Any) -> FloatArray:

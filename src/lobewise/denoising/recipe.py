@@ -13,10 +13,17 @@ from weakref import ref
 import numpy as np
 
 from lobewise import engine
+from lobewise.denoising.also import keep_sum
 from lobewise.denoising.automatic import ask, change_settings, needs_peer_alone, resolve_all
 from lobewise.denoising.bad_pixels import blacken_bad, describe_bad, mark_bad_pixels, mark_good, require_some_good
 from lobewise.denoising.chain import Filtered, clean_frame, name_layers
-from lobewise.denoising.combining import denoise_with_peer, describe_peer_alone, list_peer_costs, name_method
+from lobewise.denoising.combining import (
+    NOISE_RADIUS,
+    denoise_with_peer,
+    describe_peer_alone,
+    list_peer_costs,
+    name_method,
+)
 from lobewise.denoising.evidence import count_blurred, describe_blurred
 from lobewise.denoising.inputs import DEPTH_WITHOUT_CAMERA, describe_lacks, list_unused
 from lobewise.denoising.layers import Layer
@@ -27,10 +34,10 @@ from lobewise.features import Feature
 from lobewise.filters.fireflies import compute_energy_lost
 from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.guides.negative import split_negative
-from lobewise.guides.squares import compute_square_maximum
+from lobewise.guides.squares import compute_square_maximum, sum_square
 from lobewise.guides.survey import ALBEDOS
 from lobewise.guides.usable import CheckedGuides, check_guides
-from lobewise.images import crop_columns, pack_planes, unpack_planes, wrap_columns
+from lobewise.images import crop_columns, list_packed, pack_planes, unpack_planes, wrap_columns
 from lobewise.peers import require_oidn
 from lobewise.progress import Watcher, enter_stage, plan_stages, watched
 from lobewise.progress.stages import FILTER_ONCE, SECONDS_PER_MEGAPIXEL
@@ -148,23 +155,32 @@ def denoise_checked(checked: CheckedGuides[Frame], named: DenoiseSettings, featu
 
     Planes of a frame are packed for the kernels, and unpacked in the result. What the caller has packed stays packed.
     """
-    start = time.perf_counter()
-    packed = pack_planes(checked.frame.also)
-    has_planes = packed.keys() != checked.frame.also.keys()
-    if has_planes:
-        checked = replace(checked, frame=checked.frame.with_changes(also=packed))
-    has_alpha = checked.frame.alpha is not None
+    start, frame = time.perf_counter(), checked.frame
+    packed = pack_planes(frame.also)
+    images = {name: image for name, image in packed.items() if len(list_packed(name)) == 1}
+    planes = {name: image for name, image in packed.items() if name not in images}
+    stages = {name: f"denoise {name} by itself" for name in images}
+    has_alpha = frame.alpha is not None
     # Opacity takes the time of the best quality, and "auto" is the best.
     light, best = (get_quality(each.replace("auto", "high")).seconds_per_megapixel for each in (named.quality, "high"))
-    with plan_stages({"": light, OPACITY: best * has_alpha}):
+    with plan_stages({"": light, **dict.fromkeys(stages.values(), light), OPACITY: best * has_alpha}):
         enter_stage("")
-        result = _denoise_light(checked, named, features)
-        if has_planes:
+        result = _denoise_light(replace(checked, frame=frame.with_changes(also=planes)), named, features)
+        if packed.keys() != frame.also.keys():
             result = replace(result, also=unpack_planes(result.also))
+        if images:
+            # The weights of the total do not suit them: the noise of one lamp may be a thousandth of all noise.
+            clean = {}
+            for name, image in images.items():
+                enter_stage(stages[name])
+                is_good = mark_good(image).any()
+                clean[name] = _denoise_alone(frame, image, named, features, ("mean_emission",)) if is_good else image
+            more = keep_sum(clean, images, frame.radiance.color, result.image)
+            result = replace(result, also={**result.also, **more})
         if has_alpha:
             enter_stage(OPACITY)
-            result = replace(result, alpha=denoise_alpha(checked.frame, named), seconds=time.perf_counter() - start)
-    return result
+            result = replace(result, alpha=denoise_alpha(frame, named))
+    return replace(result, seconds=time.perf_counter() - start)
 
 
 def denoise_alpha(frame: Frame, named: DenoiseSettings) -> FloatArray:
@@ -175,17 +191,8 @@ def denoise_alpha(frame: Frame, named: DenoiseSettings) -> FloatArray:
     no fraction of opacity near them keep theirs.
     """
     assert frame.alpha is not None
-    plain = Frame(
-        Radiance(np.repeat(frame.alpha[..., None], 3, axis=-1)),
-        replace(frame.gbuffer, **dict.fromkeys(GUIDES_OF_COLOR)),
-        frame.camera,
-        spp=frame.spp,
-        lobe_tables=frame.lobe_tables,
-        noise_is_shared=frame.noise_is_shared,
-        wraps=frame.wraps,
-    )
     best = named if named.quality == "auto" else replace(named, quality="high")
-    image = _denoise_light(CheckedGuides(plain), best, ()).image
+    image = _denoise_alone(frame, np.repeat(frame.alpha[..., None], 3, axis=-1), best, (), GUIDES_OF_COLOR)
     around = frame.surround().alpha
     assert around is not None
     fractions = ((around > 0.0) & (around < 1.0)).astype(np.float32)
@@ -193,6 +200,22 @@ def denoise_alpha(frame: Frame, named: DenoiseSettings) -> FloatArray:
     alpha = np.where(near > 0.0, image.mean(axis=-1), frame.alpha)
     clipped: FloatArray = np.clip(np.nan_to_num(alpha), np.float32(0.0), np.float32(1.0))
     return clipped
+
+
+def _denoise_alone(
+    frame: Frame, image: FloatArray, named: DenoiseSettings, features: Sequence[Feature], left_out: Sequence[str]
+) -> FloatArray:
+    """Return an image that has some of the guides of a frame, denoised."""
+    alone = Frame(
+        Radiance(image),
+        replace(frame.gbuffer, **dict.fromkeys(left_out)),
+        frame.camera,
+        spp=frame.spp,
+        lobe_tables=frame.lobe_tables,
+        noise_is_shared=frame.noise_is_shared,
+        wraps=frame.wraps,
+    )
+    return _denoise_light(CheckedGuides(alone), named, features).image
 
 
 def _denoise_light(checked: CheckedGuides[Frame], named: DenoiseSettings, features: Sequence[Feature]) -> Result:
@@ -285,6 +308,13 @@ def scale_unscattered(frame: Frame, filtered: Filtered, gains: Sequence[FloatArr
     if sharing is not None:
         unscattered = {name: sharing.apply(blacken_bad(light)) for name, light in unscattered.items()}
     scaled = {name: reduce(np.multiply, gains, light) for name, light in unscattered.items()}
+    if filtered.rest_added is not None:
+        near = {name: sum_square(blacken_bad(light), NOISE_RADIUS) for name, light in scaled.items()}
+        total = reduce(np.add, near.values(), np.zeros_like(filtered.rest_added))
+        even = np.float32(1.0 / max(len(near), 1))
+        for name, light in near.items():
+            share = np.divide(light, total, out=np.full_like(total, even), where=total > 0.0)
+            scaled[name] = np.asarray(scaled[name] + share * filtered.rest_added, np.float32)
     return {name: np.where(np.isfinite(light), light, np.float32(0.0)) for name, light in scaled.items()}
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import reduce
 
 import numpy as np
 
@@ -11,8 +12,8 @@ from lobewise.errors import InputError, require_choice
 from lobewise.frame import FloatArray, Radiance
 from lobewise.interchange.channels import COLOR, Pass, list_passes
 from lobewise.interchange.imported import ImageReader, Imported
-from lobewise.interchange.importing.leftovers import take_noisy_alpha
-from lobewise.interchange.lighting import PartOutput, name_pass
+from lobewise.interchange.importing.leftovers import list_light_groups, list_names, take_noisy_alpha
+from lobewise.interchange.lighting import MAX_EXCESS_SHARE, PartOutput, is_smooth, measure_excess, name_pass
 from lobewise.interchange.mapping import ChannelMap, Found
 
 MAX_ALPHA_SPP = 64
@@ -37,8 +38,7 @@ def add_also(imported: Imported, patterns: Sequence[str], read: ImageReader) -> 
         )
     used = {channel for one in imported.outputs.values() for channel in one.target.channels}
     used |= {channel for one in imported.map.roles.values() for channel in one.channels}
-    layers = {layer.name: layer for layer in imported.frame.layers}
-    whole, outputs, notes = dict(imported.frame.also), dict(imported.outputs), list(imported.notes)
+    notes: list[str] = []
     for pattern in patterns:
         chosen = [(one, _pick_noisy(one)) for one in imported.map.beside if one.matches(pattern)]
         taken = [(one, channels) for one, channels in chosen if channels and not used.intersection(channels)]
@@ -53,26 +53,61 @@ def add_also(imported: Imported, patterns: Sequence[str], read: ImageReader) -> 
                 action="see lobewise inspect",
             )
         for one, channels in taken:
-            image, found_one = read(Found(one, channels)), Found(one, channels)
-            # What a single channel holds is no part of a layer.
-            owner, albedo = (None, None) if image.ndim == 2 else _look_up_owner(imported, one)
-            if owner is None:
-                name, divided = one.path, "the image"
-                whole[name] = image
-            else:
-                name, divided = f"{owner}/{one.path}", f"the layer {owner}"
-                factor = None if albedo is None else read(albedo)
-                radiance = image if factor is None else image * factor
-                layers[owner] = replace(layers[owner], parts={**layers[owner].parts, one.path: radiance})
-                outputs[name] = PartOutput(found_one, factor)
-            outputs.setdefault(name, PartOutput(found_one))
-            if image.ndim == 3:
-                notes.append(f"{found_one.label} is filtered like {divided}.")
+            found = Found(one, channels)
+            imported = _add_image(imported, found, read)
+            if len(channels) == 3:
+                notes.append(f"{found.label} is {_describe_filter(_look_up_owner(imported, one)[0])}.")
         if planes:
             more = f" and {len(planes) - 1} more single channels are" if len(planes) > 1 else " is"
             notes.append(f"{planes[0]}{more} filtered by the weights of the image.")
-    frame = imported.frame.with_changes(layers=tuple(layers.values()), also=whole)
-    return replace(imported, frame=frame, outputs=outputs, notes=tuple(notes))
+    return replace(imported, notes=(*imported.notes, *notes))
+
+
+def add_light_groups(imported: Imported, read: ImageReader) -> Imported:
+    """Return a frame with the light groups of its file added to their layers, or to the image.
+
+    Images with names of light groups that hold more light than the image or layer, or no noise, are none, and stay.
+    """
+    owned: dict[str | None, list[tuple[str, Found]]] = {}
+    for name, found in list_light_groups(imported):
+        owned.setdefault(_look_up_owner(imported, found.source)[0], []).append((name, found))
+    notes = list(imported.notes)
+    for owner, groups in owned.items():
+        added = reduce(lambda so_far, group: _add_image(so_far, group[1], read), groups, imported)
+        frame = added.frame
+        if owner is None:
+            whole, images = frame.radiance.color, [frame.also[found.source.path] for _, found in groups]
+        else:
+            (layer,) = (one for one in frame.layers if one.name == owner)
+            whole, images = layer.radiance, [layer.parts[found.source.path] for _, found in groups]
+        is_noisy = not all(map(is_smooth, images))
+        if is_noisy and measure_excess(whole, np.sum(images, axis=0, dtype=np.float32)) <= MAX_EXCESS_SHARE:
+            imported = added
+            (words,) = list_names("light group", [name for name, _ in groups])
+            notes.append(f"{words.capitalize()}: {_describe_filter(owner)}.")
+    return replace(imported, notes=tuple(notes))
+
+
+def _add_image(imported: Imported, found: Found, read: ImageReader) -> Imported:
+    """Return a frame with a pass added to its layer, or to the image, and the channels that receive the result."""
+    image, path = read(found), found.source.path
+    # What a single channel holds is no part of a layer.
+    owner, albedo = (None, None) if image.ndim == 2 else _look_up_owner(imported, found.source)
+    if owner is None:
+        frame = imported.frame.with_changes(also={**imported.frame.also, path: image})
+        return replace(imported, frame=frame, outputs={**imported.outputs, path: PartOutput(found)})
+    factor = None if albedo is None else read(albedo)
+    light = image if factor is None else image * factor
+    layers = [
+        replace(layer, parts={**layer.parts, path: light}) if layer.name == owner else layer
+        for layer in imported.frame.layers
+    ]
+    outputs = {**imported.outputs, f"{owner}/{path}": PartOutput(found, factor)}
+    return replace(imported, frame=imported.frame.with_changes(layers=tuple(layers)), outputs=outputs)
+
+
+def _describe_filter(owner: str | None) -> str:
+    return "denoised by itself" if owner is None else f"filtered like the layer {owner}"
 
 
 def add_noisy_alpha(imported: Imported, channels: ChannelMap, read: ImageReader) -> Imported:
@@ -118,6 +153,8 @@ def _look_up_owner(imported: Imported, one: Pass) -> tuple[str | None, Found | N
 def join_halves(first: Imported, second: Imported) -> Imported:
     """Return the mean of two renders with different seeds. Each render becomes one half of the samples.
 
+    Passes that only one of them has are left out, and stay noisy in the file.
+
     Raises
     ------
     InputError
@@ -150,22 +187,23 @@ def join_halves(first: Imported, second: Imported) -> Imported:
     def mix(one: FloatArray | None, other: FloatArray | None) -> FloatArray | None:
         return None if one is None or other is None else np.float32(0.5) * (one + other)
 
+    def mix_all(images: Mapping[str, FloatArray], others: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+        return {name: np.float32(0.5) * (images[name] + others[name]) for name in images if name in others}
+
     layers = []
     for one, other in zip(a.layers, b.layers, strict=True):
-        parts = {name: np.float32(0.5) * (image + other.parts[name]) for name, image in one.parts.items()}
+        parts = mix_all(one.parts, other.parts)
         albedo = one.albedo if other.albedo is None else mix(one.albedo, other.albedo)
         radiance = np.float32(0.5) * (one.radiance + other.radiance)
         layers.append(type(one)(one.name, one.lobe, radiance, albedo, one.radiance, other.radiance, parts))
-    also = {name: np.float32(0.5) * (image + b.also[name]) for name, image in a.also.items()}
-    emitted = {name: np.float32(0.5) * (image + b.unscattered[name]) for name, image in a.unscattered.items()}
     whole = {name: mix(getattr(a.radiance, name), getattr(b.radiance, name)) for name in a.radiance.names}
     frame = a.with_changes(
         radiance=Radiance(**whole),  # type: ignore[arg-type]
         half_a=a.radiance,
         half_b=b.radiance,
         layers=tuple(layers),
-        unscattered=emitted,
-        also=also,
+        unscattered=mix_all(a.unscattered, b.unscattered),
+        also=mix_all(a.also, b.also),
         alpha=mix(a.alpha, b.alpha),
         spp=None if a.spp is None else 2 * a.spp,
     )

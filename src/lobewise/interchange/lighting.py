@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lobewise.chunks import Chunk, run_chunks
 from lobewise.frame import FloatArray, Radiance, RadianceLayer
 from lobewise.guides.lamps import lift_albedo
-from lobewise.images import make_read_only
+from lobewise.images import MAX_HALF_ROUNDING, make_read_only
 from lobewise.interchange.mapping import Found, FoundLayer
 from lobewise.radiance import sum_layers
 
@@ -20,8 +20,6 @@ MAX_EXCESS_SHARE = 0.02
 """Largest share of the image's light by which the layers may exceed the image. Above it, they are not its parts."""
 MIN_REST_SHARE = 0.002
 """Share of the image's light. If more than this share is in no pass, the remaining light is examined as a layer."""
-MAX_HALF_ROUNDING = 2e-3
-"""Largest error of an image by the rounding of its passes to 16-bit floats, as a share of the pixel's light."""
 MAX_SMOOTH_DIFFERENCE = 0.05
 """Largest relative difference of the median lit pixel from the mean of its neighbours in an image without noise."""
 SMOOTH_BLOCK = 8
@@ -94,7 +92,7 @@ def take_layers(color: FloatArray, layer_passes: Sequence[FoundLayer], read: Rea
         with np.errstate(invalid="ignore", over="ignore"):
             sum_so_far = known + np.where(np.isfinite(image), image, np.float32(0.0))
         # A pass may hold the background although the image has a transparent one: then it is no part of the image.
-        if _measure_excess(color, sum_so_far) > max(MAX_EXCESS_SHARE, 2.0 * _measure_excess(color, known)):
+        if measure_excess(color, sum_so_far) > max(MAX_EXCESS_SHARE, 2.0 * measure_excess(color, known)):
             notes.append(
                 f"{one.label} holds more light than the image has beside the layers: it is not used as its part."
             )
@@ -153,7 +151,7 @@ def _make_layer(layer_pass: FoundLayer, read: Read, known: FloatArray) -> tuple[
 
 
 @np.errstate(invalid="ignore", over="ignore")
-def _measure_excess(color: FloatArray, known: FloatArray) -> float:
+def measure_excess(color: FloatArray, known: FloatArray) -> float:
     """Return the light of ``known`` above the image, as a share of the image's light."""
     good = np.isfinite(color) & np.isfinite(known)
     total = float(np.sum(color, where=good, dtype=np.float64))
@@ -198,7 +196,7 @@ def _check_sum(
     if not total > 0.0:
         return [], ["The image holds no light."], False
     apart = np.where(good, color - known, np.float32(0.0))
-    excess = _measure_excess(color, known)
+    excess = measure_excess(color, known)
     if excess > MAX_EXCESS_SHARE:
         names = ", ".join(layer.name for layer in layers)
         note = (

@@ -18,8 +18,7 @@ from lobewise.interchange.imported import ImageReader, Imported
 from lobewise.interchange.importing.leftovers import describe_left_noisy, describe_own_left_noisy
 from lobewise.interchange.importing.steps import import_foreign
 from lobewise.interchange.importing.surfaces import WRAPS_AROUND
-from lobewise.interchange.joining import add_also, add_noisy_alpha, join_halves
-from lobewise.interchange.lighting import name_pass
+from lobewise.interchange.joining import add_also, add_light_groups, add_noisy_alpha, join_halves
 from lobewise.interchange.mapping import map_channels
 from lobewise.interchange.selections import Selection, look_up_mapped_view
 from lobewise.interchange.siblings import look_up_family
@@ -31,7 +30,6 @@ from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.schema import SCHEMA
 from lobewise.io.files import PathLike
 from lobewise.lobe_table import LobeTable
-from lobewise.radiance import RadianceLayer
 
 MAX_SELECTIONS = 256
 """Most pairs of a view and a view layer in a file."""
@@ -188,6 +186,7 @@ def import_file(
     lobe_tables: Sequence[LobeTable] | None = None,
     also: Sequence[str] = (),
     light_passes: bool = False,
+    light_groups: bool = True,
     view: str | None = None,
     layer: str | None = None,
     denoised: Collection[Selection] = (),
@@ -204,6 +203,8 @@ def import_file(
         name begins its own (``DiffDir_key``), else like the image.
     light_passes : bool
         Whether each pass of a layer (direct, indirect) is filtered too, so that it can be written back.
+    light_groups : bool
+        Whether light groups are found and filtered, see `add_light_groups`, as far as ``light_passes`` lets them.
     denoised : collection of Selection
         Further views and view layers that are denoised, so that no note says that they stay noisy.
 
@@ -218,14 +219,7 @@ def import_file(
     family = look_up_family(container)
     read = ImageReader(family.decode)
     if preset is None and not mapping and is_own(container):
-        require_shaded(container)
-        if view is not None or layer is not None:
-            raise InputError(
-                "view" if layer is None else "layer",
-                expected="a file of another renderer",
-                got="a file with lobewise's own channel names, of which the first view is read",
-                action="leave it out",
-            )
+        _refuse_selection(container, view, layer)
         frame = read_whole(path, container, lobe_tables)
         frame = frame if camera is None else frame.with_changes(camera=camera)
         imported = Imported(
@@ -239,23 +233,40 @@ def import_file(
             channels = map_channels(family.container, preset=preset, mapping=mapping, view=view, layer=layer)
             imported, read = import_foreign(container, read, channels, camera, wraps=wraps)
         imported = replace(imported, notes=(*told, *imported.notes))
+    if not light_passes:
+        layers = tuple(replace(layer, parts={}) for layer in imported.frame.layers)
+        imported = replace(imported, frame=imported.frame.with_changes(layers=layers))
     if also:
         with name_file(path):
             imported = add_also(imported, also, read)
+    if light_groups:
+        grouped = add_light_groups(imported, read)
+        imported = grouped if light_passes else replace(imported, outputs=grouped.outputs)
     if imported.map is not None:
         selection = imported.map.selection
         imported = add_noisy_alpha(imported, imported.map, read)
         notes = describe_left_noisy(imported, read, {selection, *denoised})
         imported = replace(imported, frame=imported.frame.with_changes(notes=notes))
-    if not light_passes:
-        imported = _leave_passes(imported)
     if half is None:
         return imported
     options: dict[str, Any] = {"preset": preset, "mapping": mapping, "camera": camera, "lobe_tables": lobe_tables}
-    options |= {"also": also, "light_passes": light_passes, "view": view, "layer": layer, "wraps": wraps}
+    options |= {"also": also, "light_passes": light_passes, "light_groups": light_groups}
+    options |= {"view": view, "layer": layer, "wraps": wraps}
     other = import_file(half, **options)
     with name_file(half):
         return join_halves(imported, other)
+
+
+def _refuse_selection(container: Container, view: str | None, layer: str | None) -> None:
+    """Raise InputError if a file in lobewise's own names was shaded sparsely, or a view or view layer is named."""
+    require_shaded(container)
+    if view is not None or layer is not None:
+        raise InputError(
+            "view" if layer is None else "layer",
+            expected="a file of another renderer",
+            got="a file with lobewise's own channel names, of which the first view is read",
+            action="leave it out",
+        )
 
 
 def require_no_tables(path: PathLike, lobe_tables: Sequence[LobeTable] | None) -> None:
@@ -297,16 +308,3 @@ def import_planes(
     container = Container(Path("memory"), 2, (part,))
     read = ImageReader(lambda part, names: planes)
     return import_foreign(container, read, map_channels(container, preset=preset, mapping=mapping), camera)[0]
-
-
-def _leave_passes(imported: Imported) -> Imported:
-    """Return the import without the layer parts that come from the preset; passes added by ``also`` stay."""
-    rules = imported.map.layers if imported.map else ()
-    passes = {(each.rule.name, name_pass(one.source.path)) for each in rules for one in each.light}
-
-    def strip(layer: RadianceLayer) -> RadianceLayer:
-        parts = {part: image for part, image in layer.parts.items() if (layer.name, part) not in passes}
-        return replace(layer, parts=parts)
-
-    layers = tuple(map(strip, imported.frame.layers))
-    return replace(imported, frame=imported.frame.with_changes(layers=layers)) if layers else imported

@@ -54,7 +54,8 @@ if TYPE_CHECKING:
     from typing_extensions import Unpack
 
 ALPHA_STAYS = "The opacity of the frame is not filtered."
-"""What a filter over time says of `Frame.alpha`."""
+ALSO_STAYS = "The light groups and other images beside the image are not filtered."
+"""What a filter over time says of `Frame.alpha` and `Frame.also`."""
 BORDERS_APART = "The image wraps around: a filter over time filters its borders apart, and compares no places."
 HISTORY_SHARE = 3.0
 """Memory of the history, as a multiple of that of a frame."""
@@ -199,6 +200,7 @@ class TemporalFilter:
             notes += (
                 *frame.notes,
                 *(() if frame.alpha is None else (ALPHA_STAYS,)),
+                *((ALSO_STAYS,) if frame.also else ()),
                 *((BORDERS_APART,) if frame.wraps else ()),
             )
         frame, below = split_negative(frame)

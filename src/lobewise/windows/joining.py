@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.denoising.also import keep_sum
 from lobewise.denoising.bad_pixels import mark_good
 from lobewise.filters.windows.weighing import compare_pilots, estimate_relative_bias, estimate_variance
 from lobewise.frame import FloatArray, Frame, Result
@@ -273,7 +274,7 @@ def _join_also(
     for name, image in own.also.items():
         mean = totals[name] * inverse
         joined[name] = np.where(known[..., None], np.where(edge[..., None], mean, multiply(mean, albedo)), image)
-    return _keep_sum(own, frame, joined)
+    return keep_sum(joined, own.also, own.radiance.color, frame.radiance.color)
 
 
 def _add_albedos(layers: Mapping[str, LayerImages]) -> FloatArray | None:
@@ -282,14 +283,3 @@ def _add_albedos(layers: Mapping[str, LayerImages]) -> FloatArray | None:
     if len(albedos) < len(layers):
         return None
     return np.asarray(np.sum(albedos, axis=0, dtype=np.float32))
-
-
-def _keep_sum(own: Frame, frame: Frame, joined: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """Return images scaled so that they sum to the total of ``frame``, if they did in ``own``."""
-    color = np.nan_to_num(own.radiance.color)
-    before = np.sum([np.nan_to_num(image) for image in own.also.values()], axis=0, dtype=np.float32)
-    if not bool((np.abs(before - color) <= np.float32(2e-3) * np.abs(color) + np.float32(1e-6)).all()):
-        return dict(joined)
-    after = np.sum([np.nan_to_num(image) for image in joined.values()], axis=0, dtype=np.float32)
-    ratio = np.divide(frame.radiance.color, after, out=np.ones_like(after), where=after > 0.0)
-    return {name: image * ratio for name, image in joined.items()}

@@ -138,11 +138,16 @@ class PassReading(Reading):
         ),
     ] = None
 
+    light_groups: Annotated[
+        bool, file_detail("--light-groups/--no-light-groups", help="Denoise the light groups of the file as well.")
+    ] = True
+
     all_layers: Annotated[bool, file_option("--all-layers", help="Denoise every view layer of the file.")] = False
 
     def list_words(self) -> list[str]:
         """Return the options that the user gave, as words of a command line."""
-        own = _list_words({"--also": self.also}) + (["--all-layers"] if self.all_layers else [])
+        own = _list_words({"--also": self.also}) + ([] if self.light_groups else ["--no-light-groups"])
+        own += ["--all-layers"] if self.all_layers else []
         return super().list_words() + own
 
     def list_selections(self, path: Path) -> tuple[Selection, ...]:
@@ -191,6 +196,7 @@ class PassReading(Reading):
             lobe_tables=tables,
             also=self.also or (),
             light_passes=True,
+            light_groups=self.light_groups,
             view=selection.view or None,
             layer=selection.layer or None,
             denoised=denoised,

@@ -12,7 +12,7 @@ from lobewise.images import is_band
 from lobewise.interchange.channels import COLOR, Pass, list_views
 from lobewise.interchange.imported import ImageReader, Imported
 from lobewise.interchange.lighting import is_smooth, name_pass
-from lobewise.interchange.mapping import ChannelMap, Found
+from lobewise.interchange.mapping import ChannelMap, Found, Key
 from lobewise.interchange.preset import load_presets
 from lobewise.interchange.selections import Selection
 from lobewise.interchange.siblings import FIRST_SIBLING_INDEX
@@ -52,10 +52,10 @@ def describe_left_noisy(
     unused = list(_list_unused(imported, channels))
     views, layers = ({getattr(each, what): None for each in channels.selections} for what in ("view", "layer"))
     words = [
-        *_name("view", [each for each in views if each not in {one.view for one in denoised}]),
-        *_name("view layer", [each for each in layers if each not in {one.layer for one in denoised}]),
-        *_name("light group", _list_groups(channels, unused)),
-        *_name("pass of light", _list_light(channels, unused, read), many="passes of light"),
+        *list_names("view", [each for each in views if each not in {one.view for one in denoised}]),
+        *list_names("view layer", [each for each in layers if each not in {one.layer for one in denoised}]),
+        *list_names("light group", [name for name, _ in _pick_groups(channels, unused)]),
+        *list_names("pass of light", _list_light(channels, unused, read), many="passes of light"),
         *_name_pictures(channels, [one for one in unused if _is_picture(channels, one.source)], read),
         *(["alpha"] if alpha_stays else []),
         *_count_bands(imported, channels),
@@ -67,15 +67,18 @@ def describe_own_left_noisy(container: Container) -> tuple[str, ...]:
     """Return the sentence of `describe_left_noisy` for a file in lobewise's own channel names."""
     names = {channel.name for part in container.parts for channel in part.channels}
     light = [word for word in OWN_PARTS if f"{word}.R" in names]
-    return _say([*_name("view", list_views(container)[1:]), *_name("pass of light", light, many="passes of light")])
+    return _say(
+        [*list_names("view", list_views(container)[1:]), *list_names("pass of light", light, many="passes of light")]
+    )
 
 
 def _say(words: Sequence[str]) -> tuple[str, ...]:
     return (f"Left noisy: {', '.join(words)}.",) if words else ()
 
 
-def _name(what: str, names: Sequence[str], many: str = "") -> list[str]:
+def list_names(what: str, names: Iterable[str], many: str = "") -> list[str]:
     """Return the names of things of one kind in a list of at most one text: ``views 'left', 'right'``."""
+    names = list(dict.fromkeys(names))
     if not names:
         return []
     names_shown = ", ".join(repr(show_name(name)) for name in names[:MAX_NAMES])
@@ -109,14 +112,25 @@ def _is_light(channels: ChannelMap, one: Pass) -> bool:
     return any(one.matches(name) for rule in rules for name in rule.light)
 
 
-def _list_groups(channels: ChannelMap, unused: Iterable[Found]) -> list[str]:
-    names: dict[str, None] = {}
+def list_light_groups(imported: Imported) -> list[tuple[str, Found]]:
+    """Return the light groups of a file that no result is written to: the name of each light, and the image."""
+    channels = imported.map
+    # Light groups are parts of the picture, not of another image that the user chose.
+    if channels is None or not _is_picture(channels, channels.roles["color"].source):
+        return []
+    return _pick_groups(channels, list(_list_unused(imported, channels)))
+
+
+def _pick_groups(channels: ChannelMap, unused: Sequence[Found]) -> list[tuple[str, Found]]:
+    groups: dict[Key, tuple[str, Found]] = {}
     for pattern in channels.preset.light_groups:
-        for one in (found.source for found in unused):
+        for found in unused:
+            one = found.source
             if one.matches(pattern) and not _is_light(channels, one) and not _is_picture(channels, one):
                 last, beginning = name_pass(one.path), pattern.rstrip("*")
-                names[last if "*" in beginning else last[len(beginning) :].lstrip("_") or last] = None
-    return list(names)
+                name = last if "*" in beginning else last[len(beginning) :].lstrip("_") or last
+                groups.setdefault(found.key, (name, found))
+    return list(groups.values())
 
 
 def _list_light(channels: ChannelMap, unused: Iterable[Found], read: ImageReader) -> list[str]:
@@ -138,11 +152,11 @@ def _name_pictures(channels: ChannelMap, alike: Sequence[Found], read: ImageRead
     if not alike:
         return []
     if not _is_picture(channels, channels.roles["color"].source):
-        return _name("picture", [one.source.path for one in alike])
+        return list_names("picture", [one.source.path for one in alike])
     picture = _take_finite(read, channels.roles["color"])
     most = MAX_COPY_DIFFERENCE * float(np.abs(picture).mean())
     copies = [one.source.path for one in alike if float(np.abs(_take_finite(read, one) - picture).mean()) <= most]
-    return _name("copy of the picture", copies, many="copies of the picture")
+    return list_names("copy of the picture", copies, many="copies of the picture")
 
 
 def _take_finite(read: ImageReader, found: Found) -> FloatArray:
