@@ -14,7 +14,7 @@ from lobewise.errors import InputError
 from lobewise.frame import Radiance
 from lobewise.interactive import InteractiveSettings, Session
 from lobewise.interactive.frames import STAGES
-from lobewise.interactive.views import VIEWS
+from lobewise.interactive.settings import VIEWS
 from lobewise.metrics import rel_mse
 from lobewise.render import load_scene, make_orbit
 from lobewise.temporal import TemporalFilter

@@ -9,7 +9,7 @@ from multiprocessing.connection import Connection
 import numpy as np
 
 from lobewise.camera import Camera
-from lobewise.interactive.settings import METHODS, InteractiveSettings
+from lobewise.interactive.settings import InteractiveSettings
 from lobewise.viewer.messages import Description, Opened, Picture, Problem, Request, Save, SavedFile, Target
 
 SECONDS = 0.15
@@ -27,7 +27,7 @@ def run_slow_worker(pipe: Connection, target: Target) -> None:
         return
     unseen = UNSEEN if target.name == "foggy" else ""
     look = InteractiveSettings(similarity="none")
-    pipe.send(Opened(Description(look, 4, 4, CAMERA, methods=METHODS, similarities=("normal", "none"), unseen=unseen)))
+    pipe.send(Opened(Description(look, 4, 4, CAMERA, unseen=unseen)))
     forgotten: list[int] = []
     while (order := pipe.recv()) is not None:
         if isinstance(order, Request):

@@ -6,11 +6,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from lobewise.interactive.settings import METHODS, InteractiveSettings
-from lobewise.viewer.looks import SCENE_SIMILARITIES
-from lobewise.viewer.messages import Description
+from lobewise.interactive.settings import InteractiveSettings
 from lobewise.viewer.panel import LookPanel
-from tests.viewer.slow_worker import CAMERA
 
 
 class Page:
@@ -39,8 +36,7 @@ class Page:
 def make_panel(look):
     """Return a page and the panel on it."""
     page = Page()
-    described = Description(look, 64, 64, CAMERA, similarities=SCENE_SIMILARITIES, methods=METHODS)
-    return page, LookPanel(page, described, look, lambda: None)
+    return page, LookPanel(page, look, lambda: None)
 
 
 @pytest.mark.parametrize(

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from lobewise.display.tones import map_tones, map_tones_quickly
-from lobewise.interactive.settings import InteractiveSettings
+from lobewise.interactive.settings import VIEWS, InteractiveSettings
 from lobewise.viewer.looks import name_sides
 from lobewise.viewer.messages import Window
-from lobewise.viewer.pictures import BARS, LEGENDS, MAX_STOPS, VIEWS, choose_stops, fit_window, paint, wipe
+from lobewise.viewer.pictures import BARS, LEGENDS, MAX_STOPS, choose_stops, fit_window, paint, wipe
 
 
 class TestTones:
@@ -44,7 +44,7 @@ class TestPaint:
 
     def test_nothing_but_radiance_has_an_exposure(self):
         values = np.full((2, 2, 3), 0.25, np.float32)
-        for view in VIEWS:
+        for view in (*VIEWS, "effective_samples"):
             array = values if view in ("normal", "albedo") or view not in LEGENDS else values[..., 0]
             differs = (paint(view, array, 1.0) != paint(view, array, 2.0)).any()
             assert differs == (view not in LEGENDS and view != "albedo"), view

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 from lobewise.camera import Camera
 from lobewise.errors import require_choice
 from lobewise.frame import FloatArray, Frame, Radiance, Result
-from lobewise.interactive.settings import InteractiveSettings
-from lobewise.interactive.views import VIEWS, Parts, make_view
+from lobewise.interactive.settings import VIEWS, InteractiveSettings
+from lobewise.interactive.views import Parts, make_view
 
 STAGES = ("gbuffer", "indirect", "upsampling", "adaptive", "composite")
 """Stages that are timed, in their order. Direct light counts as part of "gbuffer"."""

@@ -20,6 +20,23 @@ MAX_SHOWN_SHARPNESS = 1e6
 """Sharpness that the views show brightest, inverse square radians."""
 MAX_SHOWN_FRAMES = 40.0
 """History length that the views show brightest, frames."""
+MAX_SHOWN_SAMPLES = 256.0
+"""Number of effective samples that the views show brightest."""
+VIEWS = {
+    "image": "image",
+    "noisy": "noisy input",
+    "direct": "direct light",
+    "indirect": "indirect light",
+    "sharpness": "lobe sharpness",
+    "weight_sum": "weight sum",
+    "history": "history length",
+    "recomputed": "re-computed pixels",
+    "hit_distance": "hit distance",
+    "normal": "normals",
+    "albedo": "albedo",
+}
+"""Views of a frame by their names, with their titles. "image", "noisy", "direct" and "indirect" are radiance, "normal"
+and "albedo" are colours, and the others are numbers in [0, 1]."""
 _OF_THE_FILTER = ("beta", "radius", "screen_sigma", "tau", "normal_exponent")
 
 

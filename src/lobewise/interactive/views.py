@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lobewise.camera import Camera
+from lobewise.errors import MissingChannelError
 from lobewise.frame import FloatArray, GBuffer, Result
 from lobewise.guides.lobe_fields import default_tau, make_sg_field
-from lobewise.interactive.settings import MAX_SHOWN_FRAMES, MAX_SHOWN_SHARPNESS
+from lobewise.interactive.settings import MAX_SHOWN_FRAMES, MAX_SHOWN_SAMPLES, MAX_SHOWN_SHARPNESS
 from lobewise.sparse_frame import SparseFrame
 
 if TYPE_CHECKING:
@@ -43,7 +44,11 @@ class Parts:
 
 def make_view(name: str, image: FloatArray, parts: Parts) -> FloatArray:
     """Return a view of a frame; see `lobewise.interactive.InteractiveFrame.get_view`."""
-    return image if name == "image" else np.asarray(_MAKERS[name](parts), dtype=np.float32)
+    if name == "image":
+        return image
+    hits = parts.hits
+    view = _MAKERS[name](parts) if name in _MAKERS else show_guide(name, hits.gbuffer, parts.before, hits.camera, None)
+    return np.asarray(view, dtype=np.float32)
 
 
 def spread_samples(samples: FloatArray, scale: int, shape: tuple[int, int], start: tuple[int, int]) -> FloatArray:
@@ -58,32 +63,50 @@ def spread_samples(samples: FloatArray, scale: int, shape: tuple[int, int], star
     return np.asarray(samples[rows[:, None], columns[None, :]])
 
 
-def show_sharpness(gbuffer: GBuffer, camera: Camera, tau: float) -> FloatArray:
-    """Return the band-limited sharpness of every lobe, logarithmic: 0 for 1, 1 for `MAX_SHOWN_SHARPNESS`."""
-    lobes = make_sg_field(gbuffer, camera, tau=tau, diffuse_fallback=True)
-    shown = np.log(np.maximum(lobes.sharpness, 1.0)) / np.log(MAX_SHOWN_SHARPNESS)
-    return np.asarray(np.where(lobes.valid, np.clip(shown, 0.0, 1.0), 0.0), np.float32)
+def show_guide(name: str, gbuffer: GBuffer, result: Result, camera: Camera | None, tau: float | None) -> FloatArray:
+    """Return a view of guides, or of how much supports a result: colours or numbers in [0, 1].
 
+    Parameters
+    ----------
+    name : str
+        "sharpness": the band-limited sharpness of every lobe, logarithmic: 0 for 1, 1 for `MAX_SHOWN_SHARPNESS`.
+        "weight_sum": ``W / (1 + W)``, so that one sample that matches fully is one half. "effective_samples":
+        logarithmic, 1 for `MAX_SHOWN_SAMPLES`. "hit_distance": ``t / (t + depth)`` of the hit distance t, 0 for a hit
+        on the surface itself, 1 at infinity. "normal": x, y and z from -1 to 1 as colours from 0 to 1, black where
+        there is no surface. "albedo": the sum of both albedos.
+    gbuffer : GBuffer
+    result : Result
+    camera : Camera, optional
+        Needed by "sharpness".
+    tau : float, optional
+        The band-limit, radians; by default that of `default_tau`.
 
-def show_weight_sum(weight_sum: FloatArray) -> FloatArray:
-    """Return ``W / (1 + W)``. One sample that matches fully has W = 1, so one half."""
-    return np.asarray(weight_sum / (1.0 + weight_sum))
-
-
-def show_hit_distance(hit_distance: FloatArray, depth: FloatArray) -> FloatArray:
-    """Return ``t / (t + depth)`` of the hit distance t: 0 for a hit on the surface itself, 1 at infinity."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        share = hit_distance / (hit_distance + depth)
-    return np.where(np.isinf(hit_distance), np.float32(1.0), np.nan_to_num(share))
-
-
-def show_normal(normal: FloatArray, has_surface: NDArray[np.bool_]) -> FloatArray:
-    """Return x, y and z from -1 to 1 as red, green and blue from 0 to 1, black where there is no surface."""
-    return np.where(has_surface[..., None], 0.5 + 0.5 * normal, np.float32(0.0))
-
-
-def show_albedo(diffuse: FloatArray, specular: FloatArray) -> FloatArray:
-    """Return the sum of both albedos, clipped to [0, 1]."""
+    Raises
+    ------
+    MissingChannelError
+        If a guide of the view is missing.
+    """
+    if name == "weight_sum":
+        return np.asarray(result.weight_sum / (1.0 + result.weight_sum))
+    if name == "effective_samples":
+        count = np.clip(result.effective_samples, 1.0, MAX_SHOWN_SAMPLES)
+        return np.asarray(np.log(count) / math.log(MAX_SHOWN_SAMPLES))
+    if name == "sharpness":
+        if camera is None:
+            raise MissingChannelError("lobe sharpness: expected a camera in the header, got none; write one.")
+        tau = default_tau(camera, result.image.shape[0]) if tau is None else tau
+        lobes = make_sg_field(gbuffer, camera, tau=tau, diffuse_fallback=True)
+        shown = np.log(np.maximum(lobes.sharpness, 1.0)) / np.log(MAX_SHOWN_SHARPNESS)
+        return np.asarray(np.where(lobes.valid, np.clip(shown, 0.0, 1.0), 0.0))
+    if name == "hit_distance":
+        distance, depth = (gbuffer.require(one, "this view") for one in ("hit_distance", "depth"))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            share = distance / (distance + depth)
+        return np.where(np.isinf(distance), np.float32(1.0), np.nan_to_num(share))
+    if name == "normal":
+        normal = gbuffer.require("normal", "this view")
+        return np.where(np.any(normal != 0.0, axis=-1, keepdims=True), 0.5 + 0.5 * normal, np.float32(0.0))
+    diffuse, specular = (gbuffer.require(f"{part}_albedo", "this view") for part in ("diffuse", "specular"))
     return np.asarray(np.clip(diffuse + specular, 0.0, 1.0))
 
 
@@ -93,45 +116,17 @@ def _make_noisy(parts: Parts) -> FloatArray:
     return np.asarray(parts.noisy_direct.total + samples)
 
 
-def _make_sharpness(parts: Parts) -> FloatArray:
-    hits = parts.hits
-    return show_sharpness(hits.gbuffer, hits.camera, default_tau(hits.camera, parts.sparse.height))
-
-
 def _make_history(parts: Parts) -> FloatArray:
     if parts.history is None:
         return np.zeros(parts.sparse.shape, np.float32)
     return np.asarray(np.clip(parts.history / MAX_SHOWN_FRAMES, 0.0, 1.0))
 
 
-def _make_hit_distance(parts: Parts) -> FloatArray:
-    gbuffer: Any = parts.hits.gbuffer
-    return show_hit_distance(gbuffer.hit_distance, gbuffer.depth)
-
-
-def _make_normal(parts: Parts) -> FloatArray:
-    gbuffer: Any = parts.hits.gbuffer
-    return show_normal(gbuffer.normal, gbuffer.depth > 0.0)
-
-
-def _make_albedo(parts: Parts) -> FloatArray:
-    gbuffer: Any = parts.hits.gbuffer
-    return show_albedo(gbuffer.diffuse_albedo, gbuffer.specular_albedo)
-
-
 _MAKERS: dict[str, Callable[[Parts], FloatArray]] = {
     "noisy": _make_noisy,
     "direct": lambda parts: parts.direct.total,
     "indirect": lambda parts: parts.indirect,
-    "sharpness": _make_sharpness,
-    "weight_sum": lambda parts: show_weight_sum(parts.before.weight_sum),
     "history": _make_history,
     "recomputed": lambda parts: parts.result.weight_sum != parts.before.weight_sum,
-    "hit_distance": _make_hit_distance,
-    "normal": _make_normal,
-    "albedo": _make_albedo,
 }
-
-VIEWS = ("image", *_MAKERS)
-"""Names of the views. "image", "noisy", "direct" and "indirect" are radiance, "normal" and "albedo" are colours, and
-the others are numbers in [0, 1]."""
+"""The views that finished frames have not."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from lobewise.errors import LobewiseError
-from lobewise.interactive.settings import UNFILTERED, InteractiveSettings, Unfiltered
+from lobewise.interactive.settings import UNFILTERED, InteractiveSettings
 from lobewise.settings import SimilarityName
 from lobewise.viewer.cameras import CameraMap, place_camera, read_pose
 from lobewise.viewer.door.incoming import Control
@@ -145,7 +145,7 @@ class Audience:
 
         actions = Actions(render, redraw, reset, expose, lambda kind: self.link.save(guest.client.client_id, kind))
         look = replace(description.look, **self._changes)
-        panel = Panel(gui, description, look, choose_other(description, look), actions, fixed_size=self._fixed_size)
+        panel = Panel(gui, description, look, choose_other(look), actions, fixed_size=self._fixed_size)
         guest.panel, guest.status = panel, panel.status
         self.controls.update(panel.controls)
         place_camera(guest.client.camera, self.cameras.start)
@@ -301,11 +301,9 @@ BASELINE: SimilarityName = "normal"
 """Similarity that the right of the wipe shows at first."""
 
 
-def choose_other(description: Description, look: InteractiveSettings) -> InteractiveSettings:
+def choose_other(look: InteractiveSettings) -> InteractiveSettings:
     """Return the first look right of the wipe: the normal-aware filter, or no filter if the left side has it."""
-    has_baseline = BASELINE in description.similarities and look.similarity != BASELINE
-    plain: SimilarityName | Unfiltered = BASELINE if has_baseline else UNFILTERED
-    return replace(look, similarity=plain)
+    return replace(look, similarity=UNFILTERED if look.similarity == BASELINE else BASELINE)
 
 
 def _make_blank() -> Any:

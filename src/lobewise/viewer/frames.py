@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 import threading
 from collections import OrderedDict
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +15,10 @@ from numpy.typing import NDArray
 from lobewise.denoising import resolve_settings
 from lobewise.denoising.recipe import denoise_quietly
 from lobewise.display.colors import convert_light
-from lobewise.errors import InputError, LobewiseError, MissingChannelError, require_choice
+from lobewise.errors import InputError, LobewiseError, require_choice
 from lobewise.frame import FloatArray, Frame, Radiance, Result
-from lobewise.guides.lobe_fields import default_tau
-from lobewise.interactive.views import (
-    show_albedo,
-    show_hit_distance,
-    show_normal,
-    show_sharpness,
-    show_weight_sum,
-    spread_samples,
-)
+from lobewise.interactive.settings import VIEWS
+from lobewise.interactive.views import show_guide, spread_samples
 from lobewise.interchange import Imported, import_file, read_image, read_light, write_result
 from lobewise.io.exr import write_frame
 from lobewise.io.exr.header import read_chromaticities
@@ -38,7 +31,7 @@ from lobewise.settings.choices import QUALITIES, SIMILARITIES
 from lobewise.sparse_frame import SparseFrame
 from lobewise.upsampling import DEFAULT_RADIUS, upsample
 from lobewise.viewer.messages import FrameReading
-from lobewise.viewer.pictures import LEGENDS, MAX_SHOWN_SAMPLES, MAX_STOPS, RADIANCE, VIEWS, choose_stops, paint
+from lobewise.viewer.pictures import LEGENDS, MAX_STOPS, RADIANCE, choose_stops, paint
 
 _MAX_RESULTS = 8
 """Filtered images that are kept in memory, of all browsers."""
@@ -51,7 +44,15 @@ SLIDERS = {
 """Ends and step of the sliders. That of the band-limit ``tau`` is a base-10 logarithm."""
 CONTROLS = ("similarity", "quality", "form", *SLIDERS, "hit_distance")
 """Settings that have a control on the page."""
-_TITLES = {"noisy": "noisy", "image": "auto", "reference": "reference"}
+_TITLES = {
+    **VIEWS,
+    "noisy": "noisy",
+    "image": "auto",
+    "reference": "reference",
+    "diffuse": "diffuse light",
+    "specular": "specular light",
+    "effective_samples": "effective samples",
+}
 
 
 class FrameTarget:
@@ -113,7 +114,7 @@ class FrameTarget:
             "height": frame.height,
             "stops": self.stops,
             "max_stops": MAX_STOPS,
-            "pictures": {name: _TITLES.get(name) or VIEWS[name] for name, there in has.items() if there},
+            "pictures": {name: _TITLES[name] for name, there in has.items() if there},
             "legends": LEGENDS,
             "controls": self._list_controls(),
         }
@@ -267,21 +268,14 @@ class FrameTarget:
         return convert_light(image, self._primaries)
 
     def _show_guide(self, name: str, result: Result) -> FloatArray:
-        guides = self._frame.gbuffer
-        if name == "weight_sum":
-            return show_weight_sum(result.weight_sum)
-        if name == "effective_samples":
-            count = np.clip(result.effective_samples, 1.0, MAX_SHOWN_SAMPLES)
-            return np.asarray(np.log(count) / math.log(MAX_SHOWN_SAMPLES), dtype=np.float32)
-        if name == "sharpness":
-            return _show_sharpness(self._frame, result)
-        if name == "hit_distance":
-            return show_hit_distance(guides.require("hit_distance", "this view"), guides.require("depth", "this view"))
-        if name == "normal":
-            normal = guides.require("normal", "this view")
-            return show_normal(normal, np.any(normal != 0.0, axis=-1))
-        diffuse, specular = (guides.require(f"{part}_albedo", "this view") for part in ("diffuse", "specular"))
-        return show_albedo(diffuse, specular)
+        tau: Any = result.settings.get("tau")
+        if name == "sharpness" and not isinstance(tau, float):
+            # A similarity without lobes has no band-limit: take the one of the usual similarity.
+            tau = None
+            with suppress(LobewiseError):
+                tau = resolve_settings(self._frame, DenoiseSettings()).tau
+        view = show_guide(name, self._frame.gbuffer, result, self._frame.camera, tau)
+        return np.asarray(view, dtype=np.float32)
 
 
 def _spread(frame: Frame | SparseFrame, name: str = "color") -> FloatArray:
@@ -290,19 +284,3 @@ def _spread(frame: Frame | SparseFrame, name: str = "color") -> FloatArray:
     if isinstance(frame, Frame):
         return image
     return np.ascontiguousarray(spread_samples(image, frame.scale, frame.shape, frame.place))
-
-
-def _show_sharpness(frame: Frame | SparseFrame, result: Result) -> FloatArray:
-    """Return the sharpness of the lobes with the band-limit that the result was filtered with."""
-    if frame.camera is None:
-        raise MissingChannelError("lobe sharpness: expected a camera in the header, got none; write one.")
-    tau: Any = result.settings.get("tau")
-    return show_sharpness(frame.gbuffer, frame.camera, tau if isinstance(tau, float) else resolve_tau(frame))
-
-
-def resolve_tau(frame: Frame | SparseFrame) -> float:
-    """Return the band-limit that "auto" stands for on a frame."""
-    try:
-        return resolve_settings(frame, DenoiseSettings()).tau
-    except LobewiseError:
-        return default_tau(frame.require_camera("lobe sharpness"), frame.height)

@@ -54,10 +54,6 @@ class Description:
     """The first camera."""
     look_at: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """The point about which an orbit turns."""
-    # Choices of the controls. Views are keys of `lobewise.viewer.pictures.VIEWS`.
-    methods: tuple[str, ...] = ()
-    similarities: tuple[str, ...] = ()
-    views: tuple[str, ...] = ("image",)
     moves: bool = False
     """Whether objects of a scene move."""
     unseen: str = ""
@@ -92,7 +88,7 @@ class Request:
     wipe: float = 0.5
     """Position of the line, from 0 at the left to 1 at the right."""
     view: str = "image"
-    """A key of `lobewise.viewer.pictures.VIEWS`."""
+    """One of `lobewise.interactive.settings.VIEWS`."""
     stops: float | None = None
     """Exposure, base-2 logarithm; None to choose it from the image."""
     size: tuple[int, int] = (512, 512)

@@ -6,12 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-from lobewise.interactive.settings import InteractiveSettings
+from lobewise.interactive.settings import METHODS, VIEWS, InteractiveSettings
 from lobewise.settings import Knob
 from lobewise.viewer.door.incoming import Control
-from lobewise.viewer.looks import KNOBS, SCENE_CONTROLS
+from lobewise.viewer.looks import KNOBS, SCENE_CONTROLS, SCENE_SIMILARITIES
 from lobewise.viewer.messages import Description
-from lobewise.viewer.pictures import LEGENDS, MAX_STOPS, VIEWS
+from lobewise.viewer.pictures import LEGENDS, MAX_STOPS
 from lobewise.viewer.status import write_message
 
 NAMES = {
@@ -58,22 +58,18 @@ class LookPanel:
     ----------
     gui : viser's GUI
         Controls are added to its current folder.
-    found : Description
-        The choices.
     look : InteractiveSettings
         The first settings.
     changed : callable
         Called when the user changed a setting.
     """
 
-    def __init__(
-        self, gui: Any, description: Description, look: InteractiveSettings, changed: Callable[[], None]
-    ) -> None:
+    def __init__(self, gui: Any, look: InteractiveSettings, changed: Callable[[], None]) -> None:
         self._gui = gui
         self._changed = changed
         self._look = look
         self._handles: dict[str, Any] = {}
-        choices = {"method": description.methods, "similarity": description.similarities}
+        choices = {"method": METHODS, "similarity": SCENE_SIMILARITIES}
         for field in SCENE_CONTROLS:
             knob, value = KNOBS[field], getattr(look, field)
             if field in choices:
@@ -168,8 +164,8 @@ class Panel:
     Parameters
     ----------
     gui : viser's GUI of that browser
-    found : Description
-        The choices.
+    description : Description
+        The target.
     look, other : InteractiveSettings
         The first settings of the left and the right side.
     actions : Actions
@@ -191,8 +187,7 @@ class Panel:
         self._actions = actions
         self.status = gui.add_html("")
         with gui.add_folder("View"):
-            names = [VIEWS[name] for name in description.views]
-            self._view = gui.add_dropdown("Show", names, hint="The image, or what happens inside.")
+            self._view = gui.add_dropdown("Show", list(VIEWS.values()), hint="The image, or what happens inside.")
             self._legend = gui.add_html("", visible=False)
             self._stops = gui.add_slider(
                 "Exposure, stops", -MAX_STOPS, MAX_STOPS, 0.1, 0.0, hint="Each stop doubles the light."
@@ -210,10 +205,10 @@ class Panel:
             self._wiped = gui.add_checkbox("Compare A, B", False, hint="Left of the line A, right of it B.")
             self._place = gui.add_slider("Line", 0.0, 1.0, 0.005, 0.5, visible=False, hint="Where the line is.")
         with gui.add_folder("Settings A"):
-            self.left = LookPanel(gui, description, look, actions.render)
+            self.left = LookPanel(gui, look, actions.render)
         self._right_folder = gui.add_folder("Settings B", visible=False)
         with self._right_folder:
-            self.right = LookPanel(gui, description, other, actions.render)
+            self.right = LookPanel(gui, other, actions.render)
         self._adapt: Any = None
         with gui.add_folder("Pace"):
             knob = KNOBS["accumulate"]
@@ -233,8 +228,8 @@ class Panel:
 
     @property
     def view(self) -> str:
-        """The chosen view, a key of `VIEWS`."""
-        return next(name for name, shown in VIEWS.items() if shown == self._view.value)
+        """The chosen view, one of `VIEWS`."""
+        return next(name for name, title in VIEWS.items() if title == self._view.value)
 
     @property
     def stops(self) -> float:

@@ -9,33 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.display.tones import choose_exposure, make_error_palette, map_tones_quickly
-from lobewise.interactive.settings import MAX_SHOWN_FRAMES, MAX_SHOWN_SHARPNESS
+from lobewise.interactive.settings import MAX_SHOWN_FRAMES, MAX_SHOWN_SAMPLES, MAX_SHOWN_SHARPNESS
 from lobewise.viewer.messages import Window
 
 Pixels = NDArray[np.uint8]
 
-MAX_SHOWN_SAMPLES = 256.0
-"""Number of effective samples that is shown brightest."""
 MAX_STOPS = 10.0
 """Largest exposure of the page, either way, stops; its slider has steps of a tenth."""
-
-VIEWS = {
-    "image": "image",
-    "noisy": "noisy input",
-    "diffuse": "diffuse light",
-    "specular": "specular light",
-    "direct": "direct light",
-    "indirect": "indirect light",
-    "sharpness": "lobe sharpness",
-    "weight_sum": "weight sum",
-    "effective_samples": "effective samples",
-    "history": "history length",
-    "recomputed": "re-computed pixels",
-    "hit_distance": "hit distance",
-    "normal": "normals",
-    "albedo": "albedo",
-}
-"""Views by the name of their array, with their names on the page."""
 
 LEGENDS = {
     "sharpness": f"dark: sharpness 1, bright: {MAX_SHOWN_SHARPNESS:,.0f} (a mirror), logarithmic",
@@ -69,7 +49,7 @@ def choose_stops(image: NDArray[np.float32]) -> float:
 
 
 def paint(view: str, values: NDArray[np.float32], exposure: float) -> Pixels:
-    """Return the picture of one view, a key of `VIEWS`.
+    """Return the picture of one view.
 
     ``values`` are radiance or colours in [0, 1], (height, width, 3), or numbers in [0, 1], (height, width), which are
     shown from dark to bright. ``exposure`` is a factor for radiance and changes nothing else.

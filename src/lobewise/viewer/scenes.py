@@ -3,41 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from lobewise.frame import FloatArray, Frame, Radiance
+from lobewise.frame import Frame, Radiance
 from lobewise.interactive import InteractiveFrame, InteractiveSettings, Session
-from lobewise.interactive.settings import METHODS
-from lobewise.interactive.views import VIEWS
 from lobewise.io.exr import write_frame
 from lobewise.render import MovingScene, PlacedScene, find_orbit_centre, load_scene, read_object_paths
 from lobewise.render.integrators import tell_unseen
 from lobewise.render.moving.shapes import Matrix
 from lobewise.scenes import BY_THEMSELVES
-from lobewise.viewer.looks import SCENE_SIMILARITIES
 from lobewise.viewer.messages import Description, Request
-
-
-@dataclass(frozen=True)
-class Shot:
-    """One image and how it was made."""
-
-    image: FloatArray
-    """Linear radiance, shape (height, width, 3)."""
-    get_view: Callable[[str], FloatArray]
-    """Return a view by its name: radiance or colours, (height, width, 3), or numbers in [0, 1], (height, width)."""
-    size: tuple[int, int]
-    """Columns and rows."""
-    seconds: dict[str, float] = field(default_factory=dict)
-    """Wall time by stage, "total" among them."""
-    accumulated: int = 1
-    """Frames in the mean."""
-    recomputed: int = 0
-    """Pixels that were shaded again."""
-    moment: float | None = None
-    """Moment of the objects' motion, frames from 0; None if nothing moves."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +81,8 @@ class SceneTarget:
         loaded, self._motion = load_moving(name, size or (None, None), moving)
         width, height = size or (None, None)
         self._first = Session(loaded, width=width, height=height, progress=progress)
-        self._moments: dict[int, float] = {}
+        self.moments: dict[int, float] = {}
+        """Moment of the motion in each browser's last frame, frames from 0; none if nothing moves."""
         self._sessions: dict[int, Session] = {}
         self._last: dict[int, list[InteractiveFrame]] = {}
         self._warm = False
@@ -119,9 +97,6 @@ class SceneTarget:
             height=height,
             camera=self._first.camera,
             look_at=(float(centre[0]), float(centre[1]), float(centre[2])),
-            methods=METHODS,
-            similarities=SCENE_SIMILARITIES,
-            views=VIEWS,
             moves=self._motion is not None,
             unseen=tell_unseen(self._first.scene),
         )
@@ -130,17 +105,17 @@ class SceneTarget:
         """Return whether no frame was rendered yet, so that kernels must be compiled."""
         return not self._warm
 
-    def show_input(self, request: Request) -> list[Shot]:
+    def show_input(self, request: Request) -> list[InteractiveFrame]:
         """Return a frame without filters, for which few kernels must be compiled."""
         plain = InteractiveSettings(
             similarity="none", temporal=False, adaptive=0.0, filter_direct=False, accumulate=False
         )
         session = self._first.make_sibling()
         session.resize(*request.size)
-        return [_to_shot(session.render(request.camera, plain))]
+        return [session.render(request.camera, plain)]
 
-    def render(self, request: Request) -> list[Shot]:
-        """Return the next frame of a browser, or its last frame if the request needs no new one.
+    def render(self, request: Request) -> list[InteractiveFrame]:
+        """Return the next frame of a browser, or its last frame if the request needs no new one; two for a wipe.
 
         Raises LobewiseError if the scene has nothing for the method to work with, or the camera is invalid.
         """
@@ -161,23 +136,22 @@ class SceneTarget:
                 last = [session.render(request.camera, looks[0])]
             self._last[request.client] = last
             self._warm = True
-        moment = self._moments.get(request.client)
-        return [replace(_to_shot(frame), moment=moment) for frame in last]
+        return last
 
     def _move(self, session: Session, request: Request) -> None:
         """Move the objects to the moment of a browser's next picture. The first picture shows the beginning."""
         if self._motion is None:
             return
-        before = self._moments.get(request.client)
+        before = self.moments.get(request.client)
         moment = 0.0 if before is None else self._motion.advance(before, request.speed)
         session.set_transforms(self._motion.compute_places(moment))
-        self._moments[request.client] = moment
+        self.moments[request.client] = moment
 
     def forget(self, client: int) -> None:
         """Drop a browser's histories."""
         self._sessions.pop(client, None)
         self._last.pop(client, None)
-        self._moments.pop(client, None)
+        self.moments.pop(client, None)
 
     def write(self, client: int, folder: Path) -> Path:
         """Write a browser's last image with its guides into an EXR file in ``folder``; return its path."""
@@ -187,8 +161,3 @@ class SceneTarget:
         path = folder / f"{Path(self._name).stem}.exr"
         write_frame(path, whole, half=False, attributes={"lobewise/scene": self._name})
         return path
-
-
-def _to_shot(frame: InteractiveFrame) -> Shot:
-    height, width = frame.image.shape[:2]
-    return Shot(frame.image, frame.get_view, (width, height), frame.seconds, frame.accumulated, frame.recomputed)

@@ -34,7 +34,8 @@ from lobewise.viewer.messages import (
 )
 
 if TYPE_CHECKING:
-    from lobewise.viewer.scenes import SceneTarget, Shot
+    from lobewise.interactive import InteractiveFrame
+    from lobewise.viewer.scenes import SceneTarget
 
 _PARENT_GONE = 3
 """Exit code of a worker whose parent has ended."""
@@ -108,8 +109,8 @@ class Worker:
                 self._send(self._save(opened, order))
             else:
                 if opened.is_slow(order):
-                    self._send(self._draw(order, opened.show_input(order), final=False))
-                self._send(self._draw(order, opened.render(order), final=True))
+                    self._send(self._draw(opened, order, opened.show_input(order), final=False))
+                self._send(self._draw(opened, order, opened.render(order), final=True))
         except (EOFError, BrokenPipeError, ConnectionResetError):
             raise
         except LobewiseError as problem:
@@ -117,14 +118,14 @@ class Worker:
         except Exception as problem:
             self._send(Problem(describe_failure(problem), order.client, ours=True))
 
-    def _draw(self, order: Request, shots: list[Shot], *, final: bool) -> Picture:
+    def _draw(self, opened: SceneTarget, order: Request, frames: list[InteractiveFrame], *, final: bool) -> Picture:
         from lobewise.viewer.looks import name_sides
         from lobewise.viewer.pictures import choose_stops, fit_window, paint, wipe
 
-        first = shots[0]
+        first = frames[0]
         stops = choose_stops(first.image) if order.stops is None else order.stops
         start = time.perf_counter()
-        plain = [paint(order.view, shot.get_view(order.view), 2.0**stops) for shot in shots]
+        plain = [paint(order.view, frame.get_view(order.view), 2.0**stops) for frame in frames]
         pictures = [fit_window(picture, order.window) for picture in plain]
         two = len(pictures) == 2
         labels = name_sides(order.look, order.other or order.look)
@@ -138,12 +139,12 @@ class Worker:
             client=order.client,
             number=order.number,
             pixels=pixels,
-            size=first.size,
+            size=(first.image.shape[1], first.image.shape[0]),
             stops=stops if order.stops is None else None,
             seconds={**first.seconds, "picture": time.perf_counter() - start},
             accumulated=first.accumulated,
             recomputed=first.recomputed,
-            moment=first.moment,
+            moment=opened.moments.get(order.client),
             memory=measure_memory(),
             final=final,
         )
