@@ -130,6 +130,23 @@ def test_what_is_filtered_is_not_named(tmp_path: Path, capsys: pytest.CaptureFix
         assert all(np.array_equal(after[key], written.channels[key]) != is_filtered for key in groups)
 
 
+def test_the_pass_of_a_shadow_catcher_is_denoised(rng: np.random.Generator, tmp_path: Path) -> None:
+    written = WRITERS["cycles"](make_scene())
+    shape = make_scene().color.shape
+    shadow = np.clip(rng.normal(0.6, 0.2, shape), 0.0, 1.0).astype(np.float32)
+    for image, is_denoised in ((shadow, True), (np.ones(shape, np.float32), False)):
+        written.channels |= name(f"{LAYER}.Shadow Catcher", image)
+        write(tmp_path / "a.exr", written)
+        frame = lobewise.read_frame(tmp_path / "a.exr")
+        assert list(frame.also) == ([f"{LAYER}.Shadow Catcher"] if is_denoised else [])
+    written.channels |= name(f"{LAYER}.Shadow Catcher", shadow)
+    write(tmp_path / "a.exr", written)
+    assert run(["denoise", str(tmp_path / "a.exr"), "-o", str(tmp_path / "b.exr"), "--quality", "fast"]) == 0
+    container = read_container(tmp_path / "b.exr")
+    after = decode_part(container, container.parts[0])[f"{LAYER}.Shadow Catcher.R"]
+    assert np.std(after) < 0.5 * np.std(shadow[..., 0])
+
+
 def test_light_groups_sum_to_the_image_and_others_are_none_of_it(tmp_path: Path) -> None:
     written = WRITERS["cycles"](make_scene())
     add_groups(written)

@@ -12,7 +12,7 @@ from lobewise.errors import InputError, require_choice
 from lobewise.frame import FloatArray, Radiance
 from lobewise.interchange.channels import COLOR, Pass, list_passes
 from lobewise.interchange.imported import ImageReader, Imported
-from lobewise.interchange.importing.leftovers import list_light_groups, list_names, take_noisy_alpha
+from lobewise.interchange.importing.leftovers import list_further, list_light_groups, list_names, take_noisy_alpha
 from lobewise.interchange.lighting import MAX_EXCESS_SHARE, PartOutput, is_smooth, measure_excess, name_pass
 from lobewise.interchange.mapping import ChannelMap, Found
 
@@ -86,6 +86,16 @@ def add_light_groups(imported: Imported, read: ImageReader) -> Imported:
             (words,) = list_names("light group", [name for name, _ in groups])
             notes.append(f"{words.capitalize()}: {_describe_filter(owner)}.")
     return replace(imported, notes=tuple(notes))
+
+
+def add_further(imported: Imported, read: ImageReader) -> Imported:
+    """Return a frame with the noisy passes that its preset names, such as that of a shadow catcher."""
+    for found in list_further(imported):
+        image = read(found)
+        if not np.array_equal(image, np.broadcast_to(image[:1, :1], image.shape)):
+            note = f"{found.label} is {_describe_filter(None)}."
+            imported = replace(_add_image(imported, found, read), notes=(*imported.notes, note))
+    return imported
 
 
 def _add_image(imported: Imported, found: Found, read: ImageReader) -> Imported:

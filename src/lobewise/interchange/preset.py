@@ -68,7 +68,7 @@ LOBES = ("diffuse", "subsurface", "volume", "glossy", "coat", "transmission", "e
 free of noise and not filtered."""
 ATTRIBUTES = (
     *("name", "title", "attributes", "versions", "passes", "files", "samples", "samples_squared"),
-    *("notes", "advice", "layer", "cryptomatte", "shown", "light_groups"),
+    *("notes", "advice", "layer", "cryptomatte", "shown", "light_groups", "also"),
 )
 """Keys of a preset file beside the roles."""
 
@@ -116,6 +116,8 @@ class Preset:
         Names of Cryptomatte passes without their numbers, the finest first.
     light_groups : tuple of str
         Patterns of passes with the light of some lamps. The name of the group stands for the asterisk at the end.
+    also : tuple of str
+        Patterns of further noisy passes that are denoised, each by itself.
     samples, samples_squared : tuple of str
         Attributes that hold the samples per pixel, or their square root.
     files : tuple of str
@@ -138,6 +140,7 @@ class Preset:
     layers: tuple[LayerRule, ...] = ()
     cryptomatte: tuple[str, ...] = ()
     light_groups: tuple[str, ...] = ()
+    also: tuple[str, ...] = ()
     samples: tuple[str, ...] = ()
     samples_squared: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
@@ -206,6 +209,7 @@ def _parse(data: bytes, where: str) -> Preset:
         layers=tuple(_parse_layer(rule, f"{what}, layer") for rule in _take(document, "layer", list, what, [])),
         cryptomatte=_take_texts(document, "cryptomatte", what),
         light_groups=_take_texts(document, "light_groups", what),
+        also=_take_texts(document, "also", what),
         samples=_take_texts(document, "samples", what),
         samples_squared=_take_texts(document, "samples_squared", what),
         files=_take_texts(document, "files", what),

@@ -18,7 +18,7 @@ from lobewise.interchange.imported import ImageReader, Imported
 from lobewise.interchange.importing.leftovers import describe_left_noisy, describe_own_left_noisy
 from lobewise.interchange.importing.steps import import_foreign
 from lobewise.interchange.importing.surfaces import WRAPS_AROUND
-from lobewise.interchange.joining import add_also, add_light_groups, add_noisy_alpha, join_halves
+from lobewise.interchange.joining import add_also, add_further, add_light_groups, add_noisy_alpha, join_halves
 from lobewise.interchange.mapping import map_channels
 from lobewise.interchange.selections import Selection, look_up_mapped_view
 from lobewise.interchange.siblings import look_up_family
@@ -239,9 +239,8 @@ def import_file(
     if also:
         with name_file(path):
             imported = add_also(imported, also, read)
-    if light_groups:
-        grouped = add_light_groups(imported, read)
-        imported = grouped if light_passes else replace(imported, outputs=grouped.outputs)
+    more = add_further(add_light_groups(imported, read) if light_groups else imported, read)
+    imported = more if light_passes else replace(imported, outputs=more.outputs)
     if imported.map is not None:
         selection = imported.map.selection
         imported = add_noisy_alpha(imported, imported.map, read)

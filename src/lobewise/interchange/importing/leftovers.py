@@ -121,6 +121,14 @@ def list_light_groups(imported: Imported) -> list[tuple[str, Found]]:
     return _pick_groups(channels, list(_list_unused(imported, channels)))
 
 
+def list_further(imported: Imported) -> list[Found]:
+    """Return the further noisy passes of a file that its preset names."""
+    channels = imported.map
+    patterns = () if channels is None else channels.preset.also
+    unused = [] if channels is None or not patterns else list(_list_unused(imported, channels))
+    return [found for found in unused if any(found.source.matches(pattern) for pattern in patterns)]
+
+
 def _pick_groups(channels: ChannelMap, unused: Sequence[Found]) -> list[tuple[str, Found]]:
     groups: dict[Key, tuple[str, Found]] = {}
     for pattern in channels.preset.light_groups:
