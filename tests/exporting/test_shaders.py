@@ -23,7 +23,7 @@ COUNT = 4096
 WEIGHT_ATOL = 3e-6
 """Rounding of exponents that matter, up to 20, in single precision."""
 ASG_ATOL = 2e-4
-"""What `tests.lobes.oracles.asg.asg_approx_similarity` says of single precision, to the power beta."""
+"""Rounding of the similarity of anisotropic lobes in single precision, to the power beta."""
 LOBE_RTOL = 3e-5
 """Of a lobe's size; grazing views lose a digit or two."""
 DIFFUSE_ATOL = 4e-3

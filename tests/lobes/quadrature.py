@@ -83,7 +83,7 @@ class Surface:
         function = ggx.ggx_brdf if self.kind == "ggx" else brdf.beckmann_brdf
         return function(self.local_view, light, self.alpha_u, self.alpha_v) * np.maximum(light[:, 2], 0.0)
 
-    def lobe(self, tau=0.0):
+    def lobe(self, gaussian=False):
         """The covariance lobe that is on trial."""
         return tangent.make_tangent_lobe(
             self.view,
@@ -91,7 +91,7 @@ class Surface:
             self.alpha_u,
             self.alpha_v,
             self.frame[0],
-            tau=tau,
+            gaussian=gaussian,
             beckmann=self.kind == "beckmann",
         )
 
@@ -149,7 +149,7 @@ def draw_pairs(count, *, anisotropy="none", kind="ggx", wide=False, seed=0):
     return pairs
 
 
-def stack_lobes(surfaces):
+def stack_lobes(surfaces, gaussian=False):
     """Return one TangentLobe that holds the lobes of all ``surfaces``."""
-    lobes = [surface.lobe() for surface in surfaces]
+    lobes = [surface.lobe(gaussian) for surface in surfaces]
     return tangent.TangentLobe(*(np.stack([lobe[k] for lobe in lobes]) for k in range(3)))

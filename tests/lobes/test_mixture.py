@@ -13,7 +13,7 @@ from lobewise.lobes.mixture import GGX_MIXTURES, MIN_SHARPNESS
 
 from .oracles import brdf, mixture, sg
 from .quadrature import draw_pairs, measure_similarity, normalize, sphere_grid
-from .tolerances import QUADRATURE, ROUNDING, SINGLE
+from .tolerances import ROUNDING
 
 Z = np.array([0.0, 0.0, 1.0])
 ACCEPTED = 0.01
@@ -44,33 +44,9 @@ def add_up(item):
     return float(np.sum(item.amplitude))
 
 
-def test_evaluate_and_integrals_against_quadrature(rng):
-    i, j = draw_mixture(rng, (), 3), draw_mixture(rng, (), 2)
-    grid, weights = sphere_grid(Z, 0.5, 300, 256)
-    value_i, value_j = mixture.mixture_evaluate(grid, i), mixture.mixture_evaluate(grid, j)
-    definition = sum(i.amplitude[k] * np.exp(i.sharpness[k] * (grid @ i.axis[k] - 1.0)) for k in range(3))
-    np.testing.assert_allclose(value_i, definition, rtol=1e-11)
-    assert mixture.mixture_integral(i) == pytest.approx(np.sum(weights * value_i), rel=QUADRATURE)
-    inner = np.sum(weights * value_i * value_j)
-    squares = [np.sum(weights * value**2) for value in (value_i, value_j)]
-    assert mixture.mixture_product_integral(i, j) == pytest.approx(inner, rel=QUADRATURE)
-    assert mixture.mixture_norm(i) == pytest.approx(np.sqrt(squares[0]), rel=QUADRATURE)
-    similarity = inner / np.sqrt(squares[0] * squares[1])
-    assert mixture.mixture_similarity(i, j) == pytest.approx(similarity, rel=QUADRATURE)
-
-
-def test_product_integrals_are_bilinear(rng):
-    i, j, k = draw_mixture(rng, (5,), 3), draw_mixture(rng, (5,), 2), draw_mixture(rng, (5,), 4)
-    both = mixture.combine_mixtures(i, j._replace(amplitude=2.5 * j.amplitude))
-    for function in (mixture.mixture_product_integral, mixture.mixture_approx_product_integral):
-        parts = function(i, k) + 2.5 * function(j, k)
-        np.testing.assert_allclose(function(both, k), parts, rtol=ROUNDING)
-        np.testing.assert_allclose(function(k, both), parts, rtol=ROUNDING)
-
-
-@pytest.mark.parametrize("function", [mixture.mixture_similarity, mixture.mixture_approx_similarity])
 @given(i=mixtures, j=mixtures)
-def test_similarity_laws(function, i, j):
+def test_similarity_laws(i, j):
+    function = mixture.mixture_approx_similarity
     value = float(function(i, j))
     assert 0.0 <= value <= 1.0
     assert float(function(j, i)) == pytest.approx(value, rel=ROUNDING, abs=1e-300)
@@ -80,14 +56,9 @@ def test_similarity_laws(function, i, j):
     assert float(function(turned, j)) == pytest.approx(value, rel=1e-9, abs=1e-300)
     # an absent lobe is no lobe, whatever is stored for it
     nothing = mixture.SgMixture(-i.axis[:1], np.zeros(1), np.zeros(1))
-    assert float(function(mixture.combine_mixtures(i, nothing), j)) == pytest.approx(value, rel=1e-9, abs=1e-300)
+    more = mixture.SgMixture(*(np.concatenate(parts) for parts in zip(i, nothing, strict=True)))
+    assert float(function(more, j)) == pytest.approx(value, rel=1e-9, abs=1e-300)
     assert float(function(nothing, j)) == 0.0
-
-
-@given(mixtures, mixtures, st.floats(0.5, 40.0))
-def test_beta_is_a_power(i, j, beta):
-    value = float(mixture.mixture_approx_similarity(i, j, beta))
-    assert value == pytest.approx(float(mixture.mixture_approx_similarity(i, j)) ** beta, rel=1e-9, abs=1e-300)
 
 
 def test_absent_lobes_count_nothing_beside_a_constant():
@@ -95,13 +66,11 @@ def test_absent_lobes_count_nothing_beside_a_constant():
     absent, constant = (mixture.SgMixture(Z[None], np.zeros(1), np.full(1, value)) for value in (0.0, 1.0))
     assert mixture.mixture_approx_product_integral(absent, constant) == 0.0
     assert mixture.mixture_approx_product_integral(constant, absent) == 0.0
-    assert mixture.mixture_product_integral(constant, constant) == pytest.approx(4.0 * np.pi, rel=ROUNDING)
 
 
 def test_one_lobe_is_a_spherical_gaussian(rng):
     i, j = draw_mixture(rng, (40,), 1), draw_mixture(rng, (40,), 1)
     pair = (i.axis[:, 0], i.sharpness[:, 0], j.axis[:, 0], j.sharpness[:, 0])
-    np.testing.assert_allclose(mixture.mixture_similarity(i, j), sg.sg_similarity(*pair), rtol=1e-10)
     np.testing.assert_allclose(
         mixture.mixture_approx_similarity(i, j, 3.0), sg.sg_slide_similarity(*pair, 3.0), rtol=1e-10
     )
@@ -160,7 +129,6 @@ def test_three_lobes_are_within_a_hundredth_where_axes_are_exact(alpha, ratio):
             squares.append(np.sum(ring_weights * evaluate_ggx_shape(rings, Z, width) ** 2))
         truth = inner / np.sqrt(squares[0] * squares[1])
         pair = mixture.make_ggx_mixture(Z, Z, alpha), mixture.make_ggx_mixture(axis, axis, small)
-        assert mixture.mixture_similarity(*pair) == pytest.approx(truth, abs=0.0035)
         assert mixture.mixture_approx_similarity(*pair) == pytest.approx(truth, abs=ACCEPTED)
 
 
@@ -169,7 +137,7 @@ def test_one_lobe_is_not_enough_for_that():
     axis = np.array([np.sin(angle), 0.0, np.cos(angle)])
     values = [
         float(
-            mixture.mixture_similarity(
+            mixture.mixture_approx_similarity(
                 mixture.make_ggx_mixture(Z, Z, 0.1, lobes=n), mixture.make_ggx_mixture(axis, axis, 0.1, lobes=n)
             )
         )
@@ -182,15 +150,15 @@ def rms(error):
     return float(np.sqrt(np.mean(np.square(error))))
 
 
-# dominant axis?, n.v from; RMSE of S exact and approximate that the theory page states
-ACCURACY = [(False, 0.0, 0.10, 0.10), (False, 0.7, 0.030, 0.038), (True, 0.0, 0.08, 0.08), (True, 0.7, 0.026, 0.023)]
+# dominant axis?, n.v from; RMSE of S that the theory page states
+ACCURACY = [(False, 0.0, 0.10), (False, 0.7, 0.038), (True, 0.0, 0.08), (True, 0.7, 0.023)]
 
 
 def test_mixture_against_the_whole_brdf():
     pairs = draw_pairs(200, seed=2)
     truth = np.array([measure_similarity(*pair, 60, 64) for pair in pairs])
     cosine = np.array([i.local_view[2] for i, _ in pairs])
-    for dominant, least, exact, approximate in ACCURACY:
+    for dominant, least, bound in ACCURACY:
         made = [
             mixture.make_ggx_mixture(
                 np.array([pair[side].view for pair in pairs]),
@@ -201,8 +169,7 @@ def test_mixture_against_the_whole_brdf():
             for side in (0, 1)
         ]
         steep = cosine > least
-        assert rms((mixture.mixture_similarity(*made) - truth)[steep]) < exact
-        assert rms((mixture.mixture_approx_similarity(*made) - truth)[steep]) < approximate
+        assert rms((mixture.mixture_approx_similarity(*made) - truth)[steep]) < bound
 
 
 @pytest.mark.parametrize("lobes", [1, 2, 3, 4])
@@ -212,7 +179,8 @@ def test_ggx_mixture_has_the_integral_of_the_albedo(lobes, tau):
     view = normalize(np.array([0.5, 0.1, 0.8]))
     for alpha in (0.0, 0.01, 0.3, 0.999999, 1.0):
         item = mixture.make_ggx_mixture(view, Z, alpha, lobes=lobes, albedo=0.7, tau=tau)
-        assert mixture.mixture_integral(item) == pytest.approx(0.7 * np.sum(weight / exponent), rel=ROUNDING)
+        integral = np.sum(item.amplitude * sg.sg_integral(item.sharpness))
+        assert integral == pytest.approx(0.7 * np.sum(weight / exponent), rel=ROUNDING)
     # what the docstring says of the missing tail
     assert np.sum(weight / exponent) == pytest.approx([0.760, 0.918, 0.967, 0.985][lobes - 1], abs=6e-4)
 
@@ -225,7 +193,7 @@ def test_ggx_mixture_of_a_sharp_lobe_has_the_true_peak_and_profile():
     np.testing.assert_allclose(item.axis, mirror[None], atol=1e-15)
     truth = float(ggx.ggx_brdf(view, mirror, alpha) * 0.8)
     # the fit is 0.9 % low at the peak, the albedo of a smooth lobe is 1
-    assert mixture.mixture_evaluate(mirror, item) == pytest.approx(truth, rel=0.012)
+    assert add_up(item) == pytest.approx(truth, rel=0.012)
     # in between the two principal directions the round lobe is as wide as the true one: q = d^2 / area
     ratio = item.sharpness[0] / (2.0 * np.array(GGX_MIXTURES[3][0]))[0]
     assert ratio == pytest.approx((1.0 / alpha**2 - 1.0) / (4.0 * 0.8), rel=1e-5)
@@ -273,35 +241,3 @@ def test_lambert_lobe_is_the_least_squares_gaussian():
     assert (sharpness, amplitude) == pytest.approx(tuple(best.x), rel=2e-3)
     relative = np.sqrt(error(sharpness, amplitude) / np.sum(weights * target**2))
     assert relative == pytest.approx(0.177, abs=1e-3)
-
-
-def test_combining_broadcasts_and_keeps_the_values(rng):
-    ggx = mixture.make_ggx_mixture(normalize(rng.normal(size=(4, 5, 3))), Z, 0.3, albedo=0.8)
-    diffuse = mixture.make_lambert_lobe(Z, 0.5)
-    both = mixture.combine_mixtures(diffuse, ggx)
-    assert both.axis.shape == (4, 5, 4, 3)
-    assert both.sharpness.shape == both.amplitude.shape == (4, 5, 4)
-    direction = normalize(rng.normal(size=(4, 5, 3)))
-    parts = mixture.mixture_evaluate(direction, diffuse) + mixture.mixture_evaluate(direction, ggx)
-    np.testing.assert_allclose(mixture.mixture_evaluate(direction, both), parts, rtol=ROUNDING)
-
-
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_dtype_is_kept_from_mirror_to_matte(rng, dtype):
-    view = normalize(Z + 0.9 * normalize(rng.normal(size=(20, 3)))).astype(dtype)
-    for alpha in (0.0, 1e-3, 0.3, 1.0):
-        for dominant in (False, True):
-            item = mixture.make_ggx_mixture(view, Z.astype(dtype), dtype(alpha), dominant=dominant)
-            item = mixture.combine_mixtures(item, mixture.make_lambert_lobe(Z.astype(dtype), dtype(0.3)))
-            for value in (
-                *item,
-                mixture.mixture_evaluate(view, item),
-                mixture.mixture_integral(item),
-                mixture.mixture_norm(item),
-                mixture.mixture_approx_norm(item),
-                mixture.mixture_similarity(item, item),
-                mixture.mixture_approx_similarity(item, item, 4.0),
-            ):
-                assert value.dtype == dtype
-                assert np.isfinite(value).all()
-            np.testing.assert_allclose(mixture.mixture_approx_similarity(item, item), 1.0, atol=10 * SINGLE)

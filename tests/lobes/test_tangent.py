@@ -1,4 +1,4 @@
-"""Covariance lobes: their construction step by step, published figures, laws, and the similarity against quadrature."""
+"""Covariance lobes: their construction step by step, laws, and the similarity against quadrature."""
 
 import numpy as np
 import pytest
@@ -9,33 +9,11 @@ from lobewise.lobes.covariance import GGX_LIMIT
 
 from .oracles import brdf, tangent
 from .oracles.tangent import TangentLobe, make_tangent_lobe
-from .quadrature import Surface, draw_pairs, gauss, measure_similarity, normalize, rotate, stack_lobes
-from .tolerances import PRINTED, ROUNDING, SIMILARITY
+from .quadrature import draw_pairs, measure_similarity, normalize, rotate, stack_lobes
+from .tolerances import ROUNDING, SIMILARITY
 
 X, Y, Z = np.eye(3)
 UPPER = np.triu_indices(3)
-
-# n.v, alphas of i, alphas of j, angles about y, x and the normal, then similarity by quadrature and in closed form,
-# its prefactor and its Mahalanobis distance
-PAIRS = [
-    (1.00, 0.1, 0.1, 0.1, 0.1, 0.05, 0.0, 0.0, 0.86681, 0.86500, 1.00000, 0.24951),
-    (0.80, 0.1, 0.1, 0.1, 0.1, 0.05, 0.0, 0.0, 0.86693, 0.86547, 1.00000, 0.24855),
-    (0.80, 0.1, 0.1, 0.1, 0.1, 0.0, 0.05, 0.0, 0.86679, 0.86565, 1.00000, 0.24818),
-    (0.80, 0.1, 0.1, 0.2, 0.2, 0.0, 0.0, 0.0, 0.86508, 0.87247, 0.79948, 0.00358),
-    (0.80, 0.1, 0.1, 0.2, 0.2, 0.05, 0.05, 0.0, 0.75849, 0.76009, 0.79370, 0.23296),
-    (0.30, 0.1, 0.1, 0.1, 0.1, 0.03, 0.0, 0.0, 0.94900, 0.95065, 0.99866, 0.08391),
-    (0.30, 0.1, 0.1, 0.1, 0.1, 0.0, 0.03, 0.0, 0.94857, 0.94856, 0.99938, 0.08841),
-    (0.30, 0.1, 0.1, 0.1, 0.1, 0.0, 0.1, 0.0, 0.58988, 0.59343, 0.99311, 0.96789),
-    (0.30, 0.3, 0.3, 0.3, 0.3, 0.0, 0.15, 0.0, 0.88537, 0.88217, 0.99631, 0.21086),
-    (0.70, 0.5, 0.5, 0.5, 0.5, 0.3, 0.0, 0.0, 0.85301, 0.85039, 1.00000, 0.27986),
-    (0.70, 0.5, 0.5, 0.25, 0.25, 0.0, 0.2, 0.0, 0.74277, 0.73545, 0.79301, 0.29074),
-    (0.60, 0.05, 0.05, 0.05, 0.05, 0.02, 0.01, 0.0, 0.89008, 0.88996, 1.00000, 0.19931),
-    (0.70, 0.3, 0.08, 0.3, 0.08, 0.0, 0.1, 0.0, 0.46108, 0.46220, 0.99070, 1.51586),
-    (0.70, 0.3, 0.08, 0.3, 0.08, 0.1, 0.0, 0.0, 0.94352, 0.94159, 1.00000, 0.10164),
-    (0.70, 0.3, 0.08, 0.3, 0.08, 0.0, 0.0, 0.5, 0.79899, 0.84168, 0.76597, 0.02070),
-    (0.70, 0.3, 0.08, 0.08, 0.3, 0.0, 0.0, 0.0, 0.54022, 0.65523, 0.50607, 0.02360),
-    (0.40, 0.2, 0.1, 0.25, 0.1, 0.05, 0.05, 0.2, 0.82078, 0.83102, 0.98125, 0.30081),
-]
 
 
 def build_by_steps(view, frame, alpha_u, alpha_v, limit, tau, beckmann):
@@ -152,35 +130,6 @@ def test_limits_of_roughness():
     assert above.covariance[0] == pytest.approx(float(above.covariance[3]))
 
 
-def make_pair(row):
-    cosine, au, av, bu, bv, a, b, c = row[:8]
-    view = np.array([np.sqrt(1.0 - cosine**2), 0.0, cosine])
-    frame = rotate(Y, a) @ rotate(X, b) @ rotate(Z, c)
-    return Surface(np.eye(3), view, au, av), Surface(frame.T, view, bu, bv)
-
-
-def weigh_areas(pre, i, j):
-    """Return the prefactor with exponent 0.6 for sizes and 0.9 for shapes."""
-    sizes = 2.0 * (i.determinant * j.determinant) ** 0.25 / (np.sqrt(i.determinant) + np.sqrt(j.determinant))
-    return float(sizes**0.6 * min(pre / sizes, 1.0) ** 0.9)
-
-
-@pytest.mark.parametrize("row", PAIRS)
-def test_published_pairs(row):
-    i, j = make_pair(row)
-    quadrature, closed, pre, q = row[8:]
-    assert measure_similarity(i, j) == pytest.approx(quadrature, abs=2.0 * PRINTED)
-    # published with the exponent 0.6 for sizes and shapes alike; ours takes 0.9 for the shapes
-    parts = pre**0.6 * (1.0 + 0.2614 * q) ** -2.2953
-    assert parts == pytest.approx(closed, abs=2.0 * PRINTED)
-    ours = tangent.tangent_ggx_similarity(i.lobe(), j.lobe())
-    areas = weigh_areas(pre, i.lobe(), j.lobe())
-    assert ours == pytest.approx(areas * (1.0 + 0.2614 * q) ** -2.2953, abs=2.0 * PRINTED)
-    assert tangent.tangent_gaussian_similarity(i.lobe(), j.lobe()) == pytest.approx(
-        pre * np.exp(-0.5 * q), abs=2.0 * PRINTED
-    )
-
-
 def rmse(a, b):
     return np.sqrt(np.mean((a - b) ** 2))
 
@@ -190,7 +139,7 @@ def judge(pairs, *grid):
     return np.array([measure_similarity(*pair, *grid or (60, 64)) for pair in pairs]), i, j
 
 
-@pytest.mark.nightly
+@pytest.mark.sampled("one-False-0.027-0.048")
 @pytest.mark.parametrize(
     ("anisotropy", "wide", "bound", "bound_16"),
     [
@@ -204,17 +153,9 @@ def judge(pairs, *grid):
 def test_ggx_similarity_against_quadrature(anisotropy, wide, bound, bound_16):
     truth, i, j = judge(draw_pairs(300, anisotropy=anisotropy, wide=wide, seed=7), *((80, 96) if wide else ()))
     assert 0.1 < truth.std() < 0.4  # the population asks something
-    for function in (tangent.tangent_ggx_similarity, tangent.tangent_approx_similarity):
-        value = function(i, j)
-        assert rmse(value, truth) < bound
-        assert rmse(value**16, truth**16) < bound_16
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize(("anisotropy", "bound"), [("none", 0.025), ("one", 0.028)])
-def test_beckmann_similarity_against_quadrature(anisotropy, bound):
-    truth, i, j = judge(draw_pairs(300, anisotropy=anisotropy, kind="beckmann", seed=7))
-    assert rmse(tangent.tangent_gaussian_similarity(i, j), truth) < bound
+    value = tangent.tangent_approx_similarity(i, j)
+    assert rmse(value, truth) < bound
+    assert rmse(value**16, truth**16) < bound_16
 
 
 @pytest.mark.nightly
@@ -230,36 +171,12 @@ def test_one_spherical_gaussian_is_several_times_worse():
             axis, sharpness = brdf.reflect_ggx_sg(surface.local_view, surface.alpha_u)
             lobes += [axis @ surface.frame, sharpness]
         values.append(float(sg.sg_slide_similarity(*lobes)))
-    assert rmse(np.array(values), truth) > 4.0 * rmse(tangent.tangent_ggx_similarity(i, j), truth)
+    assert rmse(np.array(values), truth) > 4.0 * rmse(tangent.tangent_approx_similarity(i, j), truth)
 
 
-def test_frames_do_not_matter(rng):
-    # the same similarity from an explicit frame in the plane across the middle axis
-    for i, j in draw_pairs(50, anisotropy="two", seed=3):
-        a, b = i.lobe(), j.lobe()
-        middle = normalize(a.axis + b.axis)
-        x = normalize(np.cross(middle, rng.normal(size=3)))
-        basis = np.stack([x, np.cross(middle, x)])
-        matrix = sum(lobe.covariance[[0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(3, 3) for lobe in (a, b))
-        plane = basis @ matrix @ basis.T
-        d = basis @ (b.axis - a.axis)
-        q = d @ np.linalg.solve(plane, d)
-        pre = min(1.0, 2.0 * (a.determinant * b.determinant) ** 0.25 / np.sqrt(np.linalg.det(plane)))
-        expected = weigh_areas(pre, a, b) * (1.0 + 0.2614 * q) ** -2.2953
-        assert tangent.tangent_ggx_similarity(a, b) == pytest.approx(expected, rel=1e-10)
-
-
-SIMILARITIES = [
-    tangent.tangent_ggx_similarity,
-    tangent.tangent_gaussian_similarity,
-    tangent.tangent_approx_similarity,
-]
-seeds = st.integers(0, 2**32 - 1)
-
-
-@pytest.mark.parametrize("function", SIMILARITIES)
-@given(seed=seeds, beta=st.floats(0.25, 40.0))
-def test_laws(function, seed, beta):
+@given(seed=st.integers(0, 2**32 - 1), beta=st.floats(0.25, 40.0))
+def test_laws(seed, beta):
+    function = tangent.tangent_approx_similarity
     rng = np.random.default_rng(seed)
     lobes, turned = [], []
     turn = rotate(normalize(rng.normal(size=3)), rng.uniform(0.0, 3.0))
@@ -284,13 +201,10 @@ def test_invariants_of_two_round_lobes(angle):
     square = (2.0 * np.sin(0.5 * angle)) ** 2
     q = square / (2.0 * variance)
     assert tangent.tangent_approx_similarity(*lobes) == pytest.approx((1.0 + 0.25 * q) ** -2.4, rel=1e-10)
-    # across the middle axis, where each lobe is foreshortened
-    q = square * 2.0 * variance / (4.0 * variance**2 * np.cos(0.5 * angle) ** 2)
-    assert tangent.tangent_gaussian_similarity(*lobes) == pytest.approx(np.exp(-0.5 * q), rel=1e-9)
 
 
-@pytest.mark.parametrize("function", SIMILARITIES)
-def test_opposite_and_sharp_lobes_are_not_alike(function):
+def test_opposite_and_sharp_lobes_are_not_alike():
+    function = tangent.tangent_approx_similarity
     lobe = make_tangent_lobe(Z, Z, 0.3)
     opposite = TangentLobe(-lobe.axis, lobe.covariance, lobe.determinant)
     assert function(lobe, opposite) < 0.05
@@ -302,13 +216,11 @@ def test_concentric_lobes_of_two_sizes():
     i, j = (make_tangent_lobe(Z, Z, alpha) for alpha in (0.1, 0.25))
     a, b = (float(lobe.covariance[0]) for lobe in (i, j))
     ratio = 2.0 * np.sqrt(a * b) / (a + b)
-    assert tangent.tangent_gaussian_similarity(i, j) == pytest.approx(ratio, rel=1e-12)
-    for function in (tangent.tangent_ggx_similarity, tangent.tangent_approx_similarity):
-        assert function(i, j) == pytest.approx(ratio**0.6, rel=1e-12)
+    assert tangent.tangent_approx_similarity(i, j) == pytest.approx(ratio**0.6, rel=1e-12)
 
 
-@pytest.mark.parametrize("function", [tangent.tangent_ggx_similarity, tangent.tangent_approx_similarity])
-def test_shift_moves_the_other_lobe(function):
+def test_shift_moves_the_other_lobe():
+    function = tangent.tangent_approx_similarity
     # for narrow lobes a shift of the difference is a turn of the axis
     i, moved = (make_tangent_lobe(Z, n, 0.02) for n in (Z, normalize(np.array([0.005, 0.002, 1.0]))))
     j = TangentLobe(i.axis, moved.covariance, moved.determinant)
@@ -317,51 +229,12 @@ def test_shift_moves_the_other_lobe(function):
     assert function(i, moved, shift=-shift) == pytest.approx(float(function(i, j)), rel=2e-3)
 
 
-def test_planar_kernels_are_the_autocorrelation_of_the_shape():
-    # int (1+|x|^2)^-2 (1+|x-d|^2)^-2 over the plane, over its value pi/3 at 0: by parts of exp(-s ...) it is
-    # int int s t e^(-s-t) pi/(s+t) e^(-d^2 s t/(s+t)); with s = r u, t = r (1-u) the integral over r is closed
-    u, w = gauss(200)
-    x = np.linspace(0.0, 25.0, 200)[:, None]
-    p = u * (1.0 - u)
-    exact = np.sum(w * p * np.pi * 2.0 / (1.0 + x * p) ** 3, axis=-1) / (np.pi / 3.0)
-    x = x[:, 0]
-    kernel = (1.0 + tangent.GGX_KERNEL_SCALE * x) ** -tangent.GGX_KERNEL_POWER
-    assert np.abs(kernel - exact).max() < 8e-4
-    assert np.abs((1.0 + 0.25 * x) ** -2.4 - exact).max() < 3.7e-3
-    # the slope of the exact one at 0: three times the mean of 6 p^2 ... = 2 pi 3 int p^2 / (pi / 3)
-    assert 18.0 * np.sum(w * p**2) == pytest.approx(0.6, rel=1e-12)
-    slope = tangent.GGX_KERNEL_SCALE * tangent.GGX_KERNEL_POWER
-    assert slope == pytest.approx(0.6, abs=2e-4)
-
-
 def test_width_power_is_that_of_concentric_lobes():
     for ratio, error in ((2.0, 6e-4), (4.0, 0.007), (9.0, 0.026)):
         a, b = 1.0, ratio
         exact = 3.0 * (a * b) ** 1.5 * ((a + b) / (a * b * (a - b) ** 2) - 2.0 * np.log(a / b) / (a - b) ** 3)
         power = (2.0 * np.sqrt(a * b) / (a + b)) ** tangent.GGX_WIDTH_POWER
         assert 0.0 < power - exact < error
-
-
-def test_dtype_is_kept_and_single_precision_is_near():
-    pairs = draw_pairs(100, anisotropy="one", seed=9)
-    i, j = (stack_lobes(side) for side in zip(*pairs, strict=True))
-    single = [TangentLobe(*(part.astype(np.float32) for part in lobe)) for lobe in (i, j)]
-    for function in SIMILARITIES:
-        value = function(*single, 4.0)
-        assert value.dtype == np.float32
-        np.testing.assert_allclose(value, function(i, j, 4.0), atol=2e-3)
-    view = normalize(np.array([0.5, 0.2, 0.6])).astype(np.float32)
-    for arguments in ((0.3,), (0.3, 0.1, X.astype(np.float32))):
-        assert all(part.dtype == np.float32 for part in make_tangent_lobe(view, Z.astype(np.float32), *arguments))
-
-
-def test_leading_shapes_broadcast():
-    view = np.broadcast_to(normalize(np.array([0.5, 0.2, 0.6])), (4, 5, 3))
-    for arguments in ((np.full((4, 5), 0.3),), (0.3,), (0.3, 0.1, X)):
-        lobe = make_tangent_lobe(view, Z, *arguments)
-        assert lobe.axis.shape == (4, 5, 3)
-        assert lobe.covariance.shape == (4, 5, 6)
-        assert lobe.determinant.shape == (4, 5)
 
 
 def test_similarity_tolerance_covers_the_small_grid():

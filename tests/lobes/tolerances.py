@@ -9,14 +9,6 @@ HORIZON = 5e-4
 SIMILARITY = 3e-4
 """Similarity of two full BRDF lobes by the grids of `measure_similarity` (60x64 nodes against 200x256)."""
 
-PRINTED = 1.1e-5
-"""Figures that were printed with five decimals."""
 
 ROUNDING = 1e-12
 """Two float64 evaluations of one formula."""
-
-SINGLE = 2e-6
-"""Two float32 evaluations of one formula, relative; some ten roundings."""
-
-MEASURED = 1.02
-"""Slack of a bound that states a measured error: the measurement's own digits."""

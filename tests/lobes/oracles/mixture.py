@@ -7,7 +7,6 @@ The similarity divides by the norms, which belong to one pixel each and are comp
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -18,8 +17,7 @@ from lobewise.lobes.mixture import LAMBERT_AMPLITUDE, LAMBERT_SHARPNESS
 from lobewise.lobes.mixture import spread_ggx_mixture as spread
 from lobewise.lobes.numbers import NUMPY, NUMPY_SINGLE
 
-from .asg import MIN_VARIANCE
-from .sg import sg_approx_product_integral, sg_evaluate, sg_integral, sg_product_integral
+from .sg import sg_approx_product_integral
 from .vectors import Array, as_reals, divide_or, dot, reflect
 
 
@@ -34,65 +32,29 @@ class SgMixture(NamedTuple):
     """Value at the axis, shape (..., N), >= 0, linear; 0 for a lobe that is absent."""
 
 
-ProductIntegral = Callable[[Array, Array, Array, Array], Array]
+MIN_VARIANCE = 1e-9
+"""Square radians; the least variance of a lobe made from a roughness, so that a mirror without band-limit is finite."""
 
 
-def mixture_evaluate(direction: ArrayLike, mixture: SgMixture) -> Array:
-    """Return the value of a mixture in ``direction`` (unit vectors, shape (..., 3)). Exact."""
-    direction, axis, sharpness, amplitude = as_reals(direction, *mixture)
-    return np.asarray(np.sum(amplitude * sg_evaluate(direction[..., None, :], axis, sharpness), axis=-1))
+def mixture_approx_product_integral(mixture_i: SgMixture, mixture_j: SgMixture) -> Array:
+    """Return the sum of `sg.sg_approx_product_integral` over all pairs of lobes, 0 for a pair with an absent lobe.
 
-
-def mixture_integral(mixture: SgMixture) -> Array:
-    """Return the integral of a mixture over the sphere, shape (...). Exact."""
-    sharpness, amplitude = as_reals(mixture.sharpness, mixture.amplitude)
-    return np.asarray(np.sum(amplitude * sg_integral(sharpness), axis=-1))
-
-
-def _sum_products(mixture_i: SgMixture, mixture_j: SgMixture, integral: ProductIntegral) -> Array:
-    """Return the sum over all pairs of lobes; a pair with an absent lobe counts 0 whatever its sharpness."""
+    Source: Iwasaki et al. 2012.
+    """
     axis_i, sharpness_i, amplitude_i, axis_j, sharpness_j, amplitude_j = as_reals(*mixture_i, *mixture_j)
     # an absent lobe may have any sharpness, also 0, for which the sharp form is infinite
     sharpness_i = np.where(amplitude_i > 0.0, sharpness_i, sharpness_i.dtype.type(1.0))
     sharpness_j = np.where(amplitude_j > 0.0, sharpness_j, sharpness_j.dtype.type(1.0))
-    pairs = integral(
+    pairs = sg_approx_product_integral(
         axis_i[..., :, None, :], sharpness_i[..., :, None], axis_j[..., None, :, :], sharpness_j[..., None, :]
     )
     weights = amplitude_i[..., :, None] * amplitude_j[..., None, :]
     return np.asarray(np.sum(weights * pairs, axis=(-2, -1)))
 
 
-def mixture_product_integral(mixture_i: SgMixture, mixture_j: SgMixture) -> Array:
-    """Return the integral over the sphere of the product of two mixtures, shape (...). Exact.
-
-    ``sum_ab A_a B_b <g_a, g_b>`` with `sg.sg_product_integral`.
-    """
-    return _sum_products(mixture_i, mixture_j, sg_product_integral)
-
-
-def mixture_approx_product_integral(mixture_i: SgMixture, mixture_j: SgMixture) -> Array:
-    """Return the same with ``2 pi / (la + lb) exp(-la lb (1 - c) / (la + lb))`` for each pair. Approximate.
-
-    Source: Iwasaki et al. 2012. Validity: see `sg.sg_approx_product_integral`.
-    """
-    return _sum_products(mixture_i, mixture_j, sg_approx_product_integral)
-
-
-def mixture_norm(mixture: SgMixture) -> Array:
-    """Return the L2 norm of a mixture over the sphere, shape (...). Exact."""
-    return np.asarray(np.sqrt(mixture_product_integral(mixture, mixture)))
-
-
 def mixture_approx_norm(mixture: SgMixture) -> Array:
     """Return the L2 norm by `mixture_approx_product_integral`."""
     return np.asarray(np.sqrt(mixture_approx_product_integral(mixture, mixture)))
-
-
-def mixture_similarity(mixture_i: SgMixture, mixture_j: SgMixture) -> Array:
-    """Return the L2-normalised product integral of two mixtures, in [0, 1]. Exact; 0 where one has no lobe at all."""
-    norms = mixture_norm(mixture_i) * mixture_norm(mixture_j)
-    value = divide_or(mixture_product_integral(mixture_i, mixture_j), norms, 0.0)
-    return np.asarray(np.clip(value, 0.0, 1.0))
 
 
 def mixture_approx_similarity(mixture_i: SgMixture, mixture_j: SgMixture, beta: ArrayLike = 1.0) -> Array:
@@ -178,20 +140,3 @@ def make_lambert_lobe(normal: ArrayLike, albedo: ArrayLike) -> SgMixture:
     return SgMixture(
         normal[..., None, :], np.full_like(albedo, LAMBERT_SHARPNESS), albedo * (LAMBERT_AMPLITUDE / math.pi)
     )
-
-
-def combine_mixtures(mixture_i: SgMixture, mixture_j: SgMixture) -> SgMixture:
-    """Return the sum of two mixtures: all lobes of both, leading shapes broadcast."""
-    values = as_reals(*mixture_i, *mixture_j)
-    counts = [
-        np.broadcast_shapes(axis.shape[:-1], sharpness.shape, amplitude.shape)
-        for axis, sharpness, amplitude in (values[:3], values[3:])
-    ]
-    leading = np.broadcast_shapes(*(shape[:-1] for shape in counts))
-    shapes = [(*leading, shape[-1]) for shape in counts]
-
-    def join(k: int, tail: tuple[int, ...]) -> Array:
-        halves = [np.broadcast_to(values[k + 3 * side], shapes[side] + tail) for side in (0, 1)]
-        return np.concatenate(halves, axis=len(leading))
-
-    return SgMixture(join(0, (3,)), join(1, ()), join(2, ()))

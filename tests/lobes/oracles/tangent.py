@@ -10,12 +10,8 @@ from numpy.typing import ArrayLike
 from lobewise.lobes.covariance import compute_round_covariance, make_covariance_lobe
 from lobewise.lobes.numbers import NUMPY, NUMPY_SINGLE
 
-from .vectors import Array, as_reals, contract, dot, normalize
+from .vectors import Array, as_reals, contract, dot
 
-# The planar L2 autocorrelation of (1 + r^2/alpha^2)^-2 at offset d is (1 + K d^2/alpha^2)^-P to 7e-4; the slope at 0,
-# K P = 0.6, and the power of the prefactor for two widths follow from it exactly. The power for two shapes is fitted.
-GGX_KERNEL_POWER = 2.2953
-GGX_KERNEL_SCALE = 0.2614
 GGX_WIDTH_POWER = 0.6
 GGX_SHAPE_POWER = 0.9
 
@@ -44,6 +40,7 @@ def make_tangent_lobe(
     *,
     tau: float = 0.0,
     beckmann: bool = False,
+    gaussian: bool = False,
 ) -> TangentLobe:
     """Return `lobewise.lobes.covariance.make_covariance_lobe` of arrays of vectors.
 
@@ -57,8 +54,8 @@ def make_tangent_lobe(
         Unit vector perpendicular to ``normal``; without it the lobe is isotropic with roughness ``alpha_u``.
     tau : float
         Radians; ``tau^2`` is added to both variances (band-limit).
-    beckmann : bool
-        Beckmann normals instead of GGX.
+    beckmann, gaussian : bool
+        Beckmann normals instead of GGX; the covariance of the L2-best Gaussian.
 
     Returns
     -------
@@ -81,6 +78,7 @@ def make_tangent_lobe(
         tangents,
         tau * tau,
         beckmann=beckmann,
+        gaussian=gaussian,
     )
     axis, covariance = (np.stack(np.broadcast_arrays(*parts), axis=-1) for parts in lobe[:2])
     return TangentLobe(axis, covariance, np.asarray(lobe.determinant))
@@ -97,34 +95,6 @@ def _quadratic(m: Array, a: Array) -> Array:
     )
 
 
-def _cofactors(m: Array) -> Array:
-    """Return the six cofactors of a symmetric matrix of six components."""
-    xx, xy, xz, yy, yz, zz = (m[..., k] for k in range(6))
-    return np.stack(
-        [
-            yy * zz - yz * yz,
-            xz * yz - xy * zz,
-            xy * yz - xz * yy,
-            xx * zz - xz * xz,
-            xy * xz - xx * yz,
-            xx * yy - xy * xy,
-        ],
-        axis=-1,
-    )
-
-
-def _compare(lobe_i: TangentLobe, lobe_j: TangentLobe, shift: ArrayLike | None = None) -> tuple[Array, Array]:
-    """Return (pre, q): ``2 (det_i det_j)^(1/4) / sqrt(det M)`` and ``d^T M^-1 d``, across the middle axis."""
-    middle = normalize(lobe_i.axis + lobe_j.axis)  # 0 for opposite axes, and with it the determinant
-    matrix = lobe_i.covariance + lobe_j.covariance
-    determinant = _quadratic(_cofactors(matrix), middle)
-    turned = np.cross(middle, _separate(lobe_i, lobe_j, shift))
-    positive = np.where(determinant > 0.0, determinant, 1.0)
-    q = np.where(determinant > 0.0, _quadratic(matrix, turned) / positive, np.inf)
-    pre = 2.0 * np.sqrt(np.sqrt(lobe_i.determinant) * np.sqrt(lobe_j.determinant)) / np.sqrt(positive)
-    return np.minimum(pre, 1.0), q
-
-
 def _log_areas(pre: Array, lobe_i: TangentLobe, lobe_j: TangentLobe) -> Array:
     """Return the logarithm of ``pre^0.9 (2 sqrt(s_i s_j) / (s_i + s_j))^-0.3``, ``s = sqrt(det)``."""
     scale_i, scale_j = np.sqrt(lobe_i.determinant), np.sqrt(lobe_j.determinant)
@@ -137,37 +107,6 @@ def _separate(lobe_i: TangentLobe, lobe_j: TangentLobe, shift: ArrayLike | None)
     """Return ``z_j - z_i``, plus ``shift``."""
     difference = lobe_j.axis - lobe_i.axis
     return difference if shift is None else difference + as_reals(shift)[0].astype(difference.dtype)
-
-
-def tangent_ggx_similarity(
-    lobe_i: TangentLobe, lobe_j: TangentLobe, beta: ArrayLike = 1.0, *, shift: ArrayLike | None = None
-) -> Array:
-    """Return the similarity of two GGX lobes, in [0, 1], to the power ``beta``. Approximate.
-
-    ``pre^0.9 (2 sqrt(s_i s_j) / (s_i + s_j))^-0.3 (1 + 0.2614 q)^-2.2953`` with ``s = sqrt(det)``: the exponent is 0.6
-    for unequal sizes, which is right for concentric lobes of one shape, and 0.9 for unequal shapes, which tells lobes
-    of unlike anisotropy apart as they are in truth.
-
-    Parameters
-    ----------
-    lobe_i, lobe_j : TangentLobe
-        Lobes with positive determinants.
-    beta : array_like
-        Bandwidth exponent, > 0.
-    shift : array_like, shape (..., 3), optional
-        Added to the difference of the axes (`compute_hit_shift`).
-
-    Notes
-    -----
-    Source: this library. The kernel is the planar L2 autocorrelation of the GGX shape (within 7e-4).
-    Validity: RMSE of S against quadrature over random pairs of neighbouring lobes (alpha 0.03 to 0.75, n.v 0.12 to 1):
-    isotropic 0.018, anisotropic with one ratio of up to 4 and a frame twist of 0.2 rad 0.022; with two unrelated
-    ratios 0.031.
-    """
-    (beta,) = as_reals(beta)
-    pre, q = _compare(lobe_i, lobe_j, shift)
-    exponent = _log_areas(pre, lobe_i, lobe_j) - GGX_KERNEL_POWER * np.log1p(GGX_KERNEL_SCALE * q)
-    return np.asarray(np.exp(beta.astype(q.dtype) * exponent))
 
 
 def _split_eigenvalues(lobe: TangentLobe) -> tuple[Array, Array, Array]:
@@ -184,7 +123,13 @@ def _split_eigenvalues(lobe: TangentLobe) -> tuple[Array, Array, Array]:
 def tangent_approx_similarity(
     lobe_i: TangentLobe, lobe_j: TangentLobe, beta: ArrayLike = 1.0, *, shift: ArrayLike | None = None
 ) -> Array:
-    """Return `tangent_ggx_similarity` in the arithmetic of the image kernels: no frame, no cross product, no cofactors.
+    """Return the similarity of two GGX lobes, in [0, 1], to the power ``beta``, as the image kernels do. Approximate.
+
+    ``pre^0.9 (2 sqrt(s_i s_j) / (s_i + s_j))^-0.3 (1 + q / 4)^-2.4`` with ``s = sqrt(det)``,
+    ``pre = 2 (det_i det_j)^(1/4) / sqrt(det M)``, ``q = d^T M^-1 d`` and M the sum of both covariances. The exponent is
+    0.6 for unequal sizes, which is right for concentric lobes of one shape, and 0.9 for unequal shapes, which tells
+    lobes of unlike anisotropy apart as they are in truth. ``shift``, shape (..., 3), is added to the difference of the
+    axes (`compute_hit_shift`).
 
     With ``d = z_j - z_i`` and ``R = tr(S) P - S``, the covariances turned by a quarter about their axes,
     ``Q = d^T (R_i + R_j) d`` is the determinant of ``A_i + A_j``, ``A = S^-1`` in its plane, over ``det A_i det A_j``,
@@ -195,10 +140,9 @@ def tangent_approx_similarity(
     Q for round lobes the squared chord, and P is taken in a plane:
     ``Q = (a_i + a_j) |d|^2 - d^T (L_i + L_j) d``, ``P = (a_i + b_j) (a_j + b_i) - L_i:L_j``. P is bounded below by
     ``(sqrt(det_i) + sqrt(det_j))^2``, which it never is below but for rounding. The kernel is ``(1 + q / 4)^-2.4``,
-    whose exponent is eight times 0.3 (within 3.7e-3 of the other, the same slope at 0).
+    whose exponent is eight times 0.3: the planar L2 autocorrelation of the GGX shape within 3.7e-3.
 
-    Validity: the RMSE of S against quadrature keeps the bounds of `tangent_ggx_similarity` in
-    docs/developers/theory.md, which the tests hold for both.
+    Validity: docs/developers/theory.md has bounds of the RMSE of S against quadrature, which the tests hold.
     """
     (beta,) = as_reals(beta)
     difference = _separate(lobe_i, lobe_j, shift)
@@ -211,14 +155,3 @@ def tangent_approx_similarity(
     pre = 2.0 * np.sqrt(root_i) * np.sqrt(root_j) / np.sqrt(invariant)
     exponent = _log_areas(pre, lobe_i, lobe_j) - 2.4 * np.log1p(0.25 * quadratic / invariant)
     return np.asarray(np.exp(beta.astype(exponent.dtype) * exponent))
-
-
-def tangent_gaussian_similarity(lobe_i: TangentLobe, lobe_j: TangentLobe, beta: ArrayLike = 1.0) -> Array:
-    """Return ``(pre exp(-q / 2))^beta``, the similarity of two planar Gaussians, in [0, 1].
-
-    Exact for Gaussians in one plane. Validity for Beckmann lobes: RMSE of S against quadrature 0.022 (isotropic), 0.020
-    (anisotropic, one ratio), 0.038 (two unrelated ratios). Serves Blinn-Phong and Ward lobes as well.
-    """
-    (beta,) = as_reals(beta)
-    pre, q = _compare(lobe_i, lobe_j)
-    return np.asarray(np.exp(beta.astype(q.dtype) * (np.log(pre) - 0.5 * q)))
