@@ -16,11 +16,12 @@ from benchmarks.pages import (
     bench,
     core,
     exports,
-    farm,
     films,
     interactive,
+    paper,
     performance,
     quality,
+    results,
     serving,
     shares,
     streaming,
@@ -37,22 +38,25 @@ class Source(NamedTuple):
 
 
 PAGES = {
-    "README.md": Source(users.make_readme_figures, ("users", "blender_shots", "without_lobes")),
+    "README.md": Source(results.make_shot_figures, ("blender_shots",)),
+    "docs/index.md": Source(results.make_shot_figures, ("blender_shots",)),
+    "docs/blender.md": Source(results.make_shot_figures, ("blender_shots",)),
+    "docs/paper.md": Source(paper.make_figures, ("paper_pair", "paper_table")),
+    "docs/results.md": Source(results.make_figures, ("blender_shots", "users", "films", "without_lobes", "robustness")),
     "docs/developers/bench.md": Source(bench.make_figures, ("startup",)),
-    "docs/export.md": Source(exports.make_figures, ("pipelines", "chains")),
-    "docs/farm.md": Source(farm.make_figures, ("farm",)),
+    "docs/developers/export.md": Source(exports.make_figures, ("pipelines", "chains")),
     "docs/developers/interactive.md": Source(
         interactive.make_figures, ("interactive_quality", "interactive", "viewer")
     ),
     "docs/developers/performance.md": Source(performance.make_figures, ("filters", "budget")),
     "docs/developers/quality_results.md": Source(quality.make_figures, ("quality",)),
-    "docs/start.md": Source(core.make_figures, ("core",)),
+    "docs/developers/releasing.md": Source(core.make_figures, ("core",)),
     "docs/developers/research/mixing_networks.md": Source(shares.make_figures, ("shares",)),
     "docs/developers/filter_results.md": Source(performance.make_result_figures, ("filters",)),
-    "docs/serving.md": Source(serving.make_figures, ("robustness",)),
-    "docs/streaming.md": Source(streaming.make_figures, ("streaming",)),
+    "docs/developers/robustness.md": Source(serving.make_figures, ("robustness", "farm")),
+    "docs/developers/bands.md": Source(streaming.make_figures, ("streaming",)),
     "docs/developers/users_results.md": Source(users.make_figures, ("users", "blender_shots")),
-    "docs/windows.md": Source(films.make_figures, ("films",)),
+    "docs/developers/windows.md": Source(films.make_figures, ("films",)),
 }
 """The pages that have marked places."""
 

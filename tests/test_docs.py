@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 import shutil
 from importlib import import_module
 from pathlib import Path
@@ -20,6 +21,11 @@ BUNDLED = ROOT / "src" / "lobewise" / "data" / "demo.exr"
 
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+USER_PAGES = [*sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs" / "tutorials").glob("*.ipynb"))]
+"""What a user reads. Everything else is in docs/developers and docs/api."""
+MAX_USER_PAGES = 25
+MAX_USER_WORDS = 25000
+MAX_README_LINES = 90
 
 
 def load_publisher() -> ModuleType:
@@ -27,9 +33,9 @@ def load_publisher() -> ModuleType:
     return import_module("benchmarks.publish")
 
 
-def run_blocks(name: str) -> dict[str, Any]:
+def run_blocks(name: str, names: dict[str, Any] | None = None) -> dict[str, Any]:
     """Run the Python blocks of a page of docs one after the other; return the names that they define."""
-    names: dict[str, Any] = {}
+    names = {} if names is None else names
     for block in re.findall(r"```python\n(.*?)```", (ROOT / "docs" / name).read_text(), flags=re.S):
         exec(compile(block, name, "exec"), names)
     return names
@@ -60,25 +66,16 @@ def test_blender_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert [len(layer.parts) for layer in after.layers] == [len(layer.parts) for layer in before.layers] != []
 
 
-def test_blender_page_has_commands_and_options_that_exist() -> None:
+def test_blender_page_has_options_that_exist() -> None:
     from typer.main import get_command
 
     from lobewise.cli.commands import app
 
-    verbs = get_command(app).commands  # type: ignore[attr-defined]
-    blocks = re.findall(r"^```(\w*)\n(.*?)^```", BLENDER_PAGE.read_text(), flags=re.S | re.M)
-    commands = "".join(text for language, text in blocks if not language)
-    lines = re.findall(r"^lobewise ([^#\n]*)", commands, flags=re.M)
-    assert {line.split()[0] for line in lines} >= {"inspect", "denoise", "view", "compare"}
-    known = {
-        verb: {name for each in command.params for name in (*each.opts, *each.secondary_opts)}
-        for verb, command in verbs.items()
-    }
-    for verb, *words in map(str.split, lines):
-        assert {word for word in words if word.startswith("--")} <= known[verb], verb
+    denoise = get_command(app).commands["denoise"]  # type: ignore[attr-defined]
+    known = {name for each in denoise.params for name in (*each.opts, *each.secondary_opts)}
     alone = set(re.findall(r"`(--[a-z-]+)", BLENDER_PAGE.read_text()))
     assert alone
-    assert alone <= known["denoise"]
+    assert alone <= known
 
 
 def test_blender_page_names_what_the_extension_shows() -> None:
@@ -110,6 +107,7 @@ def test_upsampling_page_runs() -> None:
     names = run_blocks("upsampling.md")
     assert names["image"].shape == (64, 80, 3)
     np.testing.assert_allclose(names["image"], 0.5, rtol=1e-5)
+    names = run_blocks("developers/upsampling.md", names)
     np.testing.assert_allclose(names["shine"], 0.2, rtol=1e-5)
 
 
@@ -153,17 +151,71 @@ def test_interactive_page_runs(mi: Any) -> None:
     assert [image.shape for image in names["images"]] == [(128, 128, 3)] * 3
 
 
-@pytest.mark.parametrize("name", ["README.md", "docs/command_line.md"])
-def test_commands_exist(name: str) -> None:
+def test_users_read_a_short_book() -> None:
+    assert len(USER_PAGES) <= MAX_USER_PAGES
+    assert sum(len(path.read_text().split()) for path in USER_PAGES) <= MAX_USER_WORDS
+    assert len((ROOT / "README.md").read_text().splitlines()) <= MAX_README_LINES
+
+
+def list_commands(page: str) -> list[list[str]]:
+    """Return the words of every command `lobewise` in the blocks of a page."""
+    blocks = re.findall(r"^```(\S*)\n(.*?)^```", page, flags=re.S | re.M)
+    text = "".join(block for language, block in blocks if language in ("", "sh", "bash"))
+    lines = (line.partition(" # ")[0] for line in text.replace("\\\n", " ").splitlines())
+    found = (re.search(r"(?:^|&& )(?:\S*/)?lobewise ([^<>]*)", line) for line in lines)
+    return [shlex.split(one[1], comments=True) for one in found if one]
+
+
+@pytest.mark.parametrize(
+    "path", [ROOT / "README.md", *(path for path in USER_PAGES if path.suffix == ".md")], ids=lambda path: path.stem
+)
+def test_commands_and_their_options_exist(path: Path) -> None:
     from typer.main import get_command
 
     from lobewise.cli.commands import app
 
-    verbs = set(get_command(app).commands)  # type: ignore[attr-defined]
-    text = (ROOT / name).read_text()
-    used = set(re.findall(r"^(?:.*/)?lobewise (\w+)", text, flags=re.M)) | set(re.findall(r"`lobewise (\w+)", text))
-    assert used
-    assert used <= verbs
+    verbs = get_command(app).commands  # type: ignore[attr-defined]
+    text = path.read_text()
+    assert set(re.findall(r"`lobewise ([a-z]\w+)", text)) <= set(verbs)
+    for words in list_commands(text):
+        if words == ["--install-completion"]:
+            continue
+        command = verbs[words[0]]
+        if words[1:] and words[1] in getattr(command, "commands", {}):
+            command = command.commands[words[1]]
+        known = {name for each in command.params for name in (*each.opts, *each.secondary_opts)}
+        assert {word for word in words if word.startswith("--")} <= known, words
+
+
+def test_commands_of_pages_are_found() -> None:
+    page = "text\n```sh\nlobewise a 'b.##.exr' --c 1  # d\n. x && .venv/bin/lobewise demo \\\n  --e\n```\n"
+    assert list_commands(page) == [["a", "b.##.exr", "--c", "1"], ["demo", "--e"]]
+
+
+def test_other_pages_of_users_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("frame.exr", "shot.0001.exr", "shot.0002.exr"):
+        shutil.copy(BUNDLED, tmp_path / name)
+    monkeypatch.chdir(tmp_path)
+    run_blocks("serving.md")
+    run_blocks("sequences.md")
+    assert lobewise.read_frame("clean.exr").shape == lobewise.read_frame("clean.0001.exr").shape
+
+
+def test_renderers_page_runs(field_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shutil.copy(field_folder / "blender_stereo.exr", tmp_path / "stereo.exr")
+    monkeypatch.chdir(tmp_path)
+    run_blocks("renderers.md")
+    for view in ("left", "right"):
+        before, after = (lobewise.read_frame(name, view=view) for name in ("stereo.exr", "clean.exr"))
+        assert not np.array_equal(after.radiance.color, before.radiance.color)
+
+
+def test_every_page_of_users_with_python_is_run() -> None:
+    """The tests of this file, of the viewer and of bands run these pages."""
+    named = {path.name for path in USER_PAGES if path.suffix == ".md" and "```python" in path.read_text()}
+    run = {"blender.md", "serving.md", "sequences.md", "upsampling.md", "mitsuba.md", "viewer.md"}
+    run |= {"streaming.md", "renderers.md"}
+    assert named - run == {"farm.md"}  # its programs ask SLURM and Kubernetes for machines
 
 
 def test_pictures_and_links_exist() -> None:

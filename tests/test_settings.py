@@ -122,9 +122,10 @@ def complaints(tmp_path_factory) -> dict[str, list[tuple[int, str]]]:
     for page in [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "developers").glob("*.md")]:
         blocks = re.findall(r"```python\n(.*?)```", page.read_text(), flags=re.S)
         if blocks:
-            # This page goes on where a reader is.
+            # Some pages go on where a reader is: this one, and those for developers after those for users.
             before = PROLOGUE + "ids = np.zeros(frame.shape)\n" if page.stem == "features" else ""
-            (folder / f"page_{page.stem}.py").write_text(before + "\n".join(blocks))
+            with (folder / f"page_{page.stem}.py").open("a") as file:
+                file.write(before + "\n".join(blocks))
     written = [*folder.glob("*.py"), *(ROOT / "examples").glob("*.py")]
     command = [sys.executable, "-m", "mypy", "--config-file=", "--ignore-missing-imports", "--no-error-summary"]
     done = subprocess.run(

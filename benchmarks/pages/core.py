@@ -1,4 +1,4 @@
-"""The figures of docs/start.md, measured by ``python -m releasing.wheels``."""
+"""The figures of docs/developers/releasing.md, measured by ``python -m releasing.wheels``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from benchmarks.pages.tables import list_facts, make_table
 
 
 def make_figures(measured: Mapping[str, Any]) -> dict[str, str]:
-    """Return the figures of docs/start.md by place."""
+    """Return the figures of docs/developers/releasing.md by place."""
     return {"installation": f"{list_wheel(measured)}\n\n{make_rows(measured['installed'])}"}
 
 

@@ -1,4 +1,4 @@
-"""The figures of docs/export.md, measured by `performance/pipelines.py` and `performance/chains.py`."""
+"""The figures of docs/developers/export.md, measured by `performance/pipelines.py` and `performance/chains.py`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ MEGA = 1e6
 
 
 def make_figures(measured: Mapping[str, Any], chains: Mapping[str, Any]) -> dict[str, str]:
-    """Return the figures of docs/export.md by place."""
+    """Return the figures of docs/developers/export.md by place."""
     height, width = measured["size"]
     machine = measured["machine"]
     run = {

@@ -1,4 +1,4 @@
-"""The figures of docs/farm.md, measured by `robustness/farm.py`."""
+"""The figures of docs/developers/robustness.md, measured by `robustness/farm.py`."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Any
 from benchmarks.pages.tables import list_facts, make_table
 
 
-def make_figures(measured: Mapping[str, Any]) -> dict[str, str]:
-    """Return the figures of docs/farm.md by place."""
+def make_farm_figures(measured: Mapping[str, Any]) -> dict[str, str]:
+    """Return the figures of a farm by place."""
     return {"costs": make_costs(measured), "losses": make_losses(measured["parts"]["losses"])}
 
 

@@ -1,4 +1,4 @@
-"""The figures of docs/windows.md, measured by `benchmarks/films`."""
+"""The figures of docs/developers/windows.md, measured by `benchmarks/films`."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def make_goals(summary: Mapping[str, Any]) -> str:
 
 
 def make_figures(data: Mapping[str, Any]) -> dict[str, str]:
-    """Return the figures of docs/windows.md by place."""
+    """Return the figures of docs/developers/windows.md by place."""
     return {
         "error": make_film_table(data["films"], "error"),
         "flicker": make_film_table(data["films"], "flicker"),

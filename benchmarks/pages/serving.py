@@ -1,10 +1,11 @@
-"""The figures of docs/serving.md, measured by `robustness/circumstances.py`."""
+"""The figures of docs/developers/robustness.md, measured by `robustness/circumstances.py` and `robustness/farm.py`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
+from benchmarks.pages.farm import make_farm_figures
 from benchmarks.pages.tables import list_facts, make_table
 
 RIGHT = ("finished", "finished before", "sentence", "stopped")
@@ -18,8 +19,8 @@ CIRCUMSTANCES = {
 }
 
 
-def make_figures(measured: Mapping[str, Any]) -> dict[str, str]:
-    """Return the figures of docs/serving.md by place."""
+def make_figures(measured: Mapping[str, Any], farm: Mapping[str, Any]) -> dict[str, str]:
+    """Return the figures of docs/developers/robustness.md by place."""
     parts = {name: part["found"] for name, part in measured["parts"].items()}
     (first, early), (last, late) = parts["calls"].items()
     large = parts["16k"]["file"]
@@ -37,14 +38,15 @@ def make_figures(measured: Mapping[str, Any]) -> dict[str, str]:
         "Machine": f"{measured['processor']}, {measured['cores']} cores",
     }
     return {
-        "limits": make_limits(parts["memory"], parts["time"]),
         "circumstances": make_circumstances(parts),
         "run": list_facts(facts),
+        **make_farm_figures(farm),
     }
 
 
-def make_limits(memory: Mapping[str, Any], time: Mapping[str, Any]) -> str:
+def make_limits(measured: Mapping[str, Any]) -> str:
     """Return the table of the limits that a frame of 1600x1200 pixels needs, and of what the process then takes."""
+    memory, time = (measured["parts"][name]["found"] for name in ("memory", "time"))
     header = ["quality", "least `--max-memory`", "peak", "time of a call", "latest end after `max_seconds`"]
     rows = [
         [

@@ -1,4 +1,4 @@
-"""The figures of docs/streaming.md, measured by `performance/streaming.py`."""
+"""The figures of docs/developers/bands.md, measured by `performance/streaming.py`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from benchmarks.pages.tables import list_facts, make_table
 
 
 def make_figures(measured: Mapping[str, Any]) -> dict[str, str]:
-    """Return the figures of docs/streaming.md by place."""
+    """Return the figures of docs/developers/bands.md by place."""
     machine = next(iter(measured["rows"].values()))["machine"]
     width, height = measured["size"]
     small = "x".join(map(str, measured["small_size"]))

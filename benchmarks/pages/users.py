@@ -1,4 +1,4 @@
-"""The figures of README.md and docs/developers/users_results.md, measured by `benchmarks/users`."""
+"""The figures of docs/developers/users_results.md, measured by `benchmarks/users`."""
 
 from __future__ import annotations
 
@@ -42,15 +42,6 @@ SETS = {
     "plain": "Plain: one albedo, normal, depth",
     "color": "Color alone",
 }
-README_SETS = {"all": "all guides", "plain": "albedo, normal, depth alone"}
-README_COLUMNS = (
-    ("all", NOISY),
-    ("all", PEER),
-    ("all", "high"),
-    ("all", "auto"),
-    ("plain", "auto"),
-)
-"""Guides and method of each column of the README's table."""
 GROUPS = {
     "interiors": "Public interiors",
     "factory": "Random shots of Blender 4.5, Cycles",
@@ -156,44 +147,10 @@ def _average(ratios: Iterable[float]) -> float:
     return statistics.geometric_mean(list(ratios))
 
 
-def make_readme_figures(
-    data: Mapping[str, Any], shots: Mapping[str, Any], without_lobes: Mapping[str, Any]
-) -> dict[str, str]:
-    """Return the tables of README.md."""
-    return {"results": make_means(data), "blender-shots": make_means(shots), "lobes": make_lobes(without_lobes)}
-
-
-def make_lobes(measured: Mapping[str, Any]) -> str:
-    """Return the errors of glossy pixels over those of filters that compare normals, by quality and sample count."""
-    counts = list(dict.fromkeys(name.split()[1] for name in measured["frames"]))
-    rows = [
-        [f"`{quality}`", *(f"{means[f'glossy, {spp} spp']:.2f}" for spp in counts), f"{means['glossy']:.2f}"]
-        for quality, means in measured["means"].items()
-    ]
-    scenes = len({name.split()[0] for name in measured["frames"]})
-    table = make_table(["filter", *(f"{spp} spp" for spp in counts), "all"], rows)
-    return f"{table}\n\n{scenes} scenes; {describe_run(measured)}."
-
-
-def make_means(data: Mapping[str, Any]) -> str:
-    """Return the means over the error of Open Image Denoise with the same guides, by sample count."""
-    found = data["summary"]["ratios"][HELD_OUT][PEER]
-    counts = _list_counts(spp for methods in found.values() for cells in methods.values() for spp in cells)
-    itself = {PEER: {spp: {"ratio": 1.0} for spp in counts}}
-    cells = [(found[guides] | itself)[method] for guides, method in README_COLUMNS]
-    names = {**TITLES, PEER: "Open Image Denoise"}
-    header = [
-        names[method] + ("" if guides == "all" else f", {README_SETS[guides]}") for guides, method in README_COLUMNS
-    ]
-    rows = [[spp, *(f"{each[spp]['ratio']:.2f}" for each in cells)] for spp in counts]
-    scenes = sum(1 for scene in data["scenes"].values() if scene["held_out"])
-    return make_table(["spp", *header], rows) + f"\n\n{scenes} scenes; {describe_run(data)}."
-
-
 def make_ratios(bases: Mapping[str, Any], base: str) -> str:
     """Return the geometric means of the errors over those of one method."""
     found = bases.get(base, {})
-    counts = _list_counts(spp for methods in found.values() for cells in methods.values() for spp in cells)
+    counts = list_counts(spp for methods in found.values() for cells in methods.values() for spp in cells)
     rows = []
     for guides in SETS:
         for method in TITLES:
@@ -312,7 +269,8 @@ def make_method(data: Mapping[str, Any]) -> dict[str, str]:
     }
 
 
-def _list_counts(counts: Iterable[str]) -> list[str]:
+def list_counts(counts: Iterable[str]) -> list[str]:
+    """Return sample counts in their order, each once."""
     return sorted(set(counts), key=int)
 
 

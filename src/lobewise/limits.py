@@ -18,7 +18,7 @@ GIB = float(2**30)
 MIN_MEMORY_GIB = 1.0
 """Smallest limit of memory, GiB: program and kernels alone take half of it."""
 PROGRAM_GIB = 0.5
-"""Memory that program, libraries and kernels take beside a band or frame, GiB; docs/streaming.md has measurements."""
+"""Memory that program, libraries and kernels take beside a band or a frame, GiB (docs/developers/bands.md)."""
 MAX_SHARE_OF_MEMORY = 0.9
 """Share of its memory that a process with a limit plans to take: Dask ends a worker that takes 0.95."""
 

@@ -1,4 +1,4 @@
-"""docs/export.md is true: its commands run, its programs compile, its lists are those of the code."""
+"""The pages on exports are true: their commands run, their programs compile, their lists are those of the code."""
 
 from __future__ import annotations
 
@@ -15,28 +15,30 @@ from lobewise.exporting.pipeline.writing import MAX_DEVICE_DIFFERENCE, MAX_DIFFE
 from lobewise.exporting.shaders.functions import make_shader
 from tests.exporting.conftest import locate_program
 
-PAGE = (Path(__file__).parents[2] / "docs" / "export.md").read_text()
+DOCS = Path(__file__).parents[2] / "docs"
+PAGE = (DOCS / "export.md").read_text()
+DETAILS = (DOCS / "developers" / "export.md").read_text()
 
 
-def get_block(language: str) -> str:
-    """Return the first block of code in a language."""
-    return re.findall(rf"```{re.escape(language)}\n(.*?)```", PAGE, flags=re.S)[0]
+def get_block(page: str, language: str) -> str:
+    """Return the first block of code of a page in a language."""
+    return re.findall(rf"```{re.escape(language)}\n(.*?)```", page, flags=re.S)[0]
 
 
 def test_targets_are_listed() -> None:
-    table = PAGE.split("### Targets")[1].split("Exporting needs no compiler")[0]
+    table = DETAILS.split("### Targets")[1].split("Exporting needs no compiler")[0]
     listed = re.findall(r"`((?:x86|arm|wasm)-[\w-]+)`", table)
     assert sorted(["host", *listed]) == sorted(TARGETS)
 
 
 def test_bounds_are_those_of_the_example() -> None:
-    found = [float(word) for word in re.findall(r"\| (0\.0+\d) \|", PAGE)]
+    found = [float(word) for word in re.findall(r"\| (0\.0+\d) \|", DETAILS)]
     bounds = [MAX_DIFFERENCE, MAX_PLAIN_DIFFERENCE, MAX_DEVICE_DIFFERENCE]
     assert found == bounds
 
 
 def test_shader_pass_compiles(glslang: str, tmp_path: Path) -> None:
-    program = get_block("glsl").replace('#include "lobewise.glsl"\n', make_shader("glsl"))
+    program = get_block(DETAILS, "glsl").replace('#include "lobewise.glsl"\n', make_shader("glsl"))
     (tmp_path / "pass.comp").write_text(program)
     done = subprocess.run([glslang, "-V", "pass.comp"], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout
@@ -47,7 +49,7 @@ def test_commands_run_and_program_compiles(
     compiler: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    export, enter, *commands = get_block("sh").splitlines()
+    export, enter, *commands = get_block(DETAILS, "sh").splitlines()
     assert run(export.split()[1:]) == 0
     out = capsys.readouterr().out
     folder = tmp_path / enter.removeprefix("cd ")
@@ -55,7 +57,7 @@ def test_commands_run_and_program_compiles(
     assert " && ".join(commands) in out
     for command in commands:
         subprocess.run(command, shell=True, cwd=folder, check=True)
-    (folder / "own.c").write_text(get_block("c"))
+    (folder / "own.c").write_text(get_block(DETAILS, "c"))
     words = ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-c", "own.c"]
     done = subprocess.run([compiler, *words], cwd=folder, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -67,13 +69,13 @@ def test_pipeline_commands_run_and_class_compiles(
 ) -> None:
     cpp = locate_program("g++", "g++")
     monkeypatch.chdir(tmp_path)
-    export, enter, *commands = get_block("bash").splitlines()
+    export, enter, *commands = get_block(PAGE, "bash").splitlines()
     assert run(export.split()[1:]) == 0
     assert " && ".join(commands) in capsys.readouterr().out
     folder = tmp_path / enter.removeprefix("cd ")
     for command in commands:
         subprocess.run(command, shell=True, cwd=folder, check=True)
-    (folder / "own.cpp").write_text(get_block("c++"))
+    (folder / "own.cpp").write_text(get_block(PAGE, "c++"))
     words = ["-std=c++11", "-Wall", "-Wextra", "-pedantic", "-Werror", "-c", "own.cpp"]
     done = subprocess.run([cpp, *words], cwd=folder, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -81,7 +83,7 @@ def test_pipeline_commands_run_and_class_compiles(
 
 def test_options_of_pipelines_are_those_of_the_page() -> None:
     """Every option of a pipeline is in the page's table, and the table names no other."""
-    table = PAGE.split("| option | what it adds |")[1].split("\n\n")[0]
+    table = DETAILS.split("| option | what it adds |")[1].split("\n\n")[0]
     named = set(re.findall(r"`--([a-z-]+)", table))
     own = {name.replace("_", "-") for name in KNOBS}
     own = (own - {"motion", "halves", "albedo"}) | {"no-motion", "no-halves", "no-albedo"}

@@ -25,7 +25,7 @@ SCRIPTS = str(Path(sys.executable).parent)
 
 def list_commands(port: int) -> dict[str, str]:
     """Return the commands of the page by their kind, for a scheduler on this machine."""
-    section = PAGE.read_text().partition("\n## Several machines")[2].partition("\n### ")[0]
+    section = PAGE.read_text().partition("\n## Use several machines")[2].partition("\n### ")[0]
     blocks = re.findall(r"```sh\n(.*?)```", section, re.DOTALL)
     words = ("openssl", "dask scheduler", "dask worker", "lobewise denoise")
     found = {word: next(block for block in blocks if word in block) for word in words}

@@ -137,7 +137,7 @@ def test_a_texture_that_no_guide_tells_comes_back(
     halves = {"half_a": Radiance(a), "half_b": Radiance(b)} if with_halves else {}
     frame = Frame(Radiance(0.5 * (a + b)), lobewise.GBuffer(normal=normal), **halves, spp=1024)
     noise = rel_mse(frame.radiance.color, truth)
-    # Without halves the network of "high" softens tiles a little (docs/quality.md, "Strengths and limits").
+    # Without halves the network of "high" softens tiles a little (docs/developers/quality.md, "Strengths and limits").
     most = 1.2 if (quality, pattern, with_halves) == ("high", "tiles", False) else 1.1
     assert rel_mse(lobewise.denoise(frame, quality=quality).image, truth) < most * noise
     if (quality, pattern) == ("high", "stripes"):

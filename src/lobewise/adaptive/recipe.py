@@ -35,7 +35,7 @@ part is the mean of as many samples."""
 
 KEPT_WORTH = 2.0
 """Weight of a pixel's own samples in the history, over that of as many samples around it. With 2 the error of every
-scene of docs/upsampling.md is lower than with 1."""
+scene of docs/developers/upsampling.md is lower than with 1."""
 MEDIAN_PIXELS = 128
 """About the rows and columns of the shorter side that tell the image's median."""
 

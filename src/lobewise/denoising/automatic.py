@@ -25,7 +25,7 @@ DEFAULT_SIMILARITY: SimilarityName = "ggx"
 """Similarity of "auto" where the frame has lobes: the winner of benchmarks/results/similarities.json."""
 DEFAULT_QUALITY: QualityName = "high"
 """Quality of "auto" for the full form without Open Image Denoise. It has the least mean error on every set of scenes
-(docs/quality.md, docs/developers/quality_results.md, docs/developers/renderers_results.md)."""
+(docs/developers/quality.md, docs/developers/quality_results.md, docs/developers/renderers_results.md)."""
 FEATURES_QUALITY: QualityName = "balanced"
 """Quality of "auto" for the full form where the caller has features of its own: the network of "high" does not read
 them, and softens edges that only they tell (tests/test_examples.py)."""

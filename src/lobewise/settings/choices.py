@@ -67,7 +67,7 @@ class Quality:
     refines : bool
         Whether a network refines the filtered image; it reads the roughness.
     work_bytes_per_pixel : int
-        Memory that the filters hold beside the frame, bytes; measured (docs/streaming.md).
+        Memory that the filters hold beside the frame, bytes; measured (docs/developers/bands.md).
     seconds_per_megapixel : float
         Half of the processor time at radius 8 with diffuse and specular light apart: the time on two threads; measured
         (``benchmarks/results/before_after.json``).

@@ -13,7 +13,7 @@ class Finding:
     Parameters
     ----------
     what : str
-        Name of the finding, from the table "What is checked" of ``docs/renderers.md``.
+        Name of the finding, from the table "What is checked" of ``docs/developers/checks.md``.
     sentence : str
         One sentence for the user: what was measured, and what is done about it.
     mended : bool

@@ -1,0 +1,70 @@
+"""The figures of README.md and of the pages for users: all from the same JSON files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from benchmarks.pages.films import make_summary
+from benchmarks.pages.serving import make_limits
+from benchmarks.pages.tables import describe_run, make_table
+from benchmarks.pages.users import TITLES, list_counts, make_kinds
+from benchmarks.users.summary import HELD_OUT, NOISY, PEER
+
+GUIDES = {"all": "all guides", "plain": "albedo, normal, depth alone"}
+COLUMNS = (
+    ("all", NOISY),
+    ("all", PEER),
+    ("all", "high"),
+    ("all", "auto"),
+    ("plain", "auto"),
+)
+"""Guides and method of each column of the tables."""
+
+
+def make_shot_figures(shots: Mapping[str, Any]) -> dict[str, str]:
+    """Return the table of random shots of Blender."""
+    return {"blender-shots": make_means(shots)}
+
+
+def make_figures(
+    shots: Mapping[str, Any],
+    data: Mapping[str, Any],
+    films: Mapping[str, Any],
+    without_lobes: Mapping[str, Any],
+    robustness: Mapping[str, Any],
+) -> dict[str, str]:
+    """Return the figures of docs/results.md by place."""
+    return {
+        **make_shot_figures(shots),
+        "blender-kinds": make_kinds(shots),
+        "scenes": make_means(data),
+        "films": f"{make_summary(films['summary'])}\n\n{len(films['films'])} films; {describe_run(films)}.",
+        "lobes": make_lobes(without_lobes),
+        "limits": make_limits(robustness),
+    }
+
+
+def make_means(data: Mapping[str, Any]) -> str:
+    """Return the means over the error of Open Image Denoise with the same guides, by sample count."""
+    found = data["summary"]["ratios"][HELD_OUT][PEER]
+    counts = list_counts(spp for methods in found.values() for cells in methods.values() for spp in cells)
+    itself = {PEER: {spp: {"ratio": 1.0} for spp in counts}}
+    cells = [(found[guides] | itself)[method] for guides, method in COLUMNS]
+    names = {**TITLES, PEER: "Open Image Denoise"}
+    header = [names[method] + ("" if guides == "all" else f", {GUIDES[guides]}") for guides, method in COLUMNS]
+    rows = [[spp, *(f"{each[spp]['ratio']:.2f}" for each in cells)] for spp in counts]
+    scenes = sum(1 for scene in data["scenes"].values() if scene["held_out"])
+    return make_table(["spp", *header], rows) + f"\n\n{scenes} scenes; {describe_run(data)}."
+
+
+def make_lobes(measured: Mapping[str, Any]) -> str:
+    """Return the errors of glossy pixels over those of filters that compare normals, by quality and sample count."""
+    counts = list(dict.fromkeys(name.split()[1] for name in measured["frames"]))
+    rows = [
+        [f"`{quality}`", *(f"{means[f'glossy, {spp} spp']:.2f}" for spp in counts), f"{means['glossy']:.2f}"]
+        for quality, means in measured["means"].items()
+    ]
+    scenes = len({name.split()[0] for name in measured["frames"]})
+    table = make_table(["filter", *(f"{spp} spp" for spp in counts), "all"], rows)
+    return f"{table}\n\n{scenes} scenes; {describe_run(measured)}."
