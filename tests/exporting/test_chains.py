@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 import lobewise
 from lobewise.cli.main import run
 from lobewise.denoising.automatic import resolve_settings
-from lobewise.denoising.layers import Layer, make_layers, mark_surface
+from lobewise.denoising.layers import make_layers
 from lobewise.exporting.names import CHAINS, SHADER_LANGUAGES
 from lobewise.exporting.shaders.chains import make_chain
 from lobewise.exporting.shaders.constants import compute_constants
@@ -25,7 +24,6 @@ from lobewise.exporting.shaders.passes import write_pass
 from lobewise.exporting.shaders.writing import export_chain
 from lobewise.filters.cross_filter import run_filter
 from lobewise.frame import Frame
-from lobewise.guides.lobe_fields import make_split_field
 from lobewise.settings import FORM_NAMES, DenoiseSettings
 from tests.exporting.chain_device import Player, give_images
 from tests.exporting.chain_scene import make_frame
@@ -47,73 +45,27 @@ def choose(frame: Frame, form: str, similarity: Any = "ggx") -> Any:
     return resolve_settings(frame, DenoiseSettings(quality="fast", form=form, radius=6, similarity=similarity))
 
 
-def test_guides(graphics: Any, language: str, folder: Path) -> None:
-    frame = make_frame(0)
-    settings = choose(frame, "separable")
-    field = make_split_field(frame.gbuffer, frame.require_camera("lobes"), [settings.tau])
-    player = Player(graphics, make_chain("filter"), language, folder)
-    constants = compute_constants(frame.require_camera("lobes"), frame.shape, settings)
-    made = player.run_pass("guides", give_images(frame), constants)
-    axes, spreads = made["axes"], made["spreads"]
-    valid = field.valid & mark_surface(frame)
-    np.testing.assert_array_equal(axes[..., 3] >= 0.0, valid)
-    assert 0 < np.count_nonzero(valid) < np.count_nonzero(field.valid) < valid.size
-    x, y, z, *t, large, small = (each[valid] for each in field.lobes[settings.tau])
-    noise = settings.tau**2
-    axes, spreads = axes[valid], spreads[valid]
-    np.testing.assert_allclose(axes[:, :3], np.stack([x, y, z], axis=-1), rtol=0.0, atol=2e-6)
-    np.testing.assert_allclose(axes[:, 3] + noise, large, rtol=1e-4)
-    np.testing.assert_allclose(spreads[:, 3] + noise, small, rtol=1e-4)
-    # The sign of t means nothing: compare t t^T.
-    outer, expected = (np.einsum("ki,kj->kij", v, v) for v in (spreads[:, :3], np.stack(t, axis=-1)))
-    np.testing.assert_allclose(outer, expected, rtol=0.0, atol=1e-4 * large.max())
-
-
-def filter_in_python(layer: Layer, settings: Any) -> Any:
-    return run_filter(
-        layer.radiance, layer.mask, layer.features, form=settings.form, radius=settings.radius, albedo=layer.albedo
-    )
-
-
-@pytest.mark.sampled("wgsl-separable")
-@pytest.mark.parametrize("form", FORM_NAMES)
-def test_filter_passes(graphics: Any, language: str, folder: Path, form: str) -> None:
-    frame = make_frame(0)
-    settings = choose(frame, form)
-    chain = make_chain("filter", form=form)
-    player = Player(graphics, chain, language, folder)
-    player.run(give_images(frame), compute_constants(frame.require_camera("lobes"), frame.shape, settings))
-    for layer in make_layers(frame, settings):
-        last = [each for each in chain.passes if layer.name in each.libraries][-1]
-        light, more = (player.images[last.writes[name]] for name in ("added_light", "added_more"))
-        expected = filter_in_python(layer, settings)
-        there = expected.weight_sum > 0.0
-        compare(light[..., 3], expected.weight_sum, WEIGHT_RTOL)
-        compare(light[there][:, 3] ** 2 / more[there][:, 0], expected.effective_samples[there], WEIGHT_RTOL)
-        assert layer.albedo is not None
-        compare(light[there][:, :3] / light[there][:, 3:] * layer.albedo[there], expected.image[there])
-
-
 @pytest.mark.sampled("wgsl-full-ggx", "wgsl-separable-ggx", "wgsl-separable-sg")
 @pytest.mark.parametrize(("form", "similarity"), [*((form, "ggx") for form in FORM_NAMES), ("separable", "sg")])
 def test_filter_chain(graphics: Any, language: str, folder: Path, form: Any, similarity: Any) -> None:
     frame = make_frame(0)
     settings = choose(frame, form, similarity)
-    player = Player(graphics, make_chain("filter", form=form, similarity=similarity), language, folder)
+    chain = make_chain("filter", form=form, similarity=similarity)
+    player = Player(graphics, chain, language, folder)
     image = player.run(give_images(frame), compute_constants(frame.require_camera("lobes"), frame.shape, settings))
     result = lobewise.denoise(frame, quality="fast", form=form, radius=6, similarity=similarity)
     compare(image[..., :3], result.image)
     assert np.abs(image[..., :3] - frame.radiance.color).max(where=np.isfinite(frame.radiance.color), initial=0) > 0.1
-
-
-def test_a_wrong_constant_is_noticed(graphics: Any, folder: Path) -> None:
-    frame = make_frame(0)
-    settings = choose(frame, "separable")
-    player = Player(graphics, make_chain("filter"), "wgsl", folder)
-    wrong = replace(settings, beta=1.05 * settings.beta)
-    image = player.run(give_images(frame), compute_constants(frame.require_camera("lobes"), frame.shape, wrong))
-    with pytest.raises(AssertionError):
-        compare(image[..., :3], lobewise.denoise(frame, quality="fast", form="separable", radius=6).image)
+    for layer in make_layers(frame, settings):
+        last = [each for each in chain.passes if layer.name in each.libraries][-1]
+        light, more = (player.images[last.writes[name]] for name in ("added_light", "added_more"))
+        options: dict[str, Any] = {"form": form, "radius": settings.radius, "albedo": layer.albedo}
+        expected = run_filter(layer.radiance, layer.mask, layer.features, **options)
+        there = expected.weight_sum > 0.0
+        compare(light[..., 3], expected.weight_sum, WEIGHT_RTOL)
+        compare(light[there][:, 3] ** 2 / more[there][:, 0], expected.effective_samples[there], WEIGHT_RTOL)
+        assert layer.albedo is not None
+        compare(light[there][:, :3] / light[there][:, 3:] * layer.albedo[there], expected.image[there])
 
 
 @pytest.mark.parametrize("chain", CHAINS)
