@@ -14,9 +14,9 @@ from lobewise.cli.main import run
 from lobewise.fitting.fit import fit_lobes
 from lobewise.fitting.ggx import ggx_brdf
 from lobewise.fitting.merl import FILE_BYTES
-from lobewise.io.materials import read_lobe_table, write_merl
+from lobewise.io.materials import read_lobe_table
 from lobewise.reporting.fit_plot import draw_fit
-from tests.fitting.merl_tables import make_merl
+from tests.fitting.merl_tables import make_merl, to_bytes
 from tests.lobes.oracles.brdf import lambert_brdf
 
 
@@ -25,7 +25,7 @@ def material(tmp_path_factory):
     """Return the path of a MERL file of a reddish GGX of roughness 0.2."""
     path = tmp_path_factory.mktemp("merl") / "copper.binary"
     color = np.asarray([0.9, 0.5, 0.2])
-    write_merl(path, make_merl(lambda view, light: ggx_brdf(view, light, 0.2)[:, None] * color))
+    path.write_bytes(to_bytes(make_merl(lambda view, light: ggx_brdf(view, light, 0.2)[:, None] * color)))
     return path
 
 

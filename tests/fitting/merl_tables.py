@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lobewise.fitting.merl import BINS, PHI_D, THETA_D, THETA_H, MerlBrdf
+from lobewise.fitting.merl import BINS, PHI_D, SCALES, THETA_D, THETA_H, MerlBrdf
 
 Array = NDArray[Any]
 
@@ -47,3 +47,12 @@ def make_merl(brdf: Callable[[Array, Array], Any], name: str = "") -> MerlBrdf:
         samples[index, above, 3] = 1.0
     samples.flags.writeable = False
     return MerlBrdf(name, samples)
+
+
+def to_bytes(brdf: MerlBrdf) -> bytes:
+    """Return the bytes of a MERL file. Samples that were not measured become -1."""
+    planes = np.empty((3, *BINS), dtype="<f8")
+    for channel, scale in enumerate(SCALES):
+        np.divide(brdf.samples[..., channel], scale, out=planes[channel])
+    planes[:, brdf.samples[..., 3] == 0.0] = -1.0
+    return np.asarray(BINS, dtype="<i4").tobytes() + planes.tobytes()

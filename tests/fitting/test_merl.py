@@ -15,10 +15,9 @@ from lobewise.fitting.merl import (
     FILE_BYTES,
     SCALES,
     parse_merl,
-    to_bytes,
     to_half_difference,
 )
-from tests.fitting.merl_tables import from_half_difference, get_bin_centres, make_merl
+from tests.fitting.merl_tables import from_half_difference, get_bin_centres, make_merl, to_bytes
 
 
 def draw_pairs(rng, count=4000):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -30,3 +31,16 @@ def normalize(a: Array) -> Array:
     """Return ``a`` scaled to unit length; a zero vector stays zero."""
     length = np.sqrt(dot(a, a))
     return np.asarray(a / np.where(length > 0.0, length, 1.0)[..., None])
+
+
+def make_view(cosine: ArrayLike, azimuth: ArrayLike = 0.0) -> Array:
+    """Return unit vectors (..., 3) of which ``cosine`` is z, at an azimuth about z, radians."""
+    cosine, azimuth = np.asarray(cosine, np.float64), np.asarray(azimuth, np.float64)
+    sine = np.sqrt(np.maximum(0.0, 1.0 - cosine * cosine))
+    return np.stack(np.broadcast_arrays(sine * np.cos(azimuth), sine * np.sin(azimuth), cosine), axis=-1)
+
+
+def make_turn(angle: float) -> Array:
+    """Return the matrix (3, 3) that turns vectors about z, counter-clockwise: ``vectors @ matrix``."""
+    cosine, sine = math.cos(angle), math.sin(angle)
+    return np.asarray([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lobewise.errors import InputError, MissingDependencyError, require_choice, require_integer
-from lobewise.fitting.arrays import Array
+from lobewise.fitting.arrays import Array, make_turn, make_view
 from lobewise.fitting.fit_shapes import LobeFamily
 from lobewise.fitting.ggx import ggx_brdf
 from lobewise.fitting.nodes import Nodes, make_nodes
@@ -180,26 +180,27 @@ class _Found:
     cosine_l2: float
 
 
-def _sample(evaluate: Evaluate, cosine: float, azimuth: float, nodes: Nodes) -> _Data:
-    """Evaluate the material at the nodes above the horizon."""
-    above = nodes.light[:, 2] > 0.0
-    turn = np.asarray(
-        [[math.cos(azimuth), -math.sin(azimuth), 0.0], [math.sin(azimuth), math.cos(azimuth), 0.0], [0.0, 0.0, 1.0]]
-    )
-    light = nodes.light[above] @ turn.T
-    view = turn @ np.asarray([math.sqrt(max(0.0, 1.0 - cosine * cosine)), 0.0, cosine])
-    values: Array = np.asarray(evaluate(np.tile(view, (light.shape[0], 1)), light), dtype=np.float64)
+def measure_reflection(evaluate: Evaluate, view: Array, light: Array) -> Array:
+    """Return the BRDF, 1/sr, seen from one direction (3,), for lights (n, 3); shape (n, 3), NaN if not measured."""
+    values: Array = np.asarray(evaluate(np.tile(view, (len(light), 1)), light), dtype=np.float64)
     if values.shape not in (light.shape, light.shape[:1]):
         expected = f"an array of shape {light.shape} or {light.shape[:1]}"
         got = f"shape {values.shape}"
         raise InputError("evaluate", expected=expected, got=got, action="return three numbers or one per direction")
-    if values.ndim == 1:
-        values = np.repeat(values[:, None], 3, axis=1)
-    good = np.asarray((np.isfinite(values) & (values >= 0.0)).all(axis=1))
+    values = np.broadcast_to(values.reshape(len(light), -1), light.shape)
+    good = (np.isfinite(values) & (values >= 0.0)).all(axis=1, keepdims=True)
+    return np.where(good, values, np.nan)
+
+
+def _sample(evaluate: Evaluate, cosine: float, azimuth: float, nodes: Nodes) -> _Data:
+    """Evaluate the material at the nodes above the horizon."""
+    above = nodes.light[:, 2] > 0.0
+    light = nodes.light[above] @ make_turn(azimuth)
+    values = measure_reflection(evaluate, make_view(cosine, azimuth), light)
     reflected = np.zeros_like(nodes.light)
-    reflected[above] = np.where(good[:, None], values, 0.0) * light[:, 2:]
+    reflected[above] = np.nan_to_num(values) * light[:, 2:]
     missing = np.zeros(above.shape, dtype=bool)
-    missing[above] = ~good
+    missing[above] = np.isnan(values[:, 0])
     root = np.where(missing, 0.0, np.sqrt(nodes.weight))
     return _Data(cosine, nodes.weight @ reflected, missing, nodes, root, root * (reflected @ LUMINANCE))
 
@@ -271,7 +272,7 @@ def _finish(data: _Data, family: LobeFamily, trial: _Trial, alpha: Array) -> _Fo
 
 def _fit_ggx(data: _Data, neighbour: Array | None) -> Array:
     """Return the alphas (along x, along y) of the GGX lobe that is nearest to the data."""
-    view = np.asarray([math.sqrt(max(0.0, 1.0 - data.cosine**2)), 0.0, data.cosine])
+    view = make_view(data.cosine)
 
     def evaluate(row: Array) -> Array:
         alpha = np.exp(row)
@@ -293,7 +294,7 @@ def _measure_half_vectors(data: _Data) -> Array:
 
     The square suppresses the tails. A small multiple of the identity keeps the covariance invertible.
     """
-    half = data.nodes.light + np.asarray([math.sqrt(max(0.0, 1.0 - data.cosine**2)), 0.0, data.cosine])
+    half = data.nodes.light + make_view(data.cosine)
     half = half[:, :2] / np.linalg.norm(half, axis=1, keepdims=True)
     # Solid angles of half vectors are 4 v.h times smaller than those of lights; v.h varies slowly and is left out.
     share = data.target**2 / np.sum(data.target**2)

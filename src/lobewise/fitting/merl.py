@@ -166,15 +166,6 @@ def parse_merl(data: bytes | bytearray | memoryview, name: str = "") -> MerlBrdf
     return MerlBrdf(name, _drop_unmeasured(samples, what))
 
 
-def to_bytes(brdf: MerlBrdf) -> bytes:
-    """Return the bytes of a MERL file. Samples that were not measured become -1."""
-    planes = np.empty((3, *BINS), dtype="<f8")
-    for channel, scale in enumerate(SCALES):
-        np.divide(brdf.samples[..., channel], scale, out=planes[channel])
-    planes[:, ~brdf.valid] = -1.0
-    return np.asarray(BINS, dtype="<i4").tobytes() + planes.tobytes()
-
-
 def _drop_unmeasured(samples: NDArray[np.float32], what: str) -> NDArray[np.float32]:
     """Set all four numbers of the samples without a measurement to 0, and return the array read-only."""
     with np.errstate(invalid="ignore"):

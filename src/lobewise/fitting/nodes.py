@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lobewise.fitting.arrays import Array
+from lobewise.fitting.arrays import Array, make_turn
 
 # Angle of the half vector up to which nodes are evenly spaced, radians: about the sharpest alpha that is resolved.
 _CORE_ANGLE = 0.005
@@ -56,3 +56,10 @@ def make_nodes(cosine: float, angular: int = 64) -> Nodes:
     across = half[..., 0] * sine + half[..., 2] * cosine
     light = 2.0 * across[..., None] * half - np.asarray([sine, 0.0, cosine])
     return Nodes(light.reshape(-1, 3), (4.0 * across * measure).ravel())
+
+
+def make_upper_nodes(cosine: float, azimuth: float = 0.0, angular: int = 32) -> Nodes:
+    """Return the nodes of `make_nodes` above the horizon, for a view at an azimuth, radians."""
+    nodes = make_nodes(cosine, angular)
+    above = nodes.light[:, 2] > 0.0
+    return Nodes(nodes.light[above] @ make_turn(azimuth), nodes.weight[above])

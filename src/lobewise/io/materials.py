@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from lobewise.errors import FileError, InputError
-from lobewise.fitting.merl import FILE_BYTES, MerlBrdf, parse_merl, to_bytes
+from lobewise.fitting.merl import FILE_BYTES, MerlBrdf, parse_merl
 from lobewise.io.documents import describe_kind, parse_json, read_document, require_arrays, show_value
-from lobewise.io.files import PathLike, open_atomic, read_bytes, write_text
+from lobewise.io.files import PathLike, read_bytes, write_text
 from lobewise.lobe_table import LobeTable
 
 FORMAT = "lobewise lobes"
@@ -38,18 +38,6 @@ def read_merl(path: PathLike) -> MerlBrdf:
         return parse_merl(data, Path(path).stem)
     except FileError as problem:
         raise FileError(f"{path}: {problem}") from None
-
-
-def write_merl(path: PathLike, brdf: MerlBrdf) -> None:
-    """Write a MERL file, whole or not at all.
-
-    Raises
-    ------
-    FileError
-        If the path cannot be written.
-    """
-    with open_atomic(path) as stream:
-        stream.write(to_bytes(brdf))
 
 
 def read_lobe_table(path: PathLike) -> LobeTable:

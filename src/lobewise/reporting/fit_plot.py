@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.fitting.arrays import Array
-from lobewise.fitting.fit import Evaluate
+from lobewise.fitting.arrays import Array, make_view
+from lobewise.fitting.fit import Evaluate, measure_reflection
 from lobewise.fitting.table import TableLobes, evaluate_lobes, evaluate_table
 from lobewise.lobe_table import LobeTable
 from lobewise.lobes.vectors import LUMINANCE
@@ -73,14 +73,9 @@ def _sample_cut(
     table: LobeTable, cosine: float, azimuth: float, angle: Array, evaluate: Evaluate
 ) -> tuple[Array, TableLobes, Array]:
     """Return (data, lobes, lights) for lights in the plane of incidence; data is NaN where there is no measurement."""
-    away = np.asarray([math.cos(azimuth), math.sin(azimuth), 0.0])
-    up = np.asarray([0.0, 0.0, 1.0])
-    view = math.sqrt(max(0.0, 1.0 - cosine * cosine)) * away + cosine * up
+    away, up, view = make_view([0.0, 1.0, cosine], azimuth)
     light = -np.sin(angle)[:, None] * away + np.cos(angle)[:, None] * up
-    values: Array = np.asarray(evaluate(np.tile(view, (angle.size, 1)), light), dtype=np.float64)
-    values = values if values.ndim == 2 else np.repeat(values[:, None], 3, axis=1)
-    good = np.asarray((np.isfinite(values) & (values >= 0.0)).all(axis=1))
-    data = np.where(good, np.where(good[:, None], values, 0.0) @ LUMINANCE * np.cos(angle), np.nan)
+    data = measure_reflection(evaluate, view, light) @ LUMINANCE * np.cos(angle)
     return data, evaluate_table(table, up, view, np.asarray([1.0, 0.0, 0.0])), light
 
 

@@ -124,7 +124,7 @@ class TestAgainstFormulas:
         scene = mi.load_dict({"type": "scene", "square": shape})
         plate = scene.shapes()[0].bsdf()
         material = read_material(plate)
-        table = material.nested[0].fitted.fit.table
+        table = material.nested[0].fitted.fit.tables[0]
         light = np.random.default_rng(1).normal(size=(20000, 3))
         light /= np.linalg.norm(light, axis=1, keepdims=True)
         # Half way between the azimuths of the table, where lobes that changed places would meet.
@@ -213,7 +213,7 @@ class TestAgainstFormulas:
             fit = Fit(
                 Parts(False, True, False, True, False, False, True),
                 LobeKind.GGX,
-                None,
+                (),
                 0.4 if columns > 1 else 0.0,
                 rows,
             )
@@ -315,7 +315,7 @@ class TestOtherPlugins:
     def test_a_pane_is_a_mirror_that_rays_may_pass(self, mi: Any, furnace: Furnace) -> None:
         bsdf = {"type": "thindielectric", "specular_reflectance": rgb(0.9, 0.6, 0.3)}
         found = fit(mi, bsdf)
-        assert (found.kind, found.table, found.can_be_transparent) == (LobeKind.DELTA, None, True)
+        assert (found.kind, found.tables, found.can_be_transparent) == (LobeKind.DELTA, (), True)
         # A sheet reflects 2 r / (1 + r) of the light along the normal, r being that of one side: 0.04 for 1.5.
         assert np.isclose(found.rows[-1, 0, 8], 1.0 - mean_of_pane(bsdf), atol=0.01)
         frame = furnace(bsdf, spp=256)
@@ -328,7 +328,7 @@ class TestOtherPlugins:
     def test_measured_file(self, mi: Any, tmp_path: Path) -> None:
         write_measured(tmp_path / "paint.bsdf", 0.2, (0.8, 0.4, 0.2))
         found = fit(mi, {"type": "measured", "filename": str(tmp_path / "paint.bsdf"), "id": "paint"})
-        assert (found.kind, found.table.name, found.is_isotropic) == (LobeKind.GGX, "paint", True)
+        assert (found.kind, found.tables[0].name, found.is_isotropic) == (LobeKind.GGX, "paint", True)
         # Without masking and Fresnel it is no GGX: seen from aslant the nearest one is narrower.
         assert np.allclose(found.rows[6:, 0, :2], 0.2, rtol=FITTED_ALPHA)
         # Seen from above light at t has its half vector at t / 2, and the integral of D(half) / 4 is near that of

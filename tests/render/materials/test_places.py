@@ -180,7 +180,7 @@ class TestRamps:
     def test_lobes_between_the_nodes(self, mi: Any, distribution: str) -> None:
         plastic = {"type": "pplastic", "distribution": distribution}
         material = read({**plastic, "alpha": ramp_texture(SHARP, WIDE)})
-        assert len(material.fitted.fit.varying.fits) <= 5
+        assert len(material.fitted.fit.nodes) <= 5
         u = np.array([0.05, 0.22, 0.41, 0.66, 0.93])
         found = describe(material, u)
         normal, view, light = np.array([0.0, 0.0, 1.0]), np.array([0.6, 0.0, 0.8]), make_lights()
@@ -198,7 +198,7 @@ class TestRamps:
     def test_brushed_lobes_have_few_nodes(self, rough: str) -> None:
         brushed = {"type": rough, "stretch": 1.5}
         material = read({**brushed, "rough": ramp_texture(SHARP, WIDE)})
-        assert len(material.fitted.fit.varying.fits) == 4
+        assert len(material.fitted.fit.nodes) == 4
         assert not material.fitted.fit.is_isotropic
         for u in (0.1, 0.9):
             found = describe(material, u, cos_view=0.9)
@@ -264,18 +264,18 @@ class TestOnePlace:
     def test_equal_squares_give_the_lobes_of_no_texture(self, mi: Any) -> None:
         same = {"type": "checkerboard", "color0": 0.2, "color1": 0.2}
         one, two = (read({"type": "pplastic", "alpha": alpha}).fitted.fit for alpha in (same, 0.2))
-        assert one.varying is None
+        assert one.places is None
         assert np.array_equal(one.rows, two.rows)
         for name in ("axis", "sharpness", "amplitude", "alpha", "albedo"):
-            assert np.array_equal(getattr(one.table, name), getattr(two.table, name)), name
+            assert np.array_equal(getattr(one.tables[0], name), getattr(two.tables[0], name)), name
 
     @pytest.mark.nightly
     def test_a_texture_of_color_has_one_node(self, mi: Any, rough: str) -> None:
-        assert read({"type": rough, "rough": 0.2, "color": ramp_texture(0.05, 0.9)}).fitted.fit.varying is None
-        assert read({"type": "pplastic", "diffuse_reflectance": ramp_texture(0.05, 0.9)}).fitted.fit.varying is None
+        assert read({"type": rough, "rough": 0.2, "color": ramp_texture(0.05, 0.9)}).fitted.fit.places is None
+        assert read({"type": "pplastic", "diffuse_reflectance": ramp_texture(0.05, 0.9)}).fitted.fit.places is None
 
     def test_small_changes_have_one_node(self, rough: str) -> None:
-        assert read({"type": rough, "rough": ramp_texture(0.195, 0.205)}).fitted.fit.varying is None
+        assert read({"type": rough, "rough": ramp_texture(0.195, 0.205)}).fitted.fit.places is None
 
     @pytest.mark.nightly
     def test_numbers_of_tables_follow_each_other(self, mi: Any, rough: str) -> None:
@@ -310,7 +310,7 @@ class TestMathematics:
         texture = ramp_texture(SHARP, WIDE)
         bsdf = mi.load_dict({"type": rough, "rough": texture})
         material = read({"type": rough, "rough": texture})
-        places = material.fitted.fit.varying.places
+        places = material.fitted.fit.places
         u = np.linspace(0.03, 0.97, 17)
         si = dr.zeros(mi.SurfaceInteraction3f, len(u))
         si.wi = mi.Vector3f(0, 0, 1)

@@ -18,9 +18,8 @@ import numpy as np
 from lobewise.frame import LobeKind
 from lobewise.lobe_table import LobeTable
 from lobewise.render.bridge import dr, mi
-from lobewise.render.materials.fitted import Fit, fit_bsdf
+from lobewise.render.materials.fitted import Fit, compute_spreads, fit_bsdf
 from lobewise.render.materials.fitted_hits import FittedLobes
-from lobewise.render.materials.probe import make_context
 
 PLUGIN_OF_CLASS = {
     "SmoothDiffuse": "diffuse",
@@ -164,25 +163,13 @@ def measure_diffuse_spread(plugin: str, distribution: str, alpha: float, eta: fl
     """Return a plastic's diffuse albedo over its diffuse value for light along the normal, ``int f cos / f(normal)``.
 
     Light crosses the boundary in and out: ``f(wi, wo) = c T(wi) T(wo)``. So the shape over ``wo``, and this ratio, are
-    the same for all ``wi``. The midpoint rule measures it on the plugin, whose rough transmittance has no closed form.
+    the same for all ``wi``. It is measured on the plugin, whose rough transmittance has no closed form.
     """
-    count = 512
     probe: dict[str, Any] = {"type": plugin, "int_ior": eta, "ext_ior": 1.0, "diffuse_reflectance": 0.5}
     if plugin == "roughplastic":
         probe.update(distribution=distribution, alpha=alpha)
-    si = dr.zeros(mi.SurfaceInteraction3f, count + 1)
-    si.wi = mi.Vector3f(0, 0, 1)
-    # Take steps of equal projected area, and as the last direction the normal.
-    square = (dr.arange(mi.Float, count + 1) + 0.5) / count
-    cosine = dr.select(square < 1, dr.sqrt(square), 1.0)
-    wo = mi.Vector3f(dr.sqrt(1.0 - dr.square(cosine)), 0, cosine)
-    value = np.array(mi.load_dict(probe).eval(make_diffuse_context(), si, wo)[0], dtype=np.float64)
-    return float(np.pi * (value[:-1] / np.array(cosine)[:-1]).mean() / value[-1])
-
-
-def make_diffuse_context() -> Any:
-    """Return the context that asks a BSDF for only its diffuse lobes."""
-    return make_context(mi.BSDFFlags.Diffuse)
+    spreads = compute_spreads(mi.load_dict(probe), mi.BSDFFlags.Diffuse, np.asarray([[0.0, 0.0, 1.0]]), steps=(512, 1))
+    return float(spreads[0, 0])
 
 
 def _fit_material(bsdf: Any, fits: list[Fit], extent: float) -> Material:

@@ -6,8 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 from lobewise.render.bridge import dr, mi
-from lobewise.render.materials.bsdfs import Material, make_diffuse_context
+from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.fitted import OPACITY
+from lobewise.render.materials.probe import make_context
 from lobewise.render.materials.surface import (
     Surface,
     describe_material,
@@ -79,7 +80,7 @@ def compute_diffuse_share(material: Material, si: Any, wo: Any, active: Any) -> 
     if material.fitted is not None and not material.fitted.fit.parts.diffuse:
         return mi.Color3f(0)
     if material.obeys_context:
-        part = material.bsdf.eval(make_diffuse_context(), si, wo, active)
+        part = material.bsdf.eval(make_context(mi.BSDFFlags.Diffuse), si, wo, active)
         return _divide(part, material.bsdf.eval(everything, si, wo, active))
     frame = make_world_frame(si)
     if material.plugin == "twosided":

@@ -15,15 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.fitting.arrays import Array
-from lobewise.fitting.fit import Evaluate, fit_lobes
-from lobewise.fitting.nodes import make_nodes
+from lobewise.fitting.arrays import Array, make_view
+from lobewise.fitting.fit import Evaluate, fit_lobes, measure_reflection
+from lobewise.fitting.nodes import Nodes, make_upper_nodes
 from lobewise.fitting.table import get_albedo, get_equivalent_alphas, order_lobes
 from lobewise.frame import FloatArray, LobeKind
 from lobewise.lobe_table import LobeTable
 from lobewise.lobes.vectors import LUMINANCE
-from lobewise.render.materials.place_tables import make_tables
-from lobewise.render.materials.places import Places, probe_places
+from lobewise.render.materials.places import Places, make_tables, probe_places
 from lobewise.render.materials.probe import (
     Parts,
     Samples,
@@ -75,8 +74,9 @@ class Fit:
     parts: Parts
     kind: LobeKind
     """GGX for a smooth specular lobe, DELTA for only mirrors and clear sheets, or NONE."""
-    table: LobeTable | None
-    """Lobes of the smooth specular part, if there is one."""
+    tables: tuple[LobeTable, ...]
+    """Lobes of the smooth specular part, if there is one: those of the nodes, then those between them, as far as there
+    are places on the texture."""
     turn: float
     """Angle from the BSDF's tangent to the table's tangent, radians. The tangent of an anisotropic table lies along the
     longer axis of the lobe seen from above."""
@@ -84,16 +84,13 @@ class Fit:
     """Values (V, P, 11) for n.v in equal steps of its square root and azimuths of the viewer in equal steps: alpha
     along and across the tangent (isotropic materials: in and across the plane of incidence), specular albedo, diffuse
     albedo over the diffuse value for light along the normal, opacity, weights of `lobewise.render.materials.tints`."""
-    varying: Varying | None = None
-    """The lobes of other places, if the lobes change their shape over a texture. The other fields are then those of the
-    first node, and the rows hold specular albedos over `Places.level`."""
-
-    @property
-    def tables(self) -> tuple[LobeTable, ...]:
-        """The lobe tables, in the order in which places number them."""
-        if self.varying is not None:
-            return self.varying.tables
-        return () if self.table is None else (self.table,)
+    places: Places | None = None
+    """The nodes of the texture, if the lobes change their shape over it. ``turn`` and ``rows`` are then those of the
+    first node, and rows hold specular albedos over `Places.level`."""
+    nodes: tuple[Fit, ...] = ()
+    """The lobes of each node. Their rows have the same shape."""
+    numbers: NDArray[np.uint32] | None = None
+    """For each edge and step along it the index of the nearest table; see `make_tables`."""
 
     @property
     def is_isotropic(self) -> bool:
@@ -103,21 +100,7 @@ class Fit:
     @property
     def can_be_transparent(self) -> bool:
         """Whether a ray may pass through unchanged."""
-        fits = (self,) if self.varying is None else self.varying.fits
-        return any(bool(fit.rows[..., OPACITY].min() < 1.0) for fit in fits)
-
-
-@dataclass(frozen=True)
-class Varying:
-    """The lobes of a BSDF whose lobes change their shape over its texture."""
-
-    places: Places
-    fits: tuple[Fit, ...]
-    """The lobes of each node of ``places``. Their rows have the same shape."""
-    tables: tuple[LobeTable, ...]
-    """The lobe tables of the nodes and of steps between them, as far as there are places on the texture."""
-    numbers: NDArray[np.uint32]
-    """For each edge and step along it the index of the nearest table; see `make_tables`."""
+        return any(bool(fit.rows[..., OPACITY].min() < 1.0) for fit in self.nodes or (self,))
 
 
 _fits: OrderedDict[str, Fit] = OrderedDict()
@@ -141,11 +124,9 @@ def fit_bsdf(bsdf: Any, extent: float = 1.0) -> Fit:
             _fits.popitem(last=False)
     _fits.move_to_end(key)
     fit, name = _fits[key], str(bsdf.id())
-    if fit.varying is not None:
-        tables = fit.varying.tables
-        named = (replace(table, name=f"{name} {k} of {len(tables)}".strip()) for k, table in enumerate(tables, start=1))
-        return replace(fit, varying=replace(fit.varying, tables=tuple(named)))
-    return fit if fit.table is None else replace(fit, table=replace(fit.table, name=name))
+    count = len(fit.tables)
+    names = [name if fit.places is None else f"{name} {k} of {count}".strip() for k in range(1, count + 1)]
+    return replace(fit, tables=tuple(replace(one, name=name) for one, name in zip(fit.tables, names, strict=True)))
 
 
 def make_specular_evaluate(
@@ -200,10 +181,10 @@ def _make_fit(bsdf: Any, extent: float = 1.0) -> Fit:
         _fit_place(bsdf, parts, place, isotropic=isotropic, level=level)
         for place, level in zip(places.place, places.level, strict=True)
     )
-    tables = [fit.table for fit in fits if fit.table is not None]
-    if len(tables) < len(fits):
+    if not all(fit.tables for fit in fits):
         return fits[0]
-    return replace(fits[0], varying=Varying(places, fits, *make_tables(places, tables)))
+    tables, numbers = make_tables(places, [fit.tables[0] for fit in fits])
+    return replace(fits[0], places=places, nodes=fits, tables=tables, numbers=numbers)
 
 
 def _fit_place(
@@ -227,7 +208,7 @@ def _fit_place(
         table = _fit_table(evaluate, cosines, None if isotropic else azimuths)
         rows[..., ALPHA] = _compute_alphas(table, cosines, azimuths)
         rows[..., SPECULAR] = get_albedo(table, cosines[:, None], azimuths)
-    views = _make_view_grid(cosines, azimuths + turn)
+    views = make_view(cosines[:, None], azimuths + turn).reshape(-1, 3)
     _complete_albedos(rows, bsdf, parts, views, _SAMPLE_COUNTS[isotropic], place)
     if level is not None:
         # A colour that is missing at this place has the ratio of the luminance.
@@ -238,7 +219,7 @@ def _fit_place(
         tints = compute_tints(bsdf, parts, views) / np.maximum(rows[..., OPACITY].reshape(-1, 1), 1e-6)
         rows[..., TINT] = tints.reshape(*rows.shape[:2], -1)
     kind = LobeKind.GGX if table is not None else LobeKind.DELTA if parts.delta else LobeKind.NONE
-    return Fit(parts, kind, table, turn, rows.astype(np.float32))
+    return Fit(parts, kind, () if table is None else (table,), turn, rows.astype(np.float32))
 
 
 def _fit_table(evaluate: Evaluate, cosines: Array, azimuths: Array | None) -> LobeTable:
@@ -288,7 +269,7 @@ def _complete_albedos(
     flat[:, SPECULAR] = np.clip(flat[:, SPECULAR], 0.0, 1.0)
     flat[:, OPACITY] = opacity
     if parts.diffuse:
-        flat[:, SPREAD] = _compute_spreads(bsdf, parts, views, place)
+        flat[:, SPREAD] = compute_spreads(bsdf, parts.diffuse_lobes, views, place)
 
 
 def _compute_diffuse_shares(bsdf: Any, parts: Parts, views: Array, samples: Samples, place: Array | None) -> Array:
@@ -304,21 +285,21 @@ def _compute_diffuse_shares(bsdf: Any, parts: Parts, views: Array, samples: Samp
     return np.asarray(np.where(smooth, np.clip(share, 0.0, 1.0), 0.0))
 
 
-def _compute_spreads(bsdf: Any, parts: Parts, views: Array, place: Array | None) -> Array:
+def compute_spreads(
+    bsdf: Any, lobes: Any, views: Array, place: Array | None = None, steps: tuple[int, int] = (64, 32)
+) -> Array:
     """Return the diffuse albedo of each view over the value for light along the normal, shape (V, 3).
 
     The value is multiplied again at each hit, so that textures are seen. If it is 0 at the place, the ratio
-    is that of Lambert's law.
+    is that of Lambert's law. Both hemispheres are integrated by the midpoint rule, in so many steps of equal projected
+    area and of equal azimuth.
     """
-    # Integrate over both hemispheres by the midpoint rule, in steps of equal projected area and equal azimuth.
-    square, azimuth = (np.arange(64) + 0.5) / 64, (np.arange(32) + 0.5) * (2.0 * math.pi / 32)
-    sine, cosine = np.sqrt(square), np.sqrt(1.0 - square)
-    above = np.stack(np.broadcast_arrays(sine[:, None] * np.cos(azimuth), sine[:, None] * np.sin(azimuth),
-                                         cosine[:, None]), axis=-1).reshape(-1, 3)  # fmt: skip
+    square, turn = ((np.arange(count) + 0.5) / count for count in steps)
+    above = make_view(np.sqrt(1.0 - square)[:, None], 2.0 * math.pi * turn).reshape(-1, 3)
     light = np.concatenate([above, above * [1.0, 1.0, -1.0], [[0.0, 0.0, 1.0]]])
     places = repeat_place(place, len(views) * len(light))
     values = evaluate_bsdf(bsdf, np.repeat(views, len(light), axis=0), np.tile(light, (len(views), 1)),
-                           parts.diffuse_lobes, place=places).reshape(len(views), len(light), 3)  # fmt: skip
+                           lobes, place=places).reshape(len(views), len(light), 3)  # fmt: skip
     values = np.where(np.isfinite(values), values, 0.0)
     albedo, upward = math.pi / len(above) * values[:, :-1].sum(axis=1), values[:, -1]
     return np.asarray(np.divide(albedo, upward, out=np.full_like(albedo, math.pi), where=upward > 0.0))
@@ -326,12 +307,10 @@ def _compute_spreads(bsdf: Any, parts: Parts, views: Array, place: Array | None)
 
 def _compute_long_axis(evaluate: Evaluate) -> float:
     """Return the azimuth of the longer axis of the lobe seen from above, in [0, pi); 0 for a round lobe."""
-    nodes = make_nodes(1.0)
-    light = nodes.light[nodes.light[:, 2] > 0.0]
-    target = _evaluate_luminance(evaluate, np.tile([0.0, 0.0, 1.0], (len(light), 1)), light)
-    half = light[:, :2] / np.sqrt(2.0 + 2.0 * light[:, 2:])
+    target, nodes = _sample(evaluate, 1.0, angular=64)
+    half = nodes.light[:, :2] / np.sqrt(2.0 + 2.0 * nodes.light[:, 2:])
     # The square suppresses the tails. Near the normal, solid angles of lights and of half vectors are proportional.
-    share = nodes.weight[nodes.light[:, 2] > 0.0] * target**2
+    share = nodes.weight * target**2
     covariance = (half * share[:, None]).T @ half / max(float(share.sum()), 1e-300)
     values, vectors = np.linalg.eigh(covariance)
     if not values[1] > _MIN_ELONGATION**2 * values[0]:
@@ -339,41 +318,22 @@ def _compute_long_axis(evaluate: Evaluate) -> float:
     return math.atan2(vectors[1, 1], vectors[0, 1]) % math.pi
 
 
-def _evaluate_luminance(evaluate: Evaluate, view: Array, light: Array) -> Array:
-    """Return the luminance of BRDF times cosine; 0 if the BRDF is NaN."""
-    values = np.asarray(evaluate(view, light))
-    values = values @ np.asarray(LUMINANCE) if values.ndim == 2 else values
-    return np.where(np.isfinite(values) & (values > 0.0), values, 0.0) * np.abs(light[:, 2])
-
-
-def _sample_turned(evaluate: Evaluate, cosine: float, turn: float) -> tuple[Array, Array]:
-    """Return luminances of BRDF times cosine, and solid angles, over all lights, for a view at the azimuth ``turn``."""
-    nodes = make_nodes(cosine, angular=32)
-    above = nodes.light[:, 2] > 0.0
-    matrix = np.asarray(
-        [[math.cos(turn), math.sin(turn), 0.0], [-math.sin(turn), math.cos(turn), 0.0], [0.0, 0.0, 1.0]]
-    )
-    view = np.asarray([math.sqrt(1.0 - cosine * cosine), 0.0, cosine])
-    light = nodes.light[above] @ matrix
-    return _evaluate_luminance(evaluate, np.tile(view @ matrix, (len(light), 1)), light), nodes.weight[above]
+def _sample(evaluate: Evaluate, cosine: float, azimuth: float = 0.0, angular: int = 32) -> tuple[Array, Nodes]:
+    """Return luminances of BRDF times cosine at nodes above the horizon; 0 for what was not measured."""
+    nodes = make_upper_nodes(cosine, azimuth, angular)
+    values = measure_reflection(evaluate, make_view(cosine, azimuth), nodes.light) @ np.asarray(LUMINANCE)
+    return np.nan_to_num(values) * nodes.light[:, 2], nodes
 
 
 def _is_same_turned(evaluate: Evaluate, one: float, two: float) -> bool:
     for cosine in (1.0, 0.75, 0.4):
-        first, weight = _sample_turned(evaluate, cosine, one)
-        root = np.sqrt(weight)
-        if not are_same(root * first, root * _sample_turned(evaluate, cosine, two)[0]):
+        (first, nodes), (second, _) = (_sample(evaluate, cosine, azimuth) for azimuth in (one, two))
+        root = np.sqrt(nodes.weight)
+        if not are_same(root * first, root * second):
             return False
     return True
 
 
 def _integrate(evaluate: Evaluate, cosine: float) -> float:
-    values, weight = _sample_turned(evaluate, cosine, 0.0)
-    return float(values @ weight)
-
-
-def _make_view_grid(cosines: Array, azimuths: Array) -> Array:
-    """Return the unit vectors (V P, 3) of all combinations."""
-    sine = np.sqrt(1.0 - cosines**2)[:, None]
-    parts = np.broadcast_arrays(sine * np.cos(azimuths), sine * np.sin(azimuths), cosines[:, None])
-    return np.stack(parts, axis=-1).reshape(-1, 3)
+    values, nodes = _sample(evaluate, cosine)
+    return float(values @ nodes.weight)

@@ -10,8 +10,8 @@ import numpy as np
 
 from lobewise.lobes.vectors import LUMINANCE
 from lobewise.render.bridge import dr, mi
-from lobewise.render.materials.fitted import ALPHA, MIN_COSINE, SPECULAR, SPREAD, TINT, Fit, Varying
-from lobewise.render.materials.place_tables import STEPS
+from lobewise.render.materials.fitted import ALPHA, MIN_COSINE, SPECULAR, SPREAD, TINT, Fit
+from lobewise.render.materials.places import STEPS, Places
 from lobewise.render.materials.probe import make_context
 
 _ALPHAS = range(ALPHA.start, ALPHA.stop)
@@ -37,19 +37,19 @@ class FittedLobes:
 
     def __init__(self, fit: Fit) -> None:
         self.fit = fit
-        fits = (fit,) if fit.varying is None else fit.varying.fits
+        fits = fit.nodes or (fit,)
         self._rows = mi.Float(np.concatenate([single.rows.ravel() for single in fits]))
         self._turns = mi.Float([single.turn for single in fits])
-        self._numbers = mi.UInt32([0] if fit.varying is None else fit.varying.numbers.ravel())
+        self._numbers = mi.UInt32([0] if fit.numbers is None else fit.numbers.ravel())
         dr.eval(self._rows, self._turns, self._numbers)
 
     def look_up_spot(self, bsdf: Any, si: Any, active: Any) -> Spot | None:
         """Return the places of hits by the BSDF's answers there; None if the lobes have one shape everywhere."""
-        varying = self.fit.varying
-        if varying is None:
+        places = self.fit.places
+        if places is None:
             return None
-        signature, level = _ask_bsdf(bsdf, self.fit, varying, si, active)
-        return _locate(varying, signature, level)
+        signature, level = _ask_bsdf(bsdf, make_context(self.fit.parts.glossy_lobes), places, si, active)
+        return _locate(places, signature, level)
 
     def look_up(self, si: Any, active: Any, spot: Spot | None = None) -> list[Any]:
         """Return the columns of `Fit.rows` for views ``si.wi`` at the places ``spot``.
@@ -134,10 +134,8 @@ class FittedLobes:
         return dr.clip(diffuse, 0.0, 1.0), dr.clip(specular, 0.0, 1.0)
 
 
-def _ask_bsdf(bsdf: Any, fit: Fit, varying: Varying, si: Any, active: Any) -> tuple[list[Any], Any]:
+def _ask_bsdf(bsdf: Any, context: Any, places: Places, si: Any, active: Any) -> tuple[list[Any], Any]:
     """Return the signature of `lobewise.render.materials.places` and the level at hits; 0 where the BSDF is black."""
-    context = make_context(fit.parts.glossy_lobes)
-    places = varying.places
     values, level = [], mi.Color3f(0)
     for view, light, weight in zip(places.view.tolist(), places.light.tolist(), places.weight.tolist(), strict=True):
         seen = mi.SurfaceInteraction3f(si)
@@ -151,12 +149,12 @@ def _ask_bsdf(bsdf: Any, fit: Fit, varying: Varying, si: Any, active: Any) -> tu
     return [dr.sqrt(value * scale) for value in values], level
 
 
-def _locate(varying: Varying, signature: list[Any], level: Any) -> Spot:
+def _locate(places: Places, signature: list[Any], level: Any) -> Spot:
     """Return what `lobewise.render.materials.places.locate` says of signatures at hits."""
-    nodes = varying.places.signature
+    nodes = places.signature
     best = Spot(mi.UInt32(0), mi.UInt32(0), mi.UInt32(0), mi.Float(0), level)
     least = mi.Float(math.inf)
-    for edge, (first, second) in enumerate(varying.places.edges.tolist()):
+    for edge, (first, second) in enumerate(places.edges.tolist()):
         start, step = nodes[first].tolist(), (nodes[second] - nodes[first]).tolist()
         apart = [value - begin for value, begin in zip(signature, start, strict=True)]
         along = sum(gap * part for gap, part in zip(apart, step, strict=True))

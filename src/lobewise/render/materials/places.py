@@ -15,20 +15,25 @@ them.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.fitting.arrays import Array
-from lobewise.fitting.nodes import make_nodes
+from lobewise.fitting.arrays import Array, make_view
+from lobewise.fitting.blending import blend_tables
+from lobewise.fitting.nodes import make_upper_nodes
+from lobewise.lobe_table import LobeTable
 from lobewise.lobes.vectors import LUMINANCE
 from lobewise.render.materials.probe import Parts, evaluate_bsdf, spread_directions, spread_points
 from lobewise.render.materials.tints import solve_nonnegative
 
 MAX_NODES = 8
 """Number of places at which lobes are fitted. The fit of one takes about a second."""
+STEPS = 4
+"""Number of steps from one node of a texture to the next, at which there are lobe tables."""
 
 # Number of places that are compared.
 _PLACE_COUNT = 4096
@@ -157,13 +162,10 @@ def _compute_weights(bsdf: Any, parts: Parts, place: Array, values: Array, throu
     """
     albedo = np.zeros(len(place))
     for cosine, azimuth in _VIEWS:
-        nodes = make_nodes(cosine, angular=32)
-        above = nodes.light[:, 2] > 0.0
-        x, y = math.cos(azimuth), math.sin(azimuth)
-        light = nodes.light[above] @ np.asarray([[x, y, 0.0], [-y, x, 0.0], [0.0, 0.0, 1.0]])
-        view = np.tile(_make_view(cosine, azimuth), (len(light), 1))
-        reflected = _evaluate_pairs(bsdf, parts, view, light * [1.0, 1.0, -1.0 if through else 1.0], place)
-        albedo += (reflected @ np.asarray(LUMINANCE)) @ nodes.weight[above] / len(_VIEWS)
+        nodes = make_upper_nodes(cosine, azimuth)
+        view = np.tile(make_view(cosine, azimuth), (len(nodes.light), 1))
+        reflected = _evaluate_pairs(bsdf, parts, view, nodes.light * [1.0, 1.0, -1.0 if through else 1.0], place)
+        albedo += (reflected @ np.asarray(LUMINANCE)) @ nodes.weight / len(_VIEWS)
     lit = albedo > 0.0
     return solve_nonnegative(values[lit] / albedo[lit, None], np.ones(int(lit.sum())))
 
@@ -173,7 +175,7 @@ def _list_probes() -> tuple[Array, Array]:
     views, lights = [], []
     around = spread_directions(24)[:12]
     for cosine, azimuth in _VIEWS:
-        view = _make_view(cosine, azimuth)
+        view = make_view(cosine, azimuth)
         turns = azimuth + np.arange(4) * (0.25 * math.pi)
         angle, turn = (grid.ravel() for grid in np.meshgrid(_HALF_ANGLES, turns, indexing="ij"))
         half = np.stack([np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), np.cos(angle)], axis=-1)
@@ -183,11 +185,6 @@ def _list_probes() -> tuple[Array, Array]:
         views.append(np.tile(view, (len(light), 1)))
         lights.append(light)
     return np.concatenate(views), np.concatenate(lights)
-
-
-def _make_view(cosine: float, azimuth: float) -> Array:
-    sine = math.sqrt(1.0 - cosine * cosine)
-    return np.asarray([sine * math.cos(azimuth), sine * math.sin(azimuth), cosine])
 
 
 def _choose_nodes(signature: Array, most: int) -> list[int]:
@@ -250,3 +247,24 @@ def _choose_probes(values: Array, nodes: Array, edges: NDArray[np.intp]) -> list
         if scores[best][0] <= _MAX_PLACE_ERROR and scores[best][1] >= _MIN_RATIO:
             break
     return chosen
+
+
+def make_tables(places: Places, nodes: Sequence[LobeTable]) -> tuple[tuple[LobeTable, ...], NDArray[np.uint32]]:
+    """Return the tables that some place needs, and for each edge and step the index of the nearest one.
+
+    ``nodes`` holds the tables of the nodes. They come first. Tables between two nodes are made only where places lie.
+    The indices have the shape (K - 1, STEPS + 1). Steps go from the first node of an edge to the second one.
+    """
+    tables = list(nodes)
+    numbers = np.zeros((len(places.edges), STEPS + 1), dtype=np.uint32)
+    edge, step = places.visited[:, 0].astype(int), np.rint(places.visited[:, 1] * STEPS).astype(int)
+    for row, (first, second) in enumerate(places.edges.tolist()):
+        one, two = nodes[first], nodes[second]
+        made = {0: first, STEPS: second}
+        # Velvet may be seen from other views at one node than at the other; then there is nothing between them.
+        if one.axis.shape == two.axis.shape and np.array_equal(one.cosine, two.cosine):
+            for index in sorted(set(step[edge == row].tolist()) - {0, STEPS}):
+                made[index] = len(tables)
+                tables.append(blend_tables(one, two, index / STEPS))
+        numbers[row] = [made[min(made, key=lambda known: abs(known - index))] for index in range(STEPS + 1)]
+    return tuple(tables), numbers

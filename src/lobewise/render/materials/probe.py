@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.errors import UnsupportedBsdfError
-from lobewise.fitting.arrays import Array
+from lobewise.fitting.arrays import Array, make_turn
 from lobewise.render.bridge import dr, mi
 
 # Smallest cosine by which values are divided. Mitsuba's values include the cosine; dividing by less amplifies noise.
@@ -77,8 +77,7 @@ def make_evaluate(
     With ``through`` it is the transmission, mirrored at the surface. ``turn`` is the angle from the BSDF's tangent to
     the x of the directions, radians, counter-clockwise. The BSDF is evaluated at one ``place`` (2 or 5,).
     """
-    cosine, sine = np.cos(turn), np.sin(turn)
-    matrix = np.asarray([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    matrix = make_turn(turn)
     flip = np.asarray([1.0, 1.0, -1.0 if through else 1.0])
 
     def evaluate(view: Array, light: Array) -> Array:

@@ -10,8 +10,9 @@ from lobewise.frame import LobeKind
 from lobewise.lobes.albedo import ggx_directional_albedo
 from lobewise.lobes.roughness import compute_principled_alphas
 from lobewise.render.bridge import DRJIT, dr, mi, starts_as
-from lobewise.render.materials.bsdfs import FITTED, Material, make_diffuse_context
+from lobewise.render.materials.bsdfs import FITTED, Material
 from lobewise.render.materials.fitted import OPACITY
+from lobewise.render.materials.probe import make_context
 
 
 @dataclass
@@ -161,7 +162,7 @@ def _describe_plastic(material: Material, si: Any, frame: WorldFrame, active: An
         reflected = mi.Color3f(mi.fresnel(cos_view, eta)[0])
     else:
         reflected = _compute_glossy_albedo(material, cos_view, alpha, alpha, mi.Color3f(compute_f0_dielectric(eta)))
-    upward = material.bsdf.eval(make_diffuse_context(), si, mi.Vector3f(0, 0, 1), active)
+    upward = material.bsdf.eval(make_context(mi.BSDFFlags.Diffuse), si, mi.Vector3f(0, 0, 1), active)
     return _make_surface(
         material,
         frame,

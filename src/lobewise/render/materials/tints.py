@@ -7,13 +7,14 @@ in the mirror direction. At a hit the BSDF is evaluated for these two lights.
 
 from __future__ import annotations
 
+import math
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 
 from lobewise.fitting.arrays import Array
-from lobewise.fitting.nodes import make_nodes
+from lobewise.fitting.nodes import make_upper_nodes
 from lobewise.render.materials.probe import Parts, evaluate_bsdf, sample_bsdf, spread_points
 
 # Number of places on the texture, and of samples per place.
@@ -32,18 +33,13 @@ def compute_tints(bsdf: Any, parts: Parts, views: Array) -> Array:
 
 
 def _compute_tint(bsdf: Any, parts: Parts, view: Array, uv: Array) -> Array:
-    nodes = make_nodes(float(view[2]), angular=32)
-    above = nodes.light[:, 2] > 0.0
-    # The nodes belong to a view with y = 0: turn them to the view.
-    turn = np.hypot(view[0], view[1])
-    cosine, sine = (view[0] / turn, view[1] / turn) if turn > 0.0 else (1.0, 0.0)
-    light = nodes.light[above] @ np.asarray([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-    light = np.concatenate([[[0.0, 0.0, 1.0], view * [-1.0, -1.0, 1.0]], light])
+    nodes = make_upper_nodes(float(view[2]), math.atan2(view[1], view[0]))
+    light = np.concatenate([[[0.0, 0.0, 1.0], view * [-1.0, -1.0, 1.0]], nodes.light])
     places = np.repeat(uv, len(light), axis=0)
     values = evaluate_bsdf(bsdf, np.tile(view, (len(places), 1)), np.tile(light, (len(uv), 1)), parts.glossy_lobes,
                            place=places).reshape(len(uv), -1, 3) * light[:, 2:]  # fmt: skip
     values = np.where(np.isfinite(values), values, 0.0)
-    albedo = nodes.weight[above] @ values[:, 2:]
+    albedo = nodes.weight @ values[:, 2:]
     if not parts.diffuse:
         samples = sample_bsdf(bsdf, np.tile(view, (len(uv), 1)), _SAMPLE_COUNT, place=uv)
         beyond = (samples.delta | (samples.light[..., 2] < 0.0)) & ~samples.null
