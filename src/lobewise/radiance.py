@@ -12,6 +12,9 @@ from numpy.typing import ArrayLike
 from lobewise.errors import InputError, require_choice
 from lobewise.images import ABSENT, FloatArray, Images, MaybeImage, as_images, name_maker
 
+MAX_EXCESS_SHARE = 0.02
+"""Largest share of the image's light by which parts may exceed the image. Above it, they are not its parts."""
+
 
 @dataclass(frozen=True, repr=False)
 class Radiance(Images):
@@ -141,3 +144,11 @@ def sum_layers(layers: Sequence[RadianceLayer], field: str, *, diffuse: bool) ->
     if not images or any(image is None for image in images):
         return None
     return np.asarray(np.sum(images, axis=0, dtype=np.float32))
+
+
+def measure_excess(color: FloatArray, known: FloatArray) -> float:
+    """Return the light of ``known`` above the image, as a share of the image's light."""
+    good = np.isfinite(color) & np.isfinite(known)
+    total = float(np.sum(color, where=good, dtype=np.float64))
+    excess = float(np.sum(np.maximum(known - color, np.float32(0.0)), where=good, dtype=np.float64))
+    return excess / total if total > 0.0 else 0.0

@@ -144,7 +144,7 @@ def test_the_pass_of_a_shadow_catcher_is_denoised(rng: np.random.Generator, tmp_
     assert run(["denoise", str(tmp_path / "a.exr"), "-o", str(tmp_path / "b.exr"), "--quality", "fast"]) == 0
     container = read_container(tmp_path / "b.exr")
     after = decode_part(container, container.parts[0])[f"{LAYER}.Shadow Catcher.R"]
-    assert np.std(after) < 0.5 * np.std(shadow[..., 0])
+    assert np.std(after) < 0.8 * np.std(shadow[..., 0])
 
 
 def test_light_groups_sum_to_the_image_and_others_are_none_of_it(tmp_path: Path) -> None:

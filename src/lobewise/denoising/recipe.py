@@ -41,6 +41,7 @@ from lobewise.images import crop_columns, list_packed, pack_planes, unpack_plane
 from lobewise.peers import require_oidn
 from lobewise.progress import Watcher, enter_stage, plan_stages, watched
 from lobewise.progress.stages import FILTER_ONCE, SECONDS_PER_MEGAPIXEL
+from lobewise.radiance import MAX_EXCESS_SHARE, measure_excess
 from lobewise.settings import DenoiseChanges, DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_quality
 
@@ -50,7 +51,7 @@ if TYPE_CHECKING:
 NEGATIVE, OPACITY = "filter the light below 0", "filter the opacity"
 """The stages after those of the light."""
 GUIDES_OF_COLOR = (*ALBEDOS, "mean_emission", "hit_albedo")
-"""Guides that tell colors, which opacity does not have."""
+"""Guides that tell colors, which opacity and other images that are no light do not have."""
 ALPHA_REACH = 2
 """Pixels around a fraction of opacity that are denoised. Surfaces stay opaque, exactly, and the background clear."""
 NO_KERNELS = (
@@ -173,8 +174,10 @@ def denoise_checked(checked: CheckedGuides[Frame], named: DenoiseSettings, featu
             clean = {}
             for name, image in images.items():
                 enter_stage(stages[name])
+                is_light = measure_excess(frame.radiance.color, image) <= MAX_EXCESS_SHARE
+                left_out = ("mean_emission",) if is_light else GUIDES_OF_COLOR
                 is_good = mark_good(image).any()
-                clean[name] = _denoise_alone(frame, image, named, features, ("mean_emission",)) if is_good else image
+                clean[name] = _denoise_alone(frame, image, named, features, left_out) if is_good else image
             more = keep_sum(clean, images, frame.radiance.color, result.image)
             result = replace(result, also={**result.also, **more})
         if has_alpha:

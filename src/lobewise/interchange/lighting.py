@@ -14,10 +14,8 @@ from lobewise.frame import FloatArray, Radiance, RadianceLayer
 from lobewise.guides.lamps import lift_albedo
 from lobewise.images import MAX_HALF_ROUNDING, make_read_only
 from lobewise.interchange.mapping import Found, FoundLayer
-from lobewise.radiance import sum_layers
+from lobewise.radiance import MAX_EXCESS_SHARE, measure_excess, sum_layers
 
-MAX_EXCESS_SHARE = 0.02
-"""Largest share of the image's light by which the layers may exceed the image. Above it, they are not its parts."""
 MIN_REST_SHARE = 0.002
 """Share of the image's light. If more than this share is in no pass, the remaining light is examined as a layer."""
 MAX_SMOOTH_DIFFERENCE = 0.05
@@ -151,14 +149,6 @@ def _make_layer(layer_pass: FoundLayer, read: Read, known: FloatArray) -> tuple[
 
 
 @np.errstate(invalid="ignore", over="ignore")
-def measure_excess(color: FloatArray, known: FloatArray) -> float:
-    """Return the light of ``known`` above the image, as a share of the image's light."""
-    good = np.isfinite(color) & np.isfinite(known)
-    total = float(np.sum(color, where=good, dtype=np.float64))
-    excess = float(np.sum(np.maximum(known - color, np.float32(0.0)), where=good, dtype=np.float64))
-    return excess / total if total > 0.0 else 0.0
-
-
 def name_pass(path: str) -> str:
     """Return the last word of a pass's path."""
     return path.rpartition(".")[2]
