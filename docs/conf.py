@@ -62,7 +62,7 @@ html_theme_options = {
     "footer_start": ["copyright"],
     "footer_end": [],
 }
-html_sidebars = {"index": []}
+html_sidebars = {page: [] for page in ("index", "troubleshooting", "results", "paper")}
 
 
 def lead_out(app: Any, page: str, source: list[str]) -> None:

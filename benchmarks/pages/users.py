@@ -20,8 +20,6 @@ from benchmarks.users.summary import (
     PROMISED,
     TRAIN,
     UNKNOWN,
-    Row,
-    is_known,
     list_rows,
 )
 
@@ -51,7 +49,6 @@ GROUPS = {
     "mitsuba": "Mitsuba's own integrator",
     "own": "Built-in scenes",
 }
-FIGURES = {"rel_mse": "Error", "flip": "FLIP"}
 SHOTS_TRIMMED = "without the worst"
 SHOT_ROWS = (
     ("all", "noisy"),
@@ -72,7 +69,7 @@ MAX_LISTED = 60
 
 def make_figures(data: Mapping[str, Any], shots: Mapping[str, Any]) -> dict[str, str]:
     """Return the figures of docs/developers/users_results.md by place."""
-    rows, summary = list(list_rows(data["scenes"])), data["summary"]
+    summary = data["summary"]
     held_out, train = (summary["ratios"].get(part, {}) for part in (HELD_OUT, TRAIN))
     return {
         "blender-shots": make_shots(shots),
@@ -82,10 +79,8 @@ def make_figures(data: Mapping[str, Any], shots: Mapping[str, Any]) -> dict[str,
         "held-out-over-oidn": make_ratios(held_out, PEER),
         "promises": "\n\n".join(make_promises(summary)),
         "groups": "\n\n".join(make_groups(summary["ratios"])),
-        "held-out-frames": "\n\n".join(make_details([row for row in rows if row.held_out])),
         "tuned-on-over-noisy": make_ratios(train, NOISY),
         "tuned-on-over-oidn": make_ratios(train, PEER),
-        "tuned-on-frames": "\n\n".join(make_details([row for row in rows if not row.held_out])),
         **make_method(data),
     }
 
@@ -224,28 +219,6 @@ def make_groups(ratios: Mapping[str, Any]) -> list[str]:
     return parts
 
 
-def make_details(rows: list[Row]) -> list[str]:
-    """Return the figures of every frame, a table for each set of guides."""
-    parts = []
-    for guides, title in SETS.items():
-        chosen = [row for row in rows if row.guides == guides]
-        for figure, name in FIGURES.items():
-            if chosen:
-                parts += [f"{title}. {name}:", make_figure_table(chosen, figure)]
-    return parts
-
-
-def make_figure_table(rows: list[Row], figure: str) -> str:
-    """Return one figure of every row, a column for each method that any of them has."""
-    methods = [method for method in TITLES if any(method in row.methods for row in rows)]
-    ordered = sorted(rows, key=lambda row: (list(GROUPS).index(row.scene.partition("/")[0]), row.scene, row.spp))
-    cells = [
-        [row.scene, str(row.spp), *(_show_cell(row.methods.get(method), figure) for method in methods)]
-        for row in ordered
-    ]
-    return make_table(["scene", "spp", *(TITLES[method] for method in methods)], cells)
-
-
 def make_method(data: Mapping[str, Any]) -> dict[str, str]:
     """Return the limits that judge the figures, the scenes and where they come from, and the baseline's settings."""
     limits = {
@@ -276,11 +249,3 @@ def list_counts(counts: Iterable[str]) -> list[str]:
 
 def _count_frames(methods: Mapping[str, Any], spp: str) -> int:
     return max((cells[spp]["scenes"] for cells in methods.values() if spp in cells), default=0)
-
-
-def _show_cell(cell: Mapping[str, float] | None, figure: str) -> str:
-    if cell is None:
-        return ""
-    value = cell[figure]
-    text = f"{value:.1e}" if abs(value) < 1e-3 else f"{value:.3g}"
-    return f"{text}?" if figure == "rel_mse" and not is_known(cell) else text
