@@ -187,6 +187,29 @@ def test_commands_and_their_options_exist(path: Path) -> None:
         assert {word for word in words if word.startswith("--")} <= known, words
 
 
+@pytest.mark.nightly
+def test_commands_of_troubleshooting_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import OpenEXR
+
+    from lobewise.cli.main import run
+
+    shots = ROOT / "tests" / "data" / "foreign"
+    for name in ("shot.exr", "shot.0001.exr", "panorama.exr"):
+        shutil.copy(shots / "blender_4.5_seed1.exr", tmp_path / name)
+    for name in ("second.exr", "shot.0002.exr"):
+        shutil.copy(shots / "blender_4.5_seed2.exr", tmp_path / name)
+    noisy = np.random.default_rng(1).gamma(2.0, 0.25, (32, 40, 3)).astype(np.float32)
+    normal = np.broadcast_to(np.float32([0.5, 0.5, 1.0]), noisy.shape)
+    planes = {f"N.{name}": np.ascontiguousarray(normal[..., k]) for k, name in enumerate("XYZ")}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, {"RGB": noisy, **planes}).write(str(tmp_path / "frame.exr"))
+    monkeypatch.chdir(tmp_path)
+    for words in list_commands((ROOT / "docs" / "troubleshooting.md").read_text()):
+        # A page for browsers waits for Ctrl-C; views need the configuration of Blender.
+        if words[0] != "view" and "--view" not in words:
+            assert run(words) == 0, words
+
+
 def test_commands_of_pages_are_found() -> None:
     page = "text\n```sh\nlobewise a 'b.##.exr' --c 1  # d\n. x && .venv/bin/lobewise demo \\\n  --e\n```\n"
     assert list_commands(page) == [["a", "b.##.exr", "--c", "1"], ["demo", "--e"]]
