@@ -27,7 +27,6 @@ from lobewise.lobes.vectors import LUMINANCE
 from tests.features.frames import make_feature, make_mask, make_radiance
 from tests.features.oracles import get_similarity
 from tests.filters.sizes import SMALL_SIZES
-from tests.temporal.sums import add_own_samples, fade, gather_samples, make_sums, summarize
 
 FloatImage = NDArray[np.float64]
 
@@ -106,6 +105,32 @@ def narrow_known(
     return np.where(is_known[..., None, None], narrow, weights)
 
 
+def add_own_samples(sums: FloatImage, unit: FloatImage, given: dict[str, Any], shaded: Any) -> None:
+    """Add each pixel's own sample, which counts as one of weight own; the part that is 1 is in the sums already."""
+    light, good = demodulate(given["samples"], given["albedo"][shaded], FLOOR / OWN)
+    more = np.where(good & given["mask"][shaded], (OWN - 1.0) * unit[shaded], 0.0)
+    sums[shaded][..., :3] += more[..., None] * light
+    sums[shaded][..., 3] += more
+    sums[shaded][..., 4] += (more + unit[shaded]) ** 2 * (more > 0.0) - unit[shaded] ** 2 * (more > 0.0)
+    sums[shaded][..., 5] += more * (light @ LUMINANCE) ** 2
+
+
+def check_summary(found: AccumulatedOutput, unit: FloatImage, albedo: FloatArray) -> None:
+    """Raise AssertionError unless image, weight sum, effective samples and variance are those of the sums."""
+    sums = found.sums.astype(np.float64)
+    weight = sums[..., 3]
+    some = np.where(weight > 0.0, weight, np.inf)
+    mean = sums[..., :3] / some[..., None]
+    count = np.where(weight > 0.0, np.maximum(weight**2 / np.maximum(sums[..., 4], 1e-30), 1.0), 0.0)
+    tint = np.where(((albedo >= 0.0) & np.isfinite(albedo)).all(axis=-1, keepdims=True), albedo, 0.0)
+    spread = np.maximum(sums[..., 5] / some - (mean @ LUMINANCE) ** 2, 0.0) / np.maximum(count, 1.0)
+    np.testing.assert_allclose(found.image, mean * tint, rtol=2e-6, atol=1e-12)
+    np.testing.assert_allclose(found.weight_sum, weight / unit, rtol=5e-6)
+    np.testing.assert_allclose(found.effective_samples, count, rtol=5e-6)
+    # The variance is a difference of squares.
+    np.testing.assert_allclose(found.variance, spread * (tint @ LUMINANCE) ** 2, rtol=1e-3, atol=1e-5)
+
+
 def accumulate_slowly(
     given: dict[str, Any], scale: int, place: tuple[int, int], known: KnownKernel | None = None
 ) -> FloatImage:
@@ -131,13 +156,7 @@ def accumulate_slowly(
     sums[..., 4] += unit**2 * (weights**2).sum(axis=(2, 3))
     sums[..., 5] += unit * np.einsum("yxrc,rc->yx", weights, (light @ LUMINANCE) ** 2)
     sums[..., 6] += weights.sum(axis=(2, 3)) > 0.0
-    # The pixel's own sample counts as one of weight own, of which the part that is 1 is there already.
-    light, good = demodulate(given["samples"], given["albedo"][shaded], FLOOR / OWN)
-    more = np.where(good & mask[shaded], (OWN - 1.0) * unit[shaded], 0.0)
-    sums[shaded][..., :3] += more[..., None] * light
-    sums[shaded][..., 3] += more
-    sums[shaded][..., 4] += (more + unit[shaded]) ** 2 * (more > 0.0) - unit[shaded] ** 2 * (more > 0.0)
-    sums[shaded][..., 5] += more * (light @ LUMINANCE) ** 2
+    add_own_samples(sums, unit, given, shaded)
     return sums
 
 
@@ -215,22 +234,27 @@ def test_whole_frames_are_accumulated_as_their_filter_gives_them(remembers: bool
     near = compute_weights(given["mask"], 1, (0, 0), 2)
     told = near.sum(axis=(2, 3))
     share = np.where(told > 0.0, (near * given["trust"]).sum(axis=(2, 3)) / np.where(told > 0.0, told, 1.0), 1.0)
-    faded = fade(given["history"], share.astype(np.float32)) if remembers else None
-    unit = np.ones(SHAPE, np.float32) if faded is None else (faded[..., 6] + 1.0) ** GROWTH
+    sums = given["history"].astype(np.float64) * share[..., None] * remembers
+    sums[..., 4] *= share
+    unit = (sums[..., 6] + 1.0) ** GROWTH
     features = [make_feature("position", SHAPE)]
-    filtering: dict[str, Any] = {"albedo": given["albedo"], "modulate": False, "moment": True, "strictness": unit}
+    filtering: dict[str, Any] = {
+        "albedo": given["albedo"],
+        "modulate": False,
+        "moment": True,
+        "strictness": unit.astype(np.float32),
+    }
     filtered = run_filter(given["samples"], given["mask"], features, form="separable", radius=3, **filtering)
     assert filtered.moment is not None
-    gathered = filtered.image, filtered.weight_sum, filtered.effective_samples, filtered.moment
-    sums = make_sums(*gathered, unit, faded)
-    everywhere = slice(None), slice(None)
-    own = gather_samples(given["samples"], given["albedo"], given["mask"], everywhere, FLOOR / OWN)
-    add_own_samples(sums, own, (OWN - 1.0) * unit, counted=unit)
+    weight = filtered.weight_sum * unit
+    sums[..., :3] += filtered.image * weight[..., None]
+    sums[..., 3] += weight
+    sums[..., 4] += weight**2 / np.maximum(filtered.effective_samples, 1.0)
+    sums[..., 5] += filtered.moment * weight
+    sums[..., 6] += weight > 0.0
+    add_own_samples(sums, unit, given, np.s_[:, :])
     np.testing.assert_allclose(found.sums, sums, rtol=1e-4, atol=1e-6)
-    image, *rest = summarize(np.ascontiguousarray(found.sums), unit, given["albedo"])
-    np.testing.assert_allclose(found.image, image, rtol=2e-6, atol=1e-12)
-    for value, expected in zip((found.weight_sum, found.effective_samples), rest, strict=False):
-        np.testing.assert_allclose(value, expected, rtol=1e-4)
+    check_summary(found, unit, given["albedo"])
 
 
 def test_what_resembles_nothing_keeps_the_little_that_it_has() -> None:
@@ -249,14 +273,7 @@ def test_the_summary_is_that_of_the_sums() -> None:
     out = accumulate(given, 2, (1, 0), trust=trust)
     told = compute_weights(given["mask"], 2, (1, 0), 1).sum(axis=(2, 3)) > 0.0
     frames = given["history"][..., 6] * np.where(told, 0.25, 1.0)
-    unit = ((frames + 1.0) ** GROWTH).astype(np.float32)
-    image, *rest = summarize(np.ascontiguousarray(out.sums), unit, given["albedo"])
-    np.testing.assert_allclose(out.image, image, rtol=2e-6, atol=1e-12)
-    # The variance is a difference of squares.
-    for name, expected, rtol in zip(
-        ("weight_sum", "effective_samples", "variance"), rest, (5e-6, 5e-6, 1e-3), strict=True
-    ):
-        np.testing.assert_allclose(getattr(out, name), expected, rtol=rtol, atol=1e-5 if rtol == 1e-3 else 0.0)
+    check_summary(out, (frames + 1.0) ** GROWTH, given["albedo"])
 
 
 def test_no_history_is_one_that_holds_nothing() -> None:
