@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import base64
 import html
+import io
 import json
 import re
 import shutil
 import subprocess
 import sys
-import zlib
 from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from lobewise.cli import demo
 from lobewise.denoising import denoise
@@ -28,35 +29,11 @@ from lobewise.reporting.report import Picture, Report, make_page
 
 
 def decode_png(data: bytes) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return pixels and palette, read by a second, slow reader of the format."""
-    assert data[:8] == b"\x89PNG\r\n\x1a\n"
-    position, chunks = 8, {}
-    while position < len(data):
-        size, name = int.from_bytes(data[position : position + 4], "big"), data[position + 4 : position + 8]
-        body = data[position + 8 : position + 8 + size]
-        assert zlib.crc32(name + body) == int.from_bytes(data[position + 8 + size : position + 12 + size], "big")
-        chunks[name] = chunks.get(name, b"") + body
-        position += 12 + size
-    width, height = (int.from_bytes(chunks[b"IHDR"][at : at + 4], "big") for at in (0, 4))
-    depth, kind, *rest = chunks[b"IHDR"][8:]
-    assert (depth, rest) == (8, [0, 0, 0])
-    samples = {2: 3, 3: 1}[kind]
-    stream = zlib.decompress(chunks[b"IDAT"])
-    rows = [bytearray(width * samples)]
-    for y in range(height):
-        start = y * (width * samples + 1)
-        row, above = bytearray(stream[start + 1 : start + 1 + width * samples]), rows[-1]
-        for x in range(len(row)):
-            a = row[x - samples] if x >= samples else 0
-            b = above[x]
-            c = above[x - samples] if x >= samples else 0
-            guess = a + b - c
-            paeth = min((a, b, c), key=lambda value: (abs(guess - value), (a, b, c).index(value)))
-            row[x] = (row[x] + (0, a, b, (a + b) // 2, paeth)[stream[start]]) % 256
-        rows.append(row)
-    pixels = np.frombuffer(b"".join(rows[1:]), np.uint8).reshape(height, width, samples)
-    palette = np.frombuffer(chunks[b"PLTE"], np.uint8).reshape(-1, 3) if b"PLTE" in chunks else None
-    return pixels if samples == 3 else pixels[..., 0], palette
+    """Return pixels and palette, as Pillow reads them."""
+    with Image.open(io.BytesIO(data)) as picture:
+        picture.load()
+        palette = picture.getpalette() if picture.mode == "P" else None
+        return np.asarray(picture), None if palette is None else np.array(palette, np.uint8).reshape(-1, 3)
 
 
 class TestPng:
@@ -67,23 +44,12 @@ class TestPng:
         for image in (noise, smooth.astype(np.uint8), np.zeros_like(noise)):
             np.testing.assert_array_equal(decode_png(encode_png(image))[0], image)
 
-    def test_rows_that_ask_for_other_filters(self, rng):
-        rows = [np.zeros(32), np.arange(32) * 7, np.arange(32) * 7, rng.integers(0, 256, 32), np.full(32, 90)]
-        image = np.stack([np.stack([row] * 3, -1) for row in rows * 4]).astype(np.uint8)
-        image += rng.integers(0, 3, image.shape, dtype=np.uint8)
-        np.testing.assert_array_equal(decode_png(encode_png(image))[0], image)
-
     def test_palette(self, rng):
         palette = rng.integers(0, 256, (256, 3), dtype=np.uint8)
         image = rng.integers(0, 256, (5, 7), dtype=np.uint8)
         pixels, colors = decode_png(encode_png(image, palette))
         np.testing.assert_array_equal(pixels, image)
         np.testing.assert_array_equal(colors, palette)
-
-    def test_smooth_pictures_are_small(self):
-        x, y = np.meshgrid(np.linspace(0, 3, 128), np.linspace(0, 2, 128))
-        image = (127 + 127 * np.stack([np.sin(x * y), np.cos(x), np.sin(y + x)], -1)).astype(np.uint8)
-        assert len(encode_png(image)) < 0.5 * len(zlib.compress(image.tobytes(), 9))
 
     @pytest.mark.parametrize("shape", [(3, 4), (3, 4, 4), (0, 4, 3)])
     def test_other_arrays_are_refused(self, shape):
@@ -242,15 +208,11 @@ class TestPage:
         assert (data["width"], data["height"]) == (80, 70)
 
     def test_small_pictures_and_no_mask(self, report):
-        from dataclasses import replace
-
         cut = [replace(one, image=one.image[:3, :5]) for one in [*report.pictures, report.reference]]
         page = make_page(replace(report, pictures=cut[:2], reference=cut[2], mask=None))
         assert "Specular pixels," not in page
 
     def test_mistakes(self, report):
-        from dataclasses import replace
-
         with pytest.raises(InputError, match="expected one of far, near, reference, got 'nearer'"):
             make_page(replace(report, right="nearer"))
         with pytest.raises(InputError, match="picture key"):
