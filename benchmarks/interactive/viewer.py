@@ -130,7 +130,7 @@ class QuietClient:
         """Put the camera on the orbit, so many radians from where it began."""
         import msgspec
 
-        cameras = self._viewer._audience.cameras
+        cameras = self._viewer._browsers.cameras
         position, look_at = np.array([0.0, 0.0, 4.0]), np.zeros(3)
         up, fov = np.array([0.0, 1.0, 0.0]), 0.8
         if cameras is not None:

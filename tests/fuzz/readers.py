@@ -348,7 +348,7 @@ def read_viewer(path: Path, _: Answer) -> None:
 
     from lobewise.interactive.settings import InteractiveSettings
     from lobewise.viewer.cameras import CameraMap, read_pose
-    from lobewise.viewer.door.incoming import Control, read_message
+    from lobewise.viewer.http.browser_messages import Control, read_message
     from lobewise.viewer.messages import Description
 
     controls = {"a": Control(("one", "two")), "b": Control((), 0.0, 8.0), "c": Control()}
@@ -389,7 +389,7 @@ NEEDS = {
     "definitions": "mitsuba",
     "camera_usda": "pxr",
     "camera_usdc": "pxr",
-    "viewer": "lobewise.viewer.door",
+    "viewer": "lobewise.viewer.http",
 }
 """What some kinds need that is optional."""
 

@@ -26,21 +26,21 @@ def run_slow_worker(pipe: Connection, target: Target) -> None:
         pipe.send(Problem("something is broken.", ours=True))
         return
     unseen = UNSEEN if target.name == "foggy" else ""
-    look = InteractiveSettings(similarity="none")
-    pipe.send(Opened(Description(look, 4, 4, CAMERA, unseen=unseen)))
+    settings = InteractiveSettings(similarity="none")
+    pipe.send(Opened(Description(settings, 4, 4, CAMERA, unseen=unseen)))
     forgotten: list[int] = []
-    while (order := pipe.recv()) is not None:
-        if isinstance(order, Request):
-            if order.number == 666:
+    while (command := pipe.recv()) is not None:
+        if isinstance(command, Request):
+            if command.number == 666:
                 os._exit(7)
             time.sleep(SECONDS)
-            if order.number == 13:
-                pipe.send(Problem("this look does not go; choose another.", order.client))
+            if command.number == 13:
+                pipe.send(Problem("these settings do not go; choose others.", command.client))
             else:
-                pixels = np.full((4, 4, 3), order.number % 256, np.uint8)
-                pipe.send(Picture(order.client, order.number, pixels, (4, 4), 0.0, accumulated=int(order.fresh)))
-        elif isinstance(order, Save):
-            pipe.send(SavedFile(order.client, order.kind, repr(forgotten).encode()))
+                pixels = np.full((4, 4, 3), command.number % 256, np.uint8)
+                pipe.send(Picture(command.client, command.number, pixels, (4, 4), 0.0, accumulated=int(command.fresh)))
+        elif isinstance(command, Save):
+            pipe.send(SavedFile(command.client, command.kind, repr(forgotten).encode()))
         else:
-            forgotten.append(order.client)
+            forgotten.append(command.client)
         pipe.send(None)

@@ -26,7 +26,7 @@ from lobewise.errors import InputError
 from lobewise.frame import Frame, Radiance
 from lobewise.io import read_frame, read_image, write_frame
 from lobewise.viewer import FrameViewer
-from lobewise.viewer.door.incoming import MAX_MESSAGE_BYTES
+from lobewise.viewer.http.browser_messages import MAX_MESSAGE_BYTES
 from tests.interrupts import LISTEN
 
 PATIENCE = 60.0
@@ -63,7 +63,7 @@ def get_token(viewer: FrameViewer) -> str:
     return urlsplit(viewer.url).query
 
 
-def wish(viewer: FrameViewer, path: str, **values: Any) -> tuple[int, bytes]:
+def post(viewer: FrameViewer, path: str, **values: Any) -> tuple[int, bytes]:
     status, _, data = ask(viewer, f"{path}?{get_token(viewer)}", json.dumps(values).encode())
     return status, data
 
@@ -99,7 +99,7 @@ class TestDoor:
         assert text.endswith(b"open the URL that lobewise printed.\n")
         assert "Set-Cookie" not in found
 
-    def test_wishes_come_only_from_the_page(self, viewer):
+    def test_requests_come_only_from_the_page(self, viewer):
         place = urlsplit(viewer.url)
         cookie = {"Cookie": f"lobewise-{place.port}={get_token(viewer).removeprefix('token=')}"}
         body = json.dumps({"stops": 0.0}).encode()
@@ -124,7 +124,7 @@ class TestDoor:
             ("/tones", b" " * (MAX_MESSAGE_BYTES + 1)),
         ],
     )
-    def test_strange_wishes_are_refused_in_one_sentence(self, viewer, path, body):
+    def test_strange_requests_are_refused_in_one_sentence(self, viewer, path, body):
         status, _, text = ask(viewer, f"{path}?{get_token(viewer)}", body)
         assert status == 400
         assert 10 < len(text) < 400
@@ -137,22 +137,22 @@ class TestDoor:
 
 class TestAnswers:
     def test_pictures_and_their_tones_are_those_of_lobewise(self, viewer, floor_frame):
-        status, data = wish(viewer, "/picture", name="noisy", settings={})
+        status, data = post(viewer, "/picture", name="noisy", settings={})
         assert status == 200
         halves = np.frombuffer(data, np.uint16).reshape(32, 48, 3)
         for stops in (-2.0, 1.5):
-            tones = np.frombuffer(wish(viewer, "/tones", stops=stops)[1], np.uint8)
+            tones = np.frombuffer(post(viewer, "/tones", stops=stops)[1], np.uint8)
             expected = map_tones(floor_frame.radiance.color, 2.0**stops).astype(int)
             assert np.abs(tones[halves] - expected).max() <= 1
 
     def test_values(self, viewer, floor_frame):
-        rows = dict(json.loads(wish(viewer, "/values", x=3, y=2, settings=FAST)[1]))
+        rows = dict(json.loads(post(viewer, "/values", x=3, y=2, settings=FAST)[1]))
         assert rows["reference"] == "0.5  0.5  0.5"
         assert rows["noisy"] == "  ".join(f"{value:.4g}" for value in floor_frame.radiance.color[2, 3])
 
     def test_the_file_is_that_of_denoise(self, viewer, floor_file, tmp_path):
         saved = tmp_path / "saved.exr"
-        saved.write_bytes(wish(viewer, "/file", settings=FAST)[1])
+        saved.write_bytes(post(viewer, "/file", settings=FAST)[1])
         expected = denoise(read_frame(floor_file), **FAST).image
         np.testing.assert_allclose(read_image(saved), expected, rtol=1e-6)
 

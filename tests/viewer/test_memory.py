@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from lobewise.interactive.settings import InteractiveSettings
-from lobewise.viewer.link import Link
 from lobewise.viewer.messages import Description, Opened, Picture, Problem, Request, Target, Window
+from lobewise.viewer.worker_process import WorkerProcess
 
 pytestmark = pytest.mark.nightly
 
@@ -39,28 +39,28 @@ def ask_for_pictures(target: Target, make_request: Callable[[Description, int], 
             return
         arrived.release()
 
-    link = Link(target, receive, lambda text, again: problems.append(text))
-    link.start()
+    worker = WorkerProcess(target, receive, lambda text, again: problems.append(text))
+    worker.start()
     try:
         assert arrived.acquire(timeout=PATIENCE)
         for number in range(PICTURES):
             assert not problems
-            link.submit(make_request(descriptions[0], number))
+            worker.submit(make_request(descriptions[0], number))
             assert arrived.acquire(timeout=PATIENCE)
     finally:
-        link.stop()
+        worker.stop()
     assert problems == []
     return memory
 
 
 @pytest.mark.mitsuba
 def test_an_orbit_of_a_scene(mi: Any) -> None:
-    look = InteractiveSettings(similarity="none", adaptive=0.0, temporal=False, filter_direct=False, scale=8)
+    settings = InteractiveSettings(similarity="none", adaptive=0.0, temporal=False, filter_direct=False, scale=8)
 
     def make_request(description: Description, number: int) -> Request:
         step = 0.02 * (16 - abs(16 - number % 32))
         camera = replace(description.camera, position=description.camera.position + step * description.camera.right)
-        return Request(1, number, Window(300, 200), look, camera, size=(96, 64))
+        return Request(1, number, Window(300, 200), settings, camera, size=(96, 64))
 
     memory = ask_for_pictures(Target("showroom", (96, 64)), make_request)
     assert memory[-1] < (1.0 + GROWTH) * memory[PICTURES // 2]

@@ -14,7 +14,7 @@ from lobewise.cli.main import run
 from lobewise.errors import InputError
 from lobewise.interactive.settings import InteractiveSettings
 from lobewise.scenes import BY_THEMSELVES
-from lobewise.viewer.guest import Guest
+from lobewise.viewer.browser import Browser
 from lobewise.viewer.messages import Description, Picture, Request, Window
 from lobewise.viewer.status import write_figures
 from tests.render.moving.places import slide
@@ -30,7 +30,7 @@ ROOM = """<scene version="3.0.0"><integrator type="path"/>
 
 
 def open_target(name: str, moving: str | None) -> Any:
-    from lobewise.viewer.scenes import SceneTarget
+    from lobewise.viewer.scene_target import SceneTarget
 
     return SceneTarget(name, SIZE, lambda done, total: None, moving)
 
@@ -101,7 +101,7 @@ def test_what_is_shown_again_does_not_move(room: tuple[str, str]) -> None:
 @pytest.mark.nightly
 def test_objects_of_a_built_in_scene_are_where_the_scene_has_them(mi: Any) -> None:
     from lobewise.render import load_scene
-    from lobewise.viewer.scenes import SceneTarget
+    from lobewise.viewer.scene_target import SceneTarget
 
     target = open_target("showroom", BY_THEMSELVES)
     for _ in range(3):
@@ -142,13 +142,13 @@ def test_wrong_motions_end_the_command(
     assert says in capsys.readouterr().err
 
 
-def make_guest(speed: float) -> Guest:
+def make_browser(speed: float) -> Browser:
     """Return a browser that shows a picture of objects at a speed."""
     client = SimpleNamespace(camera=SimpleNamespace(image_width=64, image_height=64), client_id=1)
-    guest = Guest(client, SimpleNamespace(), fixed_size=True)  # type: ignore[arg-type]
-    guest.panel = SimpleNamespace(speed=speed, accumulate=False)  # type: ignore[assignment]
-    guest.picture = make_picture()
-    return guest
+    browser = Browser(client, SimpleNamespace(), fixed_size=True)  # type: ignore[arg-type]
+    browser.panel = SimpleNamespace(speed=speed, accumulate=False)  # type: ignore[assignment]
+    browser.picture = make_picture()
+    return browser
 
 
 def make_picture(moment: float | None = None) -> Picture:
@@ -158,7 +158,7 @@ def make_picture(moment: float | None = None) -> Picture:
 @pytest.mark.parametrize(("speed", "more"), [(1.0, True), (0.1, True), (0.0, False)])
 def test_pictures_follow_each_other_while_objects_move(speed: float, more: bool) -> None:
     found = Description(LOOK, 64, 64, camera=SimpleNamespace(), moves=True)  # type: ignore[arg-type]
-    assert make_guest(speed).needs_more(found) == more
+    assert make_browser(speed).needs_more(found) == more
 
 
 def test_the_status_tells_the_moment() -> None:

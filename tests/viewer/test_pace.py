@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lobewise.viewer.guest import STEPS, TARGET, Pace, fit_size
+from lobewise.viewer.browser import STEPS, TARGET, Pace, fit_size
 
 
 def simulate(full_seconds: float, frames: int = 40) -> list[float]:

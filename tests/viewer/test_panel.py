@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from lobewise.interactive.settings import InteractiveSettings
-from lobewise.viewer.panel import LookPanel
+from lobewise.viewer.panel import SettingsPanel
 
 
 class Page:
@@ -33,14 +33,14 @@ class Page:
         return self.keep(label, value, hint=hint)
 
 
-def make_panel(look):
+def make_panel(settings):
     """Return a page and the panel on it."""
     page = Page()
-    return page, LookPanel(page, look, lambda: None)
+    return page, SettingsPanel(page, settings, lambda: None)
 
 
 @pytest.mark.parametrize(
-    "look",
+    "settings",
     [
         InteractiveSettings(),
         InteractiveSettings(
@@ -48,9 +48,9 @@ def make_panel(look):
         ),
     ],
 )
-def test_what_is_shown_is_what_is_set(look):
-    _, panel = make_panel(look)
-    assert panel.get_look() == look
+def test_what_is_shown_is_what_is_set(settings):
+    _, panel = make_panel(settings)
+    assert panel.get_settings() == settings
 
 
 def test_labels_and_hints_are_there():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.viewer.conftest import compare, run_viewer
-from tests.viewer.test_scene import BLOCK, CHEAP, NOISE, SIZE, arrive, drag, locate
+from tests.viewer.test_scene_target import BLOCK, CHEAP, NOISE, SIZE, arrive, drag, locate
 
 pytestmark = [pytest.mark.nightly, pytest.mark.mitsuba]
 

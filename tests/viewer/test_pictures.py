@@ -7,9 +7,9 @@ import pytest
 
 from lobewise.display.tones import map_tones, map_tones_quickly
 from lobewise.interactive.settings import VIEWS, InteractiveSettings
-from lobewise.viewer.looks import name_sides
 from lobewise.viewer.messages import Window
 from lobewise.viewer.pictures import BARS, LEGENDS, MAX_STOPS, choose_stops, fit_window, paint, wipe
+from lobewise.viewer.scene_settings import name_sides
 
 
 class TestTones:

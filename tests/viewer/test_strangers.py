@@ -8,7 +8,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from lobewise.viewer import Viewer, link
+from lobewise.viewer import Viewer, worker_process
 from tests.viewer.conftest import PATIENCE, REBOUND
 from tests.viewer.slow_worker import UNSEEN, run_slow_worker
 
@@ -27,7 +27,7 @@ address => new Promise(answer => {
 def viewers(browser: Any) -> Iterator[tuple[Viewer, Viewer]]:
     """Return two viewers at once, the first of something foggy."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(link, "run_worker", run_slow_worker)
+        patch.setattr(worker_process, "run_worker", run_slow_worker)
         with Viewer("foggy", port=0) as first, Viewer("thing", port=0) as second:
             yield first, second
 

@@ -17,7 +17,7 @@ from lobewise.cli.terminal.interrupts import hold_interrupts
 from lobewise.errors import InputError
 from lobewise.scenes import BY_THEMSELVES, list_scenes
 from lobewise.settings import SIMILARITY_NAMES
-from lobewise.viewer.looks import KNOBS, SCENE_SIMILARITIES
+from lobewise.viewer.scene_settings import KNOBS, SCENE_SIMILARITIES
 
 if TYPE_CHECKING:
     from lobewise.viewer import FrameViewer, Viewer

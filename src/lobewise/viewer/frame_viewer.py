@@ -20,10 +20,10 @@ from lobewise.display.tones import map_tones
 from lobewise.errors import InputError, LobewiseError
 from lobewise.io.documents import parse_json
 from lobewise.reporting.report import fill_page
-from lobewise.viewer.door.access import Visit
-from lobewise.viewer.door.incoming import MAX_MESSAGE_BYTES
-from lobewise.viewer.door.site import HEADERS, LOOPBACK, REFUSED, Site, Tell, choose_port
-from lobewise.viewer.frames import FrameTarget
+from lobewise.viewer.frame_target import FrameTarget
+from lobewise.viewer.http.access import HttpRequest
+from lobewise.viewer.http.browser_messages import MAX_MESSAGE_BYTES
+from lobewise.viewer.http.site import HEADERS, LOOPBACK, REFUSED, Site, Tell, choose_port
 from lobewise.viewer.messages import FrameReading, describe_failure
 
 _PATIENCE = 20.0
@@ -115,37 +115,37 @@ class FrameViewer(Site):
             server.shutdown()
             server.server_close()
 
-    def refuse(self, visit: Visit) -> str:
+    def refuse(self, request: HttpRequest) -> str:
         """Return a sentence that says why a request is refused; empty if it is allowed."""
-        return self._access.refuse(visit)
+        return self._access.refuse(request)
 
-    def get_cookie(self, visit: Visit) -> str:
+    def get_cookie(self, request: HttpRequest) -> str:
         """Return the cookie that answers a request with the token; empty if the request has none."""
-        return self._access.make_cookie(visit) if self._access.knows_token(visit) else ""
+        return self._access.make_cookie(request) if self._access.knows_token(request) else ""
 
     def write_page(self) -> bytes:
         """Return the page."""
         description = {**self._target.describe(), "changes": self._changes}
         return fill_page("frame.html", {"data": json.dumps(description).replace("<", "\\u003c")}).encode()
 
-    def answer(self, path: str, wish: Mapping[str, Any]) -> bytes:
+    def answer(self, path: str, request: Mapping[str, Any]) -> bytes:
         """Return what the page asks for, by its path.
 
-        Raises LobewiseError if the wish is none that the page has, or cannot be met.
+        Raises LobewiseError if the request is none that the page has, or cannot be met.
         """
         if path == "/tones":
             # The display value of every half float, by its bits, so that the page needs no tone curve of its own.
-            factor = 2.0 ** (_read_number(wish, "stops", -64.0, 64.0) - self._target.stops)
+            factor = 2.0 ** (_read_number(request, "stops", -64.0, 64.0) - self._target.stops)
             with np.errstate(invalid="ignore"):
                 return map_tones(np.arange(65536, dtype=np.uint16).view(np.float16), factor).tobytes()
-        values = wish.get("settings")
+        values = request.get("settings")
         if not isinstance(values, dict):
             raise InputError("settings", expected="an object", got=type(values).__name__, action="load the page again")
         settings = self._target.make_settings(values)
         if path == "/picture":
-            return self._target.paint(str(wish.get("name")), settings).tobytes()
+            return self._target.paint(str(request.get("name")), settings).tobytes()
         if path == "/values":
-            x, y = (int(_read_number(wish, axis, 0.0, 1e6)) for axis in "xy")
+            x, y = (int(_read_number(request, axis, 0.0, 1e6)) for axis in "xy")
             return json.dumps(self._target.list_values(x, y, settings)).encode()
         if path == "/file":
             with tempfile.TemporaryDirectory() as folder:
@@ -179,18 +179,18 @@ class _Handler(BaseHTTPRequestHandler):
         self._admit(False, lambda: self.server.viewer.write_page() if self._place == "/" else None)
 
     def do_POST(self) -> None:
-        """Answer a wish of the page. Browsers name the page that asks, as with a WebSocket."""
-        self._admit(True, lambda: self.server.viewer.answer(self._place, self._read_wish()))
+        """Answer a request of the page. Browsers name the page that asks, as with a WebSocket."""
+        self._admit(True, lambda: self.server.viewer.answer(self._place, self._read_request()))
 
     @property
     def _place(self) -> str:
         return self.path.partition("?")[0]
 
-    def _admit(self, is_wish: bool, make: Callable[[], bytes | None]) -> None:
+    def _admit(self, is_post: bool, make: Callable[[], bytes | None]) -> None:
         """Answer a request by ``make`` if the visitor may ask; None is what does not exist."""
         hosts, origins, cookies = (self.headers.get_all(name, []) for name in ("Host", "Origin", "Cookie"))
-        visit = Visit(self.path, hosts, origins, cookies, is_socket=is_wish)
-        refusal = self.server.viewer.refuse(visit)
+        request = HttpRequest(self.path, hosts, origins, cookies, is_socket=is_post)
+        refusal = self.server.viewer.refuse(request)
         if refusal:
             self._send(REFUSED, f"{refusal}\n".encode())
             return
@@ -202,8 +202,8 @@ class _Handler(BaseHTTPRequestHandler):
             raise
         except Exception as problem:
             data, status = describe_failure(problem).encode(), 500
-        kind = "text/plain" if status != 200 or is_wish else "text/html"
-        self._send(404 if data is None else status, data or b"", kind, self.server.viewer.get_cookie(visit))
+        kind = "text/plain" if status != 200 or is_post else "text/html"
+        self._send(404 if data is None else status, data or b"", kind, self.server.viewer.get_cookie(request))
 
     def _send(self, status: int, data: bytes, kind: str = "text/plain", cookie: str = "") -> None:
         self.send_response(status)
@@ -214,21 +214,21 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
         self.wfile.write(data)
 
-    def _read_wish(self) -> Mapping[str, Any]:
+    def _read_request(self) -> Mapping[str, Any]:
         """Return the JSON object of a request. Raises LobewiseError if it is too long or none."""
         length = self.headers.get("Content-Length", "")
         body = self.rfile.read(min(int(length), MAX_MESSAGE_BYTES + 1)) if re.fullmatch("[0-9]{1,9}", length) else b""
         if not 0 < len(body) <= MAX_MESSAGE_BYTES:
             expected = f"1 to {MAX_MESSAGE_BYTES} bytes"
             raise InputError("request", expected=expected, got=f"{length or 'no'} bytes"[:40], action="send fewer")
-        wish = parse_json(body, what="request", action="correct it")
-        if not isinstance(wish, dict):
-            raise InputError("request", expected="an object", got=type(wish).__name__, action="load the page again")
-        return wish
+        request = parse_json(body, what="request", action="correct it")
+        if not isinstance(request, dict):
+            raise InputError("request", expected="an object", got=type(request).__name__, action="load the page again")
+        return request
 
 
-def _read_number(wish: Mapping[str, Any], name: str, low: float, high: float) -> float:
-    value = wish.get(name)
+def _read_number(request: Mapping[str, Any], name: str, low: float, high: float) -> float:
+    value = request.get(name)
     # The comparison fails for NaN.
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
         raise InputError(name, expected=f"a number from {low:g} to {high:g}", got=repr(value)[:80], action="correct it")

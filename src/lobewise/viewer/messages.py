@@ -45,7 +45,7 @@ class Target:
 class Description:
     """The properties of an open target, from which the controls of a page are built."""
 
-    look: InteractiveSettings
+    settings: InteractiveSettings
     """The first settings."""
     # Pixels of the picture.
     width: int
@@ -80,7 +80,7 @@ class Request:
     number: int
     """Counts the requests of the browser."""
     window: Window
-    look: InteractiveSettings
+    settings: InteractiveSettings
     """Settings of the picture, or of its part left of the wipe."""
     camera: Camera
     other: InteractiveSettings | None = None
@@ -178,7 +178,7 @@ class Problem:
     ours: bool = False
 
 
-Order = Request | Save | Forget
+Command = Request | Save | Forget
 Report = Opened | Progress | Picture | SavedFile | Problem
 
 

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 
 from lobewise.interactive.settings import METHODS, VIEWS, InteractiveSettings
 from lobewise.settings import Knob
-from lobewise.viewer.door.incoming import Control
-from lobewise.viewer.looks import KNOBS, SCENE_CONTROLS, SCENE_SIMILARITIES
+from lobewise.viewer.http.browser_messages import Control
 from lobewise.viewer.messages import Description
 from lobewise.viewer.pictures import LEGENDS, MAX_STOPS
+from lobewise.viewer.scene_settings import KNOBS, SCENE_CONTROLS, SCENE_SIMILARITIES
 from lobewise.viewer.status import write_message
 
 NAMES = {
@@ -51,27 +51,27 @@ SLIDERS = {
 }
 
 
-class LookPanel:
+class SettingsPanel:
     """The settings of one side of the wipe.
 
     Parameters
     ----------
     gui : viser's GUI
         Controls are added to its current folder.
-    look : InteractiveSettings
+    settings : InteractiveSettings
         The first settings.
     changed : callable
         Called when the user changed a setting.
     """
 
-    def __init__(self, gui: Any, look: InteractiveSettings, changed: Callable[[], None]) -> None:
+    def __init__(self, gui: Any, settings: InteractiveSettings, changed: Callable[[], None]) -> None:
         self._gui = gui
         self._changed = changed
-        self._look = look
+        self._settings = settings
         self._handles: dict[str, Any] = {}
         choices = {"method": METHODS, "similarity": SCENE_SIMILARITIES}
         for field in SCENE_CONTROLS:
-            knob, value = KNOBS[field], getattr(look, field)
+            knob, value = KNOBS[field], getattr(settings, field)
             if field in choices:
                 names = [NAMES.get(word, word) for word in choices[field]]
                 arguments = {"initial_value": NAMES.get(value, value), "hint": knob.hint}
@@ -87,10 +87,10 @@ class LookPanel:
         """viser's handles of the controls."""
         return tuple(self._handles.values())
 
-    def get_look(self) -> InteractiveSettings:
+    def get_settings(self) -> InteractiveSettings:
         """Return the current settings."""
         values = {name: self._get(name) for name in self._handles if not name.startswith("auto_")}
-        return replace(self._look, **values)
+        return replace(self._settings, **values)
 
     def _get(self, name: str) -> Any:
         """Return the value of a setting that has a control."""
@@ -166,7 +166,7 @@ class Panel:
     gui : viser's GUI of that browser
     description : Description
         The target.
-    look, other : InteractiveSettings
+    settings, other : InteractiveSettings
         The first settings of the left and the right side.
     actions : Actions
     fixed_size : bool
@@ -177,7 +177,7 @@ class Panel:
         self,
         gui: Any,
         description: Description,
-        look: InteractiveSettings,
+        settings: InteractiveSettings,
         other: InteractiveSettings,
         actions: Actions,
         *,
@@ -205,10 +205,10 @@ class Panel:
             self._wiped = gui.add_checkbox("Compare A, B", False, hint="Left of the line A, right of it B.")
             self._place = gui.add_slider("Line", 0.0, 1.0, 0.005, 0.5, visible=False, hint="Where the line is.")
         with gui.add_folder("Settings A"):
-            self.left = LookPanel(gui, look, actions.render)
+            self.left = SettingsPanel(gui, settings, actions.render)
         self._right_folder = gui.add_folder("Settings B", visible=False)
         with self._right_folder:
-            self.right = LookPanel(gui, other, actions.render)
+            self.right = SettingsPanel(gui, other, actions.render)
         self._adapt: Any = None
         with gui.add_folder("Pace"):
             knob = KNOBS["accumulate"]

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from typing import Any
 
 from lobewise.errors import MissingDependencyError
-from lobewise.viewer.audience import Audience
-from lobewise.viewer.door.site import LOOPBACK, Site, choose_port
+from lobewise.viewer.browsers import Browsers
+from lobewise.viewer.http.site import LOOPBACK, Site, choose_port
 from lobewise.viewer.messages import Target
 
 
@@ -67,9 +67,9 @@ class Viewer(Site):
     ) -> None:
         super().__init__(host, port, token)
         self._tell = tell or logging.getLogger(__name__).warning
-        self._audience = Audience(Target(target, size, moving), fixed_size, dict(changes or {}), self._tell)
+        self._browsers = Browsers(Target(target, size, moving), fixed_size, dict(changes or {}), self._tell)
         self._server: Any = None
-        self._ticker = threading.Thread(target=self._audience.watch, name="lobewise-viewer", daemon=True)
+        self._ticker = threading.Thread(target=self._browsers.watch, name="lobewise-viewer", daemon=True)
 
     def __enter__(self) -> Viewer:
         self.start()
@@ -93,7 +93,7 @@ class Viewer(Site):
         self._port = choose_port(self._host, self._port)
         try:
             # Start the worker first, because it takes longer than the page.
-            self._audience.link.start()
+            self._browsers.worker.start()
             self._serve()
             self._ticker.start()
         except BaseException:
@@ -102,8 +102,8 @@ class Viewer(Site):
 
     @property
     def statistics(self) -> dict[str, Any]:
-        """Figures for tests and benchmarks; see `Audience.statistics`."""
-        return self._audience.statistics
+        """Figures for tests and benchmarks; see `Browsers.statistics`."""
+        return self._browsers.statistics
 
     def wait_until_open(self) -> None:
         """Wait until the target is open or the viewer was stopped.
@@ -113,7 +113,7 @@ class Viewer(Site):
         LobewiseError, RuntimeError
             As `wait`.
         """
-        while not self._audience.opened.wait(0.05) and not self._audience.over.is_set():
+        while not self._browsers.opened.wait(0.05) and not self._browsers.over.is_set():
             pass
         self._require_success()
 
@@ -128,18 +128,18 @@ class Viewer(Site):
             If it cannot be opened, or crashed, because of an error of the program.
         """
         # Without a timeout Ctrl-C would not interrupt the wait on every system.
-        while not self._audience.over.wait(0.5):
+        while not self._browsers.over.wait(0.5):
             pass
         self._require_success()
 
     def _require_success(self) -> None:
-        if self._audience.failure is not None:
-            raise self._audience.failure
+        if self._browsers.failure is not None:
+            raise self._browsers.failure
 
     def stop(self) -> None:
         """End the page and the worker."""
-        self._audience.over.set()
-        self._audience.link.stop()
+        self._browsers.over.set()
+        self._browsers.worker.stop()
         server, self._server = self._server, None
         if server is not None:
             server.stop()
@@ -148,11 +148,11 @@ class Viewer(Site):
         import rich
         import viser
 
-        from lobewise.viewer.door.serving import guard_serving, require_guard
+        from lobewise.viewer.http.guard import guard_serving, require_guard
 
         # viser prints a greeting in this thread and a farewell in its own, both by rich, which captures by threads.
         console = rich.get_console()
-        with console.capture(), guard_serving(self._access, self._audience.controls, self._tell):
+        with console.capture(), guard_serving(self._access, self._browsers.controls, self._tell):
             server = viser.ViserServer(host=self._host, port=self._port, label="lobewise", verbose=False)
         self._server = server
         server.get_event_loop().call_soon_threadsafe(console.begin_capture)
@@ -164,7 +164,7 @@ class Viewer(Site):
         server.request_share_url = _refuse_sharing  # type: ignore[method-assign]
         server.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False, control_width="medium")
         server.gui.main_panel.dock_right()
-        self._audience.join(server)
+        self._browsers.join(server)
 
 
 def _refuse_sharing(verbose: bool = True) -> None:

@@ -1,4 +1,4 @@
-"""The worker: the process that renders, one order at a time.
+"""The worker: the process that renders, one command at a time.
 
 Compilers hold Python's lock for seconds, and a renderer may abort its process. In a process of its own neither stops
 the page.
@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Any
 from lobewise.display.hushing import hush_libraries
 from lobewise.errors import InputError, LobewiseError
 from lobewise.viewer.messages import (
+    Command,
     Forget,
     Opened,
-    Order,
     Picture,
     Problem,
     Progress,
@@ -35,14 +35,14 @@ from lobewise.viewer.messages import (
 
 if TYPE_CHECKING:
     from lobewise.interactive import InteractiveFrame
-    from lobewise.viewer.scenes import SceneTarget
+    from lobewise.viewer.scene_target import SceneTarget
 
 _PARENT_GONE = 3
 """Exit code of a worker whose parent has ended."""
 
 
 def run_worker(pipe: connection.Connection, target: Target) -> None:
-    """Open the target, then answer orders until the pipe is closed or the parent has ended. Runs in its own process."""
+    """Open the target, then answer commands until the pipe is closed or the parent has ended, in an own process."""
     # Ctrl-C reaches every process of the terminal; the parent decides when this one ends.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     hush_libraries()
@@ -62,16 +62,16 @@ def _follow_parent() -> None:
 
 
 class Worker:
-    """Answers orders over a pipe with reports. None follows the last report of an order."""
+    """Answers commands over a pipe with reports. None follows the last report of a command."""
 
     def __init__(self, pipe: connection.Connection, target: Target) -> None:
         self._pipe = pipe
         self._target = target
         self._shown: dict[int, Any] = {}
-        self._told = 0.0
+        self._reported_at = 0.0
 
     def serve(self) -> None:
-        """Open the target and answer orders until None comes."""
+        """Open the target and answer commands until None comes."""
         try:
             opened = self._open(self._target)
             self._send(Opened(opened.describe()))
@@ -81,85 +81,85 @@ class Worker:
         except Exception as problem:
             self._send(Problem(describe_failure(problem), ours=True))
             return
-        while (order := self._pipe.recv()) is not None:
-            self._answer(opened, order)
+        while (command := self._pipe.recv()) is not None:
+            self._answer(opened, command)
             self._pipe.send(None)
 
     def _send(self, report: Report) -> None:
         self._pipe.send(report)
 
     def _open(self, target: Target) -> SceneTarget:
-        from lobewise.viewer.scenes import SceneTarget
+        from lobewise.viewer.scene_target import SceneTarget
 
         return SceneTarget(target.name, target.size, self._tell_preparing, target.moving)
 
     def _tell_preparing(self, done: int, total: int) -> None:
         now = time.monotonic()
-        if now - self._told > 0.2 or done == total:
-            self._told = now
+        if now - self._reported_at > 0.2 or done == total:
+            self._reported_at = now
             self._send(Progress(f"Preparing the scene, {100 * done // max(total, 1)} %"))
 
-    def _answer(self, opened: SceneTarget, order: Order) -> None:
-        """Execute one order. An error is reported to its browser, and the worker goes on."""
+    def _answer(self, opened: SceneTarget, command: Command) -> None:
+        """Execute one command. An error is reported to its browser, and the worker goes on."""
         try:
-            if isinstance(order, Forget):
-                self._shown.pop(order.client, None)
-                opened.forget(order.client)
-            elif isinstance(order, Save):
-                self._send(self._save(opened, order))
+            if isinstance(command, Forget):
+                self._shown.pop(command.client, None)
+                opened.forget(command.client)
+            elif isinstance(command, Save):
+                self._send(self._save(opened, command))
             else:
-                if opened.is_slow(order):
-                    self._send(self._draw(opened, order, opened.show_input(order), final=False))
-                self._send(self._draw(opened, order, opened.render(order), final=True))
+                if opened.is_slow(command):
+                    self._send(self._draw(opened, command, opened.show_input(command), final=False))
+                self._send(self._draw(opened, command, opened.render(command), final=True))
         except (EOFError, BrokenPipeError, ConnectionResetError):
             raise
         except LobewiseError as problem:
-            self._send(Problem(str(problem), order.client))
+            self._send(Problem(str(problem), command.client))
         except Exception as problem:
-            self._send(Problem(describe_failure(problem), order.client, ours=True))
+            self._send(Problem(describe_failure(problem), command.client, ours=True))
 
-    def _draw(self, opened: SceneTarget, order: Request, frames: list[InteractiveFrame], *, final: bool) -> Picture:
-        from lobewise.viewer.looks import name_sides
+    def _draw(self, opened: SceneTarget, command: Request, frames: list[InteractiveFrame], *, final: bool) -> Picture:
         from lobewise.viewer.pictures import choose_stops, fit_window, paint, wipe
+        from lobewise.viewer.scene_settings import name_sides
 
         first = frames[0]
-        stops = choose_stops(first.image) if order.stops is None else order.stops
+        stops = choose_stops(first.image) if command.stops is None else command.stops
         start = time.perf_counter()
-        plain = [paint(order.view, frame.get_view(order.view), 2.0**stops) for frame in frames]
-        pictures = [fit_window(picture, order.window) for picture in plain]
+        plain = [paint(command.view, frame.get_view(command.view), 2.0**stops) for frame in frames]
+        pictures = [fit_window(picture, command.window) for picture in plain]
         two = len(pictures) == 2
-        labels = name_sides(order.look, order.other or order.look)
-        pixels = wipe(pictures[0], pictures[1], order.wipe, labels) if two else pictures[0]
+        labels = name_sides(command.settings, command.other or command.settings)
+        pixels = wipe(pictures[0], pictures[1], command.wipe, labels) if two else pictures[0]
         if final:
             # Keep the whole picture, without bars, for a file.
             whole = pictures[0] is plain[0]
-            wiped = pixels if whole or not two else wipe(plain[0], plain[1], order.wipe, labels)
-            self._shown[order.client] = wiped if two else plain[0]
+            wiped = pixels if whole or not two else wipe(plain[0], plain[1], command.wipe, labels)
+            self._shown[command.client] = wiped if two else plain[0]
         return Picture(
-            client=order.client,
-            number=order.number,
+            client=command.client,
+            number=command.number,
             pixels=pixels,
             size=(first.image.shape[1], first.image.shape[0]),
-            stops=stops if order.stops is None else None,
+            stops=stops if command.stops is None else None,
             seconds={**first.seconds, "picture": time.perf_counter() - start},
             accumulated=first.accumulated,
             recomputed=first.recomputed,
-            moment=opened.moments.get(order.client),
+            moment=opened.moments.get(command.client),
             memory=measure_memory(),
             final=final,
         )
 
-    def _save(self, opened: SceneTarget, order: Save) -> SavedFile:
-        if order.client not in self._shown:
+    def _save(self, opened: SceneTarget, command: Save) -> SavedFile:
+        if command.client not in self._shown:
             raise InputError("save", expected="a picture", got="none yet", action="wait until there is one")
-        if order.kind == "exr":
+        if command.kind == "exr":
             with tempfile.TemporaryDirectory() as folder:
-                path = opened.write(order.client, Path(folder))
-                return SavedFile(order.client, path.name, path.read_bytes())
+                path = opened.write(command.client, Path(folder))
+                return SavedFile(command.client, path.name, path.read_bytes())
         from lobewise.io.png import encode_png
 
         name = f"{Path(self._target.name).stem}.png"
-        return SavedFile(order.client, name, encode_png(self._shown[order.client]))
+        return SavedFile(command.client, name, encode_png(self._shown[command.client]))
 
 
 def measure_memory() -> int:

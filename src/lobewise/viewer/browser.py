@@ -28,7 +28,7 @@ _SMOOTHING = 0.5
 """Weight of the newest time in the mean of times."""
 
 
-class Guest:
+class Browser:
     """One browser: viser's handle, its camera and its pictures.
 
     With ``fixed_size`` resolution and aspect do not depend on the window.
@@ -42,7 +42,7 @@ class Guest:
         self.pace = Pace(fixed=fixed_size)
         self.picture: Picture | None = None
         self.moved_at = 0.0
-        self.told_at = 0.0
+        self.reported_at = 0.0
         self.shown = 0
         self.note = ""
         self.expose = True
@@ -93,8 +93,8 @@ class Guest:
             client=self.client.client_id,
             number=self._number,
             window=window,
-            look=panel.left.get_look(),
-            other=None if wiped is None else panel.right.get_look(),
+            settings=panel.left.get_settings(),
+            other=None if wiped is None else panel.right.get_settings(),
             wipe=0.5 if wiped is None else wiped,
             view=panel.view,
             stops=None if self.expose else panel.stops,

@@ -32,8 +32,8 @@ def name_sides(left: InteractiveSettings, right: InteractiveSettings) -> tuple[s
     # With another method or similarity the other settings are details, or mean nothing for one of the sides.
     names = [name for name in ("method", "similarity") if name in differing] or differing[:2]
 
-    def name(letter: str, look: InteractiveSettings) -> str:
-        words = [_name_value(one, getattr(look, one)) for one in names]
+    def name(letter: str, settings: InteractiveSettings) -> str:
+        words = [_name_value(one, getattr(settings, one)) for one in names]
         return f"{letter}: {', '.join(words)}" if words else letter
 
     return name("A", left), name("B", right)

@@ -15,7 +15,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from lobewise.scenes.crashes import describe_crash
-from lobewise.viewer.messages import Forget, Opened, Order, Problem, Report, Request, Save, Target
+from lobewise.viewer.messages import Command, Forget, Opened, Problem, Report, Request, Save, Target
 from lobewise.viewer.worker import run_worker
 
 MAX_RESTARTS = 3
@@ -27,12 +27,12 @@ _PATIENCE = 2.0
 _log = logging.getLogger(__name__)
 
 
-class Link:
+class WorkerProcess:
     """The worker process. It renders one picture at a time, for each browser in turn.
 
     A new request of a browser replaces the waiting one, so that the worker is never behind, however slow it is.
 
-    ``receive`` is called with every `Report`, from a thread of the link. When the worker died, ``remark`` is called
+    ``receive`` is called with every `Report`, from a thread of this object. When the worker died, ``remark`` is called
     with a sentence, and with whether the worker is started again.
     """
 
@@ -41,17 +41,17 @@ class Link:
         self._receive = receive
         self._remark = remark
         self._lock = threading.RLock()
-        self._wishes: OrderedDict[int, Request] = OrderedDict()
-        self._errands: list[Save | Forget] = []
+        self._requests: OrderedDict[int, Request] = OrderedDict()
+        self._urgent: list[Save | Forget] = []
         self._latest: dict[int, Request] = {}
         self._ready = self._was_ready = False
-        self._order: Order | None = None
+        self._command: Command | None = None
         self._since = 0.0
         self._deaths: list[float] = []
         self._stopped = False
         self._process: Any = None
         self._pipe: Connection | None = None
-        self._thread = threading.Thread(target=self._listen, name="lobewise-link", daemon=True)
+        self._thread = threading.Thread(target=self._listen, name="lobewise-worker", daemon=True)
 
     def start(self) -> None:
         """Start the process; returns before it is ready."""
@@ -64,40 +64,40 @@ class Link:
         with self._lock:
             return int(self._process.pid or 0) if self._process is not None else 0
 
-    def get_busy(self) -> tuple[Order | None, float]:
-        """Return the order that the worker is executing, and since how many seconds."""
+    def get_busy(self) -> tuple[Command | None, float]:
+        """Return the command that the worker is executing, and since how many seconds."""
         with self._lock:
-            return self._order, time.monotonic() - self._since
+            return self._command, time.monotonic() - self._since
 
     def submit(self, request: Request) -> None:
         """Ask for a picture. It replaces a waiting request of that browser."""
         with self._lock:
-            waiting = self._wishes.get(request.client)
+            waiting = self._requests.get(request.client)
             if waiting is not None and waiting.fresh and not request.fresh:
                 # A request that only shows the last frame again must not cancel the request for a new frame.
                 request = _freshen(request)
-            self._wishes[request.client] = self._latest[request.client] = request
+            self._requests[request.client] = self._latest[request.client] = request
             self._send_next()
 
     def is_waiting(self, client: int) -> bool:
         """Return whether a request of that browser waits or is being executed."""
         with self._lock:
-            order = self._order
-            return client in self._wishes or (isinstance(order, Request) and order.client == client)
+            command = self._command
+            return client in self._requests or (isinstance(command, Request) and command.client == client)
 
     def save(self, client: int, kind: str) -> None:
         """Ask for a file of the picture that a browser sees."""
         with self._lock:
-            self._errands.append(Save(client, kind))
+            self._urgent.append(Save(client, kind))
             self._send_next()
 
     def forget(self, client: int) -> None:
         """Cancel the requests of a browser, and free its state in the worker."""
         with self._lock:
-            self._wishes.pop(client, None)
+            self._requests.pop(client, None)
             self._latest.pop(client, None)
-            self._errands = [errand for errand in self._errands if errand.client != client]
-            self._errands.append(Forget(client))
+            self._urgent = [command for command in self._urgent if command.client != client]
+            self._urgent.append(Forget(client))
             self._send_next()
 
     def stop(self) -> None:
@@ -105,7 +105,7 @@ class Link:
         with self._lock:
             self._stopped = True
             process, pipe = self._process, self._pipe
-        if pipe is not None and self._order is None and self._ready:
+        if pipe is not None and self._command is None and self._ready:
             try:
                 pipe.send(None)
                 process.join(0.5)
@@ -129,22 +129,22 @@ class Link:
         theirs.close()
         with self._lock:
             self._process, self._pipe = process, ours
-            self._ready, self._order = False, None
+            self._ready, self._command = False, None
 
     def _send_next(self) -> None:
-        """Send the next order if the worker is idle; saving and forgetting come first. The caller holds the lock."""
-        if not self._ready or self._order is not None or self._pipe is None or self._stopped:
+        """Send the next command if the worker is idle; saving and forgetting come first. The caller holds the lock."""
+        if not self._ready or self._command is not None or self._pipe is None or self._stopped:
             return
-        order: Order
-        if self._errands:
-            order = self._errands.pop(0)
-        elif self._wishes:
-            order = self._wishes.popitem(last=False)[1]
+        command: Command
+        if self._urgent:
+            command = self._urgent.pop(0)
+        elif self._requests:
+            command = self._requests.popitem(last=False)[1]
         else:
             return
-        self._order, self._since = order, time.monotonic()
+        self._command, self._since = command, time.monotonic()
         try:
-            self._pipe.send(order)
+            self._pipe.send(command)
         except OSError:
             # The worker died, which `_listen` will notice.
             return
@@ -161,7 +161,7 @@ class Link:
                 continue
             if report is None:
                 with self._lock:
-                    self._order = None
+                    self._command = None
                     self._send_next()
                 continue
             if isinstance(report, Opened):
@@ -181,7 +181,7 @@ class Link:
         """Restart the worker after it died, and repeat the last request of every browser; False if it stays off."""
         with self._lock:
             process = self._process
-            self._ready, self._order = False, None
+            self._ready, self._command = False, None
         process.join(_PATIENCE)
         code = process.exitcode
         now = time.monotonic()
@@ -196,9 +196,9 @@ class Link:
             if self._stopped:
                 return False
             # Saving a file may have killed the worker, so do not repeat it. A new worker has nothing to forget.
-            self._errands.clear()
+            self._urgent.clear()
             for client, request in self._latest.items():
-                self._wishes.setdefault(client, _freshen(request))
+                self._requests.setdefault(client, _freshen(request))
         self._launch()
         return True
 

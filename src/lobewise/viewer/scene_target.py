@@ -92,7 +92,7 @@ class SceneTarget:
         width, height = self._first.size
         centre = find_orbit_centre(self._first.scene)
         return Description(
-            look=InteractiveSettings(),
+            settings=InteractiveSettings(),
             width=width,
             height=height,
             camera=self._first.camera,
@@ -119,21 +119,23 @@ class SceneTarget:
 
         Raises LobewiseError if the scene has nothing for the method to work with, or the camera is invalid.
         """
-        looks = [
-            replace(look, accumulate=request.accumulate) for look in (request.look, request.other) if look is not None
+        sides = [
+            replace(side, accumulate=request.accumulate)
+            for side in (request.settings, request.other)
+            if side is not None
         ]
         last = self._last.get(request.client, [])
-        if request.fresh or [frame.settings for frame in last] != looks:
+        if request.fresh or [frame.settings for frame in last] != sides:
             session = self._sessions.get(request.client)
             if session is None:
                 session = self._sessions[request.client] = self._first.make_sibling()
             if session.size != request.size:
                 session.resize(*request.size)
             self._move(session, request)
-            if len(looks) == 2:
-                last = list(session.render_pair(request.camera, looks[0], looks[1]))
+            if len(sides) == 2:
+                last = list(session.render_pair(request.camera, sides[0], sides[1]))
             else:
-                last = [session.render(request.camera, looks[0])]
+                last = [session.render(request.camera, sides[0])]
             self._last[request.client] = last
             self._warm = True
         return last

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from lobewise.errors import InputError
 from lobewise.io.files import say_reason
-from lobewise.viewer.door.access import Access, is_loopback
+from lobewise.viewer.http.access import Access, is_loopback
 
 Tell = Callable[[str], None]
 LOOPBACK = "127.0.0.1"

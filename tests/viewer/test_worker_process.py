@@ -1,4 +1,4 @@
-"""The process that renders, from outside: latest wish first, everyone in turn, death and end."""
+"""The process that renders, from outside: latest request first, everyone in turn, death and end."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ import pytest
 from lobewise.cli.main import run
 from lobewise.errors import InputError, LobewiseError, MissingDependencyError
 from lobewise.interactive.settings import InteractiveSettings
-from lobewise.viewer import FrameViewer, Viewer, link
-from lobewise.viewer.door.site import choose_port
-from lobewise.viewer.link import MAX_RESTARTS, Link
+from lobewise.viewer import FrameViewer, Viewer, worker_process
+from lobewise.viewer.http.site import choose_port
 from lobewise.viewer.messages import Opened, Picture, Problem, Request, SavedFile, Target, Window
+from lobewise.viewer.worker_process import MAX_RESTARTS, WorkerProcess
 from tests.interrupts import LISTEN
 from tests.viewer.slow_worker import CAMERA, SECONDS, run_slow_worker
 
@@ -48,21 +48,21 @@ def is_alive(process: int) -> bool:
 
 
 @pytest.fixture
-def open_link(monkeypatch):
-    """Return a function that starts the slow worker behind a link, with all that it reports."""
-    monkeypatch.setattr(link, "run_worker", run_slow_worker)
-    links: list[Link] = []
+def start_worker(monkeypatch):
+    """Return a function that starts the slow worker behind its pipe, with all that it reports."""
+    monkeypatch.setattr(worker_process, "run_worker", run_slow_worker)
+    workers: list[WorkerProcess] = []
 
-    def start(name: str = "thing") -> tuple[Link, list[Any], list[Any]]:
+    def start(name: str = "thing") -> tuple[WorkerProcess, list[Any], list[Any]]:
         reports: list[Any] = []
         remarks: list[Any] = []
-        links.append(Link(Target(name), reports.append, lambda text, again: remarks.append((text, again))))
-        links[-1].start()
+        workers.append(WorkerProcess(Target(name), reports.append, lambda text, again: remarks.append((text, again))))
+        workers[-1].start()
         wait_until(lambda: reports)
-        return links[-1], reports, remarks
+        return workers[-1], reports, remarks
 
     yield start
-    for one in links:
+    for one in workers:
         one.stop()
 
 
@@ -71,8 +71,8 @@ def get_numbers(reports: list[Any], client: int) -> list[int]:
 
 
 class TestMailbox:
-    def test_only_the_latest_wish_is_kept(self, open_link):
-        one, reports, _ = open_link()
+    def test_only_the_latest_request_is_kept(self, start_worker):
+        one, reports, _ = start_worker()
         assert isinstance(reports[0], Opened)
         for number in range(1, 40):
             one.submit(ask(1, number))
@@ -81,8 +81,8 @@ class TestMailbox:
         # The report is handed on before the order is struck off.
         wait_until(lambda: not one.is_waiting(1))
 
-    def test_browsers_take_turns(self, open_link):
-        one, reports, _ = open_link()
+    def test_browsers_take_turns(self, start_worker):
+        one, reports, _ = start_worker()
         for number in range(1, 6):
             for client in (1, 2, 3):
                 one.submit(ask(client, number))
@@ -91,23 +91,23 @@ class TestMailbox:
         counts = [len(get_numbers(reports, client)) for client in (1, 2, 3)]
         assert max(counts) - min(counts) <= 1
 
-    def test_showing_anew_does_not_cancel_a_frame(self, open_link):
-        one, reports, _ = open_link()
+    def test_showing_anew_does_not_cancel_a_frame(self, start_worker):
+        one, reports, _ = start_worker()
         one.submit(ask(1, 1))
         one.submit(ask(1, 2))
         one.submit(ask(1, 3, fresh=False))
         wait_until(lambda: 3 in get_numbers(reports, 1))
         assert [report.accumulated for report in reports if isinstance(report, Picture)] == [1, 1]
 
-    def test_submitting_does_not_wait(self, open_link):
-        one, _, _ = open_link()
+    def test_submitting_does_not_wait(self, start_worker):
+        one, _, _ = start_worker()
         start = time.perf_counter()
         for number in range(1, 200):
             one.submit(ask(1, number))
         assert time.perf_counter() - start < SECONDS
 
-    def test_who_leaves_is_forgotten(self, open_link):
-        one, reports, _ = open_link()
+    def test_who_leaves_is_forgotten(self, start_worker):
+        one, reports, _ = start_worker()
         one.submit(ask(1, 1))
         one.submit(ask(2, 1))
         one.forget(2)
@@ -116,8 +116,8 @@ class TestMailbox:
         assert [report.data for report in reports if isinstance(report, SavedFile)] == [b"[2]"]
         assert get_numbers(reports, 2) == []
 
-    def test_a_problem_ends_nothing(self, open_link):
-        one, reports, remarks = open_link()
+    def test_a_problem_ends_nothing(self, start_worker):
+        one, reports, remarks = start_worker()
         one.submit(ask(1, 13))
         wait_until(lambda: any(isinstance(report, Problem) for report in reports))
         one.submit(ask(1, 14))
@@ -126,8 +126,8 @@ class TestMailbox:
 
 
 class TestDeath:
-    def test_it_is_started_again_with_the_latest_wishes(self, open_link):
-        one, reports, remarks = open_link()
+    def test_it_is_started_again_with_the_latest_requestes(self, start_worker):
+        one, reports, remarks = start_worker()
         one.submit(ask(1, 5, fresh=False))
         wait_until(lambda: 5 in get_numbers(reports, 1))
         before = one.process_id
@@ -138,29 +138,29 @@ class TestDeath:
         # A new process has nothing to show anew.
         assert reports[-1].accumulated == 1
 
-    def test_not_for_ever(self, open_link):
-        one, _, remarks = open_link()
+    def test_not_for_ever(self, start_worker):
+        one, _, remarks = start_worker()
         one.submit(ask(1, 666))
         wait_until(lambda: remarks and not remarks[-1][1])
         assert len(remarks) == MAX_RESTARTS + 1
         assert "exit code 7" in remarks[-1][0]
 
-    def test_what_cannot_be_opened_is_told(self, open_link):
-        _, reports, remarks = open_link("missing")
+    def test_what_cannot_be_opened_is_told(self, start_worker):
+        _, reports, remarks = start_worker("missing")
         assert reports == [Problem("there is no such thing; look elsewhere.")]
         time.sleep(0.2)
         assert remarks == []
 
     @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc for the signals that a process blocks")
-    def test_it_never_sees_ctrl_c(self, open_link):
-        one, _, _ = open_link()
+    def test_it_never_sees_ctrl_c(self, start_worker):
+        one, _, _ = start_worker()
         blocked = re.search(r"SigBlk:\s*([0-9a-f]+)", Path(f"/proc/{one.process_id}/status").read_text())
         assert blocked is not None
         assert int(blocked[1], 16) >> (signal.SIGINT - 1) & 1
         assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
 
-    def test_stopping_in_mid_frame(self, open_link):
-        one, _, remarks = open_link()
+    def test_stopping_in_mid_frame(self, start_worker):
+        one, _, remarks = start_worker()
         process = one.process_id
         one.submit(ask(1, 1))
         one.stop()
@@ -225,24 +225,24 @@ class TestViewer:
 
     def test_mistakes_of_ours_are_told_apart(self, monkeypatch):
         pytest.importorskip("viser", reason="pip install 'lobewise[viewer]'")
-        monkeypatch.setattr(link, "run_worker", run_slow_worker)
+        monkeypatch.setattr(worker_process, "run_worker", run_slow_worker)
         for name, kind in (("missing", LobewiseError), ("broken", RuntimeError)):
             with Viewer(name, port=0) as viewer, pytest.raises(kind):
                 viewer.wait()
 
     def test_a_renderer_that_dies_again_and_again_ends_it(self, monkeypatch):
         pytest.importorskip("viser", reason="pip install 'lobewise[viewer]'")
-        monkeypatch.setattr(link, "run_worker", run_slow_worker)
+        monkeypatch.setattr(worker_process, "run_worker", run_slow_worker)
         with Viewer("thing", port=0) as viewer:
             viewer.wait_until_open()
-            viewer._audience.link.submit(ask(1, 666))
+            viewer._browsers.worker.submit(ask(1, 666))
             with pytest.raises(LobewiseError, match=r"'thing'.* by exit code 7; "):
                 viewer.wait()
 
     def test_it_leaves_the_process_to_others(self, monkeypatch, capfd):
         """Another thread prints while the page starts and ends: every line is there, and nothing else."""
         pytest.importorskip("viser", reason="pip install 'lobewise[viewer]'")
-        monkeypatch.setattr(link, "run_worker", run_slow_worker)
+        monkeypatch.setattr(worker_process, "run_worker", run_slow_worker)
         lines, over = [], threading.Event()
 
         def print_lines() -> None:

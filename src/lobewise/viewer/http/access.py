@@ -27,7 +27,7 @@ _OPEN = "open the URL that lobewise printed."
 
 
 @dataclass(frozen=True)
-class Visit:
+class HttpRequest:
     """The parts of an HTTP request that tell who asks.
 
     Parameters
@@ -51,9 +51,9 @@ class Access:
     """Decides on every request before anything is answered.
 
     A request must name a host of this server; this prevents DNS rebinding, where another name points to this server. A
-    request must have the token in the URL, or in the cookie that the first visit with the token sets. A request from a
-    page must come from the server's own page. Browsers send an origin with every WebSocket: a WebSocket without an
-    origin needs the token in its URL.
+    request must have the token in the URL, or in the cookie that the first request with the token sets. A request
+    from a page must come from the server's own page. Browsers send an origin with every WebSocket: a WebSocket without
+    an origin needs the token in its URL.
 
     ``Host`` may have any port, so that a forwarded port works (``ssh -L 9000:localhost:8080``). The origin must have
     the port of ``Host``.
@@ -78,32 +78,32 @@ class Access:
         if not self._private:
             self._names |= list_machine_names()
 
-    def refuse(self, visit: Visit) -> str:
+    def refuse(self, request: HttpRequest) -> str:
         """Return a sentence that says why a request is refused; empty if it is allowed."""
-        if len(visit.hosts) != 1 or not self._is_ours(visit.hosts[0]):
-            named = ", ".join(visit.hosts)[:80] or "no name"
+        if len(request.hosts) != 1 or not self._is_ours(request.hosts[0]):
+            named = ", ".join(request.hosts)[:80] or "no name"
             return f"This viewer is not reached by {named!r}: {_OPEN}"
-        host = visit.hosts[0].lower()
-        if any(_strip_scheme(origin) != host for origin in visit.origins):
+        host = request.hosts[0].lower()
+        if any(_strip_scheme(origin) != host for origin in request.origins):
             return f"Only the viewer's own page may ask this: {_OPEN}"
-        if self.knows_token(visit):
+        if self.knows_token(request):
             return ""
-        if not self._knows_cookie(visit):
+        if not self._knows_cookie(request):
             return f"The viewer's token is missing or wrong: {_OPEN}"
-        if visit.is_socket and not visit.origins:
+        if request.is_socket and not request.origins:
             return f"A connection that names no page needs the token in its URL: {_OPEN}"
         return ""
 
-    def knows_token(self, visit: Visit) -> bool:
+    def knows_token(self, request: HttpRequest) -> bool:
         """Return whether the URL has the token."""
-        return any(self._is_token(word) for word in parse_qs(visit.target.partition("?")[2]).get("token", ()))
+        return any(self._is_token(word) for word in parse_qs(request.target.partition("?")[2]).get("token", ()))
 
-    def make_cookie(self, visit: Visit) -> str:
+    def make_cookie(self, request: HttpRequest) -> str:
         """Return the value of ``Set-Cookie`` by which the page's own requests are allowed.
 
         Browsers share cookies between the ports of a host, so the cookie's name has the port of its viewer.
         """
-        return f"{_name_cookie(visit.hosts[0])}={self.token}; Path=/; HttpOnly; SameSite=Strict"
+        return f"{_name_cookie(request.hosts[0])}={self.token}; Path=/; HttpOnly; SameSite=Strict"
 
     def _is_ours(self, host: str) -> bool:
         match = _HOST.fullmatch(host.lower())
@@ -111,9 +111,9 @@ class Access:
             return False
         return match[1] in self._names or (not self._private and _is_address(match[1]))
 
-    def _knows_cookie(self, visit: Visit) -> bool:
-        name = _name_cookie(visit.hosts[0])
-        pairs = [pair.strip().partition("=") for line in visit.cookies for pair in line.split(";")]
+    def _knows_cookie(self, request: HttpRequest) -> bool:
+        name = _name_cookie(request.hosts[0])
+        pairs = [pair.strip().partition("=") for line in request.cookies for pair in line.split(";")]
         return any(self._is_token(value) for key, _, value in pairs if key == name)
 
     def _is_token(self, word: str) -> bool:

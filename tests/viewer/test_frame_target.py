@@ -21,8 +21,8 @@ from lobewise.io import read_frame, read_image, read_sparse_frame, write_frame, 
 from lobewise.settings import DenoiseSettings
 from lobewise.sparse_frame import make_sparse
 from lobewise.upsampling import DEFAULT_RADIUS, upsample
-from lobewise.viewer import frames
-from lobewise.viewer.frames import CONTROLS, FrameTarget
+from lobewise.viewer import frame_target
+from lobewise.viewer.frame_target import CONTROLS, FrameTarget
 from lobewise.viewer.messages import FrameReading
 from lobewise.viewer.pictures import RADIANCE, paint
 
@@ -93,10 +93,13 @@ class TestWholeFrames:
 
     def test_few_results_are_kept(self, floor_file, monkeypatch):
         calls: list[DenoiseSettings] = []
-        filtered = frames.denoise_quietly
-        monkeypatch.setattr(
-            frames, "denoise_quietly", lambda frame, settings: (calls.append(settings), filtered(frame, settings))[1]
-        )
+        filtered = frame_target.denoise_quietly
+
+        def count(frame: Frame, settings: DenoiseSettings) -> Any:
+            calls.append(settings)
+            return filtered(frame, settings)
+
+        monkeypatch.setattr(frame_target, "denoise_quietly", count)
         target = FrameTarget(str(floor_file))
         many = [replace(NORMAL, normal_exponent=8.0 + step) for step in range(12)]
         for settings in [*many, many[-1], many[0]]:
@@ -190,7 +193,7 @@ def test_they_are_shown_where_mitsuba_is_not_installed(floor_file):
     code = f"""
 import sys
 sys.modules["mitsuba"] = sys.modules["drjit"] = sys.modules["viser"] = None
-from lobewise.viewer.frames import FrameTarget
+from lobewise.viewer.frame_target import FrameTarget
 print(FrameTarget({str(floor_file)!r}).describe()["width"])
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

@@ -19,9 +19,9 @@ import pytest
 from lobewise.cli.main import run
 from lobewise.cli.viewing import Page
 from lobewise.errors import InputError, MissingDependencyError
-from lobewise.viewer import Viewer, link
-from lobewise.viewer.door.access import MIN_TOKEN_CHARACTERS, Access, Visit
-from lobewise.viewer.door.incoming import (
+from lobewise.viewer import Viewer, worker_process
+from lobewise.viewer.http.access import MIN_TOKEN_CHARACTERS, Access, HttpRequest
+from lobewise.viewer.http.browser_messages import (
     CAMERA,
     MAX_MESSAGE_BYTES,
     MAX_WINDOW_ASPECT,
@@ -33,7 +33,7 @@ from lobewise.viewer.door.incoming import (
     clamp_window,
     read_message,
 )
-from lobewise.viewer.door.site import LOOPBACK
+from lobewise.viewer.http.site import LOOPBACK
 from lobewise.viewer.messages import Window
 from lobewise.viewer.pictures import MAX_PIXELS_WITH_BARS, fit_window
 from tests.viewer.slow_worker import UNSEEN, run_slow_worker
@@ -61,8 +61,8 @@ CONTROLS = {
 
 def visit(
     *, host: str | None = "localhost:8080", origin: str | None = None, token: str = "", cookie: str = "", **more: Any
-) -> Visit:
-    return Visit(
+) -> HttpRequest:
+    return HttpRequest(
         f"/?token={token}" if token else "/",
         [] if host is None else [host],
         [] if origin is None else [origin],
@@ -167,9 +167,9 @@ class TestAccess:
 
     def test_headers_that_come_twice(self):
         access = Access("127.0.0.1", TOKEN)
-        assert access.refuse(Visit(f"/?token={TOKEN}", ["localhost:8080", "localhost:8080"]))
+        assert access.refuse(HttpRequest(f"/?token={TOKEN}", ["localhost:8080", "localhost:8080"]))
         assert access.refuse(
-            Visit(f"/?token={TOKEN}", ["localhost:8080"], ["http://localhost:8080", "http://evil.example"])
+            HttpRequest(f"/?token={TOKEN}", ["localhost:8080"], ["http://localhost:8080", "http://evil.example"])
         )
 
     def test_every_viewer_has_a_token_of_its_own(self):
@@ -316,7 +316,7 @@ def slow_viewer():
     pytest.importorskip("viser", reason="pip install 'lobewise[viewer]'")
     told: list[str] = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(link, "run_worker", run_slow_worker)
+        patch.setattr(worker_process, "run_worker", run_slow_worker)
         with Viewer("foggy", port=0, tell=told.append) as viewer:
             yield SimpleNamespace(viewer=viewer, told=told)
 
@@ -426,8 +426,8 @@ class TestServer:
         seen = viewer.statistics["browsers"]
         with connect(viewer) as honest:
             honest.send(encode(VIEW))
-            wait_until(lambda: viewer._audience.controls and viewer.statistics["browsers"] == seen + 1)
-            controls = viewer._audience.controls
+            wait_until(lambda: viewer._browsers.controls and viewer.statistics["browsers"] == seen + 1)
+            controls = viewer._browsers.controls
             number = next(name for name, control in controls.items() if control.low == -10)
             word = next(name for name, control in controls.items() if control.choices)
             for bad in (b"\xff\xc1", "text", encode({"type": CAMERA}), encode(change(number, "x")), b"\xc0" * 70_000):
@@ -464,10 +464,10 @@ class TestServer:
 
     def test_a_viser_that_serves_otherwise_is_not_started(self, monkeypatch):
         pytest.importorskip("viser", reason="pip install 'lobewise[viewer]'")
-        monkeypatch.setattr(link, "run_worker", run_slow_worker)
-        monkeypatch.setattr("lobewise.viewer.door.serving.guard_serving", lambda *_: contextlib.nullcontext())
+        monkeypatch.setattr(worker_process, "run_worker", run_slow_worker)
+        monkeypatch.setattr("lobewise.viewer.http.guard.guard_serving", lambda *_: contextlib.nullcontext())
         viewer = Viewer("thing", port=0)
         with pytest.raises(MissingDependencyError, match="cannot protect with a token"):
             viewer.start()
         assert viewer._server is None
-        assert not viewer._audience.link._process.is_alive()
+        assert not viewer._browsers.worker._process.is_alive()

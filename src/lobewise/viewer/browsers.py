@@ -13,14 +13,14 @@ import numpy as np
 from lobewise.errors import LobewiseError
 from lobewise.interactive.settings import UNFILTERED, InteractiveSettings
 from lobewise.settings import SimilarityName
+from lobewise.viewer.browser import Browser, has_moved
 from lobewise.viewer.cameras import CameraMap, place_camera, read_pose
-from lobewise.viewer.door.incoming import Control
-from lobewise.viewer.guest import Guest, has_moved
-from lobewise.viewer.link import Link
+from lobewise.viewer.http.browser_messages import Control
 from lobewise.viewer.messages import Description, Opened, Picture, Progress, Report, SavedFile, Target
 from lobewise.viewer.panel import Actions, Panel
 from lobewise.viewer.pictures import BARS
 from lobewise.viewer.status import write_figures, write_message
+from lobewise.viewer.worker_process import WorkerProcess
 
 _JPEG_QUALITY = 90
 """JPEG quality of a picture. The last picture of a row is sent again without loss."""
@@ -32,7 +32,7 @@ _SLOW_AFTER = 0.8
 """Time after which the status says what the worker is doing, seconds."""
 
 
-class Audience:
+class Browsers:
     """All browsers, between the page and the process that renders.
 
     With ``fixed_size`` a picture always has the target's size, whatever the window's aspect and the speed of rendering.
@@ -41,7 +41,7 @@ class Audience:
     """
 
     def __init__(self, target: Target, fixed_size: bool, changes: dict[str, Any], tell: Callable[[str], None]) -> None:
-        self.link = Link(target, self.receive, self.remark)
+        self.worker = WorkerProcess(target, self.receive, self.remark)
         self.description: Description | None = None
         self.cameras: CameraMap | None = None
         self.failure: Exception | None = None
@@ -49,7 +49,7 @@ class Audience:
         self.controls: dict[str, Control] = {}
         self._fixed_size, self._changes, self._tell_starter = fixed_size, changes, tell
         self._lock = threading.RLock()
-        self._guests: dict[int, Guest] = {}
+        self._browsers: dict[int, Browser] = {}
         self._notice = f"Opening {target.name} \u2026"
         self._doing = ""
         self._memory = self._frames = self._restarts = 0
@@ -72,21 +72,23 @@ class Audience:
         ``resting``, whether the last picture was sent without loss and no request is open.
         """
         with self._lock:
-            guests = list(self._guests.values())
-            pictures = [guest.picture for guest in guests if guest.picture is not None]
+            browsers = list(self._browsers.values())
+            pictures = [browser.picture for browser in browsers if browser.picture is not None]
             return {
                 "frames": self._frames,
-                "fps": [guest.get_rate(20) for guest in guests],
-                "browsers": len(guests),
+                "fps": [browser.get_rate(20) for browser in browsers],
+                "browsers": len(browsers),
                 "memory": self._memory,
                 "restarts": self._restarts,
-                "process": self.link.process_id,
+                "process": self.worker.process_id,
                 "size": [picture.size for picture in pictures],
                 "accumulated": [picture.accumulated for picture in pictures],
                 "seconds": [picture.seconds for picture in pictures],
                 "moments": [picture.moment for picture in pictures],
-                "eyes": [tuple(map(float, guest.pose.position)) for guest in guests],
-                "resting": [guest.is_resting and not self.link.is_waiting(guest.client.client_id) for guest in guests],
+                "eyes": [tuple(map(float, browser.pose.position)) for browser in browsers],
+                "resting": [
+                    browser.is_resting and not self.worker.is_waiting(browser.client.client_id) for browser in browsers
+                ],
             }
 
     async def welcome(self, client: Any) -> None:
@@ -94,81 +96,81 @@ class Audience:
 
         This runs in the server's own thread, so that a browser that has gone is never added.
         """
-        guest = Guest(client, read_pose(client.camera), self._fixed_size)
+        browser = Browser(client, read_pose(client.camera), self._fixed_size)
         client.scene.set_background_image(_make_blank(), format="jpeg")
         with self._lock:
-            self._guests[client.client_id] = guest
-            self._furnish(guest)
+            self._browsers[client.client_id] = browser
+            self._furnish(browser)
 
         async def follow(camera: Any) -> None:
-            self._follow(guest, camera)
+            self._follow(browser, camera)
 
         client.camera.on_update(follow)
-        self._ask(guest)
+        self._ask(browser)
 
     async def dismiss(self, client: Any) -> None:
         """Forget a browser that has gone."""
         with self._lock:
-            guest = self._guests.pop(client.client_id, None)
-        self.link.forget(client.client_id)
-        if guest is None:
+            browser = self._browsers.pop(client.client_id, None)
+        self.worker.forget(client.client_id)
+        if browser is None:
             return
-        guest.drop_pictures()
-        if guest.panel is not None:
-            for identity in guest.panel.controls:
+        browser.drop_pictures()
+        if browser.panel is not None:
+            for identity in browser.panel.controls:
                 self.controls.pop(identity, None)
 
-    def _furnish(self, guest: Guest) -> None:
+    def _furnish(self, browser: Browser) -> None:
         """Give a browser its controls, or a status line as long as the target is not open."""
-        description, gui = self.description, guest.client.gui
+        description, gui = self.description, browser.client.gui
         if description is None or self.cameras is None:
-            guest.status = gui.add_html(write_message(self._notice))
+            browser.status = gui.add_html(write_message(self._notice))
             return
-        if guest.status is not None:
-            guest.status.remove()
+        if browser.status is not None:
+            browser.status.remove()
 
         def render() -> None:
-            self._ask(guest)
+            self._ask(browser)
 
         def redraw() -> None:
-            self._ask(guest, fresh=False)
+            self._ask(browser, fresh=False)
 
         def expose() -> None:
-            guest.expose = True
+            browser.expose = True
             redraw()
 
         def reset() -> None:
             assert self.cameras is not None
-            place_camera(guest.client.camera, self.cameras.start)
-            guest.pose = self.cameras.start
+            place_camera(browser.client.camera, self.cameras.start)
+            browser.pose = self.cameras.start
             render()
 
-        actions = Actions(render, redraw, reset, expose, lambda kind: self.link.save(guest.client.client_id, kind))
-        look = replace(description.look, **self._changes)
-        panel = Panel(gui, description, look, choose_other(look), actions, fixed_size=self._fixed_size)
-        guest.panel, guest.status = panel, panel.status
+        actions = Actions(render, redraw, reset, expose, lambda kind: self.worker.save(browser.client.client_id, kind))
+        settings = replace(description.settings, **self._changes)
+        panel = Panel(gui, description, settings, choose_other(settings), actions, fixed_size=self._fixed_size)
+        browser.panel, browser.status = panel, panel.status
         self.controls.update(panel.controls)
-        place_camera(guest.client.camera, self.cameras.start)
-        guest.pose = self.cameras.start
+        place_camera(browser.client.camera, self.cameras.start)
+        browser.pose = self.cameras.start
 
-    def _follow(self, guest: Guest, camera: Any) -> None:
+    def _follow(self, browser: Browser, camera: Any) -> None:
         """React to a change of a browser's camera or window."""
         pose = read_pose(camera)
-        if has_moved(guest.pose, pose):
-            guest.pose = pose
-            guest.moved_at = time.monotonic()
-        self._ask(guest)
+        if has_moved(browser.pose, pose):
+            browser.pose = pose
+            browser.moved_at = time.monotonic()
+        self._ask(browser)
 
-    def _ask(self, guest: Guest, *, fresh: bool = True) -> None:
+    def _ask(self, browser: Browser, *, fresh: bool = True) -> None:
         """Ask for the next picture of a browser."""
         if self.description is None or self.cameras is None or self.over.is_set():
             return
         with self._lock:
-            if guest.client.client_id not in self._guests:
+            if browser.client.client_id not in self._browsers:
                 return
-            request = guest.make_request(self.description, self.cameras, fresh=fresh)
+            request = browser.make_request(self.description, self.cameras, fresh=fresh)
         if request is not None:
-            self.link.submit(request)
+            self.worker.submit(request)
 
     def receive(self, report: Report) -> None:
         """React to a report of the worker."""
@@ -182,18 +184,18 @@ class Audience:
         elif isinstance(report, Opened):
             self._open(report.description)
         elif isinstance(report, SavedFile):
-            guest = self._guests.get(report.client)
-            if guest is not None:
-                guest.client.send_file_download(report.name, report.data, save_immediately=True)
+            browser = self._browsers.get(report.client)
+            if browser is not None:
+                browser.client.send_file_download(report.name, report.data, save_immediately=True)
         elif report.client is None:
             self.failure = RuntimeError(report.text) if report.ours else LobewiseError(report.text)
             self._announce(report.text, bad=True)
             self.over.set()
         else:
-            guest = self._guests.get(report.client)
-            if guest is not None:
-                guest.note = report.text
-                guest.status.content = write_message(report.text, bad=True)
+            browser = self._browsers.get(report.client)
+            if browser is not None:
+                browser.note = report.text
+                browser.status.content = write_message(report.text, bad=True)
 
     def _open(self, description: Description) -> None:
         """Give every browser its controls and ask for its first picture. A restarted worker only tells the target."""
@@ -206,66 +208,68 @@ class Audience:
             initial = self._page.initial_camera
             initial.position, initial.look_at, initial.fov = start.position, start.look_at, start.fov
             self._page.scene.set_up_direction(start.up)
-            guests = list(self._guests.values())
-            for guest in guests:
-                self._furnish(guest)
+            browsers = list(self._browsers.values())
+            for browser in browsers:
+                self._furnish(browser)
         if description.unseen:
             self._tell_starter(description.unseen)
         self.opened.set()
-        for guest in guests:
-            self._ask(guest)
+        for browser in browsers:
+            self._ask(browser)
 
     def _show(self, picture: Picture) -> None:
         with self._lock:
-            guest = self._guests.get(picture.client)
+            browser = self._browsers.get(picture.client)
             self._memory = picture.memory
-            if guest is None or guest.panel is None:
+            if browser is None or browser.panel is None:
                 return
             self._frames += 1
-            guest.add_picture(picture)
+            browser.add_picture(picture)
         if picture.stops is not None and picture.final:
-            guest.expose = False
-            guest.panel.set_stops(picture.stops)
+            browser.expose = False
+            browser.panel.set_stops(picture.stops)
         assert self.description is not None
-        more = picture.final and guest.needs_more(self.description) and not self.link.is_waiting(picture.client)
+        more = picture.final and browser.needs_more(self.description) and not self.worker.is_waiting(picture.client)
         if more:
-            self._ask(guest)
-        guest.client.scene.set_background_image(picture.pixels, format="jpeg", jpeg_quality=_JPEG_QUALITY)
-        self._tell_figures(guest, now=not more)
+            self._ask(browser)
+        browser.client.scene.set_background_image(picture.pixels, format="jpeg", jpeg_quality=_JPEG_QUALITY)
+        self._tell_figures(browser, now=not more)
 
-    def _tell_figures(self, guest: Guest, *, now: bool = False) -> None:
+    def _tell_figures(self, browser: Browser, *, now: bool = False) -> None:
         """Update a browser's figures, at most every `_STATUS_EVERY` seconds unless ``now`` is set."""
         moment = time.monotonic()
-        picture = guest.picture
-        if picture is None or guest.status is None or not (now or moment - guest.told_at > _STATUS_EVERY):
+        picture = browser.picture
+        if picture is None or browser.status is None or not (now or moment - browser.reported_at > _STATUS_EVERY):
             return
-        guest.told_at = moment
-        note = guest.note or ("" if picture.final else "Unfiltered yet: compiling the kernels \u2026")
+        browser.reported_at = moment
+        note = browser.note or ("" if picture.final else "Unfiltered yet: compiling the kernels \u2026")
         unseen = "" if self.description is None else self.description.unseen
-        guest.status.content = write_figures(picture, guest.shown, guest.get_rate(), note, unseen=unseen)
+        browser.status.content = write_figures(picture, browser.shown, browser.get_rate(), note, unseen=unseen)
 
     def _announce(self, text: str, *, bad: bool = False) -> None:
         """Show one line to every browser, and to later ones until the target is open."""
         self._notice = text
         with self._lock:
-            for guest in self._guests.values():
-                self._tell(guest, text, bad=bad)
+            for browser in self._browsers.values():
+                self._tell(browser, text, bad=bad)
 
-    def _tell(self, guest: Guest, text: str, *, bad: bool = False) -> None:
+    def _tell(self, browser: Browser, text: str, *, bad: bool = False) -> None:
         """Show one line to a browser, below the figures of its picture if it has a picture."""
-        if guest.picture is None and guest.status is not None:
-            guest.status.content = write_message(text, bad=bad)
+        if browser.picture is None and browser.status is not None:
+            browser.status.content = write_message(text, bad=bad)
         else:
-            guest.note = text
-            self._tell_figures(guest, now=True)
+            browser.note = text
+            self._tell_figures(browser, now=True)
 
     def remark(self, text: str, again: bool) -> None:
         """Tell every browser that the worker died."""
         self._restarts += again
         with self._lock:
-            guests = list(self._guests.values())
-        for guest in guests:
-            guest.client.add_notification("lobewise", text, color="orange" if again else "red", auto_close_seconds=8.0)
+            browsers = list(self._browsers.values())
+        for browser in browsers:
+            browser.client.add_notification(
+                "lobewise", text, color="orange" if again else "red", auto_close_seconds=8.0
+            )
         self._announce(text, bad=True)
         if not again:
             self.failure = LobewiseError(text)
@@ -273,25 +277,25 @@ class Audience:
 
     def watch(self) -> None:
         """Watch for cameras that came to rest and for pictures that take long, until the viewer stops."""
-        told_at = 0.0
+        reported_at = 0.0
         while not self.over.wait(_TICK):
             with self._lock:
-                guests, description = list(self._guests.values()), self.description
+                browsers, description = list(self._browsers.values()), self.description
             if description is None:
                 continue
-            for guest in guests:
-                if self.link.is_waiting(guest.client.client_id):
+            for browser in browsers:
+                if self.worker.is_waiting(browser.client.client_id):
                     continue
-                if guest.needs_more(description):
-                    self._ask(guest)
-                elif (picture := guest.get_last()) is not None:
-                    guest.client.scene.set_background_image(picture.pixels, format="png")
-                    guest.keep(picture)
-            order, busy = self.link.get_busy()
-            if order is not None and busy > _SLOW_AFTER and time.monotonic() - told_at > 0.5:
-                told_at = time.monotonic()
+                if browser.needs_more(description):
+                    self._ask(browser)
+                elif (picture := browser.get_last()) is not None:
+                    browser.client.scene.set_background_image(picture.pixels, format="png")
+                    browser.keep(picture)
+            command, busy = self.worker.get_busy()
+            if command is not None and busy > _SLOW_AFTER and time.monotonic() - reported_at > 0.5:
+                reported_at = time.monotonic()
                 with self._lock:
-                    slow = self._guests.get(order.client)
+                    slow = self._browsers.get(command.client)
                 if slow is not None and slow.status is not None:
                     doing = self._doing or "Working on the next picture"
                     self._tell(slow, f"{doing}: {busy:.0f} s \u2026")
@@ -301,9 +305,9 @@ BASELINE: SimilarityName = "normal"
 """Similarity that the right of the wipe shows at first."""
 
 
-def choose_other(look: InteractiveSettings) -> InteractiveSettings:
-    """Return the first look right of the wipe: the normal-aware filter, or no filter if the left side has it."""
-    return replace(look, similarity=UNFILTERED if look.similarity == BASELINE else BASELINE)
+def choose_other(settings: InteractiveSettings) -> InteractiveSettings:
+    """Return the first settings right of the wipe: the normal-aware filter, or no filter if the left side has it."""
+    return replace(settings, similarity=UNFILTERED if settings.similarity == BASELINE else BASELINE)
 
 
 def _make_blank() -> Any:

@@ -19,9 +19,9 @@ from functools import cache, partial
 from typing import Any
 
 from lobewise.errors import MissingDependencyError
-from lobewise.viewer.door.access import Access, Visit
-from lobewise.viewer.door.incoming import MAX_MESSAGE_BYTES, Control, MessageError, read_message
-from lobewise.viewer.door.site import HEADERS, REFUSED, Tell
+from lobewise.viewer.http.access import Access, HttpRequest
+from lobewise.viewer.http.browser_messages import MAX_MESSAGE_BYTES, Control, MessageError, read_message
+from lobewise.viewer.http.site import HEADERS, REFUSED, Tell
 
 _POLICY_VIOLATION = 1008
 _PATIENCE = 20.0
@@ -82,14 +82,14 @@ def require_guard(host: str, port: int) -> None:
 async def _process_request(access: Access, pages: Any, connection: Any, request: Any) -> Any:
     """Refuse a request that is not allowed; otherwise let viser answer, and set the cookie."""
     headers = request.headers
-    visit = Visit(
+    http_request = HttpRequest(
         request.path,
         headers.get_all("Host"),
         headers.get_all("Origin"),
         headers.get_all("Cookie"),
         is_socket="Upgrade" in headers,
     )
-    refusal = access.refuse(visit)
+    refusal = access.refuse(http_request)
     if refusal:
         answer = connection.respond(REFUSED, f"{refusal}\n")
     else:
@@ -99,8 +99,8 @@ async def _process_request(access: Access, pages: Any, connection: Any, request:
     if answer is not None:
         for name, value in HEADERS.items():
             answer.headers[name] = value
-        if not refusal and access.knows_token(visit):
-            answer.headers["Set-Cookie"] = access.make_cookie(visit)
+        if not refusal and access.knows_token(http_request):
+            answer.headers["Set-Cookie"] = access.make_cookie(http_request)
     return answer
 
 
@@ -148,7 +148,7 @@ def _tell_failure(tell: Tell, loop: Any, context: dict[str, Any]) -> None:
 
 def _make_logger(tell: Tell) -> logging.Logger:
     """Return the log of a server of `websockets`: one line for a failure, none for a refused connection."""
-    logger = logging.Logger("lobewise.viewer.door", logging.WARNING)
+    logger = logging.Logger("lobewise.viewer.http", logging.WARNING)
 
     class Lines(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
