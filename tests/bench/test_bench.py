@@ -12,7 +12,7 @@ from lobewise.bench.interactive import list_render_devices, measure_devices
 from lobewise.bench.machine import describe_machine
 from lobewise.cli.main import run
 from lobewise.errors import InputError
-from lobewise.interactive.frames import STAGES
+from lobewise.interactive.interactive_frame import STAGES
 from lobewise.interactive.settings import InteractiveSettings
 
 pytestmark = [pytest.mark.mitsuba, pytest.mark.usefixtures("mi")]

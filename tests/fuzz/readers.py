@@ -223,7 +223,7 @@ def read_camera_path(path: Path, _: Answer) -> None:
 
 
 def read_object_paths(path: Path, _: Answer) -> None:
-    from lobewise.render.moving.paths import read_object_paths
+    from lobewise.render.moving.object_paths import read_object_paths
 
     paths = read_object_paths(path)
     for frame in (1.0, 2.0):

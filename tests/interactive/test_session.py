@@ -13,7 +13,7 @@ from lobewise.camera import Camera
 from lobewise.errors import InputError
 from lobewise.frame import Radiance
 from lobewise.interactive import InteractiveSettings, Session
-from lobewise.interactive.frames import STAGES
+from lobewise.interactive.interactive_frame import STAGES
 from lobewise.interactive.settings import VIEWS
 from lobewise.metrics import rel_mse
 from lobewise.render import load_scene, make_orbit

@@ -21,14 +21,14 @@ from lobewise.frame import Radiance, Result
 from lobewise.interactive.changes import SceneChanges, Seen
 from lobewise.interactive.direct_filter import settle_direct
 from lobewise.interactive.filter_choice import FilterChoice
-from lobewise.interactive.frames import STAGES, InteractiveFrame, watch
-from lobewise.interactive.gradients import Shaded, compute_changes, follows_hits, relight
+from lobewise.interactive.interactive_frame import STAGES, InteractiveFrame, watch
 from lobewise.interactive.lens import LensMean
 from lobewise.interactive.methods import Methods
 from lobewise.interactive.repairing import repair
 from lobewise.interactive.resting import Again, Resting
 from lobewise.interactive.samples import make_radiance, make_rays
 from lobewise.interactive.settings import UNFILTERED, InteractiveSettings
+from lobewise.interactive.temporal_gradients import Shaded, compute_changes, follows_hits, relight
 from lobewise.interactive.views import Parts
 from lobewise.render.loading import load_scene
 from lobewise.render.renderer import PART_STEP

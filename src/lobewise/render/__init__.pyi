@@ -10,9 +10,9 @@ from .loading import list_moving_scenes as list_moving_scenes
 from .loading import list_scenes as list_scenes
 from .loading import load_scene as load_scene
 from .materials.lookup import open_scene_material as open_scene_material
-from .moving.paths import ObjectPaths as ObjectPaths
-from .moving.paths import PlacedScene as PlacedScene
-from .moving.paths import read_object_paths as read_object_paths
+from .moving.object_paths import ObjectPaths as ObjectPaths
+from .moving.object_paths import PlacedScene as PlacedScene
+from .moving.object_paths import read_object_paths as read_object_paths
 from .renderer import render_frame as render_frame
 from .renderer import render_pixels as render_pixels
 from .renderer import render_reference as render_reference

@@ -9,7 +9,7 @@ from lobewise.camera import Camera
 from lobewise.errors import InputError
 from lobewise.render.camera import get_camera, set_camera
 from lobewise.render.loading import MovingScene
-from lobewise.render.moving.paths import PlacedScene
+from lobewise.render.moving.object_paths import PlacedScene
 from lobewise.render.renderer import render_frame, render_reference, render_sparse_frame
 from lobewise.sparse_frame import AnyFrame, list_places
 

@@ -291,7 +291,7 @@ def test_hit_distance_of_a_mirror_is_that_of_rays(mi: Any, shade: Cones, make_bo
 
 def test_rays_count_the_area_of_a_ball(mi: Any) -> None:
     from lobewise.render.materials.bsdfs import read_scene_materials
-    from lobewise.render.voxels.hits import RAYS, Caster, cast_hits, measure_bounds
+    from lobewise.render.voxels.axis_hits import RAYS, Caster, cast_hits, measure_bounds
 
     both = {"type": "twosided", "inner": gray(0.5)}
     scene = mi.load_dict(

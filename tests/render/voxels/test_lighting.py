@@ -144,7 +144,7 @@ def test_new_voxels_have_all_light_at_once(mi: Any, monkeypatch: pytest.MonkeyPa
 
 def test_only_columns_that_cross_a_box_are_cast_again(mi: Any) -> None:
     from lobewise.render.moving.shapes import ShapePlaces
-    from lobewise.render.voxels.hits import recast_hits
+    from lobewise.render.voxels.axis_hits import recast_hits
 
     scene = load(mi)
     method = make(scene, bounces=0)

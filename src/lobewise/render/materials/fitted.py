@@ -22,7 +22,6 @@ from lobewise.fitting.table import get_albedo, get_equivalent_alphas, order_lobe
 from lobewise.frame import FloatArray, LobeKind
 from lobewise.lobe_table import LobeTable
 from lobewise.lobes.vectors import LUMINANCE
-from lobewise.render.materials.places import Places, make_tables, probe_places
 from lobewise.render.materials.probe import (
     Parts,
     Samples,
@@ -35,6 +34,7 @@ from lobewise.render.materials.probe import (
     repeat_place,
     sample_bsdf,
 )
+from lobewise.render.materials.texture_nodes import TextureNodes, make_tables, probe_texture
 from lobewise.render.materials.tints import compute_tints
 
 LOBES = 3
@@ -84,9 +84,9 @@ class Fit:
     """Values (V, P, 11) for n.v in equal steps of its square root and azimuths of the viewer in equal steps: alpha
     along and across the tangent (isotropic materials: in and across the plane of incidence), specular albedo, diffuse
     albedo over the diffuse value for light along the normal, opacity, weights of `lobewise.render.materials.tints`."""
-    places: Places | None = None
+    places: TextureNodes | None = None
     """The nodes of the texture, if the lobes change their shape over it. ``turn`` and ``rows`` are then those of the
-    first node, and rows hold specular albedos over `Places.level`."""
+    first node, and rows hold specular albedos over `TextureNodes.level`."""
     nodes: tuple[Fit, ...] = ()
     """The lobes of each node. Their rows have the same shape."""
     numbers: NDArray[np.uint32] | None = None
@@ -109,7 +109,7 @@ _fits: OrderedDict[str, Fit] = OrderedDict()
 def fit_bsdf(bsdf: Any, extent: float = 1.0) -> Fit:
     """Return the lobes fitted to a BSDF. BSDFs with equal values are fitted once.
 
-    The BSDF is evaluated at uv = (0.5, 0.5), and at the nodes of `probe_places` if textures change the shape of lobes.
+    The BSDF is evaluated at uv = (0.5, 0.5), and at the nodes of `probe_texture` if textures change the shape of lobes.
     ``extent`` is the largest coordinate of hits, for BSDFs that depend on the position. UnsupportedBsdfError if the
     BSDF cannot be evaluated or sampled; MissingDependencyError without SciPy.
     """
@@ -168,14 +168,14 @@ def list_fitted_views(evaluate: Evaluate, cosines: Array) -> Array:
 
 def _make_fit(bsdf: Any, extent: float = 1.0) -> Fit:
     parts = list_parts(bsdf, extent)
-    places = probe_places(bsdf, parts, extent) if parts.textured and parts.glossy else None
+    places = probe_texture(bsdf, parts, extent) if parts.textured and parts.glossy else None
     if places is None:
         return _fit_place(bsdf, parts)
     # Lobes can be interpolated if all places have the same views.
     shapes = (make_specular_evaluate(bsdf, parts, place=place) for place in places.place)
     isotropic = all(evaluate is None or is_isotropic(evaluate) for evaluate in shapes)
     if not isotropic and len(places.place) > MAX_BRUSHED_NODES:
-        places = probe_places(bsdf, parts, extent, most=MAX_BRUSHED_NODES)
+        places = probe_texture(bsdf, parts, extent, most=MAX_BRUSHED_NODES)
         assert places is not None
     fits = tuple(
         _fit_place(bsdf, parts, place, isotropic=isotropic, level=level)

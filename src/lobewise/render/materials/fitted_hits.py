@@ -11,15 +11,15 @@ import numpy as np
 from lobewise.lobes.vectors import LUMINANCE
 from lobewise.render.bridge import dr, mi
 from lobewise.render.materials.fitted import ALPHA, MIN_COSINE, SPECULAR, SPREAD, TINT, Fit
-from lobewise.render.materials.places import STEPS, Places
 from lobewise.render.materials.probe import make_context
+from lobewise.render.materials.texture_nodes import STEPS, TextureNodes
 
 _ALPHAS = range(ALPHA.start, ALPHA.stop)
 
 
 @dataclass(frozen=True)
 class Spot:
-    """The place of hits on the tree of `lobewise.render.materials.places.Places` (Dr.Jit arrays)."""
+    """The place of hits on the tree of `lobewise.render.materials.texture_nodes.TextureNodes` (Dr.Jit arrays)."""
 
     edge: Any
     first: Any
@@ -134,8 +134,8 @@ class FittedLobes:
         return dr.clip(diffuse, 0.0, 1.0), dr.clip(specular, 0.0, 1.0)
 
 
-def _ask_bsdf(bsdf: Any, context: Any, places: Places, si: Any, active: Any) -> tuple[list[Any], Any]:
-    """Return the signature of `lobewise.render.materials.places` and the level at hits; 0 where the BSDF is black."""
+def _ask_bsdf(bsdf: Any, context: Any, places: TextureNodes, si: Any, active: Any) -> tuple[list[Any], Any]:
+    """Return the signatures and the levels at hits; 0 where the BSDF is black."""
     values, level = [], mi.Color3f(0)
     for view, light, weight in zip(places.view.tolist(), places.light.tolist(), places.weight.tolist(), strict=True):
         seen = mi.SurfaceInteraction3f(si)
@@ -149,8 +149,8 @@ def _ask_bsdf(bsdf: Any, context: Any, places: Places, si: Any, active: Any) -> 
     return [dr.sqrt(value * scale) for value in values], level
 
 
-def _locate(places: Places, signature: list[Any], level: Any) -> Spot:
-    """Return what `lobewise.render.materials.places.locate` says of signatures at hits."""
+def _locate(places: TextureNodes, signature: list[Any], level: Any) -> Spot:
+    """Return what `lobewise.render.materials.texture_nodes.locate` says of signatures at hits."""
     nodes = places.signature
     best = Spot(mi.UInt32(0), mi.UInt32(0), mi.UInt32(0), mi.Float(0), level)
     least = mi.Float(math.inf)

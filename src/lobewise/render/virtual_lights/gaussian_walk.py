@@ -13,7 +13,7 @@ from lobewise.render.tracing.light_sampling import Scattering, Vertex, make_eye,
 from lobewise.render.tracing.points import Points
 from lobewise.render.tracing.rays import draw_point, invert_distance, make_rng
 from lobewise.render.virtual_lights.gaussian_lighting import GaussianLighting
-from lobewise.render.virtual_lights.places import choose_place
+from lobewise.render.virtual_lights.light_choice import choose_place
 from lobewise.render.virtual_lights.receivers import Receiver, lets_through, make_receiver, weigh_distance
 
 CLUSTERS_PER_SAMPLE = 4

@@ -16,7 +16,7 @@ from lobewise.render.materials.dispatch import split_scattering
 from lobewise.render.tracing.light_sampling import Vertex, make_eye, meet_emitter, scatter
 from lobewise.render.tracing.points import Points
 from lobewise.render.tracing.rays import draw_point, invert_distance, make_rng
-from lobewise.render.virtual_lights.places import choose_place
+from lobewise.render.virtual_lights.light_choice import choose_place
 from lobewise.render.virtual_lights.shading import Lighting
 
 LIGHTS_PER_SAMPLE = 32

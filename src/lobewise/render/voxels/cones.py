@@ -15,8 +15,8 @@ from lobewise.render.materials.bsdfs import Material
 from lobewise.render.moving.shapes import Box
 from lobewise.render.tracing.points import Indirect, Points
 from lobewise.render.tracing.rays import make_opaque, make_rng
+from lobewise.render.voxels.axis_hits import Caster, cast_hits, contains, measure_bounds, recast_hits
 from lobewise.render.voxels.grid import Grid
-from lobewise.render.voxels.hits import Caster, cast_hits, contains, measure_bounds, recast_hits
 from lobewise.render.voxels.lighting import SideLights, Surfaces, VoxelLight, make_surfaces
 from lobewise.render.voxels.march import (
     MIN_TAN,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.render.bridge import dr, mi, repeat, take_numbers, take_vectors
-from lobewise.render.voxels.hits import RAYS, Bounds, Hits
+from lobewise.render.voxels.axis_hits import RAYS, Bounds, Hits
 
 DIRECTIONS = 6
 """Directions of rays, +x -x +y -y +z -z. A voxel stores a radiance for each."""

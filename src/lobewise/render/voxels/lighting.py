@@ -15,6 +15,7 @@ import numpy as np
 from lobewise.render.bridge import dr, give_vectors, mi, repeat, take_numbers, take_vectors
 from lobewise.render.frozen import Recorded
 from lobewise.render.tracing.rays import draw_point, make_rng
+from lobewise.render.voxels.axis_hits import Bounds, Hits
 from lobewise.render.voxels.grid import (
     Faces,
     Floats,
@@ -27,7 +28,6 @@ from lobewise.render.voxels.grid import (
     make_faces,
     plan_layout,
 )
-from lobewise.render.voxels.hits import Bounds, Hits
 from lobewise.render.voxels.march import gather_diffuse
 
 MAX_GAIN = 0.9

@@ -55,7 +55,7 @@ _CHOICE_COUNT = 256
 
 
 @dataclass(frozen=True)
-class Places:
+class TextureNodes:
     """The nodes of one BSDF, K of them, and M pairs of directions that tell them apart."""
 
     place: Array
@@ -77,7 +77,7 @@ class Places:
     """For all places that are not black the edge, and the share of its second node, (n, 2)."""
 
 
-def probe_places(bsdf: Any, parts: Parts, extent: float = 1.0, *, most: int = MAX_NODES) -> Places | None:
+def probe_texture(bsdf: Any, parts: Parts, extent: float = 1.0, *, most: int = MAX_NODES) -> TextureNodes | None:
     """Return the nodes of a BSDF's texture, or None if its glossy lobes have one shape.
 
     The first node is the centre of the texture, unless the centre is black. A BSDF that depends on the position is
@@ -104,7 +104,7 @@ def probe_places(bsdf: Any, parts: Parts, extent: float = 1.0, *, most: int = MA
     weight = _compute_weights(bsdf, parts, place[some[::4]], values[some[::4]][:, probes], bool(light[0, 2] < 0.0))
     short = make_signature(values[:, probes])
     edge, share, _ = locate(short, short[chosen], edges)
-    return Places(
+    return TextureNodes(
         place=place[chosen],
         view=view[probes],
         light=light[probes],
@@ -249,7 +249,7 @@ def _choose_probes(values: Array, nodes: Array, edges: NDArray[np.intp]) -> list
     return chosen
 
 
-def make_tables(places: Places, nodes: Sequence[LobeTable]) -> tuple[tuple[LobeTable, ...], NDArray[np.uint32]]:
+def make_tables(places: TextureNodes, nodes: Sequence[LobeTable]) -> tuple[tuple[LobeTable, ...], NDArray[np.uint32]]:
     """Return the tables that some place needs, and for each edge and step the index of the nearest one.
 
     ``nodes`` holds the tables of the nodes. They come first. Tables between two nodes are made only where places lie.

@@ -158,7 +158,7 @@ def test_a_denoised_frame_keeps_the_squares(
     bsdf = {"type": "pplastic", "distribution": "ggx", "alpha": alpha, "diffuse_reflectance": 0.0}
     scene = make_box_scene({"plate": {"type": "rectangle", "to_world": to_world, "bsdf": bsdf}}, size=64)
     frame = render_frame(scene, spp=16, seed=4)
-    monkeypatch.setattr(fitted, "probe_places", lambda *_: None)
+    monkeypatch.setattr(fitted, "probe_texture", lambda *_: None)
     monkeypatch.setattr(fitted, "_fits", type(fitted._fits)())
     single = render_frame(scene, spp=16, seed=4)
     assert np.array_equal(frame.radiance.color, single.radiance.color)
@@ -304,8 +304,8 @@ class TestMathematics:
     def test_hits_are_located_as_places_are(self, mi: Any, rough: str) -> None:
         import drjit as dr
 
-        from lobewise.render.materials.places import locate, make_signature
         from lobewise.render.materials.probe import evaluate_bsdf
+        from lobewise.render.materials.texture_nodes import locate, make_signature
 
         texture = ramp_texture(SHARP, WIDE)
         bsdf = mi.load_dict({"type": rough, "rough": texture})
@@ -326,7 +326,7 @@ class TestMathematics:
         assert np.array_equal(np.array(spot.first), places.edges[edge, 0])
 
     def test_nodes_are_joined_by_the_shortest_tree(self, rng: np.random.Generator) -> None:
-        from lobewise.render.materials.places import _join_nodes
+        from lobewise.render.materials.texture_nodes import _join_nodes
 
         nodes = rng.random((8, 5))
         length = np.linalg.norm(nodes[:, None] - nodes, axis=-1)
@@ -335,7 +335,7 @@ class TestMathematics:
         assert np.isclose(length[edges[:, 0], edges[:, 1]].sum(), minimum_spanning_tree(length).sum())
 
     def test_signatures_do_not_depend_on_scale(self, rng: np.random.Generator) -> None:
-        from lobewise.render.materials.places import make_signature
+        from lobewise.render.materials.texture_nodes import make_signature
 
         values = rng.random((5, 7))
         values[2] = 0.0

@@ -8,7 +8,14 @@ import pytest
 from lobewise.camera import Camera
 from lobewise.filters.history.sums import HISTORY_CHANNELS, split_sums
 from lobewise.frame import Radiance
-from lobewise.interactive.gradients import MAX_RATIO, Change, Shaded, compute_changes, follows_hits, relight_sums
+from lobewise.interactive.temporal_gradients import (
+    MAX_RATIO,
+    Change,
+    Shaded,
+    compute_changes,
+    follows_hits,
+    relight_sums,
+)
 
 SCALE, ROWS, COLUMNS = 4, 6, 8
 SHAPE = SCALE * ROWS - 1, SCALE * COLUMNS - 2
