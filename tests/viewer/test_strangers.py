@@ -45,7 +45,7 @@ def context(browser: Any) -> Iterator[Any]:
 def refusals(monkeypatch: pytest.MonkeyPatch, viewers: tuple[Viewer, Viewer]) -> list[str]:
     """Return a list of why the first viewer refused a WebSocket: that the browser itself did would prove nothing."""
     found: list[str] = []
-    access = viewers[0]._access
+    access = viewers[0].access
     plain = access.refuse
 
     def refuse(visit: Any) -> str:

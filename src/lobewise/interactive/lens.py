@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from lobewise.frame import FloatArray, Radiance
 from lobewise.interactive.resting import Resting
+from lobewise.interactive.samples import choose_pixels
 from lobewise.interactive.settings import InteractiveSettings
 from lobewise.render.stages import FirstHits, Stages
-from lobewise.sparse_frame import SparseFrame, list_places
+from lobewise.sparse_frame import SparseFrame
 
 SHARP_WORTH = 4.0
 """Weight of the picture without the lens in the mean, in samples of the pixel itself. It shows other light than the
@@ -32,11 +31,8 @@ class LensMean:
         """
         height, width = image.shape[:2]
         scale = max(1, min(settings.scale, width, height) // 2)
-        places = list_places(scale)
-        place = places[number % len(places)]
-        rows, columns = np.arange(place[0], height, scale), np.arange(place[1], width, scale)
-        grid = np.repeat(rows, columns.size), np.tile(columns, rows.size)
+        place, grid, shape = choose_pixels((width, height), scale, number)
         color = stages.shade_through_lens(hits.camera, *grid, settings.spp, seed)
-        radiance = Radiance(color.reshape(rows.size, columns.size, 3))
+        radiance = Radiance(color.reshape(*shape, 3))
         self.mean.frames += 1
         return self.mean.add_indirect(image, SparseFrame(radiance, hits.gbuffer, scale, place, hits.camera), None)

@@ -3,12 +3,27 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lobewise.frame import Radiance
 from lobewise.render.stages import IndirectLight
 from lobewise.render.tracing.own_samples import OwnLight
 from lobewise.render.tracing.points import IndirectMethod
-from lobewise.sparse_frame import Rays
+from lobewise.sparse_frame import Rays, list_places
+
+
+def choose_pixels(
+    size: tuple[int, int], scale: int, number: int
+) -> tuple[tuple[int, int], tuple[NDArray[np.intp], NDArray[np.intp]], tuple[int, int]]:
+    """Return the place in every block of ``scale`` x ``scale`` pixels that a frame shades, by the frame's number.
+
+    With it come rows and columns of the shaded pixels, row by row, and how many rows and columns they form. ``size`` is
+    columns and rows of the image.
+    """
+    places = list_places(scale)
+    place = places[number % len(places)]
+    rows, columns = np.arange(place[0], size[1], scale), np.arange(place[1], size[0], scale)
+    return place, (np.repeat(rows, columns.size), np.tile(columns, rows.size)), (rows.size, columns.size)
 
 
 def make_radiance(method: IndirectMethod, light: IndirectLight, shape: tuple[int, int]) -> Radiance:

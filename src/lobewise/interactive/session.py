@@ -26,7 +26,7 @@ from lobewise.interactive.lens import LensMean
 from lobewise.interactive.methods import Methods
 from lobewise.interactive.repairing import repair
 from lobewise.interactive.resting import Again, Resting
-from lobewise.interactive.samples import make_radiance, make_rays
+from lobewise.interactive.samples import choose_pixels, make_radiance, make_rays
 from lobewise.interactive.settings import UNFILTERED, InteractiveSettings
 from lobewise.interactive.temporal_gradients import Shaded, compute_changes, follows_hits, relight
 from lobewise.interactive.views import Parts
@@ -36,7 +36,7 @@ from lobewise.render.stages import DirectLight, FirstHits, Stages
 from lobewise.render.tracing.own_samples import OwnLight
 from lobewise.scenes.limits import VIEW_BYTES_PER_PIXEL, require_memory
 from lobewise.settings import DenoiseSettings
-from lobewise.sparse_frame import SparseFrame, list_places
+from lobewise.sparse_frame import SparseFrame
 from lobewise.temporal.recipe import TemporalFilter
 from lobewise.upsampling import upsample
 
@@ -105,7 +105,7 @@ class Session:
 
     Examples
     --------
-    >>> from lobewise.render import Session  # doctest: +SKIP
+    >>> from lobewise.interactive import Session  # doctest: +SKIP
     >>> session = Session("showroom", width=256, height=256)  # doctest: +SKIP
     >>> images = [frame.image for frame in session.frames([session.camera] * 4)]  # doctest: +SKIP
     """
@@ -324,16 +324,11 @@ class Session:
         return InteractiveFrame(image, seconds, settings, shared.camera, chain.resting.frames, recomputed, parts)
 
     def _shade_sparse(self, chain: _Chain, shared: _Shared, method: Any) -> SparseFrame:
-        width, height = self._size
-        scale = min(chain.settings.scale, width, height)
+        scale = min(chain.settings.scale, *self._size)
         if chain.resting.frames:
             # A camera that stands still leaves time for more samples.
             scale = max(1, scale // STILL_SCALE_DIVISOR)
-        places = list_places(scale)
-        place = places[chain.number % len(places)]
-        rows, columns = np.arange(place[0], height, scale), np.arange(place[1], width, scale)
-        grid = np.repeat(rows, columns.size), np.tile(columns, rows.size)
-        shape = rows.size, columns.size
+        place, grid, shape = choose_pixels(self._size, scale, chain.number)
         light = self._stages.shade_indirect(method, *grid, chain.settings.spp, shared.seed)
         radiance = make_radiance(method, light, shape)
         chain.shaded = None

@@ -115,14 +115,6 @@ class FrameViewer(Site):
             server.shutdown()
             server.server_close()
 
-    def refuse(self, request: HttpRequest) -> str:
-        """Return a sentence that says why a request is refused; empty if it is allowed."""
-        return self._access.refuse(request)
-
-    def get_cookie(self, request: HttpRequest) -> str:
-        """Return the cookie that answers a request with the token; empty if the request has none."""
-        return self._access.make_cookie(request) if self._access.knows_token(request) else ""
-
     def write_page(self) -> bytes:
         """Return the page."""
         description = {**self._target.describe(), "changes": self._changes}
@@ -190,7 +182,8 @@ class _Handler(BaseHTTPRequestHandler):
         """Answer a request by ``make`` if the visitor may ask; None is what does not exist."""
         hosts, origins, cookies = (self.headers.get_all(name, []) for name in ("Host", "Origin", "Cookie"))
         request = HttpRequest(self.path, hosts, origins, cookies, is_socket=is_post)
-        refusal = self.server.viewer.refuse(request)
+        access = self.server.viewer.access
+        refusal = access.refuse(request)
         if refusal:
             self._send(REFUSED, f"{refusal}\n".encode())
             return
@@ -203,7 +196,7 @@ class _Handler(BaseHTTPRequestHandler):
         except Exception as problem:
             data, status = describe_failure(problem).encode(), 500
         kind = "text/plain" if status != 200 or is_post else "text/html"
-        self._send(404 if data is None else status, data or b"", kind, self.server.viewer.get_cookie(request))
+        self._send(404 if data is None else status, data or b"", kind, access.make_cookie(request))
 
     def _send(self, status: int, data: bytes, kind: str = "text/plain", cookie: str = "") -> None:
         self.send_response(status)

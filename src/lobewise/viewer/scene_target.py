@@ -85,7 +85,8 @@ class SceneTarget:
         """Moment of the motion in each browser's last frame, frames from 0; none if nothing moves."""
         self._sessions: dict[int, Session] = {}
         self._last: dict[int, list[InteractiveFrame]] = {}
-        self._warm = False
+        self.is_warm = False
+        """Whether a frame was rendered, so that kernels need not be compiled."""
 
     def describe(self) -> Description:
         """Return the properties of the scene."""
@@ -100,10 +101,6 @@ class SceneTarget:
             moves=self._motion is not None,
             unseen=tell_unseen(self._first.scene),
         )
-
-    def is_slow(self, request: Request) -> bool:
-        """Return whether no frame was rendered yet, so that kernels must be compiled."""
-        return not self._warm
 
     def show_input(self, request: Request) -> list[InteractiveFrame]:
         """Return a frame without filters, for which few kernels must be compiled."""
@@ -137,7 +134,7 @@ class SceneTarget:
             else:
                 last = [session.render(request.camera, sides[0])]
             self._last[request.client] = last
-            self._warm = True
+            self.is_warm = True
         return last
 
     def _move(self, session: Session, request: Request) -> None:

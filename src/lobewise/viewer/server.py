@@ -152,7 +152,7 @@ class Viewer(Site):
 
         # viser prints a greeting in this thread and a farewell in its own, both by rich, which captures by threads.
         console = rich.get_console()
-        with console.capture(), guard_serving(self._access, self._browsers.controls, self._tell):
+        with console.capture(), guard_serving(self.access, self._browsers.controls, self._tell):
             server = viser.ViserServer(host=self._host, port=self._port, label="lobewise", verbose=False)
         self._server = server
         server.get_event_loop().call_soon_threadsafe(console.begin_capture)

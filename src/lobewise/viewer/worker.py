@@ -108,7 +108,7 @@ class Worker:
             elif isinstance(command, Save):
                 self._send(self._save(opened, command))
             else:
-                if opened.is_slow(command):
+                if not opened.is_warm:
                     self._send(self._draw(opened, command, opened.show_input(command), final=False))
                 self._send(self._draw(opened, command, opened.render(command), final=True))
         except (EOFError, BrokenPipeError, ConnectionResetError):

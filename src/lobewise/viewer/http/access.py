@@ -99,10 +99,12 @@ class Access:
         return any(self._is_token(word) for word in parse_qs(request.target.partition("?")[2]).get("token", ()))
 
     def make_cookie(self, request: HttpRequest) -> str:
-        """Return the value of ``Set-Cookie`` by which the page's own requests are allowed.
+        """Return the value of ``Set-Cookie`` by which the page's own requests are allowed; empty without the token.
 
         Browsers share cookies between the ports of a host, so the cookie's name has the port of its viewer.
         """
+        if not self.knows_token(request):
+            return ""
         return f"{_name_cookie(request.hosts[0])}={self.token}; Path=/; HttpOnly; SameSite=Strict"
 
     def _is_ours(self, host: str) -> bool:

@@ -99,8 +99,8 @@ async def _process_request(access: Access, pages: Any, connection: Any, request:
     if answer is not None:
         for name, value in HEADERS.items():
             answer.headers[name] = value
-        if not refusal and access.knows_token(http_request):
-            answer.headers["Set-Cookie"] = access.make_cookie(http_request)
+        if not refusal and (cookie := access.make_cookie(http_request)):
+            answer.headers["Set-Cookie"] = cookie
     return answer
 
 

@@ -31,14 +31,14 @@ class Site:
 
     def __init__(self, host: str, port: int, token: str | None) -> None:
         self._host, self._port = host, port
-        self._access = Access(host, token)
+        self.access = Access(host, token)
 
     @property
     def url(self) -> str:
         """The URL of the page with the secret token. Anyone who has this URL can use the page."""
         host = f"[{self._host}]" if ":" in self._host else self._host
         place = f"http://{'localhost' if host in ('0.0.0.0', '[::]') else host}:{self._port}"
-        return f"{place}/?token={self._access.token}"
+        return f"{place}/?token={self.access.token}"
 
     @property
     def is_private(self) -> bool:
