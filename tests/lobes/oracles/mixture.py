@@ -87,10 +87,9 @@ def make_ggx_mixture(
     *,
     lobes: int = 3,
     albedo: ArrayLike = 1.0,
-    dominant: bool = False,
     tau: float = 0.0,
 ) -> SgMixture:
-    """Return the coaxial mixture for an isotropic GGX reflection.
+    """Return the coaxial mixture for an isotropic GGX reflection about the mirror direction (Wang et al. 2009).
 
     Parameters
     ----------
@@ -103,9 +102,6 @@ def make_ggx_mixture(
     albedo : array_like
         Directional albedo, the scale of the lobe: the integral over the sphere is ``albedo sum w / b``, which is all
         of GGX times 0.760, 0.918, 0.967 or 0.985 for 1 to 4 lobes.
-    dominant : bool
-        False: mirror about the normal (Wang et al. 2009). True: about the dominant visible normal m, with sharpnesses
-        times ``m.n`` over ``v.m`` (see `brdf.ggx_dominant_visible_normal`).
     tau : float
         Radians; ``tau^2`` is added to every ``1 / sharpness`` (band-limit), the integral of each lobe kept. At least
         1e-9 is added, so that a mirror is finite.
@@ -118,19 +114,10 @@ def make_ggx_mixture(
     view, normal, alpha, albedo = as_reals(view, normal, alpha, albedo)
     square = alpha * alpha
     cosine = dot(normal, view)
-    m, slope = normal, np.ones_like(cosine)
-    if dominant:
-        # the corrected dominant visible normal lies in the plane of n and v: m = normalize(a v + b n)
-        a = np.minimum(0.7 + 0.6 * alpha, 1.0) * square
-        b = np.sqrt(a + (1.0 - a) * cosine * cosine) + (1.0 - a) * cosine
-        inverse = 1.0 / np.sqrt(a * a + b * b + 2.0 * a * b * cosine)
-        m = (a * inverse)[..., None] * view + (b * inverse)[..., None] * normal
-        slope = (a * cosine + b) * inverse
-        cosine = (a + b * cosine) * inverse
-    warp = np.maximum(np.abs(cosine), MIN_WARP_COSINE) / slope
+    warp = np.maximum(np.abs(cosine), MIN_WARP_COSINE)
     area = 2.0 * warp * square
     sharpness, amplitude = spread_ggx_mixture(area, square, albedo, lobes=lobes, noise=max(tau * tau, MIN_VARIANCE))
-    return SgMixture(reflect(view, m)[..., None, :], sharpness, amplitude)
+    return SgMixture(reflect(view, normal)[..., None, :], sharpness, amplitude)
 
 
 def make_lambert_lobe(normal: ArrayLike, albedo: ArrayLike) -> SgMixture:
