@@ -110,15 +110,48 @@ def test_cpp_agrees_with_python(fast: Path, cpp: str) -> None:
     assert (images.std(axis=(1, 2, 3)) > 0.05).all()
 
 
+BALANCED: dict[str, Any] = {"plan": "balanced"}
+HISTORY: dict[str, Any] = {"history": True}
+SAME_BITS: list[dict[str, Any]] = [
+    {"layers": "named", "hit_distance": True},
+    {"upsample": 2, "coverage": True, "rays": True},
+]
+SETTINGS: list[dict[str, Any]] = [
+    *SAME_BITS,
+    {"emission": True},
+    {**BALANCED, "emission": True},
+    BALANCED,
+    {**BALANCED, "layers": "color", "similarity": "normal"},
+    {**BALANCED, "halves": False},
+    {**BALANCED, "layers": "named"},
+    {**BALANCED, "hit_guides": True, "coverage": True},
+    {"plan": "high"},
+    {"plan": "high", "halves": False, "layers": "color"},
+    {"upsample": 2},
+    {**HISTORY, "upsample": 3, "hit_distance": True},
+    {**HISTORY, "layers": "color", "form": "separable", "similarity": "sg"},
+    {**HISTORY, "motion": False, "position": True, "similarity": "normal", "form": "atrous"},
+    {**HISTORY, "anisotropic": True, "lobe_kind": True, "similarity": "asg"},
+]
+
+
 @pytest.mark.nightly
-@pytest.mark.parametrize("plan", ["fast", "balanced"])
-def test_emission_may_come_by_itself(plan: str, compiler: str, cpp: str, tmp_path: Path) -> None:
-    folder = export(tmp_path / "out", radius=2, plan=plan, emission=True)
-    told = json.loads((folder / "lobewise-export.json").read_text())
-    names = {each["name"] for each in told["inputs"]}
-    assert "emission" in names
-    assert not any("color" in name for name in names)
-    assert max(run_example(folder, cpp)) <= 1e-5
+@pytest.mark.parametrize("settings", SETTINGS, ids=str)
+def test_every_plan_and_option_agrees_with_python(settings: dict[str, Any], cpp: str, tmp_path: Path) -> None:
+    folder = export(tmp_path / "out", radius=2, **settings)
+    assert max(run_example(folder, cpp)) <= (0.0 if settings in SAME_BITS else 1e-5)
+    images = np.fromfile(folder / "output.raw", np.float32).reshape(FRAMES, HEIGHT, WIDTH, 3)
+    assert (images.std(axis=(1, 2, 3)) > 0.05).all()
+    shapes = {
+        each["name"]: each["shape"] for each in json.loads((folder / "lobewise-export.json").read_text())["inputs"]
+    }
+    halves = "plan" in settings and settings.get("halves", True)
+    assert ({"half_a_color", "half_b_color"} <= set(shapes)) == (halves and "emission" not in settings)
+    assert ("color" in shapes) == (not halves and "emission" not in settings)
+    assert ("emission" in shapes) == ("emission" in settings or "upsample" in settings)
+    if "upsample" in settings:
+        assert shapes["diffuse"] == ["rows", "columns", 3]
+        assert shapes["normal"] == ["height", "width", 3]
 
 
 def test_holes_are_filled_inside_a_box(fast: Path) -> None:
@@ -253,14 +286,6 @@ def test_contents_name_every_step(fast: Path) -> None:
 def test_a_change_of_the_plan_changes_the_export() -> None:
     texts = {write_driver(make_pipeline(PipelineSettings(form=form))) for form in ("full", "separable", "atrous")}
     assert len(texts) == 3
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize(
-    "settings", [{"layers": "named", "hit_distance": True}, {"upsample": 2, "coverage": True, "rays": True}], ids=str
-)
-def test_what_frames_have_besides_has_the_bits_of_python(settings: dict[str, Any], cpp: str, tmp_path: Path) -> None:
-    assert max(run_example(export(tmp_path / "out", radius=2, **settings), cpp)) == 0.0
 
 
 def test_list_prints_the_contents(capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from lobewise import engine
 from lobewise.denoising.automatic import resolve_all
@@ -17,38 +14,12 @@ from lobewise.denoising.chain import filter_rows, keep_light
 from lobewise.denoising.evidence import load_networks
 from lobewise.exporting.pipeline.driver import write_driver
 from lobewise.exporting.pipeline.recording import make_pipeline
-from lobewise.exporting.pipeline.sample import FRAMES, make_settings, prepare_frame
-from lobewise.exporting.pipeline.scene import HEIGHT, WIDTH, make_frame
+from lobewise.exporting.pipeline.sample import make_settings, prepare_frame
+from lobewise.exporting.pipeline.scene import make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.filters.glue import define_with_highlights
-from tests.exporting.pipelines import export, run_example
 
 SETTINGS: dict[str, Any] = {"radius": 2, "plan": "balanced"}
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {},
-        {"layers": "color", "similarity": "normal"},
-        {"halves": False},
-        {"layers": "named"},
-        {"hit_guides": True, "coverage": True},
-        {"plan": "high"},
-        {"plan": "high", "halves": False, "layers": "color"},
-    ],
-    ids=["apart", "color", "whole", "named", "reflections", "high", "high-whole"],
-)
-def test_cpp_agrees_with_python(changes: dict[str, Any], compiler: str, cpp: str, tmp_path: Path) -> None:
-    folder = export(tmp_path / "out", **{**SETTINGS, **changes})
-    assert max(run_example(folder, cpp)) <= 1e-5
-    images = np.fromfile(folder / "output.raw", np.float32).reshape(FRAMES, HEIGHT, WIDTH, 3)
-    assert (images.std(axis=(1, 2, 3)) > 0.05).all()
-    names = {each["name"] for each in json.loads((folder / "lobewise-export.json").read_text())["inputs"]}
-    halves = changes.get("halves", True)
-    assert ({"half_a_color", "half_b_color"} <= names) == halves
-    assert ("color" in names) != halves
 
 
 def test_every_stage_changes_the_example() -> None:

@@ -100,18 +100,3 @@ def test_narrower_vectors_follow_python(target: str, compiler: str, cpp: str, tm
     export_pipeline(tmp_path / "out", PipelineSettings(**SETTINGS, similarity="sg"), target=target)
     bound = 1e-5 if "fma" in target else 5e-5
     assert max(run_example(tmp_path / "out", cpp)) <= bound
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {"layers": "color", "form": "separable", "similarity": "sg"},
-        {"motion": False, "position": True, "similarity": "normal", "form": "atrous"},
-        {"anisotropic": True, "lobe_kind": True, "similarity": "asg"},
-    ],
-    ids=lambda settings: settings["similarity"],
-)
-def test_other_histories_follow_python(settings: dict[str, Any], compiler: str, cpp: str, tmp_path: Path) -> None:
-    folder = export(tmp_path / "out", radius=2, history=True, **settings)
-    assert max(run_example(folder, cpp)) <= 1e-5
