@@ -48,14 +48,6 @@ def test_numbers_agree_with_loops(pair, masked, rng):
     assert metrics.psnr(*pair, *given, peak=4.0) == pytest.approx(10.0 * math.log(16.0 / square, 10.0), rel=1e-12)
 
 
-def test_known_values():
-    ones, halves = np.ones((2, 2, 3)), np.full((2, 2, 3), 0.5)
-    assert metrics.mse(halves, ones) == 0.25
-    assert metrics.rel_mse(halves, ones) == pytest.approx(0.25 / 1.01, rel=1e-12)
-    assert metrics.smape(halves, ones) == pytest.approx(0.5 / 1.51, rel=1e-12)
-    assert metrics.psnr(halves, ones) == pytest.approx(6.0206, abs=1e-4)
-
-
 def test_equal_images_have_no_error(pair):
     reference = pair[1]
     assert metrics.evaluate(reference, reference, metrics=NUMBERS) == {
@@ -188,24 +180,6 @@ class TestFlicker:
             a, b, r, s = (float(images[t + k, y, x, c]) for images in film for k in (1, 0))
             terms.append((a - b - r + s) ** 2 / ((r * r + s * s) / 2.0 + 0.01))
         assert metrics.flicker(*film) == pytest.approx(math.fsum(terms) / len(terms), rel=1e-12)
-
-    def test_what_stays_wrong_does_not_flicker(self, film):
-        assert metrics.flicker(film[1] + film[0][0], film[1]) == pytest.approx(0.0, abs=1e-25)
-        assert metrics.flicker(film[0], film[1]) > 0.01
-
-    def test_a_still_reference_gives_rel_mse_of_the_change(self, pair):
-        a, r = pair
-        assert metrics.flicker([a, 2.0 * a], [r, r]) == pytest.approx(metrics.rel_mse(r + a, r), rel=1e-12)
-
-    def test_fresh_noise_flickers_twice_its_error(self, rng):
-        references = np.full((9, 60, 60, 3), 0.7)
-        images = references + rng.normal(0.0, 0.1, references.shape)
-        error = np.mean([metrics.rel_mse(a, r) for a, r in zip(images, references, strict=True)])
-        # The mean of about 90000 squares of a normal number: 4 standard deviations.
-        assert metrics.flicker(images, references) == pytest.approx(2.0 * error, rel=4.0 * math.sqrt(3.0 / 86400))
-
-    def test_backwards_is_the_same(self, film):
-        assert metrics.flicker(film[0][::-1], film[1][::-1]) == pytest.approx(metrics.flicker(*film), rel=1e-12)
 
     def test_one_by_one_with_a_cut(self, film):
         steps = metrics.Flicker()

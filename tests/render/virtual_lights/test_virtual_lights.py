@@ -450,14 +450,6 @@ def test_any_surface_and_emitter_agrees_with_paths(mi: Any, make_box_scene: Box,
         assert np.median(mine) == pytest.approx(np.median(theirs), rel=tolerance), name
 
 
-@pytest.mark.nightly
-def test_a_sky_lights_a_room(mi: Any, make_box_scene: Box) -> None:
-    scene = make_box_scene({"light": {"type": "constant", "radiance": {"type": "rgb", "value": 0.5}}}, size=16)
-    points = view(scene)
-    found = total(make_lights(scene, count=4096).shade(points, samples=16, seed=0))
-    assert found.mean() == pytest.approx(total(render_paths(scene, points, samples=256)).mean(), rel=PATHS_NOISE)
-
-
 def test_black_surfaces_give_no_light(mi: Any) -> None:
     black = {"type": "conductor", "material": "none", "specular_reflectance": {"type": "rgb", "value": 0.0}}
     items = {"type": "scene", "a": {"type": "sphere", "bsdf": black}, "b": {"type": "constant"}}
