@@ -13,9 +13,8 @@ from hypothesis import strategies as st
 from lobewise.backend.jit import count_compiled_kernels
 from lobewise.features import Feature, ScreenFeature
 from lobewise.filters import cross_filter as engine
-from lobewise.filters.cross_filter import FilterOutput, _list_tiles, run_filter
+from lobewise.filters.cross_filter import _list_tiles, run_filter
 from lobewise.frame import FloatArray
-from lobewise.lobes.vectors import LUMINANCE
 from lobewise.settings import LARGEST_RADIUS
 from tests.features.frames import make_feature, make_mask, make_radiance
 from tests.filters.reference import filter_reference
@@ -114,23 +113,6 @@ def test_full_weights_are_symmetric() -> None:
 
 
 @pytest.mark.parametrize("form", EVERY_FORM)
-def test_constant_in_constant_out(form: str) -> None:
-    shape = (33, 20)
-    radiance = np.full((*shape, 3), 0.37, np.float32)
-    out = run_filter(radiance, make_mask(shape), make_features(LOBES, shape), form=form, radius=RADIUS)
-    np.testing.assert_allclose(out.image, 0.37, rtol=3e-6)
-
-
-@pytest.mark.parametrize("form", ["full", "separable"])
-def test_radius_zero_is_the_identity(form: str) -> None:
-    shape = (5, 18)
-    radiance = make_radiance(shape)
-    out = run_filter(radiance, make_mask(shape), [ScreenFeature(2.0)], form=form, radius=0)
-    np.testing.assert_allclose(out.image, radiance, rtol=1e-6)
-    np.testing.assert_allclose(out.effective_samples, 1.0, rtol=1e-6)
-
-
-@pytest.mark.parametrize("form", EVERY_FORM)
 def test_masked_pixels_neither_give_nor_take(form: str) -> None:
     shape = (16, 21)
     mask = np.random.default_rng(1).random(shape) > 0.4
@@ -209,25 +191,6 @@ def make_strictness(shape: tuple[int, int], low: float, high: float) -> FloatArr
     return np.exp(np.random.default_rng(shape).uniform(np.log(low), np.log(high), shape)).astype(np.float32)
 
 
-def run_strictly(
-    radiance: FloatArray, strictness: FloatArray, form: str, *, mask: FloatArray | None = None
-) -> FilterOutput:
-    """Return ``radiance`` filtered by positions; the similarity of a position with itself is exactly 1."""
-    shape = strictness.shape
-    usable = make_mask(shape) if mask is None else mask
-    features = make_features(PLACE, shape)
-    return run_filter(radiance, usable, features, form=form, radius=RADIUS, moment=True, strictness=strictness)
-
-
-@pytest.mark.parametrize("form", EVERY_FORM)
-def test_constant_stays_constant_however_strict(form: str) -> None:
-    shape = (33, 20)
-    radiance = np.broadcast_to(np.array([0.37, 0.21, 1.4], np.float32), (*shape, 3))
-    out = run_strictly(radiance, make_strictness(shape, 1e-3, 1e3), form)
-    np.testing.assert_allclose(out.image, radiance, rtol=3e-6)
-    np.testing.assert_allclose(out.moment, float(np.dot(LUMINANCE, radiance[0, 0])) ** 2, rtol=3e-6)
-
-
 @pytest.mark.sampled("cpu-full")
 @pytest.mark.parametrize("form", EVERY_FORM)
 def test_further_images_are_filtered_as_if_alone(form: str) -> None:
@@ -249,15 +212,6 @@ def test_further_images_are_filtered_as_if_alone(form: str) -> None:
         np.testing.assert_allclose(found, expected.image, rtol=1e-5)
     assert out.more[1].any()
     assert not out.more[2].any()
-
-
-@pytest.mark.parametrize("form", EVERY_FORM)
-def test_large_strictness_leaves_the_own_sample(form: str) -> None:
-    shape = (33, 20)
-    radiance = make_radiance(shape)
-    out = run_strictly(radiance, np.full(shape, 1e7, np.float32), form)
-    np.testing.assert_allclose(out.image, radiance, rtol=3e-6)
-    np.testing.assert_allclose(out.effective_samples, 1.0, rtol=3e-6)
 
 
 def test_without_modulation_the_light_is_left() -> None:
@@ -298,11 +252,3 @@ def test_the_largest_radius_agrees_with_the_definition(form: str) -> None:
 def test_a_larger_radius_than_any_setting_is_refused() -> None:
     with pytest.raises(TypeError, match="radius"):
         run_filter(make_radiance((8, 9)), make_mask((8, 9)), [], form="full", radius=LARGEST_RADIUS + 1)
-
-
-def test_same_bits_twice_and_for_a_crop_of_strips() -> None:
-    shape = (70, 45)
-    features = make_features(LOBES, shape)
-    first = run_filter(make_radiance(shape), make_mask(shape), features, form="separable", radius=RADIUS)
-    again = run_filter(make_radiance(shape), make_mask(shape), features, form="separable", radius=RADIUS)
-    assert first.image.tobytes() == again.image.tobytes()

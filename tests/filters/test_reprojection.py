@@ -237,29 +237,6 @@ def test_agreement_is_the_share_of_the_place_inside() -> None:
         np.testing.assert_allclose(out[row, :, AGREEMENT], [0.25, 0.75, 0.75, 0.25, 0.0], rtol=EXACT)
 
 
-def test_constant_history_stays_constant() -> None:
-    shape = (33, 20)
-    weight = np.random.default_rng(4).exponential(1.0, shape).astype(np.float32)
-    past = np.repeat(weight[..., None], HISTORY_CHANNELS, axis=-1) * np.float32(0.37)
-    past[..., 3] = weight
-    features = make_pair(("sg",), shape)
-    out = run_reprojection(past, make_places(shape), (make_random_mask(shape, 1), make_mask(shape)), features)
-    found = out[..., 3] > 0.0
-    assert 0.3 < found.mean() < 0.9
-    for channel in (0, 1, 2, 5, 6):
-        np.testing.assert_allclose(out[found, channel] / out[found, 3], 0.37, rtol=3e-6)
-
-
-def test_squared_weights_are_scaled_by_the_square() -> None:
-    shape = (17, 23)
-    features = make_pair(("sg",), shape)
-    out = run_reprojection(np.ones((*shape, 7), np.float32), make_grid(shape), (make_mask(shape),) * 2, features)
-    agreement = out[..., AGREEMENT]
-    assert 0.1 < agreement.mean() < 0.9
-    np.testing.assert_allclose(out[..., SQUARED_WEIGHT], agreement**2, rtol=1e-6)
-    np.testing.assert_allclose(out[..., 3], agreement, rtol=1e-6)
-
-
 def test_masked_pixels_neither_give_nor_take_whatever_they_hold() -> None:
     shape = (17, 23)
     masks = make_random_mask(shape, 1), make_random_mask(shape, 2)
@@ -299,15 +276,3 @@ def test_what_is_no_number_is_no_history(channel: int, value: float) -> None:
     out = reproject_plainly(past, places)
     assert np.isfinite(out).all()
     assert out.tobytes() == run_reprojection(np.nan_to_num(past), places, masks, ([], [])).tobytes()
-
-
-def test_read_only_and_strided_inputs_are_accepted() -> None:
-    shape = (17, 23)
-    past, places, mask, features = make_past(shape), make_places(shape), make_mask(shape), make_pair(("sg",), shape)
-    expected = run_reprojection(past, places, (mask, mask), features)
-    strided = np.asfortranarray(past), np.repeat(places, 2, axis=1)[:, ::2], np.asfortranarray(mask)
-    for array in (past, places, mask, features[0][0].get_arrays()[0], features[1][0].get_arrays()[1]):
-        array.setflags(write=False)
-    assert run_reprojection(past, places, (mask, mask), features).tobytes() == expected.tobytes()
-    again = run_reprojection(strided[0], strided[1], (strided[2], strided[2]), features)
-    assert again.tobytes() == expected.tobytes()

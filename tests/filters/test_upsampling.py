@@ -79,17 +79,6 @@ def test_upsampling_by_one_is_filtering() -> None:
         np.testing.assert_allclose(getattr(same, name), getattr(plain, name), rtol=2e-5)
 
 
-@pytest.mark.sampled("cpu-4")
-@pytest.mark.parametrize("scale", [2, 4])
-def test_constant_in_constant_out(scale: int) -> None:
-    shape = (30, 41)
-    low = np.full((*make_mask(shape)[1::scale, 1::scale].shape, 3), 0.37, np.float32)
-    features = [make_feature("screen", shape), make_feature("ggx", shape)]
-    out = run_upsampling(low, make_mask(shape), features, scale=scale, place=(1, 1), radius=RADIUS)
-    np.testing.assert_allclose(out.image[out.weight_sum > 0.0], 0.37, rtol=3e-6)
-    assert (out.weight_sum > 0.0).all()
-
-
 @pytest.mark.parametrize("scale", [2, 4, 5])
 def test_tent_is_bilinear_interpolation(scale: int) -> None:
     # a plane over the image is its own interpolation between the samples
