@@ -6,6 +6,7 @@ by a process of its own, as a user would; kernels come from the disk, so every q
 
     python -m benchmarks.performance.streaming --cache ~/.cache/lobewise/streaming
     python -m benchmarks.performance.streaming --quality high     one quality again; the others keep their figures
+    python -m benchmarks.performance.streaming --foreign          a file of 16384x16384 pixels of another renderer
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import OpenEXR
 
 from benchmarks.common import RESULTS, describe_machine, fetch_frame, write_json
 from lobewise.io.exr.container import Chunk, Container, Part, Window
@@ -37,6 +39,7 @@ METHODS = {
     "balanced": ["--quality", "balanced"],
     "high": ["--quality", "high"],
 }
+FOREIGN_SIZE, FOREIGN_COPIES = 1024, 16
 LIMIT = 4.0
 """GiB."""
 NOISY = ("", "diffuse", "specular", "direct", "indirect")
@@ -124,14 +127,41 @@ def measure(name: str, small: Path, large: Path, output: Path) -> dict[str, Any]
     return row
 
 
+def measure_foreign(cache: Path) -> dict[str, Any]:
+    """Return the row of a file of 16384x16384 pixels of another renderer, with the quality "fast"."""
+    from lobewise.render import load_scene, render_frame
+
+    small, large = cache / "foreign.exr", cache / "foreign-tiled.exr"
+    if not large.exists():
+        frame = render_frame(load_scene("showroom", width=FOREIGN_SIZE, height=FOREIGN_SIZE), spp=SAMPLES, seed=1)
+        guides = frame.gbuffer
+        images = {"": frame.radiance.color, "albedo.": guides.diffuse_albedo + guides.specular_albedo}
+        planes = {f"{name}{'RGB'[k]}": image[..., k] for name, image in images.items() for k in range(3)}
+        planes |= {f"N.{'XYZ'[k]}": guides.normal[..., k] for k in range(3)}
+        planes["Z"] = np.where(guides.depth > 0.0, guides.depth, np.float32(1e4))
+        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+        halves = {name: np.ascontiguousarray(plane, np.float16) for name, plane in planes.items()}
+        OpenEXR.File(header, halves).write(str(small))
+        tile(small, large, FOREIGN_COPIES)
+    row: dict[str, Any] = run(["denoise", str(large), "-o", str(cache / "out.exr"), "--quality", "fast"])
+    size = [FOREIGN_SIZE * FOREIGN_COPIES] * 2
+    channels = len(read_container(large).parts[0].channels)
+    return {**row, "size": size, "channels": channels, "machine": describe_machine()}
+
+
 def main() -> None:
     """Measure and write the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cache", type=Path, default=Path("~/.cache/lobewise/streaming"))
     parser.add_argument("--quality", choices=METHODS, action="append")
+    parser.add_argument("--foreign", action="store_true", help="the large file of another renderer alone")
     arguments = parser.parse_args()
     cache = arguments.cache.expanduser()
     cache.mkdir(parents=True, exist_ok=True)
+    if arguments.foreign:
+        write_json(RESULT, {**json.loads(RESULT.read_text()), "foreign": measure_foreign(cache)})
+        (cache / "out.exr").unlink(missing_ok=True)
+        return
     small, large = cache / "showroom.exr", cache / "showroom-tiled.exr"
 
     def render() -> Any:
@@ -150,7 +180,8 @@ def main() -> None:
         channels = len(read_container(large).parts[0].channels)
         sizes = {"small_bytes": small.stat().st_size, "large_bytes": large.stat().st_size}
         size = [COPIES * extent for extent in SIZE]
-        write_json(RESULT, {"size": size, "small_size": list(SIZE), "channels": channels, **sizes, "rows": rows})
+        found |= {"size": size, "small_size": list(SIZE), "channels": channels, **sizes, "rows": rows}
+        write_json(RESULT, found)
     (cache / "out.exr").unlink(missing_ok=True)
 
 
