@@ -13,6 +13,7 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 from lobewise import denoise
 from lobewise.fitting.table import evaluate_lobes, evaluate_table
 from lobewise.frame import GBuffer
+from lobewise.lobes.numbers import NUMPY
 from lobewise.metrics import rel_mse
 from tests.render.materials.python_bsdf import register_lobes, register_rough
 from tests.render.materials.test_bsdfs import WRAPPERS, bitmap, middle, ramp_texture, rgb
@@ -319,7 +320,7 @@ class TestMathematics:
         pairs = [np.tile(each, (len(u), 1)) for each in (places.view, places.light)]
         uv = np.repeat(np.stack([u, u], axis=1), len(places.view), axis=0)
         values = evaluate_bsdf(bsdf, *pairs, place=uv)[:, 0].reshape(len(u), -1) * places.light[:, 2]
-        edge, share, _ = locate(make_signature(values), places.signature, places.edges)
+        edge, _, _, share, *_ = locate(NUMPY, make_signature(values).T, places.signature, places.edges)
         assert np.array_equal(np.array(spot.edge), edge)
         assert np.allclose(np.array(spot.share), share, atol=1e-3)
         assert np.allclose(np.array(spot.level)[0], values @ places.weight, rtol=1e-3)

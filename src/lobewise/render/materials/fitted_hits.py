@@ -3,33 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from lobewise.lobes.vectors import LUMINANCE
-from lobewise.render.bridge import dr, mi
+from lobewise.render.bridge import DRJIT, dr, mi
 from lobewise.render.materials.fitted import ALPHA, MIN_COSINE, SPECULAR, SPREAD, TINT, Fit
 from lobewise.render.materials.probe import make_context
-from lobewise.render.materials.texture_nodes import STEPS, TextureNodes
+from lobewise.render.materials.texture_nodes import STEPS, Spot, TextureNodes, locate
 
 _ALPHAS = range(ALPHA.start, ALPHA.stop)
-
-
-@dataclass(frozen=True)
-class Spot:
-    """The place of hits on the tree of `lobewise.render.materials.texture_nodes.TextureNodes` (Dr.Jit arrays)."""
-
-    edge: Any
-    first: Any
-    """The node at the start of the edge."""
-    second: Any
-    """The node at its end."""
-    share: Any
-    """Share of the second node, 0 to 1."""
-    level: Any
-    """The level (Color3f)."""
 
 
 class FittedLobes:
@@ -49,7 +33,9 @@ class FittedLobes:
         if places is None:
             return None
         signature, level = _ask_bsdf(bsdf, make_context(self.fit.parts.glossy_lobes), places, si, active)
-        return _locate(places, signature, level)
+        spot = locate(DRJIT, signature, places.signature, places.edges)
+        edge, first, second = (mi.UInt32(number) for number in spot[:3])
+        return Spot(edge, first, second, spot.share, spot.gap, level)
 
     def look_up(self, si: Any, active: Any, spot: Spot | None = None) -> list[Any]:
         """Return the columns of `Fit.rows` for views ``si.wi`` at the places ``spot``.
@@ -147,26 +133,3 @@ def _ask_bsdf(bsdf: Any, context: Any, places: TextureNodes, si: Any, active: An
     total = sum(values)
     scale = dr.select(total > 0, dr.rcp(total), 0.0)
     return [dr.sqrt(value * scale) for value in values], level
-
-
-def _locate(places: TextureNodes, signature: list[Any], level: Any) -> Spot:
-    """Return what `lobewise.render.materials.texture_nodes.locate` says of signatures at hits."""
-    nodes = places.signature
-    best = Spot(mi.UInt32(0), mi.UInt32(0), mi.UInt32(0), mi.Float(0), level)
-    least = mi.Float(math.inf)
-    for edge, (first, second) in enumerate(places.edges.tolist()):
-        start, step = nodes[first].tolist(), (nodes[second] - nodes[first]).tolist()
-        apart = [value - begin for value, begin in zip(signature, start, strict=True)]
-        along = sum(gap * part for gap, part in zip(apart, step, strict=True))
-        share = dr.clip(along * (1.0 / max(sum(part * part for part in step), 1e-12)), 0.0, 1.0)
-        distance = sum(dr.square(gap - share * part) for gap, part in zip(apart, step, strict=True))
-        nearer = distance < least
-        least = dr.select(nearer, distance, least)
-        best = Spot(
-            dr.select(nearer, mi.UInt32(edge), best.edge),
-            dr.select(nearer, mi.UInt32(first), best.first),
-            dr.select(nearer, mi.UInt32(second), best.second),
-            dr.select(nearer, share, best.share),
-            level,
-        )
-    return best

@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,8 @@ from lobewise.fitting.arrays import Array, make_view
 from lobewise.fitting.blending import blend_tables
 from lobewise.fitting.nodes import make_upper_nodes
 from lobewise.lobe_table import LobeTable
-from lobewise.lobes.vectors import LUMINANCE
+from lobewise.lobes.numbers import NUMPY, Namespace
+from lobewise.lobes.vectors import LUMINANCE, dot, scale, subtract
 from lobewise.render.materials.probe import Parts, evaluate_bsdf, spread_directions, spread_points
 from lobewise.render.materials.tints import solve_nonnegative
 
@@ -103,7 +104,7 @@ def probe_texture(bsdf: Any, parts: Parts, extent: float = 1.0, *, most: int = M
     probes = _choose_probes(values[some], values[chosen], edges)
     weight = _compute_weights(bsdf, parts, place[some[::4]], values[some[::4]][:, probes], bool(light[0, 2] < 0.0))
     short = make_signature(values[:, probes])
-    edge, share, _ = locate(short, short[chosen], edges)
+    spot = locate(NUMPY, short.T, short[chosen], edges)
     return TextureNodes(
         place=place[chosen],
         view=view[probes],
@@ -112,7 +113,7 @@ def probe_texture(bsdf: Any, parts: Parts, extent: float = 1.0, *, most: int = M
         signature=short[chosen],
         level=weight @ colors[chosen][:, probes],
         edges=edges,
-        visited=np.stack([edge, share], axis=1),
+        visited=np.stack(np.broadcast_arrays(spot.edge, spot.share), axis=1),
     )
 
 
@@ -122,16 +123,38 @@ def make_signature(values: Array) -> Array:
     return np.asarray(np.sqrt(np.divide(values, total, out=np.zeros_like(values), where=total > 0.0)))
 
 
-def locate(signature: Array, nodes: Array, edges: NDArray[np.intp]) -> tuple[NDArray[np.intp], Array, Array]:
-    """Return the nearest edge of each signature (n, M), the share of its second node, and the distance, (n,) each."""
-    start = nodes[edges[:, 0]]
-    step = nodes[edges[:, 1]] - start
-    apart = signature[:, None] - start
-    share = np.clip((apart * step).sum(axis=-1) / np.maximum((step**2).sum(axis=-1), 1e-12), 0.0, 1.0)
-    distance = np.linalg.norm(apart - share[..., None] * step, axis=-1)
-    edge = distance.argmin(axis=1)
-    rows = np.arange(len(signature))
-    return edge, share[rows, edge], distance[rows, edge]
+class Spot(NamedTuple):
+    """Places on the tree: numbers of NumPy or of Dr.Jit."""
+
+    edge: Any
+    first: Any
+    """The node at the start of the edge."""
+    second: Any
+    """The node at its end."""
+    share: Any
+    """Share of the second node, 0 to 1."""
+    gap: Any
+    """Square of the distance from the edge."""
+    level: Any = None
+    """See `TextureNodes.weight`."""
+
+
+def locate(xp: Namespace, signature: Any, nodes: Array, edges: NDArray[np.intp]) -> Spot:
+    """Return the places on the tree of the nodes (K, M) that are nearest to signatures, given as M numbers each."""
+    spots: list[Spot] = []
+    for edge, (first, second) in enumerate(edges.tolist()):
+        step = (nodes[second] - nodes[first]).tolist()
+        apart = subtract(signature, nodes[first].tolist())
+        share = dot(apart, step) * (1.0 / max(dot(step, step), 1e-12))
+        # A share that is no number becomes 0.
+        share = xp.where(share > 0.0, xp.minimum(share, 1.0), 0.0)
+        away = subtract(apart, scale(step, share))
+        spots.append(Spot(edge, first, second, share, dot(away, away)))
+    best = spots[0]
+    for spot in spots[1:]:
+        nearer = spot.gap < best.gap
+        best = Spot(*(xp.where(nearer, one, other) for one, other in zip(spot[:5], best[:5], strict=True)))
+    return best
 
 
 def _evaluate_places(bsdf: Any, parts: Parts, view: Array, light: Array, place: Array) -> tuple[Array, Array]:
@@ -193,7 +216,7 @@ def _choose_nodes(signature: Array, most: int) -> list[int]:
     while len(chosen) < most:
         nodes = signature[chosen]
         near = np.linalg.norm(signature[:, None] - nodes, axis=-1).min(axis=1)
-        gap = near if len(chosen) == 1 else locate(signature, nodes, _join_nodes(nodes))[2]
+        gap = near if len(chosen) == 1 else np.sqrt(locate(NUMPY, signature.T, nodes, _join_nodes(nodes)).gap)
         far = (near > _MAX_DISTANCE_TO_NODE) | (gap > _MAX_DISTANCE_TO_TREE)
         if far.mean() <= _MAX_SHARE_FAR:
             break
@@ -219,8 +242,8 @@ def _choose_probes(values: Array, nodes: Array, edges: NDArray[np.intp]) -> list
 
     def place(columns: list[int]) -> Array:
         of_nodes = make_signature(nodes[:, columns])
-        edge, share, _ = locate(make_signature(values[:, columns]), of_nodes, edges)
-        return whole_start[edge] + share[:, None] * whole_step[edge]
+        spot = locate(NUMPY, make_signature(values[:, columns]).T, of_nodes, edges)
+        return np.asarray(whole_start[spot.edge] + spot.share[:, None] * whole_step[spot.edge])
 
     whole = make_signature(nodes)
     whole_start = whole[edges[:, 0]]
