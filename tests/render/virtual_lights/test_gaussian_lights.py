@@ -12,6 +12,7 @@ from lobewise.metrics import rel_mse
 from tests.render.virtual_lights.test_virtual_lights import (
     PATHS_NOISE,
     assert_nothing_is_compiled_twice,
+    assert_same_seed_same_bits_whatever_the_order,
     expect_one_light,
     get_image,
     make_cornell_box,
@@ -119,19 +120,7 @@ def test_glossy_surfaces_have_less_error_than_by_point_lights(mi: Any, alpha: fl
 
 
 def test_same_seed_same_bits_whatever_the_order(cornell: Any) -> None:
-    from lobewise.render.bridge import dr, mi
-    from lobewise.render.materials.bsdfs import read_scene_materials
-    from lobewise.render.tracing.points import trace_points
-
-    method = make_clusters(cornell, count=256)
-    first = total(method.shade(view(cornell), samples=2, seed=7))
-    method.update()
-    np.testing.assert_array_equal(total(method.shade(view(cornell), samples=2, seed=7)), first)
-    assert not np.array_equal(total(method.shade(view(cornell), samples=2, seed=8)), first)
-    order = np.random.default_rng(0).permutation(32 * 32)[:100].astype(np.uint32)
-    size = (dr.opaque(mi.UInt32, 32), dr.opaque(mi.UInt32, 32))
-    some = trace_points(cornell, read_scene_materials(cornell), mi.UInt32(order), size)
-    np.testing.assert_array_equal(total(method.shade(some, samples=2, seed=7)), first[:, order])
+    assert_same_seed_same_bits_whatever_the_order(make_clusters(cornell, count=256), cornell)
 
 
 def test_nothing_is_compiled_twice(mi: Any) -> None:

@@ -343,21 +343,26 @@ def test_samples_are_parts_of_the_whole(cornell: Any) -> None:
     np.testing.assert_allclose(np.mean(few, axis=0).mean(axis=1), whole.mean(axis=1), rtol=0.01)
 
 
-@pytest.mark.nightly
-def test_same_seed_same_bits_whatever_the_order(cornell: Any) -> None:
+def assert_same_seed_same_bits_whatever_the_order(method: Any, scene: Any) -> None:
+    """Shade the Cornell box's view with a seed, whole and in parts, and with another."""
     from lobewise.render.bridge import dr, mi
     from lobewise.render.materials.bsdfs import read_scene_materials
     from lobewise.render.tracing.points import trace_points
 
-    method = make_lights(cornell, count=256, compensate=True)
-    first = total(method.shade(view(cornell), samples=2, seed=7))
+    first = total(method.shade(view(scene), samples=2, seed=7))
     method.update()
-    np.testing.assert_array_equal(total(method.shade(view(cornell), samples=2, seed=7)), first)
-    assert not np.array_equal(total(method.shade(view(cornell), samples=2, seed=8)), first)
+    np.testing.assert_array_equal(total(method.shade(view(scene), samples=2, seed=7)), first)
+    assert not np.array_equal(total(method.shade(view(scene), samples=2, seed=8)), first)
     order = np.random.default_rng(0).permutation(32 * 32)[:100].astype(np.uint32)
     size = (dr.opaque(mi.UInt32, 32), dr.opaque(mi.UInt32, 32))
-    some = trace_points(cornell, read_scene_materials(cornell), mi.UInt32(order), size)
+    some = trace_points(scene, read_scene_materials(scene), mi.UInt32(order), size)
     np.testing.assert_array_equal(total(method.shade(some, samples=2, seed=7)), first[:, order])
+
+
+@pytest.mark.nightly
+def test_same_seed_same_bits_whatever_the_order(cornell: Any) -> None:
+    method = make_lights(cornell, count=256, compensate=True)
+    assert_same_seed_same_bits_whatever_the_order(method, cornell)
     other = make_lights(cornell, count=256, seed=1)
     assert not np.array_equal(np.array(other.lights.si.p), np.array(method.lights.si.p))
 
@@ -421,10 +426,7 @@ def test_any_surface_and_emitter_agrees_with_paths(mi: Any, make_box_scene: Box,
     def ball(x: float, bsdf: dict[str, Any]) -> dict[str, Any]:
         return {"type": "sphere", "center": [x, 0.5, 0.0], "radius": 0.45, "bsdf": bsdf}
 
-    items: dict[str, Any] = {
-        "bumpy": ball(-0.7, bumpy),
-        "metal": ball(0.7, {"type": "twosided", "inner": metal}),
-    }
+    items: dict[str, Any] = {"bumpy": ball(-0.7, bumpy), "metal": ball(0.7, {"type": "twosided", "inner": metal})}
     if emitter in ("area", "sky"):
         # Paths never find a lamp without extent behind a mask; light paths pass through.
         items["sheet"] = {
