@@ -8,12 +8,7 @@ import pytest
 
 from lobewise import engine
 from lobewise.backend.jit import count_compiled_kernels
-from lobewise.backend.pointwise import (
-    Grid,
-    Vector,
-    is_finite,
-    select_or_nan,
-)
+from lobewise.backend.pointwise import Grid, Vector, is_finite, select_or_nan
 from lobewise.errors import InputError
 
 SIZES = [(1, 1), (1, 7), (3, 16), (2, 17), (17, 3), (5, 33), (64, 67)]

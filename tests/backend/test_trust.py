@@ -22,10 +22,7 @@ from lobewise.backend.trust import describe_folder_problem, describe_problem
 from lobewise.errors import FileError
 from tests.backend.test_jit import PROGRAM, make_elf
 
-pytestmark = [
-    pytest.mark.processor,
-    pytest.mark.skipif(os.name != "posix", reason="Windows has no modes of files"),
-]
+pytestmark = [pytest.mark.processor, pytest.mark.skipif(os.name != "posix", reason="Windows has no modes of files")]
 
 
 @pytest.fixture(autouse=True)

@@ -295,10 +295,7 @@ class TestMistakes:
 
     def test_unwritable_paths(self, frame_file, tmp_path, capsys):
         os.mkfifo(tmp_path / "pipe")
-        for path, words in (
-            ("/proc/out.exr", ""),
-            (tmp_path / "pipe", "a device or pipe"),
-        ):
+        for path, words in (("/proc/out.exr", ""), (tmp_path / "pipe", "a device or pipe")):
             err = fail(capsys, "denoise", frame_file, "--quality", "fast", "-o", path)
             assert f"--output '{path}'" in err
             assert words in err

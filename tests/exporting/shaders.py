@@ -62,13 +62,7 @@ COVARIANCES = {
     "make_anisotropic_ggx": "lobewise_make_anisotropic_ggx(normal, tangent, view, alpha, tau)",
     "make_anisotropic_asg": "lobewise_make_anisotropic_asg(normal, tangent, view, alpha, tau)",
 }
-OUTPUTS = {
-    **dict.fromkeys(WEIGHTS, 1),
-    "face": 3,
-    "make_sg": 4,
-    "make_mixture": 11,
-    **dict.fromkeys(COVARIANCES, 10),
-}
+OUTPUTS = {**dict.fromkeys(WEIGHTS, 1), "face": 3, "make_sg": 4, "make_mixture": 11, **dict.fromkeys(COVARIANCES, 10)}
 
 _FRAMES = {
     "wgsl": (

@@ -90,10 +90,7 @@ def test_folder_says_what_is_there(quick: Path) -> None:
     readme, header = (quick / "README.md").read_text(), (quick / "lobewise.h").read_text()
     told = json.loads((quick / "lobewise-export.json").read_text())
     names = [each["name"] for each in (*told["inputs"], *told["results"])]
-    assert names == [
-        *("radiance", "albedo", "normal", "alpha", "depth"),
-        *("image", "weight_sum", "effective_samples"),
-    ]
+    assert names == [*("radiance", "albedo", "normal", "alpha", "depth"), *("image", "weight_sum", "effective_samples")]
     for each in names:
         assert f"| `{each}` |" in readme
         assert f"float *{each};" in header

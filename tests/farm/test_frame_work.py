@@ -127,12 +127,7 @@ def test_paths_are_absolute(folder: Path, monkeypatch: pytest.MonkeyPatch) -> No
 
 
 @pytest.mark.parametrize(
-    ("options", "follows"),
-    [
-        ((), False),
-        (("--png",), True),
-        (("--png", "--exposure", "1"), False),
-    ],
+    ("options", "follows"), [((), False), (("--png",), True), (("--png", "--exposure", "1"), False)]
 )
 def test_which_frames_depend_on_others(
     options: tuple[str, ...], follows: bool, folder: Path, monkeypatch: pytest.MonkeyPatch

@@ -72,9 +72,6 @@ def test_what_workers_had_begun_when_the_scheduler_went_is_cleaned_up(tmp_path: 
     farm = FakeFarm({"a": describe_environment(with_oidn=False)}, on_task=die)
     with pytest.raises(LobewiseError, match="expected the scheduler"):
         filter_on_farm(
-            make_job(tmp_path),
-            cast(Any, contextlib.nullcontext(farm)),
-            tell=lambda _: None,
-            remark=lambda *_: None,
+            make_job(tmp_path), cast(Any, contextlib.nullcontext(farm)), tell=lambda _: None, remark=lambda *_: None
         )
     assert list(tmp_path.glob(".out.*.part")) == []

@@ -60,12 +60,7 @@ def make_job(folder: Path, numbers: Sequence[int] | None = None) -> FarmJob:
 
 def run_job(job: FarmJob, farm: FakeFarm) -> FarmReport:
     """Send a job to a farm, whose workers write nothing."""
-    return filter_on_farm(
-        job,
-        contextlib.nullcontext(cast(Any, farm)),
-        tell=lambda _: None,
-        remark=lambda *_: None,
-    )
+    return filter_on_farm(job, contextlib.nullcontext(cast(Any, farm)), tell=lambda _: None, remark=lambda *_: None)
 
 
 def test_the_earlier_run_ends_with_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

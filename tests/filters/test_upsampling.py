@@ -22,12 +22,7 @@ TOLERANCE = 2e-3
 
 
 def upsample_slowly(
-    low: FloatArray,
-    mask: np.ndarray,
-    features: list[Feature],
-    scale: int,
-    place: tuple[int, int],
-    albedo: np.ndarray,
+    low: FloatArray, mask: np.ndarray, features: list[Feature], scale: int, place: tuple[int, int], albedo: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return image and weight sum, sample by sample, from the definition."""
     height, width = mask.shape

@@ -10,13 +10,7 @@ import pytest
 
 from lobewise.errors import FileError
 from lobewise.fitting.ggx import ggx_brdf
-from lobewise.fitting.merl import (
-    BINS,
-    FILE_BYTES,
-    SCALES,
-    parse_merl,
-    to_half_difference,
-)
+from lobewise.fitting.merl import BINS, FILE_BYTES, SCALES, parse_merl, to_half_difference
 from tests.fitting.merl_tables import from_half_difference, get_bin_centres, make_merl, to_bytes
 
 

@@ -160,8 +160,6 @@ def test_too_many_lobes_in_a_table(guides, camera):
     gbuffer = GBuffer(**guides, material=material)
     table = make_table("one", 50.0)
     wide = {name: np.repeat(getattr(table, name), 2, axis=2) for name in ("axis", "sharpness", "twist", "amplitude")}
-    four = LobeTable(
-        **{**{name: getattr(table, name) for name in table.__dataclass_fields__}, **wide},
-    )
+    four = LobeTable(**{**{name: getattr(table, name) for name in table.__dataclass_fields__}, **wide})
     with pytest.raises(InputError, match="at most 4"):
         make_mixture_field(gbuffer, camera, tau=TAU, lobe_tables=[four], diffuse=True)

@@ -37,12 +37,7 @@ def run(worth: float, **settings: Any) -> tuple[Any, Any, list[tuple[int, int]],
 
 @pytest.mark.parametrize(
     ("worth", "settings", "parts"),
-    [
-        (NOISY, {}, NOISY_PARTS),
-        (CALM, {}, 1),
-        (NOISY, {"adaptive_parts": 1}, 1),
-        (CALM, {"adaptive_parts": 3}, 3),
-    ],
+    [(NOISY, {}, NOISY_PARTS), (CALM, {}, 1), (NOISY, {"adaptive_parts": 1}, 1), (CALM, {"adaptive_parts": 3}, 3)],
 )
 def test_parts_share_the_budget(worth: float, settings: dict[str, Any], parts: int) -> None:
     before, after, calls, again, _ = run(worth, **settings)

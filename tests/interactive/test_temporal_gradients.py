@@ -118,8 +118,7 @@ def test_a_single_sample_tells_no_change(former: Shaded) -> None:
 
 
 @pytest.mark.parametrize(
-    ("similarity", "follows"),
-    [("ggx", True), ("sg", True), ("auto", True), ("normal", False), ("sg_mixture", False)],
+    ("similarity", "follows"), [("ggx", True), ("sg", True), ("auto", True), ("normal", False), ("sg_mixture", False)]
 )
 def test_histories_follow_reflections_that_hits_tell(similarity: str, follows: bool) -> None:
     assert follows_hits(similarity) == follows

@@ -60,8 +60,7 @@ def test_what_is_missing_is_said(rng, tmp_path):
 def test_found_images_are_those_that_reading_fills(full_frame, rng, tmp_path):
     for trial in range(12):
         gbuffer = dataclasses.replace(
-            full_frame.gbuffer,
-            **{item.name: None for item in dataclasses.fields(GBuffer) if rng.random() < 0.5},
+            full_frame.gbuffer, **{item.name: None for item in dataclasses.fields(GBuffer) if rng.random() < 0.5}
         )
         variance = full_frame.variance if trial % 2 else None
         frame = Frame(full_frame.radiance, gbuffer, variance=variance, lobe_tables=full_frame.lobe_tables)

@@ -11,8 +11,7 @@ from lobewise.io.sequence import FramePattern, describe_gaps, is_pattern
 
 
 @pytest.mark.parametrize(
-    "text",
-    ["a.####.exr", "a.%04d.exr", "a%d.exr", "#", "x/a_##_b.exr", Path("a.#.exr"), "a@@.exr", "a.$F4.exr", "$F"],
+    "text", ["a.####.exr", "a.%04d.exr", "a%d.exr", "#", "x/a_##_b.exr", Path("a.#.exr"), "a@@.exr", "a.$F4.exr", "$F"]
 )
 def test_patterns_are_told_from_files(text):
     assert is_pattern(text)

@@ -98,10 +98,7 @@ _PLATES: dict[str, Make] = {
         "opacity": 0.4,
         "inner": {"type": "twosided", "inner": {"type": "roughconductor", "alpha": 0.1}},
     },
-    "pane": lambda _: {
-        "type": "thindielectric",
-        "specular_transmittance": {"type": "rgb", "value": [0.9, 0.3, 0.5]},
-    },
+    "pane": lambda _: {"type": "thindielectric", "specular_transmittance": {"type": "rgb", "value": [0.9, 0.3, 0.5]}},
     "pane under a bump map": lambda mi: {
         "type": "bumpmap",
         "texture": make_texture(mi, 0.0, 0.01),

@@ -64,8 +64,7 @@ def test_an_instance_moves_by_its_own_name(mi: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["null", "mask", "mask of a mask", "pane", "bump map of a pane", "normal map of a mask", "blend", "diffuse"],
+    "name", ["null", "mask", "mask of a mask", "pane", "bump map of a pane", "normal map of a mask", "blend", "diffuse"]
 )
 def test_what_passes_a_surface_is_what_its_samples_let_pass(mi: Any, name: str) -> None:
     from lobewise.render.bridge import dr

@@ -266,11 +266,7 @@ def test_centre_ray_passes_what_is_mostly_transparent(mi: Any) -> None:
             "bsdf": {"type": "mask", "opacity": opacity, "inner": inner},
         }
 
-    back = {
-        "type": "rectangle",
-        "to_world": mi.ScalarTransform4f().translate([0, 0, -2]).scale(60),
-        "bsdf": MIRROR,
-    }
+    back = {"type": "rectangle", "to_world": mi.ScalarTransform4f().translate([0, 0, -2]).scale(60), "bsdf": MIRROR}
     for opacity, z in ((0.2, -2.0), (0.8, 1.0)):
         gbuffer = render(mi, a=veil(2.0, 0.3), b=veil(1.0, opacity), c=back, spp=2).gbuffer
         assert np.allclose(gbuffer.position[..., 2], z, atol=1e-3), opacity

@@ -173,14 +173,7 @@ class TestMovingObjects:
     @pytest.mark.parametrize("degrees", [0.0, -1.5])
     @pytest.mark.nightly
     def test_motion_leads_to_where_the_point_was(self, mi: Any, name: str, degrees: float) -> None:
-        from lobewise.render import (
-            MovingScene,
-            find_orbit_centre,
-            get_camera,
-            make_orbit,
-            render_frame,
-            set_camera,
-        )
+        from lobewise.render import MovingScene, find_orbit_centre, get_camera, make_orbit, render_frame, set_camera
 
         size, moving = 96, MovingScene(name, 96)
         scene = moving.load(0)
@@ -189,11 +182,7 @@ class TestMovingObjects:
         scene = moving.load(self.STEPS)
         set_camera(scene, cameras[1])
         frame = render_frame(
-            scene,
-            spp=1,
-            aov_only=True,
-            previous_camera=cameras[0],
-            moves=moving.compute_moves(self.STEPS, 0),
+            scene, spp=1, aov_only=True, previous_camera=cameras[0], moves=moving.compute_moves(self.STEPS, 0)
         )
         guides = frame.gbuffer
         objects = self.list_objects(name, guides.position.astype(np.float64))

@@ -81,10 +81,7 @@ def test_direct_light_is_the_path_tracers(stages: Stages, showroom: Any) -> None
     stages.place_camera(stages.start_camera, SIZE, SIZE)
     parts = [shade_direct(stages, seed) for seed in range(256)]
     reference = render_frame(showroom, spp=1024, max_depth=2).radiance
-    for name, expected in (
-        ("diffuse", reference.diffuse),
-        ("specular", reference.specular),
-    ):
+    for name, expected in (("diffuse", reference.diffuse), ("specular", reference.specular)):
         mean = np.mean([getattr(part, name) for part in parts], axis=0)
         assert mean.mean() == pytest.approx(expected.mean(), rel=MEAN_NOISE), name
         # Pixel by pixel but for edges, where a centre is no average.

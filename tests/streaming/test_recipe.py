@@ -225,13 +225,7 @@ def test_a_frame_is_measured_where_something_hangs_on_it(tmp_path: Path) -> None
     ):
         write_frame(tmp_path / "in.exr", case)
         told: list[Progress] = []
-        denoise_file(
-            tmp_path / "in.exr",
-            tmp_path / "out.exr",
-            quality=quality,
-            progress=told.append,
-            **options,
-        )
+        denoise_file(tmp_path / "in.exr", tmp_path / "out.exr", quality=quality, progress=told.append, **options)
         assert any(each.stage == "measuring" for each in told) == expected
 
 

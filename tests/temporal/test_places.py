@@ -67,11 +67,7 @@ def test_flat_mirror_is_exact(previous: Camera) -> None:
     hits = points + distance[..., None] * reflect(rays, normal)
     mirrored = hits - 2.0 * (hits @ normal)[..., None] * normal
     places = compute_virtual_places(
-        points.astype(np.float32),
-        np.zeros((HEIGHT, WIDTH), np.float32),
-        distance.astype(np.float32),
-        CAMERA,
-        previous,
+        points.astype(np.float32), np.zeros((HEIGHT, WIDTH), np.float32), distance.astype(np.float32), CAMERA, previous
     )
     assert places.dtype == np.float32
     np.testing.assert_allclose(places, look(previous, mirrored), rtol=0.0, atol=ROUNDING)

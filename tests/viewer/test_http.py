@@ -52,11 +52,7 @@ VIEW = {
     "look_at": [0.0, 0.0, 0.0],
     "up_direction": [0, 1, 0],
 }
-CONTROLS = {
-    "list": Control(choices=("image", "normals")),
-    "slider": Control(low=-10, high=10.5),
-    "box": Control(),
-}
+CONTROLS = {"list": Control(choices=("image", "normals")), "slider": Control(low=-10, high=10.5), "box": Control()}
 
 
 def visit(

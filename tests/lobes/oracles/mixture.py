@@ -81,13 +81,7 @@ def spread_ggx_mixture(
 
 
 def make_ggx_mixture(
-    view: ArrayLike,
-    normal: ArrayLike,
-    alpha: ArrayLike,
-    *,
-    lobes: int = 3,
-    albedo: ArrayLike = 1.0,
-    tau: float = 0.0,
+    view: ArrayLike, normal: ArrayLike, alpha: ArrayLike, *, lobes: int = 3, albedo: ArrayLike = 1.0, tau: float = 0.0
 ) -> SgMixture:
     """Return the coaxial mixture for an isotropic GGX reflection about the mirror direction (Wang et al. 2009).
 

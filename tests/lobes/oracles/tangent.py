@@ -62,11 +62,7 @@ def make_tangent_lobe(
     TangentLobe
     """
     view, normal, alpha_u, alpha_v, tangent_ = as_reals(
-        view,
-        normal,
-        alpha_u,
-        alpha_u if alpha_v is None else alpha_v,
-        normal if tangent is None else tangent,
+        view, normal, alpha_u, alpha_u if alpha_v is None else alpha_v, normal if tangent is None else tangent
     )
     tangents = None if tangent is None else (_split(tangent_), _split(np.cross(normal, tangent_)))
     lobe = make_covariance_lobe(

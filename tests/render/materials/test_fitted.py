@@ -211,11 +211,7 @@ class TestAgainstFormulas:
         for columns in (8, 1):
             rows = rng.random((6, columns, 11)).astype(np.float32)
             fit = Fit(
-                Parts(False, True, False, True, False, False, True),
-                LobeKind.GGX,
-                (),
-                0.4 if columns > 1 else 0.0,
-                rows,
+                Parts(False, True, False, True, False, False, True), LobeKind.GGX, (), 0.4 if columns > 1 else 0.0, rows
             )
             si.wi = mi.Vector3f(np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine]).astype(np.float32))
             found = np.array([np.array(value) for value in FittedLobes(fit).look_up(si, mi.Bool(True))])

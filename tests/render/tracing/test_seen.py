@@ -75,10 +75,7 @@ def test_both_lobes_count_and_the_normal_faces_the_ray(mi: Any) -> None:
     """Plastic seen from behind: its albedo is that which it has as the first surface."""
     plastic = {"type": "twosided", "inner": {"type": "roughplastic", "alpha": 0.3}}
     gbuffer = render(
-        mi,
-        floor=make_plane(mi, bsdf=MIRROR),
-        wall=make_plane(mi, z=WALL_Z, away=True, bsdf=plastic),
-        spp=64,
+        mi, floor=make_plane(mi, bsdf=MIRROR), wall=make_plane(mi, z=WALL_Z, away=True, bsdf=plastic), spp=64
     )
     on_floor = mark_floor(gbuffer)
     assert np.allclose(gbuffer.hit_normal[on_floor], (0, 0, 1), atol=EXACT)
