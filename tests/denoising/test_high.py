@@ -30,14 +30,11 @@ from lobewise.sparse_frame import make_sparse
 from lobewise.temporal import TemporalFilter
 from lobewise.upsampling import upsample
 from tests.denoising.test_denoising import SHAPE, make_frame
-from tests.denoising.test_quality_modes import FAR, make_shadowed, measure
+from tests.denoising.test_quality_modes import FAR, SCALED, assert_scales, make_shadowed, measure
 
 CHEAP: dict[str, Any] = {"quality": "high", "similarity": "normal"}
 """Lobes take the most time to compile."""
 
-SCALED = {1e-6: 5e-3, 3.0: 2e-3, 1e6: 5e-3}
-"""How far a frame may come out unlike k times another, relative, by k: the rounding of a logarithm of 10, times
-differences of 1, over the least variance that guides assume; less where the logarithm is."""
 ROUNDING = 1e-6
 """Relative: a weighted mean in float32."""
 
@@ -107,18 +104,6 @@ class TestRefinement:
         assert measure(first.image[FAR], truth[FAR]) < 0.1 * measure(frame.radiance.color[FAR], truth[FAR])
         if apart:
             assert_scales(3.0, **CHEAP)
-
-
-def assert_scales(factor: float, **settings: Any) -> None:
-    """Raise AssertionError unless a brighter frame comes out as a brighter image."""
-    frame, _ = make_shadowed()
-
-    def scale(radiance: Radiance) -> Radiance:
-        return Radiance(*(factor * getattr(radiance, name) for name in ("color", "diffuse", "specular")))
-
-    scaled = {name: scale(getattr(frame, name)) for name in ("radiance", "half_a", "half_b")}
-    plain, bright = (denoise(each, **settings) for each in (frame, frame.with_changes(**scaled)))
-    np.testing.assert_allclose(bright.image, factor * plain.image, rtol=SCALED[factor])
 
 
 @pytest.mark.usefixtures("networks")
