@@ -25,6 +25,7 @@ HEAVY = {
     "PIL",
     "pyoidn",
     "flip_evaluator",
+    "lobewise.io",
 }
 
 # Every help, one after the other in one process: the first that loads something is the one to blame.

@@ -73,6 +73,8 @@ def test_all_options_are_in_the_long_help_and_the_usual_ones_in_the_plain_help(
             assert heads[1]
             assert bool(heads[0]) == (one.rich_help_panel not in RARE)
         assert " ".join(one.help.split()) in " ".join(everything.split())
+    for verb in getattr(VERBS[words], "commands", {}):
+        assert re.search(rf"^  {verb}\b", plain, re.MULTILINE)
     assert not any(f"\n{title}:" in plain for title in RARE)
 
 
