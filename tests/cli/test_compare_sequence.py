@@ -199,20 +199,6 @@ class TestMistakes:
         capsys.readouterr()
         assert "got no 'g.0002.exr'" in fail(capsys, "a.####.exr", "-r", "r.####.exr", "--guides", "g.####.exr")
 
-    @pytest.mark.parametrize(
-        "words",
-        [
-            ("a.####.exr", "-r", "r.0001.exr"),
-            ("a.0001.exr", "-r", "r.####.exr"),
-            ("a.####.exr", "b.0001.exr", "-r", "r.####.exr"),
-            ("a.####.exr", "-r", "r.####.exr", "--guides", "g.0001.exr"),
-            ("a.0001.exr", "-r", "r.0001.exr", "--guides", "g.####.exr"),
-            ("a.0001.exr", "-r", "r.0001.exr", "--guides", "g.0001.exr"),
-        ],
-    )
-    def test_sequences_and_files_together(self, films, words, capsys):
-        assert "sequences: expected names such as a.####.exr for all" in fail(capsys, *words)
-
     def test_nothing_there(self, films, capsys):
         assert "did you mean 'a.####.exr'?" in fail(capsys, "a.###.exr", "-r", "r.####.exr")
 

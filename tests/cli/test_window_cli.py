@@ -51,8 +51,6 @@ def test_a_missing_number_ends_the_window(folder):
     np.testing.assert_allclose(read_color(folder / "o.0002.exr"), wanted, rtol=2e-3, atol=1e-3)
 
 
-
-
 def test_parts_of_a_sequence_are_those_of_the_whole(folder):
     assert denoise(folder, "--window", "1") == 0
     whole = {path.name: path.read_bytes() for path in folder.glob("o.*")}

@@ -72,10 +72,6 @@ class TestVerb:
         assert done.returncode == (0 if works else 2)
         assert re.search(told, done.stdout)
 
-    def test_arguments_are_refused(self, capsys: pytest.CaptureFixture[str]) -> None:
-        assert run(["doctor", "now"]) == 2
-        assert "see lobewise doctor --help" in capsys.readouterr().err
-
 
 class TestReport:
     def test_fatal_problems_come_first(self) -> None:

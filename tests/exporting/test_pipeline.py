@@ -312,28 +312,6 @@ def test_every_step_says_what_it_does(settings: dict[str, Any]) -> None:
             assert "`" not in each.text
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--plan", "fast", "--no-halves"], "what a pipeline can contain"),
-        (["--plan", "balanced", "--hit-guides", "--layers", "color"], "what a pipeline can contain"),
-        (["--plan", "fast", "--coverage"], "what a pipeline can contain"),
-        (["--plan", "fast", "--history", "--similarity", "sg_mixture"], "what a pipeline can contain"),
-        (["--plan", "fast", "--similarity", "diffuse"], "choose the plan filter"),
-        (["--plan", "fast", "--emission", "--layers", "color"], "what a pipeline can contain"),
-        (["--plan", "fast", "--emission", "--upsample", "2"], "what a pipeline can contain"),
-        (["--plan", "filter", "--history"], "history with the plan filter"),
-        (["--similarity", "normal", "--hit-distance"], "a similarity of lobes"),
-    ],
-)
-def test_what_a_pipeline_cannot_contain_is_refused(
-    words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["export", "pipeline", *words, "-o", str(tmp_path / "out")]) == 2
-    assert said in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
 def test_settings_name_no_unknown_layers() -> None:
     with pytest.raises(InputError, match="layers"):
         PipelineSettings(layers="three")  # type: ignore[arg-type]

@@ -59,17 +59,6 @@ def test_an_address_that_is_none(folder: Path, capsys: pytest.CaptureFixture[str
 
 
 @pytest.mark.parametrize(
-    "address", ["tcp://host:8786", "host:8786", "tcp://10.0.0.7:1", "ws://[2001:db8::1]:1", "tcp://["]
-)
-def test_another_machine_needs_tls_or_a_word(address: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    told = fail(capsys, "in.#.exr", "-o", "out.#.exr", "--farm", address)
-    assert told == (
-        "lobewise: --farm: expected an address that begins with tls://, or one of this machine, got "
-        f"{address!r}; give Dask certificates, or add --insecure in a network that strangers cannot reach.\n"
-    )
-
-
-@pytest.mark.parametrize(
     "address", ["tls://host:8786", "wss://host:1", "tcp://127.0.0.1:8786", "localhost:8786", "tcp://[::1]:1"]
 )
 def test_tls_and_this_machine_are_secure(address: str) -> None:

@@ -97,33 +97,6 @@ def test_materials_come_along(folder: Path, full_frame: Any) -> None:
     assert (folder / "out.exr").read_bytes() == (folder / "whole.exr").read_bytes()
 
 
-@pytest.mark.parametrize(
-    ("options", "told"),
-    [
-        (["--bands", "0"], "--bands: expected auto, off or a number of rows, got '0'; leave it out."),
-        (["--bands", "-4"], "--bands: expected auto, off or a number of rows, got '-4'; leave it out."),
-        (["--bands", "many"], "--bands: expected auto, off or a number of rows, got 'many'; leave it out."),
-        (
-            ["--bands", "9", "--with-oidn"],
-            "--bands: expected auto or off with --with-oidn, which takes whole frames, got 9; drop one of them.",
-        ),
-        (
-            ["--bands", "9", "--adaptive", "5%", "--scene", "showroom"],
-            "--bands: expected auto or off with --adaptive, which takes whole frames, got 9; drop one of them.",
-        ),
-    ],
-    ids=str,
-)
-def test_mistakes_are_one_sentence(
-    options: list[str], told: str, folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert denoise(folder, *options) == 2
-    error = capsys.readouterr().err
-    assert error.startswith(f"lobewise: {told}")
-    assert error.count("\n") == 1
-    assert os.listdir(folder) == ["in.exr"]
-
-
 def test_mistakes_in_a_file_are_told_with_its_name(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_frame(folder / "in.exr", change_radiance(make_scene((20, 19)), slice(None), slice(None), np.nan))
     for bands in ("off", "9"):
