@@ -155,7 +155,7 @@ MISTAKES = {
     "denoise gone.#.exr -o x.#.exr --workers 2 --farm tcp://a:1": "--workers: expected no --farm beside it, whose ",
     "denoise gone.#.exr -o x.#.exr --insecure": "--insecure: expected --farm beside it, got no address; leave it out.",
     f"denoise a.exr {TO} --farm tcp://a:1": "--farm: expected a sequence such as 'in.####.exr', got 'a.exr'; put # ",
-    "denoise in.#.exr -o x.#.exr --farm tcp://host:8786": "--farm: expected …; give Dask certificates, or add --insecure ",
+    "denoise in.#.exr -o x.#.exr --farm tcp://host:8786": "--farm: expected …; give Dask certificates, or add ",
     "denoise in.#.exr -o x.#.exr --farm host:8786": "--farm: expected an address that begins with tls://, or one of ",
     "denoise in.#.exr -o x.#.exr --farm tcp://10.0.0.7:1": "--farm: expected an address that begins with tls://, or ",
     "denoise in.#.exr -o x.#.exr --farm 'ws://[2001:db8::1]:1'": "--farm: expected an address that begins with ",

@@ -60,21 +60,8 @@ def test_a_result_is_refused(own: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert REFUSED in refuse(capsys, tmp_path / "noisy.exr", "--half", own, "-o", output)
     assert not output.exists()
     # Whoever names the image means it.
-    assert (
-        run(
-            [
-                "denoise",
-                str(own),
-                "-o",
-                str(output),
-                "--map",
-                "color=R,G,B",
-                "--map",
-                "normal=normal.X,normal.Y,normal.Z",
-            ]
-        )
-        == 0
-    )
+    named = ["--map", "color=R,G,B", "--map", "normal=normal.X,normal.Y,normal.Z"]
+    assert run(["denoise", str(own), "-o", str(output), *named]) == 0
     (told,) = (note for note in describe_file(own).notes if "Lobewise has denoised this file" in note)
     assert told.endswith("give the noisy render.")
     assert told in denoise_file(own, output).notes

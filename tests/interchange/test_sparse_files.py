@@ -59,11 +59,3 @@ def test_a_sequence_of_foreign_files_has_a_history(tmp_path: Path) -> None:
     first, second = (read_channels(tmp_path / f"o.{number}.exr")["G"] for number in (1, 2))
     assert np.isfinite(second).all()
     assert not np.array_equal(first, second)
-
-
-def test_a_foreign_file_without_scale_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_sparse(tmp_path / "in.exr", 2)
-    assert run(["upsample", str(tmp_path / "in.exr"), "-o", str(tmp_path / "out.exr")]) == 2
-    told = "expected --scale for a file of another renderer, whose header names no shaded pixels, got none"
-    assert told in capsys.readouterr().err
-    assert not (tmp_path / "out.exr").exists()
