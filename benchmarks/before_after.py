@@ -73,7 +73,7 @@ def make_cases() -> dict[str, Callable[[], Any]]:
 
 def make_interactive() -> Callable[[], Any]:
     """Return what renders the next frame of the interactive chain by paths, to and fro on an orbit."""
-    from lobewise.bench.interactive import DEGREES_PER_FRAME
+    from lobewise.cli.bench.interactive import DEGREES_PER_FRAME
 
     frames: Iterator[Any] | None = None
 

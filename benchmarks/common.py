@@ -7,9 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from lobewise.bench.machine import describe_machine
-from lobewise.frame import Frame
+from lobewise.cli.bench.machine import describe_machine
 from lobewise.io.exr import read_frame, write_frame
+from lobewise.records.frame import Frame
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"

@@ -13,7 +13,7 @@ import numpy as np
 
 import lobewise
 from lobewise.metrics import rel_mse
-from lobewise.sparse_frame import list_places
+from lobewise.records.sparse_frame import list_places
 
 SCALE = 4
 NOISE = 0.1

@@ -18,9 +18,9 @@ import numpy as np
 
 import lobewise
 from lobewise import Frame, Radiance
-from lobewise.bench.filters import add_halves, list_jobs
-from lobewise.bench.plane import make_frame as make_plane
-from lobewise.doctor.machine import examine_kernels
+from lobewise.cli.bench.filters import add_halves, list_jobs
+from lobewise.cli.bench.plane import make_frame as make_plane
+from lobewise.cli.doctor.machine import examine_kernels
 from lobewise.errors import LobewiseError
 from lobewise.filters.noise.albedo import clean_albedo
 from lobewise.interactive import InteractiveSettings, Session

@@ -11,7 +11,7 @@ import numpy as np
 
 from lobewise import Camera, Frame, GBuffer, Radiance
 from lobewise.filters.dual_buffer import MORE_AT_ONCE
-from lobewise.radiance import LOBES, RadianceLayer
+from lobewise.records.radiance import LOBES, RadianceLayer
 
 SIZE = 24, 40
 NARROW = 8

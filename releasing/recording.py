@@ -22,7 +22,7 @@ from lobewise.backend import jit
 from lobewise.backend.devices import make_target
 from lobewise.backend.signature import Parameter, check_call
 from lobewise.engine.here import Here
-from lobewise.temporal import past
+from lobewise.recipes.temporal import past
 
 FAULT_FINDERS = ("odd", "lost", "filtered_sum")
 """Names of kernels that return whether a pixel is impossible."""

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.camera import Camera
-from lobewise.frame import Frame, GBuffer, Radiance
-from lobewise.lobe_table import LobeTable
+from lobewise.records.camera import Camera
+from lobewise.records.frame import Frame, GBuffer, Radiance
+from lobewise.records.lobe_table import LobeTable
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lobewise.chunks import Chunk, run_chunks
+from lobewise.work.chunks import Chunk, run_chunks
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 40000), (257, 129)])

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.camera import Camera
 from lobewise.errors import InputError, choose_nearest, name_value, require_choice, require_integer
 from lobewise.interchange.preset import look_up_preset
+from lobewise.records.camera import Camera
 from lobewise.settings import DenoiseSettings
 
 QUALITIES = ("auto", "fast", "balanced", "high")

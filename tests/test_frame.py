@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.camera import Camera
 from lobewise.errors import InputError
-from lobewise.frame import Frame, GBuffer, Radiance, Result
-from lobewise.images import make_read_only
 from lobewise.io import read_frame, write_frame
-from lobewise.radiance import RadianceLayer
-from lobewise.sparse_frame import Rays, make_sparse
+from lobewise.records.camera import Camera
+from lobewise.records.frame import Frame, GBuffer, Radiance, Result
+from lobewise.records.images import make_read_only
+from lobewise.records.radiance import RadianceLayer
+from lobewise.records.sparse_frame import Rays, make_sparse
 
 
 def make_camera(**changes: Any) -> Camera:
@@ -216,5 +216,6 @@ def test_files_are_read_without_a_second_copy(tmp_path: Path, monkeypatch: pytes
     image = make_writeable()
     frame = Frame(Radiance(image, diffuse=image, specular=image), GBuffer(normal=image, depth=image[..., 0]))
     write_frame(tmp_path / "a.exr", frame)
-    monkeypatch.setattr("lobewise.images._is_writeable", lambda array: array.flags.writeable and pytest.fail("a copy"))
+    name = "lobewise.records.images._is_writeable"
+    monkeypatch.setattr(name, lambda array: array.flags.writeable and pytest.fail("a copy"))
     read_frame(tmp_path / "a.exr")

@@ -14,17 +14,9 @@ SOURCE = Path(__file__).parents[1] / "src" / "lobewise"
 ROOMS = [
     "errors",
     "settings",
-    "chunks",
-    "progress",
-    "limits",
-    "lobe_table",
-    "camera",
-    "images",
-    "radiance",
+    "work",
     "display",
-    "result",
-    "frame",
-    "sparse_frame",
+    "records",
     "metrics",
     "lobes",
     "fitting",
@@ -39,24 +31,19 @@ ROOMS = [
     "peers",
     "interchange",
     "denoising",
-    "upsampling",
-    "adaptive",
-    "temporal",
-    "windows",
-    "streaming",
-    "sequence",
+    "recipes",
     "farm",
     "mitsuba",
     "interactive",
     "reporting",
     "exporting",
     "viewer",
-    "bench",
-    "doctor",
     "cli",
-    "__main__",
 ]
 INNER_ROOMS = {
+    "work": ["chunks", "progress", "limits", "arrays"],
+    "records": ["images", "radiance", "lobe_table", "camera", "result", "frame", "sparse_frame"],
+    "recipes": ["upsampling", "adaptive", "temporal", "windows", "streaming", "sequence"],
     "render": [
         "bridge",
         "frozen",
@@ -136,7 +123,8 @@ def list_nodes(path: Path) -> tuple[ast.AST, ...]:
 
 def get_room(path: Path) -> str:
     """Return the room of a source file."""
-    return path.relative_to(SOURCE).parts[0].removesuffix(".py")
+    room = path.relative_to(SOURCE).parts[0].removesuffix(".py")
+    return "cli" if room == "__main__" else room
 
 
 @cache

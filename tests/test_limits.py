@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 
 import lobewise
-from lobewise import limits
 from lobewise.cli.main import run
 from lobewise.denoising.plan import count_bytes, estimate_work_bytes
 from lobewise.errors import InputError, LimitError
-from lobewise.frame import Frame
-from lobewise.limits import GIB, get_limits, limit_call, require_memory, set_aside
 from lobewise.peers import MIN_LIBRARY_BYTES, bound_library_memory, denoise_oidn, has_oidn
+from lobewise.records.frame import Frame
+from lobewise.work import limits
+from lobewise.work.limits import GIB, get_limits, limit_call, require_memory, set_aside
 from tests.streaming.frames import make_scene
 
 SHAPE = (83, 19)

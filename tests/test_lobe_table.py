@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lobewise.errors import InputError
-from lobewise.lobe_table import LobeTable
+from lobewise.records.lobe_table import LobeTable
 
 
 @pytest.fixture

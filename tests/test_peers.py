@@ -14,8 +14,8 @@ import pytest
 
 from lobewise import peers
 from lobewise.errors import InputError
-from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.peers import OIDN_GUIDES, denoise_oidn, has_oidn, name_oidn_guides
+from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance
 
 pytestmark = pytest.mark.skipif(not has_oidn(), reason="needs Open Image Denoise: pip install 'lobewise[compare]'")
 
@@ -222,7 +222,7 @@ def test_guides_and_color_share_memory(rng: np.random.Generator) -> None:
     program = """
 import resource
 import numpy as np
-from lobewise.frame import Frame, GBuffer, Radiance
+from lobewise.records.frame import Frame, GBuffer, Radiance
 from lobewise.peers import denoise_oidn
 def measure():
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 import lobewise
-from lobewise import progress
 from lobewise.denoising.automatic import resolve_all
 from lobewise.denoising.plan import list_frame_steps
 from lobewise.denoising.recipe import NEGATIVE, OPACITY
 from lobewise.errors import CancelledError, InputError
-from lobewise.limits import check_limits
 from lobewise.peers import has_oidn, name_call
-from lobewise.progress import Progress, enter_stage, plan_stages, raise_cost, watch_call
 from lobewise.settings import DenoiseSettings
+from lobewise.work import progress
+from lobewise.work.limits import check_limits
+from lobewise.work.progress import Progress, enter_stage, plan_stages, raise_cost, watch_call
 from tests.streaming.frames import make_scene
 
 

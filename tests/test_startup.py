@@ -99,7 +99,7 @@ def test_the_package_needs_no_compiler_until_a_kernel_is_compiled() -> None:
 def test_every_public_name_is_listed_and_loads_alone() -> None:
     assert set(lobewise.__all__) <= set(dir(lobewise))
     code = "import lobewise; print(sorted(set(lobewise.__all__) - set(dir(lobewise))), lobewise.Frame.__module__)"
-    assert ask_python(code).stdout.strip() == "[] lobewise.frame"
+    assert ask_python(code).stdout.strip() == "[] lobewise.records.frame"
     assert ask_python("from lobewise import *; print(denoise.__module__)").stdout.startswith("lobewise.denoising")
     for name in lobewise.__all__:
         assert getattr(lobewise, name) is not None

@@ -35,10 +35,10 @@ from benchmarks.foreign.judging import WORST, Judge
 from benchmarks.performance.streaming import run
 from benchmarks.users.measuring import make_reference_judge
 from lobewise.display.tones import choose_exposure, map_tones
-from lobewise.frame import FloatArray, Frame
 from lobewise.interchange import read_frame
 from lobewise.metrics import EPSILON, find_disoccluded
 from lobewise.peers import denoise_oidn
+from lobewise.records.frame import FloatArray, Frame
 
 SPP = 16
 WAYS: dict[str, list[str]] = {

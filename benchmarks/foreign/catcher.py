@@ -16,9 +16,9 @@ import OpenEXR
 import lobewise
 from benchmarks.common import RESULTS, describe_machine, write_json
 from benchmarks.users.measuring import make_reference_judge
-from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.guides.survey import ALBEDOS
 from lobewise.peers import denoise_oidn
+from lobewise.records.frame import FloatArray, Frame, Radiance
 
 GRAY = 0.5
 """The background."""

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 
 REFERENCE = "reference"
 REFERENCES = (1, 2)

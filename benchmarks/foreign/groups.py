@@ -19,8 +19,8 @@ import numpy as np
 import lobewise
 from benchmarks.common import RESULTS, describe_machine, write_json
 from benchmarks.users.measuring import make_reference_judge
-from lobewise.frame import Radiance
 from lobewise.peers import denoise_oidn
+from lobewise.records.frame import Radiance
 
 QUALITIES = ("fast", "balanced", "high", "auto")
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.frame import FloatArray
 from lobewise.metrics import EPSILON
+from lobewise.records.frame import FloatArray
 
 WORST = 0.001
 """Share of the pixels that the second figure leaves out: a few bright dots can be most of the first."""

@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks.common import describe_machine, write_json
-from lobewise.camera import Camera
 from lobewise.display.tones import choose_exposure, map_tones
-from lobewise.frame import FloatArray
 from lobewise.interactive import InteractiveFrame, InteractiveSettings, Session
 from lobewise.io.png import encode_png
 from lobewise.metrics import find_specular_pixels, rel_mse
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray
 from lobewise.render import find_orbit_centre, make_orbit
 
 SCENES = ("showroom", "brushed", "parlour")

@@ -137,7 +137,7 @@ DENOISING = (
     ),
     Mutation(
         "light below 0 is added instead of subtracted",
-        "result.py",
+        "records/result.py",
         "image=self.image - other.image,",
         "image=self.image + other.image,",
         ("denoising/test_negative.py", "streaming/test_recipe.py"),
@@ -230,7 +230,7 @@ FILES = (
     ),
     Mutation(
         "a sequence goes on over a missing frame as if it were there",
-        "sequence.py",
+        "recipes/sequence.py",
         "cut=index == 0 or number != frames[index - 1][0] + 1)",
         "cut=index == 0)",
         ("cli/test_sequence.py", "io/test_sequence.py"),
@@ -240,28 +240,28 @@ FILES = (
 OVER_TIME = (
     Mutation(
         "motion vectors are followed the wrong way",
-        "temporal/past.py",
+        "recipes/temporal/past.py",
         "return _Places(add_grid(motion)), None",
         "return _Places(add_grid(-motion)), None",
         ("temporal/test_recipe.py", "temporal/test_past.py"),
     ),
     Mutation(
         "windows lose the light that is in no layer",
-        "windows/layers.py",
+        "recipes/windows/layers.py",
         "np.maximum(light.color - np.sum(before, axis=0) + np.sum(after, axis=0), np.float32(0.0))",
         "np.maximum(np.sum(after, axis=0), np.float32(0.0))",
         ("windows/test_windows.py",),
     ),
     Mutation(
         "rows and columns of the shaded pixels are swapped",
-        "sparse_frame.py",
+        "records/sparse_frame.py",
         "return slice(self.place[0], None, self.scale), slice(self.place[1], None, self.scale)",
         "return slice(self.place[1], None, self.scale), slice(self.place[0], None, self.scale)",
         ("denoising/test_upsampling.py", "filters/test_upsampling.py"),
     ),
     Mutation(
         "bands of rows begin where the network's blocks do not",
-        "streaming/plan.py",
+        "recipes/streaming/plan.py",
         "max(band[0] - reach, 0) // MULTIPLE * MULTIPLE",
         "max(band[0] - reach, 0)",
         ("streaming/test_bands.py", "streaming/test_recipe.py"),

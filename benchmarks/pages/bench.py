@@ -8,8 +8,8 @@ from typing import Any
 
 from benchmarks.common import ROOT
 from benchmarks.pages.tables import describe_run, judge, list_facts, make_table
-from lobewise.bench.filters import make_tables
-from lobewise.bench.machine import describe_machine_in_words
+from lobewise.cli.bench.filters import make_tables
+from lobewise.cli.bench.machine import describe_machine_in_words
 
 MACHINES = ROOT / "benchmarks" / "results" / "machines"
 MAX_MILLISECONDS_OF_HELP = 300.0

@@ -29,10 +29,10 @@ import lobewise
 from benchmarks.common import RESULTS, describe_machine, write_json
 from benchmarks.same_bits.frames import load_bundled, roughen
 from lobewise.backend.runtime import Runtime
-from lobewise.bench.timing import limit_threads
+from lobewise.cli.bench.timing import limit_threads
 from lobewise.denoising import combining
-from lobewise.frame import Frame
 from lobewise.peers import denoise_oidn
+from lobewise.records.frame import Frame
 
 RESULT = RESULTS / "budget.json"
 SIZE = (1920, 1080)

@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.camera import Camera
 from lobewise.exporting.shaders.chains import make_chain
 from lobewise.exporting.shaders.constants import compute_constants, pack_constants
 from lobewise.exporting.shaders.passes import WORKGROUP, Chain, Lifetime, Pass, write_pass
+from lobewise.records.camera import Camera
 from lobewise.settings import ResolvedSettings
 
 CASES = (

@@ -16,11 +16,11 @@ import numpy as np
 
 from benchmarks.common import RESULTS, describe_machine, write_json
 from lobewise.backend.devices import list_devices
-from lobewise.bench.plane import make_frame
-from lobewise.bench.timing import time_best
+from lobewise.cli.bench.plane import make_frame
+from lobewise.cli.bench.timing import time_best
 from lobewise.denoising import denoise
 from lobewise.errors import DeviceError
-from lobewise.frame import Frame
+from lobewise.records.frame import Frame
 
 CASES: dict[str, dict[str, Any]] = {
     "fast, separable, sg": {"quality": "fast", "form": "separable", "similarity": "sg"},

@@ -15,12 +15,12 @@ from typing import Any
 
 import lobewise
 from benchmarks.common import RESULTS, describe_machine, write_json
-from lobewise.bench.filters import make_kernel_calls
-from lobewise.bench.plane import make_features, make_frame
-from lobewise.bench.timing import time_best
+from lobewise.cli.bench.filters import make_kernel_calls
+from lobewise.cli.bench.plane import make_features, make_frame
+from lobewise.cli.bench.timing import time_best
 from lobewise.filters.forms import count_taps
-from lobewise.frame import Frame
 from lobewise.peers import denoise_oidn, has_oidn
+from lobewise.records.frame import Frame
 from lobewise.settings import FORM_NAMES
 
 SIZES = ((512, 512), (1024, 1024), (1920, 1080))
@@ -30,8 +30,8 @@ RADII = (8, 16)
 def time_kernels(frame: Frame, radius: int, form: str, seconds: float) -> dict[str, dict[str, float]]:
     """Return times of the similarities for one size, radius and form, and their ratios to ``normal``.
 
-    The frame is one of `lobewise.bench.plane.make_frame`; see `lobewise.filters.cross_filter.run_filter` and
-    `lobewise.bench.timing.time_best`.
+    The frame is one of `lobewise.cli.bench.plane.make_frame`; see `lobewise.filters.cross_filter.run_filter` and
+    `lobewise.cli.bench.timing.time_best`.
     """
     best = time_best(make_kernel_calls(frame, make_features(frame), radius, form), seconds)
     taps = count_taps(form, radius) * frame.width * frame.height

@@ -28,11 +28,11 @@ import lobewise
 from benchmarks.common import RESULTS, describe_machine, write_json
 from benchmarks.quality.frames import Bench
 from benchmarks.quality.measure import CACHE
-from lobewise.bench.timing import time_best
-from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
+from lobewise.cli.bench.timing import time_best
 from lobewise.io import describe_file
 from lobewise.io.exr import read_image, write_frame
 from lobewise.peers import has_oidn
+from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance
 
 RESULT = RESULTS / "startup.json"
 SIZE = (1920, 1080)

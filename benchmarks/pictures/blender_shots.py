@@ -20,8 +20,8 @@ from benchmarks.users.__main__ import make_shot
 from benchmarks.users.methods import METHODS
 from benchmarks.users.scenes import list_scenes
 from lobewise.display.tones import choose_exposure, map_tones
-from lobewise.frame import FloatArray
 from lobewise.peers import require_oidn
+from lobewise.records.frame import FloatArray
 
 SHOTS = ("bokeh_0", "foliage_1", "hair_0", "jewels_0", "fog_0", "street_1")
 SPP = 16

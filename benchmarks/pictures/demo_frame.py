@@ -17,8 +17,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 from benchmarks.common import ROOT
 from lobewise.cli.demo import FRAME, REFERENCE, REFERENCE_SEED
-from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.io import write_frame
+from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.render import render_frame, render_reference
 from lobewise.render.loading import build_scene
 from lobewise.scenes import parts

@@ -15,9 +15,9 @@ from scipy.ndimage import gaussian_filter
 
 from benchmarks.common import fetch_frame, write_json
 from benchmarks.quality.summary import HELD_OUT, TRAIN
-from lobewise.frame import FloatArray, Frame, GBuffer, LobeKind
 from lobewise.io.exr import read_image, write_image
 from lobewise.metrics import EPSILON
+from lobewise.records.frame import FloatArray, Frame, GBuffer, LobeKind
 from lobewise.render import load_scene, render_frame, render_reference
 
 Mask = NDArray[np.bool_]

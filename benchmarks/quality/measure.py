@@ -30,11 +30,11 @@ from benchmarks.common import RESULTS, describe_machine
 from benchmarks.quality.frames import FEWEST, SAMPLES, SCENES, SEEDS, Bench, Mask, classify_pixels
 from benchmarks.quality.methods import METHODS, NORMAL_EXPONENTS, SCREEN_SIGMAS, TUNING_SEED, Tuning, tune
 from benchmarks.quality.summary import HELD_OUT, TRAIN, make_lines, summarise
-from lobewise.bench.timing import time_best
+from lobewise.cli.bench.timing import time_best
 from lobewise.display.tones import choose_exposure, map_tones
 from lobewise.errors import MissingDependencyError
-from lobewise.frame import FloatArray, Frame
 from lobewise.metrics import flip, mse, rel_mse, smape
+from lobewise.records.frame import FloatArray, Frame
 
 RESULT = RESULTS / "quality.json"
 CACHE = Path("~/.cache/lobewise/quality")

@@ -12,9 +12,9 @@ import numpy as np
 from benchmarks.quality.frames import SAMPLES, Bench
 from benchmarks.quality.summary import TRAIN
 from lobewise.denoising import denoise
-from lobewise.frame import FloatArray, Frame
 from lobewise.metrics import rel_mse
 from lobewise.peers import denoise_oidn, has_oidn
+from lobewise.records.frame import FloatArray, Frame
 from lobewise.settings import DenoiseSettings
 
 NORMAL_EXPONENTS = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0, 4096.0)

@@ -27,8 +27,8 @@ from benchmarks.quality.measure import round_figure
 from benchmarks.users.measuring import make_reference_judge
 from benchmarks.users.scenes import OWN, list_scenes
 from lobewise.denoising.refining import network
-from lobewise.frame import FloatArray, Frame
 from lobewise.lobes.vectors import compute_image_luminance
+from lobewise.records.frame import FloatArray, Frame
 
 RESULT = RESULTS / "without_lobes.json"
 QUALITIES = ("fast", "balanced", "high")

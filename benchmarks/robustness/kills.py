@@ -24,10 +24,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.common import RESULTS, describe_machine, write_json
-from lobewise.camera import Camera
 from lobewise.errors import LobewiseError
-from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.io import read_image, write_frame
+from lobewise.records.camera import Camera
+from lobewise.records.frame import Frame, GBuffer, Radiance
 
 FRAMES = 3
 HEIGHT, WIDTH = 96, 128

@@ -10,7 +10,7 @@ import numpy as np
 import lobewise
 from benchmarks.common import SHOWROOM
 from lobewise import Frame, Radiance
-from lobewise.radiance import RadianceLayer
+from lobewise.records.radiance import RadianceLayer
 
 
 def load_bundled() -> Frame:

@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.performance.budget import RECIPES, RESULT, list_rises, make_calls, tile, time_processor
 from lobewise.backend.runtime import Runtime
-from lobewise.bench.plane import make_frame
+from lobewise.cli.bench.plane import make_frame
 
 
 def test_work_beside_kernels_is_no_kernel(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.camera import Camera
 from lobewise.display.tones import choose_exposure, map_tones
-from lobewise.frame import FloatArray, Frame, GBuffer, LobeKind, Radiance
 from lobewise.metrics import EPSILON, rel_mse
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray, Frame, GBuffer, LobeKind, Radiance
 
 quality: Any = None
 quality_frames: Any = None

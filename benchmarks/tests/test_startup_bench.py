@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.frame import FloatArray, Frame
 from lobewise.io import read_frame
 from lobewise.peers import has_oidn
+from lobewise.records.frame import FloatArray, Frame
 
 
 @pytest.fixture

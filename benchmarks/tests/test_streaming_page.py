@@ -12,7 +12,7 @@ import pytest
 
 from lobewise.denoising.automatic import ask, resolve_all
 from lobewise.denoising.bad_pixels import REFILL_REACH
-from lobewise.streaming.plan import MAX_WHOLE_GIB, MIN_ROWS, compute_band_reach
+from lobewise.recipes.streaming.plan import MAX_WHOLE_GIB, MIN_ROWS, compute_band_reach
 from tests.streaming.frames import make_scene
 from tests.test_docs import BUNDLED, ROOT
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.camera import Camera
-from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.io.exr import write_frame, write_image
+from lobewise.records.camera import Camera
+from lobewise.records.frame import Frame, GBuffer, Radiance
 from lobewise.settings import QUALITY_NAMES
 
 pytest.importorskip("mitsuba", reason="the bench shares modules with those that render")

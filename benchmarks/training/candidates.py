@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.training.frames import make_half, open_cache
-from lobewise.frame import Frame, GBuffer, Radiance
+from lobewise.records.frame import Frame, GBuffer, Radiance
 
 COLOR = "color"
 """The set without guides: light together, and nothing else."""

@@ -40,8 +40,8 @@ from benchmarks.training.rendering import (
 from benchmarks.users.guides import reduce_frame, sum_albedos
 from benchmarks.users.scenes import Scene, find_shots
 from lobewise.denoising.refining.inputs import RefinementInputs, collect_inputs
-from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.guides.lobe_fields import default_tau, make_sg_field
+from lobewise.records.frame import FloatArray, Frame, Radiance
 
 GUIDE_SETS = ("all", "unsplit", "passes", "plain", "color")
 """Sets of guides. "unsplit" has all guides beside one image of all light; the others are those of the users' bench."""

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.training.kinds import SALT
-from lobewise.frame import FloatArray, Frame
 from lobewise.peers import denoise_oidn
-from lobewise.radiance import Radiance
+from lobewise.records.frame import FloatArray, Frame
+from lobewise.records.radiance import Radiance
 from lobewise.render import load_mitsuba
 
 FEW, MANY = (1, 2, 4, 8, 16), (32, 64)

@@ -27,7 +27,7 @@ from benchmarks.training.candidates import (
     write_candidates,
 )
 from benchmarks.training.frames import open_cache
-from lobewise.frame import Frame, GBuffer, Radiance
+from lobewise.records.frame import Frame, GBuffer, Radiance
 
 PERIODS_PIXELS = (2.0, 12.0)
 CONTRASTS = (0.05, 1.0)

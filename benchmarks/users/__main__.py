@@ -28,8 +28,8 @@ from benchmarks.users.methods import METHODS, Shot, Tuning, list_methods, tune
 from benchmarks.users.scenes import Scene, list_scenes
 from benchmarks.users.summary import summarise
 from lobewise.errors import LobewiseError
-from lobewise.frame import Frame
 from lobewise.peers import require_oidn
+from lobewise.records.frame import Frame
 
 RESULT = RESULTS / "users.json"
 

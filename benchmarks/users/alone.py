@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 
 ALONE = 4.0
 """How many times brighter than all of its neighbours, or darker, a pixel is that stands alone."""

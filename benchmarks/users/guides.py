@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.interchange.reading import import_planes
+from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance
 
 GUIDE_SETS = ("all", "passes", "plain", "color")
 _COMPONENTS = {"normal": "XYZ", "denoiser_normal": "XYZ", "depth": "", "roughness": ""}

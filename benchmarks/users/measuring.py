@@ -12,8 +12,8 @@ from benchmarks.quality.measure import round_figure
 from benchmarks.users.alone import count_alone
 from benchmarks.users.methods import call_oidn
 from benchmarks.users.summary import UNKNOWN
-from lobewise.frame import FloatArray
 from lobewise.metrics import flip
+from lobewise.records.frame import FloatArray
 
 FIGURES = ("rel_mse", "doubt", "doubt over noisy", "without the worst", "flip", "energy", "bright", "dark")
 

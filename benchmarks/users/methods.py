@@ -14,8 +14,8 @@ import lobewise
 from benchmarks.foreign.judging import Judge
 from benchmarks.quality.methods import NORMAL_EXPONENTS, SCREEN_SIGMAS
 from benchmarks.users.guides import sum_albedos
-from lobewise.frame import FloatArray, Frame
 from lobewise.peers import denoise_oidn, has_oidn
+from lobewise.records.frame import FloatArray, Frame
 
 Tuning = Mapping[str, Mapping[str, float]]
 """By sample count, normal exponent and screen sigma of "normal-aware"."""

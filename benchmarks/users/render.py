@@ -20,8 +20,8 @@ from typing import Any
 from benchmarks.interiors.fetch import CACHE, parse_clones, prepare
 from benchmarks.interiors.scenes import INTERIORS
 from benchmarks.quality.frames import SCENES
-from lobewise.frame import Frame
 from lobewise.io.exr import write_frame
+from lobewise.records.frame import Frame
 from lobewise.render import load_scene, render_frame, render_reference
 
 SAMPLES = (1, 4, 16, 64, 256, 1024)

@@ -12,8 +12,8 @@ import numpy as np
 import lobewise
 from benchmarks.foreign.files import REFERENCE, REFERENCES, RENDERERS, Renderer, list_frames
 from benchmarks.quality.summary import TRAIN
-from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.io.exr import read_image
+from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance
 
 MITSUBA = Renderer("mitsuba", ("albedo", "normals"))
 FOREIGN = (*RENDERERS, MITSUBA)

@@ -19,11 +19,11 @@ from lobewise.exporting.shaders.chains import make_chain
 from lobewise.exporting.shaders.constants import compute_constants, pack_constants
 from lobewise.exporting.shaders.passes import Chain, write_pass
 from lobewise.exporting.shaders.writing import describe_chain, name_file
-from lobewise.frame import Frame, Radiance
+from lobewise.recipes.temporal.recipe import compute_own_weight
+from lobewise.recipes.upsampling import DEFAULT_RADIUS
+from lobewise.records.frame import Frame, Radiance
+from lobewise.records.sparse_frame import AnyFrame, SparseFrame, list_places
 from lobewise.settings import DenoiseSettings, TemporalSettings
-from lobewise.sparse_frame import AnyFrame, SparseFrame, list_places
-from lobewise.temporal.recipe import compute_own_weight
-from lobewise.upsampling import DEFAULT_RADIUS
 
 HERE = Path(__file__).parent
 SEQUENCE = HERE / "showroom-sequence.bin.gz"

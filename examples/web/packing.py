@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.camera import Camera
-from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance
 
 LIGHT_BITS = 5
 """Bits of the mantissa of noisy light: a rounding error of at most 1.6 %, where the noise is 100 % and more."""

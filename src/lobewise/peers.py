@@ -15,13 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.chunks import make_fork_lock
 from lobewise.errors import DeviceError, MissingDependencyError, make_printable, require_choice, require_kind
-from lobewise.frame import FloatArray, Frame
 from lobewise.guides.survey import STRIDE
-from lobewise.images import make_array
-from lobewise.limits import GIB, check_limits
-from lobewise.progress import enter_stage, follow_stage
+from lobewise.records.frame import FloatArray, Frame
+from lobewise.records.images import make_array
+from lobewise.work.chunks import make_fork_lock
+from lobewise.work.limits import GIB, check_limits
+from lobewise.work.progress import enter_stage, follow_stage
 
 LIBRARY_BYTES_PER_PIXEL = 820
 """Memory that the library works on, bytes, unless it is bounded."""

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend import expressions
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 
 
 def evaluate(function: Callable[[hl.Expr], hl.Expr], values: FloatArray) -> FloatArray:

@@ -17,7 +17,7 @@ import platformdirs
 import pytest
 
 import lobewise
-from lobewise import errors, frame, settings
+from lobewise import errors, settings
 from lobewise.backend import disk, expressions, jit, pointwise, trust
 from lobewise.backend.buffers import Buffer
 from lobewise.backend.disk import CacheWarning, fetch_object, locate_cache_folder
@@ -36,6 +36,7 @@ from lobewise.filters.history.accumulation_pass import make_accumulation
 from lobewise.filters.history.reprojection_pass import make_reprojection
 from lobewise.guides import lobe_fields
 from lobewise.guides.surfaces import mark_surface_pixels
+from lobewise.records import frame
 from tests.streaming.frames import make_scene
 
 pytestmark = pytest.mark.processor
@@ -171,7 +172,7 @@ KERNELS = {
 
 
 class TestSources:
-    CODE = "from lobewise.frame import Frame\nLIMIT = 3\ndef f(x):\n    return Frame(x + LIMIT)\n"
+    CODE = "from lobewise.records.frame import Frame\nLIMIT = 3\ndef f(x):\n    return Frame(x + LIMIT)\n"
 
     def test_comments_and_texts_change_nothing(self):
         told = '"""What it is."""\n# Why.\n' + self.CODE.replace("3\n", '3\n"""A limit."""\n').replace(
@@ -185,7 +186,7 @@ class TestSources:
 
     def test_what_a_definition_refers_to(self):
         source = take_apart(self.CODE)
-        assert source.imports == {"Frame": ["lobewise.frame.Frame"]}
+        assert source.imports == {"Frame": ["lobewise.records.frame.Frame"]}
         assert [reads for _, reads in source.definitions["f"]] == [["Frame", "LIMIT"]]
 
     def test_annotations_name_nothing_that_counts(self):
@@ -204,7 +205,7 @@ class TestSources:
         assert {"lobewise.backend.expressions.LOG2_COEFFICIENTS", "lobewise.features.base.Feature"} < set(found)
         assert "lobewise.features.asg.AsgFeature" not in found
         assert len(digest_definitions(["lobewise.filters.forms"])) == 8
-        assert not digest_definitions(["numpy", "lobewise.nothing", "lobewise.frame.nothing"])
+        assert not digest_definitions(["numpy", "lobewise.nothing", "lobewise.records.frame.nothing"])
 
     @pytest.mark.parametrize("kernel", KERNELS)
     @pytest.mark.parametrize(

@@ -143,7 +143,7 @@ class TestModes:
     def test_digests_of_sources_that_others_can_write_to_do_not_count(self, folder: Path) -> None:
         def describe() -> str:
             sources._open_kept.cache_clear()
-            return sources.describe_definitions(["lobewise.frame"])
+            return sources.describe_definitions(["lobewise.records.frame"])
 
         told = describe()
         path = folder / "sources.json"

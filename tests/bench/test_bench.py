@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from lobewise.bench.interactive import list_render_devices, measure_devices
-from lobewise.bench.machine import describe_machine
+from lobewise.cli.bench.interactive import list_render_devices, measure_devices
+from lobewise.cli.bench.machine import describe_machine
 from lobewise.cli.main import run
 from lobewise.errors import InputError
 from lobewise.interactive.interactive_frame import STAGES

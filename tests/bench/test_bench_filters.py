@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.bench import filters
-from lobewise.bench.filters import FULL_SIZE, OIDN, PARTS, QUICK_SIZE, add_halves, make_tables
-from lobewise.bench.machine import describe_machine
-from lobewise.bench.plane import SIMILARITIES, make_features, make_frame, make_mixture
-from lobewise.bench.timing import time_best
+from lobewise.cli.bench import filters
+from lobewise.cli.bench.filters import FULL_SIZE, OIDN, PARTS, QUICK_SIZE, add_halves, make_tables
+from lobewise.cli.bench.machine import describe_machine
+from lobewise.cli.bench.plane import SIMILARITIES, make_features, make_frame, make_mixture
+from lobewise.cli.bench.timing import time_best
 from lobewise.cli.main import run
 from lobewise.errors import DeviceError, InputError
 from lobewise.features import Feature
@@ -58,7 +58,7 @@ def test_candidates_run_in_turn_and_their_first_run_does_not_count(monkeypatch: 
 
         return call
 
-    monkeypatch.setattr("lobewise.bench.timing.time.perf_counter", lambda: now)
+    monkeypatch.setattr("lobewise.cli.bench.timing.time.perf_counter", lambda: now)
     candidates = {name: make_call(name) for name in "ab"}
     # Two rounds take 16 seconds; at least three are required.
     assert time_best(candidates, 10.0, rounds=3) == {"a": 2.0, "b": 5.0}
@@ -72,7 +72,7 @@ def test_more_rounds_follow_until_the_time_is_up(monkeypatch: pytest.MonkeyPatch
         nonlocal now
         now += 1.0
 
-    monkeypatch.setattr("lobewise.bench.timing.time.perf_counter", lambda: now)
+    monkeypatch.setattr("lobewise.cli.bench.timing.time.perf_counter", lambda: now)
     assert time_best({"a": call}, 10.0, rounds=2) == {"a": 1.0}
     assert now == 11.0
 

@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lobewise.camera import Camera
 from lobewise.cli.main import run
-from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.io import describe_file, read_frame, read_image, write_frame, write_image
 from lobewise.io.materials import read_lobe_table, write_lobe_table
 from lobewise.metrics import evaluate
+from lobewise.records.camera import Camera
+from lobewise.records.frame import Frame, GBuffer, Radiance
 from lobewise.settings import DenoiseSettings
 
 
@@ -171,7 +171,7 @@ class TestDenoise:
     def test_refilled_pixels_are_told_and_no_share_of_fireflies(self):
         """The share holds noise as well as light. Only clearly lost light gives a note."""
         from lobewise.cli.output import describe_result
-        from lobewise.frame import Result
+        from lobewise.records.frame import Result
 
         ones = np.ones((2, 3), np.float32)
         result = Result(np.ones((2, 3, 3), np.float32), ones, ones, ones > 2.0, {"quality": "balanced"}, 0.5)

@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lobewise.camera import Camera
 from lobewise.cli.comparing import _compare_sequences
 from lobewise.cli.main import run
-from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.io import write_frame, write_image, write_sparse_frame
 from lobewise.metrics import METRICS, evaluate, flicker, rel_mse
-from lobewise.sparse_frame import make_sparse
+from lobewise.records.camera import Camera
+from lobewise.records.frame import Frame, GBuffer, Radiance
+from lobewise.records.sparse_frame import make_sparse
 
 HEIGHT, WIDTH = 12, 20
 STEP = 2

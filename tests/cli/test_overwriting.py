@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from lobewise.cli.main import run
-from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.io import read_frame, write_frame, write_sparse_frame
-from lobewise.sparse_frame import SparseFrame
+from lobewise.records.frame import Frame, GBuffer, Radiance
+from lobewise.records.sparse_frame import SparseFrame
 
 ENDS = "expected a file that is not read, as its content would be lost, got the input"
 SIZE = 12, 16

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from lobewise.cli.main import run
-from lobewise.frame import Frame
 from lobewise.io import write_frame
-from lobewise.streaming import plan
+from lobewise.recipes.streaming import plan
+from lobewise.records.frame import Frame
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import pytest
 
 from lobewise.cli.main import run
 from lobewise.io import read_frame, read_sparse_frame
-from lobewise.sparse_frame import list_places
+from lobewise.records.sparse_frame import list_places
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ import pytest
 import lobewise
 from lobewise.errors import FileError, InputError
 from lobewise.io.sequence import FramePattern
-from lobewise.sequence import filter_sequence, name_checkpoint
+from lobewise.recipes.sequence import filter_sequence, name_checkpoint
 
 NUMBERS = (1, 2, 3, 4, 7, 8, 9)
 PATTERN, OUTPUT, KEPT = "in.####.npy", "out.####.npy", "out.lobewise-history.npz"
@@ -191,7 +191,7 @@ class TestGoingOn:
     def test_what_the_checkpoint_does_not_know_is_written_again(self, whole, folder, monkeypatch):
         # The clock advances with every call, so that a checkpoint is due after the fourth frame.
         clock = iter(range(1000))
-        monkeypatch.setattr("lobewise.sequence.time.monotonic", lambda: float(next(clock)))
+        monkeypatch.setattr("lobewise.recipes.sequence.time.monotonic", lambda: float(next(clock)))
         stop(8, seconds=4.0)
         assert list(list_outputs(folder)) == [f"out.{number:04d}.npy" for number in NUMBERS[:5]]
         (folder / "out.0007.npy").write_bytes(b"half of it")

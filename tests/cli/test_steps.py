@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from lobewise import progress
 from lobewise.backend.watching import tell_compiling
 from lobewise.cli.main import run
 from lobewise.cli.output import print_line, print_note
 from lobewise.cli.terminal import steps as steps_module
 from lobewise.cli.terminal.steps import COMPILING, Steps
-from lobewise.progress import Progress
+from lobewise.work import progress
+from lobewise.work.progress import Progress
 
 FOREIGN = Path(__file__).parents[1] / "data" / "foreign"
 CHEAP = ["--quality", "fast", "--similarity", "normal", "--radius", "1"]

@@ -13,8 +13,8 @@ from lobewise.cli.main import run
 from lobewise.denoising import denoise
 from lobewise.interchange import write_result
 from lobewise.io.exr import read_image
-from lobewise.sequence import filter_sequence, name_checkpoint
-from lobewise.sparse_frame import list_places, make_sparse
+from lobewise.recipes.sequence import filter_sequence, name_checkpoint
+from lobewise.records.sparse_frame import list_places, make_sparse
 from tests.temporal.scenes import make_camera, make_frame
 
 COUNT = 4

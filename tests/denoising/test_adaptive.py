@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.adaptive import choose_spp, find_unsupported, recompute
-from lobewise.adaptive.merging import MAX_KEPT_RATIO
-from lobewise.adaptive.recipe import KEPT_WORTH
 from lobewise.denoising import denoise
 from lobewise.errors import InputError
-from lobewise.frame import Radiance, Result
 from lobewise.metrics import rel_mse
-from lobewise.sparse_frame import make_sparse
-from lobewise.upsampling import upsample
+from lobewise.recipes.adaptive import choose_spp, find_unsupported, recompute
+from lobewise.recipes.adaptive.merging import MAX_KEPT_RATIO
+from lobewise.recipes.adaptive.recipe import KEPT_WORTH
+from lobewise.recipes.upsampling import upsample
+from lobewise.records.frame import Radiance, Result
+from lobewise.records.sparse_frame import make_sparse
 from tests.denoising.test_upsampling import make_clean_frame
 
 SHAPE = (12, 15)

@@ -11,10 +11,10 @@ import pytest
 
 from lobewise import WindowFilter, read_frame
 from lobewise.denoising import denoise
-from lobewise.frame import FloatArray, Frame, Radiance
-from lobewise.images import pack_planes, unpack_planes
 from lobewise.peers import has_oidn
-from lobewise.radiance import RadianceLayer
+from lobewise.records.frame import FloatArray, Frame, Radiance
+from lobewise.records.images import pack_planes, unpack_planes
+from lobewise.records.radiance import RadianceLayer
 from tests.denoising.test_denoising import make_frame
 
 QUALITIES = ("fast", "balanced", "high", *(("auto",) if has_oidn() else ()))

@@ -16,13 +16,13 @@ from lobewise.denoising.automatic import ask, choose_quality
 from lobewise.denoising.recipe import FEATURES_SOFTENED
 from lobewise.errors import InputError
 from lobewise.features import ScreenFeature
-from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.interchange import write_result
 from lobewise.io import read_frame, write_frame
 from lobewise.mitsuba import Denoiser
+from lobewise.recipes.streaming import denoise_file
+from lobewise.recipes.temporal import TemporalFilter
+from lobewise.records.frame import Frame, GBuffer, Radiance
 from lobewise.settings import DenoiseSettings
-from lobewise.streaming import denoise_file
-from lobewise.temporal import TemporalFilter
 
 MISSING = "Open Image Denoise is not installed; pip install 'lobewise[best]'"
 CHEAP: dict[str, Any] = {"similarity": "normal"}

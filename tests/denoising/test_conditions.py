@@ -14,8 +14,8 @@ import pytest
 import lobewise
 from lobewise.backend.devices import list_devices
 from lobewise.errors import InputError
-from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.io import write_frame
+from lobewise.records.frame import Frame, GBuffer, Radiance
 from tests.streaming.frames import make_scene
 
 QUALITIES = ("fast", "balanced", "high")

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import lobewise
-from lobewise.camera import Camera
 from lobewise.denoising import bad_pixels, denoise
 from lobewise.denoising.automatic import choose_beta, choose_screen_sigma, choose_tau, estimate_spp
 from lobewise.errors import InputError, MissingChannelError
-from lobewise.frame import Frame, GBuffer, LobeKind, Radiance
 from lobewise.peers import has_oidn
+from lobewise.records.camera import Camera
+from lobewise.records.frame import Frame, GBuffer, LobeKind, Radiance
 from lobewise.settings import DenoiseSettings
 
 CAMERA = Camera(position=(0.0, 0.0, 0.0), forward=(0.0, 0.0, -1.0), up=(0.0, 1.0, 0.0), fov_y=0.6)

@@ -19,16 +19,16 @@ from lobewise.denoising.plan import compute_steps_reach
 from lobewise.errors import InputError, MissingDependencyError
 from lobewise.filters.mixing import Perceptron
 from lobewise.filters.noise import agreement, detail
-from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.interchange import write_result
 from lobewise.io import read_frame, write_frame
 from lobewise.io.exr.parsing import read_container
 from lobewise.peers import has_oidn
-from lobewise.radiance import RadianceLayer
+from lobewise.recipes.temporal import TemporalFilter
+from lobewise.recipes.upsampling import upsample
+from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance
+from lobewise.records.radiance import RadianceLayer
+from lobewise.records.sparse_frame import make_sparse
 from lobewise.settings import QUALITY_NAMES, DenoiseSettings
-from lobewise.sparse_frame import make_sparse
-from lobewise.temporal import TemporalFilter
-from lobewise.upsampling import upsample
 from tests.denoising.test_denoising import SHAPE, make_frame
 from tests.denoising.test_quality_modes import FAR, SCALED, assert_scales, make_shadowed, measure
 

@@ -24,8 +24,8 @@ from lobewise.denoising.light_loss import (
     sum_light,
     sum_missing,
 )
-from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.io import write_frame
+from lobewise.records.frame import Frame, GBuffer, Radiance
 
 SHAPE = 65, 65
 

@@ -11,10 +11,10 @@ import pytest
 
 from lobewise import TemporalFilter, WindowFilter, make_sparse, read_frame, upsample, write_result
 from lobewise.denoising import denoise
-from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.guides.negative import mark_damaged, split_negative
 from lobewise.peers import has_oidn
-from lobewise.radiance import RadianceLayer
+from lobewise.records.frame import FloatArray, Frame, Radiance
+from lobewise.records.radiance import RadianceLayer
 from tests.denoising.test_denoising import make_frame
 
 QUALITIES = ("fast", "balanced", "high", *(("auto",) if has_oidn() else ()))

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.guides.halves import choose_halves
+from lobewise.records.frame import FloatArray, Frame, Radiance
 
 PARTS = "color", "diffuse", "specular"
 

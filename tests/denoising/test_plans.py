@@ -25,7 +25,7 @@ from lobewise.denoising.plan import (
     list_frame_steps,
 )
 from lobewise.filters.noise_guides import compute_mean_light
-from lobewise.frame import Frame
+from lobewise.records.frame import Frame
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import QUALITIES as LIBRARY
 from tests.denoising.test_denoising import make_frame

@@ -8,20 +8,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.camera import Camera
 from lobewise.denoising import denoise
 from lobewise.denoising.automatic import choose_quality, resolve_guided
 from lobewise.denoising.noisy import make_noisy_layers
 from lobewise.errors import InputError
 from lobewise.features import ScreenFeature
 from lobewise.filters.compositing import composite_light
-from lobewise.frame import Frame, GBuffer, Radiance, RadianceLayer
 from lobewise.guides.lobe_fields import default_tau
 from lobewise.metrics import rel_mse
+from lobewise.recipes.temporal import TemporalFilter
+from lobewise.recipes.upsampling import upsample
+from lobewise.records.camera import Camera
+from lobewise.records.frame import Frame, GBuffer, Radiance, RadianceLayer
+from lobewise.records.sparse_frame import make_sparse
 from lobewise.settings import QUALITY_NAMES, DenoiseSettings
-from lobewise.sparse_frame import make_sparse
-from lobewise.temporal import TemporalFilter
-from lobewise.upsampling import upsample
 from tests.denoising.test_denoising import CAMERA, SHAPE, make_frame
 
 SHADOW = np.broadcast_to(np.where(np.arange(SHAPE[0]) < 20, 0.1, 1.0)[:, None, None], (*SHAPE, 3))

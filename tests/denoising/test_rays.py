@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lobewise.camera import Camera
 from lobewise.errors import InputError, MissingChannelError
-from lobewise.frame import GBuffer, Radiance
 from lobewise.guides.rays import compute_ray_weights
-from lobewise.sparse_frame import Rays, SparseFrame, list_places
-from lobewise.temporal import TemporalFilter
-from lobewise.upsampling import upsample
+from lobewise.recipes.temporal import TemporalFilter
+from lobewise.recipes.upsampling import upsample
+from lobewise.records.camera import Camera
+from lobewise.records.frame import GBuffer, Radiance
+from lobewise.records.sparse_frame import Rays, SparseFrame, list_places
 
 SIZE, SCALE, ALPHA = 64, 4, 0.03
 CAMERA = Camera(position=(0.0, 0.0, 4.0), forward=(0.0, 0.0, -1.0), up=(0.0, 1.0, 0.0), fov_y=0.6)

@@ -22,7 +22,7 @@ from lobewise.denoising.refining.network import refine_light
 from lobewise.denoising.refining.whole_image import WholeImage
 from lobewise.filters.glue import define_near_hits
 from lobewise.filters.refinement.steps import define_refined
-from lobewise.frame import Frame, Radiance
+from lobewise.records.frame import Frame, Radiance
 
 
 def make_mask(*places: tuple[slice | int, slice | int]) -> np.ndarray:

@@ -20,10 +20,10 @@ from lobewise.denoising.refining.unguided import (
     judge_guides,
     sees_fog,
 )
-from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.io import write_frame
 from lobewise.metrics import rel_mse
-from lobewise.streaming import denoise_file
+from lobewise.recipes.streaming import denoise_file
+from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance
 
 SHAPE = (64, 72)
 CHEAP: dict[str, Any] = {"quality": "high", "similarity": "normal", "with_oidn": False}

@@ -13,10 +13,10 @@ import lobewise
 from lobewise.cli.main import run
 from lobewise.denoising import recipe
 from lobewise.errors import InputError
-from lobewise.frame import Frame, GBuffer, Radiance, RadianceLayer
 from lobewise.io import read_image, write_frame
-from lobewise.streaming import denoise_file
-from lobewise.streaming import recipe as streaming
+from lobewise.recipes.streaming import denoise_file
+from lobewise.recipes.streaming import recipe as streaming
+from lobewise.records.frame import Frame, GBuffer, Radiance, RadianceLayer
 from tests.streaming.frames import make_scene
 
 QUALITIES = ("fast", "balanced", "high")

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.camera import Camera
 from lobewise.errors import InputError
-from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.metrics import rel_mse
-from lobewise.sparse_frame import SparseFrame, list_places, make_sparse
-from lobewise.temporal import TemporalFilter
-from lobewise.upsampling import MAX_TINT, tint_radiance, upsample
+from lobewise.recipes.temporal import TemporalFilter
+from lobewise.recipes.upsampling import MAX_TINT, tint_radiance, upsample
+from lobewise.records.camera import Camera
+from lobewise.records.frame import Frame, GBuffer, Radiance
+from lobewise.records.sparse_frame import SparseFrame, list_places, make_sparse
 from tests.denoising.test_denoising import SHAPE, make_frame
 
 SLOW = pytest.mark.nightly  # kernels are compiled

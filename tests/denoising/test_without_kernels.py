@@ -11,12 +11,12 @@ import pytest
 
 import lobewise
 from lobewise.backend import compiler, jit, prebuilt
+from lobewise.cli.doctor import machine
 from lobewise.denoising.combining import denoise_with_peer
 from lobewise.denoising.plan import foretell_method
-from lobewise.doctor import machine
 from lobewise.errors import InputError, MissingDependencyError
-from lobewise.frame import Frame, Radiance
 from lobewise.peers import has_oidn
+from lobewise.records.frame import Frame, Radiance
 from lobewise.settings import DenoiseSettings
 
 needs_oidn = pytest.mark.skipif(not has_oidn(), reason="needs Open Image Denoise: pip install 'lobewise[compare]'")

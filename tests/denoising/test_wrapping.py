@@ -13,10 +13,10 @@ import lobewise
 from lobewise.cli.main import run
 from lobewise.denoising.plan import foretell
 from lobewise.errors import InputError
-from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.guides.usable import check_guides
+from lobewise.recipes.streaming import plan
+from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.settings import DenoiseSettings
-from lobewise.streaming import plan
 
 SIZE = 32, 256
 """Half of the width is as far as pixels of the network's levels reach."""

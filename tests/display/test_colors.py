@@ -15,10 +15,10 @@ from PIL import Image
 
 from lobewise.cli.main import run
 from lobewise.display.colors import REC709, Chromaticities, are_plausible, convert_light
-from lobewise.frame import FloatArray
 from lobewise.interchange import read_image, read_light
+from lobewise.records.frame import FloatArray
 from lobewise.settings import DenoiseSettings
-from lobewise.viewer.frames import FrameTarget
+from lobewise.viewer.frame_target import FrameTarget
 
 ACESCG: Chromaticities = (0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767)
 REC2020: Chromaticities = (0.708, 0.292, 0.17, 0.797, 0.131, 0.046, 0.3127, 0.329)

@@ -18,7 +18,7 @@ from lobewise.display import views
 from lobewise.display.colors import REC709, convert_light
 from lobewise.display.views import View, open_view, paint_picture
 from lobewise.errors import FileError, InputError, MissingDependencyError
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 from tests.display.test_colors import ACESCG, write
 
 needs_ocio = pytest.mark.skipif(

@@ -14,9 +14,9 @@ from typing import Any
 
 import pytest
 
+from lobewise.cli.doctor import folders, machine, packages
+from lobewise.cli.doctor.report import Problem, Report, Section, name_path
 from lobewise.cli.main import run
-from lobewise.doctor import folders, machine, packages
-from lobewise.doctor.report import Problem, Report, Section, name_path
 from lobewise.errors import MissingDependencyError
 from lobewise.peers import has_oidn
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from lobewise.exporting.shaders.constants import compute_constants, pack_constants
 from lobewise.exporting.shaders.passes import WORKGROUP, Chain, Lifetime, Pass, write_pass
-from lobewise.frame import FloatArray, Frame
-from lobewise.sparse_frame import SparseFrame
-from lobewise.temporal.recipe import TemporalFilter, compute_own_weight
+from lobewise.recipes.temporal.recipe import TemporalFilter, compute_own_weight
+from lobewise.records.frame import FloatArray, Frame
+from lobewise.records.sparse_frame import SparseFrame
 from tests.exporting.shaders import compile_spirv
 
 

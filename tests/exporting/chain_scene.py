@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.camera import Camera, compute_motion, project_points
-from lobewise.frame import Frame, GBuffer, Radiance
-from lobewise.sparse_frame import SparseFrame
+from lobewise.records.camera import Camera, compute_motion, project_points
+from lobewise.records.frame import Frame, GBuffer, Radiance
+from lobewise.records.sparse_frame import SparseFrame
 
 SIZE = (45, 61)
 """Height and width: no multiples of a workgroup."""

@@ -18,7 +18,6 @@ import numpy as np
 
 from lobewise import engine
 from lobewise.backend.jit import Kernel, get_kernel, run_kernel
-from lobewise.camera import Camera
 from lobewise.denoising.automatic import estimate_spp
 from lobewise.engine.graph import Graph, GraphImage, write_length
 from lobewise.engine.numbers import Condition, Number, round_single
@@ -28,8 +27,9 @@ from lobewise.exporting.pipeline.frame import Features, PipelineGuides, no_featu
 from lobewise.exporting.pipeline.recording import record_frame
 from lobewise.exporting.pipeline.sample import collect_images
 from lobewise.exporting.pipeline.settings import PipelineSettings
-from lobewise.frame import FloatArray
-from lobewise.sparse_frame import AnyFrame, SparseFrame
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray
+from lobewise.records.sparse_frame import AnyFrame, SparseFrame
 
 _NAME = re.compile(r"p->[\w>.\[\]-]+")
 

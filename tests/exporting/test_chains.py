@@ -23,7 +23,7 @@ from lobewise.exporting.shaders.listing import count_bytes
 from lobewise.exporting.shaders.passes import write_pass
 from lobewise.exporting.shaders.writing import export_chain
 from lobewise.filters.cross_filter import run_filter
-from lobewise.frame import Frame
+from lobewise.records.frame import Frame
 from lobewise.settings import FORM_NAMES, DenoiseSettings
 from tests.exporting.chain_device import Player, give_images
 from tests.exporting.chain_scene import make_frame

@@ -10,7 +10,7 @@ import pytest
 
 import lobewise
 from lobewise.exporting.shaders.chains import make_chain
-from lobewise.frame import Frame
+from lobewise.records.frame import Frame
 from tests.exporting.chain_device import Player, give_images, make_constants
 from tests.exporting.chain_scene import make_clean_image, make_frame
 from tests.exporting.test_chains import WEIGHT_RTOL, compare

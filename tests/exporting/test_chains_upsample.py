@@ -10,7 +10,7 @@ import pytest
 import lobewise
 from lobewise.errors import InputError
 from lobewise.exporting.shaders.chains import make_chain
-from lobewise.sparse_frame import SparseFrame, list_places
+from lobewise.records.sparse_frame import SparseFrame, list_places
 from tests.exporting.chain_device import Player, give_images, make_constants
 from tests.exporting.chain_scene import make_sparse_frame
 from tests.exporting.test_chains import compare

@@ -13,8 +13,8 @@ from lobewise.exporting.pipeline.sample import FRAMES, make_sparse, prepare_fram
 from lobewise.exporting.pipeline.scene import make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.features.base import DeclaredFeature
-from lobewise.frame import FloatArray, Frame
-from lobewise.sparse_frame import AnyFrame
+from lobewise.records.frame import FloatArray, Frame
+from lobewise.records.sparse_frame import AnyFrame
 from tests.exporting.here import Recorded
 
 SIMILARITIES = ("normal", "sg", "asg", "ggx")

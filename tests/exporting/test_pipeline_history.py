@@ -15,7 +15,7 @@ from lobewise.exporting.pipeline.sample import FRAMES, make_settings, prepare_fr
 from lobewise.exporting.pipeline.scene import CUT, HEIGHT, WIDTH, make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.exporting.pipeline.writing import export_pipeline
-from lobewise.temporal import TemporalFilter
+from lobewise.recipes.temporal import TemporalFilter
 from tests.exporting.pipelines import LIBRARIES, STRICT, build, export, run_example
 
 SETTINGS: dict[str, Any] = {"radius": 2, "history": True, "hit_distance": True}

@@ -19,7 +19,7 @@ import lobewise
 from lobewise.exporting.names import CHAINS
 from lobewise.exporting.shaders.chains import make_chain
 from lobewise.exporting.shaders.passes import write_pass
-from lobewise.frame import FloatArray, Frame
+from lobewise.records.frame import FloatArray, Frame
 from lobewise.settings import FORM_NAMES
 from tests.exporting.chain_scene import make_frame
 from tests.exporting.conftest import lack

@@ -9,14 +9,14 @@ from typing import Any
 
 import pytest
 
-from lobewise import limits
 from lobewise.cli import farming
 from lobewise.cli.farming import FrameWork
 from lobewise.cli.main import run
 from lobewise.farm.ledger import name_ledger
 from lobewise.farm.tasks import TaskLog
 from lobewise.io import read_image, write_frame
-from lobewise.streaming import plan
+from lobewise.recipes.streaming import plan
+from lobewise.work import limits
 from tests.streaming.frames import make_scene
 
 pytestmark = pytest.mark.usefixtures("dask")

@@ -13,7 +13,7 @@ from lobewise.errors import InputError
 from lobewise.farm import connection
 from lobewise.io import write_frame
 from lobewise.io.sequence import name_frames
-from lobewise.limits import GIB
+from lobewise.work.limits import GIB
 from tests.streaming.frames import make_scene
 
 

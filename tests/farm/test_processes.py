@@ -15,7 +15,7 @@ from lobewise.errors import LobewiseError
 from lobewise.farm import processes
 from lobewise.farm.calls import WorkerLostError
 from lobewise.farm.ledger import TOKEN
-from lobewise.sparse_frame import list_places, make_sparse
+from lobewise.records.sparse_frame import list_places, make_sparse
 from tests.farm.conftest import NUMBERS, read_outputs
 from tests.farm.processes import MAX_SECONDS, PROGRAM, Farm, count_outputs, run_program, start_program, wait_until
 from tests.streaming.frames import make_scene

@@ -17,7 +17,7 @@ from lobewise.farm.ledger import Ledger, name_ledger
 from lobewise.farm.running import FarmJob, FarmReport, filter_on_farm
 from lobewise.farm.tasks import Task
 from lobewise.io.sequence import FramePattern
-from lobewise.sequence import name_checkpoint
+from lobewise.recipes.sequence import name_checkpoint
 from tests.farm.test_dispatching import FakeFarm
 
 

@@ -21,8 +21,8 @@ from lobewise.features import (
     SgMixtureFeature,
     TentFeature,
 )
-from lobewise.frame import FloatArray
 from lobewise.lobes.hits import HitField
+from lobewise.records.frame import FloatArray
 
 KINDS = [
     "screen",

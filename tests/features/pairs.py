@@ -14,7 +14,7 @@ from lobewise.backend.expressions import exp2
 from lobewise.features import Feature
 from lobewise.features.base import describe_structure
 from lobewise.filters.planes import neutralize, prepare_planes
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 from tests.features.oracles import Pixels
 
 Pairs = tuple[Pixels, Pixels]

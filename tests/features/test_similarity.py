@@ -19,8 +19,8 @@ from lobewise.features import (
     SplitGgxFeature,
     SplitLobe,
 )
-from lobewise.frame import FloatArray
 from lobewise.lobes.hits import HitField
+from lobewise.records.frame import FloatArray
 from tests.features.frames import KINDS, make_covariances, make_feature
 from tests.features.oracles import get_similarity
 from tests.features.pairs import compare, draw_pairs, weigh

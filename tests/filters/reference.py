@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.features import Feature
-from lobewise.frame import FloatArray
 from lobewise.lobes.hits import HitField
+from lobewise.records.frame import FloatArray
 from tests.features.oracles import get_similarity
 
 FloatImage = NDArray[np.float64]

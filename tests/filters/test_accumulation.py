@@ -22,8 +22,8 @@ from lobewise.filters.history.accumulation_pass import (
     NO_TRUST_ERRORS,
 )
 from lobewise.filters.history.sums import HISTORY_CHANNELS
-from lobewise.frame import FloatArray
 from lobewise.lobes.vectors import LUMINANCE
+from lobewise.records.frame import FloatArray
 from tests.features.frames import make_feature, make_mask, make_radiance
 from tests.features.oracles import get_similarity
 from tests.filters.sizes import SMALL_SIZES

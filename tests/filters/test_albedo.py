@@ -17,7 +17,7 @@ from lobewise.filters.noise.albedo import (
     VARIANCE_FLOOR,
     clean_albedo,
 )
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 from tests.features.frames import make_directions
 from tests.filters.sizes import SIZES
 

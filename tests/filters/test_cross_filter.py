@@ -14,7 +14,7 @@ from lobewise.backend.jit import count_compiled_kernels
 from lobewise.features import Feature, ScreenFeature
 from lobewise.filters import cross_filter as engine
 from lobewise.filters.cross_filter import _list_tiles, run_filter
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 from lobewise.settings import LARGEST_RADIUS
 from tests.features.frames import make_feature, make_mask, make_radiance
 from tests.filters.reference import filter_reference

@@ -18,7 +18,7 @@ from lobewise.filters.noise.detail import (
     OFFSETS,
     compute_detail,
 )
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 
 SIZE = 72
 INNER = slice(20, -20)

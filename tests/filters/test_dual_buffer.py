@@ -19,7 +19,7 @@ from lobewise.errors import InputError
 from lobewise.features import DiffuseFeature, Feature, ScreenFeature
 from lobewise.features.base import Pixel, Stage
 from lobewise.filters.dual_buffer import DualBufferOutput, PassRequest, filter_dual_buffer
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 from lobewise.settings import LARGEST_RADIUS
 from tests.features.frames import make_directions, make_feature, make_mask, make_radiance
 from tests.features.oracles import Pixels, get_similarity

@@ -18,8 +18,8 @@ from lobewise.denoising.evidence import (
     estimate_share_proved,
 )
 from lobewise.filters.noise.evidence import estimate_noisy_share
-from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.metrics import rel_mse
+from lobewise.records.frame import FloatArray, Frame, Radiance
 
 SIZE = 96
 FLOOR = 1e-4

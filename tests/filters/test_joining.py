@@ -11,7 +11,7 @@ from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.filters.glue import define_support
 from lobewise.filters.history.accumulation import AccumulatedOutput
 from lobewise.filters.history.joining import join_layers, mark_reflecting
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 
 SHAPE = (9, 37)
 

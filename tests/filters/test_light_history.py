@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.camera import Camera
 from lobewise.filters.history.light import (
     DIFFUSE_SPREAD,
     MAX_DEPTH_CHANGE,
@@ -18,8 +17,9 @@ from lobewise.filters.history.light import (
     LightPast,
     blend_light,
 )
-from lobewise.frame import GBuffer
 from lobewise.lobes.vectors import LUMINANCE
+from lobewise.records.camera import Camera
+from lobewise.records.frame import GBuffer
 
 HEIGHT, WIDTH = 37, 50
 FIELD_RADIANS = 0.6

@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter
 from lobewise.backend.jit import count_compiled_kernels
 from lobewise.errors import InputError
 from lobewise.filters.noise_guides import compute_mean_light, make_noise_guide, measure_light
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 from tests.features.frames import make_radiance
 from tests.filters.sizes import SIZES
 

@@ -17,7 +17,7 @@ from lobewise.filters.refinement import planes, shape
 from lobewise.filters.refinement.convolutions import make_convolution
 from lobewise.filters.refinement.pyramid import make_averages, make_filter, make_sums
 from lobewise.filters.refinement.run import pack_weights, refine_image
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 
 Exact = NDArray[np.float64]
 Images = dict[str, FloatArray]

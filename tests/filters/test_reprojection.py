@@ -15,7 +15,7 @@ from lobewise.features import Feature
 from lobewise.filters.history.reprojection import IMAGES_AT_ONCE, prepare_pixels, reproject, reproject_images
 from lobewise.filters.history.reprojection_pass import AGREEMENT, SNAP_PIXELS
 from lobewise.filters.history.sums import HISTORY_CHANNELS
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 from tests.features.frames import make_feature, make_mask
 from tests.filters.reference import reproject_reference
 from tests.filters.sizes import SIZES

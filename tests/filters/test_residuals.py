@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 import lobewise
-from lobewise.camera import Camera
 from lobewise.filters.noise.residuals import (
     RESIDUAL_NOISE_SHARE,
     compute_squared_residual,
     split_by_noise,
     split_samples,
 )
-from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.metrics import rel_mse
+from lobewise.records.camera import Camera
+from lobewise.records.frame import Frame, GBuffer, Radiance
 
 SIZE = 96
 EVERYWHERE = np.ones((SIZE, SIZE), np.bool_)

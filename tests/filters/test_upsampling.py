@@ -11,7 +11,7 @@ from lobewise.errors import InputError
 from lobewise.features import Feature, TentFeature
 from lobewise.filters.cross_filter import run_filter
 from lobewise.filters.history.accumulation import run_upsampling
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 from tests.features.frames import make_feature, make_mask, make_radiance
 from tests.features.oracles import get_similarity
 from tests.filters.sizes import SMALL_SIZES

@@ -12,7 +12,7 @@ from lobewise.fitting.blending import blend_tables
 from lobewise.fitting.fit import fit_lobes
 from lobewise.fitting.ggx import ggx_brdf
 from lobewise.fitting.table import evaluate_lobes, evaluate_table
-from lobewise.lobe_table import LobeTable
+from lobewise.records.lobe_table import LobeTable
 
 NORMAL = np.array([0.0, 0.0, 1.0])
 

@@ -16,7 +16,7 @@ from lobewise.fitting.table import (
     get_equivalent_alphas,
     order_lobes,
 )
-from lobewise.lobe_table import LobeTable
+from lobewise.records.lobe_table import LobeTable
 
 UP = np.asarray([0.0, 0.0, 1.0])
 EAST = np.asarray([1.0, 0.0, 0.0])

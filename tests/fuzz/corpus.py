@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lobewise.camera import Camera
-from lobewise.frame import Frame, GBuffer, Radiance
+from lobewise.records.camera import Camera
+from lobewise.records.frame import Frame, GBuffer, Radiance
 
 CORPUS = Path(__file__).parent / "corpus"
 WIDTH, HEIGHT = 5, 4

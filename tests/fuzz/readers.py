@@ -18,8 +18,8 @@ from unittest.mock import patch
 
 import numpy as np
 
-from lobewise.camera import Camera
 from lobewise.errors import LobewiseError
+from lobewise.records.camera import Camera
 from tests.fuzz.exr_files import unpack
 
 Answer = Callable[..., None]
@@ -99,7 +99,7 @@ def read_exr(path: Path, answer: Answer) -> None:
 
 
 def _denoise(path: Path) -> None:
-    from lobewise.streaming import denoise_file
+    from lobewise.recipes.streaming import denoise_file
 
     try:
         denoise_file(path, path.with_name("clean.exr"), quality="fast", similarity="auto")
@@ -288,7 +288,7 @@ class Remembering:
     """A filter that remembers, with the settings of the seeds."""
 
     def __init__(self) -> None:
-        from lobewise.temporal import TemporalFilter
+        from lobewise.recipes.temporal import TemporalFilter
 
         self._filter = TemporalFilter(similarity="normal", quality="fast")
 
@@ -314,7 +314,7 @@ def go_on(path: Path, *, stop: bool = False) -> str:
 
     Names, times and version are always the same, so that a checkpoint of another day and machine fits.
     """
-    from lobewise.sequence import filter_sequence
+    from lobewise.recipes.sequence import filter_sequence
     from tests.fuzz.corpus import make_small_frame
 
     folder = path.parent

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lobewise.camera import Camera
-from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.guides.stand_ins import stand_in_normals
 from lobewise.guides.surfaces import (
     compute_footprints,
@@ -17,6 +15,8 @@ from lobewise.guides.surfaces import (
     mark_surface_pixels,
     put_backdrop,
 )
+from lobewise.records.camera import Camera
+from lobewise.records.frame import Frame, GBuffer, Radiance
 
 CAMERA = Camera(position=(0.5, -0.3, 5.0), forward=(-0.1, 0.05, -1.0), up=(0.0, 1.0, 0.1), fov_y=0.8, fov_x=0.9)
 SIZE = (23, 41)

@@ -6,9 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from lobewise.camera import Camera
 from lobewise.errors import InputError, MissingChannelError
-from lobewise.frame import GBuffer, LobeKind
 from lobewise.guides.lobe_fields import (
     SPREAD_TURNS,
     default_tau,
@@ -17,6 +15,8 @@ from lobewise.guides.lobe_fields import (
     make_split_field,
     spread_lobes,
 )
+from lobewise.records.camera import Camera
+from lobewise.records.frame import GBuffer, LobeKind
 from tests.lobes.oracles.brdf import reflect, reflect_sg
 from tests.lobes.oracles.sg import sg_bandlimit
 from tests.lobes.oracles.tangent import TangentLobe, make_tangent_lobe, tangent_approx_similarity

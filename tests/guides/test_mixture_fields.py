@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lobewise import chunks
-from lobewise.camera import Camera
 from lobewise.errors import InputError
 from lobewise.fitting.arrays import normalize
 from lobewise.fitting.table import evaluate_table
-from lobewise.frame import GBuffer, LobeKind
 from lobewise.guides.mixture_fields import make_mixture_field
-from lobewise.lobe_table import LobeTable
+from lobewise.records.camera import Camera
+from lobewise.records.frame import GBuffer, LobeKind
+from lobewise.records.lobe_table import LobeTable
+from lobewise.work import chunks
 from tests.lobes.oracles.mixture import make_ggx_mixture, make_lambert_lobe
 from tests.lobes.oracles.sg import sg_integral
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lobewise.camera import Camera, compute_motion
 from lobewise.filters.history.reprojection_pass import SNAP_PIXELS
-from lobewise.frame import FloatArray
 from lobewise.guides.places import compute_surface_places
+from lobewise.records.camera import Camera, compute_motion
+from lobewise.records.frame import FloatArray
 
 SIZE = (37, 64)
 CAMERA = Camera(position=(2.0, -3.0, 5.0), forward=(-0.1, 0.05, -1.0), up=(0.0, 1.0, 0.1), fov_y=0.8, fov_x=0.9)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from lobewise.denoising import denoise
-from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.guides.stand_ins import BACKDROP_DISTANCE, stand_in_surfaces
-from lobewise.radiance import RadianceLayer
+from lobewise.records.frame import FloatArray, Frame, Radiance
+from lobewise.records.radiance import RadianceLayer
 from tests.denoising.test_denoising import make_frame
 
 SHAPE = (40, 56)

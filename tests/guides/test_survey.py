@@ -14,10 +14,10 @@ import pytest
 import lobewise
 from lobewise.cli.main import run
 from lobewise.errors import MissingChannelError, UnusedGuideWarning
-from lobewise.frame import Frame, GBuffer, Radiance, RadianceLayer
 from lobewise.guides.survey import GuideSurvey
 from lobewise.io import read_image, write_frame
-from lobewise.streaming import denoise_file
+from lobewise.recipes.streaming import denoise_file
+from lobewise.records.frame import Frame, GBuffer, Radiance, RadianceLayer
 from tests.streaming.frames import make_scene
 
 SHAPE = (40, 32)

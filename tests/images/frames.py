@@ -13,8 +13,8 @@ import numpy as np
 
 import lobewise
 from lobewise.errors import UnusedGuideWarning
-from lobewise.frame import FloatArray, Frame, Radiance, Result
-from lobewise.sparse_frame import SparseFrame
+from lobewise.records.frame import FloatArray, Frame, Radiance, Result
+from lobewise.records.sparse_frame import SparseFrame
 
 DATA = Path(__file__).parent / "data"
 REFERENCES, BASELINES = DATA / "references", DATA / "baselines"

@@ -23,10 +23,10 @@ import numpy as np
 import OpenEXR
 
 import lobewise
-from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.io.exr import read_image, write_frame, write_image
 from lobewise.io.exr.sparse import write_sparse_frame
-from lobewise.sparse_frame import make_sparse
+from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance
+from lobewise.records.sparse_frame import make_sparse
 
 HERE = Path(__file__).parent
 DATA, REFERENCES = HERE / "data", HERE / "data" / "references"

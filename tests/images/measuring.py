@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.users.alone import count_alone
-from lobewise.frame import FloatArray, Frame, Result
 from lobewise.metrics import make_error_map, rel_mse
+from lobewise.records.frame import FloatArray, Frame, Result
 from tests.images.frames import (
     View,
     denoise_view,

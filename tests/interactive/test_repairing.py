@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from lobewise.errors import InputError
-from lobewise.frame import Radiance
 from lobewise.interactive import InteractiveSettings
 from lobewise.interactive.filter_choice import MIN_PATHS_FOR_INTERPOLATION
 from lobewise.interactive.repairing import NOISY_PARTS, repair
-from lobewise.sparse_frame import make_sparse
-from lobewise.temporal import TemporalFilter
+from lobewise.recipes.temporal import TemporalFilter
+from lobewise.records.frame import Radiance
+from lobewise.records.sparse_frame import make_sparse
 from tests.denoising.test_upsampling import make_clean_frame
 
 NOISY, CALM = 1.0, float(MIN_PATHS_FOR_INTERPOLATION)

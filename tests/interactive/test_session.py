@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.camera import Camera
 from lobewise.errors import InputError
-from lobewise.frame import Radiance
 from lobewise.interactive import InteractiveSettings, Session
 from lobewise.interactive.interactive_frame import STAGES
 from lobewise.interactive.settings import VIEWS
 from lobewise.metrics import rel_mse
+from lobewise.recipes.temporal import TemporalFilter
+from lobewise.records.camera import Camera
+from lobewise.records.frame import Radiance
 from lobewise.render import load_scene, make_orbit
-from lobewise.temporal import TemporalFilter
 
 pytestmark = [pytest.mark.mitsuba, pytest.mark.nightly]
 

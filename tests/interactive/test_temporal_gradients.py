@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lobewise.camera import Camera
 from lobewise.filters.history.sums import HISTORY_CHANNELS, split_sums
-from lobewise.frame import Radiance
 from lobewise.interactive.temporal_gradients import (
     MAX_RATIO,
     Change,
@@ -16,6 +14,8 @@ from lobewise.interactive.temporal_gradients import (
     follows_hits,
     relight_sums,
 )
+from lobewise.records.camera import Camera
+from lobewise.records.frame import Radiance
 
 SCALE, ROWS, COLUMNS = 4, 6, 8
 SHAPE = SCALE * ROWS - 1, SCALE * COLUMNS - 2

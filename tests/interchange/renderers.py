@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import OpenEXR
 
-from lobewise.camera import Camera
+from lobewise.records.camera import Camera
 
 REAL = (
     "arnold_multichannel.exr",

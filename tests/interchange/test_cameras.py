@@ -17,13 +17,13 @@ import OpenEXR
 import pytest
 from renderers import CAMERA, HEIGHT, WIDTH, WRITERS, make_scene, to_camera, write
 
-from lobewise.camera import Camera, project_points
 from lobewise.errors import FileError, InputError
 from lobewise.interchange.cameras import usd, usd_stage
 from lobewise.interchange.cameras.files import read_camera_file
 from lobewise.interchange.cameras.fitting import fit_any_camera, fit_orthographic
 from lobewise.interchange.reading import import_file
 from lobewise.io.exr.frames import write_frame
+from lobewise.records.camera import Camera, project_points
 
 SHIFTED = Camera(CAMERA.position, CAMERA.forward, CAMERA.up, CAMERA.fov_y, shift=(0.1, -0.05))
 

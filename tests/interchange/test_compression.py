@@ -11,10 +11,10 @@ from renderers import WRITERS, make_scene
 
 import lobewise
 from lobewise.denoising.bad_pixels import mark_bad_pixels
-from lobewise.frame import FloatArray
 from lobewise.interchange.checks.compression import is_lossy
 from lobewise.interchange.reading import import_file
 from lobewise.io.exr.parsing import read_container
+from lobewise.records.frame import FloatArray
 
 NAMES = ("R", "G", "B", "A", "Y", "RY", "BY", "X", "Z", "r", "g", "b", "y", "a.Y", "a.X", "a.RED", "b.R", "b.G", "b.B")
 LOSSY = ("DWAA", "DWAB", "B44", "B44A")

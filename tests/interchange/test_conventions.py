@@ -15,14 +15,14 @@ from renderers import REAL, WRITERS, Written, make_scene, name, write
 
 import lobewise
 from benchmarks.common import SHOWROOM, SHOWROOM_REFERENCE
-from lobewise.camera import Camera
-from lobewise.frame import FloatArray, Frame
 from lobewise.interchange import describe_file, import_file
 from lobewise.interchange.checks.normals import Guess, make_bases, turn_normals
 from lobewise.interchange.imported import Imported
 from lobewise.interchange.reading import import_planes
 from lobewise.interchange.showing import read_image
 from lobewise.metrics import rel_mse
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray, Frame
 
 FOREIGN = Path(__file__).parents[1] / "data" / "foreign"
 Channels = dict[str, np.ndarray]

@@ -8,8 +8,8 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from lobewise.frame import FloatArray
 from lobewise.interchange.values import undo_mean_roughness
+from lobewise.records.frame import FloatArray
 
 FRAME = Path(__file__).parents[1] / "data" / "foreign" / "blender_5.2_multipart.exr"
 

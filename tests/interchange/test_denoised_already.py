@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.interchange.checks.noise import check_noise
+from lobewise.records.frame import Frame, GBuffer, Radiance
 
 WALL = (128, 192)
 

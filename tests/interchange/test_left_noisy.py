@@ -11,11 +11,11 @@ from renderers import WRITERS, Written, make_scene, name, write
 
 import lobewise
 from lobewise.cli.main import run
-from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.io import write_frame
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.pixels import decode_part
-from lobewise.temporal.recipe import ALSO_STAYS
+from lobewise.recipes.temporal.recipe import ALSO_STAYS
+from lobewise.records.frame import Frame, GBuffer, Radiance
 
 LAYER = "View Layer.001"
 

@@ -12,14 +12,14 @@ from renderers import WRITERS, make_scene, write
 
 from lobewise.cli.main import run
 from lobewise.denoising import denoise
-from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.interchange import describe_file, import_file, read_frame, write_result
 from lobewise.interchange.checks import MARKED
 from lobewise.io import write_frame
 from lobewise.io.exr.header import REPLACED, read_replaced
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.schema import DENOISED
-from lobewise.streaming import denoise_file
+from lobewise.recipes.streaming import denoise_file
+from lobewise.records.frame import Frame, GBuffer, Radiance
 
 REFUSED = "expected a noisy render, got a result of lobewise, as its attribute 'lobewise/denoised' says; give the noisy"
 

@@ -12,8 +12,8 @@ from renderers import WRITERS, Written, make_scene, write
 import lobewise
 from lobewise.cli.main import run
 from lobewise.errors import InputError
-from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.interchange import import_file, write_result
+from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance
 
 CHANNEL = "View Layer.001.Combined.A"
 SAMPLES = 16

@@ -9,14 +9,14 @@ import OpenEXR
 import pytest
 
 import lobewise
-from lobewise.camera import Camera
 from lobewise.cli.main import run
-from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.guides.lamps import keep_lamps
 from lobewise.interchange.cameras.panorama import fit_panorama
 from lobewise.interchange.reading import import_file
 from lobewise.io import write_frame
-from lobewise.sparse_frame import make_sparse
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray, Frame, Radiance
+from lobewise.records.sparse_frame import make_sparse
 
 SIZE = 48, 96
 EYE = np.array([1.0, -2.0, 1.5])

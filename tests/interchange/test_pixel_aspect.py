@@ -12,11 +12,11 @@ import OpenEXR
 import pytest
 from renderers import CAMERA, HEIGHT, WIDTH, WRITERS, make_scene, name
 
-from lobewise.camera import Camera
 from lobewise.interchange.cameras.files import read_camera_file
 from lobewise.interchange.cameras.fitting import fit_any_camera
 from lobewise.interchange.reading import import_file
 from lobewise.io import read_frame, write_frame
+from lobewise.records.camera import Camera
 
 ASPECT = 2.0
 HALF_WIDTH = math.tan(0.5 * CAMERA.fov_y) * ASPECT * WIDTH / HEIGHT
@@ -87,7 +87,7 @@ def test_a_file_in_our_own_names(tmp_path: Path) -> None:
 
 
 def write(path: Path) -> None:
-    from lobewise.frame import Frame, GBuffer, Radiance
+    from lobewise.records.frame import Frame, GBuffer, Radiance
 
     guides = GBuffer(normal=make_scene().normal, depth=DEPTH)
     write_frame(path, Frame(Radiance(make_scene().color), guides, CAMERA))

@@ -18,13 +18,13 @@ from lobewise.cli.main import run
 from lobewise.cli.terminal.summary import describe_quality
 from lobewise.denoising import denoise
 from lobewise.errors import InputError
-from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.interchange import describe_file, import_file, read_frame, write_result
 from lobewise.interchange.preset import load_presets
 from lobewise.io import write_frame, write_sparse_frame
 from lobewise.io.exr.describe import COSTS
-from lobewise.sparse_frame import make_sparse
-from lobewise.streaming import plan
+from lobewise.recipes.streaming import plan
+from lobewise.records.frame import Frame, GBuffer, Radiance
+from lobewise.records.sparse_frame import make_sparse
 
 FOREIGN = Path(__file__).parents[1] / "data" / "foreign"
 BLENDER = FOREIGN / "blender_5.2_multipart.exr"

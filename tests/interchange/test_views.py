@@ -14,7 +14,6 @@ import lobewise
 from lobewise.cli.main import run
 from lobewise.cli.options.selections import DoneOne, FileOfSeveral, FilterOfEach
 from lobewise.errors import InputError
-from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.interchange import describe_file, import_file
 from lobewise.interchange.reading import list_selections
 from lobewise.interchange.selections import Selection
@@ -22,6 +21,7 @@ from lobewise.io import write_frame
 from lobewise.io.exr.container import Container
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.pixels import decode_part
+from lobewise.records.frame import Frame, GBuffer, Radiance
 
 EYES = ("left", "right")
 SHIFT = 4

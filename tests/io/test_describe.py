@@ -11,10 +11,10 @@ import OpenEXR
 import pytest
 from exr_bytes import EXOTIC, inject_attributes
 
-from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.io import describe_file, read_frame, write_frame
 from lobewise.io.exr.describe import COSTS
 from lobewise.io.exr.schema import CAMERA, DENOISED, LOBES, SCHEMA, SLOTS, SPP
+from lobewise.records.frame import Frame, GBuffer, Radiance
 
 
 def test_a_full_frame(full_frame, tmp_path):

@@ -12,9 +12,9 @@ import pytest
 from exr_bytes import EXOTIC, inject_attributes, read_attributes
 
 from lobewise.errors import FileError, InputError, MissingChannelError
-from lobewise.frame import Frame, GBuffer, Radiance, Result
 from lobewise.interchange import write_result
 from lobewise.io import describe_file, read_frame, read_image, write_frame, write_image
+from lobewise.records.frame import Frame, GBuffer, Radiance, Result
 
 OWNERS = ("radiance", "gbuffer", "half_a", "half_b", "variance")
 COMPRESSIONS = sorted(name for name in vars(OpenEXR) if name.endswith("_COMPRESSION"))

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from lobewise.errors import FileError
-from lobewise.frame import Frame, Radiance
 from lobewise.io import read_frame, read_image, write_frame, write_image
 from lobewise.io.files import open_atomic, require_readable, require_writable, write_text
+from lobewise.records.frame import Frame, Radiance
 
 FRAME = Frame(Radiance(np.ones((2, 3, 3))))
 

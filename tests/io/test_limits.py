@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lobewise.chunks import run_chunks
 from lobewise.io import read_image, write_image
 from lobewise.io.exr import pixels
+from lobewise.work.chunks import run_chunks
 
 LIMITED = """
 import os, resource, sys

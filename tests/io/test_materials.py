@@ -10,7 +10,7 @@ import pytest
 
 from lobewise.errors import FileError
 from lobewise.io.materials import lobe_table_from_json, lobe_table_to_json, read_lobe_table, read_merl, write_lobe_table
-from lobewise.lobe_table import LobeTable
+from lobewise.records.lobe_table import LobeTable
 from tests.fitting.merl_tables import make_merl, to_bytes
 from tests.lobes.oracles.brdf import lambert_brdf
 

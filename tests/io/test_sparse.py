@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from lobewise.errors import InputError
-from lobewise.frame import GBuffer, Radiance
 from lobewise.io import read_frame, read_image, read_sparse_frame, write_frame, write_sparse_frame
-from lobewise.sparse_frame import make_sparse
+from lobewise.records.frame import GBuffer, Radiance
+from lobewise.records.sparse_frame import make_sparse
 
 
 @pytest.fixture

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lobewise.camera import Camera, project_points
 from lobewise.errors import InputError, MissingChannelError
-from lobewise.frame import GBuffer
 from lobewise.metrics import find_disoccluded
+from lobewise.records.camera import Camera, project_points
+from lobewise.records.frame import GBuffer
 
 WIDTH, HEIGHT = 120, 90
 SKY, FLOOR, WALL, BALL, BOX = range(5)

@@ -11,7 +11,7 @@ import pytest
 
 from lobewise import metrics
 from lobewise.errors import InputError, MissingChannelError, MissingDependencyError
-from lobewise.frame import GBuffer
+from lobewise.records.frame import GBuffer
 
 NUMBERS = ("mse", "rel_mse", "smape", "psnr")
 

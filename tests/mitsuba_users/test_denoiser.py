@@ -11,10 +11,10 @@ import pytest
 
 import lobewise.mitsuba.denoiser as module
 from lobewise.errors import InputError, LobewiseError
-from lobewise.frame import Frame
 from lobewise.metrics import rel_mse
 from lobewise.mitsuba import Denoiser
 from lobewise.mitsuba.frames import to_camera_space
+from lobewise.records.frame import Frame
 
 SIZE = 64
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from lobewise.frame import Frame, GBuffer
+from lobewise.records.frame import Frame, GBuffer
 
 
 @pytest.fixture(scope="session")

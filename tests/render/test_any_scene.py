@@ -122,7 +122,7 @@ def test_instances_are_rendered_with_the_materials_of_their_group(mi: Any) -> No
     ids=["whole", "cropped"],
 )
 def test_parallel_rays_are_those_of_a_far_pinhole(mi: Any, changes: dict[str, Any]) -> None:
-    from lobewise.camera import project_points
+    from lobewise.records.camera import project_points
 
     scene = mi.load_dict(make_room(mi, sensor=make_flat_sensor(mi, **changes), object=make_ball({"type": "plastic"})))
     frame = render_frame(scene, spp=256)

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.camera import Camera
 from lobewise.errors import FileError, InputError
+from lobewise.records.camera import Camera
 
 pytestmark = pytest.mark.mitsuba
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.frame import GBuffer
+from lobewise.records.frame import GBuffer
 from tests.render.tolerances import EXACT
 
 pytestmark = pytest.mark.mitsuba

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.camera import Camera
 from lobewise.errors import InputError
-from lobewise.frame import Frame, LobeKind
+from lobewise.records.camera import Camera
+from lobewise.records.frame import Frame, LobeKind
 from tests.render.tolerances import EXACT
 
 pytestmark = pytest.mark.mitsuba
@@ -68,7 +68,7 @@ def test_plane_has_the_depth_position_and_normal_of_the_pixel_centre_ray(mi: Any
 @pytest.mark.parametrize("axis", ["x", "y", "smaller", "larger"])
 @pytest.mark.parametrize(("width", "height"), [(32, 20), (20, 32)])
 def test_camera_projects_what_it_sees_to_its_pixel(mi: Any, axis: str, width: int, height: int) -> None:
-    from lobewise.camera import project_points
+    from lobewise.records.camera import project_points
 
     sensor = make_sensor(mi, width, height, fov_axis=axis)
     frame = render(mi, sensor=sensor, floor=make_floor(mi, MIRROR), spp=1)
@@ -101,7 +101,7 @@ CROP = {"crop_offset_x": 3, "crop_offset_y": 8, "crop_width": 24, "crop_height":
     ids=["principal point", "crop"],
 )
 def test_off_centre_cameras_project_what_they_see_to_its_pixel(mi: Any, changes: dict[str, Any]) -> None:
-    from lobewise.camera import project_points
+    from lobewise.records.camera import project_points
     from lobewise.render.camera import get_camera, set_camera
 
     sensor = make_sensor(mi, **changes)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lobewise.errors import InputError
-from lobewise.frame import Frame
+from lobewise.records.frame import Frame
 
 pytestmark = pytest.mark.mitsuba
 

@@ -10,9 +10,9 @@ import pytest
 from lobewise.cli.main import run
 from lobewise.errors import InputError
 from lobewise.interactive import Session
-from lobewise.limits import measure_machine_memory
 from lobewise.render import load_scene, render_frame, render_reference
 from lobewise.scenes.limits import MAX_DEPTH, require_memory, require_shallow
+from lobewise.work.limits import measure_machine_memory
 
 pytestmark = pytest.mark.mitsuba
 

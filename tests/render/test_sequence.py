@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.camera import Camera, project_points
 from lobewise.errors import InputError
-from lobewise.frame import Frame, GBuffer
-from lobewise.sparse_frame import AnyFrame, SparseFrame, list_places
+from lobewise.records.camera import Camera, project_points
+from lobewise.records.frame import Frame, GBuffer
+from lobewise.records.sparse_frame import AnyFrame, SparseFrame, list_places
 
 pytestmark = pytest.mark.mitsuba
 

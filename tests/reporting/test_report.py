@@ -21,10 +21,10 @@ from lobewise.cli import demo
 from lobewise.denoising import denoise
 from lobewise.display.tones import choose_exposure, index_errors, make_error_palette, map_tones
 from lobewise.errors import FileError, InputError
-from lobewise.frame import Frame
 from lobewise.io.png import encode_png
 from lobewise.metrics import evaluate, rel_mse
 from lobewise.peers import denoise_oidn
+from lobewise.records.frame import Frame
 from lobewise.reporting.report import Picture, Report, make_page
 
 

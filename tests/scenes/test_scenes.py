@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lobewise.errors import FileError, InputError
-from lobewise.frame import Frame, LobeKind
+from lobewise.records.frame import Frame, LobeKind
 from lobewise.render import list_moving_scenes, list_scenes, load_scene
 from tests.render.tracing.test_paths import compare_with_mitsuba
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.frame import Frame, LobeKind, Radiance
+from lobewise.records.frame import Frame, LobeKind, Radiance
 from tests.denoising.test_denoising import make_frame
 
 BAD = {"nan": np.nan, "inf": np.inf, "negative": -1.0}

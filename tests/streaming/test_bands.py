@@ -13,12 +13,12 @@ import OpenEXR
 import pytest
 
 from lobewise.errors import FileError, InputError, LobewiseError, MissingChannelError
-from lobewise.frame import Frame, Result
 from lobewise.interchange import write_result
 from lobewise.io import read_frame, write_frame
 from lobewise.io.exr.bands import BandReader, BandWriter
 from lobewise.io.files import open_spool
-from lobewise.streaming.plan import cut_bands, widen_band
+from lobewise.recipes.streaming.plan import cut_bands, widen_band
+from lobewise.records.frame import Frame, Result
 
 SHAPE = (75, 21)
 COMPRESSIONS = sorted(name for name in vars(OpenEXR) if name.endswith("_COMPRESSION"))

@@ -17,7 +17,7 @@ import pytest
 from lobewise.cli.main import run
 from lobewise.cli.output import describe_result, describe_settings
 from lobewise.io import write_frame
-from lobewise.streaming import DenoisedFile, plan
+from lobewise.recipes.streaming import DenoisedFile, plan
 from tests.interrupts import LISTEN
 from tests.streaming.frames import change_radiance, make_scene
 
@@ -117,7 +117,7 @@ def test_the_account_names_what_was_done() -> None:
 PROGRAM = """
 import sys, time
 from lobewise.cli import main
-from lobewise.streaming import recipe
+from lobewise.recipes.streaming import recipe
 
 filter_band = recipe._filter_band
 
@@ -157,7 +157,7 @@ def test_a_terminal_sees_how_far_it_is(folder: Path) -> None:
     pty = pytest.importorskip("pty")
     parent, child = pty.openpty()
     # So small a file is done before a bar is shown.
-    soon = "from lobewise import progress; from lobewise.cli.terminal import steps; "
+    soon = "from lobewise.work import progress; from lobewise.cli.terminal import steps; "
     soon += f"steps.MIN_SECONDS_WITH_BAR = progress.MIN_SECONDS = 0.0; {PROGRAM}"
     command = [sys.executable, "-c", soon, "denoise", str(folder / "in.exr"), "-o", str(folder / "out.exr")]
     with open(os.devnull, "wb") as silence:

@@ -15,7 +15,7 @@ from lobewise.cli.main import run
 from lobewise.errors import InputError
 from lobewise.interchange import import_file
 from lobewise.interchange.importing import bands
-from lobewise.streaming import denoise_file, plan
+from lobewise.recipes.streaming import denoise_file, plan
 from tests.interchange import renderers
 
 LIGHT = ("diffuse.", "specular.")

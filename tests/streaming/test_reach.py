@@ -26,7 +26,7 @@ from lobewise.filters.noise import evidence
 from lobewise.filters.noise.evidence import estimate_noisy_share
 from lobewise.filters.noise_guides import make_noise_guide
 from lobewise.filters.specks import choose_sharing
-from lobewise.frame import FloatArray, Frame
+from lobewise.records.frame import FloatArray, Frame
 from tests.streaming.frames import change_radiance, make_scene
 
 pytestmark = pytest.mark.nightly  # every quality and form, whole and in bands

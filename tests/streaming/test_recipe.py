@@ -16,16 +16,16 @@ from lobewise.denoising import denoise
 from lobewise.denoising.automatic import ask
 from lobewise.denoising.evidence import NOTED_STRIP_ROWS
 from lobewise.errors import CancelledError, FileError, InputError, LobewiseError
-from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.interchange import write_result
 from lobewise.io import read_frame, write_frame
 from lobewise.io.exr.bands import BandReader, BandWriter
-from lobewise.progress import Progress
+from lobewise.recipes.streaming import denoise_file, list_images, needs_bands, plan
+from lobewise.recipes.streaming import recipe as streaming
+from lobewise.recipes.streaming.plan import CHECKED_REACH, choose_rows, estimate_bytes
+from lobewise.records.frame import Frame, GBuffer, Radiance
 from lobewise.settings import DenoiseSettings
 from lobewise.settings.choices import QUALITIES
-from lobewise.streaming import denoise_file, list_images, needs_bands, plan
-from lobewise.streaming import recipe as streaming
-from lobewise.streaming.plan import CHECKED_REACH, choose_rows, estimate_bytes
+from lobewise.work.progress import Progress
 from tests.streaming.frames import add_bad_pixels, change_radiance, make_scene
 
 pytestmark = pytest.mark.nightly  # every quality and form, whole and in bands

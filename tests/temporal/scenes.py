@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lobewise.camera import Camera, compute_motion, project_points
-from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
+from lobewise.records.camera import Camera, compute_motion, project_points
+from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance
 
 SIZE = (48, 64)
 CARD_HEIGHT = 0.6

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lobewise.camera import Camera
 from lobewise.errors import InputError
 from lobewise.filters.history.sums import HISTORY_CHANNELS
-from lobewise.frame import Frame, GBuffer
-from lobewise.temporal.past import Past, pack_past, unpack_past
-from lobewise.temporal.validation import Guides
+from lobewise.recipes.temporal.past import Past, pack_past, unpack_past
+from lobewise.recipes.temporal.validation import Guides
+from lobewise.records.camera import Camera
+from lobewise.records.frame import Frame, GBuffer
 
 SHAPE = (9, 13)
 # Made orthonormal once more it stays what it is.

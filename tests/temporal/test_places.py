@@ -7,9 +7,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from lobewise.camera import Camera
-from lobewise.frame import FloatArray
 from lobewise.guides.places import add_grid, compute_virtual_places, estimate_curvature
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray
 
 WIDTH, HEIGHT = 48, 32
 CAMERA = Camera(position=(0.0, 0.0, 4.0), forward=(0.0, 0.0, -1.0), up=(0.0, 1.0, 0.0), fov_y=0.3)

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from lobewise import TemporalFilter
-from lobewise.adaptive import find_unsupported, recompute
 from lobewise.denoising import denoise
 from lobewise.errors import InputError
 from lobewise.features import ScreenFeature
 from lobewise.filters.history.sums import split_sums
-from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.metrics import find_disoccluded, rel_mse
-from lobewise.sparse_frame import SparseFrame, list_places, make_sparse
-from lobewise.upsampling import upsample
+from lobewise.recipes.adaptive import find_unsupported, recompute
+from lobewise.recipes.upsampling import upsample
+from lobewise.records.frame import Frame, GBuffer, Radiance
+from lobewise.records.sparse_frame import SparseFrame, list_places, make_sparse
 from tests.denoising.test_upsampling import make_lit_frame
 from tests.temporal.scenes import make_camera, make_frame
 

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lobewise.camera import Camera, compute_motion
 from lobewise.filters.history.sums import split_sums
-from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.guides.places import add_grid, compute_virtual_places
 from lobewise.guides.reflections import MIN_MIRROR_MOTION, Mirror, MovedReflections, compute_moved_reflections
-from lobewise.temporal import TemporalFilter
+from lobewise.recipes.temporal import TemporalFilter
+from lobewise.records.camera import Camera, compute_motion
+from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance
 from tests.temporal.test_places import (
     CAMERA,
     HEIGHT,

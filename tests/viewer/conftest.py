@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.camera import Camera
-from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.io import write_frame
+from lobewise.records.camera import Camera
+from lobewise.records.frame import Frame, GBuffer, Radiance
 from lobewise.viewer import Viewer
 
 REBOUND = "evil.example"

@@ -8,8 +8,8 @@ from multiprocessing.connection import Connection
 
 import numpy as np
 
-from lobewise.camera import Camera
 from lobewise.interactive.settings import InteractiveSettings
+from lobewise.records.camera import Camera
 from lobewise.viewer.messages import Description, Opened, Picture, Problem, Request, Save, SavedFile, Target
 
 SECONDS = 0.15

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lobewise.camera import Camera
 from lobewise.interactive.settings import InteractiveSettings
+from lobewise.records.camera import Camera
 from lobewise.viewer.cameras import CameraMap, Pose, choose_up
 from lobewise.viewer.messages import Description
 

@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.camera import Camera
 from lobewise.cli.main import run
 from lobewise.denoising import denoise
 from lobewise.errors import FileError, InputError
-from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.interchange import read_frame as read_any
 from lobewise.io import read_frame, read_image, read_sparse_frame, write_frame, write_sparse_frame
+from lobewise.recipes.upsampling import DEFAULT_RADIUS, upsample
+from lobewise.records.camera import Camera
+from lobewise.records.frame import Frame, GBuffer, Radiance
+from lobewise.records.sparse_frame import make_sparse
 from lobewise.settings import DenoiseSettings
-from lobewise.sparse_frame import make_sparse
-from lobewise.upsampling import DEFAULT_RADIUS, upsample
 from lobewise.viewer import frame_target
 from lobewise.viewer.frame_target import CONTROLS, FrameTarget
 from lobewise.viewer.messages import FrameReading

@@ -9,12 +9,12 @@ import pytest
 
 from lobewise import WindowFilter, denoise
 from lobewise.errors import InputError
-from lobewise.frame import Frame, GBuffer, Radiance, Result
 from lobewise.metrics import rel_mse
-from lobewise.radiance import RadianceLayer
-from lobewise.windows.averaging import average_denoised
-from lobewise.windows.joining import list_neighbours
-from lobewise.windows.recipe import compute_joined_share, mix_results
+from lobewise.recipes.windows.averaging import average_denoised
+from lobewise.recipes.windows.joining import list_neighbours
+from lobewise.recipes.windows.recipe import compute_joined_share, mix_results
+from lobewise.records.frame import Frame, GBuffer, Radiance, Result
+from lobewise.records.radiance import RadianceLayer
 from tests.temporal.scenes import SIZE, make_camera, make_frame
 
 NOISE = 0.3

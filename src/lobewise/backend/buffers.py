@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from lobewise.backend.devices import VULKAN_MULTIPLE
 from lobewise.backend.runtime import get_runtime
 from lobewise.errors import InputError
-from lobewise.images import FloatArray
+from lobewise.work.arrays import FloatArray
 
 PAGE_BYTES = 4096
 """Addresses that are so far apart share their set of the nearest cache."""

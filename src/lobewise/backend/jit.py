@@ -30,8 +30,8 @@ from lobewise.backend.runtime import Runtime, get_runtime
 from lobewise.backend.signature import Parameter, Signature, check_call, unpack_parameters
 from lobewise.backend.sources import PACKAGE, describe_definitions
 from lobewise.backend.watching import tell_compiling
-from lobewise.chunks import make_fork_lock
-from lobewise.limits import check_limits
+from lobewise.work.chunks import make_fork_lock
+from lobewise.work.limits import check_limits
 
 _SCALARS: dict[str, type[ctypes._SimpleCData[Any]]] = {
     "int32": ctypes.c_int32,

@@ -20,8 +20,8 @@ from lobewise.backend.devices import VULKAN_BLOCK, VULKAN_MULTIPLE, make_target
 from lobewise.backend.disk import fetch_object
 from lobewise.backend.objects import compile_object
 from lobewise.backend.prebuilt import choose_library
-from lobewise.chunks import ForkGate, make_fork_lock
 from lobewise.errors import DeviceError
+from lobewise.work.chunks import ForkGate, make_fork_lock
 
 _CONSTRUCTORS = {
     "vulkan": ("register_vulkan_allocation_pool", "_GLOBAL__sub_I_vulkan.cpp"),

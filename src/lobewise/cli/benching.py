@@ -43,8 +43,8 @@ def filters(
                 action="move or remove them",
             )
         return
-    from lobewise.bench.filters import FULL_SIZE, QUICK_SIZE, make_tables, measure_filters
-    from lobewise.bench.machine import describe_machine_in_words
+    from lobewise.cli.bench.filters import FULL_SIZE, QUICK_SIZE, make_tables, measure_filters
+    from lobewise.cli.bench.machine import describe_machine_in_words
     from lobewise.cli.output import print_line, print_note, print_table
     from lobewise.cli.terminal.lines import to_json
     from lobewise.io.files import require_writable, write_text
@@ -92,7 +92,7 @@ def interactive(
     ] = None,
 ) -> None:
     """Time every stage of the viewer while the camera moves along an orbit, one degree per frame."""
-    from lobewise.bench.interactive import measure_devices
+    from lobewise.cli.bench.interactive import measure_devices
     from lobewise.cli.output import print_line
     from lobewise.cli.terminal.lines import to_json
     from lobewise.interactive import InteractiveSettings

@@ -10,7 +10,7 @@ import typer
 import lobewise
 from lobewise.cli.benching import bench
 from lobewise.cli.comparing import compare
-from lobewise.cli.doctor import doctor
+from lobewise.cli.diagnosing import doctor
 from lobewise.cli.exporting import export
 from lobewise.cli.filtering import denoise, upsample
 from lobewise.cli.fitting import fit
@@ -25,10 +25,10 @@ from lobewise.errors import InputError, LobewiseError
 from lobewise.settings import DenoiseSettings
 
 if TYPE_CHECKING:
-    from lobewise.frame import Frame
     from lobewise.guides.usable import CheckedGuides
     from lobewise.interchange import Imported
     from lobewise.io import FileDescription
+    from lobewise.records.frame import Frame
 
 EXIT_USER_ERROR = 2
 """Exit code where input is refused; `inspect` has it for a file that `denoise` refuses."""
@@ -235,7 +235,7 @@ def read_planned(
     from lobewise.cli.options.reading import check_import, refuse_results
     from lobewise.guides.usable import CheckedGuides
     from lobewise.interchange import import_file
-    from lobewise.streaming.checks import open_bands
+    from lobewise.recipes.streaming.checks import open_bands
 
     needs_whole = "--with-oidn" if DenoiseSettings(**settings).asks_for_oidn else reading.option
     if choose_bands(source, "auto", settings, needs_whole):

@@ -15,9 +15,9 @@ from lobewise.cli.terminal.steps import Steps
 from lobewise.errors import InputError, MissingChannelError, MissingDependencyError
 
 if TYPE_CHECKING:
-    from lobewise.camera import Camera
-    from lobewise.frame import FloatArray, GBuffer
     from lobewise.io.sequence import FramePattern
+    from lobewise.records.camera import Camera
+    from lobewise.records.frame import FloatArray, GBuffer
 
     Guides = tuple[GBuffer, Camera]
 

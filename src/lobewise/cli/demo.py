@@ -11,19 +11,19 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
 
-from lobewise.bench.machine import look_up_processor
-from lobewise.chunks import count_cores
+from lobewise.cli.bench.machine import look_up_processor
 from lobewise.cli.options.common import require_device, require_scene
 from lobewise.denoising import denoise
 from lobewise.denoising.bad_pixels import blacken_bad
 from lobewise.errors import InputError
-from lobewise.frame import FloatArray, Frame
 from lobewise.io import read_frame
 from lobewise.io.files import PathLike, make_folder, write_text
 from lobewise.metrics import find_specular_pixels
 from lobewise.peers import denoise_oidn, explain_no_oidn, has_oidn
+from lobewise.records.frame import FloatArray, Frame
 from lobewise.reporting.report import Picture, Report, make_page
 from lobewise.settings.choices import get_similarity
+from lobewise.work.chunks import count_cores
 
 Progress = Callable[[str, int, int], None]
 

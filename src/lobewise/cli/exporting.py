@@ -74,7 +74,7 @@ def pipeline(settings: dict[str, Any], *, compiled: Compiled) -> None:
     """Compile a whole plan into a C library with a wrapper for C++, README and example."""
     if settings.get("upsample", 1) > 1:
         # The radius counts samples.
-        from lobewise.upsampling import DEFAULT_RADIUS
+        from lobewise.recipes.upsampling import DEFAULT_RADIUS
 
         settings = {"radius": DEFAULT_RADIUS, **settings}
     compiled.write(PipelineSettings(**settings))

@@ -21,9 +21,9 @@ from lobewise.farm.running import FarmJob, FarmReport, filter_on_farm
 from lobewise.farm.tasks import TaskLog
 from lobewise.io.files import require_exr_name
 from lobewise.io.sequence import FramePattern, name_frames
-from lobewise.limits import limit_call
+from lobewise.recipes.sequence import filter_sequence
 from lobewise.reporting.picture import Pictures, name_picture
-from lobewise.sequence import filter_sequence
+from lobewise.work.limits import limit_call
 
 MAX_FAILURES_NAMED = 20
 """Most failures that are told one by one."""
@@ -111,7 +111,7 @@ def _make_filter(pickled: bytes) -> tuple[FileFilter[Any, Any], Remarks]:
 def run_request(job: Job, request: Request[Any, Any], fingerprint: Any, farm: Farm, bounds: Bounds) -> None:
     """Filter one file, or every file of a pattern, here or on a farm, and print what was done.
 
-    ``fingerprint`` holds every option that the results depend on: see `lobewise.sequence.filter_sequence`.
+    ``fingerprint`` holds every option that the results depend on: see `lobewise.recipes.sequence.filter_sequence`.
 
     Raises
     ------

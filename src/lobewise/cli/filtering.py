@@ -40,13 +40,13 @@ from lobewise.settings import DenoiseSettings, TemporalSettings
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from lobewise.frame import Result
     from lobewise.interchange import Imported
     from lobewise.interchange.selections import Selection
-    from lobewise.lobe_table import LobeTable
-    from lobewise.sequence import SequenceFilter, State
-    from lobewise.sparse_frame import AnyFrame, SparseFrame
-    from lobewise.streaming import DenoisedFile
+    from lobewise.recipes.sequence import SequenceFilter, State
+    from lobewise.recipes.streaming import DenoisedFile
+    from lobewise.records.frame import Result
+    from lobewise.records.lobe_table import LobeTable
+    from lobewise.records.sparse_frame import AnyFrame, SparseFrame
 
     FileOfOne = Imported | FileInBands | FileInWindow
     """A file, or one of its views."""
@@ -238,7 +238,7 @@ class _Denoiser:
     def _make_filter_of_one(self) -> SequenceFilter[Any, Result | DenoisedFile]:
         from lobewise.cli.options.reading import check_import
         from lobewise.denoising.recipe import denoise_checked
-        from lobewise.windows import WindowFilter
+        from lobewise.recipes.windows import WindowFilter
 
         settings, window = self.request.settings, self.request.window
         if window.reach:
@@ -266,7 +266,7 @@ class _Denoiser:
 
     def write(self, target: Path, result: Result | DenoisedFile | DoneSeveral, file: FileOfOne | FileOfSeveral) -> None:
         """Write the results of a file, unless they were written in bands, and the picture of the first."""
-        from lobewise.frame import Result
+        from lobewise.records.frame import Result
 
         pictures = self.job.pictures
         if isinstance(result, DoneSeveral):
@@ -310,7 +310,7 @@ def upsample(
 ) -> None:
     """Bring sparsely shaded radiance to every pixel, in one file or a sequence of them; the guides are kept."""
     from lobewise.io.files import require_exr_name
-    from lobewise.sparse_frame import require_place
+    from lobewise.records.sparse_frame import require_place
 
     if bilinear and over_time.temporal:
         raise InputError("--bilinear", expected="no --temporal beside it", got="both", action="leave one out")
@@ -388,7 +388,7 @@ class _Upsampler:
         from lobewise.io import read_sparse_frame
         from lobewise.io.exr.layout import name_file
         from lobewise.io.exr.parsing import read_container
-        from lobewise.sparse_frame import make_sparse
+        from lobewise.records.sparse_frame import make_sparse
 
         scale, place = self.request.scale, self.request.place
         if is_own(read_container(path)):
@@ -408,8 +408,8 @@ class _Upsampler:
 
     def make_filter(self) -> SequenceFilter[SparseFile, Result]:
         """Return a filter of sparse frames, each by itself or over time."""
-        from lobewise.temporal import TemporalFilter
-        from lobewise.upsampling import upsample as upsample_frame
+        from lobewise.recipes.temporal import TemporalFilter
+        from lobewise.recipes.upsampling import upsample as upsample_frame
 
         changes = self.request.over_time.extend(self.request.settings)
         if changes is not None:
@@ -419,9 +419,9 @@ class _Upsampler:
 
     def write(self, target: Path, result: Result, file: SparseFile) -> None:
         """Write the result, and its picture: into a copy of another renderer's file, else with the guides."""
-        from lobewise.frame import Frame, Radiance
         from lobewise.interchange import write_result
         from lobewise.io import write_frame
+        from lobewise.records.frame import Frame, Radiance
 
         frame, done = file.frame, self.shade(result, file.frame)
         if file.imported is None:

@@ -15,14 +15,14 @@ from rich.text import Text
 from lobewise.cli.terminal.lines import write_line, writes_lines
 from lobewise.cli.terminal.steps import pause_steps
 from lobewise.errors import make_printable
-from lobewise.frame import Result
 from lobewise.io import FileDescription
 from lobewise.io.exr.describe import PartDescription
-from lobewise.lobe_table import LobeTable
+from lobewise.records.frame import Result
+from lobewise.records.lobe_table import LobeTable
 
 if TYPE_CHECKING:
     from lobewise.cli.options.selections import DoneSeveral
-    from lobewise.streaming import DenoisedFile
+    from lobewise.recipes.streaming import DenoisedFile
 
 
 class _Console(Console):

@@ -23,9 +23,9 @@ from lobewise.scenes import BY_THEMSELVES, list_scenes
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from lobewise.camera import Camera
-    from lobewise.frame import Frame
-    from lobewise.sparse_frame import SparseFrame
+    from lobewise.records.camera import Camera
+    from lobewise.records.frame import Frame
+    from lobewise.records.sparse_frame import SparseFrame
 
 CAMERA_PATHS = ("orbit", "still")
 
@@ -103,7 +103,7 @@ class Contents:
     def write(self, path: Path, frame: Frame | SparseFrame, scene: str) -> None:
         """Write a frame, with the name of its scene."""
         from lobewise.io import write_frame, write_sparse_frame
-        from lobewise.sparse_frame import SparseFrame
+        from lobewise.records.sparse_frame import SparseFrame
 
         if isinstance(frame, SparseFrame):
             write_sparse_frame(path, frame, half=not self.exact)
@@ -329,8 +329,8 @@ def _render_sequence(
 ) -> None:
     """Render the frames of a camera path. Each is written as soon as it is rendered."""
     from lobewise.io.files import require_other_files, require_writable
+    from lobewise.records.sparse_frame import SparseFrame
     from lobewise.render import MovingScene, PlacedScene, read_object_paths, render_sequence
-    from lobewise.sparse_frame import SparseFrame
 
     files = motion.list_files(output)
     first, last = min(files), max(files)

@@ -11,16 +11,16 @@ from lobewise.cli.options.frames import choose_numbers
 from lobewise.cli.options.writing import Picture, name_first_output
 from lobewise.cli.terminal.outcome import Remarks, tell_gaps, tell_picture, tell_settings
 from lobewise.cli.terminal.steps import Steps
-from lobewise.progress import FILTER, WRITE, enter_stage, follow_file, watch_call
+from lobewise.work.progress import FILTER, WRITE, enter_stage, follow_file, watch_call
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
 
     from lobewise.cli.options.selections import DoneSeveral
-    from lobewise.frame import Result
+    from lobewise.recipes.sequence import SequenceFilter, SequenceReport, State
+    from lobewise.recipes.streaming import DenoisedFile
+    from lobewise.records.frame import Result
     from lobewise.reporting.picture import Pictures
-    from lobewise.sequence import SequenceFilter, SequenceReport, State
-    from lobewise.streaming import DenoisedFile
 
 FileT = TypeVar("FileT")
 ResultT = TypeVar("ResultT", bound="Result | DenoisedFile | DoneSeveral")
@@ -127,7 +127,7 @@ class FilterAlone(Generic[FileT, ResultT]):
 def run_filter(job: Job, request: Request[FileT, ResultT], fingerprint: Any) -> None:
     """Filter one file, or every file of a pattern, in this process, and print what was done.
 
-    ``fingerprint`` holds every option that the results depend on: see `lobewise.sequence.filter_sequence`.
+    ``fingerprint`` holds every option that the results depend on: see `lobewise.recipes.sequence.filter_sequence`.
     """
     from lobewise.cli.output import describe_result, print_line
     from lobewise.farm.ledger import remove_records
@@ -173,7 +173,7 @@ def _filter_file(job: Job, verb: FileFilter[FileT, ResultT]) -> ResultT:
 def _filter_sequence(job: Job, verb: FileFilter[FileT, ResultT], fingerprint: str) -> SequenceReport[ResultT]:
     from lobewise.cli.output import print_note
     from lobewise.io.sequence import FramePattern
-    from lobewise.sequence import filter_sequence
+    from lobewise.recipes.sequence import filter_sequence
 
     def write(target: Path, result: ResultT, frame: FileT, path: Path) -> None:
         verb.write(target, result, frame)

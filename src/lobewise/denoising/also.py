@@ -6,8 +6,8 @@ the image itself: its own samples are bounded, its own highlights are kept, and 
 layer's are. Only factors of the layer's light (of the refining network, of light that is shared out, of the mixture)
 are those of the layer. So an image stays black where it has no light, whatever the layer has there.
 
-Planes of one channel come packed, three to an image (`lobewise.images.pack_planes`). Spectral bands are filtered like
-gray light of the total; other planes are averaged by its weights, and nothing else happens to them.
+Planes of one channel come packed, three to an image (`lobewise.records.images.pack_planes`). Spectral bands are
+filtered like gray light of the total; other planes are averaged by its weights, and nothing else happens to them.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from lobewise.denoising.passes import FilteredOther, OtherImage, filter_layer_ha
 from lobewise.features import Feature
 from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.dual_buffer import MORE_AT_ONCE
-from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.guides.halves import mark_bad
-from lobewise.images import MAX_HALF_ROUNDING, is_band
 from lobewise.lobes.vectors import compute_image_luminance
+from lobewise.records.frame import FloatArray, Frame, Radiance
+from lobewise.records.images import MAX_HALF_ROUNDING, is_band
 from lobewise.settings import ResolvedSettings
 from lobewise.settings.choices import get_quality
 

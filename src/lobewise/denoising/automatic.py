@@ -14,12 +14,12 @@ from lobewise.backend.devices import choose_device
 from lobewise.backend.prebuilt import has_kernels
 from lobewise.engine.numbers import choose_larger, choose_smaller, raise_to, take_root
 from lobewise.errors import InputError, require_choice
-from lobewise.frame import Frame
 from lobewise.guides.lobe_fields import default_tau
 from lobewise.peers import explain_no_oidn, has_oidn
+from lobewise.records.frame import Frame
+from lobewise.records.sparse_frame import AnyFrame
 from lobewise.settings import OIDN_QUALITY, DenoiseSettings, QualityName, ResolvedSettings, SimilarityName
 from lobewise.settings.choices import get_quality, get_similarity
-from lobewise.sparse_frame import AnyFrame
 
 DEFAULT_SIMILARITY: SimilarityName = "ggx"
 """Similarity of "auto" where the frame has lobes: the winner of benchmarks/results/similarities.json."""

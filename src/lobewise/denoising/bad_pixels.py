@@ -14,9 +14,9 @@ from lobewise.filters.cross_filter import run_filter
 from lobewise.filters.cross_pass import COLORS
 from lobewise.filters.forms import ATROUS_REACH
 from lobewise.filters.glue import define_bad, define_emptied, define_patched, define_refilled
-from lobewise.frame import FloatArray, Frame
 from lobewise.guides.negative import split_negative
-from lobewise.sparse_frame import AnyFrame
+from lobewise.records.frame import FloatArray, Frame
+from lobewise.records.sparse_frame import AnyFrame
 
 SIGMAS = (1.0, 16.0, 1e15)
 """Standard deviations of the rounds that fill holes, pixels. The last weighs all pixels of the kernel alike."""

@@ -66,9 +66,11 @@ from lobewise.filters.fireflies import count_light, cut_samples
 from lobewise.filters.forms import describe_form
 from lobewise.filters.glue import define_checked, define_support
 from lobewise.filters.specks import Sharing, choose_sharing
-from lobewise.frame import FloatArray, Frame, GBuffer
-from lobewise.progress import enter_stage, plan_stages, raise_cost
-from lobewise.progress.stages import (
+from lobewise.records.frame import FloatArray, Frame, GBuffer
+from lobewise.settings import ResolvedSettings
+from lobewise.settings.choices import get_quality
+from lobewise.work.progress import enter_stage, plan_stages, raise_cost
+from lobewise.work.progress.stages import (
     FILL,
     FILTER_HALVES,
     FILTER_ONCE,
@@ -80,8 +82,6 @@ from lobewise.progress.stages import (
     SHARE_OUT,
     TAKE_BACK,
 )
-from lobewise.settings import ResolvedSettings
-from lobewise.settings.choices import get_quality
 
 
 @dataclass(frozen=True, kw_only=True)

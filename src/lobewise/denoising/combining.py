@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lobewise.backend.prebuilt import has_kernels
-from lobewise.chunks import cut_rows
 from lobewise.denoising.automatic import explain_ours
 from lobewise.denoising.bad_pixels import mark_good
 from lobewise.denoising.evidence import estimate_share_proved, get_image_halves, load_networks, mix_noisy
@@ -25,12 +24,13 @@ from lobewise.filters.noise.agreement import compute_agreement
 from lobewise.filters.noise.albedo import clean_albedo
 from lobewise.filters.noise.detail import compute_detail
 from lobewise.filters.specks import MIN_BLUR_RADIUS
-from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.guides.squares import sum_square
 from lobewise.lobes.vectors import compute_image_luminance
 from lobewise.peers import denoise_oidn, has_clean_guides, keep_library_memory, name_call, name_oidn_guides
+from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_similarity
+from lobewise.work.chunks import cut_rows
 
 CHOOSE = "choose the shares of the images"
 """The stage after the calls of Open Image Denoise."""

@@ -15,8 +15,8 @@ from lobewise.filters.mixing import Perceptron
 from lobewise.filters.noise.detail import predict_shares
 from lobewise.filters.noise.evidence import count_certain, estimate_noisy_share
 from lobewise.filters.noise.pooling import DARK_SHARE
-from lobewise.frame import FloatArray, Frame
 from lobewise.metrics.images import EPSILON
+from lobewise.records.frame import FloatArray, Frame
 
 MAX_CONCENTRATION = 4.0
 """Concentration that `estimate_noisy_share` expects of the error of our filters: this error lies along edges and

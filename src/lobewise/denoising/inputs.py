@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from lobewise.denoising.automatic import choose_similarity
-from lobewise.frame import Frame
+from lobewise.records.frame import Frame
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_quality, get_similarity
 

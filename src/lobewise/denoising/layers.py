@@ -28,7 +28,6 @@ from lobewise.features import (
 from lobewise.filters.cross_filter import FilterOutput, run_filter
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.filters.glue import define_common_mask, define_whole_albedo
-from lobewise.frame import FloatArray, GBuffer
 from lobewise.guides.lobe_fields import (
     SgField,
     SplitField,
@@ -41,9 +40,10 @@ from lobewise.guides.mixture_fields import make_mixture_field
 from lobewise.guides.rays import compute_ray_weights, make_ray_feature
 from lobewise.guides.surfaces import compute_inverse_hits, compute_points, mark_surface_pixels
 from lobewise.lobes.hits import HitField
+from lobewise.records.frame import FloatArray, GBuffer
+from lobewise.records.sparse_frame import AnyFrame, Rays, SparseFrame
 from lobewise.settings import ResolvedSettings
 from lobewise.settings.choices import get_similarity
-from lobewise.sparse_frame import AnyFrame, Rays, SparseFrame
 
 Mask = NDArray[np.bool_]
 
@@ -82,7 +82,7 @@ class Layer:
     is_diffuse: bool = False
     is_transmitted: bool = False
     weights: FloatArray | None = None
-    """Weights of the samples' rays, (rows, columns), if the frame has rays; see `lobewise.sparse_frame.Rays`."""
+    """Weights of the samples' rays, (rows, columns), of a frame with rays; see `lobewise.records.sparse_frame.Rays`."""
 
     @property
     def is_reflected(self) -> bool:

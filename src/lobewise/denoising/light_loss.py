@@ -29,8 +29,8 @@ from lobewise.denoising.layers import Layer
 from lobewise.engine.numbers import make_single
 from lobewise.filters.glue import define_brightened, define_takers
 from lobewise.filters.noise.residuals import SHARED_NOISE_VARIANCE, SHARED_STEP, compute_residual
-from lobewise.frame import FloatArray, Frame
 from lobewise.lobes.numbers import NUMPY
+from lobewise.records.frame import FloatArray, Frame
 
 MIN_SHARE_BOUNDED = 1e-3
 """Share of the light that bounding took from fireflies. Below it, fireflies are not the cause of a change."""

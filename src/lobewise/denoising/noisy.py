@@ -20,8 +20,8 @@ from lobewise.filters.glue import define_joined_colours, define_joined_halves, d
 from lobewise.filters.highlights import split_highlights
 from lobewise.filters.noise.residuals import compute_squared_residual
 from lobewise.filters.noise_guides import add_light, measure_level, measure_light
-from lobewise.frame import FloatArray, Frame
 from lobewise.guides.halves import choose_halves
+from lobewise.records.frame import FloatArray, Frame
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_similarity
 

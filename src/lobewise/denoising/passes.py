@@ -27,7 +27,7 @@ from lobewise.filters.noise_guides import (
     compute_log_offset,
     make_noise_guide,
 )
-from lobewise.frame import FloatArray, Frame
+from lobewise.records.frame import FloatArray, Frame
 from lobewise.settings import ResolvedSettings
 
 

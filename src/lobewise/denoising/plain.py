@@ -13,7 +13,7 @@ from lobewise.backend.pointwise import give_channels
 from lobewise.denoising.layers import Layer
 from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.glue import define_filtered_sum
-from lobewise.frame import FloatArray, Frame
+from lobewise.records.frame import FloatArray, Frame
 
 
 class FilteredSum(NamedTuple):

@@ -24,11 +24,14 @@ from lobewise.filters.noise.detail import DETAIL_REACH
 from lobewise.filters.noise.residuals import RESIDUAL_REACH
 from lobewise.filters.noise_guides import BLUR_RADIUS as GUIDE_REACH
 from lobewise.filters.refinement.shape import REFINEMENT_REACH
-from lobewise.frame import Frame
 from lobewise.guides.lobe_fields import SPREAD_REACH
-from lobewise.limits import GIB, get_limits, require_memory
 from lobewise.peers import LIBRARY_BYTES_PER_PIXEL, MIN_LIBRARY_BYTES, bound_library_memory, require_oidn
-from lobewise.progress.stages import (
+from lobewise.records.frame import Frame
+from lobewise.records.sparse_frame import AnyFrame
+from lobewise.settings import DenoiseSettings, ResolvedSettings
+from lobewise.settings.choices import get_quality
+from lobewise.work.limits import GIB, get_limits, require_memory
+from lobewise.work.progress.stages import (
     FILL,
     FILTER_HALVES,
     FILTER_ONCE,
@@ -40,9 +43,6 @@ from lobewise.progress.stages import (
     SHARE_OUT,
     TAKE_BACK,
 )
-from lobewise.settings import DenoiseSettings, ResolvedSettings
-from lobewise.settings.choices import get_quality
-from lobewise.sparse_frame import AnyFrame
 
 PEER_BYTES_PER_PIXEL = 320
 """Memory of images that are held for Open Image Denoise, beside the frame and what the library works on, bytes."""
@@ -224,7 +224,7 @@ def list_frame_steps(frame: Frame, settings: ResolvedSettings) -> tuple[list[Ste
 
 
 def compute_costs(frame: Frame, settings: ResolvedSettings) -> dict[str, float]:
-    """Return the steps of a frame and the seconds that each takes for a megapixel, for `lobewise.progress`."""
+    """Return the steps of a frame and the seconds that each takes for a megapixel, for `lobewise.work.progress`."""
     near, far = list_frame_steps(frame, settings)
     costs = SECONDS_PER_MEGAPIXEL | {MIX_PEER: sum(list_peer_costs(frame).values())}
     by_layer = 1 if frame.radiance.parts is None else len(frame.layers) or len(MEASURED_LAYERS)

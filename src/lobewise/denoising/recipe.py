@@ -32,18 +32,18 @@ from lobewise.denoising.plan import bound_memory, compute_costs
 from lobewise.errors import UnusedGuideWarning, require_kind
 from lobewise.features import Feature
 from lobewise.filters.fireflies import compute_energy_lost
-from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.guides.negative import split_negative
 from lobewise.guides.squares import compute_square_maximum, sum_square
 from lobewise.guides.survey import ALBEDOS
 from lobewise.guides.usable import CheckedGuides, check_guides
-from lobewise.images import crop_columns, list_packed, pack_planes, unpack_planes, wrap_columns
 from lobewise.peers import require_oidn
-from lobewise.progress import Watcher, enter_stage, plan_stages, watched
-from lobewise.progress.stages import FILTER_ONCE, SECONDS_PER_MEGAPIXEL
-from lobewise.radiance import MAX_EXCESS_SHARE, measure_excess
+from lobewise.records.frame import FloatArray, Frame, Radiance, Result
+from lobewise.records.images import crop_columns, list_packed, pack_planes, unpack_planes, wrap_columns
+from lobewise.records.radiance import MAX_EXCESS_SHARE, measure_excess
 from lobewise.settings import DenoiseChanges, DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_quality
+from lobewise.work.progress import Watcher, enter_stage, plan_stages, watched
+from lobewise.work.progress.stages import FILTER_ONCE, SECONDS_PER_MEGAPIXEL
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack

@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.images import FloatArray
+from lobewise.work.arrays import FloatArray
 
 Chromaticities = tuple[float, ...]
 """x and y of red, green, blue and white, as the attribute ``chromaticities`` of EXR files has them."""

@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import Any
 
 from lobewise.errors import InputError
-from lobewise.progress import Progress
+from lobewise.work.progress import Progress
 
 MIN_STEP_SHARE = 0.005
 """A bar is drawn again when it has grown by this share."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lobewise.display.colors import Chromaticities, convert_light
 from lobewise.display.tones import map_tones
 from lobewise.errors import FileError, InputError, MissingDependencyError, make_printable, require_choice
-from lobewise.images import FloatArray
+from lobewise.work.arrays import FloatArray
 
 AP0: Chromaticities = (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.077, 0.32168, 0.33767)
 """Source: SMPTE ST 2065-1, the primaries of ACES2065-1, by which OpenColorIO names the light of other primaries."""

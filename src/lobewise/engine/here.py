@@ -18,7 +18,7 @@ from lobewise.backend.devices import count_host_lanes
 from lobewise.backend.jit import Kernel, get_kernel, run_kernel
 from lobewise.backend.pointwise import PointwiseKey, make_pointwise
 from lobewise.errors import InputError
-from lobewise.images import FloatArray
+from lobewise.records.images import FloatArray
 
 MAX_SCRATCH_BYTES = 1 << 29
 """Largest image between two passes whose memory is kept for the next call, bytes."""

@@ -27,7 +27,7 @@ from lobewise.farm.environment import compare_environments, shorten_version
 from lobewise.farm.tasks import Assignment, Task, TaskLog, TaskResult
 from lobewise.farm.worker import describe_worker, run_assignment
 from lobewise.io.sequence import name_frames
-from lobewise.limits import check_limits
+from lobewise.work.limits import check_limits
 
 WAITING = "Waiting for workers"
 MAX_RETRIES = 2

@@ -22,7 +22,7 @@ from lobewise.io.files import make_folder, refusing, write_text
 from lobewise.io.locks import try_lock
 from lobewise.io.replacing import name_temporary
 from lobewise.io.sequence import FramePattern
-from lobewise.sequence import name_beside
+from lobewise.recipes.sequence import name_beside
 
 LEDGER_ENDING = ".lobewise-farm"
 """Ending of the folder's name."""

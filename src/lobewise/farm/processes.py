@@ -14,11 +14,11 @@ from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from typing import Any
 
-from lobewise.chunks import count_cores
 from lobewise.display.hushing import hush_libraries
 from lobewise.errors import LobewiseError
 from lobewise.farm.calls import CallFailedError, WorkerLostError
 from lobewise.farm.worker import limit_threads
+from lobewise.work.chunks import count_cores
 
 MAX_FALSE_STARTS = 3
 """Processes that may end before they have answered anything; then no process can start here."""

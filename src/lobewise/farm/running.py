@@ -20,8 +20,8 @@ from lobewise.farm.tasks import Assignment, Numbered, Task, TaskLog, Work, cut_f
 from lobewise.io.files import require_other_files, require_writable
 from lobewise.io.replacing import remove_leftovers
 from lobewise.io.sequence import FramePattern
-from lobewise.progress import FILTER, Watcher, tell_frames, watched
-from lobewise.sequence import name_checkpoint
+from lobewise.recipes.sequence import name_checkpoint
+from lobewise.work.progress import FILTER, Watcher, tell_frames, watched
 
 
 @dataclass(frozen=True, kw_only=True)

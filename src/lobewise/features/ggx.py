@@ -9,10 +9,10 @@ from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import HALIDE, log2
 from lobewise.features.base import Offset, Stage, Vector
 from lobewise.features.lobe import CovarianceFeature, HitPlanes, LobeFeature, compute_step
-from lobewise.frame import FloatArray
 from lobewise.lobes.covariance import split_covariance
 from lobewise.lobes.hits import HitField
 from lobewise.lobes.vectors import dot
+from lobewise.records.frame import FloatArray
 
 # (1 + q/4)^-2.4 approximates the planar autocorrelation of a GGX lobe within 3.7e-3 (tests/features/test_constants.py).
 # Its slope at q = 0, 0.6, is exact. All exponents of the similarity are whole or half multiples of GGX_UNIT, so powers

@@ -8,9 +8,9 @@ from typing import ClassVar, NamedTuple, Protocol
 
 from lobewise.backend.compiler import hl
 from lobewise.features.base import DeclaredFeature, Vector
-from lobewise.frame import FloatArray
 from lobewise.lobes.hits import HitField, compute_hit_shift
 from lobewise.lobes.vectors import dot, subtract
+from lobewise.records.frame import FloatArray
 
 
 class HitPlanes(NamedTuple):

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import LOG2_E
 from lobewise.features.base import DeclaredFeature, Offset, Stage, Vector
-from lobewise.frame import FloatArray
 from lobewise.lobes.vectors import dot, subtract
+from lobewise.records.frame import FloatArray
 
 # With x = 1 - cos d, 2^-(x (c0 + c1 x + ...)) approximates the Lambert similarity ((pi - d) cos d + sin d) / pi within
 # 3.8e-3 for every angle d. It is monotonic and needs neither logarithm nor root.

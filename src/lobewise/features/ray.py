@@ -8,9 +8,9 @@ from typing import ClassVar, NamedTuple
 from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import HALIDE
 from lobewise.features.base import DeclaredFeature, Offset, Stage, Vector
-from lobewise.frame import FloatArray
 from lobewise.lobes.directions import compute_tangent, face_viewer
 from lobewise.lobes.vectors import cross, dot, scale
+from lobewise.records.frame import FloatArray
 
 LOBE_SPREAD = 0.1
 """Alpha by which lobes are widened before their values along a ray are compared. Without it a neighbour's ray meets a

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import LOG2_E, log2
 from lobewise.features.base import DeclaredFeature, Offset, Pixel, Stage, Vector
-from lobewise.frame import FloatArray
 from lobewise.lobes.vectors import dot
+from lobewise.records.frame import FloatArray
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -10,8 +10,8 @@ from lobewise.backend.buffers import Image
 from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import LOG2_E
 from lobewise.features.base import DeclaredFeature, Offset, Stage, Vector
-from lobewise.frame import FloatArray
 from lobewise.lobes.vectors import dot, subtract
+from lobewise.records.frame import FloatArray
 
 
 class Distance(NamedTuple):

@@ -9,8 +9,8 @@ from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import LOG2_E, log2
 from lobewise.features.base import Offset, Stage, Vector
 from lobewise.features.lobe import HitPlanes, LobeFeature, compute_step
-from lobewise.frame import FloatArray
 from lobewise.lobes.hits import HitField
+from lobewise.records.frame import FloatArray
 
 
 class SgPlanes(NamedTuple):

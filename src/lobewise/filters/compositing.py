@@ -16,7 +16,7 @@ from lobewise.backend import expressions
 from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, give_channels, select_or_nan
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 
 MIN_TINTED_AREA = 1e-6
 """Smallest sum of area times albedo; below it a channel keeps the light at the pixel's own centre."""
@@ -54,7 +54,7 @@ def composite_light(
         Mean albedo of every pixel's area, or without coverage the albedo at its centre. Channels that are negative or
         not finite count as 0.
     coverage : array, shape (height, width, 9), optional
-        See `lobewise.frame.GBuffer`; needs albedo.
+        See `lobewise.records.frame.GBuffer`; needs albedo.
     """
     named = {f"light{k}": image for k, image in enumerate(images)}
     others = {"lit": lit, "radiance": radiance, "albedo": albedo, "coverage": coverage}
@@ -86,7 +86,7 @@ def composite_parts(
     albedo, mean_albedo : array, shape (height, width, 3)
         Albedo at the centre, and its mean over the pixel's area.
     coverage : array, shape (height, width, 9)
-        See `lobewise.frame.GBuffer`.
+        See `lobewise.records.frame.GBuffer`.
     """
     images = {"weight": weight_sum, "albedo": albedo, "mean": mean_albedo, "coverage": coverage}
     images |= give_channels("part", part)

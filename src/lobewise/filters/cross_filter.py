@@ -20,7 +20,7 @@ from lobewise.filters.cross_pass import COLORS, PassKey, Reads, Writes, chain_pa
 from lobewise.filters.forms import ATROUS_RADIUS, Taps, list_form_passes
 from lobewise.filters.glue import define_apart
 from lobewise.filters.scheduling import STRIP_ROWS
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 from lobewise.settings import FORM_NAMES
 
 MIN_TILE_STRIPS = 16

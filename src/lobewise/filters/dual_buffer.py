@@ -36,7 +36,7 @@ from lobewise.filters.forms import Taps
 from lobewise.filters.planes import C, X, Y
 from lobewise.filters.scheduling import count_lanes
 from lobewise.filters.weigh import TapSums, U, V
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 from lobewise.settings import LARGEST_RADIUS
 
 HALF_COUNT = 2

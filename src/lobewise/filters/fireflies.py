@@ -27,7 +27,7 @@ from lobewise.backend.signature import Signature
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, compute_expression_luminance, demodulate
 from lobewise.filters.planes import C, X, Y
 from lobewise.filters.scheduling import LINE, STRIP, STRIP_ROWS, schedule_stencil, spread_pixels
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 
 FIREFLY_REACH = 6
 """Pixels from the centre of the window to its edge: about the radius of a filter kernel."""

@@ -22,7 +22,7 @@ from lobewise.backend.signature import Signature
 from lobewise.engine.here import HERE
 from lobewise.errors import InputError
 from lobewise.filters.planes import C, X, Y
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 
 LAYER_COUNT = 3
 """Layers of a network: two hidden ones and the output."""

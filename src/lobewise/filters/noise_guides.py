@@ -20,7 +20,7 @@ from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS, compute_expression
 from lobewise.filters.dual_buffer import GUIDE_CHANNELS
 from lobewise.filters.planes import C, X, Y
 from lobewise.filters.scheduling import COLUMNS, ROWS, STRIP, count_lanes, keep_planes, keep_rows, schedule_stencil
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 
 BLUR_RADIUS = 3
 """Radius of the blur of the variance, pixels."""

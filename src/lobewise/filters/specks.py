@@ -22,11 +22,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.chunks import Chunk, run_chunks
 from lobewise.filters.compositing import UNKNOWN_SPP
-from lobewise.frame import FloatArray
 from lobewise.guides.squares import compute_square_maximum, sum_square
 from lobewise.lobes.vectors import compute_image_luminance
+from lobewise.records.frame import FloatArray
+from lobewise.work.chunks import Chunk, run_chunks
 
 MIN_BLUR_RADIUS = 1.5
 """Radius, pixels, from which a pixel counts as out of focus."""

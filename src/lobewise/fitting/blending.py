@@ -9,7 +9,7 @@ import numpy as np
 
 from lobewise.errors import InputError
 from lobewise.fitting.arrays import Array, normalize
-from lobewise.lobe_table import LobeTable
+from lobewise.records.lobe_table import LobeTable
 
 
 def blend_tables(one: LobeTable, two: LobeTable, share: float) -> LobeTable:

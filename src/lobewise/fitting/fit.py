@@ -23,8 +23,8 @@ from lobewise.fitting.fit_shapes import LobeFamily
 from lobewise.fitting.ggx import ggx_brdf
 from lobewise.fitting.nodes import Nodes, make_nodes
 from lobewise.fitting.table import order_lobes
-from lobewise.lobe_table import KINDS, LobeTable
 from lobewise.lobes.vectors import LUMINANCE
+from lobewise.records.lobe_table import KINDS, LobeTable
 from lobewise.settings import MAX_LOBES
 
 Evaluate = Callable[[Array, Array], Any]

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lobewise.errors import InputError
 from lobewise.fitting.arrays import Array, as_reals, dot, normalize
-from lobewise.lobe_table import LobeTable
+from lobewise.records.lobe_table import LobeTable
 
 # Points evaluated at a time: their rows of the table fit into the L2 cache of a core.
 _POINTS_PER_CHUNK = 8192

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from lobewise import engine
 from lobewise.backend.expressions import is_good
 from lobewise.backend.pointwise import Grid, Vector, select_or_nan
-from lobewise.frame import FloatArray, Frame
+from lobewise.records.frame import FloatArray, Frame
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.frame import FloatArray, Frame
 from lobewise.guides.squares import average_square, compute_square_maximum, sum_square
-from lobewise.images import crop_columns
+from lobewise.records.frame import FloatArray, Frame
+from lobewise.records.images import crop_columns
 
 MAX_DIFFERENCE = 0.03
 """Largest difference between alike neighbours, in every colour, relative to the brighter one."""

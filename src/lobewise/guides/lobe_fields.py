@@ -13,15 +13,15 @@ from lobewise import engine
 from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import HALIDE
 from lobewise.backend.pointwise import LARGEST_FLOAT, Grid, Vector, is_finite
-from lobewise.camera import Camera
 from lobewise.engine.numbers import compute_hypotenuse, make_single, square_single
 from lobewise.errors import InputError, MissingChannelError
-from lobewise.frame import FloatArray, GBuffer, LobeKind
 from lobewise.guides.surfaces import is_surface, is_surface_depth, make_ray
 from lobewise.lobes.covariance import compute_round_covariance, make_covariance_lobe, split_covariance
 from lobewise.lobes.directions import compute_tangent, face_viewer, reflect
 from lobewise.lobes.gaussian import LAMBERT_SIMILARITY_SHARPNESS, compute_ggx_variance
 from lobewise.lobes.vectors import cross, dot, scale
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray, GBuffer, LobeKind
 from lobewise.settings.choices import get_similarity
 
 NORMAL_ERROR = 1e-3

@@ -17,19 +17,19 @@ from lobewise import engine
 from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import HALIDE
 from lobewise.backend.pointwise import Grid, Vector, give_channels, is_finite
-from lobewise.camera import Camera
-from lobewise.chunks import Chunk, run_chunks
 from lobewise.errors import InputError
 from lobewise.fitting.arrays import normalize
 from lobewise.fitting.table import evaluate_table
-from lobewise.frame import FloatArray, GBuffer, LobeKind
 from lobewise.guides.lobe_fields import LAMBERT_LOBE, NO_LOBE, check_lobe_guides, collect_guides, compute_lobe
 from lobewise.guides.surfaces import mark_surface_pixels
-from lobewise.lobe_table import LobeTable
 from lobewise.lobes.gaussian import LAMBERT_SIMILARITY_SHARPNESS, integrate_gaussian
 from lobewise.lobes.mixture import LAMBERT_AMPLITUDE, LAMBERT_SHARPNESS, spread_ggx_mixture
 from lobewise.lobes.vectors import compute_luminance, dot, scale
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray, GBuffer, LobeKind
+from lobewise.records.lobe_table import LobeTable
 from lobewise.settings import MAX_LOBES
+from lobewise.work.chunks import Chunk, run_chunks
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.frame import FloatArray, Frame
-from lobewise.radiance import Radiance, RadianceLayer
-from lobewise.sparse_frame import AnyFrame, SparseFrame
+from lobewise.records.frame import FloatArray, Frame
+from lobewise.records.radiance import Radiance, RadianceLayer
+from lobewise.records.sparse_frame import AnyFrame, SparseFrame
 
 NEGATIVE_REACH = 2
 """Distance of the farthest pixel that decides whether a pixel is damaged, rows or columns."""

@@ -15,10 +15,10 @@ import numpy as np
 from lobewise import engine
 from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, is_finite, select_or_nan
-from lobewise.camera import Camera
-from lobewise.frame import FloatArray
 from lobewise.guides.surfaces import is_surface_depth, make_ray
 from lobewise.lobes.vectors import dot, subtract
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray
 
 MISS_DISTANCE = 1e6
 """Distance from the surface to the virtual image if the lobe hits nothing, over the distance from the camera."""
@@ -58,7 +58,7 @@ def compute_surface_places(
 ) -> tuple[FloatArray, FloatArray | None]:
     """Return where surfaces were in the previous frame, and by how many pixels objects moved by themselves.
 
-    `lobewise.camera.compute_motion` computes the same places, up to rounding, for code without Halide.
+    `lobewise.records.camera.compute_motion` computes the same places, up to rounding, for code without Halide.
 
     Parameters
     ----------

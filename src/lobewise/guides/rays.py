@@ -11,10 +11,10 @@ from lobewise import engine
 from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import LARGEST_FLOAT, Grid, Vector, is_finite
 from lobewise.features.ray import RayFeature
-from lobewise.frame import FloatArray
 from lobewise.guides.surfaces import make_ray
 from lobewise.lobes.vectors import dot
-from lobewise.sparse_frame import SparseFrame
+from lobewise.records.frame import FloatArray
+from lobewise.records.sparse_frame import SparseFrame
 
 MIN_DIFFUSE_ALBEDO = 1e-3
 """Diffuse albedo from which a surface counts as having a diffuse lobe."""
@@ -50,8 +50,8 @@ def _define_weights(grid: Grid, least: float) -> list[Vector]:
 def make_ray_feature(frame: SparseFrame, direction: FloatArray) -> RayFeature:
     """Return the feature that weighs the rays of a frame's samples by the lobes of the pixels.
 
-    ``direction``, (rows, columns, 3), is that of `lobewise.sparse_frame.Rays`. Without tangents, both alphas are
-    replaced by their root mean square.
+    ``direction``, (rows, columns, 3), is that of `lobewise.records.sparse_frame.Rays`. Without tangents, both
+    alphas are replaced by their root mean square.
 
     Raises
     ------

@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from lobewise import engine
 from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, is_finite, select_or_nan
-from lobewise.camera import Camera
-from lobewise.frame import FloatArray
 from lobewise.guides.places import MISS_DISTANCE, project_step
 from lobewise.lobes.vectors import dot, subtract
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray
 
 MIN_MIRROR_MOTION = 0.004
 """Motion of a surface besides that of the camera, pixels, above which the mirror's previous plane is looked up.

@@ -15,12 +15,12 @@ import numpy as np
 from lobewise import engine
 from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, is_finite
-from lobewise.camera import Camera
-from lobewise.frame import FloatArray
 from lobewise.guides.places import project_step
 from lobewise.guides.surfaces import is_surface_depth
 from lobewise.lobes.directions import reflect
 from lobewise.lobes.vectors import dot
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray
 
 STEPS = 96
 """Steps of a ray."""

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 
 Array = TypeVar("Array", bound=NDArray[Any])
 

@@ -16,12 +16,12 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.camera import Camera
-from lobewise.frame import FloatArray, Frame, GBuffer
 from lobewise.guides.lamps import describe_lamps, keep_lamps
 from lobewise.guides.squares import count_neighbours
 from lobewise.guides.surfaces import mark_surface_pixels, put_backdrop
-from lobewise.sparse_frame import AnyFrame
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray, Frame, GBuffer
+from lobewise.records.sparse_frame import AnyFrame
 
 FROM_PLACES = "There are no normals; those of the surfaces through the positions stand for them."
 IMAGE_ALONE = "Nothing tells surfaces apart but the image itself: there are no normals, and no places of surfaces."

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from lobewise import engine
 from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, is_finite
-from lobewise.camera import Camera
 from lobewise.engine.numbers import make_single
-from lobewise.frame import FloatArray, GBuffer
 from lobewise.lobes.vectors import dot
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray, GBuffer
 
 MIN_SQUARED_NORMAL = 0.01
 """Squared length of a normal. Below it the pixel sees no surface: every renderer writes 0 for the background."""

@@ -13,8 +13,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from lobewise.frame import FloatArray, Frame
-from lobewise.sparse_frame import AnyFrame
+from lobewise.records.frame import FloatArray, Frame
+from lobewise.records.sparse_frame import AnyFrame
 
 SURFACES = ("normal", "mean_normal", "denoiser_normal", "position", "depth")
 """Guides that are 0 only where there is no surface."""

@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.backend.prebuilt import has_kernels
-from lobewise.frame import FloatArray, Frame, GBuffer
 from lobewise.guides.squares import count_neighbours
 from lobewise.guides.stand_ins import stand_in_normals, stand_in_surfaces
 from lobewise.guides.surfaces import mark_surface_pixels
 from lobewise.guides.survey import GuideSurvey
-from lobewise.images import crop_columns
-from lobewise.sparse_frame import AnyFrame
+from lobewise.records.frame import FloatArray, Frame, GBuffer
+from lobewise.records.images import crop_columns
+from lobewise.records.sparse_frame import AnyFrame
 
 MAX_ALBEDO = 1.1
 """Largest possible albedo. Noise of samples and 16-bit floats let albedos exceed 1 by a few per cent."""

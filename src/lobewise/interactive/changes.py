@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lobewise.camera import Camera
-from lobewise.frame import FloatArray
 from lobewise.interactive.methods import Methods
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray
 from lobewise.render.gbuffer import number_moves
 from lobewise.render.moving.shapes import Matrix, ShapePlaces
 from lobewise.render.stages import FirstHits, Stages

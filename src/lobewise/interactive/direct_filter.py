@@ -13,9 +13,9 @@ from lobewise import engine
 from lobewise.denoising.automatic import resolve_settings
 from lobewise.denoising.layers import filter_layer, make_layers
 from lobewise.filters.history.light import LightPast, blend_light
-from lobewise.frame import Frame, Radiance
-from lobewise.images import make_read_only
 from lobewise.interactive.settings import UNFILTERED, InteractiveSettings
+from lobewise.records.frame import Frame, Radiance
+from lobewise.records.images import make_read_only
 from lobewise.render.stages import DirectLight, FirstHits
 from lobewise.settings import DenoiseSettings, SimilarityName
 from lobewise.settings.choices import get_similarity

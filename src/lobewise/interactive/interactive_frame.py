@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
-from lobewise.camera import Camera
 from lobewise.errors import require_choice
-from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.interactive.settings import VIEWS, InteractiveSettings
 from lobewise.interactive.views import Parts, make_view
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray, Frame, Radiance, Result
 
 STAGES = ("gbuffer", "indirect", "upsampling", "adaptive", "composite")
 """Stages that are timed, in their order. Direct light counts as part of "gbuffer"."""

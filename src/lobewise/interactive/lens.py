@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from lobewise.frame import FloatArray, Radiance
 from lobewise.interactive.resting import Resting
 from lobewise.interactive.samples import choose_pixels
 from lobewise.interactive.settings import InteractiveSettings
+from lobewise.records.frame import FloatArray, Radiance
+from lobewise.records.sparse_frame import SparseFrame
 from lobewise.render.stages import FirstHits, Stages
-from lobewise.sparse_frame import SparseFrame
 
 SHARP_WORTH = 4.0
 """Weight of the picture without the lens in the mean, in samples of the pixel itself. It shows other light than the

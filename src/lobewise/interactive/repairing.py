@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.adaptive import recompute
-from lobewise.frame import Radiance, Result
 from lobewise.interactive.filter_choice import MIN_PATHS_FOR_INTERPOLATION
 from lobewise.interactive.resting import Again
 from lobewise.interactive.settings import InteractiveSettings
-from lobewise.sparse_frame import SparseFrame
-from lobewise.temporal.recipe import TemporalFilter
+from lobewise.recipes.adaptive import recompute
+from lobewise.recipes.temporal.recipe import TemporalFilter
+from lobewise.records.frame import Radiance, Result
+from lobewise.records.sparse_frame import SparseFrame
 
 NOISY_PARTS = 4
 """How often a pixel is shaded again where samples are noisy. A quarter of the pixels, each shaded four times, has less

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.denoising.bad_pixels import mark_good
-from lobewise.frame import FloatArray
-from lobewise.sparse_frame import SparseFrame
+from lobewise.records.frame import FloatArray
+from lobewise.records.sparse_frame import SparseFrame
 
 FILTERED_WORTH = 32.0
 """Weight of the filtered light in the mean, in samples of the pixel itself."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.frame import Radiance
+from lobewise.records.frame import Radiance
+from lobewise.records.sparse_frame import Rays, list_places
 from lobewise.render.stages import IndirectLight
 from lobewise.render.tracing.own_samples import OwnLight
 from lobewise.render.tracing.points import IndirectMethod
-from lobewise.sparse_frame import Rays, list_places
 
 
 def choose_pixels(

@@ -14,10 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lobewise.backend.buffers import MemoryPool
-from lobewise.camera import Camera
 from lobewise.errors import InputError, name_value
 from lobewise.filters.history.light import LightPast
-from lobewise.frame import Radiance, Result
 from lobewise.interactive.changes import SceneChanges, Seen
 from lobewise.interactive.direct_filter import settle_direct
 from lobewise.interactive.filter_choice import FilterChoice
@@ -30,15 +28,17 @@ from lobewise.interactive.samples import choose_pixels, make_radiance, make_rays
 from lobewise.interactive.settings import UNFILTERED, InteractiveSettings
 from lobewise.interactive.temporal_gradients import Shaded, compute_changes, follows_hits, relight
 from lobewise.interactive.views import Parts
+from lobewise.recipes.temporal.recipe import TemporalFilter
+from lobewise.recipes.upsampling import upsample
+from lobewise.records.camera import Camera
+from lobewise.records.frame import Radiance, Result
+from lobewise.records.sparse_frame import SparseFrame
 from lobewise.render.loading import load_scene
 from lobewise.render.renderer import PART_STEP
 from lobewise.render.stages import DirectLight, FirstHits, Stages
 from lobewise.render.tracing.own_samples import OwnLight
 from lobewise.scenes.limits import VIEW_BYTES_PER_PIXEL, require_memory
 from lobewise.settings import DenoiseSettings
-from lobewise.sparse_frame import SparseFrame
-from lobewise.temporal.recipe import TemporalFilter
-from lobewise.upsampling import upsample
 
 STILL_SCALE_DIVISOR = 2
 """The scale is divided by this while the camera stands still, so that more pixels are shaded in each frame."""

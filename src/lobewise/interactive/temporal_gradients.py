@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.camera import Camera
 from lobewise.filters.history.sums import split_sums
-from lobewise.frame import FloatArray, Radiance
 from lobewise.lobes.vectors import LUMINANCE
+from lobewise.recipes.temporal.recipe import TemporalFilter
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray, Radiance
 from lobewise.settings.choices import SIMILARITIES
-from lobewise.temporal.recipe import TemporalFilter
 
 SAME_DEPTH = 1e-3
 """Largest relative difference of depths at which a pixel counts as showing the same surface point."""

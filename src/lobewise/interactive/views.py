@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lobewise.camera import Camera
 from lobewise.errors import MissingChannelError
-from lobewise.frame import FloatArray, GBuffer, Result
 from lobewise.guides.lobe_fields import default_tau, make_sg_field
 from lobewise.interactive.settings import MAX_SHOWN_FRAMES, MAX_SHOWN_SAMPLES, MAX_SHOWN_SHARPNESS
-from lobewise.sparse_frame import SparseFrame
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray, GBuffer, Result
+from lobewise.records.sparse_frame import SparseFrame
 
 if TYPE_CHECKING:
     # The viewer of finished frames imports this module, and must not need Mitsuba.

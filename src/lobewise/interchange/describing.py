@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from lobewise.camera import Camera
 from lobewise.errors import InputError
-from lobewise.frame import Frame
 from lobewise.interchange.checks import MARKED, Finding, check_own_mark, describe_alone, list_uses
 from lobewise.interchange.imported import Imported
 from lobewise.interchange.importing.leftovers import describe_own_left_noisy
@@ -28,6 +26,8 @@ from lobewise.io.exr.describe import describe_file as describe_own
 from lobewise.io.exr.layout import look_up_beauty
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.files import PathLike
+from lobewise.records.camera import Camera
+from lobewise.records.frame import Frame
 
 
 def describe_file(

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from lobewise.frame import FloatArray, Frame
 from lobewise.interchange.checks.finding import Finding
 from lobewise.interchange.lighting import PartOutput
 from lobewise.interchange.mapping import ChannelMap, Found, Key
@@ -16,7 +15,8 @@ from lobewise.io.exr.container import Container, Part
 from lobewise.io.exr.describe import Lack
 from lobewise.io.exr.layout import join_planes
 from lobewise.io.exr.pixels import DTYPES, Pixels
-from lobewise.limits import check_limits, require_memory
+from lobewise.records.frame import FloatArray, Frame
+from lobewise.work.limits import check_limits, require_memory
 
 OWN_PRESET = "lobewise"
 """Preset name that is reported for a file in lobewise's own channel names."""

@@ -9,13 +9,13 @@ from functools import reduce
 import numpy as np
 
 from lobewise.errors import InputError, require_choice
-from lobewise.frame import FloatArray, Radiance
 from lobewise.interchange.channels import COLOR, Pass, list_passes
 from lobewise.interchange.imported import ImageReader, Imported
 from lobewise.interchange.importing.leftovers import list_further, list_light_groups, list_names, take_noisy_alpha
 from lobewise.interchange.lighting import PartOutput, is_smooth, name_pass
 from lobewise.interchange.mapping import ChannelMap, Found
-from lobewise.radiance import MAX_EXCESS_SHARE, measure_excess
+from lobewise.records.frame import FloatArray, Radiance
+from lobewise.records.radiance import MAX_EXCESS_SHARE, measure_excess
 
 MAX_ALPHA_SPP = 64
 """Most samples per pixel with which the opacity of a file is denoised. Renderers spread the samples of a pixel evenly,

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.chunks import Chunk, run_chunks
-from lobewise.frame import FloatArray, Radiance, RadianceLayer
 from lobewise.guides.lamps import lift_albedo
-from lobewise.images import MAX_HALF_ROUNDING, make_read_only
 from lobewise.interchange.mapping import Found, FoundLayer
-from lobewise.radiance import MAX_EXCESS_SHARE, measure_excess, sum_layers
+from lobewise.records.frame import FloatArray, Radiance, RadianceLayer
+from lobewise.records.images import MAX_HALF_ROUNDING, make_read_only
+from lobewise.records.radiance import MAX_EXCESS_SHARE, measure_excess, sum_layers
+from lobewise.work.chunks import Chunk, run_chunks
 
 MIN_REST_SHARE = 0.002
 """Share of the image's light. If more than this share is in no pass, the remaining light is examined as a layer."""

@@ -9,9 +9,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from lobewise.camera import Camera
 from lobewise.errors import InputError, MissingChannelError
-from lobewise.frame import FloatArray, Frame
 from lobewise.interchange.channels import list_passes
 from lobewise.interchange.checks import check_own_mark
 from lobewise.interchange.imported import ImageReader, Imported
@@ -29,7 +27,9 @@ from lobewise.io.exr.layout import look_up_beauty, name_file, plan_reading, requ
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.schema import SCHEMA
 from lobewise.io.files import PathLike
-from lobewise.lobe_table import LobeTable
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray, Frame
+from lobewise.records.lobe_table import LobeTable
 
 MAX_SELECTIONS = 256
 """Most pairs of a view and a view layer in a file."""

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from lobewise.errors import InputError, require_kind
-from lobewise.frame import FloatArray, Result
 from lobewise.interchange.channels import list_passes, list_views
 from lobewise.interchange.imported import Imported
 from lobewise.interchange.mapping import Found
@@ -19,6 +18,7 @@ from lobewise.io.exr.container import Container, Part, show_name
 from lobewise.io.exr.layout import plan_writing, require_beauty
 from lobewise.io.exr.replacing import write_copy
 from lobewise.io.files import PathLike
+from lobewise.records.frame import FloatArray, Result
 
 CONFIDENCE_PREFIX = "lobewise."
 """Prefix of the channels that say how reliable the result is."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from lobewise.display.colors import convert_light
-from lobewise.frame import FloatArray
 from lobewise.interchange.imported import ImageReader
 from lobewise.interchange.mapping import map_channels
 from lobewise.interchange.reading import is_own
@@ -12,6 +11,7 @@ from lobewise.io.exr.frames import read_image as read_own_image
 from lobewise.io.exr.header import read_chromaticities
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.files import PathLike
+from lobewise.records.frame import FloatArray
 
 
 def read_image(path: PathLike) -> FloatArray:

@@ -13,12 +13,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.chunks import Chunk, run_chunks
 from lobewise.errors import InputError
-from lobewise.frame import FloatArray
-from lobewise.images import crop_columns, wrap_columns
 from lobewise.interchange.imported import ImageReader
 from lobewise.interchange.mapping import ChannelMap, Found
+from lobewise.records.frame import FloatArray
+from lobewise.records.images import crop_columns, wrap_columns
+from lobewise.work.chunks import Chunk, run_chunks
 
 MIN_EDGE_SHARE = 1e-4
 """Share of all pixels. Alpha shows silhouettes only if more pixels than this are partly covered."""

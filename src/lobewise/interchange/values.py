@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.camera import Camera
-from lobewise.frame import FloatArray
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray
 
 MIN_EMPTY_DISTANCE = 1e9
 """Smallest distance that means that a pixel shows no surface, scene units. Renderers write 1e10, 1e30 or infinity."""

@@ -15,7 +15,7 @@ from lobewise.errors import FileError, InputError
 from lobewise.fitting.merl import FILE_BYTES, MerlBrdf, parse_merl
 from lobewise.io.documents import describe_kind, parse_json, read_document, require_arrays, show_value
 from lobewise.io.files import PathLike, read_bytes, write_text
-from lobewise.lobe_table import LobeTable
+from lobewise.records.lobe_table import LobeTable
 
 FORMAT = "lobewise lobes"
 VERSION = 1

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from lobewise.frame import FloatArray
 from lobewise.lobes.vectors import Vector, dot
+from lobewise.work.arrays import FloatArray
 
 
 class HitField(NamedTuple):

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.camera import Camera, compute_motion
 from lobewise.errors import MissingChannelError
-from lobewise.frame import FloatArray, GBuffer
-from lobewise.images import refuse_size
+from lobewise.records.camera import Camera, compute_motion
+from lobewise.records.frame import FloatArray, GBuffer
+from lobewise.records.images import refuse_size
 
 MOVING_PIXELS = 0.05
 """Smallest difference in pixels between the motion of an object and the motion of a still point. Less is rounding."""

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lobewise.errors import InputError, MissingChannelError, MissingDependencyError, require_choice
-from lobewise.frame import GBuffer, LobeKind
-from lobewise.images import read_array, refuse_size
+from lobewise.records.frame import GBuffer, LobeKind
+from lobewise.records.images import read_array, refuse_size
 
 EPSILON = 0.01
 """Constant in the denominators of `rel_mse` and `smape`. Below a radiance of about 0.1 errors are nearly absolute."""

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lobewise.errors import InputError
-from lobewise.images import refuse_size
 from lobewise.metrics.images import EPSILON, check_pair, rel_mse
+from lobewise.records.images import refuse_size
 
 
 class Flicker:

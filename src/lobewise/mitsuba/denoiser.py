@@ -11,7 +11,6 @@ import numpy as np
 from lobewise.denoising.automatic import ask, change_settings
 from lobewise.denoising.recipe import denoise_quietly
 from lobewise.errors import InputError, require_choice, require_integer
-from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.mitsuba.frames import Given, list_channels, make_frame, to_camera_space
 from lobewise.mitsuba.gradients import LinearImage, apply_differentiably
 from lobewise.mitsuba.history import History
@@ -26,6 +25,7 @@ from lobewise.mitsuba.tensors import (
     take_image,
     take_matrix,
 )
+from lobewise.records.frame import FloatArray, Frame, Radiance
 from lobewise.settings import DenoiseSettings
 from lobewise.settings.choices import get_quality
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.frame import FloatArray, Frame
 from lobewise.interchange.mapping import ORDERS
 from lobewise.interchange.reading import import_planes
+from lobewise.records.frame import FloatArray, Frame
 
 PRESET = "mitsuba"
 COMPONENTS = {"depth": "T", "motion": "XY"}

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.frame import FloatArray
 from lobewise.mitsuba.linear import LinearFilter
 from lobewise.mitsuba.tensors import give_back, to_array
+from lobewise.records.frame import FloatArray
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from lobewise.errors import InputError
-from lobewise.frame import FloatArray, Frame
+from lobewise.recipes.temporal import TemporalFilter
+from lobewise.records.frame import FloatArray, Frame
 from lobewise.settings import DenoiseSettings
-from lobewise.temporal import TemporalFilter
 
 MAX_RELATIVE_DIFFERENCE = 2e-3
 """Largest relative difference of equal images. It allows for storage in 16-bit floats."""

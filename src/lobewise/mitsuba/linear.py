@@ -19,8 +19,8 @@ from lobewise.denoising.bad_pixels import mark_good
 from lobewise.denoising.layers import make_layers
 from lobewise.errors import InputError
 from lobewise.filters.cross_filter import FilterOutput, run_filter
-from lobewise.frame import FloatArray, Frame
 from lobewise.guides.usable import check_guides
+from lobewise.records.frame import FloatArray, Frame
 from lobewise.settings import DenoiseSettings
 from lobewise.settings.choices import get_quality
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.errors import InputError
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 
 ROOT = "<root>"
 """Mitsuba's name for the layer of the channels that have no layer in their names."""

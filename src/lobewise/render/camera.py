@@ -1,4 +1,4 @@
-"""The camera of a Mitsuba scene as a `lobewise.frame.Camera`, and back."""
+"""The camera of a Mitsuba scene as a `lobewise.records.frame.Camera`, and back."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.camera import PINHOLE_DISTANCE_OVER_VIEW, Camera
 from lobewise.errors import InputError, name_value
+from lobewise.records.camera import PINHOLE_DISTANCE_OVER_VIEW, Camera
 from lobewise.render.bridge import mi
 
 RAY_TOLERANCE = 1e-4

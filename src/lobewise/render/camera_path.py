@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lobewise.camera import Camera
 from lobewise.errors import InputError, name_value, require_choice
 from lobewise.io.documents import describe_kind, parse_json, read_document, require_number, require_numbers
 from lobewise.io.files import PathLike
+from lobewise.records.camera import Camera
 from lobewise.render.bridge import mi
 from lobewise.render.camera import get_camera
 

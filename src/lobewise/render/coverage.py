@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from lobewise.camera import Camera
+from lobewise.records.camera import Camera
 from lobewise.render.bridge import dr, follow, mi, repeat, starts_as
 from lobewise.render.camera import is_flat
 from lobewise.render.materials.bsdfs import Material

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 from lobewise.render.bridge import dr, hold_garbage
 
 UNRECORDABLE = "The frozen function included a virtual function call"

@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lobewise.camera import Camera, compute_motion
 from lobewise.errors import InputError, require_choice
-from lobewise.frame import FloatArray, GBuffer, LobeKind
+from lobewise.records.camera import Camera, compute_motion
+from lobewise.records.frame import FloatArray, GBuffer, LobeKind
 from lobewise.render.bridge import dr, hold_garbage, mi
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import dispatch_surface

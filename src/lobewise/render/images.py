@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.errors import InputError
-from lobewise.frame import FloatArray, GBuffer
-from lobewise.images import make_read_only
+from lobewise.records.frame import FloatArray, GBuffer
+from lobewise.records.images import make_read_only
 from lobewise.render.tracing.samples import Lobes, Squares, Sums, Totals
 
 

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.camera import Camera
 from lobewise.errors import InputError, require_choice, require_integer
-from lobewise.frame import FloatArray, Frame, GBuffer, LobeKind, Radiance
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray, Frame, GBuffer, LobeKind, Radiance
 from lobewise.render.bridge import dr, mi, repeat, starts_as
 from lobewise.render.camera import get_camera, get_image_size, get_sensor, has_lens, is_flat, make_matrix
 from lobewise.render.images import to_image

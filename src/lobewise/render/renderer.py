@@ -1,4 +1,4 @@
-"""Renders a scene to a `lobewise.frame.Frame`, in tiles of pixels and chunks of samples."""
+"""Renders a scene to a `lobewise.records.frame.Frame`, in tiles of pixels and chunks of samples."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lobewise.camera import Camera
 from lobewise.errors import InputError, name_value, require_choice, require_integer
-from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance
+from lobewise.records.sparse_frame import SparseFrame
 from lobewise.render.bridge import dr, mi
 from lobewise.render.camera import get_camera, get_image_size, has_lens
 from lobewise.render.coverage import trace_coverage
@@ -23,7 +24,6 @@ from lobewise.render.tracing.paths import PathSettings, add_samples
 from lobewise.render.tracing.samples import Sums, make_sums
 from lobewise.scenes.limits import FRAME_BYTES_PER_PIXEL, RADIANCE_BYTES_PER_PIXEL, require_memory
 from lobewise.settings.choices import MAX_SCALE_PIXELS
-from lobewise.sparse_frame import SparseFrame
 
 Progress = Callable[[int, int], None]
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
-from lobewise.camera import Camera
 from lobewise.errors import InputError
+from lobewise.records.camera import Camera
+from lobewise.records.sparse_frame import AnyFrame, list_places
 from lobewise.render.camera import get_camera, set_camera
 from lobewise.render.loading import MovingScene
 from lobewise.render.moving.object_paths import PlacedScene
 from lobewise.render.renderer import render_frame, render_reference, render_sparse_frame
-from lobewise.sparse_frame import AnyFrame, list_places
 
 
 def render_sequence(

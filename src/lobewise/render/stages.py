@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.camera import Camera
-from lobewise.frame import FloatArray, GBuffer
-from lobewise.images import make_read_only
-from lobewise.lobe_table import LobeTable
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray, GBuffer
+from lobewise.records.images import make_read_only
+from lobewise.records.lobe_table import LobeTable
 from lobewise.render.bridge import dr, mi, take_numbers
 from lobewise.render.camera import LENS, get_camera, get_image_size, get_sensor, is_flat, set_camera, use_sensor
 from lobewise.render.frozen import Frozen
@@ -75,7 +75,7 @@ class IndirectLight(NamedTuple):
     """Indirect light of some pixels: by lobe, (count, 3) each, linear, >= 0, albedo included; hit distances, (count,).
 
     ``direction``, (count, 3), and ``ray_weight``, (count,), are means over the samples of what
-    `lobewise.sparse_frame.Rays` says of one; None where the method tells none.
+    `lobewise.records.sparse_frame.Rays` says of one; None where the method tells none.
     """
 
     diffuse: FloatArray

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from lobewise.display.cards import encode_bytes, thin_out
 from lobewise.display.colors import convert_light
 from lobewise.display.guides import paint_guide, paint_light
-from lobewise.frame import Frame, Radiance
 from lobewise.io import FileDescription
 from lobewise.io.exr.header import read_chromaticities
 from lobewise.io.exr.parsing import read_container
+from lobewise.records.frame import Frame, Radiance
 from lobewise.reporting.report import fill_page
 
 MEANINGS = {

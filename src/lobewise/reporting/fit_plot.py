@@ -10,8 +10,8 @@ import numpy as np
 from lobewise.fitting.arrays import Array, make_view
 from lobewise.fitting.fit import Evaluate, measure_reflection
 from lobewise.fitting.table import TableLobes, evaluate_lobes, evaluate_table
-from lobewise.lobe_table import LobeTable
 from lobewise.lobes.vectors import LUMINANCE
+from lobewise.records.lobe_table import LobeTable
 from lobewise.reporting.plotting import encode_figure, make_figure, require_matplotlib
 
 VIEW_COSINES = (1.0, 0.8, 0.6, 0.4, 0.2, 0.1)

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from lobewise.display.colors import Chromaticities, convert_light
 from lobewise.display.tones import choose_exposure
 from lobewise.display.views import View, paint_picture
-from lobewise.frame import FloatArray
 from lobewise.io.exr.bands import SLAB_ROWS, BandReader
 from lobewise.io.exr.header import read_chromaticities
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.files import open_atomic
 from lobewise.io.png import encode_png, read_png_text
+from lobewise.records.frame import FloatArray
 
 EXPOSURE = "lobewise exposure"
 """Name of the text chunk in a picture that holds the factor from radiance to display values."""

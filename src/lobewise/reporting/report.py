@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from lobewise.display.tones import choose_exposure, index_errors, make_error_palette, map_tones
 from lobewise.errors import InputError, MissingDependencyError
-from lobewise.frame import FloatArray
 from lobewise.io.png import encode_png
 from lobewise.metrics import evaluate, make_error_map
+from lobewise.records.frame import FloatArray
 
 TITLES = {"rel_mse": "relMSE", "mse": "MSE", "smape": "SMAPE", "psnr": "PSNR, dB", "flip": "FLIP"}
 ORDER = ("rel_mse", "mse", "smape", "psnr", "flip")

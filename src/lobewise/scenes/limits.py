@@ -7,7 +7,7 @@ from pathlib import Path
 from xml.parsers import expat
 
 from lobewise.errors import InputError
-from lobewise.limits import measure_machine_memory
+from lobewise.work.limits import measure_machine_memory
 
 MAX_SIDE = 32768
 """Largest width and height of an image, pixels."""

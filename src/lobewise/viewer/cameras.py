@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.camera import Camera
+from lobewise.records.camera import Camera
 from lobewise.viewer.messages import Description
 
 Vector = NDArray[np.float64]

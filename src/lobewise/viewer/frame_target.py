@@ -16,7 +16,6 @@ from lobewise.denoising import resolve_settings
 from lobewise.denoising.recipe import denoise_quietly
 from lobewise.display.colors import convert_light
 from lobewise.errors import InputError, LobewiseError, require_choice
-from lobewise.frame import FloatArray, Frame, Radiance, Result
 from lobewise.interactive.settings import VIEWS
 from lobewise.interactive.views import show_guide, spread_samples
 from lobewise.interchange import Imported, import_file, read_image, read_light, write_result
@@ -26,10 +25,11 @@ from lobewise.io.exr.layout import look_up_beauty
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.schema import SPARSE
 from lobewise.io.exr.sparse import read_sparse_frame
+from lobewise.recipes.upsampling import DEFAULT_RADIUS, upsample
+from lobewise.records.frame import FloatArray, Frame, Radiance, Result
+from lobewise.records.sparse_frame import SparseFrame
 from lobewise.settings import FORM_NAMES, QUALITY_NAMES, SIMILARITY_NAMES, DenoiseSettings, list_knobs
 from lobewise.settings.choices import QUALITIES, SIMILARITIES
-from lobewise.sparse_frame import SparseFrame
-from lobewise.upsampling import DEFAULT_RADIUS, upsample
 from lobewise.viewer.messages import FrameReading
 from lobewise.viewer.pictures import LEGENDS, MAX_STOPS, RADIANCE, choose_stops, paint
 

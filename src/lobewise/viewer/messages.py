@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.camera import Camera
 from lobewise.interactive.settings import InteractiveSettings
 from lobewise.io.files import PathLike
+from lobewise.records.camera import Camera
 
 
 @dataclass(frozen=True)

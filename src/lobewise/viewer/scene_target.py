@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from lobewise.frame import Frame, Radiance
 from lobewise.interactive import InteractiveFrame, InteractiveSettings, Session
 from lobewise.io.exr import write_frame
+from lobewise.records.frame import Frame, Radiance
 from lobewise.render import MovingScene, PlacedScene, find_orbit_centre, load_scene, read_object_paths
 from lobewise.render.integrators import tell_unseen
 from lobewise.render.moving.shapes import Matrix

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.frame import Frame, GBuffer, LobeKind
+from lobewise.records.frame import Frame, GBuffer, LobeKind
 from tests.render.tolerances import ALBEDO_FIT, EXACT, GLASS_FIT, NOISE, PEAK_SHAPE, PRINCIPLED_DIFFUSE
 
 pytestmark = pytest.mark.mitsuba

@@ -16,7 +16,7 @@ from lobewise.errors import MissingDependencyError, UnsupportedBsdfError
 from lobewise.fitting.fit import LUMINANCE
 from lobewise.fitting.ggx import ggx_brdf
 from lobewise.fitting.table import evaluate_lobes, evaluate_table
-from lobewise.frame import Frame, GBuffer, LobeKind
+from lobewise.records.frame import Frame, GBuffer, LobeKind
 from tests.render.materials.measured_file import write_measured
 from tests.render.materials.python_bsdf import register_lobes
 from tests.render.materials.test_bsdfs import COPPER, WRAPPERS, flat_normals, middle, ramp_texture, rgb

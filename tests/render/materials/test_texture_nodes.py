@@ -12,9 +12,9 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 
 from lobewise import denoise
 from lobewise.fitting.table import evaluate_lobes, evaluate_table
-from lobewise.frame import GBuffer
 from lobewise.lobes.numbers import NUMPY
 from lobewise.metrics import rel_mse
+from lobewise.records.frame import GBuffer
 from tests.render.materials.python_bsdf import register_lobes, register_rough
 from tests.render.materials.test_bsdfs import WRAPPERS, bitmap, middle, ramp_texture, rgb
 from tests.render.tolerances import EXACT, FITTED_ALBEDO, FITTED_ALPHA, FITTED_STEPS, FITTED_TEXTURE

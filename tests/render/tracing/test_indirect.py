@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lobewise.errors import InputError
-from lobewise.frame import Frame
+from lobewise.records.frame import Frame
 from lobewise.render import render_frame, render_pixels, render_reference, render_sparse_frame
 
 pytestmark = pytest.mark.mitsuba

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.frame import Frame
+from lobewise.records.frame import Frame
 from tests.render.tolerances import FRACTION_BEYOND, NOISE, Z_BLOCK, Z_MEAN, Z_USUAL
 
 pytestmark = pytest.mark.mitsuba

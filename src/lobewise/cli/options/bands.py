@@ -13,8 +13,8 @@ from lobewise.errors import InputError, LobewiseError
 
 if TYPE_CHECKING:
     from lobewise.interchange.checks import Finding
-    from lobewise.lobe_table import LobeTable
-    from lobewise.streaming import DenoisedFile
+    from lobewise.recipes.streaming import DenoisedFile
+    from lobewise.records.lobe_table import LobeTable
 
 Bands = Annotated[
     str,
@@ -83,8 +83,8 @@ def _check_mark(source: Path) -> Sequence[Finding]:
 
 def _is_large(source: Path, settings: dict[str, Any]) -> bool:
     from lobewise.denoising.automatic import ask
-    from lobewise.streaming import list_images, needs_bands
-    from lobewise.streaming.checks import open_bands
+    from lobewise.recipes.streaming import list_images, needs_bands
+    from lobewise.recipes.streaming.checks import open_bands
 
     request = ask(None, settings, whole=False)
     try:
@@ -110,8 +110,8 @@ class FileInBands:
     """Settings of `lobewise.denoise`."""
 
     def denoise(self) -> DenoisedFile:
-        """Denoise the file into its target; see `lobewise.streaming.denoise_file`."""
-        from lobewise.streaming import denoise_file
+        """Denoise the file into its target; see `lobewise.recipes.streaming.denoise_file`."""
+        from lobewise.recipes.streaming import denoise_file
 
         bands = parse_bands(self.bands)
         return denoise_file(

@@ -9,7 +9,7 @@ from typing import Annotated
 
 from lobewise.cli.terminal.help import file_detail
 from lobewise.errors import InputError
-from lobewise.limits import GIB, MIN_MEMORY_GIB, limit_call
+from lobewise.work.limits import GIB, MIN_MEMORY_GIB, limit_call
 
 UNITS = {"MB": 1e6, "MIB": 2.0**20, "GB": 1e9, "GIB": GIB, "TB": 1e12, "TIB": 2.0**40}
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 from lobewise.cli.options.common import require_pattern
 from lobewise.cli.terminal.help import sequence_detail, sequence_option
 from lobewise.errors import InputError
-from lobewise.limits import GIB, get_limits, measure_machine_memory
+from lobewise.work.limits import GIB, get_limits, measure_machine_memory
 
 if TYPE_CHECKING:
     from lobewise.farm.calls import Connection

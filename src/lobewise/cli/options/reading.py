@@ -14,12 +14,12 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
     from lobewise.cli.terminal.outcome import Remarks
-    from lobewise.frame import Frame
     from lobewise.guides.usable import CheckedGuides
     from lobewise.interchange import Imported
     from lobewise.interchange.checks import Finding
     from lobewise.interchange.selections import Selection
-    from lobewise.lobe_table import LobeTable
+    from lobewise.records.frame import Frame
+    from lobewise.records.lobe_table import LobeTable
     from lobewise.settings import DenoiseSettings
 
 

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from lobewise.frame import Result
     from lobewise.interchange.replacing import PlannedResult
     from lobewise.interchange.selections import Selection
     from lobewise.io.exr.container import Container
-    from lobewise.sequence import SequenceFilter, State
+    from lobewise.recipes.sequence import SequenceFilter, State
+    from lobewise.records.frame import Result
 
 SELECTIONS = "selections"
 """Name, in the memory of a filter, of the view and view layer that each part of the memory belongs to."""

@@ -13,8 +13,8 @@ from lobewise.cli.terminal.help import shading_option
 from lobewise.errors import InputError, require_choice
 
 if TYPE_CHECKING:
-    from lobewise.frame import Result
-    from lobewise.sparse_frame import AnyFrame
+    from lobewise.records.frame import Result
+    from lobewise.records.sparse_frame import AnyFrame
 
 PARTS = 8
 """Parts of a pixel's samples, whose differences tell the noise."""
@@ -66,7 +66,7 @@ class Reshading:
         InputError
             If the samples are no whole number.
         """
-        from lobewise.adaptive import choose_spp
+        from lobewise.recipes.adaptive import choose_spp
 
         if self.adaptive_spp == "auto":
             return choose_spp(self.share)
@@ -109,9 +109,9 @@ class Reshading:
         parts = next(parts for parts in range(min(PARTS, spp), 0, -1) if spp % parts == 0)
 
         def improve(result: Result, frame: AnyFrame) -> Result:
-            from lobewise.adaptive import recompute
             from lobewise.cli.output import print_line
-            from lobewise.frame import Frame
+            from lobewise.recipes.adaptive import recompute
+            from lobewise.records.frame import Frame
             from lobewise.render import load_scene, render_pixels, set_camera
 
             if isinstance(frame, Frame) and frame.wraps:

@@ -12,8 +12,8 @@ from lobewise.cli.terminal.help import sequence_option
 from lobewise.errors import InputError
 
 if TYPE_CHECKING:
-    from lobewise.frame import Frame
     from lobewise.interchange import Imported
+    from lobewise.records.frame import Frame
 
 USUAL_REACH = 2
 """Frames to each side that ``--temporal`` uses without ``--window``."""
@@ -49,7 +49,7 @@ class Window:
 
     def require(self, source: Path) -> None:
         """Raise InputError unless the window can be used."""
-        from lobewise.windows import MAX_REACH
+        from lobewise.recipes.windows import MAX_REACH
 
         if self.window is not None and not 1 <= self.window <= MAX_REACH:
             got = str(self.window)

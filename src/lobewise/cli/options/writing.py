@@ -14,10 +14,10 @@ from lobewise.errors import InputError
 if TYPE_CHECKING:
     from lobewise.cli.terminal.outcome import Remarks
     from lobewise.display.views import View
-    from lobewise.frame import Result
     from lobewise.interchange import Imported
     from lobewise.interchange.replacing import PlannedResult
     from lobewise.io.exr.container import Container
+    from lobewise.records.frame import Result
     from lobewise.reporting.picture import Pictures
 
 MAX_EXPOSURE_STOPS = 64.0
@@ -50,8 +50,8 @@ class Writing:
 
     def plan(self, result: Result, imported: Imported) -> PlannedResult:
         """Return what a result changes in the copy of its file."""
-        from lobewise.adaptive import find_unsupported
         from lobewise.interchange.replacing import plan_result
+        from lobewise.recipes.adaptive import find_unsupported
 
         return plan_result(
             result,

@@ -9,11 +9,11 @@ from lobewise.errors import hide_numbers
 
 if TYPE_CHECKING:
     from lobewise.cli.options.selections import DoneSeveral
-    from lobewise.frame import Result
     from lobewise.interchange.selections import Selection
     from lobewise.io.sequence import FramePattern
+    from lobewise.recipes.streaming import DenoisedFile
+    from lobewise.records.frame import Result
     from lobewise.reporting.picture import Pictures
-    from lobewise.streaming import DenoisedFile
 
 
 class Remarks:

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from lobewise.backend.watching import watch_compiling
 from lobewise.cli.terminal.lines import write_line
-from lobewise.progress import DONE
-from lobewise.progress import Progress as Record
+from lobewise.work.progress import DONE
+from lobewise.work.progress import Progress as Record
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
@@ -66,7 +66,7 @@ class Steps:
         self._show(what, done, total, {}, is_new=is_new)
 
     def follow(self, record: Record) -> None:
-        """Show a record of `lobewise.progress`: a bar where there are several frames, or the work takes long."""
+        """Show a record of `lobewise.work.progress`: a bar where there are several frames, or the work takes long."""
         if record.stage == DONE:
             return
         if self._progress == "json":

@@ -13,8 +13,8 @@ from lobewise import engine
 from lobewise.backend.pointwise import give_channels
 from lobewise.denoising.bad_pixels import blacken_bad
 from lobewise.filters.refinement.steps import define_inputs, define_known_lobes
-from lobewise.frame import FloatArray, Frame
 from lobewise.guides.lobe_fields import make_sg_field
+from lobewise.records.frame import FloatArray, Frame
 
 MIN_ALBEDO_SUM = 1e-4
 """Sum of both luminances up to which no lobe has a share of the albedo."""

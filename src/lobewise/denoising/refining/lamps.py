@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lobewise import engine
 from lobewise.filters.refinement.steps import define_any, define_core, define_shining, define_widened
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 
 EDGE_PIXELS = 2
 """Width of the edge of a lamp or sky, on both sides: as wide as in `lobewise.guides.lamps`."""

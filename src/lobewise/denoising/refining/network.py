@@ -17,7 +17,7 @@ from lobewise.denoising.refining.lamps import mark_lamp_edges, mark_refined, mar
 from lobewise.denoising.refining.whole_image import WholeImage
 from lobewise.filters.refinement.run import pack_weights, refine_image
 from lobewise.filters.refinement.steps import define_refined
-from lobewise.frame import FloatArray, Frame
+from lobewise.records.frame import FloatArray, Frame
 
 REFINEMENT_WEIGHTS = "refinement.npz"
 """File of the network, in the folder of the package `lobewise.denoising`."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from lobewise import engine
 from lobewise.filters.compositing import average_emission
 from lobewise.filters.glue import define_composed, define_good, define_rest
-from lobewise.frame import FloatArray, Frame
+from lobewise.records.frame import FloatArray, Frame
 
 
 def compute_rest(frame: Frame) -> FloatArray | None:

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from lobewise.denoising.refining.whole_image import RowSums
 from lobewise.filters.specks import MIN_BLUR_RADIUS
-from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.guides.squares import average_square
 from lobewise.guides.surfaces import mark_surface_pixels
 from lobewise.lobes.vectors import compute_image_luminance
+from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance
 
 Mask = NDArray[np.bool_]
 

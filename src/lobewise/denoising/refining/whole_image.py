@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise import engine
-from lobewise.camera import Camera
 from lobewise.denoising.bad_pixels import mark_good
-from lobewise.frame import FloatArray, Frame
 from lobewise.guides.lobe_fields import default_tau
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray, Frame
 
 MIN_BRIGHTNESS = 1e-36
 """Smallest brightness of an image, radiance; a black image has none."""

@@ -17,7 +17,7 @@ from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.features import DiffuseFeature, Feature
 from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.forms import describe_form
-from lobewise.frame import FloatArray, Frame
+from lobewise.records.frame import FloatArray, Frame
 from lobewise.settings import ResolvedSettings
 
 

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lobewise.camera import Camera
 from lobewise.denoising.automatic import (
     AUTO_SIGMA,
     BETA_DIFFUSE,
@@ -26,8 +25,9 @@ from lobewise.denoising.automatic import (
 )
 from lobewise.engine.numbers import Number, choose_given, choose_larger, compute_hypotenuse, round_single
 from lobewise.guides.lobe_fields import NORMAL_ERROR
+from lobewise.recipes.temporal.recipe import weigh_own
+from lobewise.records.camera import Camera
 from lobewise.settings import DenoiseSettings, Knob, TemporalSettings, list_knobs
-from lobewise.temporal.recipe import weigh_own
 
 
 class Setting(NamedTuple):
@@ -173,7 +173,7 @@ class Constants:
 
     @property
     def own_weight(self) -> Number:
-        """Weight of a pixel's own sample; see `lobewise.temporal.recipe.compute_own_weight`."""
+        """Weight of a pixel's own sample; see `lobewise.recipes.temporal.recipe.compute_own_weight`."""
         return self.derive("own", weigh_own(expect_noise(self.get("samples_per_pixel"))))
 
 

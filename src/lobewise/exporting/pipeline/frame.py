@@ -216,7 +216,7 @@ class PipelineGuides:
 
     @property
     def frame(self) -> PipelineGuides:
-        """The frame itself, as of `lobewise.temporal.validation.Guides`."""
+        """The frame itself, as of `lobewise.recipes.temporal.validation.Guides`."""
         return self
 
     @property

@@ -1,4 +1,4 @@
-"""The frame before, as a pipeline remembers it; stands where recipes read a `lobewise.temporal.past.Past`."""
+"""The frame before, as a pipeline remembers it; stands where recipes read a `lobewise.recipes.temporal.past.Past`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lobewise.engine.numbers import Condition
 from lobewise.exporting.pipeline.frame import SIZE, PipelineGuides
 from lobewise.filters.history.reprojection import ComparedPixels
 from lobewise.filters.history.sums import HISTORY_CHANNELS
-from lobewise.temporal.validation import ValidationFeatures
+from lobewise.recipes.temporal.validation import ValidationFeatures
 
 
 @dataclass(frozen=True)

@@ -24,11 +24,11 @@ from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.exporting.targets import get_gpu_api, parse_target
 from lobewise.filters import glue
 from lobewise.filters.history.accumulation import KnownKernel
+from lobewise.recipes.temporal.past import HistoryReprojection
+from lobewise.recipes.temporal.recipe import Growth, join_history, make_named_layers
+from lobewise.recipes.temporal.validation import compute_same_tau
+from lobewise.recipes.upsampling import join_sparse, tint_samples, upsample_by_guides
 from lobewise.settings import TemporalSettings
-from lobewise.temporal.past import HistoryReprojection
-from lobewise.temporal.recipe import Growth, join_history, make_named_layers
-from lobewise.temporal.validation import compute_same_tau
-from lobewise.upsampling import join_sparse, tint_samples, upsample_by_guides
 
 
 def make_pipeline(

@@ -15,12 +15,12 @@ from lobewise.exporting.pipeline.alone import filter_alone
 from lobewise.exporting.pipeline.frame import Features, no_features
 from lobewise.exporting.pipeline.scene import CUT, average, make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
-from lobewise.frame import FloatArray, Frame, Radiance
-from lobewise.radiance import RadianceLayer
+from lobewise.recipes.temporal import TemporalFilter
+from lobewise.recipes.upsampling import upsample
+from lobewise.records.frame import FloatArray, Frame, Radiance
+from lobewise.records.radiance import RadianceLayer
+from lobewise.records.sparse_frame import AnyFrame, Rays, SparseFrame
 from lobewise.settings import DenoiseSettings
-from lobewise.sparse_frame import AnyFrame, Rays, SparseFrame
-from lobewise.temporal import TemporalFilter
-from lobewise.upsampling import upsample
 
 FRAMES = CUT + 1
 """The last one follows a cut."""

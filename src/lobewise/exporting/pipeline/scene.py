@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.camera import Camera, project_points
-from lobewise.frame import FloatArray, Frame, GBuffer, LobeKind, Radiance
+from lobewise.records.camera import Camera, project_points
+from lobewise.records.frame import FloatArray, Frame, GBuffer, LobeKind, Radiance
 
 Image = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.camera import Camera
 from lobewise.exporting.shaders.language import Field, lay_out
 from lobewise.exporting.shaders.passes import Constant
 from lobewise.guides.lobe_fields import NORMAL_ERROR, default_tau
+from lobewise.recipes.upsampling import DEFAULT_RADIUS
+from lobewise.records.camera import Camera
 from lobewise.settings import DenoiseSettings, ResolvedSettings, TemporalSettings, list_knobs
-from lobewise.upsampling import DEFAULT_RADIUS
 
 _PIXEL_TAU = f"sqrt(pixel_angle^2 + {2.0 * NORMAL_ERROR:g}^2)"
 
@@ -114,7 +114,7 @@ def compute_constants(
         Camera of the frame before. Without it the history counts for nothing.
     temporal : TemporalSettings, optional
     own : float
-        Result of `lobewise.temporal.recipe.compute_own_weight`.
+        Result of `lobewise.recipes.temporal.recipe.compute_own_weight`.
     scale, place
         Those of a `SparseFrame`.
     """

@@ -16,7 +16,7 @@ from lobewise.filters import cross_pass, forms
 from lobewise.filters.history import accumulation, accumulation_pass, reprojection_pass
 from lobewise.guides import places, surfaces
 from lobewise.lobes import covariance, directions, gaussian, mixture, vectors
-from lobewise.temporal import validation
+from lobewise.recipes.temporal import validation
 
 _SHARED = (
     *(layers, ggx, cross_pass, accumulation, accumulation_pass, reprojection_pass, places, surfaces),

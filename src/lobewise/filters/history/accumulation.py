@@ -33,7 +33,7 @@ from lobewise.filters.history.sums import (
     take_planes,
     widen_to_vector,
 )
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 
 TRUST_RADIUS = 2
 """Radius of the window in which history and samples are compared, samples."""
@@ -187,7 +187,7 @@ class SampleGrid:
         known : KnownKernel, optional
             Kernel of the pixels that have a history; without it all pixels have the same kernel.
         weights : array, shape (rows, columns), optional
-            Weights of the samples' rays, >= 0; see `lobewise.sparse_frame.Rays`. By default 1.
+            Weights of the samples' rays, >= 0; see `lobewise.records.sparse_frame.Rays`. By default 1.
 
         Returns
         -------

@@ -19,7 +19,7 @@ from lobewise.engine.numbers import make_single
 from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.cross_pass import COLORS
 from lobewise.filters.glue import compute_support
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 
 
 @dataclass(frozen=True)

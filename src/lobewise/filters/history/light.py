@@ -16,13 +16,13 @@ from lobewise import engine
 from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import HALIDE
 from lobewise.backend.pointwise import Grid, Vector, is_finite
-from lobewise.camera import Camera
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.filters.history.reprojection_pass import TAPS
-from lobewise.frame import FloatArray, GBuffer
 from lobewise.guides.places import compute_surface_places
 from lobewise.guides.surfaces import is_surface_depth
 from lobewise.lobes.vectors import compute_luminance, dot, subtract
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray, GBuffer
 
 MAX_FRAMES = 8.0
 """Frames in the longest mean."""

@@ -16,7 +16,7 @@ from lobewise.features.arrays import give_features, give_scalars
 from lobewise.features.base import Feature, describe_structure
 from lobewise.filters.history.reprojection_pass import make_preparation, make_reprojection
 from lobewise.filters.history.sums import Sums, cut, join_channels, split_history, widen_to_vector
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 
 IMAGES_AT_ONCE = 4
 """Images that one kernel gathers."""

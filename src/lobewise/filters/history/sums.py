@@ -9,8 +9,8 @@ import numpy as np
 from lobewise.backend.buffers import HostImage
 from lobewise.backend.devices import count_host_lanes
 from lobewise.errors import InputError
-from lobewise.frame import FloatArray
 from lobewise.lobes.vectors import compute_image_luminance
+from lobewise.records.frame import FloatArray
 
 
 class Sums(NamedTuple):

@@ -25,7 +25,7 @@ from lobewise.filters.noise.pooling import (
     gather_noise,
     take_logarithm,
 )
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 
 AGREEMENT_LEVELS = (0, 2, 3)
 """Blurs whose results become features: `blur_image` runs in turn with taps 1, 2, 4 and 8 pixels apart."""

@@ -25,7 +25,7 @@ from lobewise.filters.cross_pass import COLORS
 from lobewise.filters.planes import C, X, Y
 from lobewise.filters.scheduling import STRIP_ROWS, keep_rows
 from lobewise.filters.weigh import U, V
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 
 RADIUS = 4
 """Radius of the square of neighbours, pixels."""

@@ -39,7 +39,7 @@ from lobewise.filters.noise.pooling import (
     gather_noise,
     take_logarithm,
 )
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 
 OFFSETS = (
     ((1, 0), (0, 1)),

@@ -34,7 +34,7 @@ from lobewise.filters.noise.pooling import (
     estimate_noise,
     gather_noise,
 )
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 
 MARGIN_STANDARD_ERRORS = 2.2
 """Standard errors subtracted from the mean excess; chosen among 1.7, 2.2 and 3

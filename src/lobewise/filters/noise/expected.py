@@ -10,7 +10,7 @@ from lobewise import engine
 from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, is_finite
 from lobewise.filters.cross_pass import COLORS
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 
 CONTRAST_RADIUS_PIXELS = 2
 """Pixels to the edge of the square in which the contrast around a pixel is measured."""

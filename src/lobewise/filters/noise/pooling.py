@@ -14,7 +14,7 @@ from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import HALIDE, is_good
 from lobewise.backend.pointwise import Grid, Vector
 from lobewise.filters.noise.residuals import SHARED_NOISE_VARIANCE, compute_residual
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 
 BLUR_WEIGHTS = (0.0625, 0.25, 0.375, 0.25, 0.0625)
 """Weights of five taps along a row or column: a cubic B-spline, variance 1 in squared steps."""

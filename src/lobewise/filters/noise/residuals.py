@@ -20,9 +20,9 @@ from lobewise.backend.expressions import HALIDE
 from lobewise.backend.pointwise import Grid, Vector, select_or_nan
 from lobewise.engine.numbers import make_single
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS, demodulate
-from lobewise.frame import FloatArray
 from lobewise.lobes.numbers import Namespace
 from lobewise.lobes.vectors import combine
+from lobewise.records.frame import FloatArray
 
 RESIDUAL_REACH = SHARED_STEP = 2
 """Pixels between the taps of a residual if neighbours share their noise, otherwise 1; and the farthest pixel read."""

@@ -19,7 +19,7 @@ from lobewise.filters.cross_pass import COLORS
 from lobewise.filters.refinement.convolutions import Reading, make_convolution, pad_columns
 from lobewise.filters.refinement.pyramid import FILTER_STRIP_ROWS, SUMS_OF_IMAGE, make_averages, make_filter, make_sums
 from lobewise.filters.refinement.shape import LAYERS, LEVEL_COUNT
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 
 SMALL_LEVEL, SMALL_STRIP_ROWS = 3, 2
 """From this level on images are so small that a thread takes so few rows of a convolution."""

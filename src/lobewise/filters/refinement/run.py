@@ -14,7 +14,7 @@ from lobewise.filters.cross_pass import COLORS
 from lobewise.filters.refinement.network import RefiningNetwork
 from lobewise.filters.refinement.planes import OPTIONAL, PlanesKey, make_planes
 from lobewise.filters.refinement.shape import BLOCK_OUTPUTS, HEAD, LAYERS, WEIGHT_ROWS, LayerShape, place_logits
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 
 
 def pack_weights(arrays: Mapping[str, FloatArray]) -> FloatArray:

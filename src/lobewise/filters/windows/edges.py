@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from lobewise import engine
 from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, is_finite
-from lobewise.frame import FloatArray
 from lobewise.guides.surfaces import is_surface_depth
 from lobewise.lobes.vectors import dot, subtract
+from lobewise.records.frame import FloatArray
 
 MAX_OFFSET_FOOTPRINTS = 4.0
 """Distance from a pixel's tangent plane, pixel footprints, above which a neighbour belongs to another surface."""

@@ -7,7 +7,7 @@ import numpy as np
 from lobewise import engine
 from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, is_finite
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 
 FIXED_POINT_STEPS = 4
 """Steps in which the motion to the next frame is found from the motion that the next frame has to this one."""

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from lobewise import engine
 from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector, is_finite
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 
 SNAP_SAMPLE_PIXELS = 0.01
 """Distance from a pixel's centre below which a place is the pixel itself: rounding must not blur a still image."""

@@ -16,7 +16,7 @@ from lobewise import engine
 from lobewise.backend.compiler import hl
 from lobewise.backend.pointwise import Grid, Vector
 from lobewise.filters.noise.pooling import add_channels, average_light, blur_image, count_weights
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 
 WIDTH_COUNT = 2
 """Widths at which differences of samples are averaged: standard deviations of 1 and 2.2 pixels."""

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.camera import Camera
 from lobewise.errors import FileError, InputError
 from lobewise.interchange.cameras.gltf import read_gltf_camera
 from lobewise.interchange.cameras.mitsuba import read_mitsuba_camera
@@ -23,6 +22,7 @@ from lobewise.io.documents import (
     show_value,
 )
 from lobewise.io.files import PathLike
+from lobewise.records.camera import Camera
 
 MAX_JSON_BYTES = 1 << 20
 _KEYS = ("position", "forward", "target", "up", "fov_y", "fov_x", "shift")

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.camera import PINHOLE_DISTANCE_OVER_VIEW, Camera, project_points
-from lobewise.frame import FloatArray
+from lobewise.records.camera import PINHOLE_DISTANCE_OVER_VIEW, Camera, project_points
+from lobewise.records.frame import FloatArray
 
 Matrix = NDArray[np.float64]
 

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.camera import Camera
 from lobewise.errors import FileError, InputError, require_integer
 from lobewise.io.documents import describe_kind, parse_json, read_document, require_number, require_numbers
 from lobewise.io.files import refusing, require_readable
+from lobewise.records.camera import Camera
 
 MAX_TEXT_BYTES = 64 << 20
 """Largest size of the text, bytes. Meshes and pictures behind the text do not count."""

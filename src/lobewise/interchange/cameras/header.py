@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.camera import Camera
 from lobewise.interchange.cameras.fitting import mirror
 from lobewise.interchange.preset import Preset
 from lobewise.io.exr.container import Attribute, Part, Window
 from lobewise.io.exr.header import read_pixel_aspect
+from lobewise.records.camera import Camera
 
 Matrix = NDArray[np.float64]
 

@@ -10,10 +10,10 @@ from xml.parsers import expat
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.camera import Camera
 from lobewise.errors import FileError, InputError
 from lobewise.io.documents import MAX_DEPTH, read_document
 from lobewise.io.files import PathLike
+from lobewise.records.camera import Camera
 
 MAX_BYTES = 16 << 20
 MAX_ELEMENTS = 1 << 19

@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.camera import Camera
-from lobewise.frame import FloatArray
 from lobewise.interchange.cameras.fitting import MAX_FIT_ERROR, MIN_POINTS, CameraFit, Matrix, choose_pixels
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray
 
 ROUNDS = 8
 """Rounds in which rotation and eye are found from each other."""

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 
 import lobewise
-from lobewise.camera import Camera
 from lobewise.errors import FileError, InputError, MissingDependencyError
 from lobewise.interchange.cameras.usd_stage import MAX_BYTES, MAX_SECONDS
 from lobewise.io.files import require_readable
+from lobewise.records.camera import Camera
 
 PROGRAM = "lobewise.interchange.cameras.usd_stage"
 

@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from lobewise.frame import FloatArray
 from lobewise.interchange.checks.finding import Finding, list_names
 from lobewise.interchange.mapping import ChannelMap, Found, Key
 from lobewise.io.exr.container import Channel, Part
+from lobewise.records.frame import FloatArray
 
 LOSSY_DWA_NAMES = ("R", "G", "B", "Y", "RY", "BY")
 """Last words of the channels that DWAA and DWAB compress with loss. They store all other channels exactly. The case of

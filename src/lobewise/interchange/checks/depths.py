@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.camera import Camera
-from lobewise.frame import FloatArray
 from lobewise.interchange.checks.finding import Finding
 from lobewise.interchange.checks.geometry import MIN_PIXELS, choose_centers
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray
 
 MAX_ERROR_OF_RIGHT_DEPTH, MIN_ERROR_OF_WRONG_DEPTH = 0.005, 0.02
 """Median differences between depth and positions, as shares of the distance: up to the first the depth is right, from

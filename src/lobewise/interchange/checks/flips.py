@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.frame import FloatArray
 from lobewise.guides.stand_ins import compute_normals
 from lobewise.interchange.checks.finding import Finding, list_names
 from lobewise.interchange.values import MIN_EMPTY_DISTANCE
+from lobewise.records.frame import FloatArray
 
 MAX_SIDE = 256
 """Longer side of the thinned images, pixels."""

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.camera import Camera
-from lobewise.frame import FloatArray
 from lobewise.guides.stand_ins import compute_normals
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray
 
 MAX_PIXELS = 12000
 """Largest number of pixels that are measured."""

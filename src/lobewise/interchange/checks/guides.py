@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.frame import FloatArray
 from lobewise.guides.survey import decode_normals, is_uniform
 from lobewise.interchange.checks.finding import Finding
 from lobewise.interchange.checks.geometry import MIN_PIXELS, choose_centers
 from lobewise.interchange.mapping import ChannelMap, Found
 from lobewise.interchange.values import MIN_EMPTY_DISTANCE
+from lobewise.records.frame import FloatArray
 
 MAX_ROUNDING_ERROR = 1e-3
 """Largest distance of an albedo from [0, 1] that the rounding of 16-bit floats explains."""

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from lobewise.frame import Frame
 from lobewise.interchange.mapping import ChannelMap
 from lobewise.io.exr.describe import COSTS, USES, Lack
 from lobewise.peers import explain_no_oidn, has_oidn
+from lobewise.records.frame import Frame
 
 ADVISED_ROLES = ("normal", "position", "layers", "albedo", "roughness")
 """Roles whose passes the advice names, the most useful one first."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.frame import FloatArray, Frame
 from lobewise.interchange.checks.finding import Finding
+from lobewise.records.frame import FloatArray, Frame
 
 TILE_SIDE, SMALL_TILE_SIDE = 32, 16
 """Pixels along a side of a tile, and of a tile of a small frame."""

@@ -9,11 +9,11 @@ from itertools import permutations, product
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.camera import Camera
-from lobewise.frame import FloatArray
 from lobewise.interchange.checks.finding import Finding
 from lobewise.interchange.checks.flips import FLIPS, LIES
 from lobewise.interchange.checks.geometry import MIN_PIXELS, Patches
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray
 
 Matrix = NDArray[np.float32]
 

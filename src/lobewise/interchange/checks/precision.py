@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lobewise.frame import FloatArray
 from lobewise.interchange.checks.geometry import MIN_PIXELS, choose_centers
 from lobewise.interchange.values import MIN_EMPTY_DISTANCE
+from lobewise.records.frame import FloatArray
 
 MAX_COARSENESS = 2.0
 """Largest step between representable numbers of fine positions, over the distance between neighbouring pixels. At a

@@ -6,11 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from lobewise.frame import FloatArray
 from lobewise.interchange.checks.finding import Finding
 from lobewise.interchange.checks.geometry import MIN_PIXELS, choose_centers
 from lobewise.interchange.mapping import ChannelMap, Found
 from lobewise.interchange.values import convert_plain, undo_mean_roughness
+from lobewise.records.frame import FloatArray
 
 MIN_DIFFERENCE_OF_WRONG = 0.05
 """Median difference between the roughness and the second pass, from which on the meaning of the roughness is wrong."""

@@ -13,9 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from lobewise.camera import Camera
 from lobewise.errors import InputError
-from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.guides.lamps import LAMP_REACH
 from lobewise.interchange.cameras.header import read_camera_attributes
 from lobewise.interchange.checks.finding import Finding
@@ -38,6 +36,8 @@ from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.pixels import Pixels, decode_part
 from lobewise.io.exr.schema import Slot
 from lobewise.io.files import PathLike
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance
 
 MAX_JUDGED_PIXELS = 1 << 20
 """Most pixels by which a file is judged."""

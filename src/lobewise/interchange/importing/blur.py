@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.chunks import Chunk, run_chunks
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
+from lobewise.work.chunks import Chunk, run_chunks
 
 NEAR, FAR = 1, 5
 """Radii of windows, rows or columns: the second counts where the first has too few pixels with a position, as where

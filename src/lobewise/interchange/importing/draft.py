@@ -6,8 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
-from lobewise.camera import Camera
-from lobewise.frame import FloatArray, Frame
 from lobewise.interchange.cameras.header import Located
 from lobewise.interchange.checks.finding import Finding
 from lobewise.interchange.imported import ImageReader
@@ -16,6 +14,8 @@ from lobewise.interchange.mapping import ChannelMap, Found
 from lobewise.interchange.silhouettes import Silhouettes
 from lobewise.io.exr.container import Container, Part
 from lobewise.io.exr.describe import Lack
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray, Frame
 
 
 class Section(IntEnum):

@@ -6,9 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lobewise.frame import Frame, GBuffer, Radiance
 from lobewise.guides.lamps import describe_lamps, keep_lamps
-from lobewise.images import make_read_only
 from lobewise.interchange.cameras.header import read_sample_count
 from lobewise.interchange.checks.lacks import describe_alone, list_lacks
 from lobewise.interchange.checks.noise import check_noise
@@ -25,6 +23,8 @@ from lobewise.interchange.lighting import (
 from lobewise.interchange.siblings import FIRST_SIBLING_INDEX
 from lobewise.interchange.silhouettes import compute_silhouettes, take_silhouettes
 from lobewise.interchange.values import convert_plain, undo_mean_roughness
+from lobewise.records.frame import Frame, GBuffer, Radiance
+from lobewise.records.images import make_read_only
 
 
 def take_light(draft: Draft) -> Outcome:

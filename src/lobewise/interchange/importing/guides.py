@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from lobewise.frame import FloatArray
 from lobewise.guides import survey
 from lobewise.interchange.checks.compression import check_compression
 from lobewise.interchange.checks.denoised import check_mark
 from lobewise.interchange.checks.flips import check_flips
 from lobewise.interchange.checks.guides import check_albedos, check_encoding, check_values
 from lobewise.interchange.importing.draft import Draft, Outcome
+from lobewise.records.frame import FloatArray
 
 GUIDES = ("normal", "position", "depth", "albedo", "diffuse_albedo", "specular_albedo", "roughness")
 """Roles whose images are checked."""

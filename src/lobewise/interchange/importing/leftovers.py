@@ -6,9 +6,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 
 import numpy as np
 
-from lobewise.frame import FloatArray
 from lobewise.guides.squares import compute_square_maximum
-from lobewise.images import is_band
 from lobewise.interchange.channels import COLOR, Pass, list_views
 from lobewise.interchange.imported import ImageReader, Imported
 from lobewise.interchange.lighting import is_smooth, name_pass
@@ -18,6 +16,8 @@ from lobewise.interchange.selections import Selection
 from lobewise.interchange.siblings import FIRST_SIBLING_INDEX
 from lobewise.io.exr.container import Container, show_name
 from lobewise.io.exr.header import read_replaced
+from lobewise.records.frame import FloatArray
+from lobewise.records.images import is_band
 
 MAX_NAMES = 4
 """Most names of one kind in the sentence."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from lobewise.camera import Camera
 from lobewise.interchange.checks.denoised import leave_out_denoised_light
 from lobewise.interchange.checks.guides import leave_out_empty
 from lobewise.interchange.imported import ImageReader, Imported
@@ -47,6 +46,7 @@ from lobewise.interchange.importing.surfaces import (
 )
 from lobewise.interchange.mapping import ChannelMap
 from lobewise.io.exr.container import Container
+from lobewise.records.camera import Camera
 
 STEPS = (
     # Images as they stand in the file

@@ -7,8 +7,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.camera import Camera, project_points
-from lobewise.frame import FloatArray
 from lobewise.interchange.cameras.fitting import MAX_FIT_ERROR, CameraFit, fit_any_camera, fit_camera, measure_fit
 from lobewise.interchange.cameras.header import Located, read_camera_attributes
 from lobewise.interchange.cameras.panorama import fit_panorama
@@ -17,6 +15,8 @@ from lobewise.interchange.importing.blur import estimate_blur_radius
 from lobewise.interchange.importing.draft import Draft, Outcome
 from lobewise.interchange.values import MIN_EMPTY_DISTANCE, convert_depth, convert_plain, convert_space
 from lobewise.io.exr.header import read_pixel_aspect
+from lobewise.records.camera import Camera, project_points
+from lobewise.records.frame import FloatArray
 
 NO_CAMERA = (
     "Neither a pinhole camera nor a panorama shows the positions where they are seen, so places are not compared; give "

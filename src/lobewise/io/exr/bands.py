@@ -14,7 +14,6 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from lobewise.errors import FileError
-from lobewise.frame import FloatArray, Frame
 from lobewise.io.exr.container import Container, Part, crop_part, show_name
 from lobewise.io.exr.header import make_headers, read_camera, read_lobe_tables, read_spp
 from lobewise.io.exr.layout import (
@@ -33,7 +32,8 @@ from lobewise.io.exr.schema import Slot
 from lobewise.io.exr.splice import write_container
 from lobewise.io.exr.spool import ChunkSpool
 from lobewise.io.files import PathLike, open_atomic
-from lobewise.lobe_table import LobeTable
+from lobewise.records.frame import FloatArray, Frame
+from lobewise.records.lobe_table import LobeTable
 
 SLAB_ROWS = 64
 """Rows that are decoded or encoded at once, about: enough work for all cores."""

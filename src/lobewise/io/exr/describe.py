@@ -5,7 +5,6 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
-from lobewise.camera import Camera
 from lobewise.errors import LobewiseError
 from lobewise.io.exr.container import Attribute, Container, Part, Window, show_name
 from lobewise.io.exr.header import read_camera, read_lobe_tables, read_spp
@@ -13,7 +12,8 @@ from lobewise.io.exr.layout import look_up_beauty, plan_reading
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.schema import CAMERA, SLOTS, SPP
 from lobewise.io.files import PathLike
-from lobewise.lobe_table import LobeTable
+from lobewise.records.camera import Camera
+from lobewise.records.lobe_table import LobeTable
 from lobewise.settings import SIMILARITY_NAMES
 
 _LAYOUTS = {

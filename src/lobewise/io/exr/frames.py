@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lobewise.errors import require_choice, require_kind
-from lobewise.frame import FloatArray, Frame, Radiance
 from lobewise.io.exr.container import Container
 from lobewise.io.exr.header import ENVMAP, ENVMAP_LATLONG, describe_camera, read_camera, read_lobe_tables, read_spp
 from lobewise.io.exr.layout import (
@@ -27,8 +26,9 @@ from lobewise.io.exr.pixels import Pixels, decode_part, encode_file
 from lobewise.io.exr.schema import BEAUTY, LOBES, SCHEMA, SCHEMA_VERSION, SLOTS, SPP
 from lobewise.io.files import PathLike, open_atomic, require_writable
 from lobewise.io.materials import lobe_table_to_json
-from lobewise.limits import require_memory
-from lobewise.lobe_table import LobeTable
+from lobewise.records.frame import FloatArray, Frame, Radiance
+from lobewise.records.lobe_table import LobeTable
+from lobewise.work.limits import require_memory
 
 MIN_NORMAL_HALF = 2.0**-14
 """Smallest normal number of a 16-bit float: smaller numbers have less relative precision."""

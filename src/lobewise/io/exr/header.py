@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.camera import Camera
 from lobewise.display.colors import Chromaticities, are_plausible
 from lobewise.errors import FileError, InputError
 from lobewise.io.documents import parse_json
 from lobewise.io.exr.container import Attribute, Container, Part
 from lobewise.io.exr.schema import CAMERA, DENOISED, LOBES, SPP
 from lobewise.io.materials import lobe_table_from_json
-from lobewise.lobe_table import LobeTable
+from lobewise.records.camera import Camera
+from lobewise.records.lobe_table import LobeTable
 
 MAX_PIXEL_ASPECT = 100.0
 """Largest plausible ratio of the sides of a pixel."""

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.camera import Camera
-from lobewise.chunks import Chunk, run_chunks
 from lobewise.errors import InputError, LobewiseError, MissingChannelError
-from lobewise.frame import FloatArray, Frame, GBuffer, Radiance
-from lobewise.images import make_read_only
 from lobewise.io.exr.container import Container, Part, show_name
 from lobewise.io.exr.pixels import Pixels
 from lobewise.io.exr.schema import BEAUTY, SLOTS, SPARSE, Slot
 from lobewise.io.files import PathLike
-from lobewise.lobe_table import LobeTable
+from lobewise.records.camera import Camera
+from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance
+from lobewise.records.images import make_read_only
+from lobewise.records.lobe_table import LobeTable
+from lobewise.work.chunks import Chunk, run_chunks
 
 
 def look_up_beauty(parts: Iterable[Part]) -> Part | None:

@@ -16,14 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.chunks import ForkGate, count_cores
 from lobewise.display.hushing import hide_lines
 from lobewise.errors import FileError
 from lobewise.io.exr.container import COMPRESSIONS, Container, Part, Window, crop_part, show_name
 from lobewise.io.exr.parsing import parse_bytes
 from lobewise.io.exr.splice import pack_part
 from lobewise.io.files import say_reason
-from lobewise.limits import check_limits
+from lobewise.work.chunks import ForkGate, count_cores
+from lobewise.work.limits import check_limits
 
 Pixels = NDArray[Any]
 

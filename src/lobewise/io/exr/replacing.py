@@ -10,7 +10,6 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from lobewise.errors import InputError
-from lobewise.frame import FloatArray
 from lobewise.io.exr.container import LONG_NAMES, Attribute, Channel, Container, Part, crop_part, show_name
 from lobewise.io.exr.header import make_headers
 from lobewise.io.exr.layout import convert_plane
@@ -18,6 +17,7 @@ from lobewise.io.exr.pixels import DTYPES, Pixels, count_fitting_rows, decode_by
 from lobewise.io.exr.splice import write_container
 from lobewise.io.exr.spool import ChunkSpool
 from lobewise.io.files import PathLike, open_atomic, open_spool, require_writable
+from lobewise.records.frame import FloatArray
 
 LOSSLESS = ("none", "rle", "zips", "zip", "piz", "zstd", "htj2k256", "htj2k32")
 """Compressions that lose nothing, for every pixel type."""

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from lobewise.errors import InputError, require_kind
-from lobewise.frame import Frame, Radiance
-from lobewise.images import make_read_only
 from lobewise.io.exr.frames import read_whole, write_frame
 from lobewise.io.exr.layout import name_file, require_beauty
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.schema import SPARSE
 from lobewise.io.files import PathLike
-from lobewise.sparse_frame import SparseFrame, make_sparse
+from lobewise.records.frame import Frame, Radiance
+from lobewise.records.images import make_read_only
+from lobewise.records.sparse_frame import SparseFrame, make_sparse
 
 MAX_DIGITS = 9
 """Most digits of a scale, row or column in the header: no image is that large."""

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.frame import LobeKind
-from lobewise.lobe_table import LobeTable
+from lobewise.records.frame import LobeKind
+from lobewise.records.lobe_table import LobeTable
 from lobewise.render.bridge import dr, mi
 from lobewise.render.materials.fitted import Fit, compute_spreads, fit_bsdf
 from lobewise.render.materials.fitted_hits import FittedLobes

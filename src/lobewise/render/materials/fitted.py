@@ -19,9 +19,9 @@ from lobewise.fitting.arrays import Array, make_view
 from lobewise.fitting.fit import Evaluate, fit_lobes, measure_reflection
 from lobewise.fitting.nodes import Nodes, make_upper_nodes
 from lobewise.fitting.table import get_albedo, get_equivalent_alphas, order_lobes
-from lobewise.frame import FloatArray, LobeKind
-from lobewise.lobe_table import LobeTable
 from lobewise.lobes.vectors import LUMINANCE
+from lobewise.records.frame import FloatArray, LobeKind
+from lobewise.records.lobe_table import LobeTable
 from lobewise.render.materials.probe import (
     Parts,
     Samples,

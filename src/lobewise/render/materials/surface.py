@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from lobewise.frame import LobeKind
 from lobewise.lobes.albedo import ggx_directional_albedo
 from lobewise.lobes.roughness import compute_principled_alphas
+from lobewise.records.frame import LobeKind
 from lobewise.render.bridge import DRJIT, dr, mi, starts_as
 from lobewise.render.materials.bsdfs import FITTED, Material
 from lobewise.render.materials.fitted import OPACITY

@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 from lobewise.fitting.arrays import Array, make_view
 from lobewise.fitting.blending import blend_tables
 from lobewise.fitting.nodes import make_upper_nodes
-from lobewise.lobe_table import LobeTable
 from lobewise.lobes.numbers import NUMPY, Namespace
 from lobewise.lobes.vectors import LUMINANCE, dot, scale, subtract
+from lobewise.records.lobe_table import LobeTable
 from lobewise.render.materials.probe import Parts, evaluate_bsdf, spread_directions, spread_points
 from lobewise.render.materials.tints import solve_nonnegative
 

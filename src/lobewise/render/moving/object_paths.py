@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.camera import MAX_COORDINATE
 from lobewise.errors import InputError, LobewiseError, require_choice
 from lobewise.io.documents import describe_kind, parse_json, read_document, require_number, require_numbers
 from lobewise.io.files import PathLike
+from lobewise.records.camera import MAX_COORDINATE
 from lobewise.render.moving.shapes import Matrix, ShapePlaces, check_transform
 
 _MAX_BYTES = 64 << 20

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lobewise.camera import MAX_COORDINATE
 from lobewise.errors import InputError, choose_nearest, name_value
+from lobewise.records.camera import MAX_COORDINATE
 from lobewise.render.bridge import dr, mi
 
 Matrix = NDArray[np.float64]

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.frame import LobeKind
+from lobewise.records.frame import LobeKind
+from lobewise.records.sparse_frame import list_places
 from lobewise.render.bridge import dr, follow, mi, starts_as
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import dispatch_share, dispatch_surface, dispatch_transmission
@@ -19,7 +20,6 @@ from lobewise.render.materials.surface import Surface
 from lobewise.render.tracing.light_sampling import meet_emitter, scatter
 from lobewise.render.tracing.points import MAX_LAYERS, Points, assign_to_lobes, can_be_transparent
 from lobewise.render.tracing.rays import hides_emitters
-from lobewise.sparse_frame import list_places
 
 PATTERN = 4
 """Width of a block of pixels that draw different samples. All blocks draw the same samples."""

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.frame import FloatArray
+from lobewise.records.frame import FloatArray
 from lobewise.render.bridge import dr, mi
 from lobewise.render.camera import get_image_size, get_sensor
 from lobewise.render.tracing.points import Indirect, Points

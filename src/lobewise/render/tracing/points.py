@@ -49,7 +49,7 @@ class Indirect:
     ``hit_distance`` (Float) is the distance of the hit of its specular lobe: 0 if unknown, inf for a miss.
 
     A method that traces one ray for each sample also tells, as means over the samples, ``direction`` (Vector3f) and
-    ``ray_weight`` (Float) of `lobewise.sparse_frame.Rays`. Otherwise they are None.
+    ``ray_weight`` (Float) of `lobewise.records.sparse_frame.Rays`. Otherwise they are None.
     """
 
     diffuse: Any

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.frame import LobeKind
 from lobewise.lobes.albedo import ggx_directional_albedo
 from lobewise.lobes.clusters import MIN_VARIANCE, multiply_covariance
 from lobewise.lobes.covariance import CovarianceLobe, make_covariance_lobe
 from lobewise.lobes.directions import compute_tangent, face_viewer
 from lobewise.lobes.vectors import cross
+from lobewise.records.frame import LobeKind
 from lobewise.render.bridge import DRJIT, dr, mi
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import dispatch_surface

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from lobewise.errors import InputError, name_value, require_integer
-from lobewise.frame import LobeKind
+from lobewise.records.frame import LobeKind
 from lobewise.render.bridge import dr, mi, repeat
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.moving.shapes import Box

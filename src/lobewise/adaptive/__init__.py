@@ -1,6 +1,0 @@
-"""Adaptive re-computation: pixels that few neighbours support are shaded again."""
-
-from lobewise.adaptive.choosing import choose_spp, find_unsupported
-from lobewise.adaptive.recipe import Shade, recompute
-
-__all__ = ["Shade", "choose_spp", "find_unsupported", "recompute"]

@@ -1,0 +1,6 @@
+"""Adaptive re-computation: pixels that few neighbours support are shaded again."""
+
+from lobewise.recipes.adaptive.choosing import choose_spp, find_unsupported
+from lobewise.recipes.adaptive.recipe import Shade, recompute
+
+__all__ = ["Shade", "choose_spp", "find_unsupported", "recompute"]

@@ -1,0 +1,291 @@
+"""The recipe of windows in time: the samples of frames are joined, each frame is denoised, the images are averaged."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+from weakref import ref
+
+import numpy as np
+
+from lobewise.denoising.automatic import change_settings, choose_similarity
+from lobewise.denoising.plan import count_bytes
+from lobewise.denoising.recipe import check_frame, denoise_checked, filter_below
+from lobewise.errors import MAX_GOT_LETTERS, InputError, name_value, require_kind
+from lobewise.filters.noise.pooling import blur_image
+from lobewise.guides.negative import split_negative
+from lobewise.guides.usable import CheckedGuides
+from lobewise.recipes.windows.averaging import average_denoised
+from lobewise.recipes.windows.gathering import Shown
+from lobewise.recipes.windows.joining import JoinedFrame, join_frames
+from lobewise.recipes.windows.shots import Shot, extrapolate_camera
+from lobewise.records.frame import FloatArray, Frame, Result
+from lobewise.records.images import pack_planes, unpack_planes
+from lobewise.settings import DenoiseChanges, DenoiseSettings
+from lobewise.work.limits import set_aside
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+MAX_REACH = 8
+"""Most frames to each side of a window."""
+HELD_SHARE = 1.6
+"""Memory that a window takes beside the joined frame, as a multiple of that of its frames."""
+NO_MOTION = (
+    "No other frame is used: the frames have neither motion vectors nor a camera with surface points, so nobody knows "
+    "where a pixel was. Render the pass for motion"
+)
+NO_MOTION_ADVICE = {True: ", or give the camera (--camera).", False: ", or positions and the camera."}
+"""The end of `NO_MOTION`, by whether the frame has positions or depths."""
+USED_BETWEEN_FRAMES = ("motion", "hit_distance", "position", "depth", "normal")
+"""Guides that frames are compared by, whatever the denoiser reads."""
+FEW_FRAMES, MANY_FRAMES = 1.25, 2.5
+"""Effective frames up to which a pixel is taken from the frame that was denoised by itself, and from which on it is
+taken from the denoised joined frame."""
+SHARE_BLURS = 2
+"""Blurs that spread the noise of pixels with few frames over their surroundings."""
+REPEATED = (
+    "Other frames have exactly the noise of this frame, as they were rendered with the same seed, and are not used: "
+    "give every frame a seed of its own (in Blender: Sampling > Advanced > Seed, the clock beside it)."
+)
+OTHER_SIZE = "Frames of another size are not used."
+STILL = "The frames have no motion vectors: where things move by themselves, other frames are not used."
+NOTHING_FOUND = "No other frame is used: none of them shows the surfaces of this frame with the same guides."
+
+
+def _require_frames(frames: Sequence[Frame], index: int) -> None:
+    require_kind("frames", frames, Sequence)
+    for frame in frames:
+        require_kind("frame", frame, Frame)
+    if not isinstance(index, int) or not 0 <= index < len(frames):
+        got = name_value(index, MAX_GOT_LETTERS)
+        raise InputError("index", expected=f"0 to {len(frames) - 1}", got=got, action="count from 0")
+
+
+class WindowFilter:
+    """Denoises the frames of a sequence with the samples of the frames before and after each of them.
+
+    The samples of the other frames are brought to the pixels of a frame by the motion of surfaces and reflections,
+    where the surface and its lobe are recognised. They are weighed by the error that they would bring in. The joined
+    frame has less noise; it is denoised like any frame. Pixels that few frames show are taken from the frame that was
+    denoised by itself. At last the denoised images of the same frames are averaged.
+
+    Frames are prepared and denoised once, and kept as long as windows need them. One thread at a time uses a filter;
+    several filters may run at once.
+
+    Parameters
+    ----------
+    reach : int
+        Frames before and after whose samples are joined and whose images are averaged, 1 to 8. So a result depends on
+        twice as many. More frames have less noise, and cost in proportion.
+    settings : DenoiseSettings, optional
+        As for `lobewise.denoise`.
+    past_only : bool
+        Whether only frames before a frame are used, so that frames can be denoised as they come.
+    **changes
+        Single parameters, by name, that replace those of ``settings``.
+
+    Raises
+    ------
+    InputError
+        If the reach or a parameter is out of range, or a parameter is unknown.
+
+    Examples
+    --------
+    >>> import lobewise
+    >>> window = lobewise.WindowFilter(2)
+    >>> frames = [lobewise.read_frame(path) for path in paths]  # doctest: +SKIP
+    >>> images = [window.denoise(frames, index).image for index in range(len(frames))]  # doctest: +SKIP
+    """
+
+    def __init__(
+        self,
+        reach: int = 2,
+        settings: DenoiseSettings | None = None,
+        *,
+        past_only: bool = False,
+        **changes: Unpack[DenoiseChanges],
+    ) -> None:
+        if not isinstance(reach, int) or isinstance(reach, bool) or not 1 <= reach <= MAX_REACH:
+            got = name_value(reach, MAX_GOT_LETTERS)
+            raise InputError("window", expected=f"1 to {MAX_REACH} frames to each side", got=got, action="2 is usual")
+        self.reach = reach
+        self.past_only = past_only
+        self._settings = change_settings(settings or DenoiseSettings(), changes)
+        self._prepared: dict[int, _Prepared] = {}
+
+    def join(self, frames: Sequence[Frame], index: int) -> JoinedFrame:
+        """Return a frame with the samples of its neighbours, not denoised.
+
+        Parameters
+        ----------
+        frames : sequence of Frame
+            Consecutive frames: the whole sequence, or twice ``reach`` frames and one more to each side of the frame.
+            Pass the same objects again, and what was prepared for them is used again.
+        index : int
+            The frame, counted from 0.
+
+        Raises
+        ------
+        InputError
+            If there is no such frame, or something in the sequence is no Frame.
+        MissingChannelError
+            If the frames lack what the similarity compares.
+        """
+        _require_frames(frames, index)
+        self._forget(frames, range(index, index + 1))
+        return self._join(frames, index)
+
+    def denoise(self, frames: Sequence[Frame], index: int) -> Result:
+        """Return the denoised frame; see `join` for the parameters and errors."""
+        _require_frames(frames, index)
+        with set_aside(HELD_SHARE * sum(map(count_bytes, frames))):
+            return self._denoise(frames, index).convert(frames[index].radiance.maker)
+
+    def _denoise(self, frames: Sequence[Frame], index: int) -> Result:
+        start = time.perf_counter()
+        near = self._list_near(frames, index)
+        self._forget(frames, near)
+        windowed = {number: self._denoise_joined(frames, number) for number in near}
+        prepared = self._prepared[id(frames[index])]
+        others = [(shown, windowed[index + step]) for step, shown in prepared.shown.items()]
+        result, below = average_denoised(windowed[index], others), prepared.below
+        if below is not None:
+            # Light below 0 is dim: other frames would lower its noise by little.
+            result = result.subtract(filter_below(below, self._settings, ()))
+        return replace(
+            result,
+            also=unpack_planes(result.also),
+            notes=prepared.window_notes + result.notes,
+            settings={**result.settings, "window": self.reach, "joined": tuple(prepared.shown)},
+            seconds=time.perf_counter() - start,
+            find_noisy=ref(frames[index].radiance.color),
+        )
+
+    def _join(self, frames: Sequence[Frame], index: int) -> JoinedFrame:
+        return join_frames(self._prepare(frames, self._list_near(frames, index)), index)
+
+    def _denoise_joined(self, frames: Sequence[Frame], index: int) -> Result:
+        """Return the denoised joined frame, and where few frames were joined the frame denoised by itself."""
+        window = tuple(id(frames[number]) for number in self._list_near(frames, index))
+        prepared = self._prepared.get(id(frames[index]))
+        if prepared is not None and prepared.window == window:
+            assert prepared.windowed is not None
+            return prepared.windowed
+        joined = self._join(frames, index)
+        result = joined.alone
+        if joined.shown:
+            # The opacity is that of the frame alone.
+            whole = denoise_checked(CheckedGuides(joined.frame.with_changes(alpha=None)), self._settings)
+            unused = tuple(name for name in whole.unused if name not in USED_BETWEEN_FRAMES)
+            result = replace(mix_results(result, whole, compute_joined_share(joined.frames)), unused=unused)
+        prepared = self._prepared[id(frames[index])]
+        prepared.window, prepared.windowed = window, result
+        prepared.shown, prepared.window_notes = joined.shown, self._explain(frames, index, joined)
+        return result
+
+    def _list_near(self, frames: Sequence[Frame], index: int) -> range:
+        """Return the numbers of the frames that a frame is compared with, and its own."""
+        last = index if self.past_only else min(index + self.reach, len(frames) - 1)
+        return range(max(index - self.reach, 0), last + 1)
+
+    def _forget(self, frames: Sequence[Frame], near: range) -> None:
+        """Let go of all frames but those that the windows of ``near`` need."""
+        needed = {id(frames[number]) for each in near for number in self._list_near(frames, each)}
+        self._prepared = {key: prepared for key, prepared in self._prepared.items() if key in needed}
+
+    def _prepare(self, frames: Sequence[Frame], numbers: range) -> dict[int, Shot]:
+        """Return the shots of a window by number."""
+        shots: dict[int, Shot] = {}
+        for number in numbers:
+            frame = frames[number]
+            prepared = self._prepared.get(id(frame)) or _Prepared(frame, self._settings)
+            self._prepared[id(frame)] = prepared
+            if prepared.shot is None:
+                camera = frames[number - 1].camera if number else None
+                following = frames[number + 1].camera if number + 1 < len(frames) else None
+                if camera is None and frame.camera is not None and following is not None:
+                    camera = extrapolate_camera(prepared.checked.require_camera("a window"), following)
+                similarity = "normal" if frame.wraps else choose_similarity(prepared.checked, self._settings)
+                prepared.shot = Shot(prepared.checked, camera, similarity, self._settings, self.reach)
+            shots[number] = prepared.shot
+        return shots
+
+    def _explain(self, frames: Sequence[Frame], index: int, joined: JoinedFrame) -> tuple[str, ...]:
+        """Return what a user should know of the window of a frame, one sentence each."""
+        frame, near = frames[index], [frames[number] for number in self._list_near(frames, index)]
+        notes = self._prepared[id(frame)].notes
+        if joined.repeated:
+            notes += (REPEATED,)
+        if any(other.shape != frame.shape for other in near):
+            notes += (OTHER_SIZE,)
+        if frame.gbuffer.motion is None and joined.shown:
+            notes += (STILL,)
+        if not joined.shown and not joined.repeated and len(near) > 1:
+            knows_motion = frame.gbuffer.motion is not None or frame.is_placed
+            notes += (NOTHING_FOUND if knows_motion else NO_MOTION + NO_MOTION_ADVICE[frame.gbuffer.is_placed],)
+        return notes
+
+
+def compute_joined_share(frames: FloatArray) -> FloatArray:
+    """Return the share of the denoised joined frame in the result, (height, width), in [0, 1].
+
+    Pixels that few frames show have more noise than their surroundings, and a denoiser that sees little noise around
+    them takes theirs for detail. There the frame that was denoised by itself is better.
+
+    Parameters
+    ----------
+    frames : array, shape (height, width)
+        Effective number of frames that were joined, >= 1.
+    """
+    left = np.float32(1.0) / frames
+    for level in range(SHARE_BLURS):
+        left = np.maximum(left, blur_image(left, 2**level))
+    share = (np.float32(1.0) / left - np.float32(FEW_FRAMES)) / np.float32(MANY_FRAMES - FEW_FRAMES)
+    return np.clip(blur_image(share, 1), np.float32(0.0), np.float32(1.0))
+
+
+def mix_results(alone: Result, joined: Result, share: FloatArray) -> Result:
+    """Return ``joined`` with all its images mixed with those of ``alone``; ``share`` is that of ``joined``."""
+    part = share[..., None]
+
+    def mix(first: FloatArray | None, second: FloatArray | None) -> FloatArray | None:
+        return second if first is None or second is None else np.asarray(first + part * (second - first), np.float32)
+
+    def mix_all(first: Mapping[str, FloatArray], second: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+        mixed = {name: mix(first.get(name), image) for name, image in second.items()}
+        return {name: image for name, image in mixed.items() if image is not None}
+
+    image = mix(alone.image, joined.image)
+    assert image is not None
+    return replace(
+        joined,
+        image=image,
+        diffuse=mix(alone.diffuse, joined.diffuse),
+        specular=mix(alone.specular, joined.specular),
+        layers=mix_all(alone.layers, joined.layers),
+        also=mix_all(alone.also, joined.also),
+        bad_pixels=alone.bad_pixels,
+        alpha=alone.alpha,
+    )
+
+
+class _Prepared:
+    """A frame that is kept for the next windows; holding it keeps its `id` its own."""
+
+    def __init__(self, frame: Frame, settings: DenoiseSettings) -> None:
+        self.frame = frame
+        checked = check_frame(frame, settings)
+        packed = checked.frame.with_changes(also=pack_planes(checked.frame.also))
+        self.checked, self.below = split_negative(packed)
+        self.notes = checked.notes
+        self.shot: Shot | None = None
+        self.windowed: Result | None = None
+        """The frame denoised with the samples of its neighbours."""
+        self.window: tuple[int, ...] = ()
+        """The `id` of each frame of its window."""
+        self.shown: dict[int, Shown] = {}
+        """See `JoinedFrame`."""
+        self.window_notes: tuple[str, ...] = ()

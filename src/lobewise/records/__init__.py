@@ -1,0 +1,1 @@
+"""Frozen records that rooms pass to each other, checked once."""

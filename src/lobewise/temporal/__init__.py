@@ -1,5 +1,0 @@
-"""Filtering over time: a history per pixel, found again in every frame."""
-
-from lobewise.temporal.recipe import TemporalFilter
-
-__all__ = ["TemporalFilter"]
