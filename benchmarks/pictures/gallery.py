@@ -1,0 +1,91 @@
+"""Draw the gallery: whole shots of Blender Cycles, noisy, by Open Image Denoise, `high`, `auto`, and the reference.
+
+    python -m benchmarks.pictures.gallery FOLDER
+
+``FOLDER`` holds ``KIND_SEED/16.exr`` and ``reference.exr`` of the factory (``benchmarks/foreign/factory``), rendered
+640 pixels wide. Writes docs/_static/gallery, benchmarks/results/gallery_shots.json and the part of
+docs/developers/gallery.md between its marks.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+import lobewise
+from benchmarks.common import RESULTS, ROOT, write_json
+from lobewise.display.tones import choose_exposure, map_tones
+from lobewise.peers import denoise_oidn
+from lobewise.records.frame import FloatArray
+
+PAGE, PICTURES = ROOT / "docs" / "developers" / "gallery.md", ROOT / "docs" / "_static" / "gallery"
+START, END = "<!-- shots:start -->\n", "<!-- shots:end -->\n"
+PAIRS = (("noisy", "auto"), ("Open Image Denoise", "auto"), ("Open Image Denoise", "high"), ("auto", "reference"))
+EPSILON = 0.01
+"""Added to the squared reference, below the squared error."""
+SHARE_LEFT_OUT = 0.001
+"""Share of the pixels, the worst ones, that the second error leaves out: the reference has fireflies of its own."""
+
+
+def draw_wipe(shot: str, first: str, second: str) -> str:
+    """Return HTML of two pictures with a movable edge between them."""
+    one, other = (
+        f'<img src="../_static/gallery/{shot}-{name.split()[0].lower()}.webp" alt="{name}" ' for name in (first, second)
+    )
+    slide = "this.parentNode.style.setProperty('--at',this.value+'%')"
+    return (
+        f"<p>{first} | {second}</p>"
+        '<div style="position:relative;max-width:640px;line-height:0;--at:50%">'
+        f'{other}style="width:100%">{one}'
+        'style="width:100%;position:absolute;left:0;top:0;clip-path:inset(0 calc(100% - var(--at)) 0 0)">'
+        f'<input type="range" min="0" max="100" value="50" aria-label="Edge between the pictures" oninput="{slide}" '
+        'style="position:absolute;inset:0;width:100%;height:100%;margin:0;opacity:0;cursor:ew-resize"></div>'
+    )
+
+
+def measure(image: FloatArray, reference: FloatArray) -> tuple[float, float]:
+    """Return the mean squared error over the squared reference, of all pixels, and without the worst."""
+    errors = np.sort(((image - reference) ** 2 / (reference**2 + EPSILON)).mean(axis=-1), axis=None)
+    most = errors[: errors.size - round(SHARE_LEFT_OUT * errors.size)]
+    return round(float(errors.mean()), 4), round(float(most.mean()), 4)
+
+
+def main() -> None:
+    """Draw all shots of a folder."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    blocks, rows = [], {}
+    for path in sorted(parser.parse_args().folder.glob("*/reference.exr")):
+        shot, frame = path.parent.name, lobewise.read_frame(path.with_name("16.exr"))
+        reference = lobewise.read_frame(path).radiance.color
+        images = {
+            "noisy": frame.radiance.color,
+            "Open Image Denoise": denoise_oidn(frame)[0],
+            "high": lobewise.denoise(frame, quality="high").image,
+            "auto": lobewise.denoise(frame).image,
+            "reference": reference,
+        }
+        exposure = choose_exposure(reference)
+        for name, image in images.items():
+            picture = Image.fromarray(map_tones(image, exposure))
+            picture.save(PICTURES / f"{shot}-{name.split()[0].lower()}.webp", quality=88, method=6)
+        errors = {name: measure(image, reference) for name, image in images.items() if name != "reference"}
+        rows[shot] = errors
+        told = ", ".join(f"{name} {every:g} ({most:g})" for name, (every, most) in errors.items())
+        wipes = "\n".join(draw_wipe(shot, *pair) for pair in PAIRS)
+        kind = shot.partition("_")[0].capitalize()
+        command = "```bash\nlobewise denoise 16.exr -o clean.exr                  # auto\n"
+        command += "lobewise denoise 16.exr -o clean.exr --quality high\n```"
+        blocks.append(f"### {kind}, 16 samples\n\nErrors: {told}.\n\n{command}\n\n```{{raw}} html\n{wipes}\n```\n")
+    write_json(RESULTS / "gallery_shots.json", {"spp": 16, "errors": rows})
+    text = PAGE.read_text()
+    before, rest = text.split(START)
+    PAGE.write_text(before + START + "\n" + "\n".join(blocks) + "\n" + END + rest.split(END)[1])
+
+
+if __name__ == "__main__":
+    main()
