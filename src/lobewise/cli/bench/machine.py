@@ -45,7 +45,7 @@ def look_up_processor() -> str:
 
 def _look_up_commit() -> str:
     """Return the commit of the checkout that holds this package, marked if files were changed; empty without one."""
-    package = Path(__file__).resolve().parents[1]
+    package = Path(__file__).resolve().parents[2]
     if not (package.parents[1] / ".git").exists():
         return ""
 
