@@ -241,6 +241,18 @@ def test_every_page_of_users_with_python_is_run() -> None:
     assert named - run == {"farm.md"}  # its programs ask SLURM and Kubernetes for machines
 
 
+def test_every_capability_names_tests_that_exist() -> None:
+    page = (ROOT / "docs" / "developers" / "capabilities.md").read_text()
+    rows = [line for line in page.splitlines() if line.startswith("| ")][2:]
+    assert len(rows) > 50
+    for row in rows:
+        *_, told, _ = row.split(" |")
+        named = re.findall(r"`(tests/[\w/]+\.py)::(test_\w+)`", told)
+        assert len(named) == told.count("`") / 2 > 0, row
+        for path, name in named:
+            assert re.search(rf"^ *def {name}\(", (ROOT / path).read_text(), flags=re.M), f"{path}::{name}"
+
+
 def test_pictures_and_links_exist() -> None:
     for path in PAGES:
         for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", path.read_text()):
