@@ -31,18 +31,12 @@ SHARE_LEFT_OUT = 0.001
 
 
 def draw_wipe(shot: str, first: str, second: str) -> str:
-    """Return HTML of two pictures with a movable edge between them."""
-    one, other = (
-        f'<img src="../_static/gallery/{shot}-{name.split()[0].lower()}.webp" alt="{name}" ' for name in (first, second)
-    )
-    slide = "this.parentNode.style.setProperty('--at',this.value+'%')"
+    """Return HTML of two pictures with a movable edge between them; see docs/_static/wipe.js."""
+    left, right = (f'src="../_static/gallery/{shot}-{name.split()[0].lower()}.webp"' for name in (first, second))
     return (
-        f"<p>{first} | {second}</p>"
-        '<div style="position:relative;max-width:640px;line-height:0;--at:50%">'
-        f'{other}style="width:100%">{one}'
-        'style="width:100%;position:absolute;left:0;top:0;clip-path:inset(0 calc(100% - var(--at)) 0 0)">'
-        f'<input type="range" min="0" max="100" value="50" aria-label="Edge between the pictures" oninput="{slide}" '
-        'style="position:absolute;inset:0;width:100%;height:100%;margin:0;opacity:0;cursor:ew-resize"></div>'
+        f'<div class="wipe" style="max-width:640px"><img {right} alt="{second}"><img class="over" {left} alt="{first}">'
+        f'<span class="left">{first}</span><span class="right">{second}</span><input type="range" min="0" max="100" '
+        'value="50" aria-label="Move the edge between the pictures"></div>'
     )
 
 
