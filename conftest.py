@@ -36,7 +36,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             named[name] = set(marker.args)
             if case not in marker.args:
                 item.add_marker(pytest.mark.nightly)
-        elif "torch" in getattr(item, "fixturenames", ()):
+        elif "torch" in getattr(item, "fixturenames", ()) or "[torch" in item.name:
             item.add_marker(pytest.mark.nightly)
     if any("::" in each for each in config.args):
         return
