@@ -147,6 +147,15 @@ def test_the_pass_of_a_shadow_catcher_is_denoised(rng: np.random.Generator, tmp_
     assert np.std(after) < 0.8 * np.std(shadow[..., 0])
 
 
+@pytest.mark.parametrize(("renderer", "start"), [("arnold", "RGBA"), ("renderman", "Ci"), ("karma", "C")])
+def test_light_groups_of_other_renderers_are_found(renderer: str, start: str, tmp_path: Path) -> None:
+    written, color = WRITERS[renderer](make_scene()), make_scene().color
+    for group, share in (("key", 0.7), ("fill", 0.3)):
+        written.channels |= name(f"{start}_{group}", np.float32(share) * color)
+    write(tmp_path / "a.exr", written)
+    assert set(lobewise.read_frame(tmp_path / "a.exr").also) == {f"{start}_key", f"{start}_fill"}
+
+
 def test_light_groups_sum_to_the_image_and_others_are_none_of_it(tmp_path: Path) -> None:
     written = WRITERS["cycles"](make_scene())
     add_groups(written)
