@@ -30,7 +30,7 @@ from lobewise.filters.dual_buffer import MORE_AT_ONCE
 from lobewise.guides.halves import mark_bad
 from lobewise.lobes.vectors import compute_image_luminance
 from lobewise.records.frame import FloatArray, Frame, Radiance
-from lobewise.records.images import MAX_HALF_ROUNDING, is_band
+from lobewise.records.images import MAX_HALF_ROUNDING, is_band, list_packed
 from lobewise.settings import ResolvedSettings
 from lobewise.settings.choices import get_quality
 
@@ -57,9 +57,14 @@ class Passed:
     share: FloatArray | None = None
 
 
+def list_alone(also: Mapping[str, FloatArray]) -> list[str]:
+    """Return the names of the images of `Frame.also` that are denoised by themselves: those of three colours."""
+    return [name for name, image in also.items() if image.ndim == 3 and len(list_packed(name)) == 1]
+
+
 def has_passes(frame: Frame) -> bool:
-    """Return whether a frame has images that belong to a layer or to the whole frame."""
-    return bool(frame.also) or any(layer.parts for layer in frame.layers)
+    """Return whether a frame has images that are filtered by the weights of a layer or of the whole frame."""
+    return len(frame.also) > len(list_alone(frame.also)) or any(layer.parts for layer in frame.layers)
 
 
 @device_scope()
@@ -118,22 +123,22 @@ def keep_sum(
     Parameters
     ----------
     clean, noisy : mapping of str to (height, width, 3)
-        Images, by the same names.
+        Images, by the same names, light below 0 included. The first ones may be the parts of ``before``, up to one that
+        completes the sum.
     before, after : (height, width, 3)
-        The noisy and the clean image. Where images exceed ``before``, the first ones are its parts.
+        The noisy and the clean image.
     """
-    names: list[str] = []
-    for name, image in noisy.items():
-        total = np.sum([image, *(noisy[each] for each in names)], axis=0, dtype=np.float32)
+    parts: list[str] = []
+    total = np.zeros_like(before)
+    for count, image in enumerate(noisy.values(), 1):
         with np.errstate(invalid="ignore", over="ignore"):
-            exceeds = bool((total - before > _compute_rounding(before, len(names) + 1)).any())
-        names += [] if exceeds else [name]
-    if not names or not _is_sum(before, [noisy[name] for name in names]):
+            total = total + image
+        if _is_close(before, total, count):
+            parts = list(noisy)[:count]
+    if not parts:
         return dict(clean)
-    shared = share_by_noise(
-        after, [blacken_bad(clean[name]) for name in names], [blacken_bad(noisy[name]) for name in names]
-    )
-    return {**clean, **dict(zip(names, shared, strict=True))}
+    shared = share_by_noise(after, [clean[name] for name in parts], [noisy[name] for name in parts])
+    return {**clean, **dict(zip(parts, shared, strict=True))}
 
 
 def _filter_planes(
@@ -274,13 +279,14 @@ def _divide(image: FloatArray, by: FloatArray) -> FloatArray:
 def _is_sum(image: FloatArray, parts: Sequence[FloatArray]) -> bool:
     """Return whether parts add up to an image, within the rounding of 16-bit floats."""
     with np.errstate(invalid="ignore", over="ignore"):
-        apart = np.abs(np.sum(parts, axis=0, dtype=np.float32) - image)
-        return not bool((apart > _compute_rounding(image, len(parts))).any())
+        return _is_close(image, np.sum(parts, axis=0, dtype=np.float32), len(parts))
 
 
-def _compute_rounding(image: FloatArray, count: int) -> FloatArray:
-    """Return how far the sum of so many parts may be from an image where all are 16-bit floats."""
-    return np.float32(MAX_HALF_ROUNDING) * np.abs(image) + np.float32((count + 1) * HALF_STEP)
+def _is_close(image: FloatArray, total: FloatArray, count: int) -> bool:
+    """Return whether an image is the sum of so many parts, where all are 16-bit floats."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        rounding = np.float32(MAX_HALF_ROUNDING) * np.abs(image) + np.float32((count + 1) * HALF_STEP)
+        return not bool((np.abs(total - image) > rounding).any())
 
 
 def _bound_part(image: FloatArray, bounded: FloatArray) -> FloatArray:

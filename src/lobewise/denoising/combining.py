@@ -255,8 +255,8 @@ def share_out(image: FloatArray, before: FloatArray, parts: Sequence[FloatArray]
     parts : sequence of (height, width, 3)
         Parts of ``before``; bad pixels count as 0.
     """
-    good = [np.where(np.isfinite(part), part, np.float32(0.0)) for part in parts]
-    filtered = sum_finite(parts)
+    good = [make_finite(part) for part in parts]
+    filtered = sum_finite(good)
     rest = np.maximum(before - filtered, np.float32(0.0))
     scattered, exact = filtered > MAX_BLACK_RADIANCE, rest > MAX_BLACK_RADIANCE
     image = np.where(scattered | exact, image, before)
@@ -275,41 +275,46 @@ def share_out(image: FloatArray, before: FloatArray, parts: Sequence[FloatArray]
     return Shares(image, [part * factor for part in good], gain)
 
 
+def make_finite(light: FloatArray) -> FloatArray:
+    """Return light with 0 where it is not finite."""
+    return np.where(np.isfinite(light), light, np.float32(0.0))
+
+
 def sum_finite(parts: Sequence[FloatArray]) -> FloatArray:
     """Return the sum of parts; what is not finite counts as 0."""
-    return np.asarray(
-        np.sum([np.where(np.isfinite(part), part, np.float32(0.0)) for part in parts], axis=0, dtype=np.float32)
-    )
+    return np.asarray(np.sum([make_finite(part) for part in parts], axis=0, dtype=np.float32))
 
 
 def share_by_noise(image: FloatArray, parts: Sequence[FloatArray], noisy: Sequence[FloatArray]) -> list[FloatArray]:
     """Return parts that sum to an image. Each takes as much of the difference as its samples have of the noise.
 
     Where the difference is larger than the noise explains, all parts keep their shares of the image. So a dim part
-    without noise does not take the errors of a bright one.
+    without noise does not take the errors of a bright one. Where a part is below 0, it takes its share of the whole
+    difference. A pixel that no part lights stays black.
 
     Parameters
     ----------
     image : (height, width, 3)
-        Finite, >= 0.
+        Finite.
     parts, noisy : sequences of (height, width, 3)
-        The filtered parts and their samples; finite, >= 0.
+        The filtered parts and their samples. What is not finite counts as 0.
     """
+    good, samples = ([make_finite(each) for each in some] for some in (parts, noisy))
     side = np.float32(2 * NOISE_RADIUS + 1)
     variances = [
-        sum_square(np.square(samples - part), NOISE_RADIUS) / (side * side)
-        for part, samples in zip(parts, noisy, strict=True)
+        sum_square(np.square(one - part), NOISE_RADIUS) / (side * side) for part, one in zip(good, samples, strict=True)
     ]
-    apart = image - np.sum(parts, axis=0, dtype=np.float32)
-    total = np.sum(variances, axis=0, dtype=np.float32)
-    shared = []
-    for part, variance in zip(parts, variances, strict=True):
+    apart, total = image - sum_finite(good), sum_finite(variances)
+    shared, added = [], []
+    for part, variance in zip(good, variances, strict=True):
+        share = np.divide(variance, total, out=np.full_like(total, 1.0 / len(good)), where=total > 0.0)
         most = np.float32(MAX_DEVIATIONS) * np.sqrt(variance)
-        change = np.clip(apart * _divide(variance, total, total > 0.0), -most, most)
-        shared.append(np.maximum(part + change, np.float32(0.0)))
-    together = np.sum(shared, axis=0, dtype=np.float32)
+        shared.append(np.maximum(part + np.clip(apart * share, -most, most), np.float32(0.0)))
+        added.append(part + apart * share)
+    together = sum_finite(shared)
     ratio = np.divide(image, together, out=np.ones_like(together), where=together > MAX_BLACK_RADIANCE)
-    return [part * ratio for part in shared]
+    below = np.minimum(image, np.min(good, axis=0)) < 0.0
+    return [np.where(below, other, one * ratio) for one, other in zip(shared, added, strict=True)]
 
 
 def _divide(light: Any, by: Any, where: Any) -> FloatArray:

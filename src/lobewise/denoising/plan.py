@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lobewise.denoising.also import has_passes
+from lobewise.denoising.also import has_passes, list_alone
 from lobewise.denoising.automatic import ask, needs_peer_alone, resolve_all
 from lobewise.denoising.combining import describe_peer_alone, list_peer_costs, name_method
 from lobewise.denoising.evidence import get_image_halves
@@ -42,6 +42,7 @@ from lobewise.work.progress.stages import (
     SECONDS_PER_MEGAPIXEL,
     SHARE_OUT,
     TAKE_BACK,
+    describe_alone,
 )
 
 PEER_BYTES_PER_PIXEL = 320
@@ -170,7 +171,8 @@ def foretell(frame: Frame, settings: DenoiseSettings, *, height: int | None = No
     held = count_bytes(frame) * height // rows
     pixels = height * width * (2 if frame.wraps else 1)
     working = estimate_work_bytes(pixels, chosen.quality, with_oidn=bool(chosen.with_oidn))
-    seconds = pixels / 1e6 * estimate_seconds_per_megapixel(near, chosen)
+    images = 1 + (len(list_alone(frame.also)) if whole else 0)
+    seconds = images * pixels / 1e6 * estimate_seconds_per_megapixel(near, chosen)
     alone = ", without Open Image Denoise" if chosen.with_oidn else ""
     bands = "" if whole else " Bands of rows take less."
     return [
@@ -220,6 +222,7 @@ def list_frame_steps(frame: Frame, settings: ResolvedSettings) -> tuple[list[Ste
     near, far = list_steps(settings, layers, has_seen=has_seen and "color" not in layers, halves=halves)
     if has_passes(frame):
         far.append(Step(FILTER_OTHERS))
+    far += [Step(describe_alone(name)) for name in list_alone(frame.also)]
     return near, far
 
 

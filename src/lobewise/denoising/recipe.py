@@ -13,7 +13,7 @@ from weakref import ref
 import numpy as np
 
 from lobewise import engine
-from lobewise.denoising.also import keep_sum
+from lobewise.denoising.also import keep_sum, list_alone
 from lobewise.denoising.automatic import ask, change_settings, needs_peer_alone, resolve_all
 from lobewise.denoising.bad_pixels import blacken_bad, describe_bad, mark_bad_pixels, mark_good, require_some_good
 from lobewise.denoising.chain import Filtered, clean_frame, name_layers
@@ -38,12 +38,12 @@ from lobewise.guides.survey import ALBEDOS
 from lobewise.guides.usable import CheckedGuides, check_guides
 from lobewise.peers import require_oidn
 from lobewise.records.frame import FloatArray, Frame, Radiance, Result
-from lobewise.records.images import crop_columns, list_packed, pack_planes, unpack_planes, wrap_columns
+from lobewise.records.images import crop_columns, pack_planes, unpack_planes, wrap_columns
 from lobewise.records.radiance import MAX_EXCESS_SHARE, measure_excess
 from lobewise.settings import DenoiseChanges, DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_quality
 from lobewise.work.progress import Watcher, enter_stage, plan_stages, watched
-from lobewise.work.progress.stages import FILTER_ONCE, SECONDS_PER_MEGAPIXEL
+from lobewise.work.progress.stages import FILTER_ONCE, SECONDS_PER_MEGAPIXEL, describe_alone
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -158,9 +158,9 @@ def denoise_checked(checked: CheckedGuides[Frame], named: DenoiseSettings, featu
     """
     start, frame = time.perf_counter(), checked.frame
     packed = pack_planes(frame.also)
-    images = {name: image for name, image in packed.items() if len(list_packed(name)) == 1}
+    images = {name: packed[name] for name in list_alone(packed)}
     planes = {name: image for name, image in packed.items() if name not in images}
-    stages = {name: f"denoise {name} by itself" for name in images}
+    stages = {name: describe_alone(name) for name in images}
     has_alpha = frame.alpha is not None
     # Opacity takes the time of the best quality, and "auto" is the best.
     light, best = (get_quality(each.replace("auto", "high")).seconds_per_megapixel for each in (named.quality, "high"))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from copy import copy
 from dataclasses import dataclass, field
 
@@ -90,14 +90,17 @@ class ImageReader:
         """Register the channels of a map, so that each part is decoded once and no unused channel stays in memory."""
         layers = [one for layer in channels.layers for one in (*layer.light, layer.albedo)]
         mattes = [one for matte in channels.cryptomatte for one in matte]
-        for one in (*channels.roles.values(), *layers, *mattes, channels.shown):
-            if one is not None:
-                self._wanted.setdefault(one.source.part.index, set()).update(one.channels)
+        self.expect_images(one for one in (*channels.roles.values(), *layers, *mattes, channels.shown) if one)
         # Whether the alpha beside the image has noise is told to the user.
         target = channels.target.source
         self._wanted.setdefault(target.part.index, set()).update(
             target.channels[each] for each in "a" if each in target.channels
         )
+
+    def expect_images(self, images: Iterable[Found]) -> None:
+        """Register images that are read next, so that their part is decoded once for all of them."""
+        for one in images:
+            self._wanted.setdefault(one.source.part.index, set()).update(one.channels)
 
     def __call__(self, found: Found) -> FloatArray:
         """Return an image without conversions: (height, width, channels), or (height, width) for one channel."""

@@ -44,6 +44,8 @@ def add_also(imported: Imported, patterns: Sequence[str], read: ImageReader) -> 
         chosen = [(one, _pick_noisy(one)) for one in imported.map.beside if one.matches(pattern)]
         taken = [(one, channels) for one, channels in chosen if channels and not used.intersection(channels)]
         planes = [Found(one, channels).label for one, channels in taken if len(channels) == 1]
+        if not taken and any(one.path in imported.frame.also for one, _ in chosen):
+            continue  # a light group
         if not taken and any(one.matches(pattern) for one in list_passes(imported.container)):
             notes.append(f"No pass of {imported.map.selection.label or 'the picture'} matches --also {pattern}.")
         elif not taken:
@@ -53,6 +55,7 @@ def add_also(imported: Imported, patterns: Sequence[str], read: ImageReader) -> 
                 got="no such pass",
                 action="see lobewise inspect",
             )
+        read.expect_images(Found(one, channels) for one, channels in taken)
         for one, channels in taken:
             found = Found(one, channels)
             imported = _add_image(imported, found, read)
@@ -70,7 +73,9 @@ def add_light_groups(imported: Imported, read: ImageReader) -> Imported:
     Images with names of light groups that hold more light than the image or layer, or no noise, are none, and stay.
     """
     owned: dict[str | None, list[tuple[str, Found]]] = {}
-    for name, found in list_light_groups(imported):
+    listed = list_light_groups(imported)
+    read.expect_images(found for _, found in listed)
+    for name, found in listed:
         owned.setdefault(_look_up_owner(imported, found.source)[0], []).append((name, found))
     notes = list(imported.notes)
     for owner, groups in owned.items():

@@ -236,11 +236,14 @@ def import_file(
     if not light_passes:
         layers = tuple(replace(layer, parts={}) for layer in imported.frame.layers)
         imported = replace(imported, frame=imported.frame.with_changes(layers=layers))
+    # Images that sum to the picture stand before others.
+    if light_passes:
+        imported = _add_known(imported, read, light_groups)
     if also:
         with name_file(path):
             imported = add_also(imported, also, read)
-    more = add_further(add_light_groups(imported, read) if light_groups else imported, read)
-    imported = more if light_passes else replace(imported, outputs=more.outputs)
+    if not light_passes:
+        imported = replace(imported, outputs=_add_known(imported, read, light_groups).outputs)
     if imported.map is not None:
         selection = imported.map.selection
         imported = add_noisy_alpha(imported, imported.map, read)
@@ -254,6 +257,11 @@ def import_file(
     other = import_file(half, **options)
     with name_file(half):
         return join_halves(imported, other)
+
+
+def _add_known(imported: Imported, read: ImageReader, light_groups: bool) -> Imported:
+    """Return a frame with the noisy images that its preset names, with light groups if asked."""
+    return add_further(add_light_groups(imported, read) if light_groups else imported, read)
 
 
 def _refuse_selection(container: Container, view: str | None, layer: str | None) -> None:

@@ -55,6 +55,7 @@ def describe_left_noisy(
         *list_names("view", [each for each in views if each not in {one.view for one in denoised}]),
         *list_names("view layer", [each for each in layers if each not in {one.layer for one in denoised}]),
         *list_names("light group", [name for name, _ in _pick_groups(channels, unused)]),
+        *list_names("pass", [name_pass(found.source.path) for found in list_further(imported)], many="passes"),
         *list_names("pass of light", _list_light(channels, unused, read), many="passes of light"),
         *_name_pictures(channels, [one for one in unused if _is_picture(channels, one.source)], read),
         *(["alpha"] if alpha_stays else []),

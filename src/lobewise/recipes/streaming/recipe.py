@@ -125,8 +125,9 @@ def denoise_file(
     """Denoise an EXR file of any size in bounded memory.
 
     The file that comes out is that of ``write_result(output, denoise(read_frame(source), ...), source=source)``, to the
-    byte, with ``with_oidn=False``: Open Image Denoise takes whole images, so that "auto" is "high" here. Where guides
-    are noise, "high" mixes in an image filtered by its color alone, and bands leave this out, with a note.
+    byte, with ``with_oidn=False``: Open Image Denoise takes whole images, so that "auto" is "high" here. Light groups,
+    passes of shadow catchers and opacity stay noisy, with a note. Where guides are noise, "high" mixes in an image
+    filtered by its color alone, and bands leave this out, with a note.
     The file appears whole or not at all, whatever interrupts this.
 
     Parameters
