@@ -101,6 +101,19 @@ def test_a_part_that_is_black_around_a_pixel_stays_black(
     assert not result.also[dark][:, SHAPE[1] // 2 + 24 :].any()
 
 
+@pytest.mark.parametrize("quality", ["fast", "balanced"])
+def test_groups_with_light_below_0_sum_to_the_picture(quality: str) -> None:
+    noisy, _ = make_groups()
+    wide = np.array([[1.4, -0.3, -0.1], [-0.1, 1.2, -0.1], [0.0, -0.2, 1.2]], np.float32)
+    tints = ([1.0, 0.2, 0.1], [0.1, 1.0, 0.3], [0.3, 0.1, 1.0])
+    groups = {name: (noisy[name] * np.float32(tint)) @ wide for name, tint in zip(noisy, tints, strict=True)}
+    total = reduce(np.add, groups.values())
+    assert min(image.min() for image in groups.values()) < 0.0
+    frame = make_frame(SHAPE, apart=False).with_changes(radiance=Radiance(total), also=groups)
+    result = denoise(frame, quality=quality)
+    np.testing.assert_allclose(reduce(np.add, result.also.values()), result.image, rtol=1e-4, atol=1e-4)
+
+
 def test_a_part_that_is_not_finite_at_a_pixel_is_finite_afterwards() -> None:
     """At these pixels the samples of the other parts are taken back."""
     noisy, _ = make_groups()

@@ -11,6 +11,9 @@ from renderers import WRITERS, Written, make_scene, name, write
 
 import lobewise
 from lobewise.cli.main import run
+from lobewise.denoising.plan import foretell
+from lobewise.interchange import siblings
+from lobewise.interchange.reading import import_file
 from lobewise.io import write_frame
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.pixels import decode_part
@@ -128,6 +131,23 @@ def test_what_is_filtered_is_not_named(tmp_path: Path, capsys: pytest.CaptureFix
         container = read_container(tmp_path / "b.exr")
         after = decode_part(container, container.parts[0])
         assert all(np.array_equal(after[key], written.channels[key]) != is_filtered for key in groups)
+
+
+def test_light_groups_are_read_at_once_and_before_other_passes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written = WRITERS["cycles"](make_scene())
+    add_groups(written)
+    written.channels |= name(f"{LAYER}.AO", np.full_like(make_scene().color, 1e-3))
+    path, calls = tmp_path / "a.exr", []
+    write(path, written)
+    decode = siblings.decode_part
+    monkeypatch.setattr(siblings, "decode_part", lambda *each: calls.append(each[2]) or decode(*each))
+    frame = import_file(path, also=["AO"], light_passes=True).frame
+    assert sum(any("Combined_" in channel for channel in names) for names in calls) == 1
+    assert [each.rpartition(".")[2] for each in frame.also] == ["Combined_lamp", "Combined_sky", "AO"]
+    result = lobewise.denoise(frame, quality="fast")
+    groups = [result.also[each] for each in list(frame.also)[:2]]
+    np.testing.assert_allclose(groups[0] + groups[1], result.image, rtol=1e-5, atol=1e-6)
+    assert sum("by itself" in line for line in foretell(frame, lobewise.DenoiseSettings(quality="fast"))) == 3
 
 
 def test_the_pass_of_a_shadow_catcher_is_denoised(rng: np.random.Generator, tmp_path: Path) -> None:
