@@ -22,6 +22,7 @@ from lobewise.records.frame import FloatArray, Frame, Radiance
 
 GRAY = 0.5
 """The background."""
+PASS = "ViewLayer.Shadow Catcher"
 
 
 def main() -> None:
@@ -56,8 +57,17 @@ def main() -> None:
         "fast": composite(fast.image, fast.alpha),
     }
     errors = {name: round(judge.measure(picture)[0], 6) for name, picture in pictures.items()}
-    write_json(RESULTS / "catcher.json", {"errors": errors, "machine": describe_machine()})
-    print(errors)
+    # The pass of the catcher has no albedo, so the peer gets none.
+    images = {name: lobewise.read_frame(folder / f"pass_{name}.exr") for name in frames}
+    judge = make_reference_judge(*(images[name].also[PASS] for name in ("reference_1", "reference_2")))
+    frame = images["noisy"]
+    alone = Frame(Radiance(frame.also[PASS]), replace(frame.gbuffer, **dict.fromkeys(ALBEDOS)))
+    passes = {"noisy": frame.also[PASS], "Open Image Denoise": denoise_oidn(alone)[0]}
+    for quality in ("auto", "fast"):
+        passes[quality] = lobewise.denoise(frame, quality=quality).also[PASS]
+    of_pass = {name: round(judge.measure(image)[0], 6) for name, image in passes.items()}
+    write_json(RESULTS / "catcher.json", {"errors": errors, "pass": of_pass, "machine": describe_machine()})
+    print(errors, of_pass)
 
 
 if __name__ == "__main__":

@@ -55,7 +55,10 @@ def make_scene() -> bpy.types.Scene:
 
 if __name__ == "__main__":
     scene = make_scene()
-    for name, (samples, seed) in RENDERS.items():
-        scene.cycles.samples, scene.cycles.seed = samples, seed
-        scene.render.filepath = f"{sys.argv[-1]}/{name}.exr"
-        bpy.ops.render.render(write_still=True)
+    # With a pass of its own, the shadow is not in alpha.
+    for start, has_pass in (("", False), ("pass_", True)):
+        scene.view_layers[0].cycles.use_pass_shadow_catcher = has_pass
+        for name, (samples, seed) in RENDERS.items():
+            scene.cycles.samples, scene.cycles.seed = samples, seed
+            scene.render.filepath = f"{sys.argv[-1]}/{start}{name}.exr"
+            bpy.ops.render.render(write_still=True)

@@ -114,13 +114,14 @@ def test_groups_with_light_below_0_sum_to_the_picture(quality: str) -> None:
     np.testing.assert_allclose(reduce(np.add, result.also.values()), result.image, rtol=1e-4, atol=1e-4)
 
 
-def test_a_part_that_is_not_finite_at_a_pixel_is_finite_afterwards() -> None:
+@pytest.mark.parametrize("quality", ["fast", "balanced"])
+def test_a_part_that_is_not_finite_at_a_pixel_is_finite_afterwards(quality: str) -> None:
     """At these pixels the samples of the other parts are taken back."""
     noisy, _ = make_groups()
     frame = make_frame(SHAPE, apart=False).with_changes(radiance=Radiance(reduce(np.add, noisy.values())), also=noisy)
     spoiled = noisy["fill"].copy()
     spoiled[11, 13], spoiled[20, 20] = np.nan, np.inf
-    result = denoise(frame.with_changes(also={**noisy, "fill": spoiled}), quality="balanced")
+    result = denoise(frame.with_changes(also={**noisy, "fill": spoiled}), quality=quality)
     assert all(np.isfinite(image).all() for image in result.also.values())
 
 

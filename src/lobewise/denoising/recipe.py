@@ -22,7 +22,9 @@ from lobewise.denoising.combining import (
     denoise_with_peer,
     describe_peer_alone,
     list_peer_costs,
+    make_finite,
     name_method,
+    sum_finite,
 )
 from lobewise.denoising.evidence import count_blurred, describe_blurred
 from lobewise.denoising.inputs import DEPTH_WITHOUT_CAMERA, describe_lacks, list_unused
@@ -41,7 +43,7 @@ from lobewise.records.frame import FloatArray, Frame, Radiance, Result
 from lobewise.records.images import crop_columns, pack_planes, unpack_planes, wrap_columns
 from lobewise.records.radiance import MAX_EXCESS_SHARE, measure_excess
 from lobewise.settings import DenoiseChanges, DenoiseSettings, ResolvedSettings
-from lobewise.settings.choices import get_quality
+from lobewise.settings.choices import QUALITIES, get_quality
 from lobewise.work.progress import Watcher, enter_stage, plan_stages, watched
 from lobewise.work.progress.stages import FILTER_ONCE, SECONDS_PER_MEGAPIXEL, describe_alone
 
@@ -170,14 +172,10 @@ def denoise_checked(checked: CheckedGuides[Frame], named: DenoiseSettings, featu
         if packed.keys() != frame.also.keys():
             result = replace(result, also=unpack_planes(result.also))
         if images:
-            # The weights of the total do not suit them: the noise of one lamp may be a thousandth of all noise.
             clean = {}
             for name, image in images.items():
                 enter_stage(stages[name])
-                is_light = measure_excess(frame.radiance.color, image) <= MAX_EXCESS_SHARE
-                left_out = ("mean_emission",) if is_light else GUIDES_OF_COLOR
-                is_good = mark_good(image).any()
-                clean[name] = _denoise_alone(frame, image, named, features, left_out) if is_good else image
+                clean[name] = denoise_further(frame, image, named, features)
             more = keep_sum(clean, images, frame.radiance.color, result.image)
             result = replace(result, also={**result.also, **more})
         if has_alpha:
@@ -186,16 +184,46 @@ def denoise_checked(checked: CheckedGuides[Frame], named: DenoiseSettings, featu
     return replace(result, seconds=time.perf_counter() - start)
 
 
+def denoise_further(frame: Frame, image: FloatArray, named: DenoiseSettings, features: Sequence[Feature]) -> FloatArray:
+    """Return an image beside the picture of a frame, (height, width, 3), denoised by itself.
+
+    The weights of the picture do not suit it: the noise of one lamp may be a thousandth of all noise.
+    """
+    if not mark_good(image).any():
+        return image
+    if measure_excess(frame.radiance.color, image) > MAX_EXCESS_SHARE:
+        # No light, such as the pass of a shadow catcher.
+        return _denoise_alone(frame, image, take_best(named), features, GUIDES_OF_COLOR)
+    # By guides alone, lamps and background would spread over light that is a thousandth of theirs.
+    quality = QUALITIES.get(named.quality)
+    by_guides = quality is not None and not quality.reads_halves
+    exact = compute_exact_share(frame) * make_finite(image) if by_guides else np.zeros_like(image)
+    return _denoise_alone(frame, image - exact, named, features, ("mean_emission",)) + exact
+
+
+def compute_exact_share(frame: Frame) -> FloatArray:
+    """Return the share of each pixel's light that no surface scattered, (height, width, 3), in [0, 1]."""
+    color = blacken_bad(frame.radiance.color)
+    exact = sum_finite([np.zeros_like(color), *frame.unscattered.values()])
+    share = np.divide(exact, color, out=np.zeros_like(color), where=color > 0.0)
+    return np.clip(share, np.float32(0.0), np.float32(1.0))
+
+
+def take_best(named: DenoiseSettings) -> DenoiseSettings:
+    """Return the settings for an image whose edges no guide shows: every named quality counts as "high"."""
+    return named if named.quality == "auto" else replace(named, quality="high")
+
+
 def denoise_alpha(frame: Frame, named: DenoiseSettings) -> FloatArray:
     """Return the opacity of a frame, denoised as gray light of surfaces without albedos, (height, width), in [0, 1].
 
     Opacity has edges of its own, those of shadows, which neither guides nor the light of a shadow catcher show. So it
-    is not filtered by the weights of the light, nor by guides alone: every named quality counts as "high". Pixels with
-    no fraction of opacity near them keep theirs.
+    is not filtered by the weights of the light, nor by guides alone; see `take_best`. Pixels with no fraction of
+    opacity near them keep theirs.
     """
     assert frame.alpha is not None
-    best = named if named.quality == "auto" else replace(named, quality="high")
-    image = _denoise_alone(frame, np.repeat(frame.alpha[..., None], 3, axis=-1), best, (), GUIDES_OF_COLOR)
+    gray = np.repeat(frame.alpha[..., None], 3, axis=-1)
+    image = _denoise_alone(frame, gray, take_best(named), (), GUIDES_OF_COLOR)
     around = frame.surround().alpha
     assert around is not None
     fractions = ((around > 0.0) & (around < 1.0)).astype(np.float32)

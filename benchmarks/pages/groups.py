@@ -1,0 +1,33 @@
+"""The figures of light groups, measured by `foreign/groups.py`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from benchmarks.pages.tables import make_table
+
+METHODS = ("noisy", "fast", "balanced", "high", "auto", "Open Image Denoise")
+
+
+def make_figures(measured: Mapping[str, Any]) -> dict[str, str]:
+    """Return the figures of docs/developers/renderers_results.md by place."""
+    files = measured["files"].values()
+    groups = [errors for file in files for errors in file["errors"].values() if errors["noisy"] > 0.0]
+    rows = []
+    for method in METHODS:
+        ratios = np.array([errors[method] / errors["noisy"] for errors in groups])
+        times = [file["time"][method] for file in files if method in file["time"]]
+        worse = f"{np.count_nonzero(ratios > 1.0)} of {len(groups)}"
+        time = f"{np.median(times):.1f}" if times else ""
+        rows.append([method, f"{np.exp(np.log(ratios).mean()):.2f}", f"{ratios.max():.2f}", worse, time])
+    header = [
+        "",
+        "error over the noisy one, geometric mean",
+        "largest",
+        "worse than noisy",
+        "time over the picture alone",
+    ]
+    return {"groups": make_table(header, rows)}
