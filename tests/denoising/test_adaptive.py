@@ -75,17 +75,6 @@ def test_new_radiance_counts_by_its_samples() -> None:
     np.testing.assert_array_equal(result.image, 2.0)
 
 
-def test_bad_new_samples_are_dropped() -> None:
-    weight = np.full(SHAPE, 10.0)
-    weight[1, 1], weight[2, 2] = 1.0, 0.0
-
-    def shade(rows: Any, columns: Any) -> Radiance:
-        return Radiance(np.full((len(rows), 1, 3), np.nan))
-
-    merged = recompute(make_result(weight), shade, samples=1.0)
-    np.testing.assert_array_equal(merged.image, 2.0)
-
-
 def test_nothing_is_shaded_where_all_is_well() -> None:
     def shade(rows: Any, columns: Any) -> Radiance:
         raise AssertionError
@@ -204,12 +193,12 @@ def test_a_new_pixel_without_a_like_counts_as_it_is() -> None:
     np.testing.assert_array_equal(bad.image, result.image)
 
 
-def mend_grey(parts: Any, **options: Any) -> Any:
+def mend_grey(parts: Any, support: float = 0.5) -> Any:
     """Return the new radiance of a pixel that was 2, from the luminances of its parts."""
     weight = np.full(SHAPE, 10.0)
-    weight[1, 2] = 0.5
+    weight[1, 2] = support
     color = np.repeat(np.asarray(parts, np.float32)[None, :, None], 3, axis=-1)
-    return recompute(make_result(weight), lambda rows, columns: Radiance(color), samples=4.0, **options).image[1, 2]
+    return recompute(make_result(weight), lambda rows, columns: Radiance(color), samples=4.0).image[1, 2]
 
 
 def test_parts_that_agree_count_fully() -> None:
@@ -235,7 +224,8 @@ def test_bad_parts_are_left_out() -> None:
     for bad in (np.nan, np.inf, -1.0):
         np.testing.assert_allclose(mend_grey([3.0, bad, 3.5, 2.5]), good, rtol=1e-5)
         np.testing.assert_allclose(mend_grey([bad, bad, 9.0, bad]), 2.0)
-        np.testing.assert_allclose(mend_grey([bad] * 4), 2.0)
+        for support in (0.5, 0.0):
+            np.testing.assert_array_equal([mend_grey([bad] * count, support) for count in (1, 4)], 2.0)
 
 
 def test_parts_have_less_error_than_one_noisy_mean() -> None:

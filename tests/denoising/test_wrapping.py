@@ -91,10 +91,8 @@ def test_the_light_of_fireflies_turns_with_the_image() -> None:
 def test_all_images_of_the_result_have_the_size_of_the_frame() -> None:
     frame = make_panorama()
     result = lobewise.denoise(frame, quality="balanced")
-    assert result.diffuse is not None
     for image in (result.image, result.diffuse, result.bad_pixels, result.weight_sum, result.effective_samples):
         assert image.shape[:2] == SIZE
-    assert result.find_noisy is not None
     assert result.find_noisy() is frame.radiance.color
 
 
@@ -104,11 +102,8 @@ def test_opacity_turns_with_the_image() -> None:
     alpha[:, 4:60], alpha[:, 60:] = 0.0, 1.0  # pixels at the right border are near the fractions at the left one
     frame = frame.with_changes(alpha=alpha)
     first, turned = (lobewise.denoise(each, quality="fast").alpha for each in (frame, turn_frame(frame, 48)))
-    assert first is not None
-    assert turned is not None
     np.testing.assert_allclose(turn(first, 48), turned, atol=NEAR)
     apart = lobewise.denoise(frame.with_changes(wraps=False), quality="fast").alpha
-    assert apart is not None
     assert np.abs(apart - first).max() > 0.01
 
 
@@ -123,15 +118,12 @@ def test_light_below_zero_turns_with_the_image() -> None:
 def test_surfaces_stand_in_from_the_other_border() -> None:
     frame = make_panorama()
     normal = frame.gbuffer.normal
-    assert normal is not None
     holed = normal.copy()
     holed[:, 0] = holed[:, 1:4] = 0.0  # the nearest surface is that of the last column
     frame = frame.with_changes(gbuffer=GBuffer(normal=holed))
     around = check_guides(frame).frame.gbuffer.normal
-    assert around is not None
     np.testing.assert_array_equal(around[:, 0], normal[:, -1])
     apart = check_guides(frame.with_changes(wraps=False)).frame.gbuffer.normal
-    assert apart is not None
     assert (apart[:, 0] != normal[:, -1]).any()
 
 
@@ -150,7 +142,6 @@ def test_fog_has_one_wall_behind_it() -> None:
     guides = GBuffer(normal=normal, position=position)
     frame = frame.with_changes(gbuffer=guides, camera=lobewise.Camera((0, 0, 0), (0, 0, 1), (0, 1, 0), 1.0))
     wall = check_guides(frame).frame.gbuffer.normal
-    assert wall is not None
     # A pinhole's rays, by which it would face the camera, are not those of the panorama.
     np.testing.assert_array_equal(wall[:, 95:125], np.broadcast_to(wall[0, 95], (SIZE[0], 30, 3)))
 
