@@ -18,6 +18,7 @@ from lobewise.metrics import METRICS, evaluate, flicker, rel_mse
 from lobewise.records.camera import Camera
 from lobewise.records.frame import Frame, GBuffer, Radiance
 from lobewise.records.sparse_frame import make_sparse
+from tests.cli.lines import fail
 
 HEIGHT, WIDTH = 12, 20
 STEP = 2
@@ -61,13 +62,6 @@ def compare(*words):
     assert run(["compare", *words, "--json", "out.json"]) == 0
     with open("out.json") as stream:
         return json.load(stream)
-
-
-def fail(capsys, *words):
-    assert run(["compare", *words]) == 2
-    out, err = capsys.readouterr()
-    assert (out, err.count("\n")) == ("", 1)
-    return err
 
 
 def test_figures_agree_with_the_library(films, capsys):
@@ -185,42 +179,42 @@ def test_memory_does_not_grow_with_the_length(tmp_path, monkeypatch):
 class TestMistakes:
     def test_numbers_that_do_not_match(self, films, tmp_path, capsys):
         (tmp_path / "a.0003.exr").rename("a.0009.exr")
-        err = fail(capsys, "a.####.exr", "-r", "r.####.exr")
+        err = fail(capsys, "compare", "a.####.exr", "-r", "r.####.exr")
         assert "sequence 'a.####.exr': expected the frame numbers of the reference, got no 'a.0003.exr'; " in err
         (tmp_path / "b.0004.exr").rename("b.0005.exr")
         write_image("b.0004.exr", films["b"][3])
-        err = fail(capsys, "b.####.exr", "-r", "r.####.exr")
+        err = fail(capsys, "compare", "b.####.exr", "-r", "r.####.exr")
         assert "got 'b.0005.exr' as well; " in err
 
     def test_guides_may_have_more_frames_but_not_fewer(self, films, tmp_path, capsys):
         (tmp_path / "g.0005.exr").write_bytes((tmp_path / "g.0004.exr").read_bytes())
         assert compare("a.####.exr", "-r", "r.####.exr", "--guides", "g.####.exr")["frames"] == list(NUMBERS)
         (tmp_path / "g.0002.exr").unlink()
-        capsys.readouterr()
-        assert "got no 'g.0002.exr'" in fail(capsys, "a.####.exr", "-r", "r.####.exr", "--guides", "g.####.exr")
+        err = fail(capsys, "compare", "a.####.exr", "-r", "r.####.exr", "--guides", "g.####.exr")
+        assert "got no 'g.0002.exr'" in err
 
     def test_nothing_there(self, films, capsys):
-        assert "did you mean 'a.####.exr'?" in fail(capsys, "a.###.exr", "-r", "r.####.exr")
+        assert "did you mean 'a.####.exr'?" in fail(capsys, "compare", "a.###.exr", "-r", "r.####.exr")
 
     def test_guides_that_do_not_tell(self, films, capsys):
-        err = fail(capsys, "a.####.exr", "-r", "r.####.exr", "--guides", "b.####.exr")
+        err = fail(capsys, "compare", "a.####.exr", "-r", "r.####.exr", "--guides", "b.####.exr")
         assert "guides 'b.0001.exr': expected position or depth, and a camera" in err
         assert "got neither position nor depth" in err
         for number in NUMBERS:
             write_frame(f"b.{number:04d}.exr", Frame(Radiance(films["b"][0]), make_guides(1)))
-        assert "got no camera" in fail(capsys, "a.####.exr", "-r", "r.####.exr", "--guides", "b.####.exr")
+        assert "got no camera" in fail(capsys, "compare", "a.####.exr", "-r", "r.####.exr", "--guides", "b.####.exr")
 
     def test_sizes(self, films, capsys):
         small = Frame(Radiance(np.ones((4, 5, 3))), GBuffer(depth=np.ones((4, 5))), camera=CAMERA)
         for number in NUMBERS:
             write_frame(f"g.{number:04d}.exr", small)
-        err = fail(capsys, "a.####.exr", "-r", "r.####.exr", "--guides", "g.####.exr")
+        err = fail(capsys, "compare", "a.####.exr", "-r", "r.####.exr", "--guides", "g.####.exr")
         assert "g.0001.exr': guides: expected the size of the reference, 20x12 pixels, got 5x4" in err
-        assert "a.0001.exr': image: expected the size" in fail(capsys, "a.####.exr", "-r", "g.####.exr")
+        assert "a.0001.exr': image: expected the size" in fail(capsys, "compare", "a.####.exr", "-r", "g.####.exr")
 
     def test_bad_pixels_are_blamed_on_their_file(self, films, capsys):
         films["a"][2][3, 4] = np.nan
         write_image("a.0003.exr", films["a"][2])
-        assert "a.0003.exr': image: expected finite pixels" in fail(capsys, "a.####.exr", "-r", "r.####.exr")
+        assert "a.0003.exr': image: expected finite pixels" in fail(capsys, "compare", "a.####.exr", "-r", "r.####.exr")
         write_image("r.0002.exr", films["a"][2])
-        assert "r.0002.exr': reference: expected finite" in fail(capsys, "a.####.exr", "-r", "r.####.exr")
+        assert "r.0002.exr': reference: expected finite" in fail(capsys, "compare", "a.####.exr", "-r", "r.####.exr")

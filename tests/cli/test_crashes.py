@@ -173,7 +173,6 @@ def test_ctrl_c_is_heard_once(whole: bool, tmp_path: Path) -> None:
     work = """try: print('works', flush=True); time.sleep(100)
         finally: time.sleep(0.5); print('cleaned', flush=True)"""
     process = start_work(work, tmp_path / "out.exr")
-    assert process.stdout is not None
     while process.stdout.readline() != "works\n":
         assert process.poll() is None
     (os.killpg if whole else os.kill)(process.pid, signal.SIGINT)
@@ -187,7 +186,6 @@ def test_ctrl_c_is_heard_once(whole: bool, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGKILL"])
 def test_the_child_ends_with_its_parent(name: str, tmp_path: Path) -> None:
     process = start_work("time.sleep(20)", tmp_path / "out.exr")
-    assert process.stdout is not None
     assert process.stdout.readline().split()[1] == str(process.pid)
     os.kill(process.pid, getattr(signal, name))
     # The pipes are open until the child has ended as well.

@@ -16,6 +16,7 @@ from lobewise.fitting.ggx import ggx_brdf
 from lobewise.fitting.merl import FILE_BYTES
 from lobewise.io.materials import read_lobe_table
 from lobewise.reporting.fit_plot import draw_fit
+from tests.cli import lines
 from tests.fitting.merl_tables import make_merl, to_bytes
 from tests.lobes.oracles.brdf import lambert_brdf
 
@@ -76,13 +77,9 @@ class TestMistakes:
 
         def call(material, *arguments):
             before = sorted(tmp_path.iterdir())
-            assert run(["fit", str(material), "-o", str(tmp_path / "out.lobes"), *map(str, arguments)]) == 2
-            out, err = capsys.readouterr()
-            assert out == ""
-            assert err.startswith("lobewise: ")
-            assert (err.count("\n"), "Traceback" in err) == (1, False)
+            told = lines.fail(capsys, "fit", material, "-o", tmp_path / "out.lobes", *arguments)
             assert sorted(tmp_path.iterdir()) == before
-            return err
+            return told
 
         return call
 

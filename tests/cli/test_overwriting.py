@@ -13,6 +13,7 @@ from lobewise.cli.main import run
 from lobewise.io import read_frame, write_frame, write_sparse_frame
 from lobewise.records.frame import Frame, GBuffer, Radiance
 from lobewise.records.sparse_frame import SparseFrame
+from tests.cli.lines import fail
 
 ENDS = "expected a file that is not read, as its content would be lost, got the input"
 SIZE = 12, 16
@@ -34,15 +35,6 @@ def noisy(rng: np.random.Generator, tmp_path: Path, monkeypatch: pytest.MonkeyPa
     return path
 
 
-def refuse(capsys: pytest.CaptureFixture[str], *words: str | Path) -> str:
-    """Run a line that must fail; return its sentence."""
-    assert run([str(word) for word in words]) == 2
-    out, err = capsys.readouterr()
-    assert not out
-    assert err.count("\n") == 1
-    return err
-
-
 @pytest.mark.parametrize("name", ["noisy.exr", "./noisy.exr", "link.exr", "hard.exr", "{folder}/noisy.exr"])
 @pytest.mark.parametrize("bands", ["auto", "4"])
 def test_the_noisy_file_is_not_replaced_by_any_name(
@@ -53,7 +45,7 @@ def test_the_noisy_file_is_not_replaced_by_any_name(
     if name == "hard.exr":
         os.link(noisy, name)
     line = ["denoise", "noisy.exr", "-o", name.format(folder=tmp_path), "--bands", bands, "--quality", "fast"]
-    told = refuse(capsys, *line)
+    told = fail(capsys, *line)
     assert ENDS in told
     assert told.endswith("; choose another name, or add --overwrite to replace it.\n")
     assert noisy.read_bytes() == before
@@ -73,7 +65,7 @@ def test_a_sparse_frame_is_not_replaced(noisy: Path, capsys: pytest.CaptureFixtu
     full = read_frame(noisy)
     shaded = Radiance(full.radiance.color[::2, ::2])
     write_sparse_frame("sparse.exr", SparseFrame(shaded, full.gbuffer, scale=2, place=(0, 0)))
-    assert ENDS in refuse(capsys, "upsample", "sparse.exr", "-o", "./sparse.exr")
+    assert ENDS in fail(capsys, "upsample", "sparse.exr", "-o", "./sparse.exr")
     assert run(["upsample", "sparse.exr", "-o", "./sparse.exr", "--overwrite"]) == 0
 
 
@@ -84,13 +76,13 @@ def test_what_is_read_besides_is_not_replaced(
     Path("camera.json").write_text('{"position": [0, 0, 0], "forward": [0, 0, -1], "up": [0, 1, 0], "fov_y": 1}')
     Path("camera.exr").symlink_to("camera.json")
     for words in (["--half", "second.exr", "-o", "second.exr"], ["--camera", "camera.json", "-o", "camera.exr"]):
-        assert ENDS in refuse(capsys, "denoise", "noisy.exr", *words)
+        assert ENDS in fail(capsys, "denoise", "noisy.exr", *words)
 
 
 def test_a_pass_in_a_file_of_its_own_is_not_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "luxcore"
     shutil.copytree(FOREIGN / "luxcore", folder)
-    assert ENDS in refuse(capsys, "denoise", folder / "RGB.exr", "-o", folder / "ALBEDO.exr")
+    assert ENDS in fail(capsys, "denoise", folder / "RGB.exr", "-o", folder / "ALBEDO.exr")
     assert run(["denoise", str(folder / "RGB.exr"), "-o", str(folder / "OTHER.exr"), "--quality", "fast"]) == 0
 
 
@@ -103,16 +95,16 @@ def test_a_sequence_replaces_none_of_its_frames(
     # Frame 1 would replace what frame 2 is read from.
     Path("linked.0001.exr").symlink_to("in.0002.exr")
     os.link("in.0002.exr", "hard.0001.exr")
-    assert ENDS in refuse(capsys, "denoise", "in.####.exr", "-o", output)
-    assert "which could not go on after a stop" in refuse(capsys, "denoise", "in.####.exr", "-o", output, "--overwrite")
-    assert ENDS in refuse(capsys, "denoise", "in.####.exr", "--half", "in.####.exr", "-o", output)
+    assert ENDS in fail(capsys, "denoise", "in.####.exr", "-o", output)
+    assert "which could not go on after a stop" in fail(capsys, "denoise", "in.####.exr", "-o", output, "--overwrite")
+    assert ENDS in fail(capsys, "denoise", "in.####.exr", "--half", "in.####.exr", "-o", output)
     assert run(["denoise", "in.####.exr", "-o", "out.####.exr", "--quality", "fast"]) == 0
 
 
 def test_figures_replace_no_image(noisy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_frame("in.0001.exr", read_frame(noisy))
-    assert ENDS in refuse(capsys, "compare", "noisy.exr", "-r", "noisy.exr", "--json", "./noisy.exr")
-    assert ENDS in refuse(capsys, "compare", "in.####.exr", "-r", "in.####.exr", "--json", "in.0001.exr")
+    assert ENDS in fail(capsys, "compare", "noisy.exr", "-r", "noisy.exr", "--json", "./noisy.exr")
+    assert ENDS in fail(capsys, "compare", "in.####.exr", "-r", "in.####.exr", "--json", "in.0001.exr")
 
 
 def test_a_render_and_a_fit_replace_nothing_that_they_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -121,12 +113,12 @@ def test_a_render_and_a_fit_replace_nothing_that_they_read(tmp_path: Path, capsy
     scene, link = tmp_path / "scene.xml", tmp_path / "scene.exr"
     scene.write_text('<scene version="3.0.0"/>')
     link.symlink_to(scene)
-    assert ENDS in refuse(capsys, "render", scene, "-o", link)
-    assert ENDS in refuse(capsys, "render", scene, "-o", link, "--scale", "2")
-    assert ENDS in refuse(capsys, "render", scene, "-o", link, "--frames", "1")
-    assert ENDS in refuse(capsys, "bench", "interactive", scene, "-o", scene)
-    assert ENDS in refuse(capsys, "fit", scene, "-o", scene, "--no-plot")
-    assert ENDS in refuse(capsys, "fit", "--mitsuba", f"{scene}#wall", "-o", tmp_path / "a.lobes", "--plot", scene)
+    assert ENDS in fail(capsys, "render", scene, "-o", link)
+    assert ENDS in fail(capsys, "render", scene, "-o", link, "--scale", "2")
+    assert ENDS in fail(capsys, "render", scene, "-o", link, "--frames", "1")
+    assert ENDS in fail(capsys, "bench", "interactive", scene, "-o", scene)
+    assert ENDS in fail(capsys, "fit", scene, "-o", scene, "--no-plot")
+    assert ENDS in fail(capsys, "fit", "--mitsuba", f"{scene}#wall", "-o", tmp_path / "a.lobes", "--plot", scene)
     assert scene.read_text() == '<scene version="3.0.0"/>'
 
 
@@ -136,14 +128,14 @@ def test_a_picture_replaces_nothing_that_is_read(
     told = "picture 'b.png': expected a file that is not read"
     shutil.copy(noisy, "b.png")
     for more in ([], ["--overwrite"]):
-        assert told in refuse(capsys, "denoise", "b.png", "-o", "b.exr", "--png", *more)
-        assert told in refuse(capsys, "denoise", "noisy.exr", "--half", "b.png", "-o", "b.exr", "--png", *more)
-        assert told in refuse(capsys, "upsample", "b.png", "-o", "b.exr", "--scale", "2", "--png", *more)
+        assert told in fail(capsys, "denoise", "b.png", "-o", "b.exr", "--png", *more)
+        assert told in fail(capsys, "denoise", "noisy.exr", "--half", "b.png", "-o", "b.exr", "--png", *more)
+        assert told in fail(capsys, "upsample", "b.png", "-o", "b.exr", "--scale", "2", "--png", *more)
     for number in (1, 2):
         write_frame(f"in.000{number}.exr", make_frame(rng))
         write_frame(f"b.000{number}.png", make_frame(rng))
     line = ["denoise", "in.####.exr", "--half", "b.####.png", "-o", "b.####.exr", "--png"]
-    assert "picture 'b.0001.png': expected a file that is not read" in refuse(capsys, *line)
+    assert "picture 'b.0001.png': expected a file that is not read" in fail(capsys, *line)
     assert not list(Path().glob("b*.exr"))
 
 
@@ -154,4 +146,4 @@ def test_the_picture_of_a_render_replaces_no_scene(tmp_path: Path, capsys: pytes
     (tmp_path / "out.png").symlink_to(scene)
     (tmp_path / "out.0001.png").symlink_to(scene)
     for words in (["-o", output], ["-o", tmp_path / "out.####.exr", "--frames", "2"]):
-        assert "expected a file that is not read" in refuse(capsys, "render", scene, "--png", *words)
+        assert "expected a file that is not read" in fail(capsys, "render", scene, "--png", *words)

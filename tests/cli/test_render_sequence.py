@@ -11,6 +11,7 @@ import pytest
 from lobewise.cli.main import run
 from lobewise.io import read_frame, read_sparse_frame
 from lobewise.records.sparse_frame import list_places
+from tests.cli import lines
 
 
 @pytest.fixture
@@ -18,18 +19,14 @@ def render(mi, tmp_path, monkeypatch):
     """Return a function that renders the showroom, 16x12 pixels, into an empty folder with given options."""
     monkeypatch.chdir(tmp_path)
 
-    def render(line, *, code=0):
-        assert run(["render", "showroom", "--spp", "1", "--width", "16", "--height", "12", *line.split()]) == code
+    def render(line):
+        assert run(["render", "showroom", "--spp", "1", "--width", "16", "--height", "12", *line.split()]) == 0
 
     return render
 
 
-def fail(capsys, render, line):
-    render(line, code=2)
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.count("\n") == 1
-    return err
+def fail(capsys, line):
+    return lines.fail(capsys, "render", "showroom", "--spp", "1", "--width", "16", "--height", "12", *line.split())
 
 
 @pytest.mark.mitsuba
@@ -92,9 +89,8 @@ class TestSequence:
         second = read_frame(tmp_path / "p.0002.exr")
         np.testing.assert_allclose(second.camera.position, (0.25, 3.0, 7.0), rtol=1e-6)
         assert second.gbuffer.position is None
-        capsys.readouterr()
-        assert "at least 3 cameras" in fail(capsys, render, "--frames 3 --camera-path path.json -o p.####.exr")
-        assert "at least 3 cameras" in fail(capsys, render, "--frames 1 --start 3 --camera-path path.json -o p.#.exr")
+        assert "at least 3 cameras" in fail(capsys, "--frames 3 --camera-path path.json -o p.####.exr")
+        assert "at least 3 cameras" in fail(capsys, "--frames 1 --start 3 --camera-path path.json -o p.#.exr")
 
     def test_one_frame_needs_no_pattern(self, render, tmp_path):
         render("--frames 1 --scale 2 -o one.exr")
@@ -122,7 +118,7 @@ class TestMistakes:
     )
     def test_one_sentence_and_no_file(self, render, tmp_path, capsys, line, message):
         line = line if "-o" in line.split() else f"{line} -o out.####.exr"
-        assert message in fail(capsys, render, line)
+        assert message in fail(capsys, line)
         assert list(tmp_path.iterdir()) == []
 
     @pytest.mark.parametrize(
@@ -138,7 +134,7 @@ class TestMistakes:
     )
     def test_wrong_moves_of_a_file(self, render, tmp_path, capsys, moves, message):
         (tmp_path / "moves.json").write_text(json.dumps(moves))
-        assert message in fail(capsys, render, "--frames 2 --moving-objects moves.json -o out.####.exr")
+        assert message in fail(capsys, "--frames 2 --moving-objects moves.json -o out.####.exr")
         assert [path.name for path in tmp_path.iterdir()] == ["moves.json"]
 
     def test_scenes_without_moving_objects_say_which_have(self, render, capsys):

@@ -260,3 +260,20 @@ def write(path: Path, written: Written, *, half: bool = False, part_each: bool =
         for k, (part, each) in enumerate(parts.items())
     ]
     OpenEXR.File(made).write(str(path))
+
+
+def write_denoised(path: Path, *, part_each: bool = False) -> dict[str, np.ndarray]:
+    """Write a frame of Blender whose own denoiser was on; return the channels."""
+    written = write_cycles(make_scene())
+    for key in [key for key in written.channels if "Combined" in key]:
+        noisy = written.channels[key]
+        written.channels[key.replace("Combined", "Noisy Image")] = noisy
+        written.channels[key] = np.full_like(noisy, noisy.mean())
+    write(path, written, part_each=part_each)
+    return written.channels
+
+
+def read_channels(path: Path) -> dict[str, np.ndarray]:
+    """Return the channels of a file of one part by name."""
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        return {key: channel.pixels.copy() for key, channel in file.channels().items()}

@@ -64,7 +64,6 @@ def test_a_shifted_camera_survives_its_file(make_frame: Any, tmp_path: Path) -> 
     frame = make_frame(height=6, width=8).with_changes(camera=SHIFTED)
     write_frame(tmp_path / "frame.exr", frame)
     camera = import_file(tmp_path / "frame.exr").frame.camera
-    assert camera is not None
     np.testing.assert_allclose(camera.shift, SHIFTED.shift, atol=1e-6)
 
 
@@ -81,25 +80,23 @@ def test_a_data_window_off_the_display_window(tmp_path: Path) -> None:
     header = {**written.attributes, **window, "compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     OpenEXR.File(header, channels).write(str(tmp_path / "part.exr"))
     camera = import_file(tmp_path / "part.exr").frame.camera
-    assert camera is not None
     expected = CAMERA.make_ray_directions(WIDTH, HEIGHT)[rows, columns]
     np.testing.assert_allclose(camera.make_ray_directions(31, 26), expected, atol=1e-5)
 
 
+@pytest.mark.parametrize("aspect", [1.0, 2.0])
 @pytest.mark.parametrize("left_handed", [False, True])
-def test_an_orthographic_camera_is_found_from_the_positions(left_handed: bool) -> None:
+def test_an_orthographic_camera_is_found_from_the_positions(left_handed: bool, aspect: float) -> None:
     rng = np.random.default_rng(3)
     depth = rng.uniform(2.0, 4.0, (HEIGHT, WIDTH)).astype(np.float32)
     columns, rows = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
-    half_height = 1.3
-    unit = 2.0 * half_height / HEIGHT
-    aside, above = (columns - WIDTH / 2) * unit, (HEIGHT / 2 - rows) * unit
+    unit = 2.6 / HEIGHT
+    aside, above = (columns - WIDTH / 2) * unit * aspect, (HEIGHT / 2 - rows) * unit
     position = CAMERA.position + aside[..., None] * CAMERA.right + above[..., None] * CAMERA.up
     position = position + depth[..., None] * CAMERA.forward
     turn = np.array([-1.0, 1.0, 1.0]) if left_handed else np.ones(3)
     world, mask = (turn * position).astype(np.float32), np.ones(depth.shape, np.bool_)
-    found = fit_any_camera(world, mask, depth)
-    assert found is not None
+    found = fit_any_camera(world, mask, depth, aspect)
     assert found.orthographic
     assert found.mirrored is left_handed
     assert found.error < 0.1
@@ -123,8 +120,6 @@ def test_an_orthographic_frame_is_told_and_its_planar_depth_not_used(tmp_path: P
     found = import_file(tmp_path / "a.exr")
     assert any("orthographic" in note for note in found.notes), found.notes
     camera, depth = found.frame.camera, found.frame.gbuffer.depth
-    assert camera is not None
-    assert depth is not None
     lit = depth > 0
     placed = camera.position + depth[..., None].astype(np.float64) * camera.make_ray_directions(WIDTH, HEIGHT)
     assert lit.any()
@@ -352,26 +347,14 @@ SENSOR = (
         ("camera.txt", "", "a name that ends in .json"),
         ("camera.json", "{", "expected JSON"),
         ("camera.json", "[]", "expected an object, got a list"),
-        (
-            "camera.json",
-            '{"position": [0, 0, 0], "forward": [0, 0, 1], "target": [1, 1, 1]}',
-            "either forward or target",
-        ),
-        (
-            "camera.json",
-            '{"position": ["0", 0, 0], "forward": [0, 0, 1]}',
-            "position: expected a list of three numbers",
-        ),
-        ("camera.json", '{"position": [0, 0, 0], "forward": [0, 0, 1], "fov_y": true}', "fov_y: .* got true"),
-        ("camera.json", '{"position": [0, 0, 0], "forward": [0, 0, 1], "fov_y": 1%s}' % (400 * "0"), "401 digits"),
+        ("camera.json", '{VIEW, "target": [1, 1, 1]}', "either forward or target"),
+        ("camera.json", '{"position": ["0", 0, 0], "forward": [0, 0, 1]}', "position: expected a list of three number"),
+        ("camera.json", '{VIEW, "fov_y": true}', "fov_y: .* got true"),
+        ("camera.json", '{VIEW, "fov_y": 1%s}' % (400 * "0"), "401 digits"),
         ("camera.json", "[" * 200_000, "more than 64 deep"),
-        ("camera.json", '{"position": [0, 0, 0], "forward": [0, 0, 1]}', "neither fov_y nor fov_x"),
-        ("camera.json", '{"position": [0, 0, 0], "forward": [0, 0, 1], "fov_x": 40}', "got fov_x alone; add fov_y"),
-        (
-            "camera.json",
-            '{"position": [0, 0, 0], "forward": [0, 0, 1], "fov_y": 400}',
-            "fov_y: expected an angle between 0 and 180 degrees, got 400;",
-        ),
+        ("camera.json", "{VIEW}", "neither fov_y nor fov_x"),
+        ("camera.json", '{VIEW, "fov_x": 40}', "got fov_x alone; add fov_y"),
+        ("camera.json", '{VIEW, "fov_y": 400}', "fov_y: expected an angle between 0 and 180 degrees, got 400;"),
         (
             "camera.json",
             '{"position": [0, 5, 0], "target": [0, 5, 0], "fov_y": 40}',
@@ -379,7 +362,7 @@ SENSOR = (
         ),
         ("camera.json", '{"position": [0, 1 2]}', "got text that is no JSON from line 1, column 20 on; mend"),
         ("camera.json", '{"position": [0, ', "got text that is no JSON: it ends too soon, in line 1; mend"),
-        ("camera.json", '{"position": [0, 0, 0], "look": [0, 0, 1]}', "'look'"),
+        ("camera.json", '{VIEW, "look": [0, 0, 1]}', "'look'"),
         ("camera.gltf", '{"nodes": []}', "a node with a camera"),
         ("camera.gltf", "[]", "expected an object that has 'nodes', got a list; export"),
         ("camera.gltf", '{"nodes": [{"camera": 0, "children": [0]}], "cameras": [LENS]}', "node 0 inside itself"),
@@ -412,7 +395,8 @@ SENSOR = (
 )
 def test_what_is_no_camera_is_refused_in_a_sentence(name: str, text: str, words: str, tmp_path: Path) -> None:
     lens = '{"type": "perspective", "perspective": {"yfov": 0.7}}'
-    (tmp_path / name).write_text(text.replace("LENS", lens))
+    view = '"position": [0, 0, 0], "forward": [0, 0, 1]'
+    (tmp_path / name).write_text(text.replace("LENS", lens).replace("VIEW", view))
     with pytest.raises((FileError, InputError), match=words) as caught:
         read_camera_file(tmp_path / name)
     assert str(tmp_path / name) in str(caught.value)

@@ -213,9 +213,9 @@ MISTAKES = {
 }  # fmt: skip
 
 
-def import_channels(channels: Channels, folder: Path, *, camera: Camera | None = None) -> Imported:
+def import_channels(channels: Channels, folder: Path, *, camera: Camera | None = None, samples: int = 2) -> Imported:
     path = folder / "frame.exr"
-    write(path, Written("arnold", channels, {"arnold/AA_samples": 2}), packed=False)
+    write(path, Written("arnold", channels, {"arnold/AA_samples": samples}), packed=False)
     return import_file(path, camera=camera)
 
 
@@ -365,9 +365,7 @@ def test_what_is_found_of_a_second_render_is_told(tmp_path: Path) -> None:
 
 def test_a_long_render_is_not_taken_for_denoised(tmp_path: Path) -> None:
     channels = write_showroom("diffuse", "specular") | name("", read_showroom()[1])
-    path = tmp_path / "frame.exr"
-    write(path, Written("arnold", channels, {"arnold/AA_samples": 64}), packed=False)
-    assert import_file(path).findings == ()
+    assert import_channels(channels, tmp_path, samples=64).findings == ()
 
 
 def change_channel(source: Path, target: Path, word: str, function: Callable[[np.ndarray], np.ndarray]) -> None:
@@ -516,7 +514,6 @@ def test_real_normals_in_a_space_of_each_ray_are_those_of_flat_walls(exr_folder:
     """A box of V-Ray 3.60, whose walls look outwards: x is to the left, z along the ray, against it."""
     path = exr_folder / "vray_cornellBox_CryptoWildcard.0001.exr"
     camera = import_file(path).frame.camera
-    assert camera is not None
     with OpenEXR.File(str(path), separate_channels=True) as file:
         planes = [file.channels()[f"normals.{letter}"].pixels for letter in "XYZ"]
     raw = np.stack(planes, axis=-1).astype(np.float32)
@@ -547,16 +544,8 @@ def test_mitsuba_spreads_samples_by_its_filters(mi: Any, pixel_filter: str, foun
 
 
 @pytest.mark.sampled(
-    "cycles-float",
-    "arnold-float",
-    "vray-float",
-    "renderman-float",
-    "karma-float",
-    "redshift-half",
-    "corona-half",
-    "pbrt-half",
-    "luxcore-half",
-    "mitsuba-half",
+    *(f"{renderer}-float" for renderer in ("cycles", "arnold", "vray", "renderman", "karma")),
+    *(f"{renderer}-half" for renderer in ("redshift", "corona", "pbrt", "luxcore", "mitsuba")),
 )
 @pytest.mark.parametrize("layout", ["float", "half"])
 @pytest.mark.parametrize("renderer", WRITERS)
@@ -566,7 +555,9 @@ def test_right_files_of_every_renderer_raise_nothing(renderer: str, layout: str,
     if layout == "half":
         written.channels = {key: np.minimum(plane, 65504.0) for key, plane in written.channels.items()}
     write(path, written, half=layout == "half")
-    assert import_file(path).findings == ()
+    found = import_file(path)
+    assert found.findings == ()
+    assert dict(found.map.refused) == {}
 
 
 def test_what_was_found_is_told_by_inspect(tmp_path: Path) -> None:

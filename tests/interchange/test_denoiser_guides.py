@@ -33,13 +33,10 @@ def test_the_peer_gets_the_file_s_own_guides(rng: np.random.Generator) -> None:
     planes = make_planes(rng)
     frame = import_planes(planes).frame
     guides = frame.gbuffer
-    assert guides.denoiser_albedo is not None
-    assert guides.denoiser_normal is not None
     np.testing.assert_array_equal(guides.denoiser_albedo[..., 0], planes["albedo.R"])
     np.testing.assert_array_equal(guides.denoiser_normal[..., 2], planes["normal.Z"])
     # Ours: normals of length 1, and no albedo that light is divided by near 0.
     np.testing.assert_allclose(np.linalg.norm(guides.normal, axis=-1), 1.0, atol=1e-6)
-    assert guides.diffuse_albedo is not None
     assert guides.diffuse_albedo.min() >= 0.1
     albedos, normal = peers._choose_guides(frame, "prefiltered")
     (albedo,) = albedos
@@ -68,12 +65,9 @@ def test_a_normal_made_for_denoisers_comes_before_the_other(rng: np.random.Gener
     found = import_planes(planes)
     guides = found.frame.gbuffer
     own = [planes[f"ViewLayer.Normal.{letter}"] for letter in "XYZ"]
-    assert guides.normal is not None
-    assert guides.denoiser_normal is not None
     np.testing.assert_allclose(guides.normal, np.stack(own, -1) / np.linalg.norm(own, axis=0)[..., None], atol=1e-5)
     np.testing.assert_array_equal(guides.denoiser_normal[..., 1], planes["ViewLayer.Denoising Normal.Y"])
     for one, listed in ((found, True), (import_planes(make_planes(rng)), False)):
-        assert one.map is not None
         # Nobody misses it in files without.
         meanings = {each.meaning for each in list_roles(one.map, one.frame)}
         assert (ROLES["denoiser_normal"] in meanings) == listed

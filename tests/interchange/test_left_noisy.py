@@ -28,6 +28,15 @@ def list_left(path: Path, **options: object) -> list[str]:
     return [note for note in lobewise.read_frame(path, **options).notes if note.startswith("Left noisy")]  # type: ignore[arg-type]
 
 
+def write_frame_of(path: Path, *changes: Callable[[Written], object], renderer: str = "cycles") -> Written:
+    """Write the scene with more passes, or with fewer."""
+    written = WRITERS[renderer](make_scene())
+    for change in changes:
+        change(written)
+    write(path, written)
+    return written
+
+
 def copy_layer(written: Written, other: str) -> None:
     """Add the passes of the view layer again under another name, with other noise."""
     for key, plane in list(written.channels.items()):
@@ -70,29 +79,23 @@ def leave_out_albedo(written: Written) -> None:
     ],
 )
 def test_each_kind_is_named(change: Callable[[Written], object], told: str, tmp_path: Path) -> None:
-    written = WRITERS["cycles"](make_scene())
-    write(tmp_path / "plain.exr", written)
+    write_frame_of(tmp_path / "plain.exr")
     assert list_left(tmp_path / "plain.exr") == []
-    change(written)
-    write(tmp_path / "more.exr", written)
+    write_frame_of(tmp_path / "more.exr", change)
     (line,) = list_left(tmp_path / "more.exr")
     assert line.startswith(f"Left noisy: {told}")
     assert line.endswith(".")
 
 
 def test_kinds_share_one_line(tmp_path: Path) -> None:
-    written = WRITERS["cycles"](make_scene())
-    add_bands(written)
-    copy_layer(written, "Wood")
-    write(tmp_path / "a.exr", written)
+    write_frame_of(tmp_path / "a.exr", add_bands, lambda written: copy_layer(written, "Wood"))
     assert list_left(tmp_path / "a.exr") == [
         "Left noisy: view layer 'Wood', 3 spectral bands (--also '*nm' takes all)."
     ]
 
 
 def test_a_copy_of_the_picture_is_named(tmp_path: Path) -> None:
-    written = WRITERS["mitsuba"](make_scene())
-    write(tmp_path / "a.exr", written)
+    written = write_frame_of(tmp_path / "a.exr", renderer="mitsuba")
     assert list_left(tmp_path / "a.exr") == ["Left noisy: copy of the picture 'image'."]
     for key in [key for key in written.channels if key.startswith("image")]:
         # Another image than the picture is no copy.
@@ -102,10 +105,8 @@ def test_a_copy_of_the_picture_is_named(tmp_path: Path) -> None:
 
 
 def test_all_three_places_say_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    written = WRITERS["cycles"](make_scene())
-    add_bands(written)
     path, told = tmp_path / "a.exr", "Left noisy: 3 spectral bands (--also '*nm' takes all)."
-    write(path, written)
+    write_frame_of(path, add_bands)
     assert lobewise.denoise(lobewise.read_frame(path), quality="fast").notes[0] == told
     assert run(["denoise", str(path), "-o", str(tmp_path / "b.exr"), "--quality", "fast"]) == 0
     assert told in " ".join(capsys.readouterr().err.split())
@@ -118,10 +119,8 @@ def test_all_three_places_say_the_same(tmp_path: Path, capsys: pytest.CaptureFix
 
 
 def test_what_is_filtered_is_not_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    written = WRITERS["cycles"](make_scene())
-    add_groups(written)
     path = tmp_path / "a.exr"
-    write(path, written)
+    written = write_frame_of(path, add_groups)
     command = ["denoise", str(path), "-o", str(tmp_path / "b.exr"), "--quality", "fast"]
     groups = [key for key in written.channels if "Combined_" in key]
     for options, is_filtered in (([], True), (["--also", "Combined_*"], True), (["--no-light-groups"], False)):
@@ -177,9 +176,7 @@ def test_light_groups_of_other_renderers_are_found(renderer: str, start: str, tm
 
 
 def test_light_groups_sum_to_the_image_and_others_are_none_of_it(tmp_path: Path) -> None:
-    written = WRITERS["cycles"](make_scene())
-    add_groups(written)
-    write(tmp_path / "a.exr", written)
+    written = write_frame_of(tmp_path / "a.exr", add_groups)
     frame = lobewise.read_frame(tmp_path / "a.exr")
     assert set(frame.also) == {f"{LAYER}.Combined_lamp", f"{LAYER}.Combined_sky"}
     for quality in ("fast", "balanced"):
@@ -197,16 +194,13 @@ def test_light_groups_sum_to_the_image_and_others_are_none_of_it(tmp_path: Path)
 
 
 def test_what_lobewise_wrote_before_is_not_named(tmp_path: Path) -> None:
-    written = WRITERS["cycles"](make_scene())
-    write(tmp_path / "a.exr", written)
+    write_frame_of(tmp_path / "a.exr")
     assert run(["denoise", str(tmp_path / "a.exr"), "-o", str(tmp_path / "b.exr"), "--suffix", "_clean"]) == 0
     assert list_left(tmp_path / "b.exr") == []
 
 
 def test_a_picture_that_the_user_did_not_choose_is_named(tmp_path: Path) -> None:
-    written = WRITERS["cycles"](make_scene())
-    add_groups(written)
-    write(tmp_path / "a.exr", written)
+    write_frame_of(tmp_path / "a.exr", add_groups)
     (line,) = list_left(tmp_path / "a.exr", mapping={"color": "Combined_lamp"})
     assert "light group 'sky'" in line
     assert f"picture '{LAYER}.Combined'" in line

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from renderers import WRITERS, make_scene, write
+from renderers import WRITERS, make_scene, write, write_denoised
 
 from lobewise.cli.main import run
 from lobewise.denoising import denoise
@@ -20,6 +20,7 @@ from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.schema import DENOISED
 from lobewise.recipes.streaming import denoise_file
 from lobewise.records.frame import Frame, GBuffer, Radiance
+from tests.cli.lines import fail
 
 REFUSED = "expected a noisy render, got a result of lobewise, as its attribute 'lobewise/denoised' says; give the noisy"
 
@@ -35,29 +36,11 @@ def own(rng: np.random.Generator, tmp_path: Path) -> Path:
     return tmp_path / "clean.exr"
 
 
-def write_cycles(path: Path, *, denoised: bool, part_each: bool = False) -> Path:
-    """Write a frame of Blender, with its own denoiser on or off."""
-    written = WRITERS["cycles"](make_scene())
-    for name in [name for name in written.channels if denoised and "Combined" in name]:
-        plane = written.channels[name]
-        written.channels[name.replace("Combined", "Noisy Image")] = plane
-        written.channels[name] = np.full_like(plane, plane.mean())
-    write(path, written, part_each=part_each)
-    return path
-
-
-def refuse(capsys: pytest.CaptureFixture[str], *words: str | Path) -> str:
-    """Run `denoise` on a line that must fail; return its sentence."""
-    capsys.readouterr()
-    assert run(["denoise", *map(str, words)]) == 2
-    return capsys.readouterr().err
-
-
 def test_a_result_is_refused(own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     output = tmp_path / "again.exr"
     for more in ([], ["--bands", "4"], ["--bands", "off"], ["--suffix", "_x"]):
-        assert REFUSED in refuse(capsys, own, "-o", output, *more)
-    assert REFUSED in refuse(capsys, tmp_path / "noisy.exr", "--half", own, "-o", output)
+        assert REFUSED in fail(capsys, "denoise", own, "-o", output, *more)
+    assert REFUSED in fail(capsys, "denoise", tmp_path / "noisy.exr", "--half", own, "-o", output)
     assert not output.exists()
     # Whoever names the image means it.
     named = ["--map", "color=R,G,B", "--map", "normal=normal.X,normal.Y,normal.Z"]
@@ -72,9 +55,10 @@ def test_a_result_is_refused(own: Path, tmp_path: Path, capsys: pytest.CaptureFi
 def test_a_result_of_another_renderers_file_is_refused(
     part_each: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    source, clean = write_cycles(tmp_path / "a.exr", denoised=False, part_each=part_each), tmp_path / "b.exr"
+    source, clean = tmp_path / "a.exr", tmp_path / "b.exr"
+    write(source, WRITERS["cycles"](make_scene()), part_each=part_each)
     assert run(["denoise", str(source), "-o", str(clean)]) == 0
-    assert REFUSED in refuse(capsys, clean, "-o", tmp_path / "c.exr")
+    assert REFUSED in fail(capsys, "denoise", clean, "-o", tmp_path / "c.exr")
     (found,) = (one for one in import_file(clean).findings if one.what == MARKED)
     assert not found.mended
     assert found.sentence in describe_file(clean).notes
@@ -86,7 +70,8 @@ def test_a_result_of_another_renderers_file_is_refused(
 def test_a_noisy_image_that_is_still_there_is_filtered(
     part_each: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    source, clean = write_cycles(tmp_path / "a.exr", denoised=True, part_each=part_each), tmp_path / "b.exr"
+    source, clean = tmp_path / "a.exr", tmp_path / "b.exr"
+    write_denoised(source, part_each=part_each)
     first = import_file(source).frame
     assert run(["denoise", str(source), "-o", str(clean)]) == 0
     capsys.readouterr()
@@ -111,7 +96,8 @@ def test_results_beside_the_noisy_image_leave_it_noisy(own: Path, tmp_path: Path
 
 
 def test_only_the_result_is_named_as_well(tmp_path: Path) -> None:
-    source, clean = write_cycles(tmp_path / "a.exr", denoised=False, part_each=True), tmp_path / "b.exr"
+    source, clean = tmp_path / "a.exr", tmp_path / "b.exr"
+    write(source, WRITERS["cycles"](make_scene()), part_each=True)
     assert run(["denoise", str(source), "-o", str(clean), "--only"]) == 0
     container = read_container(clean)
     assert read_replaced(container) == {part.index: {one.name for one in part.channels} for part in container.parts}

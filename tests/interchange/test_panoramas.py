@@ -56,7 +56,6 @@ EVERYWHERE = np.ones(SIZE, np.bool_)
 def test_the_eye_is_found(turn: int, mirrored: bool) -> None:
     sign = np.array([-1.0 if mirrored else 1.0, 1.0, 1.0])
     fit = fit_panorama(np.roll(sign * POSITION, turn, axis=1).astype(np.float32), EVERYWHERE)
-    assert fit is not None
     np.testing.assert_allclose(fit.camera.position, sign * EYE, atol=1e-4)
     assert fit.error < 1e-3
     assert fit.camera.get_pixel_angle(SIZE[0]) == pytest.approx(np.pi / SIZE[0])
@@ -68,7 +67,6 @@ def test_positions_anywhere_in_their_pixels() -> None:
     moved = POSITION + step * random.uniform(-0.5, 0.5, POSITION.shape)
     moved[::7, ::5] *= 3.0  # at silhouettes
     fit = fit_panorama(moved.astype(np.float32), EVERYWHERE)
-    assert fit is not None
     np.testing.assert_allclose(fit.camera.position, EYE, atol=0.02)
 
 
@@ -106,10 +104,8 @@ def test_positions_tell_a_panorama(tmp_path: Path) -> None:
     found = import_file(write(tmp_path / "a.exr", POSITION))
     frame = found.frame
     assert frame.wraps
-    assert frame.camera is not None
     np.testing.assert_allclose(frame.camera.position, EYE, atol=1e-4)
     assert frame.gbuffer.position is not None
-    assert frame.gbuffer.depth is not None
     np.testing.assert_allclose(frame.gbuffer.depth, np.linalg.norm(POSITION - EYE, axis=-1), rtol=1e-4)
     assert sum("wraps around, as its positions show" in note for note in found.notes) == 1
     assert not any("ViewLayer.Depth.Z is measured" in note for note in found.notes)
@@ -144,8 +140,6 @@ def test_silhouettes_go_on_across_the_border(tmp_path: Path) -> None:
     plain, turned = (
         import_file(write_split(tmp_path / f"{turn}.exr", turn), wraps=True).frame.gbuffer for turn in (0, 40)
     )
-    assert plain.coverage is not None
-    assert turned.coverage is not None
     np.testing.assert_array_equal(np.roll(plain.coverage, 40, axis=1), turned.coverage)
     # The last column is owned by the background, and shows a part of the surface in the first one.
     assert plain.coverage[8, -1, 5] == pytest.approx(0.4)
@@ -195,8 +189,6 @@ def test_a_panorama_in_a_file_of_our_own(tmp_path: Path) -> None:
     write_frame(tmp_path / "b.exr", frame)
     again = lobewise.read_frame(tmp_path / "b.exr")
     assert again.wraps
-    assert again.camera is not None
-    assert frame.camera is not None
     np.testing.assert_array_equal(again.camera.position, frame.camera.position)
 
 

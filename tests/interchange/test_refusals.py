@@ -118,14 +118,6 @@ class TestNormals:
         assert not any("not used as" in note or "No normal" in note for note in list_told(path)), list_told(path)
 
 
-@pytest.mark.parametrize("renderer", sorted(WRITERS))
-def test_nothing_is_refused_in_honest_files(renderer: str, tmp_path: Path) -> None:
-    write(tmp_path / "a.exr", WRITERS[renderer](SCENE))
-    found = import_file(tmp_path / "a.exr")
-    assert found.map is not None
-    assert dict(found.map.refused) == {}
-
-
 def test_a_layer_that_lacks_a_pass_names_it(tmp_path: Path) -> None:
     written = WRITERS["cycles"](SCENE)
     for channel in [channel for channel in written.channels if ".GlossInd." in channel]:

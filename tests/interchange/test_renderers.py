@@ -33,7 +33,6 @@ def test_what_it_holds_is_found(renderer: str, layout: str, scene: Scene, tmp_pa
 
     there = scene.surface
     if "camera" in written.found:
-        assert frame.camera is not None
         np.testing.assert_allclose(frame.camera.position, CAMERA.position, atol=2e-3)
         np.testing.assert_allclose(frame.camera.forward, CAMERA.forward, atol=2e-3)
         assert frame.camera.fov_y == pytest.approx(CAMERA.fov_y, abs=1e-3)

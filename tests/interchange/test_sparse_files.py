@@ -28,12 +28,6 @@ def write_sparse(path: Path, scale: int) -> dict[str, np.ndarray]:
     return channels
 
 
-def read_channels(path: Path) -> dict[str, np.ndarray]:
-    """Return all channels of a file by name."""
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        return {name: channel.pixels.copy() for name, channel in file.channels().items()}
-
-
 def test_the_image_of_a_foreign_file_is_upsampled_in_a_copy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source, out = tmp_path / "in.exr", tmp_path / "out.exr"
     channels = write_sparse(source, 2)
@@ -43,7 +37,7 @@ def test_the_image_of_a_foreign_file_is_upsampled_in_a_copy(tmp_path: Path, caps
     # Lobes are compared: the guides of the file came along.
     assert sparse.camera is not None
     assert sparse.gbuffer.alpha_u is not None
-    image, found = lobewise.upsample(sparse, radius=5).image, read_channels(out)
+    image, found = lobewise.upsample(sparse, radius=5).image, renderers.read_channels(out)
     assert found.keys() == channels.keys()
     for number, name in enumerate("RGB"):
         assert np.array_equal(found.pop(name), image[..., number])
@@ -56,6 +50,6 @@ def test_a_sequence_of_foreign_files_has_a_history(tmp_path: Path) -> None:
         write_sparse(tmp_path / f"s.{number}.exr", 2)
     line = ["upsample", str(tmp_path / "s.#.exr"), "-o", str(tmp_path / "o.#.exr"), "--scale", "2", "--place", "1,0"]
     assert run([*line, "--temporal"]) == 0
-    first, second = (read_channels(tmp_path / f"o.{number}.exr")["G"] for number in (1, 2))
+    first, second = (renderers.read_channels(tmp_path / f"o.{number}.exr")["G"] for number in (1, 2))
     assert np.isfinite(second).all()
     assert not np.array_equal(first, second)

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pytest
-from renderers import WRITERS, make_scene, write
+from renderers import WRITERS, make_scene, write, write_denoised
 
 from lobewise.cli.main import run
 from lobewise.cli.terminal.summary import describe_quality
@@ -219,10 +219,7 @@ def test_whoever_names_the_noisy_image_is_believed(tmp_path: Path, capsys: pytes
 
 def test_denoised_passes_of_light_are_not_called_switched_off(tmp_path: Path) -> None:
     path, clean = tmp_path / "a.exr", tmp_path / "b.exr"
-    written = WRITERS["cycles"](make_scene())
-    for name in [name for name in written.channels if "Combined" in name]:
-        written.channels[name.replace("Combined", "Noisy Image")] = written.channels[name]
-    write(path, written)
+    write_denoised(path)
     assert run(["denoise", str(path), "-o", str(clean), "--quality", "fast"]) == 0
     found = describe_file(clean)
     assert not found.refusals

@@ -11,7 +11,7 @@ import pytest
 import lobewise
 from lobewise.interchange import import_file
 from lobewise.interchange.lighting import is_smooth
-from tests.interchange.renderers import HEIGHT, WIDTH, Written, make_scene, name, write, write_cycles
+from tests.interchange.renderers import HEIGHT, WIDTH, Written, make_scene, name, read_channels, write, write_cycles
 
 BLUR = 5.0
 """Radius, pixels, over which the lens blurs."""
@@ -63,12 +63,6 @@ def add_lamp(written: Written, *, told: bool) -> np.ndarray:
     return emission
 
 
-def read_pixels(path: Path) -> dict[str, np.ndarray]:
-    import OpenEXR
-
-    return {key: channel.pixels for key, channel in OpenEXR.File(str(path), separate_channels=True).channels().items()}
-
-
 def get(pixels: dict[str, np.ndarray], which: str) -> np.ndarray:
     return np.stack([pixels[f"{LAYER}.{which}.{letter}"] for letter in "RGB"], axis=-1)
 
@@ -76,7 +70,7 @@ def get(pixels: dict[str, np.ndarray], which: str) -> np.ndarray:
 def denoise(source: Path, target: Path, **settings: Any) -> dict[str, np.ndarray]:
     frame = lobewise.read_frame(source)
     lobewise.write_result(target, lobewise.denoise(frame, **settings), source=source)
-    return read_pixels(target)
+    return read_channels(target)
 
 
 @pytest.mark.parametrize("quality", ["balanced", pytest.param("high", marks=pytest.mark.nightly)])
@@ -94,7 +88,7 @@ def test_a_lamp_out_of_focus_is_shared_out_and_layers_still_add_up(quality: str,
         total = total + get(after, albedo) * sum(get(after, part) for part in parts)
     np.testing.assert_allclose(total, get(after, "Combined"), rtol=1e-3, atol=1e-3)
     # What a rim hands out goes by the luminance of all passes together.
-    before = read_pixels(tmp_path / "a.exr")
+    before = read_channels(tmp_path / "a.exr")
     sums = [sum(get(one, kind).sum() for kind in LIGHT) for one in (before, after)]
     assert sums[1] == pytest.approx(sums[0], rel=0.01)
 
