@@ -218,7 +218,6 @@ MAX_FILES_IN_FOLDER, MAX_LINES_OF_FILE, MAX_CODE_LINES_OF_FUNCTION = 15, 600, 60
 
 def count_code_lines(node: ast.FunctionDef | ast.AsyncFunctionDef, lines: list[str]) -> int:
     """Return the lines of a function without docstring, comments and blank lines; ``lines`` are those of its file."""
-    assert node.end_lineno is not None
     words = ast.get_docstring(node) is not None and node.body[0]
     in_words = range(words.lineno, words.end_lineno + 1) if words else ()
     numbers = (number for number in range(node.lineno, node.end_lineno + 1) if number not in in_words)

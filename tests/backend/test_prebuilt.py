@@ -77,7 +77,6 @@ def run(setup: str, output: Path) -> str:
 @pytest.mark.nightly
 def test_the_library_has_the_bits_of_the_compiler(folder: Path, tmp_path: Path) -> None:
     library = prebuilt.open_library(folder)
-    assert library is not None
     printed = run(BLOCKED.format(folder=str(folder)), tmp_path / "library.npy")
     assert printed.strip() == "[]", "a compiler was loaded"
     run(COMPILED.format(target=library.target.replace("-no_asserts-no_bounds_query", "")), tmp_path / "compiled.npy")
@@ -92,7 +91,6 @@ def test_every_level_has_the_parameters_of_its_own_lanes(folder: Path, tmp_path:
     for level in json.loads((folder / prebuilt.INDEX_NAME).read_bytes())["levels"]:
         edit_index(copy, lambda index, level=level: index.update(levels=[level]))
         library = prebuilt.open_library(copy)
-        assert library is not None
         (parameters,) = [told for name, told in library.kernels.values() if name == "fireflies"]
         counts = {each[0]: each[3] for each in parameters}
         assert counts["seen"] == counts["taken"] == ["height", level["lanes"]]
@@ -198,7 +196,6 @@ def test_the_best_level_that_the_processor_runs_is_chosen(
     other = {"file": "other.so", "target": "x86-64-linux-avx1024", "lanes": 32}
     edit_index(copy, lambda index: index["levels"].insert(0, other))
     library = prebuilt.open_library(copy)
-    assert library is not None
     assert library.target != other["target"]
     edit_index(copy, lambda index: index.update(levels=[other]))
     assert prebuilt.open_library(copy) is None

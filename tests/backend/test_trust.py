@@ -216,7 +216,6 @@ class TestHomes:
             monkeypatch.setenv("HOME", home)
         own = Path(pwd.getpwuid(os.getuid()).pw_dir)
         found = locate_cache_folder()
-        assert found is not None
         assert own in found.parents
 
         def know_nobody(number: int) -> None:

@@ -131,8 +131,6 @@ def test_lobes_with_own_axes_weigh_as_those_with_one() -> None:
 
 def test_halves_add_up_to_the_frame() -> None:
     frame = add_halves(make_frame(9, 7))
-    assert frame.half_a is not None
-    assert frame.half_b is not None
     for name in ("color", "diffuse", "specular"):
         whole, one, other = (getattr(part, name) for part in (frame.radiance, frame.half_a, frame.half_b))
         np.testing.assert_allclose(0.5 * (one + other), whole, rtol=1e-6)

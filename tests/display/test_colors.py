@@ -96,6 +96,5 @@ def test_two_files_of_one_light_look_alike_everywhere(image: FloatArray, tmp_pat
     for path in (plain, wide):
         assert run(["inspect", str(path), "--html", str(tmp_path / "page.html")]) == 0
         picture = re.search(r"data:image/\w+;base64,([^\"]+)", (tmp_path / "page.html").read_text())
-        assert picture is not None
         shown.append(np.asarray(Image.open(io.BytesIO(base64.b64decode(picture[1])))).astype(int))
     assert np.abs(shown[0] - shown[1]).max() <= 1

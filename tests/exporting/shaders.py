@@ -127,7 +127,6 @@ FIELDS = ("sharpness", "amplitude")
 def compile_spirv(language: str, program: str, folder: Path) -> bytes:
     """Return what the reference compiler makes of a program in GLSL or HLSL."""
     compiler = shutil.which("glslangValidator")
-    assert compiler is not None
     source, binary = folder / f"program.{language}", folder / f"{language}.spv"
     source.write_text(program)
     words = ["-D", "-e", "main"] if language == "hlsl" else []

@@ -35,8 +35,6 @@ SAME = {"rtol": 1e-4, "atol": 1e-5}
 def process() -> Any:
     """Return the module of the extension that imports nothing of Blender."""
     spec = importlib.util.spec_from_file_location("process", EXTENSIONS / "blender" / "process.py")
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module

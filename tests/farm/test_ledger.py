@@ -145,7 +145,6 @@ with Ledger(folder=Path(sys.argv[1]), identity="").lock():
 def test_two_runs_do_not_write_one_sequence(sequence: Sequence) -> None:
     command = [sys.executable, "-c", HOLD, str(sequence.ledger.folder)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
-        assert other.stdout is not None
         assert other.stdout.readline() == "locked\n"
         with pytest.raises(FileError, match="expected no other run that writes this sequence"), sequence.ledger.lock():
             pass

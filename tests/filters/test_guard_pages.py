@@ -92,8 +92,6 @@ def run_guarded() -> Iterator[Callable[..., tuple[int, str]]]:
         stdout=subprocess.PIPE,
         text=True,
     ) as process:
-        assert process.stdin is not None
-        assert process.stdout is not None
 
         def run(case: str, place: str, shift: int = 0) -> tuple[int, str]:
             process.stdin.write(json.dumps([case, place, shift]) + "\n")

@@ -70,7 +70,6 @@ def test_sum_and_support_are_those_of_numpy(count: int) -> None:
     variances = [output.variance for output in outputs]
     found = join_layers(outputs, [(layer.mask, layer.albedo) for layer in layers], variances=variances)
     assert found.image.tobytes() == add([output.image for output in outputs]).tobytes()
-    assert found.variance is not None
     assert found.variance.tobytes() == add([output.variance for output in outputs]).tobytes()
     weight, effective = compute_support(layers, outputs[: len(layers)])
     np.testing.assert_array_equal(found.weight_sum, weight)
@@ -116,7 +115,6 @@ def test_a_sum_that_is_no_light_is_a_hole_and_its_part_black(value: float) -> No
 
 def test_pixels_that_reflect_nothing_are_left_out() -> None:
     layer = make_layer(3)
-    assert layer.albedo is not None
     layer.albedo[2, :7] = [0.0, 1e-6, 0.0]
     expected = layer.mask & (layer.albedo > 1e-6).any(axis=-1)
     np.testing.assert_array_equal(mark_reflecting(layer.mask, layer.albedo, 1e-6), expected)

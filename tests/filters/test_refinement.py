@@ -118,7 +118,6 @@ class Definition:
         coarse: Exact | None = None
         for level in reversed(range(shape.LEVEL_COUNT)):
             coarse = filter_level(level, logits[level], *pyramid[level], coarse)
-        assert coarse is not None
         return coarse * tint
 
 

@@ -78,7 +78,6 @@ class Watcher:
     def judge(self, kind: str, data: bytes, *, seconds: float = MAX_SECONDS) -> Verdict:
         """Return what becomes of a file of a kind."""
         process = self._start()
-        assert process.stdin is not None
         limit = seconds if kind in self._ready else START_SECONDS
         stage = "ours"
         try:
@@ -116,7 +115,6 @@ class Watcher:
         return self._process
 
     def _receive(self, process: subprocess.Popen[bytes], until: float) -> dict[str, Any]:
-        assert process.stdout is not None
         while b"\n" not in self._received:
             if not select.select([process.stdout], [], [], max(until - time.monotonic(), 0.0))[0]:
                 raise TimeoutError

@@ -63,7 +63,6 @@ def test_places_from_depth_and_from_position(rng: np.random.Generator) -> None:
     expected = CAMERA.position + depth[..., None] * rays
     position, same = compute_points(GBuffer(depth=depth), CAMERA)
     np.testing.assert_allclose(position, expected, atol=ROUNDING * 9.0)
-    assert same is not None
     np.testing.assert_array_equal(same, depth)
     given, distance = compute_points(GBuffer(position=expected), CAMERA)
     np.testing.assert_array_equal(given, expected.astype(np.float32))
@@ -113,7 +112,6 @@ def test_backdrop(rng: np.random.Generator) -> None:
     wall = put_backdrop(surface, normal, position, CAMERA, 1e4)
     np.testing.assert_allclose(wall.facing, np.where(there, normal, -rays), atol=ROUNDING)
     np.testing.assert_array_equal(wall.normal, np.where(there, normal, 0.0))
-    assert wall.position is not None
     away = CAMERA.position + 1e4 * rays
     np.testing.assert_allclose(wall.position, np.where(there, position, away), rtol=ROUNDING, atol=1e4 * ROUNDING)
 

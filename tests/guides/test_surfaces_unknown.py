@@ -53,8 +53,6 @@ def test_the_nearest_surface_stands_for_an_unknown_one_and_else_a_wall() -> None
     normal[20, 20], depth[20, 20] = 0.0, 0.0
     normal[:, 40:], depth[:, 40:] = 0.0, 0.0
     filled, _ = stand_in_surfaces(frame.with_changes(gbuffer=replace(whole, normal=normal, depth=depth)))
-    assert whole.depth is not None
-    assert filled.gbuffer.depth is not None
     assert filled.gbuffer.depth[20, 20] in {whole.depth[y, x] for y, x in ((19, 20), (21, 20), (20, 19), (20, 21))}
     np.testing.assert_array_equal(filled.gbuffer.depth[:, 42], whole.depth[:, 39])
     assert (filled.gbuffer.depth[:, 43:] == np.float32(BACKDROP_DISTANCE)).all()
@@ -77,7 +75,6 @@ def test_black_samples_in_fog_belong_to_it_and_holes_between_leaves_do_not() -> 
     layers = (*frame.layers[:2], replace(frame.layers[2], radiance=light))
     foggy = frame.with_changes(layers=layers, radiance=Radiance(light, light, np.zeros_like(light)))
     filled, _ = stand_in_surfaces(foggy)
-    assert filled.gbuffer.depth is not None
     assert filled.gbuffer.depth[10, 10] > 0.0
     leaves, _ = make_fog(0.0)
     depth = np.array(leaves.gbuffer.depth)
@@ -102,6 +99,5 @@ def test_a_black_pixel_with_an_albedo_is_no_sky(sees_a_surface: bool) -> None:
             radiance=Radiance(light, light, np.zeros_like(light)),
         )
     )
-    assert filled.gbuffer.depth is not None
     assert bool(filled.gbuffer.depth[10, 10] > 0.0) is sees_a_surface
     assert filled.gbuffer.depth[30, 30] > 0.0

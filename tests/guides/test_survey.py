@@ -56,7 +56,6 @@ def test_an_empty_guide_is_named_and_left_out(name: str, scene: Frame) -> None:
 
 
 def test_the_empty_albedo_of_a_layer_is_named(scene: Frame) -> None:
-    assert scene.radiance.parts is not None
     diffuse, specular = scene.radiance.parts
     layers = (
         RadianceLayer("paint", "diffuse", diffuse, np.zeros_like(diffuse)),
@@ -72,7 +71,6 @@ def test_the_empty_albedo_of_a_layer_is_named(scene: Frame) -> None:
 
 def test_a_black_albedo_without_light_is_right(scene: Frame) -> None:
     radiance, black = scene.radiance, np.zeros((*SHAPE, 3))
-    assert radiance.diffuse is not None
     dark = replace(radiance, color=radiance.color - radiance.diffuse, diffuse=black)
     frame = with_guides(scene, diffuse_albedo=black, mean_diffuse_albedo=black).with_changes(
         radiance=dark, half_a=None, half_b=None
@@ -91,7 +89,6 @@ def test_normals_of_one_value_are_named(scene: Frame) -> None:
 
 def test_encoded_normals_are_decoded(scene: Frame) -> None:
     normal = scene.gbuffer.normal
-    assert normal is not None
     there = (normal != 0.0).any(axis=-1, keepdims=True)
     result, warned = denoise_warned(with_guides(scene, normal=np.where(there, 0.5 * normal + 0.5, 0.0)))
     assert warned == []
@@ -111,7 +108,6 @@ def test_normals_that_all_face_one_way_are_not_taken_for_encoded(rng: np.random.
 @pytest.mark.parametrize("spoil", ["depth", "diffuse_albedo", "encoded", "camera"])
 def test_bands_give_the_same_bits_and_notes(spoil: str, scene: Frame, tmp_path: Path) -> None:
     normal = scene.gbuffer.normal
-    assert normal is not None
     if spoil == "camera":
         frame = scene.with_changes(camera=None)
     elif spoil == "encoded":

@@ -169,7 +169,6 @@ def read_images(owner: Any, size: tuple[int, int]) -> dict[str, FloatArray]:
 def read_middle(path: Path) -> Frame:
     """Return the middle of a frame of our own, in the precision that the tests keep."""
     whole = lobewise.read_frame(path)
-    assert whole.camera is not None
     guides = read_images(whole.gbuffer, OWN_SIZE)
     for name, image in guides.items():
         guides[name] = round_floats(image, PLACE_BITS if any(word in name for word in PLACES) else NORMAL_BITS)

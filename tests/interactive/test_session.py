@@ -345,7 +345,6 @@ def test_bad_sizes_and_scenes_are_told(session: Session, make_furnace: Callable[
 def test_samples_of_paths_know_their_rays(mi: Any) -> None:
     session = Session("showroom", width=32, height=32)
     rays = session.render(settings=InteractiveSettings(spp=1)).parts.sparse.rays
-    assert rays is not None
     assert rays.weight.shape == (8, 8)
     assert rays.direction is None
     assert 0.5 < rays.weight.mean() < 2.0

@@ -39,8 +39,6 @@ def former(rng: np.random.Generator) -> Shaded:
 def test_samples_that_change_alike_tell_the_ratio(former: Shaded) -> None:
     tint = np.array([0.5, 2.0, 3.0], np.float32)
     old = former.radiance
-    assert old.diffuse is not None
-    assert old.specular is not None
     changes = compute_changes(former, make_radiance(old.diffuse * tint, old.specular * 0.25), former.depth, SHAPE)
     assert changes["diffuse"].ratio.shape == (*SHAPE, 3)
     # The samples differ in colour, so their luminances do not change alike.
@@ -52,7 +50,6 @@ def test_samples_that_change_alike_tell_the_ratio(former: Shaded) -> None:
 def test_the_error_is_that_of_a_ratio_of_sums(former: Shaded, rng: np.random.Generator) -> None:
     """The jackknife, which leaves out one sample at a time, estimates the same error in another way."""
     old = former.radiance.diffuse
-    assert old is not None
     new = old * rng.uniform(2.4, 3.6, (ROWS, COLUMNS, 1)).astype(np.float32)
     error = compute_changes(former, make_radiance(new, new), former.depth, SHAPE)["diffuse"].error
     for row, column in ((2, 3), (3, 5)):
@@ -66,7 +63,6 @@ def test_the_error_is_that_of_a_ratio_of_sums(former: Shaded, rng: np.random.Gen
 def test_a_change_within_its_error_is_none(former: Shaded, rng: np.random.Generator) -> None:
     """Ratios would otherwise multiply noise into a history, frame after frame."""
     old = former.radiance.diffuse
-    assert old is not None
     noise = rng.uniform(0.5, 1.5, (200, ROWS, COLUMNS, 1)).astype(np.float32)
     ratios = [
         compute_changes(former, make_radiance(old * each, old * each), former.depth, SHAPE)["diffuse"].ratio
@@ -80,7 +76,6 @@ def test_a_change_within_its_error_is_none(former: Shaded, rng: np.random.Genera
 
 def test_samples_of_another_surface_tell_nothing(former: Shaded) -> None:
     old = former.radiance.diffuse
-    assert old is not None
     depth = former.depth.copy()
     depth[:, :4] = 3.9
     change = compute_changes(former, make_radiance(old * 5.0, old * 5.0), depth, SHAPE)["diffuse"]
@@ -92,8 +87,6 @@ def test_samples_of_another_surface_tell_nothing(former: Shaded) -> None:
 @pytest.mark.parametrize("which", range(4))
 def test_a_moving_reflection_tells_nothing_of_specular_light(former: Shaded, which: int) -> None:
     old = former.radiance
-    assert old.diffuse is not None
-    assert old.specular is not None
     moved = np.zeros((4, ROWS, COLUMNS), bool)
     moved[which, :, :4] = True
     again = make_radiance(old.diffuse * 5.0, old.specular * 5.0)
@@ -107,7 +100,6 @@ def test_a_moving_reflection_tells_nothing_of_specular_light(former: Shaded, whi
 def test_a_single_sample_tells_no_change(former: Shaded) -> None:
     """It equals its own ratio exactly, which once passed for certainty: histories became a hundred times brighter."""
     old = former.radiance.diffuse
-    assert old is not None
     depth = np.full_like(former.depth, 3.9)
     depth[2, 3] = former.depth[2, 3]
     change = compute_changes(former, make_radiance(old * 50.0, old * 50.0), depth, SHAPE)["diffuse"]

@@ -46,11 +46,9 @@ def test_two_writers_leave_one_whole_file(locks: str, tmp_path: Path) -> None:
     try:
         for number in range(ROUNDS):
             for writer in writers:
-                assert writer.stdin is not None
                 writer.stdin.write(f"{number}\n")
                 writer.stdin.flush()
             for writer in writers:
-                assert writer.stdout is not None
                 assert writer.stdout.readline() == f"{number}\n"
             mixed += target.read_bytes() not in (b"a" * BYTES, b"b" * BYTES)
     finally:

@@ -24,8 +24,6 @@ def hook(monkeypatch: pytest.MonkeyPatch) -> Any:
     parent.BuildHookInterface = object  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, parent.__name__, parent)
     described = importlib.util.spec_from_file_location("wheel_hook", ROOT / "releasing" / "wheel_hook.py")
-    assert described is not None
-    assert described.loader is not None
     module = importlib.util.module_from_spec(described)
     described.loader.exec_module(module)
     made = module.KernelsHook()

@@ -103,7 +103,6 @@ def test_the_image_has_a_python_of_the_project_and_an_ordinary_user() -> None:
     names = {re.search(r" AS (\w+)", stage)[1]: stage for stage in stages}  # type: ignore[index]
     assert names.keys() == {"core", "farm"}
     python = re.match(r"python:(3\.\d+)-", stages[0])
-    assert python is not None
     assert f"Programming Language :: Python :: {python[1]}" in read_project()["classifiers"]
     for name, stage in names.items():
         assert re.findall(r"^USER (\d+)", stage, flags=re.M)[-1] != "0", name

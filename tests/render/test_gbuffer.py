@@ -48,7 +48,6 @@ MIRROR = {"type": "twosided", "inner": {"type": "roughconductor", "distribution"
 def test_plane_has_the_depth_position_and_normal_of_the_pixel_centre_ray(mi: Any) -> None:
     frame = render(mi, floor=make_floor(mi, MIRROR), spp=1)
     camera, gbuffer = frame.camera, frame.gbuffer
-    assert camera is not None
     assert np.allclose(camera.position, EYE)
     rays = camera.make_ray_directions(frame.width, frame.height).astype(np.float64)
     expected = np.where(rays[..., 1] < 0, -EYE[1] / rays[..., 1], 0.0)
@@ -72,7 +71,6 @@ def test_camera_projects_what_it_sees_to_its_pixel(mi: Any, axis: str, width: in
 
     sensor = make_sensor(mi, width, height, fov_axis=axis)
     frame = render(mi, sensor=sensor, floor=make_floor(mi, MIRROR), spp=1)
-    assert frame.camera is not None
     pixels = project_points(frame.camera, frame.gbuffer.position, width, height)
     hit = frame.gbuffer.depth > 0
     column, row = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
@@ -106,7 +104,6 @@ def test_off_centre_cameras_project_what_they_see_to_its_pixel(mi: Any, changes:
 
     sensor = make_sensor(mi, **changes)
     frame = render(mi, sensor=sensor, floor=make_floor(mi, MIRROR), spp=1)
-    assert frame.camera is not None
     assert max(map(abs, frame.camera.shift)) > 0.01
     height, width = frame.shape
     hit = frame.gbuffer.depth > 0
@@ -155,7 +152,6 @@ def test_hit_of_a_mirror_is_where_the_mirrored_ray_lands(mi: Any) -> None:
     }
     frame = render(mi, floor=make_floor(mi, MIRROR), wall=wall, spp=16)
     gbuffer, camera = frame.gbuffer, frame.camera
-    assert camera is not None
     on_floor = (gbuffer.lobe_kind == LobeKind.GGX) & (gbuffer.position[..., 2] > -1)
     assert on_floor.mean() > 0.2
     out = (gbuffer.position - camera.position) * np.array([1, -1, 1])
@@ -250,7 +246,6 @@ def test_guides_of_a_silhouette_belong_to_one_surface(mi: Any) -> None:
 def test_normals_face_the_viewer(mi: Any) -> None:
     ball = {"type": "sphere", "radius": 20.0, "bsdf": {"type": "twosided", "inner": {"type": "roughconductor"}}}
     frame = render(mi, ball=ball, spp=1)
-    assert frame.camera is not None
     toward = frame.camera.position - frame.gbuffer.position
     assert np.all(np.einsum("...i,...i", toward, frame.gbuffer.normal) > 0)
     assert np.allclose(np.linalg.norm(frame.gbuffer.normal, axis=-1), 1, atol=EXACT)
@@ -277,7 +272,6 @@ def test_motion_is_where_the_point_was(mi: Any) -> None:
     before = Camera(position=(0.2, 2.1, 6.3), forward=(-0.05, -0.3, -1.0), up=(0, 1, 0), fov_y=0.6)
     frame = render(mi, floor=make_floor(mi, MIRROR), previous_camera=before, spp=1)
     motion, gbuffer = frame.gbuffer.motion, frame.gbuffer
-    assert motion is not None
     row, column = 15, 7
     right = np.cross(before.forward, before.up)
     offset = gbuffer.position[row, column] - before.position
@@ -300,7 +294,6 @@ def test_motion_of_the_same_camera_is_none_and_of_the_sky_only_turns(mi: Any) ->
     shifted = Camera(camera.position + np.array([5.0, 0.0, 0.0]), camera.forward, camera.up, camera.fov_y)
     frame = render(mi, floor=make_floor(mi, MIRROR), previous_camera=shifted, spp=1)
     motion, sky = frame.gbuffer.motion, frame.gbuffer.depth == 0
-    assert motion is not None
     assert np.abs(motion[sky]).max() < 5e-3
     # The camera was further right, so every point stood further left.
     assert np.all(motion[(frame.gbuffer.depth > 0) & (frame.gbuffer.depth < 20)][:, 0] < -1)
@@ -310,6 +303,5 @@ def test_motion_of_what_was_behind_the_camera_leads_outside(mi: Any) -> None:
     before = Camera(position=(0.0, 2.0, -60.0), forward=(0, 0, -1), up=(0, 1, 0), fov_y=0.6)
     frame = render(mi, floor=make_floor(mi, MIRROR), previous_camera=before, spp=1)
     motion = frame.gbuffer.motion
-    assert motion is not None
     near = (frame.gbuffer.depth > 0) & (frame.gbuffer.depth < 20)
     assert np.all(motion[near] == (2 * frame.width, 2 * frame.height))

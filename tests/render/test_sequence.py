@@ -215,12 +215,10 @@ class TestMovingObjects:
         scene = moving.load(self.STEPS)
         moves = moving.compute_moves(self.STEPS, 0)
         camera = render_frame(scene, spp=1, aov_only=True).camera
-        assert camera is not None
         known = {"spp": 1, "aov_only": True, "previous_camera": camera}
         assert render_frame(scene, **known).gbuffer.reflected_motion is None
         guides = render_frame(scene, **known, moves=moves).gbuffer
         found = guides.reflected_motion
-        assert found is not None
         # With a single sample the hit is the mean of the sample and of the mirror ray, which mostly see one object.
         ball = np.linalg.norm(guides.hit_position - np.array([-0.5 - 0.028 * self.STEPS, 0.45, 0.9]), axis=-1) < 0.47
         smooth = ball & (guides.alpha_u < 0.15)

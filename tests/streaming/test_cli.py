@@ -140,7 +140,6 @@ def test_ctrl_c_leaves_no_part_of_a_file(before: bytes | None, folder: Path) -> 
     process = subprocess.Popen(
         [sys.executable, "-c", LISTEN + PROGRAM, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
-    assert process.stdout is not None
     # In the midst of the third of nine bands; two are on the disk.
     for _ in range(3):
         assert process.stdout.readline() == "band\n"

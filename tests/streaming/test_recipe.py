@@ -142,7 +142,6 @@ def test_a_flat_image_without_camera(quality: str, tmp_path: Path) -> None:
 
 def test_the_noise_is_that_of_the_whole_frame(tmp_path: Path) -> None:
     frame = make_scene(SHAPE)
-    assert frame.variance is not None
     noisy = np.array(frame.variance.color)
     noisy[:40] *= 100.0
     frame = frame.with_changes(variance=Radiance(noisy))

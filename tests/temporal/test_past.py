@@ -90,7 +90,6 @@ def test_tables_keep_their_order(full_frame: Frame) -> None:
 def test_a_camera_with_and_without_its_second_angle(full_frame: Frame, fov_x: float | None) -> None:
     past = make_past(full_frame, guides=Guides(full_frame.gbuffer, replace(CAMERA, fov_x=fov_x), ()))
     camera = unpack_past(save_and_load(pack_past(past))).guides.camera
-    assert camera is not None
     assert (camera.fov_x, camera.fov_y) == (fov_x, 0.7)
 
 

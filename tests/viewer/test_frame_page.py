@@ -166,7 +166,6 @@ def test_ctrl_c_ends_it_while_it_filters(floor_file: Path) -> None:
         stderr=subprocess.PIPE,
         text=True,
     )
-    assert running.stdout is not None
     line = running.stdout.readline()
     assert line.startswith(f"Showing {floor_file} at http://127.0.0.1:")
     place = urlsplit(line.split(" at ")[1].split()[0])

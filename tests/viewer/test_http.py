@@ -263,13 +263,11 @@ class TestMessages:
     def test_numbers_are_moved_into_their_ranges(self):
         for value, expected in ((1e300, 10.5), (-(2**63), -10), (0.25, 0.25)):
             found = check_message(change("slider", value), CONTROLS).message
-            assert found is not None
             assert found["updates"]["value"] == expected
 
     @pytest.mark.parametrize("size", [(1e9, 400), (400, 1e9), (1e9, 1e9), (0, 0), (-5, 3), (1e300, 1)])
     def test_windows_are_those_that_there_are(self, size):
         found = check_message({**VIEW, "image_width": size[0], "image_height": size[1]}, {}).message
-        assert found is not None
         width, height = found["image_width"], found["image_height"]
         assert isinstance(width, int)
         assert min(width, height) >= 1

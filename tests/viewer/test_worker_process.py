@@ -155,7 +155,6 @@ class TestDeath:
     def test_it_never_sees_ctrl_c(self, start_worker):
         one, _, _ = start_worker()
         blocked = re.search(r"SigBlk:\s*([0-9a-f]+)", Path(f"/proc/{one.process_id}/status").read_text())
-        assert blocked is not None
         assert int(blocked[1], 16) >> (signal.SIGINT - 1) & 1
         assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
 
@@ -184,7 +183,6 @@ class TestEnd:
             stderr=subprocess.PIPE,
             text=True,
         )
-        assert running.stdout is not None
         line = running.stdout.readline()
         assert re.match(r"Showing showroom at http://127\.0\.0\.1:\d+/\?token=[\w-]{40,} ", line)
         assert line.endswith(" (only this machine can reach it); Ctrl-C ends it.\n")
