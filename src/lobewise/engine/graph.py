@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -238,42 +238,30 @@ class Graph:
         return pair[0], pair[1]
 
     @contextmanager
-    def part(self, stage: str) -> Iterator[None]:
+    def _set(self, **fields: Any) -> Iterator[None]:
+        """Give some fields other values inside the context."""
+        before = {name: getattr(self, name) for name in fields}
+        vars(self).update(fields)
+        try:
+            yield
+        finally:
+            vars(self).update(before)
+
+    def part(self, stage: str) -> AbstractContextManager[None]:
         """Name the part of the plan that steps belong to."""
-        before, self.stage = self.stage, stage
-        try:
-            yield
-        finally:
-            self.stage = before
+        return self._set(stage=stage)
 
-    @contextmanager
-    def only_when(self, condition: str) -> Iterator[None]:
+    def only_when(self, condition: str) -> AbstractContextManager[None]:
         """Skip steps where an expression of C is 0."""
-        before = self.when
-        self.when = f"{before} && {condition}" if before else condition
-        try:
-            yield
-        finally:
-            self.when = before
+        return self._set(when=f"{self.when} && {condition}" if self.when else condition)
 
-    @contextmanager
-    def only_in_box(self) -> Iterator[None]:
+    def only_in_box(self) -> AbstractContextManager[None]:
         """Give steps the box of their images that a C function has found."""
-        before, self.in_box = self.in_box, True
-        try:
-            yield
-        finally:
-            self.in_box = before
+        return self._set(in_box=True)
 
-    @contextmanager
-    def only_in_bands(self) -> Iterator[None]:
+    def only_in_bands(self) -> AbstractContextManager[None]:
         """Run steps for bands of rows, one after the other. Images with the axis "band" hold one band."""
-        with self.only_in_box():
-            self.in_band = True
-            try:
-                yield
-            finally:
-                self.in_band = False
+        return self._set(in_box=True, in_band=True)
 
     def add_real(self, name: str, count: int = 1) -> str:
         """Return the C expression of a new number, or of several."""
@@ -330,11 +318,8 @@ class Graph:
         arguments: list[tuple[str, GraphImage | str]] = [(image.name, image) for image in images]
         arguments += [("", number) for number in numbers]
         reads = tuple(image for image in images if image not in writes)
-        self.operations.append(
-            Operation(
-                function, arguments, reads, tuple(writes), text, self.when, False, self.stage, self.in_box, self.in_band
-            )
-        )
+        where = self.stage, self.in_box, self.in_band
+        self.operations.append(Operation(function, arguments, reads, tuple(writes), text, self.when, False, *where))
 
     def list_images(self) -> list[GraphImage]:
         """Return every image that a step names, in order of first use."""

@@ -53,21 +53,17 @@ class CompiledKernel:
     def compile(self) -> bytes:
         """Return the object file. Those of 64-bit machines are kept on disk."""
 
-        def run() -> tuple[bytes, dict[str, Any]]:
+        def write(path: str) -> None:
             funcs = self.make(self.target)
-            pipeline = hl.Pipeline(funcs.out)
-            arguments = funcs.signature.arguments
-            path_taker = partial(_compile_object, pipeline, arguments, self.symbol, self.target)
-            return compile_object(path_taker), {}
+            hl.Pipeline(funcs.out).compile_to_object(path, funcs.signature.arguments, self.symbol, self.target)
 
         if self.target.bits != 64:
             with TemporaryDirectory() as folder:
                 path = Path(folder) / "kernel.o"
-                funcs = self.make(self.target)
-                _compile_object(hl.Pipeline(funcs.out), funcs.signature.arguments, self.symbol, self.target, str(path))
+                write(str(path))
                 return path.read_bytes()
         known = self.known and f"exported {self.symbol} {self.known}"
-        content, _ = fetch_object(known, run, symbol=self.symbol)
+        content, _ = fetch_object(known, lambda: (compile_object(write), {}), symbol=self.symbol)
         return content
 
     def list_axis_lengths(self, images: Mapping[str, GraphImage]) -> dict[str, Any]:
@@ -79,10 +75,6 @@ class CompiledKernel:
                     if isinstance(axis, str):
                         lengths.setdefault(axis, length)
         return lengths
-
-
-def _compile_object(pipeline: hl.Pipeline, arguments: list[Any], symbol: str, target: hl.Target, path: str) -> None:
-    pipeline.compile_to_object(path, arguments, symbol, target)
 
 
 GRAPHICS = ("CUDA", "Vulkan", "OpenCL", "D3D12Compute", "Metal", "WebGPU")
