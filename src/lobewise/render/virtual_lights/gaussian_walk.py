@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from lobewise.render.bridge import dr, follow, mi, starts_as
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import dispatch_share, dispatch_surface
-from lobewise.render.tracing.light_sampling import Scattering, Vertex, make_eye, meet_emitter, scatter
+from lobewise.render.tracing.light_sampling import Scattering, scatter
 from lobewise.render.tracing.points import Points
-from lobewise.render.tracing.rays import draw_point, invert_distance, make_rng
+from lobewise.render.tracing.rays import draw_point, make_rng
 from lobewise.render.virtual_lights.gaussian_lighting import GaussianLighting
-from lobewise.render.virtual_lights.light_choice import choose_place
 from lobewise.render.virtual_lights.receivers import Receiver, lets_through, make_receiver, weigh_distance
+from lobewise.render.virtual_lights.walks import Walk, Walker, choose_place
 
 CLUSTERS_PER_SAMPLE = 4
 """Clusters per sample of a pixel."""
@@ -23,59 +24,29 @@ CLUSTERS_PER_RAY = 2
 
 
 @dataclass
-class _Walk:
-    """State of the loop that follows mirrors, refractions and narrow lobes.
+class _Walk(Walk):
+    """State of the loop, which follows narrow lobes as well.
 
     ``followed_share`` is the part of the last scattering by lobes that are followed, and ``mix`` the part by which a
     hit emitter counts. ``reach`` is that of the last lobe, infinite for mirrors, and ``travelled`` the way from it to
     the last surface that let the ray pass.
     """
 
-    active: Any
-    ray: Any
-    rng: Any
-    reach: Any
-    start: Any = starts_as("Bool", True)
-    throughput: Any = starts_as("Color3f", 1)
+    reach: Any = starts_as("Float", math.inf)
     followed_share: Any = starts_as("Color3f", 1)
     mix: Any = starts_as("Color3f", 1)
     travelled: Any = starts_as("Float")
-    depth: Any = starts_as("UInt32")
-    bounces: Any = starts_as("UInt32")
-    last: Vertex = field(default_factory=make_eye)
-    diffuse: Any = starts_as("Color3f")
-    specular: Any = starts_as("Color3f")
-    looks: Any = starts_as("Bool")
-    hit_count: Any = starts_as("Float")
-    hit_inverse: Any = starts_as("Float")
 
 
-class GaussianWalk:
-    """The light of drawn clusters at pixels.
+class GaussianWalk(Walker):
+    """The light of drawn clusters at pixels, and of what mirrors, smooth glass and very narrow lobes show."""
 
-    ``numbers`` holds opaque numbers (UInt32): ``max_depth`` and ``width`` of the image.
-    """
+    _lighting: GaussianLighting
 
     def __init__(
         self, scene: Any, materials: dict[int, Material], lighting: GaussianLighting, numbers: Mapping[str, Any]
     ) -> None:
-        self._scene = scene
-        self._materials = materials
-        self._lighting = lighting
-        self._numbers = numbers
-        flags = mi.BSDFFlags
-        followed = (flags.Null, flags.Delta, flags.Glossy)
-        self._follows = any(
-            mi.has_flag(node.bsdf.flags(), flag)
-            for material in materials.values()
-            for node in material
-            for flag in followed
-        )
-
-    @property
-    def state(self) -> Any:
-        """Arrays that the walk reads beside the scene (a PyTree)."""
-        return self._lighting.state
+        super().__init__(scene, materials, lighting, numbers, mi.BSDFFlags.Delta, mi.BSDFFlags.Glossy)
 
     def take(self, points: Points, index: Any, end: Any, seed: Any, all_lights: bool) -> tuple[Any, Any, Any, Any]:
         """Return sample number ``index`` of ``end``; see `lobewise.render.tracing.points.average_samples`."""
@@ -84,7 +55,7 @@ class GaussianWalk:
         place = mi.Float(choose_place(points.pixel, self._numbers["width"], mi.UInt32(steps), seed)) * (1.0 / steps)
         # The clusters of all samples of a pixel are at equal distances.
         place = (mi.Float(index) + place) / mi.Float(end)
-        walk = _Walk(mi.Bool(points.active), mi.Ray3f(points.ray), rng, mi.Float(dr.inf))
+        walk = _Walk(mi.Bool(points.active), mi.Ray3f(points.ray), rng)
         if self._follows:
             walk = follow(walk, lambda walk: self._visit(walk, points, place, all_lights), "mirrors")
         else:
@@ -104,20 +75,12 @@ class GaussianWalk:
     def _visit(self, walk: _Walk, points: Points, place: Any, all_lights: bool) -> None:
         """Add the light at the next surface of a walk, and sample the next direction."""
         scene, max_depth = self._scene, self._numbers["max_depth"]
-        si = dr.select(walk.start, points.si, scene.ray_intersect(walk.ray, ~walk.start))
-        met = si.is_valid()
+        si, emitted = walk.meet(scene, points)
+        self._add(walk, walk.bounces >= 2, emitted * walk.mix, mi.Color3f(0))
+
         later = ~walk.start
-
-        # Count the hit of the first mirror.
-        walk.hit_count += dr.select(walk.looks, 1.0, 0.0)
-        walk.hit_inverse += invert_distance(si, walk.looks & met)
-
-        # Add hit emitters, except as direct light.
-        emitted, weight = meet_emitter(scene, si, walk.last, later & (walk.bounces >= 2))
-        self._add(walk, walk.bounces >= 2, emitted * weight * walk.mix, mi.Color3f(0))
-
         walk.throughput *= walk.followed_share
-        walk.active = met & (walk.depth + 2 <= max_depth) & (dr.max(walk.throughput) > 0)
+        walk.active = si.is_valid() & (walk.depth + 2 <= max_depth) & (dr.max(walk.throughput) > 0)
         bsdf = si.bsdf()
         surface = dispatch_surface(self._materials, bsdf, si, walk.active & later)
         surface = dr.select(walk.start, points.surface, surface)
@@ -156,13 +119,7 @@ class GaussianWalk:
         walk.reach = dr.select(is_null, walk.reach, dr.select(is_delta, dr.inf, at.reach))
         first = (walk.bounces == 0) & ~is_null
         walk.active &= (dr.max(scattering.factor) > 0) & ((dr.max(walk.followed_share) > 0) | ~first)
-        walk.looks = walk.active & first & is_delta
-        walk.ray = scattering.ray
-        walk.throughput *= scattering.factor
-        walk.depth += 1
-        walk.bounces += dr.select(is_null, mi.UInt32(0), 1)
-        walk.last = scattering.vertex
-        walk.start = mi.Bool(False)
+        walk.go_on(scattering)
 
     def _add(self, walk: _Walk, active: Any, value: Any, diffuse: Any) -> None:
         """Add ``value``, whose diffuse part at the first surface is ``diffuse``; rays follow specular light only."""

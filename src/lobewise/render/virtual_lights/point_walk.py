@@ -7,49 +7,38 @@ Kollig and Keller 2006, "Illumination in the Presence of Weak Singularities".
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from lobewise.render.bridge import dr, follow, mi, starts_as
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import split_scattering
-from lobewise.render.tracing.light_sampling import Vertex, make_eye, meet_emitter, scatter
+from lobewise.render.tracing.light_sampling import scatter
 from lobewise.render.tracing.points import Points
-from lobewise.render.tracing.rays import draw_point, invert_distance, make_rng
-from lobewise.render.virtual_lights.light_choice import choose_place
+from lobewise.render.tracing.rays import draw_point, make_rng
 from lobewise.render.virtual_lights.shading import Lighting
+from lobewise.render.virtual_lights.walks import Walk, Walker, choose_place
 
 LIGHTS_PER_SAMPLE = 32
 """Lights per sample of a pixel."""
 
 
 @dataclass
-class _Walk:
-    """State of the loop that follows mirrors, refractions and rays of compensation."""
+class _Walk(Walk):
+    """State of the loop, which follows rays of compensation as well."""
 
-    active: Any
-    ray: Any
-    rng: Any
-    start: Any = starts_as("Bool", True)
-    throughput: Any = starts_as("Color3f", 1)
     share: Any = starts_as("Color3f")
-    depth: Any = starts_as("UInt32")
-    bounces: Any = starts_as("UInt32")
-    last: Vertex = field(default_factory=make_eye)
     last_cosine: Any = starts_as("Float", 1)
-    diffuse: Any = starts_as("Color3f")
-    specular: Any = starts_as("Color3f")
-    looks: Any = starts_as("Bool")
-    hit_count: Any = starts_as("Float")
-    hit_inverse: Any = starts_as("Float")
 
 
-class PointWalk:
+class PointWalk(Walker):
     """The light of runs of point lights or spheres at pixels, and of what mirrors and smooth glass show.
 
-    ``numbers`` holds opaque numbers (UInt32): ``number`` of lights, ``max_depth`` and ``width`` of the image.
-    With ``compensates``, rays of the points' own BSDF add the light that the clamp removes.
+    ``numbers`` holds the ``number`` of lights, too. With ``compensates``, rays of the points' own BSDF add the light
+    that the clamp removes.
     """
+
+    _lighting: Lighting
 
     def __init__(
         self,
@@ -60,20 +49,9 @@ class PointWalk:
         *,
         compensates: bool,
     ) -> None:
-        self._scene = scene
-        self._materials = materials
-        self._lighting = lighting
-        self._numbers = numbers
+        super().__init__(scene, materials, lighting, numbers, mi.BSDFFlags.Delta)
         self._compensates = compensates
-        passes = mi.BSDFFlags.Null | mi.BSDFFlags.DeltaReflection | mi.BSDFFlags.DeltaTransmission
-        self._follows = compensates or any(
-            mi.has_flag(node.bsdf.flags(), passes) for material in materials.values() for node in material
-        )
-
-    @property
-    def state(self) -> Any:
-        """Arrays that the walk reads beside the scene (a PyTree)."""
-        return self._lighting.state
+        self._follows |= compensates
 
     def take(self, points: Points, index: Any, end: Any, seed: Any, all_lights: bool) -> tuple[Any, Any, Any, Any]:
         """Return sample number ``index`` of ``end``; see `lobewise.render.tracing.points.average_samples`."""
@@ -110,24 +88,15 @@ class PointWalk:
     def _visit(self, walk: _Walk, points: Points, run: Any, runs: Any, max_depth: Any) -> None:
         """Add the light at the next surface of a walk, and sample the next direction."""
         scene = self._scene
-        si = dr.select(walk.start, points.si, scene.ray_intersect(walk.ray, ~walk.start))
-        later = ~walk.start
-        met = si.is_valid()
-
-        # Count the hit of the first mirror.
-        walk.hit_count += dr.select(walk.looks, 1.0, 0.0)
-        walk.hit_inverse += invert_distance(si, walk.looks & met)
-
-        # Add hit emitters, except as direct light.
-        emitted, weight = meet_emitter(scene, si, walk.last, later & (walk.bounces >= 2))
-        self._add(walk, walk.bounces >= 2, emitted * weight, mi.Color3f(0))
+        si, emitted = walk.meet(scene, points)
+        self._add(walk, walk.bounces >= 2, emitted, mi.Color3f(0))
 
         # Keep the part of the throughput that the clamp of virtual lights removes.
         geometry = walk.last_cosine * dr.abs(dr.dot(si.n, walk.ray.d)) / dr.square(si.t)
         beyond = 1.0 - dr.minimum(self._lighting.bound / geometry, 1.0)
         part_beyond_clamp = dr.select(walk.last.is_delta, 1.0, beyond if self._compensates else 0.0)
-        walk.throughput *= dr.select(later, part_beyond_clamp, 1.0)
-        walk.active = met & (walk.depth + 2 <= max_depth) & (dr.max(walk.throughput) > 0)
+        walk.throughput *= dr.select(walk.start, 1.0, part_beyond_clamp)
+        walk.active = si.is_valid() & (walk.depth + 2 <= max_depth) & (dr.max(walk.throughput) > 0)
         bsdf = si.bsdf()
 
         # Add virtual lights.
@@ -152,14 +121,8 @@ class PointWalk:
             walk.share = dr.select(first, dr.select(is_delta, 0.0, share), walk.share)
         # Rays of smooth lobes go on only to compensate the clamp and, after the first scattering, to hit emitters.
         walk.active &= (dr.max(scattering.factor) > 0) & (is_delta | ~first | mi.Bool(self._compensates))
-        walk.looks = walk.active & first & is_delta
-        walk.ray = scattering.ray
-        walk.throughput *= scattering.factor
-        walk.depth += 1
-        walk.bounces += dr.select(scattering.is_null, mi.UInt32(0), 1)
-        walk.last = scattering.vertex
+        walk.go_on(scattering)
         walk.last_cosine = dr.abs(scattering.chosen.wo.z)
-        walk.start = mi.Bool(False)
 
     def _add(self, walk: _Walk, active: Any, value: Any, diffuse: Any) -> None:
         """Add ``value``, whose diffuse part is ``diffuse`` before the first scattering, and the walk's share after."""
