@@ -46,7 +46,6 @@ INNER_ROOMS = {
     "recipes": ["upsampling", "adaptive", "temporal", "windows", "streaming", "sequence"],
     "render": [
         "bridge",
-        "frozen",
         "variant",
         "camera",
         "camera_path",
@@ -68,16 +67,14 @@ INNER_ROOMS = {
     "interactive": [
         "settings",
         "methods",
-        "samples",
         "changes",
         "filter_choice",
         "temporal_gradients",
         "views",
         "direct_filter",
         "resting",
+        "samples",
         "repairing",
-        "lens",
-        "interactive_frame",
         "session",
     ],
 }

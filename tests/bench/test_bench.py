@@ -12,8 +12,8 @@ from lobewise.cli.bench.interactive import list_render_devices, measure_devices
 from lobewise.cli.bench.machine import describe_machine
 from lobewise.cli.main import run
 from lobewise.errors import InputError
-from lobewise.interactive.interactive_frame import STAGES
 from lobewise.interactive.settings import InteractiveSettings
+from lobewise.interactive.views import STAGES
 
 pytestmark = [pytest.mark.mitsuba, pytest.mark.usefixtures("mi")]
 

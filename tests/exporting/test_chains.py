@@ -19,9 +19,8 @@ from lobewise.exporting.names import CHAINS, SHADER_LANGUAGES
 from lobewise.exporting.shaders.chains import make_chain
 from lobewise.exporting.shaders.constants import compute_constants
 from lobewise.exporting.shaders.language import Field, lay_out
-from lobewise.exporting.shaders.listing import count_bytes
 from lobewise.exporting.shaders.passes import write_pass
-from lobewise.exporting.shaders.writing import export_chain
+from lobewise.exporting.shaders.writing import count_bytes, export_chain
 from lobewise.filters.cross_filter import run_filter
 from lobewise.records.frame import Frame
 from lobewise.settings import FORM_NAMES, DenoiseSettings

@@ -18,8 +18,7 @@ from lobewise.cli.main import run
 from lobewise.denoising import resolve_settings
 from lobewise.errors import DeviceError, FileError, InputError
 from lobewise.exporting.names import TARGETS
-from lobewise.exporting.pipeline.alone import filter_alone
-from lobewise.exporting.pipeline.recording import make_pipeline
+from lobewise.exporting.pipeline.recording import filter_alone, make_pipeline
 from lobewise.exporting.pipeline.sample import collect_images, make_settings, prepare_frame
 from lobewise.exporting.pipeline.scene import SPP, make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings

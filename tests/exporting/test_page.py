@@ -12,7 +12,7 @@ from lobewise.cli.exporting import KNOBS
 from lobewise.cli.main import run
 from lobewise.exporting.names import TARGETS
 from lobewise.exporting.pipeline.writing import MAX_DEVICE_DIFFERENCE, MAX_DIFFERENCE, MAX_PLAIN_DIFFERENCE
-from lobewise.exporting.shaders.functions import make_shader
+from lobewise.exporting.shaders.writing import make_shader
 from tests.exporting.conftest import locate_program
 
 DOCS = Path(__file__).parents[2] / "docs"

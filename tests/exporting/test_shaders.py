@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lobewise.errors import FileError, InputError
 from lobewise.exporting.names import SHADER_LANGUAGES
-from lobewise.exporting.shaders.functions import export_shader, make_shader
+from lobewise.exporting.shaders.writing import export_shader, make_shader
 from lobewise.features.normal import LAMBERT_COEFFICIENTS
 from lobewise.fitting.arrays import normalize
 from lobewise.lobes.covariance import GGX_SHARPNESS

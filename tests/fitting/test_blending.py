@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from lobewise.errors import InputError
-from lobewise.fitting.blending import blend_tables
 from lobewise.fitting.fit import fit_lobes
 from lobewise.fitting.ggx import ggx_brdf
-from lobewise.fitting.table import evaluate_lobes, evaluate_table
+from lobewise.fitting.table import blend_tables, evaluate_lobes, evaluate_table
 from lobewise.records.lobe_table import LobeTable
 
 NORMAL = np.array([0.0, 0.0, 1.0])

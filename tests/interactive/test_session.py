@@ -11,8 +11,8 @@ import pytest
 
 from lobewise.errors import InputError
 from lobewise.interactive import InteractiveSettings, Session
-from lobewise.interactive.interactive_frame import STAGES
 from lobewise.interactive.settings import VIEWS
+from lobewise.interactive.views import STAGES
 from lobewise.metrics import rel_mse
 from lobewise.recipes.temporal import TemporalFilter
 from lobewise.records.camera import Camera

@@ -121,7 +121,7 @@ def interactive(
 
 def _print_stages(device: str, rows: Sequence[dict[str, Any]]) -> None:
     from lobewise.cli.output import print_table
-    from lobewise.interactive.interactive_frame import STAGES
+    from lobewise.interactive.views import STAGES
 
     header = ["", *(f"{row['method']}_{row['width']}x{row['height']}".replace("_", "\n") for row in rows)]
     lines = [[name, *(f"{1000.0 * row['seconds'][name]:.1f}" for row in rows)] for name in (*STAGES, "frame")]

@@ -92,7 +92,7 @@ def single_filter(settings: dict[str, Any], *, compiled: Compiled) -> None:
 def functions(language: Language, output: Annotated[Path, output_option], force: Force = False) -> None:
     """Write the weights as functions of a shader language."""
     from lobewise.cli.output import print_line
-    from lobewise.exporting.shaders.functions import export_shader
+    from lobewise.exporting.shaders.writing import export_shader
 
     export_shader(output, language, force=force)
     print_line(f"Wrote {output}: lobewise.{language}, README.md.")
@@ -119,7 +119,7 @@ def passes(
     require_one(output, list_contents)
     if output is None:
         from lobewise.exporting.shaders.chains import make_chain
-        from lobewise.exporting.shaders.listing import list_chain
+        from lobewise.exporting.shaders.writing import list_chain
 
         require_choice("shader language", language, SHADER_LANGUAGES)
         for line in list_chain(make_chain(chain, form=form, similarity=similarity), language):

@@ -1,13 +1,17 @@
-"""The samples of indirect light as the radiance and the rays of frames."""
+"""The samples of a frame: indirect light, and the light through a lens of a camera that stands still."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.records.frame import Radiance
-from lobewise.records.sparse_frame import Rays, list_places
-from lobewise.render.stages import IndirectLight
+from lobewise.interactive.resting import Resting
+from lobewise.interactive.settings import InteractiveSettings
+from lobewise.records.frame import FloatArray, Radiance
+from lobewise.records.sparse_frame import Rays, SparseFrame, list_places
+from lobewise.render.stages import FirstHits, IndirectLight, Stages
 from lobewise.render.tracing.own_samples import OwnLight
 from lobewise.render.tracing.points import IndirectMethod
 
@@ -43,3 +47,30 @@ def make_rays(light: IndirectLight, shape: tuple[int, int]) -> Rays | None:
         return None
     known = np.isfinite(light.ray_weight)
     return Rays(np.where(known, light.ray_weight, np.float32(1.0)).reshape(shape))
+
+
+SHARP_WORTH = 4.0
+"""Weight of the picture without the lens in the mean, in samples of the pixel itself. It shows other light than the
+lens does, so that it must vanish soon."""
+
+
+@dataclass
+class LensMean:
+    """The mean of the light through a lens over the frames since the camera stands still."""
+
+    mean: Resting = field(default_factory=lambda: Resting(SHARP_WORTH))
+
+    def add(
+        self, image: FloatArray, stages: Stages, hits: FirstHits, settings: InteractiveSettings, number: int, seed: int
+    ) -> FloatArray:
+        """Return the mean of all frames, (height, width, 3), after some pixels were shaded through the lens.
+
+        ``image`` is the picture without the lens, and ``number`` chooses the pixel of every block.
+        """
+        height, width = image.shape[:2]
+        scale = max(1, min(settings.scale, width, height) // 2)
+        place, grid, shape = choose_pixels((width, height), scale, number)
+        color = stages.shade_through_lens(hits.camera, *grid, settings.spp, seed)
+        radiance = Radiance(color.reshape(*shape, 3))
+        self.mean.frames += 1
+        return self.mean.add_indirect(image, SparseFrame(radiance, hits.gbuffer, scale, place, hits.camera), None)

@@ -19,15 +19,13 @@ from lobewise.filters.history.light import LightPast
 from lobewise.interactive.changes import SceneChanges, Seen
 from lobewise.interactive.direct_filter import settle_direct
 from lobewise.interactive.filter_choice import FilterChoice
-from lobewise.interactive.interactive_frame import STAGES, InteractiveFrame, watch
-from lobewise.interactive.lens import LensMean
 from lobewise.interactive.methods import Methods
 from lobewise.interactive.repairing import repair
 from lobewise.interactive.resting import Again, Resting
-from lobewise.interactive.samples import choose_pixels, make_radiance, make_rays
+from lobewise.interactive.samples import LensMean, choose_pixels, make_radiance, make_rays
 from lobewise.interactive.settings import UNFILTERED, InteractiveSettings
 from lobewise.interactive.temporal_gradients import Shaded, compute_changes, follows_hits, relight
-from lobewise.interactive.views import Parts
+from lobewise.interactive.views import STAGES, InteractiveFrame, Parts, watch
 from lobewise.recipes.temporal.recipe import TemporalFilter
 from lobewise.recipes.upsampling import upsample
 from lobewise.records.camera import Camera

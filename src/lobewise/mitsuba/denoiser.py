@@ -11,9 +11,8 @@ import numpy as np
 from lobewise.denoising.automatic import ask, change_settings
 from lobewise.denoising.recipe import denoise_quietly
 from lobewise.errors import InputError, require_choice, require_integer
-from lobewise.mitsuba.frames import Given, list_channels, make_frame, to_camera_space
+from lobewise.mitsuba.frames import Given, History, list_channels, make_frame, to_camera_space
 from lobewise.mitsuba.gradients import LinearImage, apply_differentiably
-from lobewise.mitsuba.history import History
 from lobewise.mitsuba.linear import LinearFilter
 from lobewise.mitsuba.tensors import (
     ROOT,

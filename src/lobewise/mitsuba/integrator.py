@@ -1,12 +1,125 @@
-"""A plugin of Mitsuba that renders and denoises, for scenes that name it as their integrator."""
+"""Rendering and denoising of a Mitsuba scene: in one call, and as an integrator that scenes name."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from lobewise.denoising.automatic import ask
-from lobewise.errors import InputError
-from lobewise.mitsuba.scenes import denoise
+from lobewise.denoising.recipe import denoise_quietly
+from lobewise.errors import InputError, require_integer
+from lobewise.settings import DenoiseSettings
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
+    from lobewise.settings import DenoiseChanges
+
+
+def denoise(
+    scene: Any,
+    spp: int,
+    sensor: Any = 0,
+    seed: int = 0,
+    *,
+    integrator: str = "auto",
+    max_depth: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    settings: DenoiseSettings | None = None,
+    **changes: Unpack[DenoiseChanges],
+) -> Any:
+    """Return a denoised image of a scene, as ``mitsuba.render`` returns a noisy one.
+
+    The scene is rendered with a box filter and with all guides: normals, roughness, albedos, reflected surfaces, and
+    light separated by the lobe that scattered it first.
+
+    Parameters
+    ----------
+    scene : mitsuba.Scene
+        A scene of the variant ``llvm_ad_rgb`` or ``cuda_ad_rgb``.
+    spp : int
+        Samples per pixel.
+    sensor : int or mitsuba.Sensor
+        A perspective sensor, or the number of one of the scene's sensors, counted from 0.
+    seed : int
+        The same seed gives the same image.
+    integrator, max_depth
+        The integrator, and its longest path; see `lobewise.render.render_frame`.
+    progress : callable, optional
+        Called with ``(done, total)`` samples.
+    settings : DenoiseSettings, optional
+        As for `lobewise.denoise`.
+    **changes
+        Single settings by name.
+
+    Returns
+    -------
+    mitsuba.TensorXf
+        (height, width, 3), linear.
+
+    Raises
+    ------
+    InputError
+        If the variant, sensor or integrator is not supported, a number is out of range, or a parameter of
+        the scene carries gradients.
+    UnsupportedBsdfError, MissingDependencyError
+        See `lobewise.render.render_frame`.
+
+    Examples
+    --------
+    >>> import mitsuba as mi  # doctest: +SKIP
+    >>> mi.util.write_bitmap("clean.png", lobewise.mitsuba.denoise(scene, spp=16))  # doctest: +SKIP
+    """
+    from lobewise.render import render_frame
+    from lobewise.render.bridge import mi
+    from lobewise.render.camera import use_sensor
+    from lobewise.render.integrators import check_scene
+
+    chosen = ask(settings, changes)
+    check_scene(scene)
+    _refuse_gradients(scene)
+    eye = _choose_sensor(scene, sensor)
+    with use_sensor(eye):
+        light: dict[str, Any] = {"integrator": integrator, "max_depth": max_depth}
+        frame = render_frame(scene, spp=spp, seed=seed, progress=progress, **light)
+    return mi.TensorXf(np.ascontiguousarray(denoise_quietly(frame, chosen).image))
+
+
+def _choose_sensor(scene: Any, sensor: Any) -> Any:
+    """Return the scene's sensor of a number, or the sensor itself if one is given.
+
+    Raises
+    ------
+    InputError
+        If it is neither.
+    """
+    from lobewise.render.bridge import mi
+
+    if isinstance(sensor, mi.Sensor):
+        return sensor
+    sensors = scene.sensors()
+    if not sensors:
+        action = "add <sensor type='perspective'> to the scene"
+        raise InputError("scene", expected="a sensor", got="none", action=action)
+    return sensors[require_integer("sensor", sensor, 0, len(sensors) - 1)]
+
+
+def _refuse_gradients(scene: Any) -> None:
+    """Raise InputError if a parameter of a scene carries gradients, because rendering here loses them."""
+    from lobewise.render.bridge import dr, mi
+
+    parameters = mi.traverse(scene)
+    for name in parameters.keys():  # noqa: SIM118  # Mitsuba's own type, no mapping
+        if dr.grad_enabled(parameters[name]):
+            raise InputError(
+                f"scene parameter {name!r}",
+                expected="a value without gradients, as rendering and denoising in one step passes none",
+                got="one that carries them",
+                action="render with mi.render and denoise with Denoiser(quality='fast'), or dr.disable_grad it",
+            )
+
 
 PLUGIN = "lobewise"
 """Name of the integrator in scene files and dictionaries."""

@@ -1,4 +1,4 @@
-"""Mitsuba and Dr.Jit as untyped modules, with helpers for their loops.
+"""Mitsuba and Dr.Jit as untyped modules, with helpers for their loops and for functions that they record.
 
 Their type stubs describe one variant, know no broadcasting, miss overloads, and are absent if the packages are not
 installed. The rest of this room imports the two modules from here, so that the type checker reports the same on every
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from lobewise.errors import MissingDependencyError
 from lobewise.lobes.numbers import Namespace
+from lobewise.records.frame import FloatArray
 
 try:
     import drjit
@@ -130,3 +131,62 @@ def give_vectors(values: Any) -> NDArray[np.float32]:
     """Return vectors or colours as an array (3, count)."""
     dr.eval(values)
     return np.stack([np.array(row, dtype=np.float32) for row in values])
+
+
+UNRECORDABLE = "The frozen function included a virtual function call"
+"""Dr.Jit's message for a function that it cannot record because it calls nested objects, such as BSDFs under a map."""
+
+MAX_RECORDINGS = 32
+"""Number of recordings of one function that are kept, for sizes and kinds of arrays that differ."""
+WARN_AFTER = 200
+"""Number of recordings of one function from which on Dr.Jit warns: a scene that moves needs new ones now and then."""
+
+
+class Recorded:
+    """A Dr.Jit function that is recorded once and then replayed. If Dr.Jit cannot record it, it runs every time.
+
+    ``function`` takes Dr.Jit arrays and returns a PyTree of them. ``get_state`` returns the objects that ``function``
+    reads beside its arguments, such as the scene and other Dr.Jit arrays. With ``records`` false nothing is recorded.
+    """
+
+    def __init__(self, function: Callable[..., Any], get_state: Callable[[], Any], *, records: bool = True) -> None:
+        self._plain = function
+        self._get_state = get_state
+        self._records = records
+        self.forget()
+
+    def forget(self) -> None:
+        """Record the function again at its next call."""
+        self._run = self._plain
+        if self._records:
+            self._run = dr.freeze(
+                self._plain, state_fn=lambda *_, **__: self._get_state(), limit=MAX_RECORDINGS, warn_after=WARN_AFTER
+            )
+
+    @hold_garbage()
+    def run(self, *arguments: Any) -> Any:
+        """Return the results as Dr.Jit arrays."""
+        try:
+            return self._run(*arguments)
+        except RuntimeError as error:
+            if UNRECORDABLE not in str(error.__cause__):
+                raise
+            self._run = self._plain
+            return self._plain(*arguments)
+
+
+class Frozen(Recorded):
+    """A recorded function that returns a list of arrays."""
+
+    def __call__(self, *arguments: Any) -> list[FloatArray]:
+        """Return the results as NumPy arrays of one dimension."""
+        # Flatten the results outside the recording: where each vector goes depends on the number of lanes.
+        results = [_flatten(result) for result in self.run(*arguments)]
+        dr.eval(results)
+        # On the CPU these are views that keep Dr.Jit's memory alive.
+        return [result.numpy() for result in results]
+
+
+def _flatten(value: Any) -> Any:
+    """Return an array of vectors as an array of numbers, lane after lane."""
+    return dr.ravel(value) if dr.depth_v(value) > 1 else value

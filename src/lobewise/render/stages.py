@@ -16,9 +16,8 @@ from lobewise.records.camera import Camera
 from lobewise.records.frame import FloatArray, GBuffer
 from lobewise.records.images import make_read_only
 from lobewise.records.lobe_table import LobeTable
-from lobewise.render.bridge import dr, mi, take_numbers
+from lobewise.render.bridge import Frozen, dr, mi, take_numbers
 from lobewise.render.camera import LENS, get_camera, get_image_size, get_sensor, is_flat, set_camera, use_sensor
-from lobewise.render.frozen import Frozen
 from lobewise.render.gbuffer import Moves, add_motion, compute_guides
 from lobewise.render.integrators import check_scene, choose_lens_light, choose_own_light, read_path_depth
 from lobewise.render.materials.bsdfs import list_lobe_tables, read_scene_materials

@@ -63,8 +63,7 @@ def test_an_old_scene_may_become_garbage_between_any_two_calls(mi: Any, tmp_path
 
 
 def test_garbage_waits_until_a_recording_is_done(mi: Any) -> None:
-    from lobewise.render.bridge import dr, follow, repeat
-    from lobewise.render.frozen import Frozen
+    from lobewise.render.bridge import Frozen, dr, follow, repeat
     from lobewise.render.tracing.rays import _Skip
 
     seen: list[bool] = []

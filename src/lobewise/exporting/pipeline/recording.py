@@ -2,33 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 from lobewise import engine
 from lobewise.denoising.bad_pixels import fill_holes
 from lobewise.denoising.chain import filter_whole
-from lobewise.denoising.layers import split_lobes
+from lobewise.denoising.layers import (
+    Compared,
+    Layer,
+    compare_specular,
+    filter_layer,
+    make_position_features,
+    mark_surface,
+    split_lobes,
+)
 from lobewise.denoising.plain import add_up
-from lobewise.engine.graph import Graph
-from lobewise.engine.numbers import Number
+from lobewise.engine.graph import Graph, GraphImage
+from lobewise.engine.numbers import Condition, Number
 from lobewise.engine.recorder import Recorder
-from lobewise.exporting.pipeline.alone import filter_alone
 from lobewise.exporting.pipeline.constants import Constants
 from lobewise.exporting.pipeline.frame import SIZE, Features, PipelineGuides, no_features
-from lobewise.exporting.pipeline.past import make_past
 from lobewise.exporting.pipeline.pipeline import Pipeline
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.exporting.targets import get_gpu_api, parse_target
+from lobewise.features import DiffuseFeature, Feature
 from lobewise.filters import glue
+from lobewise.filters.cross_filter import FilterOutput
+from lobewise.filters.forms import describe_form
 from lobewise.filters.history.accumulation import KnownKernel
+from lobewise.filters.history.reprojection import ComparedPixels
+from lobewise.filters.history.sums import HISTORY_CHANNELS
 from lobewise.recipes.temporal.past import HistoryReprojection
 from lobewise.recipes.temporal.recipe import Growth, join_history, make_named_layers
-from lobewise.recipes.temporal.validation import compute_same_tau
+from lobewise.recipes.temporal.validation import ValidationFeatures, compute_same_tau
 from lobewise.recipes.upsampling import join_sparse, tint_samples, upsample_by_guides
-from lobewise.settings import TemporalSettings
+from lobewise.records.frame import FloatArray, Frame
+from lobewise.settings import ResolvedSettings, TemporalSettings
 
 
 def make_pipeline(
@@ -162,3 +174,75 @@ def compute_growth(guides: PipelineGuides) -> Growth:
     code = f"({constants.get('screen_sigma').code} > 0.0 || {known} == 0 ? {sigma.code} : {narrow.code})"
     kernel = KnownKernel(known, sigma, Number(float(narrow) if known else float(sigma), code))
     return Growth(constants.get("strictness"), constants.own_weight, kernel)
+
+
+@dataclass(frozen=True)
+class GivenPast:
+    """The frame before.
+
+    Parameters
+    ----------
+    guides : PipelineGuides
+        Of the frame before only the camera is known.
+    similarity : str
+    sums : mapping of str to GraphImage
+        Sums of each layer, by its name.
+    frame : PipelineGuides
+        The frame itself.
+    """
+
+    guides: Any
+    similarity: str
+    sums: Mapping[str, GraphImage]
+    frame: PipelineGuides
+    validation = True
+    exists = Condition("p->has_past")
+
+    def get_pixels(self, name: str, features: ValidationFeatures) -> Any:
+        """Return the pixels of a layer."""
+        recorder = self.frame.kernels
+        mask = recorder.declare(f"{name}_mask", *SIZE, type="uint8")
+        planes = recorder.before.get(f"{name}_planes")
+        size: Any = "p->height", "p->width"
+        return ComparedPixels((), mask, planes, size)  # type: ignore[arg-type]  # recorded images stand for arrays
+
+
+def make_past(guides: PipelineGuides) -> GivenPast:
+    """Return the frame before of a pipeline's frame."""
+    declare = guides.kernels.declare
+    sums = {name: declare(f"{name}_sums", HISTORY_CHANNELS, *SIZE) for name in guides.settings.layer_names}
+    return GivenPast(guides.before, guides.settings.similarity, sums, guides)
+
+
+def filter_alone(
+    frame: Frame,
+    settings: PipelineSettings,
+    resolved: ResolvedSettings,
+    features: Sequence[Feature],
+    light: FloatArray,
+    albedo: FloatArray | None,
+) -> FilterOutput:
+    """Return a light after one pass.
+
+    Parameters
+    ----------
+    frame : Frame
+        Its guides and its camera.
+    settings, resolved
+        What is fixed when the filter is compiled, and its numbers.
+    features : sequence of Feature
+        More features.
+    light : (height, width, 3)
+        Linear radiance.
+    albedo : (height, width, 3), optional
+        Divides the light before the filter and multiplies it after.
+    """
+    if settings.similarity == "diffuse":
+        surface = mark_surface(frame)
+        normal = frame.gbuffer.require("normal", "similarity 'diffuse'")
+        compared = Compared((DiffuseFeature(normal, resolved.diffuse_beta),), surface, surface)
+    else:
+        compared = compare_specular(frame, resolved, True)
+    every = *make_position_features(frame, resolved), *features, *compared.features
+    with engine.part(describe_form(settings.form, settings.radius)):
+        return filter_layer(Layer(light, albedo, compared.mask, every, "light"), resolved)

@@ -11,8 +11,8 @@ import numpy as np
 from lobewise.denoising.automatic import resolve_settings
 from lobewise.denoising.recipe import check_frame, denoise_checked
 from lobewise.engine.graph import Graph
-from lobewise.exporting.pipeline.alone import filter_alone
 from lobewise.exporting.pipeline.frame import Features, no_features
+from lobewise.exporting.pipeline.recording import filter_alone
 from lobewise.exporting.pipeline.scene import CUT, average, make_frame
 from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.recipes.temporal import TemporalFilter

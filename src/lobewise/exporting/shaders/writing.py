@@ -1,8 +1,9 @@
-"""Write a chain as a folder: a file for each pass, ``chain.json`` and a README."""
+"""Write folders of shader text: functions that compare pixels, or the passes of a chain with ``chain.json``."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from typing import Any
 
 import lobewise
@@ -10,11 +11,89 @@ from lobewise.errors import require_choice
 from lobewise.exporting.folder import DOCS, MARK, write_folder
 from lobewise.exporting.names import SHADER_LANGUAGES
 from lobewise.exporting.shaders.chains import make_chain
-from lobewise.exporting.shaders.declarations import read_template
-from lobewise.exporting.shaders.language import lay_out
-from lobewise.exporting.shaders.listing import count_bytes
-from lobewise.exporting.shaders.passes import WORKGROUP, Chain, Image, Pass, write_pass
+from lobewise.exporting.shaders.declarations import list_constants, read_template
+from lobewise.exporting.shaders.language import lay_out, translate_text
+from lobewise.exporting.shaders.passes import WORKGROUP, Chain, Image, Lifetime, Pass, write_pass
 from lobewise.io.files import PathLike
+
+BYTES = {"rgba32float": 16, "rgba16float": 8}
+"""Bytes of a pixel, by format."""
+
+
+def count_bytes(chain: Chain) -> tuple[int, int]:
+    """Return the bytes of each pixel that images take within a frame, at most at once, and from frame to frame.
+
+    Images of lifetime "frame" may share memory once no later pass reads them. Samples count as pixels.
+    """
+    state = [image for image in chain.images if image.lifetime in (Lifetime.KEPT, Lifetime.BEFORE)]
+    last_reader = {
+        image: number for number, shader_pass in enumerate(chain.passes) for image in shader_pass.reads.values()
+    }
+    alive: set[str] = set()
+    most = 0
+    for number, shader_pass in enumerate(chain.passes):
+        written = [chain.get_image(name) for name in shader_pass.writes.values()]
+        alive |= {image.name for image in written if image.lifetime is Lifetime.FRAME}
+        most = max(most, sum(BYTES[chain.get_image(name).format] for name in alive))
+        alive = {name for name in alive if last_reader.get(name, -1) > number}
+    return most, sum(BYTES[image.format] for image in state)
+
+
+def list_chain(chain: Chain, language: str) -> Iterator[str]:
+    """Yield lines that say what a chain contains."""
+    yield f"lobewise chain {chain.name} in {language}. {chain.comment}"
+    for title, lifetime in (("Inputs", Lifetime.GIVEN), ("Results", Lifetime.RESULT)):
+        yield f"{title}:"
+        for image in chain.images:
+            if image.lifetime is lifetime:
+                yield f"  {image.name}: {image.extent[0]} x {image.extent[1]}, {image.comment}"
+    within, between = count_bytes(chain)
+    memory = f"{within} bytes for each pixel within a frame, {between} from frame to frame"
+    yield f"Memory: {memory}, beside inputs and result."
+    yield f"Passes: {len(chain.passes)}."
+    for number, shader_pass in enumerate(chain.passes, 1):
+        reads, writes = (
+            ", ".join(dict.fromkeys(images.values())) for images in (shader_pass.reads, shader_pass.writes)
+        )
+        yield f"{number}. {shader_pass.name}: {reads} -> {writes}"
+
+
+def make_shader(language: str) -> str:
+    """Return the functions in "hlsl", "glsl" or "wgsl".
+
+    Raises InputError if there is no such language.
+    """
+    require_choice("shader language", language, SHADER_LANGUAGES)
+    return translate_text(read_template("weights.shader", list_constants()), language)
+
+
+def export_shader(output: PathLike, language: str, *, force: bool = False) -> None:
+    """Write a folder with the weights as shader functions.
+
+    Parameters
+    ----------
+    output : path
+        The folder, new or empty.
+    language : {"hlsl", "glsl", "wgsl"}
+    force : bool
+        Replace an earlier export and everything in its folder.
+
+    Raises
+    ------
+    InputError
+        If there is no such language.
+    FileError
+        If the folder is not empty or cannot be written.
+    """
+    version = lobewise.__version__
+    parts = {"title": language.upper(), "language": language, "version": version, "docs": DOCS}
+    texts = {
+        f"lobewise.{language}": make_shader(language),
+        "README.md": read_template("functions_readme.md", parts),
+        MARK: json.dumps({"lobewise": version, "target": language}) + "\n",
+    }
+    write_folder(output, texts, force=force)
+
 
 DESCRIPTION = "chain.json"
 """The file that describes a chain to programs."""

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.fitting.arrays import Array, make_view
-from lobewise.fitting.blending import blend_tables
 from lobewise.fitting.nodes import make_upper_nodes
+from lobewise.fitting.table import blend_tables
 from lobewise.lobes.numbers import NUMPY, Namespace
 from lobewise.lobes.vectors import LUMINANCE, dot, scale, subtract
 from lobewise.records.lobe_table import LobeTable

@@ -30,9 +30,8 @@ from lobewise.lobes.vectors import LUMINANCE
 from lobewise.render.bridge import DRJIT, dr, mi, repeat
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.virtual_lights.clusters import Clusters, Lights, make_clusters
-from lobewise.render.virtual_lights.light_paths import LightSet
+from lobewise.render.virtual_lights.light_paths import LightSet, Visibility
 from lobewise.render.virtual_lights.receivers import Receiver, read_lights, split, weigh_distance
-from lobewise.render.virtual_lights.visibility import Visibility
 
 SPREAD = 3.0
 """Variance of a cluster's Gaussian in reflections, over that of its lights. Lights fill a cell of width w, of variance

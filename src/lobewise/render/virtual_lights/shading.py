@@ -9,8 +9,7 @@ from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import split_scattering
 from lobewise.render.tracing.points import Points
 from lobewise.render.tracing.rays import draw_point
-from lobewise.render.virtual_lights.light_paths import LightSet, evaluate_towards
-from lobewise.render.virtual_lights.visibility import Visibility
+from lobewise.render.virtual_lights.light_paths import LightSet, Visibility, evaluate_towards
 
 _MIN_DISTANCE = 1e-6
 """Smallest distance to a light, over the largest coordinate plus 1. It avoids a division by 0."""

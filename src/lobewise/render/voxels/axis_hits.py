@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.errors import InputError
-from lobewise.render.bridge import dr, give_vectors, mi, take_vectors
-from lobewise.render.frozen import Recorded
+from lobewise.render.bridge import Recorded, dr, give_vectors, mi, take_vectors
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import dispatch_surface
 from lobewise.render.moving.shapes import Box, measure_box

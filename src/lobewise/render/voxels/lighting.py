@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.render.bridge import dr, give_vectors, mi, repeat, take_numbers, take_vectors
-from lobewise.render.frozen import Recorded
+from lobewise.render.bridge import Recorded, dr, give_vectors, mi, repeat, take_numbers, take_vectors
 from lobewise.render.tracing.rays import draw_point, make_rng
 from lobewise.render.voxels.axis_hits import Bounds, Hits
 from lobewise.render.voxels.grid import (
