@@ -43,7 +43,7 @@ ROOMS = [
 INNER_ROOMS = {
     "work": ["chunks", "progress", "limits", "arrays"],
     "records": ["images", "radiance", "lobe_table", "camera", "result", "frame", "sparse_frame"],
-    "recipes": ["upsampling", "adaptive", "temporal", "windows", "streaming", "sequence"],
+    "recipes": ["upsampling", "adaptive", "temporal", "windows", "streaming", "sequence", "files"],
     "render": [
         "bridge",
         "variant",

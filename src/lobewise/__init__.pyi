@@ -12,6 +12,10 @@ from .io.exr.sparse import write_sparse_frame as write_sparse_frame
 from .peers import denoise_oidn as denoise_oidn
 from .recipes.adaptive import find_unsupported as find_unsupported
 from .recipes.adaptive import recompute as recompute
+from .recipes.files import FileRequest as FileRequest
+from .recipes.files import FileResult as FileResult
+from .recipes.files import denoise_files as denoise_files
+from .recipes.sequence import SequenceReport as SequenceReport
 from .recipes.streaming import DenoisedFile as DenoisedFile
 from .recipes.streaming import denoise_file as denoise_file
 from .recipes.temporal import TemporalFilter as TemporalFilter

@@ -108,16 +108,16 @@ class TestDenoise:
 
     @pytest.mark.parametrize(("option", "with_oidn"), [("--with-oidn", True), ("--offline", False), ("", "auto")])
     def test_open_image_denoise_is_asked_for(self, option, with_oidn, frame_file, tmp_path, monkeypatch, capsys):
-        from lobewise.denoising import recipe
+        from lobewise.recipes.files import denoiser
 
         asked = []
-        real = recipe.denoise_checked
+        real = denoiser.denoise_checked
 
         def record(checked, named):
             asked.append(named)
             return real(checked, DenoiseSettings(quality="fast", radius=1))
 
-        monkeypatch.setattr(recipe, "denoise_checked", record)
+        monkeypatch.setattr(denoiser, "denoise_checked", record)
         line = ["denoise", str(frame_file), "-o", str(tmp_path / "out.exr")]
         assert run([*line, option] if option else line) == 0
         assert [(one.with_oidn, one.quality) for one in asked] == [(with_oidn, "auto")]
@@ -140,12 +140,13 @@ class TestDenoise:
     def test_refilled_pixels_are_told_and_no_share_of_fireflies(self):
         """The share holds noise as well as light. Only clearly lost light gives a note."""
         from lobewise.cli.output import describe_result
+        from lobewise.recipes.files import FileResult
         from lobewise.records.frame import Result
 
         ones = np.ones((2, 3), np.float32)
         result = Result(np.ones((2, 3, 3), np.float32), ones, ones, ones > 2.0, {"quality": "balanced"}, 0.5)
-        assert describe_result(result) == "3x2 pixels, quality balanced, 0.50 s"
-        told = describe_result(replace(result, energy_lost=0.01234, bad_pixels=ones > 0.0))
+        assert describe_result(FileResult((result,))) == "3x2 pixels, quality balanced, 0.50 s"
+        told = describe_result(FileResult((replace(result, energy_lost=0.01234, bad_pixels=ones > 0.0),)))
         assert told.endswith("0.50 s; 6 bad pixels refilled")
 
     @pytest.mark.nightly

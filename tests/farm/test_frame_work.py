@@ -122,7 +122,7 @@ def test_only_the_frames_that_are_asked_for(folder: Path, monkeypatch: pytest.Mo
 def test_paths_are_absolute(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (folder / "camera.json").write_text(CAMERA)
     work = catch_job("--camera", "camera.json", "--half", "in.#.exr", monkeypatch=monkeypatch).work
-    paths = [work.source, work.output, work.request.reading.camera, work.request.reading.half]
+    paths = [work.source, work.output, work.request.camera, work.request.half]
     assert all(path.is_absolute() for path in paths)
 
 
@@ -147,7 +147,7 @@ def test_pictures_are_outputs_and_have_the_exposure_of_the_first(folder: Path, m
     assert work.list_outputs(2) == [folder / "far.2.exr", folder / "far.2.png"]
     do(work, 1)
     # Another worker knows the exposure from the picture alone.
-    farming._make_filter.cache_clear()
+    farming._open_filter.cache_clear()
     do(work, 2)
     for number in (1, 2):
         assert (folder / f"far.{number}.png").read_bytes() == (folder / f"near.{number}.png").read_bytes()

@@ -12,13 +12,11 @@ from renderers import WRITERS, make_scene
 
 import lobewise
 from lobewise.cli.main import run
-from lobewise.cli.options.selections import DoneOne, FileOfSeveral, FilterOfEach
 from lobewise.errors import InputError
 from lobewise.interchange import describe_file, import_file
 from lobewise.interchange.reading import list_selections
 from lobewise.interchange.selections import Selection
 from lobewise.io import write_frame
-from lobewise.io.exr.container import Container
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.pixels import decode_part
 from lobewise.records.frame import Frame, GBuffer, Radiance
@@ -238,35 +236,3 @@ def test_sequences_of_views(more: list[str], tmp_path: Path) -> None:
         for number, image in enumerate(images):
             written = lobewise.read_frame(tmp_path / f"out.{number}.exr", view=eye).radiance.color
             np.testing.assert_allclose(written, image, rtol=1e-6)
-
-
-class _Sum:
-    """A filter whose result is the sum of all frames."""
-
-    def __init__(self) -> None:
-        self.total = 0
-
-    def add(self, frame: int, *, cut: bool = False) -> int:
-        self.total += frame
-        return self.total
-
-    def get_state(self) -> dict[str, np.ndarray]:
-        return {"total": np.array(self.total)}
-
-    def set_state(self, state: dict[str, np.ndarray]) -> None:
-        self.total = int(state["total"])
-
-
-def test_each_view_remembers_its_own_frames() -> None:
-    def filter_one(file: FileOfSeveral, selection: Selection, of_one: _Sum, cut: bool) -> DoneOne:
-        return DoneOne(Container(Path(), 2, ()), of_one.add(10 if selection.view == "left" else 1), None)  # type: ignore[arg-type]
-
-    def make() -> FilterOfEach:
-        return FilterOfEach(_Sum, filter_one)  # type: ignore[arg-type]
-
-    file = FileOfSeveral(Path(), (Selection("left"), Selection("right")))
-    first, second = make(), make()
-    first.add(file)
-    second.set_state(first.get_state())
-    for each in (first, second):
-        assert [one.result for one in each.add(file).done] == [20, 2]

@@ -141,7 +141,7 @@ def test_the_program_names_limits(good_file: Path, problem: str, told: str) -> N
     program = (
         "import sys\nfrom lobewise.cli import main\n"
         f"def refuse(*_, **__): raise {problem}\n"
-        "import lobewise.cli.running as running\nrunning.run_filter = refuse\n"
+        "import lobewise.cli.running as running\nrunning.run_files = refuse\n"
         "main(['denoise', sys.argv[1], '-o', sys.argv[1] + '.out.exr', '--quality', 'fast'])\n"
     )
     done = run(program, good_file)

@@ -17,6 +17,7 @@ import pytest
 from lobewise.cli.main import run
 from lobewise.cli.output import describe_result, describe_settings
 from lobewise.io import write_frame
+from lobewise.recipes.files import FileResult
 from lobewise.recipes.streaming import DenoisedFile, plan
 from tests.interrupts import LISTEN
 from tests.streaming.frames import change_radiance, make_scene
@@ -109,7 +110,7 @@ def test_mistakes_in_a_file_are_told_with_its_name(folder: Path, capsys: pytest.
 
 def test_the_account_names_what_was_done() -> None:
     settings = {"similarity": "sg", "form": "full", "quality": "high", "radius": 8, "beta": 1.0, "device": "cpu"}
-    done = DenoisedFile((4320, 7680), 12, 1, 0.01234, settings, 61.234)
+    done = FileResult((DenoisedFile((4320, 7680), 12, 1, 0.01234, settings, 61.234),))
     assert describe_result(done) == ("7680x4320 pixels in 12 bands, quality high, 61.23 s; 1 bad pixel refilled")
     assert describe_settings(done) == "similarity sg, form full, quality high, radius 8, beta 1, device cpu"
 

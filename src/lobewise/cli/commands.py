@@ -213,9 +213,9 @@ def foretell_file(source: Path, reading: PassReading, imported: Imported | None)
 
     ``imported`` is the file if it was read already.
     """
-    from lobewise.cli.options.reading import check_import
     from lobewise.denoising.bad_pixels import require_usable
     from lobewise.denoising.plan import foretell_method
+    from lobewise.recipes.files.denoiser import check_import
 
     settings, height = DenoiseSettings(), None
     if imported is not None:
@@ -231,19 +231,18 @@ def read_planned(
     source: Path, reading: PassReading, settings: dict[str, Any]
 ) -> tuple[CheckedGuides[Frame], int | None]:
     """Return the checked frame of a file, or of a file that is denoised in bands its first row and its height."""
-    from lobewise.cli.options.bands import choose_bands
-    from lobewise.cli.options.reading import check_import, refuse_results
     from lobewise.guides.usable import CheckedGuides
     from lobewise.interchange import import_file
+    from lobewise.recipes.files.denoiser import check_import, choose_bands, refuse_results
     from lobewise.recipes.streaming.checks import open_bands
 
-    needs_whole = "--with-oidn" if DenoiseSettings(**settings).asks_for_oidn else reading.option
-    if choose_bands(source, "auto", settings, needs_whole):
+    request = reading.make_request(settings=DenoiseSettings(**settings))
+    if choose_bands(source, request):
         reader = open_bands(source)
         return CheckedGuides(reader.read_frame(0, 1)), reader.shape[0]
     imported = import_file(source, **reading.parse(), half=reading.half, also=reading.also or (), light_passes=True)
     refuse_results(source, imported.findings)
-    return check_import(imported, DenoiseSettings(**settings)), None
+    return check_import(imported, request.settings), None
 
 
 def print_plan(source: Path, reading: PassReading, settings: dict[str, Any]) -> None:

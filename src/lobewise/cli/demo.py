@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from lobewise.cli.bench.machine import look_up_processor
-from lobewise.cli.options.common import require_device, require_scene
+from lobewise.cli.options.common import require_device
 from lobewise.denoising import denoise
 from lobewise.denoising.bad_pixels import blacken_bad
 from lobewise.errors import InputError
@@ -22,6 +22,7 @@ from lobewise.metrics import find_specular_pixels
 from lobewise.peers import denoise_oidn, explain_no_oidn, has_oidn
 from lobewise.records.frame import FloatArray, Frame
 from lobewise.reporting.report import Picture, Report, make_page
+from lobewise.scenes import require_scene
 from lobewise.settings.choices import get_similarity
 from lobewise.work.chunks import count_cores
 

@@ -12,16 +12,18 @@ from typing import Any
 from lobewise.cli.options.bounding import Bounds
 from lobewise.cli.options.farming import Farm
 from lobewise.cli.output import describe_result, describe_settings, print_line, print_note
-from lobewise.cli.running import FileFilter, Job, Request, run_filter
-from lobewise.cli.terminal.outcome import Remarks, tell_gaps, tell_picture
-from lobewise.cli.terminal.steps import Steps
+from lobewise.cli.running import Job, write_picture
+from lobewise.cli.running import run_files as run_files_here
+from lobewise.cli.terminal.outcome import tell_gaps, tell_picture
 from lobewise.display.views import View
-from lobewise.errors import LobewiseError, hide_numbers
+from lobewise.errors import LobewiseError
 from lobewise.farm.running import FarmJob, FarmReport, filter_on_farm
 from lobewise.farm.tasks import TaskLog
 from lobewise.io.files import require_exr_name
 from lobewise.io.sequence import FramePattern, name_frames
-from lobewise.recipes.sequence import filter_sequence
+from lobewise.recipes.files import FileResult
+from lobewise.recipes.files.remarks import Remarks
+from lobewise.recipes.files.running import FileFilter, Request, open_filter, run_files
 from lobewise.reporting.picture import Pictures, name_picture
 from lobewise.work.limits import limit_call
 
@@ -33,10 +35,11 @@ MAX_FAILURES_NAMED = 20
 class FrameWork:
     """What a worker does with a frame: what the verb does with it in a single process. It is plain data."""
 
-    request: Request[Any, Any]
+    request: Request
     source: Path
     output: Path
-    fingerprint: str
+    context: str
+    """What the outputs depend on beside the files and the request."""
     has_pictures: bool
     stops: float | None
     """Exposure of the pictures, None where the first picture decides it."""
@@ -57,25 +60,26 @@ class FrameWork:
     ) -> TaskLog:
         """Filter frames into their files; see `lobewise.farm.tasks.Work`."""
         target = FramePattern.parse(self.output)
-        verb, remarks = _make_filter(pickle.dumps((self, first)))
+        files, remarks, pictures = _open_filter(pickle.dumps((self, first)))
         before = set(remarks.sentences)
         by_name = {target.name(number): number for number in numbers}
 
-        def write(path: Path, result: Any, frame: Any, _: Path) -> None:
-            verb.write(path, result, frame)
-            remarks.tell_result(result, by_name[path])
+        def finish(path: Path, result: FileResult) -> None:
+            if pictures is not None:
+                write_picture(pictures, path, result)
             done(by_name[path])
 
         with limit_call(max_memory=memory):
-            report = filter_sequence(
+            report = run_files(
                 self.source,
                 self.output,
-                verb.make_filter,
-                read=verb.read,
-                write=write,
-                fingerprint=self.fingerprint,
-                checkpoint=checkpoint,
+                self.request,
+                remarks,
+                context=self.context,
                 numbers=numbers,
+                after=finish,
+                files=files,
+                checkpoint=checkpoint,
             )
         last = report.last
         return TaskLog(
@@ -84,34 +88,26 @@ class FrameWork:
             settings="" if last is None else describe_settings(last),
         )
 
-    def make_verb(self, first: int) -> tuple[FileFilter[Any, Any], Remarks]:
-        """Return what filters frames, and the remarks that it collects; see `filter_frames`."""
-        remarks = Remarks(silent=True)
+    def open_filter(self, first: int) -> tuple[FileFilter[Any], Remarks, Pictures | None]:
+        """Return what filters frames, the remarks that it collects, and what writes pictures; see `filter_frames`."""
+        remarks = Remarks()
         pictures = Pictures(stops=self.stops, first=FramePattern.parse(self.output).name(first), view=self.view)
-        job = Job(
-            source=self.source,
-            output=self.output,
-            pictures=pictures if self.has_pictures else None,
-            steps=Steps("off"),
-            verbose=False,
-            remarks=remarks,
-            tell_pixels=lambda text: remarks.tell(text, hide_numbers(text)),
-        )
-        return self.request.make_verb(job), remarks
+        files = open_filter(self.request, self.source, self.output, remarks)
+        return files, remarks, pictures if self.has_pictures else None
 
 
 @lru_cache(maxsize=1)
-def _make_filter(pickled: bytes) -> tuple[FileFilter[Any, Any], Remarks]:
-    """Return what filters the frames of a run. A worker keeps it for the next frame: making it may load a scene."""
+def _open_filter(pickled: bytes) -> tuple[FileFilter[Any], Remarks, Pictures | None]:
+    """Return what filters the frames of a run. A worker keeps it for the next frame: opening it may load a scene."""
     work, first = pickle.loads(pickled)
-    made: tuple[FileFilter[Any, Any], Remarks] = work.make_verb(first)
-    return made
+    opened: tuple[FileFilter[Any], Remarks, Pictures | None] = work.open_filter(first)
+    return opened
 
 
-def run_request(job: Job, request: Request[Any, Any], fingerprint: Any, farm: Farm, bounds: Bounds) -> None:
+def run_request(job: Job, request: Request, context: str, farm: Farm, bounds: Bounds) -> None:
     """Filter one file, or every file of a pattern, here or on a farm, and print what was done.
 
-    ``fingerprint`` holds every option that the results depend on: see `lobewise.recipes.sequence.filter_sequence`.
+    ``context`` is what the outputs depend on beside the files and the request.
 
     Raises
     ------
@@ -121,12 +117,12 @@ def run_request(job: Job, request: Request[Any, Any], fingerprint: Any, farm: Fa
     require_exr_name(job.output)
     with bounds.limit():
         if farm.is_wanted:
-            _run_on_farm(job, request, repr(fingerprint), farm)
+            _run_on_farm(job, request, context, farm)
         else:
-            run_filter(job, request, fingerprint)
+            run_files_here(job, request, context)
 
 
-def _run_on_farm(job: Job, request: Request[Any, Any], fingerprint: str, farm: Farm) -> None:
+def _run_on_farm(job: Job, request: Request, context: str, farm: Farm) -> None:
     source, output = job.source.absolute(), job.output.absolute()
     request = request.anchor()
     shared = [(path.stat().st_size, path.stat().st_mtime_ns) for path in request.list_shared_sources()]
@@ -134,7 +130,7 @@ def _run_on_farm(job: Job, request: Request[Any, Any], fingerprint: str, farm: F
         request=request,
         source=source,
         output=output,
-        fingerprint=fingerprint,
+        context=context,
         has_pictures=job.pictures is not None,
         stops=None if job.pictures is None else job.pictures.stops,
         view=None if job.pictures is None else job.pictures.view,
@@ -143,7 +139,7 @@ def _run_on_farm(job: Job, request: Request[Any, Any], fingerprint: str, farm: F
         source=FramePattern.parse(source),
         output=FramePattern.parse(output),
         work=work,
-        fingerprint=repr([fingerprint, shared]),
+        fingerprint=repr([request.fingerprint, context, shared]),
         by_shot=request.remembers,
         follows_first=work.has_pictures and work.stops is None,
         by_runs=request.reads_neighbours,
@@ -158,7 +154,7 @@ def _run_on_farm(job: Job, request: Request[Any, Any], fingerprint: str, farm: F
             farm_job,
             farm.open(),
             tell=print_note,
-            remark=job.remarks.tell,
+            remark=job.remarks.add,
             progress=steps.follow,
         )
     job.steps.finish(output=str(job.output), frames=report.frames, written=report.written)

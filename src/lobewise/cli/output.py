@@ -21,8 +21,7 @@ from lobewise.records.frame import Result
 from lobewise.records.lobe_table import LobeTable
 
 if TYPE_CHECKING:
-    from lobewise.cli.options.selections import DoneSeveral
-    from lobewise.recipes.streaming import DenoisedFile
+    from lobewise.recipes.files import FileResult
 
 
 class _Console(Console):
@@ -61,17 +60,12 @@ def print_note(text: str) -> None:
     return None
 
 
-def describe_result(result: Result | DenoisedFile | DoneSeveral) -> str:
+def describe_result(result: FileResult) -> str:
     """Return in one line the size, how it was filtered, the seconds it took and the bad pixels."""
-    from lobewise.cli.options.selections import DoneSeveral
     from lobewise.interchange.selections import count_selections
 
-    several, bands = "", ""
-    one: Result | DenoisedFile
-    if isinstance(result, DoneSeveral):
-        one, several = result.first, f"{count_selections(result.selections)}, "
-    else:
-        one = result
+    one, counted = result.first, count_selections(result.selections)
+    several, bands = f"{counted}, " if counted else "", ""
     settings = one.settings
     if isinstance(one, Result):
         height, width = one.image.shape[:2]
@@ -89,7 +83,7 @@ def describe_result(result: Result | DenoisedFile | DoneSeveral) -> str:
     return f"{line}; {count} bad pixel{'s' if count != 1 else ''} refilled" if count else line
 
 
-def describe_settings(result: Result | DenoisedFile | DoneSeveral) -> str:
+def describe_settings(result: FileResult) -> str:
     """Return in one line the settings of the filter by their names."""
     names = ("similarity", "form", "quality", "radius", "beta", "device")
     return ", ".join(f"{name} {_format(result.settings[name])}" for name in names if name in result.settings)

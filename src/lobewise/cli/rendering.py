@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lobewise.cli.options.common import parse_place, require_pattern, require_scene
+from lobewise.cli.options.common import parse_place, require_pattern
 from lobewise.cli.options.spreading import complete_from, with_groups
 from lobewise.cli.options.writing import Output, Picture, protect_from_pictures
 from lobewise.cli.terminal.children import go_on_in_child
@@ -18,7 +18,7 @@ from lobewise.cli.terminal.help import result_option, scene_detail, sequence_opt
 from lobewise.cli.terminal.outcome import tell_picture
 from lobewise.cli.terminal.steps import Steps
 from lobewise.errors import InputError, require_choice
-from lobewise.scenes import BY_THEMSELVES, list_scenes
+from lobewise.scenes import BY_THEMSELVES, list_scenes, require_scene
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lobewise.cli.options.common import parse_size, require_scene
+from lobewise.cli.options.common import parse_size
 from lobewise.cli.options.reading import Reading
 from lobewise.cli.options.spreading import with_groups, with_settings
 from lobewise.cli.terminal.help import FILTERING, page_option
 from lobewise.cli.terminal.interrupts import hold_interrupts
 from lobewise.errors import InputError
-from lobewise.scenes import BY_THEMSELVES, list_scenes
+from lobewise.scenes import BY_THEMSELVES, list_scenes, require_scene
 from lobewise.settings import SIMILARITY_NAMES
 from lobewise.viewer.scene_settings import KNOBS, SCENE_SIMILARITIES
 
@@ -138,7 +138,7 @@ def _refuse_options(is_frame: bool, settings: dict[str, Any], page: Page, readin
     of_scenes += ["--moving-objects"] * (page.moving_objects is not None)
     if is_frame and of_scenes:
         raise InputError(of_scenes[0], expected="a scene beside it", got="a finished frame", action="leave it out")
-    of_frames = "--reference" if page.reference is not None else reading.option
+    of_frames = "--reference" if page.reference is not None else next(iter(reading.list_words()), "")
     if of_frames and not is_frame:
         raise InputError(of_frames, expected="a finished frame beside it", got="a scene", action="leave it out")
 

@@ -27,6 +27,11 @@ def as_path(path: Any, what: str) -> Path:
         ) from None
 
 
+def anchor_name(text: str) -> str:
+    """Return the absolute path of an existing file, and any other name as it is."""
+    return str(Path(text).absolute()) if Path(text).is_file() else text
+
+
 @contextmanager
 def refusing(name: str, expected: str, action: str) -> Iterator[None]:
     """Turn an OSError in the ``with`` block into a FileError about the file called ``name``."""

@@ -156,6 +156,25 @@ class FramePattern:
         return str(self.folder / patterns[near]) if near is not None else None
 
 
+def name_frame(source: Path, number: int) -> Path:
+    """Return the file of a sequence with a number."""
+    return FramePattern.parse(source).name(number)
+
+
+def look_up_number(path: Path, source: Path) -> int | None:
+    """Return the number of a file of the sequence ``source``; None where that is a single file."""
+    return FramePattern.parse(source).read_number(path) if is_pattern(source) else None
+
+
+def locate_counterpart(path: Path, source: Path, other: Path) -> Path:
+    """Return the file of ``other`` that has the number of ``path`` in the sequence ``source``.
+
+    Where ``source`` is a single file, ``other`` is returned.
+    """
+    number = look_up_number(path, source)
+    return other if number is None else name_frame(other, number)
+
+
 def _take_letters(name: str) -> str:
     """Return the letters and digits of a name before its ending, in lower case."""
     return re.sub(r"[\W_]", "", Path(name).stem).casefold()

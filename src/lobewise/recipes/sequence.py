@@ -53,6 +53,24 @@ class SequenceFilter(Protocol[_FrameIn, _ResultOut]):
         """Restore the memory that `get_state` returned, so that every further result has the same bits."""
 
 
+class FilterAlone(Generic[FrameT, ResultT]):
+    """A sequence filter that filters every frame by itself."""
+
+    def __init__(self, filter_one: Callable[[FrameT], ResultT]) -> None:
+        self._filter_one = filter_one
+
+    def add(self, frame: FrameT, *, cut: bool = False) -> ResultT:
+        """Return the result of a frame."""
+        return self._filter_one(frame)
+
+    def get_state(self) -> State:
+        """Return nothing: the filter remembers nothing."""
+        return {}
+
+    def set_state(self, state: State) -> None:
+        """Do nothing."""
+
+
 @dataclass(frozen=True)
 class SequenceReport(Generic[ResultT]):
     """What `filter_sequence` did.

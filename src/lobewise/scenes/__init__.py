@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from importlib import import_module
+from pathlib import Path
 from typing import Any
+
+from lobewise.errors import require_choice
 
 BUILT_IN = ("showroom", "brushed", "parlour", "sparks", "stilllife", "corridor", "kitchen", "street")
 
@@ -17,6 +20,18 @@ BY_THEMSELVES = "by-themselves"
 def list_scenes() -> tuple[str, ...]:
     """Return the names of the built-in scenes."""
     return BUILT_IN
+
+
+def require_scene(scene: str) -> None:
+    """Raise InputError or FileError unless a scene is built in, or a file."""
+    from lobewise.io.files import require_readable
+
+    path = Path(scene)
+    if scene in BUILT_IN:
+        return
+    if path.suffix.lower() != ".xml" and path.name == scene and not path.exists():
+        require_choice("scene", scene, BUILT_IN)
+    require_readable(path, what="scene")
 
 
 def list_moving_scenes() -> tuple[str, ...]:

@@ -6,14 +6,13 @@ import re
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from lobewise.cli.terminal.help import sequence_detail, sequence_option
 from lobewise.cli.terminal.lines import choose_progress
 from lobewise.errors import InputError, require_choice
-from lobewise.scenes import list_scenes
 from lobewise.settings import TemporalSettings, list_knobs
 
 MIN_SIDE, MAX_SIDE = 8, 8192
@@ -48,10 +47,6 @@ class OverTime:
         float, sequence_detail(metavar="0-1", help=f"With --temporal: {list_knobs(TemporalSettings)['memory'].hint}")
     ] = TemporalSettings.memory
 
-    def extend(self, settings: dict[str, Any]) -> dict[str, Any] | None:
-        """Return the settings of the filter over time, None where every frame is filtered by itself."""
-        return {**settings, "memory": self.memory} if self.temporal else None
-
     def require_sequence(self, source: Path) -> None:
         """Raise InputError if frames are to be filtered over time and ``source`` is a single file."""
         if self.temporal:
@@ -84,18 +79,6 @@ def require_pattern(option: str, source: Path) -> None:
             got=repr(str(source)),
             action="put # in place of the digits of the number, and quote the name",
         )
-
-
-def require_scene(scene: str) -> None:
-    """Raise InputError or FileError unless a scene is built in, or a file."""
-    from lobewise.io.files import require_readable
-
-    path = Path(scene)
-    if scene in list_scenes():
-        return
-    if path.suffix.lower() != ".xml" and path.name == scene and not path.exists():
-        require_choice("scene", scene, list_scenes())
-    require_readable(path, what="scene")
 
 
 def require_device(name: str) -> None:

@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Annotated, cast
 
-from lobewise.cli.options.common import require_scene
-from lobewise.cli.options.reading import anchor_name
 from lobewise.cli.terminal.help import shading_option
 from lobewise.errors import InputError, require_choice
+from lobewise.scenes import require_scene
 
 if TYPE_CHECKING:
-    from lobewise.records.frame import Result
-    from lobewise.records.sparse_frame import AnyFrame
+    from lobewise.recipes.adaptive.shading import Light, Shading
 
-PARTS = 8
-"""Parts of a pixel's samples, whose differences tell the noise."""
 MAX_SPP = 1 << 16
 """Largest number of samples of a pixel."""
 
@@ -75,14 +69,6 @@ class Reshading:
         expected, got = f'1 to {MAX_SPP}, or "auto"', repr(self.adaptive_spp)
         raise InputError("--adaptive-spp", expected=expected, got=got, action='"auto" is usual')
 
-    def anchor(self) -> Reshading:
-        """Return the options with an absolute path of the scene, for processes that run in another folder."""
-        return self if self.scene is None else replace(self, scene=anchor_name(self.scene))
-
-    def list_files(self) -> list[Path]:
-        """Return the file of the scene, unless it is built in."""
-        return [Path(self.scene)] if self.scene is not None and Path(self.scene).is_file() else []
-
     def _require_unused(self) -> None:
         """Raise InputError if an option is given that nothing uses without ``--adaptive``."""
         for one in fields(self):
@@ -90,51 +76,16 @@ class Reshading:
                 option = f"--{one.name.replace('_', '-')}"
                 raise InputError(option, expected="--adaptive beside it", got="none", action="add --adaptive 5%")
 
-    def plan(self, tell: Callable[[str], None] | None = None) -> Callable[[Result, AnyFrame], Result]:
-        """Return a function that shades the least supported pixels of a result again.
+    def make_shading(self) -> Shading | None:
+        """Return what is shaded again, None for nothing. Raises InputError or FileError if an option is wrong."""
+        from lobewise.recipes.adaptive.shading import Shading
 
-        The function loads the scene when it is first called. It calls ``tell`` with the number of pixels; by default
-        the number is printed.
-        """
-        budget = self.share
-        if budget == 0.0:
+        share = self.share
+        if share == 0.0:
             self._require_unused()
-            return lambda result, frame: result
+            return None
         if self.scene is None:
             raise InputError("--adaptive", expected="--scene beside it", got="none", action="name the scene")
         require_scene(self.scene)
         require_choice("light", self.light, ("all", "indirect"))
-        scene, loaded, light = self.scene, list[Any](), self.light
-        spp = self.choose_spp()
-        parts = next(parts for parts in range(min(PARTS, spp), 0, -1) if spp % parts == 0)
-
-        def improve(result: Result, frame: AnyFrame) -> Result:
-            from lobewise.cli.output import print_line
-            from lobewise.recipes.adaptive import recompute
-            from lobewise.records.frame import Frame
-            from lobewise.render import load_scene, render_pixels, set_camera
-
-            if isinstance(frame, Frame) and frame.wraps:
-                raise InputError(
-                    "--adaptive",
-                    expected="frames of a pinhole camera",
-                    got="one that wraps around",
-                    action="leave it out",
-                )
-            if not loaded:
-                loaded.append(load_scene(scene, width=frame.width, height=frame.height))
-            if frame.camera is not None:
-                set_camera(loaded[0], frame.camera)
-            better = recompute(
-                result,
-                lambda rows, columns: render_pixels(
-                    loaded[0], rows, columns, spp=spp, seed=1, light=light, parts=parts
-                ),
-                samples=spp / (frame.spp or 1),
-                frame=frame,
-                budget=budget,
-            )
-            (tell or print_line)(f"Shaded {better.settings['recomputed']} pixels again, {spp} spp.")
-            return better
-
-        return improve
+        return Shading(scene=self.scene, share=share, spp=self.choose_spp(), light=cast("Light", self.light))

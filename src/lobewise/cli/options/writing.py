@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,12 +12,7 @@ from lobewise.cli.terminal.help import file_detail, result_option
 from lobewise.errors import InputError
 
 if TYPE_CHECKING:
-    from lobewise.cli.terminal.outcome import Remarks
     from lobewise.display.views import View
-    from lobewise.interchange import Imported
-    from lobewise.interchange.replacing import PlannedResult
-    from lobewise.io.exr.container import Container
-    from lobewise.records.frame import Result
     from lobewise.reporting.picture import Pictures
 
 MAX_EXPOSURE_STOPS = 64.0
@@ -42,42 +37,6 @@ class Writing:
             "--confidence", help="Add channels that tell how far to trust the result, and which pixels to render again."
         ),
     ] = False
-
-    @property
-    def option(self) -> str:
-        """Name of the first option that the user gave, empty for none."""
-        return next((f"--{name}" for name in ("suffix", "only", "confidence") if getattr(self, name)), "")
-
-    def plan(self, result: Result, imported: Imported) -> PlannedResult:
-        """Return what a result changes in the copy of its file."""
-        from lobewise.interchange.replacing import plan_result
-        from lobewise.recipes.adaptive import find_unsupported
-
-        return plan_result(
-            result,
-            imported,
-            suffix=self.suffix,
-            only=self.only,
-            confidence=self.confidence,
-            rerender=find_unsupported(result).astype("f4") if self.confidence else None,
-        )
-
-    def write(
-        self,
-        target: Path,
-        planned: Sequence[PlannedResult],
-        container: Container,
-        remarks: Remarks,
-        frame: int | None = None,
-    ) -> None:
-        """Write results into a copy of their file; ``remarks`` prints which channels changed their meaning.
-
-        ``frame`` is the number of the file in a sequence.
-        """
-        from lobewise.interchange.replacing import write_planned
-
-        for note in write_planned(target, container, planned, only=self.only):
-            remarks.tell(note, frame=frame)
 
 
 @dataclass(frozen=True)

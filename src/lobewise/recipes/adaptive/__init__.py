@@ -2,5 +2,6 @@
 
 from lobewise.recipes.adaptive.choosing import choose_spp, find_unsupported
 from lobewise.recipes.adaptive.recipe import Shade, recompute
+from lobewise.recipes.adaptive.shading import Shading
 
-__all__ = ["Shade", "choose_spp", "find_unsupported", "recompute"]
+__all__ = ["Shade", "Shading", "choose_spp", "find_unsupported", "recompute"]

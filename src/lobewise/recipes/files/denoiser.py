@@ -1,0 +1,283 @@
+"""Denoise files as a request says: read each view of a file, filter it, and write all results into one copy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from lobewise.denoising.automatic import ask
+from lobewise.denoising.recipe import check_frame, denoise_checked
+from lobewise.errors import InputError, LobewiseError
+from lobewise.guides.usable import CheckedGuides, check_guides
+from lobewise.interchange.checks import MARKED, Finding, check_own_mark
+from lobewise.interchange.checks.denoised import check_mark
+from lobewise.interchange.imported import Imported
+from lobewise.interchange.mapping import map_channels
+from lobewise.interchange.reading import import_file, is_own, list_selections
+from lobewise.interchange.replacing import PlannedResult, plan_result, require_target, write_planned
+from lobewise.interchange.selections import Selection
+from lobewise.io.exr.parsing import read_container
+from lobewise.io.sequence import FramePattern, is_pattern, locate_counterpart, look_up_number
+from lobewise.recipes.adaptive import find_unsupported
+from lobewise.recipes.files.remarks import Remarks
+from lobewise.recipes.files.request import FileRequest
+from lobewise.recipes.files.result import FileResult
+from lobewise.recipes.sequence import FilterAlone
+from lobewise.recipes.streaming import denoise_file, list_images, needs_bands
+from lobewise.recipes.streaming.checks import open_bands
+from lobewise.recipes.windows import WindowFilter
+from lobewise.records.frame import Frame, Result
+from lobewise.records.lobe_table import LobeTable
+from lobewise.settings import DenoiseSettings
+
+
+@dataclass(frozen=True)
+class OpenedFile:
+    """A file that will be denoised.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    selections : sequence of Selection
+        Its views and view layers; none where it is denoised in bands.
+    first : Imported or None
+        The first of them. The others are read one by one, when they are filtered.
+    """
+
+    path: Path
+    selections: Sequence[Selection] = ()
+    first: Imported | None = None
+
+
+class FileDenoiser:
+    """How a request denoises files.
+
+    Parameters
+    ----------
+    request : FileRequest
+        What is asked.
+    source, output : Path
+        Two files, or two patterns.
+    remarks : Remarks
+        Takes what is to be told of the files.
+    """
+
+    def __init__(self, request: FileRequest, source: Path, output: Path, remarks: Remarks) -> None:
+        self._request, self._source, self._output, self._remarks = request, source, output, remarks
+        self._tables = request.read_tables()
+        self._improve = None if request.shading is None else request.shading.make_improver()
+        self._windows: dict[Selection, _Window] = {}
+
+    def read(self, path: Path) -> OpenedFile:
+        """Return a file with its first view, unless it is denoised in bands."""
+        if choose_bands(path, self._request):
+            return OpenedFile(path)
+        request = self._request
+        selections = list_selections(
+            path, preset=request.preset, mapping=request.mapping, all_layers=request.all_layers
+        )
+        return OpenedFile(path, selections, self._read_view(path, selections[0], selections))
+
+    def _read_view(self, path: Path, selection: Selection, selections: Sequence[Selection]) -> Imported:
+        read = partial(self._import, selection=selection, selections=selections)
+        if not self._request.window:
+            return read(path)
+        if selection not in self._windows:
+            self._windows[selection] = _Window(self._request, self._source)
+        return self._windows[selection].read(path, read)
+
+    def _import(self, path: Path, selection: Selection, selections: Sequence[Selection]) -> Imported:
+        return read_view(
+            self._request,
+            path,
+            self._source,
+            self._remarks,
+            selection=selection,
+            denoised=selections,
+            tables=self._tables,
+        )
+
+    def make_filter(self) -> FilterAlone[OpenedFile, FileResult]:
+        """Return the filter of the files. It remembers no file: a window is read anew."""
+        return FilterAlone(self._filter)
+
+    def _filter(self, file: OpenedFile) -> FileResult:
+        request = self._request
+        if file.first is None:
+            target = locate_counterpart(file.path, self._source, self._output)
+            rows = request.bands if isinstance(request.bands, int) else None
+            return FileResult((denoise_file(file.path, target, request.settings, lobe_tables=self._tables, rows=rows),))
+        done, planned = [], []
+        for selection in file.selections:
+            is_first = selection == file.selections[0]
+            imported = file.first if is_first else self._read_view(file.path, selection, file.selections)
+            result = self._filter_view(selection, imported)
+            done.append(result)
+            planned.append(self._plan(result, imported))
+        return FileResult(done, file.selections, file.first.container, planned)
+
+    def _filter_view(self, selection: Selection, imported: Imported) -> Result:
+        settings = self._request.settings
+        if self._request.window:
+            result = self._windows[selection].denoise()
+        else:
+            result = denoise_checked(check_import(imported, settings), settings)
+        return result if self._improve is None else self._improve(result, imported.frame)
+
+    def _plan(self, result: Result, imported: Imported) -> PlannedResult:
+        confidence = self._request.confidence
+        return plan_result(
+            result,
+            imported,
+            suffix=self._request.suffix,
+            only=self._request.only,
+            confidence=confidence,
+            rerender=find_unsupported(result).astype(np.float32) if confidence else None,
+        )
+
+    def write(self, target: Path, result: FileResult, file: OpenedFile) -> None:
+        """Write the results of a file into its copy, unless they were written in bands."""
+        if result.container is None:
+            return
+        number = look_up_number(file.path, self._source)
+        for note in write_planned(target, result.container, result.planned, only=self._request.only):
+            self._remarks.add(note, frame=number)
+
+
+class _Window:
+    """Reads each file of a sequence with the files around it, and keeps files as long as windows need them."""
+
+    def __init__(self, request: FileRequest, source: Path) -> None:
+        self._request, self._source = request, source
+        self._filter = WindowFilter(request.window, request.settings, past_only=request.past_only)
+        self._kept: dict[Path, Imported] = {}
+        self._index = 0
+
+    def read(self, path: Path, read: Callable[[Path], Imported]) -> Imported:
+        """Return a file, and read the files around it. A missing number, or a frame of another size, ends a window."""
+        middle = FramePattern.parse(self._source).read_number(path)
+        files = self._request.list_window(self._source, middle)
+        self._index = middle - files[0][0]
+        known, self._kept = self._kept, {}
+        for _, each in files:
+            self._kept[each] = known.pop(each) if each in known else read(each)
+        return self._kept[path]
+
+    def denoise(self) -> Result:
+        """Return the result of the file that was read last."""
+        return self._filter.denoise([each.frame for each in self._kept.values()], self._index)
+
+
+def read_view(
+    request: FileRequest,
+    path: Path,
+    source: Path,
+    remarks: Remarks,
+    *,
+    selection: Selection,
+    denoised: Collection[Selection] = (),
+    tables: Sequence[LobeTable] | None = None,
+) -> Imported:
+    """Return the frame of a view and view layer of a file, with its light by passes.
+
+    Parameters
+    ----------
+    request : FileRequest
+        How the file is read.
+    path : Path
+        The file.
+    source : Path
+        The file again, or the pattern of its sequence.
+    remarks : Remarks
+        Tells how the file was understood.
+    selection : Selection
+        The view and view layer.
+    denoised : collection of Selection
+        All that is filtered of the file. After the first one, only notes of a new kind are told.
+    tables : sequence of LobeTable, optional
+        Fitted materials that replace the materials in the file.
+    """
+    options = request.make_read_options()
+    imported = import_file(
+        path,
+        **options,
+        half=_locate_half(request, path, source),
+        lobe_tables=tables,
+        also=request.also,
+        light_passes=True,
+        light_groups=request.light_groups,
+        view=selection.view or None,
+        layer=selection.layer or None,
+        denoised=denoised,
+    )
+    if "color" not in options["mapping"]:
+        refuse_results(path, imported.findings)
+    require_target(imported)
+    # A finding holds figures of one frame: of a sequence only the first frame's are told.
+    known = {one.sentence: f"{one.what}, {one.mended}" for one in imported.findings}
+    first = next(iter(denoised), selection)
+    for note in imported.remarks:
+        remarks.add_of(selection, first, note, known.get(note, note), look_up_number(path, source))
+    return imported
+
+
+def _locate_half(request: FileRequest, path: Path, source: Path) -> Path | None:
+    """Return the file of the second render that belongs to a file of the first; None where there is none."""
+    if request.half is None:
+        return None
+    half = Path(request.half)
+    if is_pattern(half) != is_pattern(source):
+        raise InputError(
+            "half",
+            expected="a sequence for a sequence, and a file for a file",
+            got=f"{str(half)!r} for {str(source)!r}",
+            action="name both alike",
+        )
+    return locate_counterpart(path, source, half)
+
+
+def check_import(imported: Imported, named: DenoiseSettings) -> CheckedGuides[Frame]:
+    """Return the frame of a file with its guides checked, and notes; ``named`` are the settings of the user."""
+    # The notes on a file of another renderer say already what it lacks, and how to have it.
+    return check_frame(imported.frame, named) if imported.map is None else check_guides(imported.frame)
+
+
+def choose_bands(path: Path, request: FileRequest) -> bool:
+    """Return whether to denoise a file in bands.
+
+    Raises InputError if it is a result of lobewise.
+    """
+    is_asked = isinstance(request.bands, int)
+    if request.bands == "off" or request.whole_field or not (is_asked or _is_large(path, request.settings)):
+        return False
+    container = read_container(path)
+    is_ours = is_own(container)
+    refuse_results(path, check_own_mark(container) if is_ours else check_mark(container, map_channels(container)))
+    return True
+
+
+def _is_large(path: Path, settings: DenoiseSettings) -> bool:
+    asked = ask(settings, {}, whole=False)
+    try:
+        reader = open_bands(path, wanted=list_images(asked))
+        # Normals that stand in for missing ones are found in the whole image; another renderer's file may need it too.
+        return needs_bands(reader, asked) and ("gbuffer", "normal") in reader.images
+    except LobewiseError:
+        # A whole frame may be readable nevertheless; if it is not, reading it raises the error again.
+        return False
+
+
+def refuse_results(path: Path, findings: Iterable[Finding]) -> None:
+    """Raise InputError if the image of a file is a result of lobewise: it has no noise left to measure."""
+    if any(one.what == MARKED and not one.mended for one in findings):
+        raise InputError(
+            f"input {str(path)!r}",
+            expected="a noisy render",
+            got="a result of lobewise, as its attribute 'lobewise/denoised' says",
+            action="give the noisy render, or name the image that is noisy, such as --map color=PASS",
+        )

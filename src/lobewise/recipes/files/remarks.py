@@ -1,0 +1,60 @@
+"""Remarks on the files of a run, each told once: a sequence has the same remarks for many frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from lobewise.errors import hide_numbers
+from lobewise.interchange.selections import Selection
+
+if TYPE_CHECKING:
+    from lobewise.recipes.files.result import FileResult
+
+
+class Remarks:
+    """Collects remarks, and tells each once, with its frame.
+
+    Parameters
+    ----------
+    tell : callable, optional
+        Takes each sentence; by default the sentences are only collected.
+    """
+
+    def __init__(self, tell: Callable[[str], object] | None = None) -> None:
+        self._tell = tell
+        self.sentences: dict[str, str] = {}
+        """Remarks by key."""
+        self._kinds: set[str] = set()
+
+    def add(self, note: str, key: str = "", frame: int | None = None) -> None:
+        """Tell a note, unless a note with its key was told before; by default the note is its own key.
+
+        ``frame`` is the number of the note's frame in a sequence.
+        """
+        if (key or note) in self.sentences:
+            return
+        sentence = note if frame is None else f"Frame {frame}: {note}"
+        self.sentences[key or note] = sentence
+        if self._tell is not None:
+            self._tell(sentence)
+
+    def add_of(self, selection: Selection, first: Selection, note: str, key: str, frame: int | None = None) -> None:
+        """Tell a note on one of the views of a file.
+
+        For other views than the ``first``, tell only notes of a new kind, with the name of the view.
+        """
+        kind = selection.name_kind(note)
+        if selection == first:
+            self.add(note, key, frame)
+        elif kind not in self._kinds:
+            self.add(selection.begin_note(note, first), key, frame)
+        self._kinds.add(kind)
+
+    def add_result(self, result: FileResult, frame: int | None = None) -> None:
+        """Tell the method, what is wrong with the guides, and which images of the frame were not used."""
+        for selection, one in zip(result.selections, result.results, strict=True):
+            unused = f"Not used with these settings: {', '.join(one.unused)}."
+            used = [f"Used: {one.method}."] if one.method else []
+            for note in (*used, *one.notes, *([unused] if one.unused else [])):
+                self.add_of(selection, result.selections[0], note, hide_numbers(note), frame)

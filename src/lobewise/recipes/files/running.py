@@ -1,0 +1,183 @@
+"""Filter one file, or every file of a sequence, as a request says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+from lobewise.denoising.automatic import change_settings
+from lobewise.errors import InputError, require_choice, require_kind
+from lobewise.io.exr.layout import name_file
+from lobewise.io.files import PathLike, as_path, require_exr_name, require_other_files, require_writable
+from lobewise.io.sequence import is_pattern, look_up_number
+from lobewise.recipes.files.denoiser import FileDenoiser
+from lobewise.recipes.files.remarks import Remarks
+from lobewise.recipes.files.request import FileRequest
+from lobewise.recipes.files.result import FileResult
+from lobewise.recipes.files.upsampler import FileUpsampler, UpsampleRequest
+from lobewise.recipes.sequence import SequenceFilter, SequenceReport, filter_sequence
+from lobewise.settings import DenoiseSettings
+from lobewise.work.progress import FILTER, WRITE, Watcher, enter_stage, follow_file, watch_call
+
+FileT = TypeVar("FileT")
+Request = FileRequest | UpsampleRequest
+
+
+class FileFilter(Protocol[FileT]):
+    """How files are read, filtered and written."""
+
+    def read(self, path: Path) -> FileT:
+        """Return the content of a file."""
+
+    def make_filter(self) -> SequenceFilter[FileT, FileResult]:
+        """Return a new filter."""
+
+    def write(self, target: Path, result: FileResult, file: FileT) -> None:
+        """Write the result of a file."""
+
+
+def open_filter(request: Request, source: Path, output: Path, remarks: Remarks) -> FileFilter[Any]:
+    """Return what reads, filters and writes the files of a request."""
+    if isinstance(request, UpsampleRequest):
+        return FileUpsampler(request, source, output, remarks)
+    return FileDenoiser(request, source, output, remarks)
+
+
+def denoise_files(
+    source: PathLike,
+    output: PathLike,
+    request: FileRequest | None = None,
+    *,
+    numbers: Collection[int] | None = None,
+    progress: Watcher | None = None,
+    remark: Callable[[str], object] | None = None,
+    **changes: Any,
+) -> SequenceReport[FileResult]:
+    """Denoise an EXR file, or every file of a sequence, as the command ``lobewise denoise`` does.
+
+    The files that come out have the same bytes: all views, passes, light groups and opacity are denoised, every other
+    part, channel and attribute is kept, and large files are filtered in bands. A sequence that was stopped goes on
+    after its last frame.
+
+    Parameters
+    ----------
+    source, output : path
+        Two files, or two patterns such as ``noisy.####.exr`` and ``clean.####.exr``.
+    request : FileRequest, optional
+        How files are read, filtered and written.
+    numbers : collection of int, optional
+        Only these frames of a sequence; by default all.
+    progress : callable, optional
+        Is called with a `lobewise.Progress`; False cancels.
+    remark : callable, optional
+        Is called with sentences on how the files were understood, and what their results lack.
+    **changes
+        Single fields of `FileRequest`, or of its `lobewise.DenoiseSettings`, that replace those of ``request``.
+
+    Returns
+    -------
+    SequenceReport
+        Counts, and the result of the last file in ``last``.
+
+    Raises
+    ------
+    FileError, MissingChannelError
+        As of `lobewise.read_frame` and `lobewise.write_result`; the files that are finished stay.
+    InputError
+        Also if a parameter is unknown or out of range, or an output would replace an input.
+    CancelledError
+        If ``progress`` has returned False.
+
+    Examples
+    --------
+    >>> import lobewise
+    >>> lobewise.denoise_files("noisy.####.exr", "clean.####.exr", window=2)  # doctest: +SKIP
+    """
+    source, output = as_path(source, "source"), as_path(output, "output")
+    require_exr_name(output)
+    asked = change_request(FileRequest() if request is None else request, changes)
+    asked.check()
+    if is_pattern(source) != is_pattern(output):
+        expected, got = "two files, or two patterns", f"{str(source)!r} and {str(output)!r}"
+        raise InputError("source and output", expected=expected, got=got, action="name both alike")
+    if not is_pattern(source):
+        if asked.window or numbers is not None:
+            what, expected = "window" if asked.window else "numbers", "a sequence such as 'in.####.exr'"
+            raise InputError(what, expected=expected, got=repr(str(source)), action="leave it out")
+        require_other_files([output], [source])
+    remarks = Remarks(remark)
+    return run_files(source, output, asked, remarks, numbers=numbers, progress=progress)
+
+
+def change_request(request: FileRequest, changes: dict[str, Any]) -> FileRequest:
+    """Return a request with other fields, or other settings. Raises InputError if one is unknown or out of range."""
+    require_kind("request", request, FileRequest)
+    own = {one.name for one in fields(request)}
+    settings = {name: value for name, value in changes.items() if name not in own}
+    mine = {name: value for name, value in changes.items() if name in own}
+    request = replace(request, **mine)
+    require_kind("settings", request.settings, DenoiseSettings)
+    for name in settings:
+        require_choice("setting", name, sorted(own | {one.name for one in fields(DenoiseSettings)}))
+    return replace(request, settings=change_settings(request.settings, settings))
+
+
+def run_files(
+    source: Path,
+    output: Path,
+    request: Request,
+    remarks: Remarks,
+    *,
+    context: str = "",
+    numbers: Collection[int] | None = None,
+    after: Callable[[Path, FileResult], object] | None = None,
+    progress: Watcher | None = None,
+    files: FileFilter[Any] | None = None,
+    **options: Any,
+) -> SequenceReport[FileResult]:
+    """Filter one file, or every file of a pattern.
+
+    Parameters
+    ----------
+    source, output, request, remarks, numbers, progress
+        As of `denoise_files` and `open_filter`.
+    context : str
+        What the outputs depend on beside the files and the request.
+    after : callable, optional
+        Is called with every output and its result, after it is written.
+    files : FileFilter, optional
+        The filter, if it was opened before.
+    **options
+        Options of `lobewise.recipes.sequence.filter_sequence`.
+    """
+    files = files or open_filter(request, source, output, remarks)
+
+    def write(target: Path, result: FileResult, file: Any, path: Path) -> None:
+        files.write(target, result, file)
+        remarks.add_result(result, look_up_number(path, source))
+        if after is not None:
+            after(target, result)
+
+    if is_pattern(source):
+        return filter_sequence(
+            source,
+            output,
+            files.make_filter,
+            read=files.read,
+            write=write,
+            fingerprint=repr([request.fingerprint, context]),
+            progress=progress,
+            numbers=numbers,
+            **options,
+        )
+    require_writable(output)
+    with watch_call(progress), follow_file(source.name):
+        file = files.read(source)
+        enter_stage(FILTER)
+        with name_file(source):
+            result = files.make_filter().add(file)
+        enter_stage(WRITE)
+        write(output, result, file, source)
+    return SequenceReport(1, 1, None, "", result)
