@@ -13,19 +13,11 @@ import lobewise.mitsuba
 from lobewise.errors import InputError
 from lobewise.metrics import rel_mse
 from lobewise.mitsuba import Denoiser
+from tests.render.items import make_camera, make_lamp, rgb
 
 pytestmark = pytest.mark.mitsuba
 
 WIDTH, HEIGHT = 48, 32
-
-
-def make_sensor(mi: Any, x: float, width: int = WIDTH) -> dict[str, Any]:
-    return {
-        "type": "perspective",
-        "fov": 50,
-        "to_world": mi.ScalarTransform4f().look_at([x, 1.5, 4], [0, 0.6, 0], [0, 1, 0]),
-        "film": {"type": "hdrfilm", "width": width, "height": HEIGHT, "rfilter": {"type": "box"}},
-    }
 
 
 @pytest.fixture(scope="module")
@@ -33,21 +25,17 @@ def scene(mi: Any) -> Any:
     """Return a glossy ball and a satin one on a floor, under a lamp that two sensors see."""
     transform = mi.ScalarTransform4f
     metal = {"type": "roughconductor", "distribution": "ggx", "alpha": 0.1}
-    paint = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.7, 0.3, 0.2]}}
+    paint = {"type": "diffuse", "reflectance": rgb(0.7, 0.3, 0.2)}
     return mi.load_dict(
         {
             "type": "scene",
             "integrator": {"type": "path", "max_depth": 6},
-            "first": make_sensor(mi, 0.0),
-            "second": make_sensor(mi, 2.5, width=40),
+            "first": make_camera(mi, [0.0, 1.5, 4], [0, 0.6, 0], size=(WIDTH, HEIGHT), fov=50),
+            "second": make_camera(mi, [2.5, 1.5, 4], [0, 0.6, 0], size=(40, HEIGHT), fov=50),
             "floor": {"type": "rectangle", "to_world": transform().rotate([1, 0, 0], -90).scale(4)},
             "ball": {"type": "sphere", "center": [-0.7, 0.6, 0], "radius": 0.6, "bsdf": metal},
             "other": {"type": "sphere", "center": [0.8, 0.6, 0], "radius": 0.6, "bsdf": paint},
-            "lamp": {
-                "type": "rectangle",
-                "to_world": transform().translate([0, 2.2, -1]).rotate([1, 0, 0], 60).scale(0.4),
-                "emitter": {"type": "area", "radiance": 12.0},
-            },
+            "lamp": make_lamp(transform().translate([0, 2.2, -1]).rotate([1, 0, 0], 60).scale(0.4), 12.0),
             "sky": {"type": "constant", "radiance": 0.2},
         }
     )

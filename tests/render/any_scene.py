@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from lobewise.render import load_mitsuba
+from tests.render.items import Items, make_lamp, make_square, rgb
 
 SIZE = 24
 
-Items = dict[str, Any]
 Make = Callable[[Any], Items]
 
 
@@ -33,25 +33,18 @@ def make_room(mi: Any, *, depth: int = 8, lamp: bool = True, **more: Any) -> Ite
     """Return a floor and a wall under a lamp and a dim sky, with more items."""
     at = mi.ScalarTransform4f
     squares = {"type": "checkerboard", "to_uv": at().scale([4, 4, 1])}
-    red = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.7, 0.2, 0.1]}}
+    red = {"type": "diffuse", "reflectance": rgb(0.7, 0.2, 0.1)}
+    floor = {"type": "diffuse", "reflectance": squares}
     room: Items = {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": depth},
         "sensor": make_sensor(mi),
-        "floor": {
-            "type": "rectangle",
-            "to_world": at().rotate([1, 0, 0], -90).scale(3),
-            "bsdf": {"type": "diffuse", "reflectance": squares},
-        },
-        "wall": {"type": "rectangle", "to_world": at().translate([0, 2, -1.5]).scale(3), "bsdf": red},
+        "floor": make_square(at().rotate([1, 0, 0], -90).scale(3), bsdf=floor),
+        "wall": make_square(at().translate([0, 2, -1.5]).scale(3), bsdf=red),
     }
     if lamp:
         room["sky"] = {"type": "constant", "radiance": 0.2}
-        room["lamp"] = {
-            "type": "rectangle",
-            "to_world": at().translate([1, 3.5, 1]).rotate([1, 0, 0], 90).scale(0.7),
-            "emitter": {"type": "area", "radiance": 6.0},
-        }
+        room["lamp"] = make_lamp(at().translate([1, 3.5, 1]).rotate([1, 0, 0], 90).scale(0.7), 6.0)
     return {**room, **more}
 
 
@@ -230,11 +223,10 @@ _LIGHTS: dict[str, Make] = {
         "scale": 30.0,
         "fov": 45.0,
     },
-    "textured lamp": lambda mi: {
-        "type": "rectangle",
-        "to_world": mi.ScalarTransform4f().translate([1, 3.5, 1]).rotate([1, 0, 0], 90).scale(0.7),
-        "emitter": {"type": "area", "radiance": {**make_texture(mi, 0.0, 10.0, 3), "raw": True}},
-    },
+    "textured lamp": lambda mi: make_lamp(
+        mi.ScalarTransform4f().translate([1, 3.5, 1]).rotate([1, 0, 0], 90).scale(0.7),
+        {**make_texture(mi, 0.0, 10.0, 3), "raw": True},
+    ),
     "lamp of triangles": lambda mi: {
         "type": "cube",
         "to_world": mi.ScalarTransform4f().translate([1, 2.4, 1]).scale(0.3),

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from lobewise.records.frame import Frame, GBuffer
+from tests.render.items import make_camera, make_lamp, make_square, rgb
 
 
 @pytest.fixture(scope="session")
@@ -21,14 +22,7 @@ def make_furnace(mi: Any) -> Callable[..., Any]:
         return mi.load_dict(
             {
                 "type": "scene",
-                "sensor": {
-                    "type": "perspective",
-                    "fov": 0.5,
-                    "to_world": mi.ScalarTransform4f().look_at(
-                        origin=[10.0 * sine, 0.0, 10.0 * cos_view * side], target=[0, 0, 0], up=[0, 1, 0]
-                    ),
-                    "film": {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}},
-                },
+                "sensor": make_camera(mi, [10.0 * sine, 0.0, 10.0 * cos_view * side], fov=0.5),
                 "square": {"type": "rectangle", "bsdf": bsdf},
                 "sky": {"type": "constant"},
             }
@@ -71,32 +65,15 @@ def make_box_scene(mi: Any) -> Callable[..., Any]:
 
     def make(items: dict[str, Any], *, size: int = 24) -> Any:
         transform = mi.ScalarTransform4f
-        gray = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.5, 0.4]}}
-        lamp = {"type": "area", "radiance": {"type": "rgb", "value": [5.0, 6.0, 7.0]}}
+        gray = {"type": "twosided", "inner": {"type": "diffuse", "reflectance": rgb(0.6, 0.5, 0.4)}}
+        above = transform().translate([0.5, 3, 1]).rotate([1, 0, 0], 90).scale(0.9)
         return mi.load_dict(
             {
                 "type": "scene",
-                "sensor": {
-                    "type": "perspective",
-                    "fov": 45.0,
-                    "to_world": transform().look_at(origin=[0, 1.5, 4], target=[0, 0.6, 0], up=[0, 1, 0]),
-                    "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}},
-                },
-                "floor": {
-                    "type": "rectangle",
-                    "to_world": transform().rotate([1, 0, 0], -90).scale(3),
-                    "bsdf": {"type": "twosided", "inner": gray},
-                },
-                "wall": {
-                    "type": "rectangle",
-                    "to_world": transform().translate([0, 2, -2]).scale(3),
-                    "bsdf": {"type": "twosided", "inner": gray},
-                },
-                "lamp": {
-                    "type": "rectangle",
-                    "to_world": transform().translate([0.5, 3, 1]).rotate([1, 0, 0], 90).scale(0.9),
-                    "emitter": lamp,
-                },
+                "sensor": make_camera(mi, [0, 1.5, 4], [0, 0.6, 0], size=(size, size), fov=45.0),
+                "floor": make_square(transform().rotate([1, 0, 0], -90).scale(3), bsdf=gray),
+                "wall": make_square(transform().translate([0, 2, -2]).scale(3), bsdf=gray),
+                "lamp": make_lamp(above, rgb(5.0, 6.0, 7.0)),
                 **items,
             }
         )

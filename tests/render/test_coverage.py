@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from lobewise.records.frame import GBuffer
+from tests.render.items import make_camera, rgb
 from tests.render.tolerances import EXACT
 
 pytestmark = pytest.mark.mitsuba
@@ -29,7 +30,7 @@ def make_wall(mi: Any, bsdf: dict[str, Any], *, right: float = 100.0, z: float =
 
 
 def paint(color: tuple[float, float, float]) -> dict[str, Any]:
-    return {"type": "twosided", "inner": {"type": "diffuse", "reflectance": {"type": "rgb", "value": list(color)}}}
+    return {"type": "twosided", "inner": {"type": "diffuse", "reflectance": rgb(*color)}}
 
 
 def render(mi: Any, size: int = SIZE, *, coverage: bool = True, **items: Any) -> GBuffer:
@@ -38,13 +39,8 @@ def render(mi: Any, size: int = SIZE, *, coverage: bool = True, **items: Any) ->
 
     far = 1000.0 * size
     half = 0.5 * size
-    sensor = {
-        "type": "perspective",
-        "fov": float(np.rad2deg(2.0 * np.arctan(half / far))),
-        "far_clip": 2.0 * far,
-        "to_world": mi.ScalarTransform4f().look_at(origin=[half, half, far], target=[half, half, 0], up=[0, 1, 0]),
-        "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}},
-    }
+    fov = float(np.rad2deg(2.0 * np.arctan(half / far)))
+    sensor = make_camera(mi, [half, half, far], [half, half, 0], size=(size, size), fov=fov, far_clip=2.0 * far)
     scene = mi.load_dict({"type": "scene", "sensor": sensor, **items})
     return render_frame(scene, spp=1, aov_only=True, coverage=coverage).gbuffer
 

@@ -10,6 +10,7 @@ import pytest
 from lobewise.errors import InputError
 from lobewise.records.camera import Camera
 from lobewise.records.frame import Frame, LobeKind
+from tests.render.items import make_camera, make_square
 from tests.render.tolerances import EXACT
 
 pytestmark = pytest.mark.mitsuba
@@ -19,14 +20,9 @@ TARGET = (0.0, 0.5, 0.0)
 
 
 def make_sensor(mi: Any, width: int = 32, height: int = 20, **changes: Any) -> dict[str, Any]:
-    return {
-        "type": "perspective",
-        "fov": 50.0,
-        "near_clip": 0.5,
-        "to_world": mi.ScalarTransform4f().look_at(origin=list(EYE), target=list(TARGET), up=[0.1, 1, 0]),
-        "film": {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}},
-        **changes,
-    }
+    return make_camera(
+        mi, EYE, TARGET, up=(0.1, 1, 0), size=(width, height), **{"fov": 50.0, "near_clip": 0.5, **changes}
+    )
 
 
 def make_floor(mi: Any, bsdf: dict[str, Any]) -> dict[str, Any]:
@@ -145,11 +141,7 @@ def test_scene_without_sensor_or_of_another_variant_is_refused(mi: Any) -> None:
 
 def test_hit_of_a_mirror_is_where_the_mirrored_ray_lands(mi: Any) -> None:
     """A floor nearly a mirror, and a wall at z = -4: the distance is that of the mirror image, whatever the sample."""
-    wall = {
-        "type": "rectangle",
-        "to_world": mi.ScalarTransform4f().translate([0, 0, -4]).scale(60),
-        "bsdf": {"type": "diffuse"},
-    }
+    wall = make_square(mi.ScalarTransform4f().translate([0, 0, -4]).scale(60), bsdf={"type": "diffuse"})
     frame = render(mi, floor=make_floor(mi, MIRROR), wall=wall, spp=16)
     gbuffer, camera = frame.gbuffer, frame.camera
     on_floor = (gbuffer.lobe_kind == LobeKind.GGX) & (gbuffer.position[..., 2] > -1)
@@ -198,8 +190,7 @@ def test_hit_distance_averages_the_inverse_over_the_lobe_misses_included(mi: Any
     count, height, edge = 200_000, 2.0, 0.8
     metal = {"type": "roughconductor", "distribution": "ggx", "alpha": 0.4}
     view = np.array([-0.6, 0.0, 0.8])
-    sensor = make_sensor(mi, 4, 4, fov=0.05, near_clip=0.1)
-    sensor["to_world"] = mi.ScalarTransform4f().look_at(origin=(1.5 * view).tolist(), target=[0, 0, 0], up=[0, 1, 0])
+    sensor = make_camera(mi, (1.5 * view).tolist(), size=(4, 4), fov=0.05, near_clip=0.1)
     ceiling = mi.ScalarTransform4f().translate([edge + 50, 0, height]).scale(50)
     frame = render(
         mi,
@@ -254,12 +245,8 @@ def test_normals_face_the_viewer(mi: Any) -> None:
 
 def test_centre_ray_passes_what_is_mostly_transparent(mi: Any) -> None:
     def veil(z: float, opacity: float) -> dict[str, Any]:
-        inner = {"type": "roughconductor", "alpha": 0.3}
-        return {
-            "type": "rectangle",
-            "to_world": mi.ScalarTransform4f().translate([0, 0, z]).scale(30),
-            "bsdf": {"type": "mask", "opacity": opacity, "inner": inner},
-        }
+        bsdf = {"type": "mask", "opacity": opacity, "inner": {"type": "roughconductor", "alpha": 0.3}}
+        return make_square(mi.ScalarTransform4f().translate([0, 0, z]).scale(30), bsdf=bsdf)
 
     back = {"type": "rectangle", "to_world": mi.ScalarTransform4f().translate([0, 0, -2]).scale(60), "bsdf": MIRROR}
     for opacity, z in ((0.2, -2.0), (0.8, 1.0)):

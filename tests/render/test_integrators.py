@@ -10,6 +10,7 @@ import pytest
 from lobewise.errors import InputError
 from lobewise.render.integrators import DEPTH, MAX_DEPTH, plan_light, tell_unseen
 from lobewise.render.own_light import make_box_sensor
+from tests.render.items import make_camera, make_lamp, make_square
 from tests.render.tolerances import Z_MEAN
 
 pytestmark = pytest.mark.mitsuba
@@ -26,23 +27,13 @@ def make_scene(
 ) -> Any:
     """Return a ball on a floor under a lamp and a dim sky."""
     transform = mi.ScalarTransform4f
-    film = {"type": "hdrfilm", "width": WIDTH, "height": HEIGHT}
+    look = make_camera(mi, [0, -4, 1], [0, 0, 0.5], up=[0, 0, 1], size=(WIDTH, HEIGHT), box=False, fov=40)
     items: dict[str, Any] = {
         "type": "scene",
-        "sensor": {
-            "type": "perspective",
-            "fov": 40,
-            "to_world": transform().look_at([0, -4, 1], [0, 0, 0.5], [0, 0, 1]),
-            "film": film,
-            **sensor,
-        },
-        "floor": {"type": "rectangle", "to_world": transform().scale(4)},
+        "sensor": {**look, **sensor},
+        "floor": make_square(transform().scale(4)),
         "ball": {"type": "sphere", "center": [0, 0, 0.7], "radius": 0.6},
-        "lamp": {
-            "type": "rectangle",
-            "to_world": transform().translate([0, 0, 4]).rotate([1, 0, 0], 180),
-            "emitter": {"type": "area", "radiance": 5.0},
-        },
+        "lamp": make_lamp(transform().translate([0, 0, 4]).rotate([1, 0, 0], 180), 5.0),
         "sky": {"type": "constant", "radiance": 0.1},
     }
     if integrator is not None:

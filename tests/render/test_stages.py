@@ -10,6 +10,7 @@ import pytest
 
 from lobewise.render import load_scene, make_orbit, render_frame
 from lobewise.render.stages import Stages
+from tests.render.items import make_camera, make_lamp, make_square
 from tests.render.materials.python_bsdf import register_lobes
 
 pytestmark = pytest.mark.mitsuba
@@ -149,17 +150,15 @@ def test_only_rays_that_may_meet_a_lamp_are_traced(mi: Any, monkeypatch: pytest.
 def make_mirror_room(mi: Any, lamps: int) -> dict[str, Any]:
     """Return a floor that is nearly a mirror, under small lamps in a row."""
     at = mi.ScalarTransform4f
-    film = {"type": "hdrfilm", "width": SIZE, "height": SIZE}
-    eye = at().look_at([0.0, 2.0, 5.0], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0])
     floor = {"type": "roughconductor", "alpha": 0.05}
     room: dict[str, Any] = {
         "type": "scene",
-        "sensor": {"type": "perspective", "fov": 60.0, "to_world": eye, "film": film},
-        "floor": {"type": "rectangle", "to_world": at().rotate([1, 0, 0], -90).scale(4), "bsdf": floor},
+        "sensor": make_camera(mi, [0.0, 2.0, 5.0], size=(SIZE, SIZE), box=False, fov=60.0),
+        "floor": make_square(at().rotate([1, 0, 0], -90).scale(4), bsdf=floor),
     }
     for k in range(lamps):
         place = at().translate([k - 0.5 * (lamps - 1), 1.5, 0.0]).rotate([1, 0, 0], 90).scale(0.3)
-        room[f"lamp{k}"] = {"type": "rectangle", "to_world": place, "emitter": {"type": "area", "radiance": 6.0}}
+        room[f"lamp{k}"] = make_lamp(place, 6.0)
     return room
 
 
@@ -198,12 +197,7 @@ def test_what_a_pixel_gets_does_not_depend_on_the_others(stages: Stages) -> None
 def test_scenes_that_cannot_be_recorded_are_rendered_all_the_same(mi: Any) -> None:
     """A BSDF of a plugin written in Python, whose fitted lobes lie outside the scene."""
     square = {"type": "rectangle", "bsdf": {"type": register_lobes()}}
-    sensor = {
-        "type": "perspective",
-        "fov": 30.0,
-        "to_world": mi.ScalarTransform4f().look_at(origin=[0, 2, 4], target=[0, 0, 0], up=[0, 1, 0]),
-        "film": {"type": "hdrfilm", "width": 12, "height": 12, "rfilter": {"type": "box"}},
-    }
+    sensor = make_camera(mi, [0, 2, 4], size=(12, 12), fov=30.0)
     scene = mi.load_dict({"type": "scene", "sensor": sensor, "square": square, "sky": {"type": "constant"}})
     stages = Stages(scene)
     for size in (12, 12, 16):
@@ -222,15 +216,13 @@ def test_scenes_that_cannot_be_recorded_are_rendered_all_the_same(mi: Any) -> No
 def test_paths_tell_the_rays_of_their_samples(mi: Any, kind: str) -> None:
     """A surface inside a white sphere whose light was scattered before: all rays bring the same radiance."""
     roughness = {"alpha": 0.2, "distribution": "ggx"} if kind.startswith("rough") else {}
-    look = mi.ScalarTransform4f().look_at([0, -3, 0.5], [0, 0, 0], [0, 0, 1])
-    film = {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}}
     lamp = {"type": "area", "radiance": {"type": "rgb", "value": 1.0}}
     white = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.5}}
     scene = mi.load_dict(
         {
             "type": "scene",
             "integrator": {"type": "path", "max_depth": 3},
-            "sensor": {"type": "perspective", "fov": 20, "to_world": look, "film": film},
+            "sensor": make_camera(mi, [0, -3, 0.5], up=[0, 0, 1], size=(SIZE, SIZE), fov=20),
             "ball": {"type": "sphere", "radius": 0.4, "bsdf": {"type": kind, **roughness}},
             "room": {"type": "sphere", "radius": 10, "flip_normals": True, "bsdf": white},
             "lamp": {"type": "sphere", "center": [0, 8, 0], "radius": 0.5, "emitter": lamp},

@@ -13,16 +13,13 @@ import numpy as np
 import pytest
 
 from lobewise.records.frame import Frame, GBuffer, LobeKind
+from tests.render.items import make_camera, rgb
 from tests.render.tolerances import ALBEDO_FIT, EXACT, GLASS_FIT, NOISE, PEAK_SHAPE, PRINCIPLED_DIFFUSE
 
 pytestmark = pytest.mark.mitsuba
 
 Furnace = Callable[..., Frame]
 Guide = Callable[..., GBuffer]
-
-
-def rgb(*value: float) -> dict[str, Any]:
-    return {"type": "rgb", "value": list(value)}
 
 
 COPPER = {"eta": rgb(0.27, 1.12, 1.16), "k": rgb(3.41, 2.59, 2.40)}
@@ -383,12 +380,7 @@ def test_mapped_normal_agrees_with_mitsubas_own_channel(mi: Any, plugin: str) ->
         {
             "type": "scene",
             "integrator": {"type": "aov", "aovs": "n:sh_normal"},
-            "sensor": {
-                "type": "perspective",
-                "fov": 10.0,
-                "to_world": mi.ScalarTransform4f().look_at(origin=[0.5, 0.5, 4], target=[0, 0, 0], up=[0, 1, 0]),
-                "film": {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}},
-            },
+            "sensor": make_camera(mi, [0.5, 0.5, 4], fov=10.0),
             "square": {"type": "rectangle", "bsdf": bsdf},
         }
     )

@@ -17,6 +17,7 @@ from lobewise.fitting.fit import LUMINANCE
 from lobewise.fitting.ggx import ggx_brdf
 from lobewise.fitting.table import evaluate_lobes, evaluate_table
 from lobewise.records.frame import Frame, GBuffer, LobeKind
+from tests.render.items import make_square
 from tests.render.materials.measured_file import write_measured
 from tests.render.materials.python_bsdf import register_lobes
 from tests.render.materials.test_bsdfs import COPPER, WRAPPERS, flat_normals, middle, ramp_texture, rgb
@@ -57,8 +58,7 @@ def frame(mi: Any, lobes: str, make_box_scene: Callable[..., Any]) -> Frame:
     """Return a small frame of a ball and a plate of such BSDFs, one nested; and of metal that has a formula."""
     from lobewise.render import render_frame
 
-    turn = mi.ScalarTransform4f()
-
+    place = mi.ScalarTransform4f().translate([0.7, 0.1, 0.3]).rotate([1, 0, 0], -90).scale(0.8)
     nested = {
         "type": "twosided",
         "inner": {"type": "normalmap", "normalmap": flat_normals(0.1, 0.05), "inner": {"type": lobes}},
@@ -66,11 +66,7 @@ def frame(mi: Any, lobes: str, make_box_scene: Callable[..., Any]) -> Frame:
     scene = make_box_scene(
         {
             "left": {"type": "sphere", "center": [-0.7, 0.6, 0.0], "radius": 0.6, "bsdf": nested},
-            "plate": {
-                "type": "rectangle",
-                "to_world": turn.translate([0.7, 0.1, 0.3]).rotate([1, 0, 0], -90).scale(0.8),
-                "bsdf": {"type": lobes, "id": "mine", "sharp": 30.0},
-            },
+            "plate": make_square(place, bsdf={"type": lobes, "id": "mine", "sharp": 30.0}),
             "metal": {"type": "sphere", "center": [-0.2, 0.4, 0.9], "radius": 0.4, "bsdf": {**GGX, "alpha": 0.2}},
         }
     )

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from lobewise.errors import InputError
+from tests.render.items import make_camera
 from tests.render.moving.places import slide, stretch, turn
 
 pytestmark = pytest.mark.mitsuba
@@ -37,9 +38,7 @@ def describe(mi: Any, place: np.ndarray) -> dict[str, Any]:
 
 
 def load(mi: Any, place: np.ndarray, more: dict[str, Any] | None = None) -> Any:
-    view = mi.ScalarTransform4f().look_at([1.0, 2.0, 7.0], [0, 0, 0], [0, 1, 0])
-    film = {"type": "hdrfilm", "width": 64, "height": 64, "rfilter": {"type": "box"}}
-    sensor = {"type": "perspective", "fov": 45, "to_world": view, "film": film}
+    sensor = make_camera(mi, [1.0, 2.0, 7.0], size=(64, 64), fov=45)
     lamp = {"type": "point", "position": [0, 5, 5], "intensity": 10.0}
     items = {"sensor": sensor, "lamp": lamp, **describe(mi, place), **(more or {})}
     return mi.load_dict({"type": "scene", **items}, optimize=False)

@@ -9,15 +9,12 @@ import numpy as np
 import pytest
 
 from lobewise.records.frame import Frame
+from tests.render.items import make_camera, make_lamp, make_square, rgb
 from tests.render.tolerances import FRACTION_BEYOND, NOISE, Z_BLOCK, Z_MEAN, Z_USUAL
 
 pytestmark = pytest.mark.mitsuba
 
 SceneMaker = Callable[..., Any]
-
-
-def rgb(*value: float) -> dict[str, Any]:
-    return {"type": "rgb", "value": list(value)}
 
 
 def ball(mi: Any, x: float, bsdf: dict[str, Any], y: float = 0.5, radius: float = 0.5) -> dict[str, Any]:
@@ -112,17 +109,9 @@ def test_emission_seen_directly_is_in_no_part(mi: Any) -> None:
     scene = mi.load_dict(
         {
             "type": "scene",
-            "sensor": {
-                "type": "perspective",
-                "film": {"type": "hdrfilm", "width": 8, "height": 8},
-                "to_world": mi.ScalarTransform4f().look_at(origin=[0, 0, 5], target=[0, 0, 0], up=[0, 1, 0]),
-            },
-            "lamp": {"type": "rectangle", "emitter": {"type": "area", "radiance": rgb(2.0, 3.0, 4.0)}},
-            "veil": {
-                "type": "rectangle",
-                "to_world": mi.ScalarTransform4f().translate([0, 0, 1]),
-                "bsdf": {"type": "null"},
-            },
+            "sensor": make_camera(mi, [0, 0, 5], box=False),
+            "lamp": make_lamp(mi.ScalarTransform4f(), rgb(2.0, 3.0, 4.0)),
+            "veil": make_square(mi.ScalarTransform4f().translate([0, 0, 1]), bsdf={"type": "null"}),
             "sky": {"type": "constant", "radiance": rgb(0.1, 0.2, 0.3)},
         }
     )
@@ -152,12 +141,7 @@ def test_split_follows_the_first_bounce_alone(mi: Any, furnace: Callable[..., Fr
     scene = mi.load_dict(
         {
             "type": "scene",
-            "sensor": {
-                "type": "perspective",
-                "fov": 30.0,
-                "film": {"type": "hdrfilm", "width": 8, "height": 8},
-                "to_world": mi.ScalarTransform4f().look_at(origin=[0, 0, 3], target=[0, 0, 0], up=[0, 1, 0]),
-            },
+            "sensor": make_camera(mi, [0, 0, 3], box=False, fov=30.0),
             "mirror": {"type": "rectangle", "bsdf": {"type": "conductor"}},
             "world": {"type": "sphere", "radius": 10.0, "flip_normals": True, "bsdf": {"type": "diffuse"}},
             "lamp": {"type": "point", "position": [0, 4, 5], "intensity": rgb(50, 50, 50)},
@@ -179,12 +163,7 @@ def test_lobes_split_next_event_light_by_their_value(mi: Any) -> None:
     scene = mi.load_dict(
         {
             "type": "scene",
-            "sensor": {
-                "type": "perspective",
-                "fov": 0.1,
-                "film": {"type": "hdrfilm", "width": 2, "height": 2},
-                "to_world": mi.ScalarTransform4f().look_at(origin=[0, 3, 4], target=[0, 0, 0], up=[0, 1, 0]),
-            },
+            "sensor": make_camera(mi, [0, 3, 4], size=(2, 2), box=False, fov=0.1),
             "square": {"type": "rectangle", "bsdf": bsdf},
             "lamp": {"type": "point", "position": [0, -2, 2], "intensity": rgb(8, 8, 8)},
         }

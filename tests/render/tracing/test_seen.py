@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from lobewise.records.frame import GBuffer
+from tests.render.items import make_camera
 from tests.render.tolerances import EXACT
 
 pytestmark = pytest.mark.mitsuba
@@ -41,12 +42,7 @@ def shine(plane: dict[str, Any], radiance: float) -> dict[str, Any]:
 def render(mi: Any, *, spp: int = 8, max_depth: int = 8, aov_only: bool = False, **items: Any) -> GBuffer:
     from lobewise.render import render_frame
 
-    sensor = {
-        "type": "perspective",
-        "fov": 50.0,
-        "to_world": mi.ScalarTransform4f().look_at(origin=list(EYE), target=[0, 1, 0], up=[0, 1, 0]),
-        "film": {"type": "hdrfilm", "width": 24, "height": 16, "rfilter": {"type": "box"}},
-    }
+    sensor = make_camera(mi, EYE, [0, 1, 0], size=(24, 16), fov=50.0)
     scene = mi.load_dict({"type": "scene", "sensor": sensor, **items})
     return render_frame(scene, spp=spp, max_depth=max_depth, aov_only=aov_only).gbuffer
 

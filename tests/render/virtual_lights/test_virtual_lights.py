@@ -11,6 +11,7 @@ import pytest
 
 from lobewise.errors import InputError
 from lobewise.metrics import rel_mse
+from tests.render.items import make_camera, make_square, rgb
 
 pytestmark = pytest.mark.mitsuba
 
@@ -90,12 +91,7 @@ def hollow(mi: Any) -> Any:
     return mi.load_dict(
         {
             "type": "scene",
-            "sensor": {
-                "type": "perspective",
-                "fov": 60.0,
-                "to_world": mi.ScalarTransform4f().look_at(origin=[0, 0, 1], target=[0, 0.2, 0], up=[0, 1, 0]),
-                "film": {"type": "hdrfilm", "width": 8, "height": 8},
-            },
+            "sensor": make_camera(mi, [0, 0, 1], [0, 0.2, 0], box=False, fov=60.0),
             "sphere": {
                 "type": "sphere",
                 "radius": 2.0,
@@ -157,14 +153,9 @@ def make_corner(mi: Any, *, cone: float = 2.0, bsdf: dict[str, Any] | None = Non
     return mi.load_dict(
         {
             "type": "scene",
-            "sensor": {
-                "type": "perspective",
-                "fov": 40.0,
-                "to_world": transform().look_at(origin=[0, 1, 4], target=[0, 1, 0], up=[0, 1, 0]),
-                "film": {"type": "hdrfilm", "width": 8, "height": 8},
-            },
-            "floor": {"type": "rectangle", "to_world": transform().rotate([1, 0, 0], -90).scale(2), "bsdf": gray},
-            "wall": {"type": "rectangle", "to_world": transform().translate([0, 2, -1]).scale(2), "bsdf": bsdf or gray},
+            "sensor": make_camera(mi, [0, 1, 4], [0, 1, 0], box=False, fov=40.0),
+            "floor": make_square(transform().rotate([1, 0, 0], -90).scale(2), bsdf=gray),
+            "wall": make_square(transform().translate([0, 2, -1]).scale(2), bsdf=bsdf or gray),
             "spot": {
                 "type": "spot",
                 "to_world": transform().look_at(origin=[0.2, 3, 0], target=[0.2, 0, 0.3], up=[1, 0, 0]),
@@ -234,12 +225,9 @@ def test_lights_stay_until_they_are_traced_anew(mi: Any) -> None:
 def test_screens_cast_shadows(mi: Any, opacity: float) -> None:
     transform = mi.ScalarTransform4f
     # From the floor to a height of 0.8, between light and wall.
-    screen = {
-        "type": "rectangle",
-        "to_world": transform().translate([0, 0.3, -0.3]).scale([2, 0.5, 1]),
-        "bsdf": {"type": "mask", "opacity": opacity, "inner": {"type": "diffuse"}},
-    }
-    scene = make_corner(mi, screen=screen)
+    place = transform().translate([0, 0.3, -0.3]).scale([2, 0.5, 1])
+    screen = {"type": "mask", "opacity": opacity, "inner": {"type": "diffuse"}}
+    scene = make_corner(mi, screen=make_square(place, bsdf=screen))
     points = view(scene)
     method = make_lights(scene, count=1, max_depth=3, clamp=0.0)
     light = np.array(method.lights.si.p).T[0]
@@ -429,12 +417,9 @@ def test_any_surface_and_emitter_agrees_with_paths(mi: Any, make_box_scene: Box,
     items: dict[str, Any] = {"bumpy": ball(-0.7, bumpy), "metal": ball(0.7, {"type": "twosided", "inner": metal})}
     if emitter in ("area", "sky"):
         # Paths never find a lamp without extent behind a mask; light paths pass through.
-        items["sheet"] = {
-            "type": "rectangle",
-            "to_world": transform().translate([0, 1.4, -1]).scale([0.8, 0.3, 1.0]),
-            "bsdf": {"type": "mask", "opacity": 0.5, "inner": {"type": "twosided", "inner": plastic}},
-        }
-    shine = {"type": "rgb", "value": [3.0, 2.5, 2.0]}
+        mask = {"type": "mask", "opacity": 0.5, "inner": {"type": "twosided", "inner": plastic}}
+        items["sheet"] = make_square(transform().translate([0, 1.4, -1]).scale([0.8, 0.3, 1.0]), bsdf=mask)
+    shine = rgb(3.0, 2.5, 2.0)
     if emitter == "point":
         items["light"] = {"type": "point", "position": [1, 2, 1], "intensity": shine}
     elif emitter == "directional":

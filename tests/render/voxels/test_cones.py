@@ -13,6 +13,7 @@ import pytest
 from lobewise.errors import InputError
 from lobewise.render import render_frame
 from tests.lobes.oracles.brdf import reflect_ggx_sg
+from tests.render.items import make_camera, make_square
 
 pytestmark = pytest.mark.mitsuba
 
@@ -74,12 +75,7 @@ def shade(mi: Any) -> Callable[..., tuple[Any, Any]]:
 
 def look(mi: Any, origin: list[float], target: list[float], *, size: int = 16, fov: float = 60.0) -> dict[str, Any]:
     up = [0, 1, 0] if abs(np.dot(np.subtract(target, origin), [0, 1, 0])) < 0.9 else [1, 0, 0]
-    return {
-        "type": "perspective",
-        "fov": fov,
-        "to_world": mi.ScalarTransform4f().look_at(origin=origin, target=target, up=up),
-        "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}},
-    }
+    return make_camera(mi, origin, target, up=up, size=(size, size), fov=fov)
 
 
 def gray(value: float) -> dict[str, Any]:
@@ -271,12 +267,8 @@ def test_cones_stop_where_rays_hit(mi: Any) -> None:
 
 @pytest.mark.nightly
 def test_hit_distance_of_a_mirror_is_that_of_rays(mi: Any, shade: Cones, make_box_scene: Cones) -> None:
-    mirror = {
-        "type": "rectangle",
-        "to_world": mi.ScalarTransform4f().translate([0, 0.05, 0.5]).rotate([1, 0, 0], -90),
-        "bsdf": {"type": "conductor"},
-    }
-    scene = make_box_scene({"mirror": mirror}, size=32)
+    place = mi.ScalarTransform4f().translate([0, 0.05, 0.5]).rotate([1, 0, 0], -90)
+    scene = make_box_scene({"mirror": make_square(place, bsdf={"type": "conductor"})}, size=32)
     images, _ = shade(scene, samples=1, resolution=128, bounces=0)
     guides = render_frame(scene, spp=1, seed=0).gbuffer
     shiny = guides.lobe_kind == 3

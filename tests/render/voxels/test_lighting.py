@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.render.items import make_lamp, rgb
 from tests.render.moving.places import slide, turn
 
 pytestmark = pytest.mark.mitsuba
@@ -20,10 +21,9 @@ def load(mi: Any) -> Any:
     transform = mi.ScalarTransform4f
 
     def gray(*value: float) -> dict[str, Any]:
-        inner = {"type": "diffuse", "reflectance": {"type": "rgb", "value": list(value)}}
-        return {"type": "twosided", "inner": inner}
+        return {"type": "twosided", "inner": {"type": "diffuse", "reflectance": rgb(*value)}}
 
-    lamp = {"type": "rgb", "value": [4.0, 5.0, 6.0]}
+    above = transform().translate([0, 0.98, 0]).rotate([1, 0, 0], 90).scale(0.3)
     items = {
         "room": {"type": "cube", "flip_normals": True, "bsdf": gray(0.7, 0.6, 0.5)},
         "block": {
@@ -32,11 +32,7 @@ def load(mi: Any) -> Any:
             "bsdf": gray(0.5, 0.5, 0.5),
         },
         "ball": {"type": "sphere", "center": [-0.4, -0.6, 0.1], "radius": 0.3, "bsdf": gray(0.8, 0.1, 0.1)},
-        "lamp": {
-            "type": "rectangle",
-            "to_world": transform().translate([0, 0.98, 0]).rotate([1, 0, 0], 90).scale(0.3),
-            "emitter": {"type": "area", "radiance": lamp},
-        },
+        "lamp": make_lamp(above, rgb(4.0, 5.0, 6.0)),
     }
     return mi.load_dict({"type": "scene", **items}, optimize=False)
 
