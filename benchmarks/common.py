@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -22,11 +23,14 @@ SHOWROOM, SHOWROOM_REFERENCE = FRAMES / "showroom-4spp.exr", FRAMES / "showroom-
 __all__ = ["RESULTS", "ROOT", "describe_machine", "fetch_frame", "write_json"]
 
 
-def write_json(path: Path, value: Any) -> None:
-    """Write ``value`` readably, through a temporary file."""
+def write_json(path: Path, value: Any, *, one_line: str = "") -> None:
+    """Write ``value`` readably, through a temporary file; what the pattern ``one_line`` matches stays on one line."""
+    text = json.dumps(value, indent=1)
+    if one_line:
+        text = re.sub(one_line, lambda found: re.sub(r"\s*\n\s*", " ", found[0]), text)
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_suffix(".tmp")
-    temporary.write_text(json.dumps(value, indent=1) + "\n")
+    temporary.write_text(text + "\n")
     temporary.replace(path)
 
 

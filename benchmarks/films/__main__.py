@@ -92,8 +92,6 @@ def measure_flicker(images: list[FloatArray], judges: list[Judge]) -> float:
     """Return the change from frame to frame where the clean images agree."""
     steps = []
     for (before, image), (old, new) in zip(pairwise(images), pairwise(judges), strict=True):
-        assert old.clean is not None
-        assert new.clean is not None
         scale = 0.5 * (old.clean**2 + new.clean**2) + EPSILON
         steady = ((new.clean - old.clean) ** 2 / scale).mean(axis=-1) <= MAX_CLEAN_CHANGE
         change = np.sort((((image - before) - (new.clean - old.clean)) ** 2 / scale).mean(axis=-1)[steady])

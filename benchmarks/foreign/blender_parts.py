@@ -141,7 +141,7 @@ def add_lamps(places, radius, strength):
     for number, place in enumerate(places):
         tint = TINTS[number % len(TINTS)]
         name = f"lamp{number}"
-        lamps.append(add_glow(name, tint, strength, radius=radius, location=place, segments=10, ring_count=5))
+        lamps.append(add_glow(name, tint, strength, radius, place, 10))
     return lamps
 
 
@@ -196,10 +196,10 @@ def add_flakes(material, scale, amount):
     tree.links.new(steps["unit"].outputs[0], tree.nodes["Principled BSDF"].inputs["Normal"])
 
 
-def add_glow(name, color, strength, **options):
+def add_glow(name, color, strength, radius, location, segments):
     """Add a ball that glows."""
     glow = make_material(name, (0.0, 0.0, 0.0), Emission_Color=(*color, 1.0), Emission_Strength=strength)
-    return add("uv_sphere", glow, **options)
+    return add("uv_sphere", glow, radius=radius, location=location, segments=segments, ring_count=segments // 2)
 
 
 def set_focus(distance, stop):

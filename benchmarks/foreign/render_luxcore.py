@@ -90,10 +90,11 @@ class Maker:
                 faces += [(first, first + 1, first + 2), (first, first + 2, first + 3)]
         self.add_mesh(name, material, points, faces)
 
-    def add_disney(self, name: str, color: str, roughness: str, more: str = "") -> None:
-        """Add a material of Disney's model; ``color`` and ``roughness`` are values or textures."""
+    def add_disney(self, name: str, color: str, roughness: str, more: str = "") -> str:
+        """Add a material of Disney's model, ``color`` and ``roughness`` values or textures; return its name."""
         lines = ["type = disney", f"basecolor = {color}", f"roughness = {roughness}", *more.strip().splitlines()]
         self.put("\n".join(f"materials.{name}.{line.strip()}" for line in lines))
+        return name
 
     def add_matte(self, name: str, color: str) -> None:
         """Add a material that is diffuse alone."""
@@ -175,8 +176,7 @@ def make_textured() -> pyluxcore.Scene:
     maker.add_disney("bumped", "0.7 0.2 0.15", "0.25", "bumptex = bumps")
     maker.add_ball("bumped", "bumped", 0.9, (-1.6, 0.3, 0.9), 64)
     maker.mix("wear", "spots", "0.05", "0.7")
-    maker.add_disney("worn", "0.85 0.8 0.7", "wear", "metallic = 1")
-    maker.add_ball("worn", "worn", 0.9, (1.2, 0.2, 0.9), 64)
+    maker.add_ball("worn", maker.add_disney("worn", "0.85 0.8 0.7", "wear", "metallic = 1"), 0.9, (1.2, 0.2, 0.9), 64)
     maker.mix("stripes", "grain", "0.8 0.1 0.1", "0.9 0.9 0.9")
     maker.add_disney("paint", "stripes", "0.15", "clearcoat = 1\nclearcoatgloss = 0.95")
     maker.add_box("paint", "paint", (-0.1, -1.3, 0.45), (0.9, 0.9, 0.9), 0.2)
@@ -200,10 +200,8 @@ def make_glass() -> pyluxcore.Scene:
             f"materials.{name}.kr = 1 1 1\nmaterials.{name}.kt = {tint}"
         )
         maker.add_ball(name, name, 0.7, (-1.8 + 1.8 * number, 0.0, 0.7), 64)
-    maker.add_disney("gold", "0.95 0.7 0.3", "0.2", "metallic = 1")
-    maker.add_ball("gold", "gold", 0.4, (-1.0, -1.5, 0.4))
-    maker.add_disney("wax", "0.9 0.6 0.4", "0.4")
-    maker.add_box("wax", "wax", (2.9, 1.5, 0.5), (1.0, 1.0, 1.0))
+    maker.add_ball("gold", maker.add_disney("gold", "0.95 0.7 0.3", "0.2", "metallic = 1"), 0.4, (-1.0, -1.5, 0.4))
+    maker.add_box("wax", maker.add_disney("wax", "0.9 0.6 0.4", "0.4"), (2.9, 1.5, 0.5), (1.0, 1.0, 1.0))
     maker.add_lamp("lamp", (2.5, 2.5, 5.0), (0.0, 1.0, -0.6), (1.0, 0.0, 0.6), "45 45 45")
     return maker.finish("0.35 0.4 0.5", (0.0, -6.5, 2.8), (0.2, 0.0, 0.5), 42.0)
 
@@ -230,14 +228,11 @@ def make_room() -> pyluxcore.Scene:
     )
     for name, material, corner, one, other in sheets:
         maker.add_sheet(name, material, corner, one, other)
-    maker.add_disney("table", "0.5 0.5 0.55", "0.12")
-    maker.add_box("table", "table", (0.2, 0.9, 0.75), (1.8, 1.0, 0.06))
+    maker.add_box("table", maker.add_disney("table", "0.5 0.5 0.55", "0.12"), (0.2, 0.9, 0.75), (1.8, 1.0, 0.06))
     for number, x in enumerate((-0.6, 1.0)):
         maker.add_box(f"leg{number}", "wood", (x, 0.9, 0.36), (0.08, 0.8, 0.72))
-    maker.add_disney("pot", "0.9 0.85 0.8", "0.1", "metallic = 1")
-    maker.add_ball("pot", "pot", 0.28, (-0.2, 0.8, 1.06))
-    maker.add_disney("vase", "0.2 0.4 0.6", "0.3")
-    maker.add_box("vase", "vase", (0.7, 1.0, 1.03), (0.26, 0.26, 0.5), 0.4)
+    maker.add_ball("pot", maker.add_disney("pot", "0.9 0.85 0.8", "0.1", "metallic = 1"), 0.28, (-0.2, 0.8, 1.06))
+    maker.add_box("vase", maker.add_disney("vase", "0.2 0.4 0.6", "0.3"), (0.7, 1.0, 1.03), (0.26, 0.26, 0.5), 0.4)
     maker.put("materials.mirror.type = mirror\nmaterials.mirror.kr = 0.95 0.95 0.95")
     maker.add_sheet("mirror", "mirror", (0.5, 2.98, 1.15), (1.4, 0.0, 0.0), (0.0, 0.0, 1.1))
     maker.add_lamp("lamp", (0.05, 0.25, 2.98), (0.0, 0.5, 0.0), (0.9, 0.0, 0.0), "12 10 7")
@@ -261,8 +256,7 @@ def make_sparks() -> pyluxcore.Scene:
     for number, x in enumerate((-1.7, 1.5)):
         maker.add_ball(f"globe{number}", "glass", 0.55, (x, 0.6, 0.55), 64)
         maker.add_ball(f"spark{number}", "spark", 0.04, (x + 0.1, 0.5, 0.6), 16)
-    maker.add_disney("plastic", "0.2 0.4 0.7", "0.3")
-    maker.add_ball("plastic", "plastic", 0.6, (0.0, 1.4, 0.6))
+    maker.add_ball("plastic", maker.add_disney("plastic", "0.2 0.4 0.7", "0.3"), 0.6, (0.0, 1.4, 0.6))
     maker.add_disney("gold", "0.95 0.7 0.3", "0.25", "metallic = 1")
     maker.add_box("gold", "gold", (0.1, -0.9, 0.35), (0.7, 0.7, 0.7), 0.6)
     maker.add_lamp("lamp", (-4.0, -4.0, 5.0), (0.0, 1.5, 0.5), (1.5, 0.0, -0.6), "14 14 14")

@@ -80,7 +80,6 @@ def time_first_picture(browser: Any, method: str) -> float:
     start = time.perf_counter()
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
-        assert process.stdout is not None
         line = process.stdout.readline()
         found = re.search(r"http://\S+", line)
         assert found, line
@@ -185,12 +184,13 @@ def measure_pace(method: str) -> dict[str, Any]:
         accumulated = viewer.statistics["accumulated"][0]
         size = viewer.statistics["size"][0]
         client.close()
-    return {
-        "frames_per_second": count / seconds,
-        "accumulated": accumulated,
-        "size": list(size),
-        "seconds": {name: median(stage[name] for stage in stages) for name in stages[0]},
-    }
+    return {**summarise(count / seconds, size, stages), "accumulated": accumulated}
+
+
+def summarise(pace: float, size: Any, stages: list[dict[str, float]]) -> dict[str, Any]:
+    """Return the figures of a way to move the camera."""
+    times = {name: median(stage[name] for stage in stages) for name in stages[0]}
+    return {"frames_per_second": pace, "size": list(size), "seconds": times}
 
 
 def measure_motion(browser: Any, method: str) -> dict[str, Any]:
@@ -208,11 +208,7 @@ def measure_motion(browser: Any, method: str) -> dict[str, Any]:
         count, seconds = viewer.statistics["frames"] - before, time.perf_counter() - start
         size = viewer.statistics["size"][0]
         page.context.close()
-    return {
-        "frames_per_second": count / seconds,
-        "size": list(size),
-        "seconds": {name: median(stage[name] for stage in stages) for name in stages[0]},
-    }
+    return summarise(count / seconds, size, stages)
 
 
 def measure_orbit(browser: Any) -> dict[str, Any]:

@@ -62,8 +62,6 @@ GUIDES = ("depth", "normal", "tangent", "alpha_u", "alpha_v", "lobe_kind", "diff
 def locate_oidn() -> Path:
     """Return the program `oidnDenoise` of the installed wheel."""
     spec = find_spec("pyoidn")
-    assert spec is not None
-    assert spec.origin is not None
     name = "oidnDenoise.exe" if os.name == "nt" else "oidnDenoise"
     return next(Path(spec.origin).parent.rglob(name))
 
@@ -88,9 +86,6 @@ def read_pfm(path: Path) -> FloatArray:
 def write_inputs(frame: Frame, folder: Path) -> None:
     """Write the frame without what the plain filter ignores, and the images that `oidnDenoise` takes."""
     guides = frame.gbuffer
-    assert guides.normal is not None
-    assert guides.diffuse_albedo is not None
-    assert guides.specular_albedo is not None
     few = GBuffer(**{name: getattr(guides, name) for name in GUIDES})
     light = Radiance(frame.radiance.color, diffuse=frame.radiance.diffuse, specular=frame.radiance.specular)
     write_frame(folder / "lean.exr", Frame(light, few, frame.camera, spp=frame.spp))

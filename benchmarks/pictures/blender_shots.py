@@ -64,7 +64,6 @@ def main() -> None:
     for name in SHOTS:
         scene = scenes[f"factory/{name}"]
         shot = make_shot(scene, scene.read(SPP), "all", SPP)
-        assert shot is not None
         images = {column: METHODS[column](shot, {}) for column in COLUMNS}
         reference = np.mean(scene.reference_images, axis=0, dtype=np.float32)
         part, exposure = choose_part(images["high"], reference), choose_exposure(reference)

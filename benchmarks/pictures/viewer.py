@@ -6,17 +6,12 @@ python -m benchmarks.pictures.viewer             # needs playwright and Debian's
 from __future__ import annotations
 
 import argparse
-import shutil
-import time
 from pathlib import Path
-from typing import Any
 
 from benchmarks.common import ROOT
+from benchmarks.interactive.viewer import open_browser, wait
 from lobewise.scenes import BY_THEMSELVES
 from lobewise.viewer import Viewer
-
-FLAGS = ["--no-sandbox", "--use-gl=swiftshader", "--enable-unsafe-swiftshader"]
-PATIENCE = 300.0
 
 
 def main() -> None:
@@ -28,38 +23,25 @@ def main() -> None:
     moving = {"nargs": "?", "const": BY_THEMSELVES, "metavar": "FILE.json"}
     parser.add_argument("--moving-objects", **moving, help="let objects of a scene move")
     arguments = parser.parse_args()
-    from playwright.sync_api import sync_playwright
-
-    with Viewer(arguments.target, port=0, moving=arguments.moving_objects) as viewer, sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
+    with Viewer(arguments.target, port=0, moving=arguments.moving_objects) as viewer, open_browser() as browser:
         page = browser.new_page(viewport={"width": 1280, "height": 860})
         page.goto(viewer.url)
-        wait(page, lambda: viewer.statistics["frames"] > 1)
+        wait(page, lambda: viewer.statistics["frames"] > 1, "pictures")
         notice = page.locator(".mantine-Notification-closeButton")
         if notice.count():
             notice.first.click()
         page.get_by_label("Compare A, B", exact=True).click()
         seen = viewer.statistics["frames"]
-        wait(page, lambda: viewer.statistics["frames"] > seen + 1)
+        wait(page, lambda: viewer.statistics["frames"] > seen + 1, "other pictures")
         if arguments.moving_objects:
-            wait(page, lambda: viewer.statistics["moments"][0] >= arguments.frames)
+            wait(page, lambda: viewer.statistics["moments"][0] >= arguments.frames, "the moment")
         else:
-            wait(page, lambda: viewer.statistics["accumulated"][0] >= arguments.frames)
+            wait(page, lambda: viewer.statistics["accumulated"][0] >= arguments.frames, "samples")
         # Away from the controls, whose hints would cover others.
         page.mouse.move(300, 60)
         page.wait_for_timeout(1500)
         page.screenshot(path=arguments.output)
-        browser.close()
     print(f"{arguments.output}: {arguments.output.stat().st_size / 1e3:.0f} kB")
-
-
-def wait(page: Any, condition: Any) -> None:
-    """Return when the condition holds; the page lives on meanwhile."""
-    end = time.monotonic() + PATIENCE
-    while not condition():
-        if time.monotonic() > end:
-            raise TimeoutError(f"the page did not get there within {PATIENCE:.0f} s")
-        page.wait_for_timeout(100)
 
 
 if __name__ == "__main__":

@@ -147,11 +147,6 @@ def classify_pixels(frame: Frame) -> dict[str, Mask]:
     "anisotropic" overlaps the three specular classes: their pixels whose alphas are apart by more than a third.
     """
     guides = frame.gbuffer
-    assert guides.lobe_kind is not None
-    assert guides.alpha_u is not None
-    assert guides.alpha_v is not None
-    assert guides.diffuse_albedo is not None
-    assert guides.specular_albedo is not None
     edge = mark_silhouettes(frame)
     diffuse, specular = guides.diffuse_albedo.mean(axis=-1), guides.specular_albedo.mean(axis=-1)
     albedo = diffuse + specular
@@ -174,8 +169,6 @@ def classify_pixels(frame: Frame) -> dict[str, Mask]:
 def compute_specular_share(frame: Frame) -> FloatArray:
     """Return how much of the scattered radiance the specular lobe carries, in [0, 1], averaged over some pixels."""
     radiance = frame.radiance
-    assert radiance.diffuse is not None
-    assert radiance.specular is not None
     diffuse, specular = (
         gaussian_filter(image.mean(axis=-1), SHARE_BLUR) for image in (radiance.diffuse, radiance.specular)
     )
@@ -185,9 +178,6 @@ def compute_specular_share(frame: Frame) -> FloatArray:
 def mark_silhouettes(frame: Frame) -> Mask:
     """Return the pixels at which another surface, orientation or material begins, on both its sides."""
     guides = frame.gbuffer
-    assert guides.depth is not None
-    assert guides.normal is not None
-    assert frame.camera is not None
     position = guides.position if guides.position is not None else frame.camera.make_positions(guides.depth)
     footprint = guides.depth * frame.camera.get_pixel_angle(frame.height)
     edge = np.zeros(frame.shape, dtype=np.bool_)
@@ -217,13 +207,11 @@ def _list_pairs(shape: tuple[int, int]) -> Iterator[tuple[Any, Any]]:
 
 def _mark_material_steps(guides: GBuffer, here: Any, there: Any) -> Mask:
     """Return where two neighbours have lobes of another kind, of another table, or of quite another roughness."""
-    assert guides.lobe_kind is not None
     kind = np.rint(guides.lobe_kind)
     steps = kind[here] != kind[there]
     if guides.material is not None:
         steps |= np.rint(guides.material[here]) != np.rint(guides.material[there])
     for image in (guides.alpha_u, guides.alpha_v):
-        assert image is not None
         alpha = np.maximum(image, SMALLEST_ALPHA)
         ratio = alpha[here] / alpha[there]
         steps |= (ratio > EDGE_ALPHA) | (ratio < 1.0 / EDGE_ALPHA)

@@ -40,9 +40,6 @@ MAX_ALPHA, MIN_SPECULAR_SHARE = 0.25, 0.3
 def mark_glossy(frame: Frame) -> NDArray[np.bool_]:
     """Return which pixels are glossy, (height, width)."""
     guides = frame.gbuffer
-    assert guides.alpha_u is not None
-    assert guides.diffuse_albedo is not None
-    assert guides.specular_albedo is not None
     diffuse, specular = (compute_image_luminance(each) for each in (guides.diffuse_albedo, guides.specular_albedo))
     return (guides.alpha_u <= MAX_ALPHA) & (specular > MIN_SPECULAR_SHARE * (diffuse + specular))
 

@@ -187,7 +187,6 @@ def _run_history(frame: Frame, sparse: bool, changes: dict[str, Any]) -> Arrays:
     history = lobewise.TemporalFilter(device="cpu", **changes)
     found: Arrays = {}
     camera = frame.camera
-    assert camera is not None
     rng = np.random.default_rng(7)
     for number in range(4):
         step = 0.02 * number * camera.right

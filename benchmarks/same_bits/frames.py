@@ -25,7 +25,6 @@ def crop(frame: Frame, rows: slice, columns: slice) -> Frame:
         values = {item.name: getattr(part, item.name) for item in fields(part)}
         return type(part)(**{name: None if v is None else v[rows, columns] for name, v in values.items()})
 
-    assert frame.camera is not None
     scale = (rows.stop - rows.start) / frame.height
     camera = replace(frame.camera, fov_y=2.0 * float(np.arctan(scale * np.tan(0.5 * frame.camera.fov_y))))
     return Frame(cut(frame.radiance), cut(frame.gbuffer), camera, spp=frame.spp)
@@ -36,11 +35,6 @@ def enrich(frame: Frame) -> Frame:
     rng = np.random.default_rng(20150915)
     height, width = frame.shape
     guides = frame.gbuffer
-    assert guides.normal is not None
-    assert guides.alpha_u is not None
-    assert guides.depth is not None
-    assert guides.diffuse_albedo is not None
-    assert guides.specular_albedo is not None
     y, x = np.mgrid[:height, :width] / 32.0
     helper = np.cross(guides.normal, np.array([0.3, 0.9, 0.1]))
     tangent = helper / np.maximum(np.linalg.norm(helper, axis=-1, keepdims=True), 1e-6)
@@ -111,7 +105,6 @@ def damage(frame: Frame) -> Frame:
     color[70, 10:40] = np.nan
     color[90:95, 50:80, 2] -= 0.05
     parts = frame.radiance.parts
-    assert parts is not None
     diffuse = np.array(parts[0])
     diffuse[3, 4], diffuse[11, 12] = np.nan, np.inf
     return frame.with_changes(radiance=Radiance(color, diffuse=diffuse, specular=parts[1]))

@@ -111,7 +111,6 @@ def test_coated_pixels_go_by_what_carries_their_radiance() -> None:
 def test_silhouettes_are_the_two_columns_at_a_step(guide: str) -> None:
     wall = make_wall()
     depth, normal = wall.gbuffer.depth, wall.gbuffer.normal
-    assert depth is not None
     assert normal is not None
     tilted = np.where(fill(0.0, 1.0)[..., None] > 0.0, np.array([0.8, 0.0, 0.6]), normal)
     changes: dict[str, Any] = {
@@ -150,7 +149,6 @@ def test_a_floor_seen_at_a_glance_is_no_silhouette() -> None:
 
 def test_pixels_that_saw_other_normals_are_silhouettes() -> None:
     wall = make_wall()
-    assert wall.gbuffer.normal is not None
     mean = np.array(wall.gbuffer.normal)
     mean[5, 6] = 0.85 * mean[5, 6]
     mean[7, 8] = 0.95 * mean[7, 8]

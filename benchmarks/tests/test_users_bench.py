@@ -19,21 +19,12 @@ from lobewise.settings import QUALITY_NAMES
 pytest.importorskip("mitsuba", reason="the bench shares modules with those that render")
 pytest.importorskip("pyoidn", reason="the bench cleans its references with Open Image Denoise")
 pytest.importorskip("flip_evaluator", reason="FLIP is one of the figures")
-users, guides, measuring, methods, scenes, summary, page, fetch, mending, interiors = (
-    import_module(f"benchmarks.{part}")
-    for part in (
-        "users.__main__",
-        "users.guides",
-        "users.measuring",
-        "users.methods",
-        "users.scenes",
-        "users.summary",
-        "pages.users",
-        "interiors.fetch",
-        "interiors.mending",
-        "interiors.scenes",
-    )
+users, guides, measuring, methods, scenes, summary = (
+    import_module(f"benchmarks.users.{part}")
+    for part in ("__main__", "guides", "measuring", "methods", "scenes", "summary")
 )
+fetch, mending, interiors = (import_module(f"benchmarks.interiors.{part}") for part in ("fetch", "mending", "scenes"))
+page = import_module("benchmarks.pages.users")
 
 SIZE = 64
 NOISE, REFERENCE_NOISE = 0.3, 0.2

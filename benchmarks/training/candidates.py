@@ -10,7 +10,6 @@ could render is free of noise, so the reference is two independent images: the m
 
 from __future__ import annotations
 
-import argparse
 import gc
 import time
 from collections.abc import Iterator
@@ -21,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.training.frames import make_half, open_cache
+from benchmarks.training.frames import make_half, make_parser, open_cache
 from lobewise.records.frame import Frame, GBuffer, Radiance
 
 COLOR = "color"
@@ -124,8 +123,6 @@ def vary_guides(frame: Frame, rng: np.random.Generator) -> Iterator[tuple[str, F
     plain = GBuffer(normal=guides.normal, depth=guides.depth, diffuse_albedo=sum_albedo(frame))
     yield "plain", replace(without, gbuffer=plain, radiance=Radiance(light.color))
     if rng.random() < 0.5:
-        assert light.diffuse is not None
-        assert light.specular is not None
         soft = Radiance(blur(light.color), diffuse=blur(light.diffuse), specular=blur(light.specular))
         yield "shared", replace(without, radiance=soft, noise_is_shared=True)
     else:
@@ -145,7 +142,6 @@ def make_empty_guides(shape: tuple[int, int]) -> GBuffer:
 def sum_albedo(frame: Frame) -> Array:
     """Return the albedo of all lobes, at most 1."""
     diffuse, specular = frame.gbuffer.diffuse_albedo, frame.gbuffer.specular_albedo
-    assert diffuse is not None
     return np.clip(diffuse if specular is None else diffuse + specular, 0.0, 1.0)
 
 
@@ -166,7 +162,6 @@ def denoise_all(frame: Frame) -> dict[str, Array]:
         settings = resolve_all(frame, DenoiseSettings(quality=quality, with_oidn=False))
         checked = check_guides(frame).frame
         before = filter_rows(checked, settings, (), mark_bad_pixels(checked)).taken_from
-        assert before is not None
         images[quality] = before.image
     if frame.half_a is not None and frame.half_b is not None:
         images |= {"half_a": frame.half_a.color, "half_b": frame.half_b.color}
@@ -206,11 +201,8 @@ def main(words: list[str] | None = None) -> None:
     """Make what is missing, and say in one line for each scene how long it took."""
     from benchmarks.training.rendering import limit_threads
 
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--cache", type=Path, required=True, help="folder for the files, outside the repository")
+    parser = make_parser(__doc__, count=60, size=128)
     parser.add_argument("--first", type=int, default=1, help="seed of the first scene, from 1")
-    parser.add_argument("--count", type=int, default=60, help="how many scenes")
-    parser.add_argument("--size", type=int, default=128, help="pixels a side")
     arguments = parser.parse_args(words)
     folder = open_cache(parser, arguments.cache)
     limit_threads(1)

@@ -25,6 +25,15 @@ def make_half(image: NDArray[np.floating]) -> Half:
     return np.clip(values, -LARGEST_VALUE, LARGEST_VALUE).astype(np.float16)
 
 
+def make_parser(words: str | None, *, count: int, size: int) -> argparse.ArgumentParser:
+    """Return the options of what makes frames: where they are kept, how many and how large they are."""
+    parser = argparse.ArgumentParser(description=words, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cache", type=Path, required=True, help="folder for the files, outside the repository")
+    parser.add_argument("--count", type=int, default=count, help="how many scenes or frames")
+    parser.add_argument("--size", type=int, default=size, help="pixels a side")
+    return parser
+
+
 def open_cache(parser: argparse.ArgumentParser, path: Path) -> Path:
     """Return the folder of the option --cache, made if it is not there; inside the repository the program ends."""
     folder = path.expanduser().resolve()

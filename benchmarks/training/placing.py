@@ -9,7 +9,7 @@ import numpy as np
 from benchmarks.training.clutter import SMALL, make_vessel
 from benchmarks.training.materials import Generator, draw_log
 from benchmarks.training.meshes import Box, Surface, make_boxes, make_mesh, move
-from benchmarks.training.settings import Stage, aim
+from benchmarks.training.settings import Stage, aim, is_in_view
 from benchmarks.training.surfaces import draw_glass, draw_plain, draw_surface
 from lobewise.scenes import parts
 from lobewise.scenes.parts import Item, Vector
@@ -53,12 +53,6 @@ def aim_around(stage: Stage, target: Vector, distance: float, fov: float) -> Non
     aim(stage, (x, max(y, 0.12 * distance), z), target, fov)
 
 
-def _is_seen(stage: Stage, point: Vector) -> bool:
-    toward, axis = np.subtract(point, stage.origin), np.subtract(stage.target, stage.origin)
-    cosine = toward @ axis / (np.linalg.norm(toward) * np.linalg.norm(axis))
-    return bool(cosine > np.cos(np.deg2rad(0.5 * stage.fov)))
-
-
 def choose_spot(stage: Stage, radius: float, height: float) -> Vector | None:
     """Return a free place on the floor for a thing of a radius and a height, or None where no try found one."""
     generator = stage.generator
@@ -68,7 +62,7 @@ def choose_spot(stage: Stage, radius: float, height: float) -> Vector | None:
         away = np.hypot(x - stage.origin[0], z - stage.origin[2])
         if away < max(radius + LEAST_DISTANCE, RADII_AWAY * max(radius, 0.4 * height)):
             continue
-        if not _is_seen(stage, middle) and generator.random() >= UNSEEN:
+        if not is_in_view(stage, middle, 0.5) and generator.random() >= UNSEEN:
             continue
         if all(np.hypot(x - at[0], z - at[2]) > 0.9 * (radius + other) for at, other in stage.places):
             stage.places.append(((x, 0.0, z), radius))

@@ -14,7 +14,6 @@ that the program may be stopped at any time and continues where it stopped.
 
 from __future__ import annotations
 
-import argparse
 import gc
 import os
 import re
@@ -28,7 +27,7 @@ import numpy as np
 
 import lobewise
 from benchmarks.foreign.factory.kinds import ORDER, TRAINING
-from benchmarks.training.frames import Half, is_validation, make_half, open_cache
+from benchmarks.training.frames import Half, is_validation, make_half, make_parser, open_cache
 from benchmarks.training.rendering import (
     choose_exposure,
     choose_reference_spp,
@@ -235,13 +234,10 @@ def convert_shot(folder: Path, scene: Scene) -> list[int]:
 
 def main(words: list[str] | None = None) -> None:
     """Make what is missing, and say in one line for each scene how long it took."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--cache", type=Path, required=True, help="folder for the files, outside the repository")
+    parser = make_parser(__doc__, count=0, size=256)
     parser.add_argument("--first", type=int, default=1, help="seed of the first scene, from 1")
-    parser.add_argument("--count", type=int, default=0, help="how many scenes")
     parser.add_argument("--drawn", type=int, default=0, help="how many frames of drawn textures")
     parser.add_argument("--shots", type=Path, help="folder of the factory's shots of Blender")
-    parser.add_argument("--size", type=int, default=256, help="pixels a side")
     parser.add_argument("--threads", type=int, default=1, help="threads that render and clean")
     arguments = parser.parse_args(words)
     folder = open_cache(parser, arguments.cache)

@@ -235,7 +235,6 @@ def filter_pyramid(prepared: Prepared, logits: list[Tensor], vectors: Tensor | N
             own = torch.exp(found[:, taps:more])
             total = total + gather_coarse(torch.cat([coarse, torch.ones_like(coarse[:, :1])], dim=1), own)
         coarse = total[:, :3] / total[:, 3:]
-    assert coarse is not None
     return coarse * tint
 
 

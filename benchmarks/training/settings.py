@@ -100,11 +100,11 @@ def _orient(shape: Item, center: Vector, half: Vector, turn: float, tilt: float)
     return *upright, ("translate", [0, 0, -half[1]]), ("scale", [half[0], half[2], 2.0 * half[1]])
 
 
-def _is_in_view(stage: Stage, point: Vector) -> bool:
-    """Return whether a point lies within the cone that the picture holds."""
+def is_in_view(stage: Stage, point: Vector, share: float = 0.55) -> bool:
+    """Return whether a point lies within a cone about the camera's axis, whose half angle is a share of the view's."""
     toward, axis = np.subtract(point, stage.origin), np.subtract(stage.target, stage.origin)
     cosine = toward @ axis / (np.linalg.norm(toward) * np.linalg.norm(axis))
-    return bool(cosine > np.cos(np.deg2rad(0.55 * stage.fov)))
+    return bool(cosine > np.cos(np.deg2rad(share * stage.fov)))
 
 
 def _choose_place(stage: Stage, half: Vector, kind: str) -> tuple[Vector, bool] | None:
@@ -130,7 +130,7 @@ def _choose_place(stage: Stage, half: Vector, kind: str) -> tuple[Vector, bool] 
         reach = float(np.linalg.norm(half))
         if np.linalg.norm(np.subtract(middle, stage.origin)) < max(reach + CLEARANCE, NEAREST * reach):
             continue
-        if not _is_in_view(stage, middle) and generator.random() >= UNSEEN:
+        if not is_in_view(stage, middle) and generator.random() >= UNSEEN:
             continue
         # A few cross each other on purpose: contacts without a gap.
         if generator.random() < 0.85 and any(

@@ -94,13 +94,15 @@ def _draw_mirror(generator: Generator, periods: float) -> Item:
 
 def _draw_coated(generator: Generator, periods: float) -> Item:
     """Return a principled base, at times metallic, under a clear coat."""
-    values: dict[str, float | Item] = {
-        "roughness": float(np.sqrt(draw_alpha(generator, 0.05, 0.7))),
-        "metallic": float(generator.choice([0.0, 0.0, 1.0, generator.random()])),
-        "clearcoat": generator.uniform(0.5, 1.0),
-        "clearcoat_gloss": generator.uniform(0.6, 1.0),
-    }
-    return parts.principled(draw_any_paint(generator, periods), **values)
+    values = _draw_principled(generator, (0.05, 0.7), [0.0, 0.0])
+    coat = {"clearcoat": generator.uniform(0.5, 1.0), "clearcoat_gloss": generator.uniform(0.6, 1.0)}
+    return parts.principled(draw_any_paint(generator, periods), **values, **coat)
+
+
+def _draw_principled(generator: Generator, alphas: tuple[float, float], plain: list[float]) -> dict[str, float]:
+    """Return roughness and metallic of a material, which is no metal as often as ``plain`` is long."""
+    roughness = float(np.sqrt(draw_alpha(generator, *alphas)))
+    return {"roughness": roughness, "metallic": float(generator.choice([*plain, 1.0, generator.random()]))}
 
 
 def _draw_brushed(generator: Generator, periods: float) -> Item:
@@ -126,11 +128,8 @@ def _draw_strokes(generator: Generator) -> Array:
 
 def _draw_grained(generator: Generator, periods: float) -> Item:
     """Return an anisotropic principled material."""
-    values: dict[str, float | Item] = {
-        "roughness": float(np.sqrt(draw_alpha(generator, 0.04, 0.5))),
-        "metallic": float(generator.choice([0.0, 1.0, generator.random()])),
-        "anisotropic": generator.uniform(0.4, 0.95),
-    }
+    values = _draw_principled(generator, (0.04, 0.5), [0.0])
+    values["anisotropic"] = generator.uniform(0.4, 0.95)
     return parts.principled(draw_any_paint(generator, periods), **values)
 
 

@@ -10,10 +10,8 @@ The truth is exact.
 
 from __future__ import annotations
 
-import argparse
 import time
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +24,7 @@ from benchmarks.training.candidates import (
     name_file,
     write_candidates,
 )
-from benchmarks.training.frames import open_cache
+from benchmarks.training.frames import make_parser, open_cache
 from lobewise.records.frame import Frame, GBuffer, Radiance
 
 PERIODS_PIXELS = (2.0, 12.0)
@@ -220,10 +218,7 @@ def main(words: list[str] | None = None) -> None:
     """Make what is missing, and say how long it took."""
     from benchmarks.training.rendering import limit_threads
 
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--cache", type=Path, required=True, help="folder for the files, outside the repository")
-    parser.add_argument("--count", type=int, default=160, help="how many frames")
-    parser.add_argument("--size", type=int, default=128, help="pixels a side")
+    parser = make_parser(__doc__, count=160, size=128)
     arguments = parser.parse_args(words)
     folder = open_cache(parser, arguments.cache)
     limit_threads(1)

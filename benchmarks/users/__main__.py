@@ -14,13 +14,12 @@ from __future__ import annotations
 
 import argparse
 import json
-import re
 import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from benchmarks.common import RESULTS, describe_machine
+from benchmarks.common import RESULTS, describe_machine, write_json
 from benchmarks.quality.measure import round_figure
 from benchmarks.users.guides import GUIDE_SETS, make_peer, reduce_frame, sum_albedos
 from benchmarks.users.measuring import FIGURES, Meter, make_reference_judge
@@ -49,12 +48,8 @@ def load(path: Path) -> dict[str, Any]:
 
 def save(path: Path, data: Mapping[str, Any]) -> None:
     """Write what was measured and its summary through a temporary file; a cell stays on one line."""
-    text = json.dumps({**data, "machine": describe_machine(), "summary": summarise(data["scenes"])}, indent=1)
-    text = re.sub(r"[\[{][^][{}]*[\]}]", lambda found: re.sub(r"\s*\n\s*", " ", found[0]), text)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_suffix(".tmp")
-    temporary.write_text(text + "\n")
-    temporary.replace(path)
+    told = {**data, "machine": describe_machine(), "summary": summarise(data["scenes"])}
+    write_json(path, told, one_line=r"[\[{][^][{}]*[\]}]")
 
 
 def make_shot(scene: Scene, frame: Frame, guides: str, spp: int) -> Shot | None:

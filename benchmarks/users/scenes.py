@@ -84,7 +84,6 @@ def list_scenes(folder: Path, foreign: Path | None = None) -> list[Scene]:
     found = [scene for group in (INTERIORS, OWN) for scene in _list_ours(folder / group)]
     found += find_shots(foreign / FACTORY.name) if foreign else []
     for renderer in FOREIGN if foreign else ():
-        assert foreign is not None
         place = foreign / renderer.name
         for name, frames in list_frames(renderer, place).items() if place.is_dir() else ():
             paths = {spp: seeds[FOREIGN_SEED] for spp, seeds in sorted(frames.items()) if FOREIGN_SEED in seeds}

@@ -1,7 +1,5 @@
 """Many small lamps: a street at night, lamps out of focus. Validation alone."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -108,24 +106,8 @@ def add_car(random, place, turn, size=1.0):
                 location=(x + 0.68 * side, y + along, 0.3),
                 rotation=(0.0, math.pi / 2, 0.0),
             )
-        add_glow(
-            "tail",
-            (1.0, 0.05, 0.03),
-            25.0,
-            radius=0.07,
-            location=(x + 0.55 * side, y - 1.7, 0.6),
-            segments=12,
-            ring_count=6,
-        )
-        add_glow(
-            "head",
-            (1.0, 0.95, 0.8),
-            40.0,
-            radius=0.08,
-            location=(x + 0.55 * side, y + 1.7, 0.55),
-            segments=12,
-            ring_count=6,
-        )
+        add_glow("tail", (1.0, 0.05, 0.03), 25.0, 0.07, (x + 0.55 * side, y - 1.7, 0.6), 12)
+        add_glow("head", (1.0, 0.95, 0.8), 40.0, 0.08, (x + 0.55 * side, y + 1.7, 0.55), 12)
 
 
 def add_walker(random, place):
@@ -167,9 +149,7 @@ def make_street(random):
         for number in range(6):
             y = 1.5 + 3.6 * number + random.uniform(-0.4, 0.4)
             add("cylinder", pole, radius=0.05, depth=3.4, location=(2.5 * side, y, 1.7), vertices=16)
-            add_glow(
-                "lantern", warm(random), 30.0, radius=0.13, location=(2.5 * side, y, 3.5), segments=20, ring_count=10
-            )
+            add_glow("lantern", warm(random), 30.0, 0.13, (2.5 * side, y, 3.5), 20)
     for number in range(int(random.integers(3, 8))):
         y = 2.0 + 2.2 * number + random.uniform(-0.5, 0.5)
         ends = random.uniform((2.6, y - 0.6, 2.8), (3.5, y + 0.6, 4.2), (2, 3))
@@ -234,15 +214,7 @@ def make_bokeh(random):
     else:
         for spot in random.uniform((-0.7 * deep, 0.4 * deep, -0.6), (0.7 * deep, deep, 0.35 * deep), (55, 3)):
             tint = pick(random, (*TINTS, TINTS[0], TINTS[4]))
-            add_glow(
-                "far",
-                tint,
-                10.0 ** random.uniform(1.0, 2.2),
-                radius=random.uniform(0.02, 0.06),
-                location=spot,
-                segments=10,
-                ring_count=5,
-            )
+            add_glow("far", tint, 10.0 ** random.uniform(1.0, 2.2), random.uniform(0.02, 0.06), spot, 10)
     for spot in spread(random, int(random.integers(3, 6)), (-0.75, -0.9), (0.75, 0.1), 0.4):
         add_thing(random, make_surface(random), (*spot, 0.0), random.uniform(0.3, 0.55))
     if random.random() < 0.5:

@@ -1,7 +1,5 @@
 """Foliage, hair and fog: validation alone."""
 
-from __future__ import annotations
-
 import math
 
 import bpy
@@ -285,15 +283,7 @@ def make_fog(random):
     )
     for number, spot in enumerate(spread(random, int(random.integers(1, 5)), (-3.0, 0.5), (3.0, 5.0), 1.0)):
         high = random.uniform(0.8, 3.0)
-        add_glow(
-            f"lamp{number}",
-            warm(random),
-            40.0,
-            radius=random.uniform(0.06, 0.15),
-            location=(*spot, high),
-            segments=24,
-            ring_count=12,
-        )
+        add_glow(f"lamp{number}", warm(random), 40.0, random.uniform(0.06, 0.15), (*spot, high), 24)
     add_lights(random, np.array([0.0, 0.0, 0.8]), 4.5, 1, 10.0)
     set_world((0.3, 0.4, 0.6), 10.0 ** random.uniform(-1.7, -0.5))
     add_camera((random.uniform(-1.0, 1.0), -5.2, random.uniform(1.0, 2.0)), (0.0, 0.5, 1.3), random.uniform(42.0, 58.0))

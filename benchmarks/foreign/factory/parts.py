@@ -1,7 +1,5 @@
 """What the scenes of the factory are drawn from: colors, surfaces, pictures, things, lamps, places."""
 
-from __future__ import annotations
-
 import colorsys
 import math
 

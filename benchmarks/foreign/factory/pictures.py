@@ -1,7 +1,5 @@
 """Pictures for labels, posters and screens, and the materials that show them."""
 
-from __future__ import annotations
-
 import colorsys
 
 import numpy as np

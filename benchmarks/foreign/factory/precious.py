@@ -1,7 +1,5 @@
 """Things on a table: jewels (validation alone)."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

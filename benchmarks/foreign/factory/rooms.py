@@ -1,7 +1,5 @@
 """Rooms and houses: through windows, textured, a gallery with mirrors, screens."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -140,7 +138,7 @@ def add_lamp(random, place, tall):
     add_block(make_surface(random, ("metal",)), (0.025, 0.025, tall), (*place, 0.5 * tall))
     shade = make_material("shade", (0.85, 0.78, 0.6), Roughness=0.8, Transmission_Weight=0.35)
     add_turned("shade", shade, [(0.2, tall - 0.15), (0.13, tall + 0.12)], (*place, 0.0))
-    add_glow("bulb", warm(random), 60.0, radius=0.045, location=(*place, tall), segments=16, ring_count=8)
+    add_glow("bulb", warm(random), 60.0, 0.045, (*place, tall), 16)
 
 
 def add_curtain(material, x, first, last, tall):

@@ -1,7 +1,5 @@
 """Things on a table or in a studio: products, glass, brushed metal, toys, wax, and things on a transparent film."""
 
-from __future__ import annotations
-
 import math
 
 import bpy
@@ -298,15 +296,7 @@ def make_wax(random):
             ]
             add_turned("candle", wax, candle, (*place, 0.0))
             if random.random() < 0.6:
-                flame = add_glow(
-                    "flame",
-                    (1.0, 0.55, 0.2),
-                    60.0,
-                    radius=0.02,
-                    location=(*place, tall + 0.06),
-                    segments=16,
-                    ring_count=8,
-                )
+                flame = add_glow("flame", (1.0, 0.55, 0.2), 60.0, 0.02, (*place, tall + 0.06), 16)
                 flame.scale = (1.0, 1.0, 2.5)
         elif number < 8:
             add_thing(random, wax, (*place, 0.0), size, ("monkey", "monkey", "ball", "stone", "block", "vase"))

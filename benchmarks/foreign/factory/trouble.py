@@ -1,7 +1,5 @@
 """What guides say little about: thin things, thin air, lamps out of focus."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -81,8 +79,8 @@ def make_steam(random):
         middle = random.uniform((-0.8, -0.4, 0.3 * size), (0.8, 0.9, 0.5 * size))
         add_air(10.0 ** random.uniform(-1.5, -0.2), size, middle, random.uniform(-0.2, 0.7))
     for number, spot in enumerate(spread(random, int(random.integers(0, 4)), (-1.2, -0.2), (1.2, 1.3), 0.6)):
-        add_glow(f"lamp{number}", warm(random), 10.0 ** random.uniform(1.0, 1.8), radius=random.uniform(0.02, 0.06),
-                 location=(*spot, random.uniform(0.2, 1.0)), segments=24, ring_count=12)  # fmt: skip
+        tint, strength = warm(random), 10.0 ** random.uniform(1.0, 1.8)
+        add_glow(f"lamp{number}", tint, strength, random.uniform(0.02, 0.06), (*spot, random.uniform(0.2, 1.0)), 24)
     if random.random() < 0.6:
         start = random.uniform((-2.5, -0.5, 1.5), (2.5, 1.4, 3.0))
         add_light(start, (0.0, 0.2, 0.3), random.uniform(100.0, 600.0), 0.05, warm(random), kind="SPOT")
@@ -97,11 +95,9 @@ def make_party(random):
     tints = [warm(random) if random.random() < 0.6 else draw_color(random, (0.6, 1.0), (0.8, 1.0)) for _ in range(4)]
     count, strength = int(random.integers(12, 60)), 10.0 ** random.uniform(1.0, 2.3)
     for number, place in enumerate(random.uniform((-4.0, 1.5, 0.1), (4.0, 7.0, 3.2), (count, 3))):
-        add_glow(f"lamp{number}", pick(random, tints), strength, radius=0.01 + 0.03 * random.uniform() ** 2,
-                 location=place, segments=12, ring_count=6)  # fmt: skip
+        add_glow(f"lamp{number}", pick(random, tints), strength, 0.01 + 0.03 * random.uniform() ** 2, place, 12)
     for number, place in enumerate(random.uniform((-1.2, -1.6, 0.05), (1.2, -0.9, 0.9), (int(random.integers(6)), 3))):
-        add_glow(f"near{number}", pick(random, tints), 0.3 * strength, radius=0.008, location=place, segments=12,
-                 ring_count=6)  # fmt: skip
+        add_glow(f"near{number}", pick(random, tints), 0.3 * strength, 0.008, place, 12)
     back = make_surface(random, ("paint", "tiles", "stone"))
     add("plane", back, size=20, location=(0.0, 8.0, 3.0), rotation=(math.pi / 2, 0.0, 0.0))
     add_lights(random, np.array([0.0, 0.0, 0.3]), 2.6, int(random.integers(0, 3)), 15.0)
