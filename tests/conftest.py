@@ -120,11 +120,11 @@ def _make_random_frame(rng: np.random.Generator, *, height: int, width: int) -> 
         half_b=radiance(),
         variance=radiance(),
         spp=4,
-        lobe_tables=(_make_lobe_table("first", 1), _make_lobe_table("second", 2)),
+        lobe_tables=(make_lobe_table("first", 1), make_lobe_table("second", 2)),
     )
 
 
-def _make_lobe_table(name: str, lobes: int) -> LobeTable:
+def make_lobe_table(name: str, lobes: int) -> LobeTable:
     """Return an isotropic table of two views whose lobes lie about the mirror direction."""
     cosine = np.array([0.4, 1.0])
     axis = np.stack([-np.sqrt(1.0 - cosine**2), 0.0 * cosine, cosine], axis=-1)

@@ -1,7 +1,5 @@
 """LobeTable: what it accepts, what it keeps, what it refuses."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

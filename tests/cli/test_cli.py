@@ -1,7 +1,5 @@
 """The program as users call it: its output, its files and its exit codes."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """`lobewise compare` of sequences: means, flicker and ghosting against the library, frame by frame."""
 
-from __future__ import annotations
-
 import gc
 import json
 import re

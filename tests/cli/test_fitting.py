@@ -1,7 +1,5 @@
 """`lobewise fit` as users call it: its output, its files and its errors."""
 
-from __future__ import annotations
-
 import struct
 import subprocess
 import sys

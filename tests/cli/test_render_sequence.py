@@ -1,7 +1,5 @@
 """`lobewise render --frames`: numbered files, camera paths, moving objects and refused options."""
 
-from __future__ import annotations
-
 import json
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Running a filter over numbered files: every frame, in order, and the same files however often it was stopped."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import tracemalloc

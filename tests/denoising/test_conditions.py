@@ -60,14 +60,8 @@ def require_clean(result: lobewise.Result) -> None:
 
 
 QUICK_CASES = pytest.mark.sampled(
-    "cpu-color-fast",
-    "cpu-color-balanced",
-    "cpu-color-high",
-    "cpu-albedo-fast",
-    "cpu-albedo-balanced",
-    "cpu-albedo-high",
-    "cpu-normal-fast",
-    "cpu-normal-balanced",
+    *(f"cpu-{what}-{quality}" for what in ("color", "albedo") for quality in QUALITIES),
+    *("cpu-normal-fast", "cpu-normal-balanced"),
 )
 
 

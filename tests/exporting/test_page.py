@@ -45,39 +45,34 @@ def test_shader_pass_compiles(glslang: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.nightly
+@pytest.mark.parametrize(
+    ("page", "shell", "language", "standard"),
+    [(DETAILS, "sh", "c", "c99"), (PAGE, "bash", "c++", "c++11")],
+    ids=["c", "c++"],
+)
 def test_commands_run_and_program_compiles(
-    compiler: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    page: str,
+    shell: str,
+    language: str,
+    standard: str,
+    compiler: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    program = compiler if language == "c" else locate_program("g++", "g++")
     monkeypatch.chdir(tmp_path)
-    export, enter, *commands = get_block(DETAILS, "sh").splitlines()
+    export, enter, *commands = get_block(page, shell).splitlines()
     assert run(export.split()[1:]) == 0
-    out = capsys.readouterr().out
-    folder = tmp_path / enter.removeprefix("cd ")
     # What the program suggests is what the page says.
-    assert " && ".join(commands) in out
-    for command in commands:
-        subprocess.run(command, shell=True, cwd=folder, check=True)
-    (folder / "own.c").write_text(get_block(DETAILS, "c"))
-    words = ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-c", "own.c"]
-    done = subprocess.run([compiler, *words], cwd=folder, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-
-
-@pytest.mark.nightly
-def test_pipeline_commands_run_and_class_compiles(
-    compiler: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    cpp = locate_program("g++", "g++")
-    monkeypatch.chdir(tmp_path)
-    export, enter, *commands = get_block(PAGE, "bash").splitlines()
-    assert run(export.split()[1:]) == 0
     assert " && ".join(commands) in capsys.readouterr().out
     folder = tmp_path / enter.removeprefix("cd ")
     for command in commands:
         subprocess.run(command, shell=True, cwd=folder, check=True)
-    (folder / "own.cpp").write_text(get_block(PAGE, "c++"))
-    words = ["-std=c++11", "-Wall", "-Wextra", "-pedantic", "-Werror", "-c", "own.cpp"]
-    done = subprocess.run([cpp, *words], cwd=folder, capture_output=True, text=True)
+    source = folder / f"own.{language.replace('c++', 'cpp')}"
+    source.write_text(get_block(page, language))
+    words = [f"-std={standard}", "-Wall", "-Wextra", "-pedantic", "-Werror", "-c", source.name]
+    done = subprocess.run([program, *words], cwd=folder, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 
 

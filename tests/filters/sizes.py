@@ -1,7 +1,5 @@
 """Sizes of images that Hypothesis draws for the properties of kernels."""
 
-from __future__ import annotations
-
 from hypothesis import strategies as st
 
 MAX_SIDE = 70

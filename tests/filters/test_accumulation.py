@@ -131,20 +131,22 @@ def check_summary(found: AccumulatedOutput, unit: FloatImage, albedo: FloatArray
     np.testing.assert_allclose(found.variance, spread * (tint @ LUMINANCE) ** 2, rtol=1e-3, atol=1e-5)
 
 
+def trust_history(given: dict[str, Any], scale: int, place: tuple[int, int]) -> FloatImage:
+    """Return the sums of the history as far as they are trusted."""
+    near = compute_weights(given["mask"], scale, place, 2 if scale == 1 else 1)
+    told = near.sum(axis=(2, 3))
+    trust = np.where(told > 0.0, (near * given["trust"]).sum(axis=(2, 3)) / np.where(told > 0.0, told, 1.0), 1.0)
+    sums = given["history"].astype(np.float64) * trust[..., None]
+    sums[..., 4] *= trust
+    return sums
+
+
 def accumulate_slowly(
     given: dict[str, Any], scale: int, place: tuple[int, int], known: KnownKernel | None = None
 ) -> FloatImage:
     """Return the sums from the definition, (height, width, 7)."""
-    mask, history, shaded = (
-        given["mask"],
-        given["history"].astype(np.float64),
-        np.s_[place[0] :: scale, place[1] :: scale],
-    )
-    near = compute_weights(mask, scale, place, 2 if scale == 1 else 1)
-    told = near.sum(axis=(2, 3))
-    trust = np.where(told > 0.0, (near * given["trust"]).sum(axis=(2, 3)) / np.where(told > 0.0, told, 1.0), 1.0)
-    sums = history * trust[..., None]
-    sums[..., 4] *= trust
+    mask, shaded = given["mask"], np.s_[place[0] :: scale, place[1] :: scale]
+    sums = trust_history(given, scale, place)
     unit = (sums[..., 6] + 1.0) ** GROWTH
     light, good = demodulate(given["samples"], given["albedo"][shaded], FLOOR)
     weights = compute_weights(mask, scale, place, RADIUS)
@@ -231,11 +233,7 @@ def test_whole_frames_are_accumulated_as_their_filter_gives_them(remembers: bool
     history, trust = (given[name] if remembers else None for name in ("history", "trust"))
     options = {"history": history, "trust": trust, "growth": GROWTH, "own": OWN}
     found = make_grid(given, 1, (0, 0)).accumulate_filtered(given["samples"], form="separable", radius=3, **options)
-    near = compute_weights(given["mask"], 1, (0, 0), 2)
-    told = near.sum(axis=(2, 3))
-    share = np.where(told > 0.0, (near * given["trust"]).sum(axis=(2, 3)) / np.where(told > 0.0, told, 1.0), 1.0)
-    sums = given["history"].astype(np.float64) * share[..., None] * remembers
-    sums[..., 4] *= share
+    sums = trust_history(given, 1, (0, 0)) * remembers
     unit = (sums[..., 6] + 1.0) ** GROWTH
     features = [make_feature("position", SHAPE)]
     filtering: dict[str, Any] = {

@@ -54,13 +54,6 @@ def test_planes_of_any_layout_are_the_same() -> None:
     assert composite_parts(**{**given, "part": planes}).tobytes() == composite_parts(**given).tobytes()
 
 
-def test_a_pixel_of_one_surface_does_not_change() -> None:
-    given = make_given((9, 40))
-    given["coverage"][...] = np.eye(9)[4]
-    given["mean_albedo"] = given["albedo"]
-    np.testing.assert_allclose(composite_parts(**given), given["part"], rtol=1e-6)
-
-
 def test_half_of_each_surface_is_half_of_the_light_of_each() -> None:
     part, albedo = np.zeros((3, 20, 3), np.float32), np.full((3, 20, 3), 0.5, np.float32)
     part[:, :10], part[:, 10:] = 1.0, 3.0

@@ -151,47 +151,37 @@ def test_neighbours_must_agree(pixels: tuple[tuple[int, int], ...], expected: bo
     np.testing.assert_allclose(found.highlights[where], 29.5, rtol=1e-5)
 
 
+def count_highlights(first: Image, second: Image, **kind: bool) -> int:
+    found = split_highlights((first, second), None, np.ones(first.shape[:2], bool), **kind)
+    return int(np.count_nonzero(found.highlights.any(axis=-1)))
+
+
 def test_shared_noise_needs_larger_blocks() -> None:
-    everywhere = np.ones((25, 27), bool)
     nine = [(y, x) for y in (10, 11, 12) for x in (10, 11, 12)]
     for pixels, expected in ((SQUARE, 0), (nine, 9)):
-        image = put(*pixels)
-        found = split_highlights((image, image), None, everywhere, shared=True)
-        assert np.count_nonzero(found.highlights.any(axis=-1)) == expected
+        assert count_highlights(put(*pixels), put(*pixels), shared=True) == expected
 
 
 def test_halves_that_agree_need_but_a_pair() -> None:
-    everywhere = np.ones((25, 27), bool)
     for pixels in (((10, 10), (10, 11)), ((10, 10), (11, 11))):
         for factor, expected in ((1.2, 2), (1.3, 0)):
-            first, second = put(*pixels), put(*pixels, value=30.0 * factor)
-            found = split_highlights((first, second), None, everywhere, paired=True)
-            assert np.count_nonzero(found.highlights.any(axis=-1)) == expected
-    lone = put((10, 10))
-    assert not split_highlights((lone, lone), None, everywhere, paired=True).highlights.any()
+            assert count_highlights(put(*pixels), put(*pixels, value=30.0 * factor), paired=True) == expected
+    assert count_highlights(put((10, 10)), put((10, 10)), paired=True) == 0
 
 
 def test_single_samples_need_whole_blocks() -> None:
-    everywhere = np.ones((25, 27), bool)
     for pixels, expected in ((SQUARE[:3], 0), (SQUARE, 4)):
-        image = put(*pixels)
-        found = split_highlights((image, image), None, everywhere, single=True)
-        assert np.count_nonzero(found.highlights.any(axis=-1)) == expected
+        assert count_highlights(put(*pixels), put(*pixels), single=True) == expected
 
 
 def test_one_half_alone_proves_nothing() -> None:
-    image, dark = put(*SQUARE), put()
-    found = split_highlights((image, dark), None, np.ones(image.shape[:2], bool))
-    assert not found.highlights.any()
+    image = put(*SQUARE)
+    assert count_highlights(image, put()) == 0
     # Of a checkerboard's colours each pixel has but one.
     even = (np.add.outer(np.arange(25), np.arange(27)) % 2 == 0)[..., None]
-    found = split_highlights(
-        (np.where(even, image, np.float32(np.nan)), np.where(even, np.float32(np.nan), image)),
-        None,
-        np.ones(image.shape[:2], bool),
-    )
-    assert np.count_nonzero(found.highlights.any(axis=-1)) == 4
-    assert np.isnan(found.a[~even[..., 0]]).all()
+    a, b = np.where(even, image, np.float32(np.nan)), np.where(even, np.float32(np.nan), image)
+    assert count_highlights(a, b) == 4
+    assert np.isnan(split_highlights((a, b), None, np.ones(image.shape[:2], bool)).a[~even[..., 0]]).all()
 
 
 def test_a_wide_light_is_none() -> None:

@@ -1,7 +1,5 @@
 """Fitting lobes: the quadrature, what is recovered, how near the fit is, what is refused."""
 
-from __future__ import annotations
-
 import math
 import sys
 

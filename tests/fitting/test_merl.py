@@ -1,7 +1,5 @@
 """MERL tables: coordinates, layout, interpolation, and every way in which a file can be wrong."""
 
-from __future__ import annotations
-
 import math
 import struct
 

@@ -1,7 +1,5 @@
 """From a lobe table to lobes of points: interpolation, frames, the two kinds."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -17,6 +15,7 @@ from lobewise.fitting.table import (
     order_lobes,
 )
 from lobewise.records.lobe_table import LobeTable
+from tests.fitting.test_fit import make_view
 
 UP = np.asarray([0.0, 0.0, 1.0])
 EAST = np.asarray([1.0, 0.0, 0.0])
@@ -37,12 +36,6 @@ def make_table(tilt, cosine, azimuth=(0.0,), kind="asg", **changes):
         "cosine_l2": np.ones(size[:2]),
     }
     return LobeTable(name="test", kind=kind, cosine=cosine, azimuth=azimuth, **{**values, **changes})
-
-
-def make_view(cosine, azimuth=0.0):
-    """Return the view at n.v = ``cosine``, in the local frame."""
-    sine = math.sqrt(1.0 - cosine * cosine)
-    return np.asarray([sine * math.cos(azimuth), sine * math.sin(azimuth), cosine])
 
 
 def draw_rotation(rng):

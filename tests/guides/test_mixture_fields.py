@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,6 +15,7 @@ from lobewise.records.camera import Camera
 from lobewise.records.frame import GBuffer, LobeKind
 from lobewise.records.lobe_table import LobeTable
 from lobewise.work import chunks
+from tests.conftest import make_lobe_table
 from tests.lobes.oracles.mixture import make_ggx_mixture, make_lambert_lobe
 from tests.lobes.oracles.sg import sg_integral
 
@@ -42,21 +45,8 @@ def guides() -> dict[str, np.ndarray]:
 
 def make_table(name: str, sharpness: float) -> LobeTable:
     """Return an isotropic table of two round lobes."""
-    cosine = np.array([0.2, 1.0])
-    mirror = np.stack([-np.sqrt(1.0 - cosine**2), 0.0 * cosine, cosine], axis=-1)
-    return LobeTable(
-        name=name,
-        kind="sg",
-        cosine=cosine,
-        azimuth=np.zeros(1),
-        axis=np.broadcast_to(mirror[:, None, None], (2, 1, 2, 3)),
-        sharpness=np.broadcast_to(np.array([sharpness, 3.0])[:, None], (2, 1, 2, 2)),
-        twist=np.zeros((2, 1, 2)),
-        amplitude=np.broadcast_to(np.array([2.0, 0.3]), (2, 1, 2)),
-        alpha=np.full((2, 1, 2), 0.3),
-        albedo=np.full((2, 1, 3), 0.5),
-        cosine_l2=np.ones((2, 1)),
-    )
+    widths = np.broadcast_to(np.array([sharpness, 3.0])[:, None], (2, 1, 2, 2))
+    return replace(make_lobe_table(name, 2), sharpness=widths, amplitude=np.broadcast_to([2.0, 0.3], (2, 1, 2)))
 
 
 def compute_views(guides, camera):

@@ -1,7 +1,5 @@
 """What `inspect` says is what reading does."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Frames survive files; files survive denoising."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import struct

@@ -1,7 +1,5 @@
 """Paths that cannot be used, and writes that leave no trace when they fail."""
 
-from __future__ import annotations
-
 import os
 import stat
 

@@ -1,7 +1,5 @@
 """Files of materials: what comes back, and what is refused."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import fields
 

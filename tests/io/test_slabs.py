@@ -1,7 +1,5 @@
 """Parts are read and written some rows at a time: the same bits, and memory that does not grow with other channels."""
 
-from __future__ import annotations
-
 import tracemalloc
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sparsely shaded frames on disk."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The hit-distance term: laws, the flat mirror, and the true similarity of two footprints on a plane."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Disocclusion against exact visibility: a scene of planes, a ball and a box, every ray of it in closed form."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

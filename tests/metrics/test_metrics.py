@@ -1,7 +1,5 @@
 """Every metric against a second definition, written as a plain loop or taken from another library."""
 
-from __future__ import annotations
-
 import math
 import sys
 import tracemalloc

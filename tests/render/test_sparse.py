@@ -1,7 +1,5 @@
 """Sparse rendering: the shaded pixels have the bits of the whole frame."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
+import http.client
 import importlib.util
 import io
 import os
 import shutil
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -201,7 +203,17 @@ def visit(browser: Any) -> Iterator[Callable[..., Page]]:
     assert [page.errors for page in pages] == [[] for _ in pages]
 
 
-@contextmanager
+def ask(viewer: Any, path: str, body: bytes | None = None, **headers: str) -> tuple[int, Any, bytes]:
+    """Return status, headers and body of the answer to a request of a page's server."""
+    place = urlsplit(viewer.url)
+    connection = http.client.HTTPConnection(place.hostname or "", place.port, timeout=PATIENCE)
+    with contextlib.closing(connection):
+        connection.request("GET" if body is None else "POST", path, body, headers)
+        answer = connection.getresponse()
+        return answer.status, answer.headers, answer.read()
+
+
+@contextlib.contextmanager
 def run_viewer(target: str, **options: Any) -> Iterator[Viewer]:
     """Run a viewer on a free port; wait until there is a page."""
     with Viewer(target, port=0, **options) as viewer:

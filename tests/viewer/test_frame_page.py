@@ -28,6 +28,7 @@ from lobewise.records.frame import Frame, Radiance
 from lobewise.viewer import FrameViewer
 from lobewise.viewer.http.browser_messages import MAX_MESSAGE_BYTES
 from tests.interrupts import LISTEN
+from tests.viewer.conftest import ask
 
 PATIENCE = 60.0
 FAST = {"quality": "fast", "similarity": "normal"}
@@ -48,15 +49,6 @@ def viewer(floor_file: Path, reference_file: Path) -> Iterator[FrameViewer]:
         str(floor_file), port=0, changes={"similarity": "normal"}, reference=str(reference_file)
     ) as viewer:
         yield viewer
-
-
-def ask(viewer: FrameViewer, path: str, body: bytes | None = None, **headers: str) -> tuple[int, Any, bytes]:
-    place = urlsplit(viewer.url)
-    connection = http.client.HTTPConnection(place.hostname or "", place.port, timeout=PATIENCE)
-    with contextlib.closing(connection):
-        connection.request("GET" if body is None else "POST", path, body, headers)
-        answer = connection.getresponse()
-        return answer.status, answer.headers, answer.read()
 
 
 def get_token(viewer: FrameViewer) -> str:

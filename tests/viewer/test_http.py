@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import http.client
 import math
 import re
 import socket
@@ -36,6 +35,7 @@ from lobewise.viewer.http.browser_messages import (
 from lobewise.viewer.http.site import LOOPBACK
 from lobewise.viewer.messages import Window
 from lobewise.viewer.pictures import MAX_PIXELS_WITH_BARS, fit_window
+from tests.viewer.conftest import ask
 from tests.viewer.slow_worker import UNSEEN, run_slow_worker
 
 TOKEN = "a-token-of-the-tests"
@@ -315,15 +315,6 @@ def slow_viewer():
             yield SimpleNamespace(viewer=viewer, told=told)
 
 
-def ask(viewer: Viewer, path: str, **headers: str) -> tuple[int, Any, str]:
-    place = urlsplit(viewer.url)
-    connection = http.client.HTTPConnection(place.hostname or "", place.port, timeout=PATIENCE)
-    with contextlib.closing(connection):
-        connection.request("GET", path, headers=headers)
-        answer = connection.getresponse()
-        return answer.status, answer.headers, answer.read().decode()
-
-
 def connect(viewer: Viewer, **options: Any) -> Any:
     """Return a WebSocket as the page opens it."""
     import viser
@@ -350,7 +341,7 @@ class TestServer:
     def test_the_page_comes_with_the_token_and_then_with_the_cookie(self, slow_viewer):
         place = urlsplit(slow_viewer.viewer.url)
         status, headers, text = ask(slow_viewer.viewer, f"/?{place.query}")
-        assert (status, "<html" in text) == (200, True)
+        assert (status, b"<html" in text) == (200, True)
         assert headers["Referrer-Policy"] == "no-referrer"
         assert "frame-ancestors 'none'" in headers["Content-Security-Policy"]
         cookie = headers["Set-Cookie"].partition(";")[0]
@@ -372,8 +363,8 @@ class TestServer:
         path = path.format(token=urlsplit(slow_viewer.viewer.url).query)
         status, found, text = ask(slow_viewer.viewer, path, **headers)
         assert status == 403
-        assert text.endswith("open the URL that lobewise printed.\n")
-        assert text.count(".\n") == 1
+        assert text.endswith(b"open the URL that lobewise printed.\n")
+        assert text.count(b".\n") == 1
         assert "Set-Cookie" not in found
 
     @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere 127.0.0.2 is no address of this machine")

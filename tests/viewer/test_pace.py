@@ -31,16 +31,11 @@ class TestPace:
     def test_never_below_half(self):
         assert min(simulate(1000.0 * TARGET)) == STEPS[-1] == 0.5
 
-    def test_it_goes_up_again(self):
+    @pytest.mark.parametrize("times", [[10.0] * 6 + [0.01] * 10, [0.1, 0.1, 1.5]])
+    def test_it_goes_up_again_and_forgives_one_slow_frame(self, times):
         pace = Pace()
-        for seconds in [10.0 * TARGET] * 6 + [0.01 * TARGET] * 10:
-            pace.add(seconds, pace.factor)
-        assert pace.factor == 1.0
-
-    def test_one_slow_frame_is_forgiven_after_fast_ones(self):
-        pace = Pace()
-        for seconds in (0.1 * TARGET, 0.1 * TARGET, 1.5 * TARGET):
-            pace.add(seconds, pace.factor)
+        for time in times:
+            pace.add(time * TARGET, pace.factor)
         assert pace.factor == 1.0
 
     def test_a_fixed_size_stays(self):

@@ -1,7 +1,5 @@
 """A scene with an orthographic sensor in the page: the browser has a pinhole far away."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

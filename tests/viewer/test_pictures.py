@@ -1,7 +1,5 @@
 """Tone curve by table, false colours, the part of a picture that a window shows, the wipe."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

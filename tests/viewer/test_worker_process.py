@@ -198,6 +198,13 @@ class TestEnd:
         wait_until(lambda: not any(map(is_alive, children)))
 
 
+@pytest.fixture
+def slow(monkeypatch):
+    """Let viewers start the slow worker."""
+    pytest.importorskip("viser", reason="pip install 'lobewise[viewer]'")
+    monkeypatch.setattr(worker_process, "run_worker", run_slow_worker)
+
+
 class TestViewer:
     def test_what_cannot_be_opened_ends_it(self, tmp_path):
         pytest.importorskip("viser", reason="pip install 'lobewise[viewer]'")
@@ -221,26 +228,20 @@ class TestViewer:
         with pytest.raises(MissingDependencyError, match=r"pip install 'lobewise\[viewer\]'"):
             Viewer("thing").start()
 
-    def test_mistakes_of_ours_are_told_apart(self, monkeypatch):
-        pytest.importorskip("viser", reason="pip install 'lobewise[viewer]'")
-        monkeypatch.setattr(worker_process, "run_worker", run_slow_worker)
+    def test_mistakes_of_ours_are_told_apart(self, slow):
         for name, kind in (("missing", LobewiseError), ("broken", RuntimeError)):
             with Viewer(name, port=0) as viewer, pytest.raises(kind):
                 viewer.wait()
 
-    def test_a_renderer_that_dies_again_and_again_ends_it(self, monkeypatch):
-        pytest.importorskip("viser", reason="pip install 'lobewise[viewer]'")
-        monkeypatch.setattr(worker_process, "run_worker", run_slow_worker)
+    def test_a_renderer_that_dies_again_and_again_ends_it(self, slow):
         with Viewer("thing", port=0) as viewer:
             viewer.wait_until_open()
             viewer._browsers.worker.submit(ask(1, 666))
             with pytest.raises(LobewiseError, match=r"'thing'.* by exit code 7; "):
                 viewer.wait()
 
-    def test_it_leaves_the_process_to_others(self, monkeypatch, capfd):
+    def test_it_leaves_the_process_to_others(self, slow, monkeypatch, capfd):
         """Another thread prints while the page starts and ends: every line is there, and nothing else."""
-        pytest.importorskip("viser", reason="pip install 'lobewise[viewer]'")
-        monkeypatch.setattr(worker_process, "run_worker", run_slow_worker)
         lines, over = [], threading.Event()
 
         def print_lines() -> None:
