@@ -115,6 +115,6 @@ def read_sections(file: str) -> dict[str, str]:
     return dict(zip(parts[1::2], parts[2::2], strict=True))
 
 
-def fill_template(file: str, **parts: object) -> str:
+def fill_template(file: str, /, **parts: object) -> str:
     """Return a file of the folder ``templates`` with every ``${name}`` replaced."""
     return Template(read_template(file)).substitute(parts)

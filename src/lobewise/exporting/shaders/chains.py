@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from lobewise.errors import require_choice
+from lobewise.exporting.folder import read_template
 from lobewise.exporting.names import CHAINS
 from lobewise.exporting.shaders.constants import FILTER_CONSTANTS, HISTORY_CONSTANTS, UPSAMPLE_CONSTANTS
-from lobewise.exporting.shaders.declarations import copy_template
 from lobewise.exporting.shaders.images import (
     GIVEN,
     HITS,
@@ -125,7 +125,7 @@ def make_guides_pass(lobes: Lobes, footprint: str, more: Sequence[str] = ()) -> 
         name="guides",
         comment="Makes what the other passes compare pixels by: place, normal and the lobe of the specular reflection.",
         body="guides.shader",
-        parts={"footprint": footprint, "lobe": copy_template(lobes.part), "none": lobes.none},
+        parts={"footprint": footprint, "lobe": read_template(f"shaders/{lobes.part}"), "none": lobes.none},
         reads=bind("surface", "place", *more),
         writes=bind(*lobes.guides),
     )
@@ -207,7 +207,7 @@ def make_reproject_pass(layer: Layer) -> Pass:
     if layer.is_reflected:
         guides = (*guides, "reflections")
         where = "at the places of its surface and of its reflection in the frame before"
-        part = copy_template("reflection.part")
+        part = read_template("shaders/reflection.part")
     return layer.make_pass(
         "reproject",
         f"Finds the history of every pixel {where}: {{}}.\nThe history counts as far as surface and lobe are alike.",

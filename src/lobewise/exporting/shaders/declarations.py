@@ -7,10 +7,9 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
-from string import Template
 
 from lobewise.denoising import layers
+from lobewise.exporting.folder import fill_template
 from lobewise.features import ggx, normal
 from lobewise.filters import cross_pass, forms
 from lobewise.filters.history import accumulation, accumulation_pass, reprojection_pass
@@ -35,26 +34,10 @@ class Declaration:
     text: str
 
     @property
-    def is_constant(self) -> bool:
-        """Whether this is a constant."""
-        return self.name.isupper()
-
-    @property
     def uses(self) -> set[str]:
         """Names of other declarations that this one reads."""
         code = "\n".join(line.partition("//")[0] for line in self.text.splitlines())
         return set(_NAME.findall(code)) - {self.name}
-
-
-def copy_template(name: str) -> str:
-    """Return a file of this room's folder ``templates`` as it is."""
-    path = files("lobewise") / "exporting" / "shaders" / "templates" / name
-    return path.read_text(encoding="utf-8")
-
-
-def read_template(name: str, parts: Mapping[str, object]) -> str:
-    """Return a file of this room's folder ``templates`` with every ``$name`` replaced."""
-    return Template(copy_template(name)).substitute(parts)
 
 
 @cache
@@ -90,12 +73,12 @@ def write_vector(values: Sequence[float]) -> str:
 
 @cache
 def read_library(name: str) -> Mapping[str, Declaration]:
-    """Return the declarations of a file of ``templates``, by name and in order."""
+    """Return the declarations of a file of ``templates/shaders``, by name and in order."""
     declarations: dict[str, Declaration] = {}
     comment: list[str] = []
     body: list[str] = []
     named = ""
-    for line in read_template(name, list_constants()).splitlines():
+    for line in fill_template(f"shaders/{name}", **list_constants()).splitlines():
         if not body and (line.startswith("//") or not line):
             comment = [*comment, line] if line else []
             continue
@@ -125,7 +108,7 @@ def gather(libraries: Sequence[str], text: str) -> str:
                 texts[name] = known[name].text
 
     add(Declaration("", text))
-    # Constants come first, without gaps.
-    constants = [name for name in known if name in texts and known[name].is_constant]
+    # Constants, whose names have no small letters, come first, without gaps.
+    constants = [name for name in known if name in texts and name.isupper()]
     others = [declared for name, declared in texts.items() if name not in constants]
     return "\n\n".join(["\n".join(texts[name] for name in constants), *others])

@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 
-from lobewise.exporting.shaders.declarations import gather, read_template
+from lobewise.exporting.folder import fill_template
+from lobewise.exporting.shaders.declarations import gather
 from lobewise.exporting.shaders.language import Binding, Field, translate_text, write_bindings
 
 WORKGROUP = 8, 8
@@ -125,7 +126,7 @@ HEADERS = {
 
 def write_pass(chain: Chain, shader_pass: Pass, language: str) -> str:
     """Return the file of a pass: a whole program in "hlsl", "glsl" or "wgsl"."""
-    body = read_template(shader_pass.body, shader_pass.parts)
+    body = fill_template(f"shaders/{shader_pass.body}", **shader_pass.parts)
     libraries = [*LIBRARIES, *(f"{name}.shader" for name in shader_pass.libraries)]
     functions = translate_text(gather(libraries, body), language)
     comment = "".join(f"// {line}\n" for line in shader_pass.comment.splitlines())
@@ -133,7 +134,7 @@ def write_pass(chain: Chain, shader_pass: Pass, language: str) -> str:
     assert first == "main {", f"{shader_pass.body} must begin with its entry point"
     # Threads outside the image end at once.
     names = "across", "down", "columns", "rows"
-    entry = read_template(f"entry.{language}", dict(zip(names, (*WORKGROUP, *shader_pass.extent), strict=True)))
-    main = entry + translate_text("\n".join(lines), language)
+    sizes = dict(zip(names, (*WORKGROUP, *shader_pass.extent), strict=True))
+    main = fill_template(f"shaders/entry.{language}", **sizes) + translate_text("\n".join(lines), language)
     bindings = write_bindings(chain.constants, chain.list_bindings(shader_pass), language)
     return f"{HEADERS[language]}{comment}\n{bindings}\n{functions}\n{main}"

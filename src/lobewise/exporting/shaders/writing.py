@@ -8,10 +8,10 @@ from typing import Any
 
 import lobewise
 from lobewise.errors import require_choice
-from lobewise.exporting.folder import DOCS, MARK, write_folder
+from lobewise.exporting.folder import DOCS, MARK, fill_template, write_folder
 from lobewise.exporting.names import SHADER_LANGUAGES
 from lobewise.exporting.shaders.chains import make_chain
-from lobewise.exporting.shaders.declarations import list_constants, read_template
+from lobewise.exporting.shaders.declarations import list_constants
 from lobewise.exporting.shaders.language import lay_out, translate_text
 from lobewise.exporting.shaders.passes import WORKGROUP, Chain, Image, Lifetime, Pass, write_pass
 from lobewise.io.files import PathLike
@@ -64,7 +64,7 @@ def make_shader(language: str) -> str:
     Raises InputError if there is no such language.
     """
     require_choice("shader language", language, SHADER_LANGUAGES)
-    return translate_text(read_template("weights.shader", list_constants()), language)
+    return translate_text(fill_template("shaders/weights.shader", **list_constants()), language)
 
 
 def export_shader(output: PathLike, language: str, *, force: bool = False) -> None:
@@ -89,7 +89,7 @@ def export_shader(output: PathLike, language: str, *, force: bool = False) -> No
     parts = {"title": language.upper(), "language": language, "version": version, "docs": DOCS}
     texts = {
         f"lobewise.{language}": make_shader(language),
-        "README.md": read_template("functions_readme.md", parts),
+        "README.md": fill_template("shaders/functions_readme.md", **parts),
         MARK: json.dumps({"lobewise": version, "target": language}) + "\n",
     }
     write_folder(output, texts, force=force)
@@ -176,23 +176,21 @@ def write_readme(chain: Chain, language: str) -> str:
         passes.append(f"| `{each['file']}` | {each['meaning']} | {groups} | {bindings} |")
     within, stays = count_bytes(chain)
     state = ", ".join(f"`{image.before}`" for image in chain.images if image.before)
-    return read_template(
-        "chain_readme.md",
-        {
-            "name": chain.name,
-            "title": language.upper(),
-            "meaning": chain.comment,
-            "images": "\n".join(images),
-            "constants": "\n".join(constants),
-            "bytes": description["constants"]["bytes"],
-            "within": str(within),
-            "kept": str(stays),
-            "passes": "\n".join(passes),
-            "binding": read_template(f"bindings_{language}.md", {}).strip(),
-            "swap": read_template("swap.md", {"names": state}) if state else "",
-            "version": lobewise.__version__,
-            "docs": DOCS,
-        },
+    return fill_template(
+        "shaders/chain_readme.md",
+        name=chain.name,
+        title=language.upper(),
+        meaning=chain.comment,
+        images="\n".join(images),
+        constants="\n".join(constants),
+        bytes=description["constants"]["bytes"],
+        within=within,
+        kept=stays,
+        passes="\n".join(passes),
+        binding=fill_template(f"shaders/bindings_{language}.md").strip(),
+        swap=fill_template("shaders/swap.md", names=state) if state else "",
+        version=lobewise.__version__,
+        docs=DOCS,
     )
 
 
