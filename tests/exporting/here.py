@@ -20,7 +20,7 @@ from lobewise import engine
 from lobewise.backend.jit import Kernel, get_kernel, run_kernel
 from lobewise.denoising.automatic import estimate_spp
 from lobewise.engine.graph import Graph, GraphImage, write_length
-from lobewise.engine.numbers import Condition, Number, round_single
+from lobewise.engine.numbers import Condition, Number
 from lobewise.engine.recorder import Recorder
 from lobewise.exporting.pipeline.constants import Constants
 from lobewise.exporting.pipeline.frame import Features, PipelineGuides, no_features
@@ -234,12 +234,11 @@ class Numbers(Constants):
 
     before: Camera | None = None
 
-    def get_vector(self, name: str, *, before: bool = False, single: bool = False) -> list[Number]:
+    def get_vector(self, name: str, *, before: bool = False) -> list[Number]:
         camera = self.before if before and self.before is not None else self.camera
         values = {"eye": camera.position, "forward": camera.forward}
         values |= camera.get_ray_numbers(self.size) | camera.get_projection_numbers(self.size)
-        found = [Number(float(value), "x") for value in np.atleast_1d(values[name])]
-        return [round_single(each) for each in found] if single else found
+        return [Number(float(value), "x") for value in np.atleast_1d(values[name])]
 
 
 @dataclass

@@ -78,7 +78,7 @@ def fit(
 def choose_plot(output: Path, plot: Path | None, *, wanted: bool) -> Path | None:
     """Return the path of the plot, None for no plot; raise an error unless both files can be written."""
     from lobewise.io.files import require_writable
-    from lobewise.reporting.plotting import require_matplotlib
+    from lobewise.reporting.fit_plot import require_matplotlib
 
     target = require_writable(output)
     if not wanted:
@@ -90,7 +90,7 @@ def choose_plot(output: Path, plot: Path | None, *, wanted: bool) -> Path | None
         raise InputError(
             "--plot", expected="another file than the output", got=f"{str(picture)!r}", action="rename one of them"
         )
-    require_matplotlib("the plot of a fit")
+    require_matplotlib()
     return picture
 
 

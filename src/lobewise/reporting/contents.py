@@ -68,7 +68,12 @@ def make_contents_page(description: FileDescription, frame: Frame) -> str:
 
     primaries = read_chromaticities(read_container(description.path))
     lights = [
-        _show(name, tell_source(_ask_role(name)), image, paint_light(convert_light(thin_out(image), primaries)))
+        _show(
+            name,
+            tell_source("color" if name == "image" else name),
+            image,
+            paint_light(convert_light(thin_out(image), primaries)),
+        )
         for name, image in _list_light(frame)
     ]
     guides = [
@@ -98,10 +103,6 @@ def make_contents_page(description: FileDescription, frame: Frame) -> str:
     )
 
 
-def _ask_role(name: str) -> str:
-    return "color" if name == "image" else name
-
-
 def _list_light(frame: Frame) -> Iterator[tuple[str, NDArray[np.float32]]]:
     """Yield the name and image of all light."""
     yield "image", frame.radiance.color
@@ -125,14 +126,11 @@ def _show(name: str, text: str, image: NDArray[np.float32], picture: NDArray[np.
     span = f"{finite.min():.4g} to {finite.max():.4g}" if finite.size else "no finite number"
     lost = 1.0 - finite.size / image.size
     span += f"; {100.0 * lost:.2g} % not finite" if lost else ""
+    lines = "".join(f"{html.escape(line)}<br>" for line in text.splitlines())
     return (
         f'<figure><img alt="{html.escape(name)}" src="{encode_bytes(picture)}"><figcaption>'
-        f"<b>{html.escape(name)}</b>{_break_lines(text)}{html.escape(span)}</figcaption></figure>"
+        f"<b>{html.escape(name)}</b>{lines}{html.escape(span)}</figcaption></figure>"
     )
-
-
-def _break_lines(text: str) -> str:
-    return "".join(f"{html.escape(line)}<br>" for line in text.splitlines())
 
 
 def _list_channels(description: FileDescription) -> Iterator[str]:

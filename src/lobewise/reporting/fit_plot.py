@@ -1,23 +1,38 @@
-"""A plot of fitted lobes against the data of a material: cuts in the plane of incidence."""
+"""A plot of fitted lobes against the data of a material: cuts in the plane of incidence, as PNG by Matplotlib."""
 
 from __future__ import annotations
 
+import io
 import math
 from typing import Any
 
 import numpy as np
 
+from lobewise.errors import MissingDependencyError
 from lobewise.fitting.arrays import Array, make_view
 from lobewise.fitting.fit import Evaluate, measure_reflection
 from lobewise.fitting.table import TableLobes, evaluate_lobes, evaluate_table
 from lobewise.lobes.vectors import LUMINANCE
 from lobewise.records.lobe_table import LobeTable
-from lobewise.reporting.plotting import encode_figure, make_figure, require_matplotlib
 
+DOTS_PER_INCH = 110
 VIEW_COSINES = (1.0, 0.8, 0.6, 0.4, 0.2, 0.1)
 """n.v of the cuts. Each cut is drawn at the nearest view of the table."""
 AXIS_DECADES = 5.0
 """Height of the logarithmic axis, powers of ten."""
+
+
+def require_matplotlib() -> None:
+    """Raise MissingDependencyError if Matplotlib is not installed."""
+    try:
+        import matplotlib.backends.backend_agg  # noqa: F401 - only to see whether it is installed
+    except ImportError as problem:
+        raise MissingDependencyError(
+            "the plot of a fit",
+            expected="the package matplotlib",
+            got=str(problem),
+            action="install it with `pip install 'lobewise[fit]'` or leave the plot out",
+        ) from problem
 
 
 def draw_fit(table: LobeTable, evaluate: Evaluate) -> bytes:
@@ -27,9 +42,13 @@ def draw_fit(table: LobeTable, evaluate: Evaluate) -> bytes:
 
     Raises MissingDependencyError if Matplotlib is not installed.
     """
-    require_matplotlib("the plot of a fit")
+    require_matplotlib()
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     rows = sorted({int(np.argmin(np.abs(table.cosine - cosine))) for cosine in VIEW_COSINES}, reverse=True)
-    figure = make_figure(11.0, 3.4 * math.ceil(len(rows) / 3) + 0.5)
+    inches = 11.0, 3.4 * math.ceil(len(rows) / 3) + 0.5
+    figure = Figure(figsize=inches, dpi=DOTS_PER_INCH, layout="constrained")
     panels = figure.subplots(math.ceil(len(rows) / 3), min(3, len(rows)), squeeze=False).ravel()
     for panel in panels[len(rows) :]:
         panel.set_axis_off()
@@ -41,7 +60,9 @@ def draw_fit(table: LobeTable, evaluate: Evaluate) -> bytes:
     lobes = f"{table.lobe_count} {table.kind.upper()} lobe{'s' if table.lobe_count > 1 else ''}"
     # A dollar sign in a name would start a formula.
     figure.suptitle(f"{table.name.replace('$', '') or 'material'}: {lobes} against the data, in the plane of incidence")
-    return encode_figure(figure)
+    out = io.BytesIO()
+    FigureCanvasAgg(figure).print_png(out)  # type: ignore[no-untyped-call]
+    return out.getvalue()
 
 
 def _draw_cut(panel: Any, table: LobeTable, row: int, evaluate: Evaluate) -> None:

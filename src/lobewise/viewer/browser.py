@@ -164,14 +164,13 @@ def has_moved(before: Pose, after: Pose) -> bool:
 
 
 class Pace:
-    """Chooses one of the `STEPS` for a browser, so that its frames take at most ``target`` seconds.
+    """Chooses one of the `STEPS` for a browser, so that its frames take at most `TARGET` seconds.
 
     With ``fixed`` every frame has all pixels.
     """
 
-    def __init__(self, target: float = TARGET, fixed: bool = False) -> None:
+    def __init__(self, fixed: bool = False) -> None:
         self.fixed = fixed
-        self._target = target
         self._step = 0
         self._seconds: float | None = None
 
@@ -187,11 +186,11 @@ class Pace:
         before = seconds if self._seconds is None else self._seconds
         self._seconds = before + _SMOOTHING * (seconds - before)
         # A single slow frame may have compiled a kernel: wait for the second.
-        if min(self._seconds, seconds) > self._target and self._step + 1 < len(STEPS):
+        if min(self._seconds, seconds) > TARGET and self._step + 1 < len(STEPS):
             self._go(self._step + 1)
         elif self._step > 0:
             larger = (STEPS[self._step - 1] / STEPS[self._step]) ** 2
-            if max(self._seconds, seconds) * larger < _MAX_LOAD * self._target:
+            if max(self._seconds, seconds) * larger < _MAX_LOAD * TARGET:
                 self._go(self._step - 1)
 
     def _go(self, step: int) -> None:

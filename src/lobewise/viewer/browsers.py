@@ -97,7 +97,7 @@ class Browsers:
         This runs in the server's own thread, so that a browser that has gone is never added.
         """
         browser = Browser(client, read_pose(client.camera), self._fixed_size)
-        client.scene.set_background_image(_make_blank(), format="jpeg")
+        client.scene.set_background_image(np.full((8, 8, 3), BARS, np.uint8), format="jpeg")
         with self._lock:
             self._browsers[client.client_id] = browser
             self._furnish(browser)
@@ -308,7 +308,3 @@ BASELINE: SimilarityName = "normal"
 def choose_other(settings: InteractiveSettings) -> InteractiveSettings:
     """Return the first settings right of the wipe: the normal-aware filter, or no filter if the left side has it."""
     return replace(settings, similarity=UNFILTERED if settings.similarity == BASELINE else BASELINE)
-
-
-def _make_blank() -> Any:
-    return np.full((8, 8, 3), BARS, np.uint8)

@@ -23,7 +23,7 @@ from lobewise.denoising.automatic import (
     choose_tau,
     expect_noise,
 )
-from lobewise.engine.numbers import Number, choose_given, choose_larger, compute_hypotenuse, round_single
+from lobewise.engine.numbers import Number, choose_given, choose_larger, compute_hypotenuse
 from lobewise.guides.lobe_fields import NORMAL_ERROR
 from lobewise.recipes.temporal.recipe import weigh_own
 from lobewise.records.camera import Camera
@@ -105,7 +105,7 @@ class Constants:
         self.derived.setdefault(name, number)
         return Number(float(number), f"p->numbers.{name}", is_single=number.is_single)
 
-    def get_vector(self, name: str, *, before: bool = False, single: bool = False) -> list[Number]:
+    def get_vector(self, name: str, *, before: bool = False) -> list[Number]:
         """Return a vector of the camera: "eye", "forward", or a number of `get_ray_numbers`, `get_projection_numbers`.
 
         Parameters
@@ -113,14 +113,11 @@ class Constants:
         name : str
         before : bool
             Whether it is that of the frame before.
-        single : bool
-            Whether it is rounded to single precision.
         """
         values = {"eye": self.camera.position, "forward": self.camera.forward}
         values |= self.camera.get_ray_numbers(self.size) | self.camera.get_projection_numbers(self.size)
         view = "p->view_before" if before else "p->view"
-        numbers = [Number(float(value), f"{view}.{name}[{k}]") for k, value in enumerate(np.atleast_1d(values[name]))]
-        return [round_single(number) for number in numbers] if single else numbers
+        return [Number(float(value), f"{view}.{name}[{k}]") for k, value in enumerate(np.atleast_1d(values[name]))]
 
     @property
     def pixel_angle(self) -> Number:

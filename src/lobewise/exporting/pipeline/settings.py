@@ -194,11 +194,6 @@ class PipelineSettings(Declared):
         return self.is_guided and self.halves
 
     @property
-    def compares_hits(self) -> bool:
-        """Whether lobes are compared at their hits."""
-        return self.hit_distance and not self.history
-
-    @property
     def left_out(self) -> set[str]:
         """The guides that are not given."""
         given = {
@@ -224,7 +219,7 @@ class PipelineSettings(Declared):
             "similarity": self.record.name,
             **{name: getattr(self, name) for name in ("lobes", "form", "radius")},
             "device": "cpu",
-            "hit_distance": self.compares_hits,
+            "hit_distance": self.hit_distance and not self.history,
             "with_oidn": False,
         }
 
