@@ -16,7 +16,8 @@ import pytest
 import lobewise
 from lobewise import metrics
 from lobewise.errors import InputError, LobewiseError
-from lobewise.io import read_image, write_image
+from lobewise.interchange import read_image
+from lobewise.io import write_image
 from lobewise.peers import has_oidn
 from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance, Result
 from tests.streaming.frames import make_scene

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import lobewise
+import lobewise.interchange
 import lobewise.io
 import lobewise.metrics
 from lobewise.errors import LobewiseError
@@ -86,9 +87,9 @@ def make_arguments(folder: Path) -> dict[Callable[..., Any], dict[str, Any]]:
         },
         lobewise.io.write_frame: {"path": other, "frame": frame, "compression": "zip"},
         lobewise.io.read_frame: {"path": path},
-        lobewise.io.read_image: {"path": path},
+        lobewise.interchange.read_image: {"path": path},
         lobewise.io.write_image: {"path": other, "image": color},
-        lobewise.io.describe_file: {"path": path},
+        lobewise.interchange.describe_file: {"path": path},
         lobewise.metrics.mse: {"image": color, "reference": color},
         lobewise.metrics.rel_mse: {"image": color, "reference": color},
         lobewise.metrics.evaluate: {"image": color, "reference": color},

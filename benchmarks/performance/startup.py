@@ -29,8 +29,8 @@ from benchmarks.common import RESULTS, describe_machine, write_json
 from benchmarks.quality.frames import Bench
 from benchmarks.quality.measure import CACHE
 from lobewise.cli.bench.timing import time_best
-from lobewise.io import describe_file
-from lobewise.io.exr import read_image, write_frame
+from lobewise.interchange import describe_file, read_image
+from lobewise.io.exr import write_frame
 from lobewise.peers import has_oidn
 from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance
 

@@ -15,7 +15,8 @@ from scipy.ndimage import gaussian_filter
 
 from benchmarks.common import fetch_frame, write_json
 from benchmarks.quality.summary import HELD_OUT, TRAIN
-from lobewise.io.exr import read_image, write_image
+from lobewise.interchange import read_image
+from lobewise.io.exr import write_image
 from lobewise.metrics import EPSILON
 from lobewise.records.frame import FloatArray, Frame, GBuffer, LobeKind
 from lobewise.render import load_scene, render_frame, render_reference

@@ -25,7 +25,8 @@ import numpy as np
 
 from benchmarks.common import RESULTS, describe_machine, write_json
 from lobewise.errors import LobewiseError
-from lobewise.io import read_image, write_frame
+from lobewise.interchange import read_image
+from lobewise.io import write_frame
 from lobewise.records.camera import Camera
 from lobewise.records.frame import Frame, GBuffer, Radiance
 

@@ -12,7 +12,7 @@ import numpy as np
 import lobewise
 from benchmarks.foreign.files import REFERENCE, REFERENCES, RENDERERS, Renderer, list_frames
 from benchmarks.quality.summary import TRAIN
-from lobewise.io.exr import read_image
+from lobewise.interchange import read_image
 from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance
 
 MITSUBA = Renderer("mitsuba", ("albedo", "normals"))

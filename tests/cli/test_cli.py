@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from lobewise.cli.main import run
-from lobewise.io import describe_file, read_frame, read_image, write_frame, write_image
+from lobewise.interchange import describe_file, read_image
+from lobewise.io import read_frame, write_frame, write_image
 from lobewise.io.materials import read_lobe_table, write_lobe_table
 from lobewise.metrics import evaluate
 from lobewise.records.camera import Camera

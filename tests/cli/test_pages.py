@@ -9,6 +9,7 @@ import numpy as np
 
 import lobewise
 from lobewise.cli.main import run as run_program
+from lobewise.interchange import describe_file
 from lobewise.io import write_image
 from tests.streaming.frames import make_scene
 
@@ -37,9 +38,7 @@ def test_inspect_shows_every_image_of_a_renderers_file(tmp_path: Path) -> None:
     assert {"image", "diffuse", "specular"} <= set(figures)
     assert "Normal.X/Y/Z" in figures["normal"]
     assert figures["normal"].count("from") >= 1
-    channels = {
-        channel for part in lobewise.io.describe_file(BLENDER).parts for channel in (c.name for c in part.channels)
-    }
+    channels = {channel for part in describe_file(BLENDER).parts for channel in (c.name for c in part.channels)}
     assert channels <= set(re.findall(r"<td>([^<]*)</td>", page.read_text()))
     assert not re.search(r'(src|href)="(?!data:)', page.read_text())
 

@@ -13,7 +13,8 @@ import pytest
 
 from lobewise.cli.main import run
 from lobewise.cli.options.naming import name_clean
-from lobewise.io import read_image, write_frame
+from lobewise.interchange import read_image
+from lobewise.io import write_frame
 from tests.streaming.frames import make_scene
 
 CHEAP = ("--quality", "fast", "--similarity", "normal")

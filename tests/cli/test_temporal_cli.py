@@ -11,8 +11,7 @@ import pytest
 from lobewise import TemporalFilter, WindowFilter, read_frame, read_sparse_frame, write_frame, write_sparse_frame
 from lobewise.cli.main import run
 from lobewise.denoising import denoise
-from lobewise.interchange import write_result
-from lobewise.io.exr import read_image
+from lobewise.interchange import read_image, write_result
 from lobewise.recipes.sequence import filter_sequence, name_checkpoint
 from lobewise.records.sparse_frame import list_places, make_sparse
 from tests.temporal.scenes import make_camera, make_frame

@@ -13,7 +13,8 @@ import lobewise
 from lobewise.cli.main import run
 from lobewise.denoising import recipe
 from lobewise.errors import InputError
-from lobewise.io import read_image, write_frame
+from lobewise.interchange import read_image
+from lobewise.io import write_frame
 from lobewise.recipes.streaming import denoise_file
 from lobewise.recipes.streaming import recipe as streaming
 from lobewise.records.frame import Frame, GBuffer, Radiance, RadianceLayer

@@ -14,7 +14,8 @@ from lobewise.cli.farming import FrameWork
 from lobewise.cli.main import run
 from lobewise.farm.ledger import name_ledger
 from lobewise.farm.tasks import TaskLog
-from lobewise.io import read_image, write_frame
+from lobewise.interchange import read_image
+from lobewise.io import write_frame
 from lobewise.recipes.streaming import plan
 from lobewise.work import limits
 from tests.streaming.frames import make_scene

@@ -67,8 +67,8 @@ class Reader:
 
 def read_exr(path: Path, answer: Answer) -> None:
     """Read an EXR file in every way, and compare all pixels with those that OpenEXR reads."""
-    from lobewise.interchange import import_file
-    from lobewise.io import describe_file, read_frame, read_image, read_sparse_frame
+    from lobewise.interchange import describe_file, import_file, read_image
+    from lobewise.io import read_frame, read_sparse_frame
     from lobewise.io.exr.parsing import read_container
     from lobewise.io.exr.pixels import decode_part
 

@@ -15,7 +15,8 @@ import lobewise
 from lobewise.cli.main import run
 from lobewise.errors import MissingChannelError, UnusedGuideWarning
 from lobewise.guides.survey import GuideSurvey
-from lobewise.io import read_image, write_frame
+from lobewise.interchange import read_image
+from lobewise.io import write_frame
 from lobewise.recipes.streaming import denoise_file
 from lobewise.records.frame import Frame, GBuffer, Radiance, RadianceLayer
 from tests.streaming.frames import make_scene

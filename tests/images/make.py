@@ -23,7 +23,8 @@ import numpy as np
 import OpenEXR
 
 import lobewise
-from lobewise.io.exr import read_image, write_frame, write_image
+from lobewise.interchange import read_image
+from lobewise.io.exr import write_frame, write_image
 from lobewise.io.exr.sparse import write_sparse_frame
 from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.records.sparse_frame import make_sparse

@@ -46,7 +46,7 @@ def test_a_result_is_refused(own: Path, tmp_path: Path, capsys: pytest.CaptureFi
     named = ["--map", "color=R,G,B", "--map", "normal=normal.X,normal.Y,normal.Z"]
     assert run(["denoise", str(own), "-o", str(output), *named]) == 0
     (told,) = (note for note in describe_file(own).notes if "Lobewise has denoised this file" in note)
-    assert told.endswith("give the noisy render.")
+    assert told.endswith("give the noisy render, or say by --map color=... which image is noisy.")
     assert told in denoise_file(own, output).notes
     assert not any("denoised this" in note for note in describe_file(tmp_path / "noisy.exr").notes)
 

@@ -12,7 +12,9 @@ import pytest
 from exr_bytes import inject_attributes, read_attributes
 
 from lobewise.errors import FileError, LobewiseError
-from lobewise.io import describe_file, read_frame, read_image, write_frame
+from lobewise.interchange import describe_file, read_image
+from lobewise.io import read_frame, write_frame
+from lobewise.io.exr.describe import describe_part
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.pixels import decode_part
 
@@ -167,9 +169,10 @@ def test_deep_images_are_told(whole, tmp_path):
         OpenEXR.File({"type": OpenEXR.deepscanline, "compression": OpenEXR.ZIPS_COMPRESSION}, channels).write(str(path))
     except (RuntimeError, TypeError, ValueError) as problem:
         pytest.skip(f"this version of OpenEXR cannot write deep images from Python: {problem}")
-    with pytest.raises(LobewiseError, match="expected a flat image, got a deep one"):
-        read_frame(path)
-    assert describe_file(path).parts[0].kind == "deep scanline"
+    for read in (read_frame, describe_file):
+        with pytest.raises(LobewiseError, match="expected a flat image, got a deep one"):
+            read(path)
+    assert describe_part(read_container(path).parts[0], {}).kind == "deep scanline"
 
 
 def test_random_damage_never_escapes(rng, tmp_path):

@@ -10,8 +10,8 @@ import pytest
 from exr_bytes import EXOTIC, inject_attributes, read_attributes
 
 from lobewise.errors import FileError, InputError, MissingChannelError
-from lobewise.interchange import write_result
-from lobewise.io import describe_file, read_frame, read_image, write_frame, write_image
+from lobewise.interchange import describe_file, read_image, write_result
+from lobewise.io import read_frame, write_frame, write_image
 from lobewise.records.frame import Frame, GBuffer, Radiance, Result
 
 OWNERS = ("radiance", "gbuffer", "half_a", "half_b", "variance")
@@ -183,7 +183,7 @@ class TestReading:
     def test_missing_beauty(self, tmp_path):
         self.write(tmp_path / "a.exr", {"R": np.ones((2, 2), "f"), "G": np.ones((2, 2), "f")})
         for read in (read_frame, read_image):
-            with pytest.raises(MissingChannelError, match=r"expected channels R, G and B, got only G, R; .*\.$"):
+            with pytest.raises(MissingChannelError, match=r"expected channels R, G and B.* got only G, R; .*\.$"):
                 read(tmp_path / "a.exr")
 
     def test_missing_beauty_among_many_channels_is_still_one_line(self, tmp_path):

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from lobewise.errors import FileError
-from lobewise.io import read_frame, read_image, write_frame, write_image
+from lobewise.interchange import read_image
+from lobewise.io import read_frame, write_frame, write_image
 from lobewise.io.files import open_atomic, require_readable, require_writable, write_text
 from lobewise.records.frame import Frame, Radiance
 

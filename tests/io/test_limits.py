@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lobewise.io import read_image, write_image
+from lobewise.interchange import read_image
+from lobewise.io import write_image
 from lobewise.io.exr import pixels
 from lobewise.work.chunks import run_chunks
 
@@ -18,7 +19,7 @@ LIMITED = """
 import os, resource, sys
 import OpenEXR
 import lobewise.io.exr.frames
-from lobewise.io import read_image
+from lobewise.interchange import read_image
 
 def read(limit):
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
@@ -39,7 +40,7 @@ for extra in map(int, sys.argv[2:]):
 """
 ON_FULL_MACHINE = """
 import resource, sys
-from lobewise.io import read_image
+from lobewise.interchange import read_image
 resource.setrlimit(resource.RLIMIT_NOFILE, (int(sys.argv[2]), int(sys.argv[2])))
 try:
     print("read", *read_image(sys.argv[1]).shape)
@@ -89,7 +90,7 @@ def test_decoding_needs_no_temporary_file(good_file: Path, folder: str) -> None:
         "def refuse(*_, **__): raise AssertionError('a temporary file')\n"
         "tempfile._get_default_tempdir = tempfile.TemporaryFile = refuse\n"
         "from lobewise.display.hushing import hush_libraries\n"
-        "from lobewise.io import read_image\n"
+        "from lobewise.interchange import read_image\n"
         "hush_libraries()\n"
         "print(read_image(sys.argv[1]).shape)\n"
     )

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from lobewise.exporting.folder import MARK, open_folder
-from lobewise.io import read_image, write_image
+from lobewise.interchange import read_image
+from lobewise.io import write_image
 from lobewise.io.files import write_text
 
 LINES = 10_000
@@ -21,7 +22,8 @@ import os, subprocess, sys, threading, time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 import numpy as np
-from lobewise.io import read_image, write_image
+from lobewise.interchange import read_image
+from lobewise.io import write_image
 
 folder, lines = Path(sys.argv[1]), int(sys.argv[2])
 image = np.random.default_rng(1).random((200, 200, 3)).astype(np.float32)

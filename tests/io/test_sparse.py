@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from lobewise.errors import InputError
-from lobewise.io import read_frame, read_image, read_sparse_frame, write_frame, write_sparse_frame
+from lobewise.interchange import read_image
+from lobewise.io import read_frame, read_sparse_frame, write_frame, write_sparse_frame
 from lobewise.records.frame import GBuffer, Radiance
 from lobewise.records.sparse_frame import make_sparse
 

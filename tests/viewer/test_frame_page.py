@@ -23,7 +23,8 @@ from PIL import Image
 from lobewise.denoising import denoise
 from lobewise.display.tones import map_tones
 from lobewise.errors import InputError
-from lobewise.io import read_frame, read_image, write_frame
+from lobewise.interchange import read_image
+from lobewise.io import read_frame, write_frame
 from lobewise.records.frame import Frame, Radiance
 from lobewise.viewer import FrameViewer
 from lobewise.viewer.http.browser_messages import MAX_MESSAGE_BYTES

@@ -15,7 +15,8 @@ from lobewise.cli.main import run
 from lobewise.denoising import denoise
 from lobewise.errors import FileError, InputError
 from lobewise.interchange import read_frame as read_any
-from lobewise.io import read_frame, read_image, read_sparse_frame, write_frame, write_sparse_frame
+from lobewise.interchange import read_image
+from lobewise.io import read_frame, read_sparse_frame, write_frame, write_sparse_frame
 from lobewise.recipes.upsampling import DEFAULT_RADIUS, upsample
 from lobewise.records.camera import Camera
 from lobewise.records.frame import Frame, GBuffer, Radiance

@@ -12,7 +12,7 @@ import typer
 from lobewise.cli.options.common import output_option
 from lobewise.cli.options.writing import list_files
 from lobewise.cli.terminal.steps import Steps
-from lobewise.errors import InputError, MissingChannelError, MissingDependencyError
+from lobewise.errors import InputError, LobewiseError, MissingChannelError, MissingDependencyError
 
 if TYPE_CHECKING:
     from lobewise.io.sequence import FramePattern
@@ -200,7 +200,7 @@ def _compare_sequences(images: list[Path], reference: Path, guides: Path | None,
         _require_numbers(one.pattern, numbers)
     guiding = truth if guides is None else FramePattern.parse(guides)
     _require_numbers(guiding, numbers, allow_more=True)
-    guided = guides is not None or _describe_lacking(frames[0][1]) is None
+    guided = guides is not None or _has_guides(frames[0][1])
     with Steps() as steps:
         steps.tell("frames", 0, len(frames))
         for done, (number, target, mask, cut) in enumerate(_read_targets(frames, guiding if guided else None), start=1):
@@ -327,14 +327,13 @@ def _require_size(gbuffer: GBuffer, target: FloatArray) -> None:
         )
 
 
-def _describe_lacking(path: Path) -> str | None:
-    """Return why the surfaces of a file cannot be found in another frame, None if they can."""
-    from lobewise.io import describe_file
-
-    description = describe_file(path)
-    if not any(image.found and image.label in ("depth.Z", "position.X/Y/Z") for image in description.images):
-        return "neither position nor depth"
-    return "no camera" if description.camera is None else None
+def _has_guides(path: Path) -> bool:
+    """Return whether the surfaces of a file can be found in another frame."""
+    try:
+        _read_guides(path)
+    except LobewiseError:
+        return False
+    return True
 
 
 def _read_guides(path: Path) -> Guides:
@@ -342,13 +341,12 @@ def _read_guides(path: Path) -> Guides:
     from lobewise.io.exr import read_whole
     from lobewise.io.exr.parsing import read_container
 
-    lacking = _describe_lacking(path)
-    if lacking is not None:
+    frame = read_whole(path, read_container(path))
+    if not frame.is_placed:
         raise MissingChannelError(
             f"guides {str(path)!r}",
             expected="position or depth, and a camera in the header",
-            got=lacking,
+            got="no camera" if frame.gbuffer.is_placed else "neither position nor depth",
             action="render them with the frames",
         )
-    frame = read_whole(path, read_container(path))
     return frame.gbuffer, frame.require_camera("ghosting")

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from lobewise.errors import InputError
-from lobewise.interchange.checks import MARKED, Finding, check_own_mark, describe_alone, list_uses
+from lobewise.errors import InputError, LobewiseError
+from lobewise.interchange.checks import MARKED, Finding, describe_alone, list_uses
 from lobewise.interchange.imported import Imported
-from lobewise.interchange.importing.leftovers import describe_own_left_noisy
-from lobewise.interchange.mapping import ChannelMap, Found
+from lobewise.interchange.mapping import ChannelMap, Found, is_own
 from lobewise.interchange.preset import CONVERSIONS, ROLES, Preset
-from lobewise.interchange.reading import import_file, is_own, list_selections
+from lobewise.interchange.reading import import_file, list_selections
 from lobewise.interchange.replacing import require_target
 from lobewise.interchange.siblings import FIRST_SIBLING_INDEX
 from lobewise.io.exr.container import Container, show_name
@@ -20,14 +19,15 @@ from lobewise.io.exr.describe import (
     ImageDescription,
     RoleDescription,
     describe_part,
-    list_similarities,
 )
-from lobewise.io.exr.describe import describe_file as describe_own
 from lobewise.io.exr.layout import look_up_beauty
 from lobewise.io.exr.parsing import read_container
+from lobewise.io.exr.schema import SLOTS
 from lobewise.io.files import PathLike
 from lobewise.records.camera import Camera
 from lobewise.records.frame import Frame
+from lobewise.records.lobe_table import LobeTable
+from lobewise.settings import SIMILARITY_NAMES
 
 
 def describe_file(
@@ -76,19 +76,19 @@ def inspect_file(
 ) -> tuple[FileDescription, Imported | None]:
     """Return the description of a file as `describe_file`, and the file itself if its pixels were read."""
     container = read_container(path)
-    is_foreign = preset is not None or mapping or camera is not None or half is not None or also
-    if not container.parts or (not is_foreign and is_own(container)):
-        own = describe_own(path)
-        marks = _list_refusals(check_own_mark(container)) if look_up_beauty(container.parts) else ()
-        left = describe_own_left_noisy(container)
-        return replace(own, notes=(*left, *own.notes, *marks), refusals=(*own.refusals, *marks)), None
-    selections = list_selections(path, preset=preset, mapping=mapping, all_layers=all_layers)
+    is_plain = preset is None and not mapping and camera is None and half is None and not also
     options = {"preset": preset, "mapping": mapping, "camera": camera, "half": half, "also": also, "light_passes": True}
-    options["wraps"] = wraps
-    first, *others = (
-        import_file(path, view=selected.view or None, layer=selected.layer or None, denoised=selections, **options)  # type: ignore[arg-type]
-        for selected in selections
-    )
+    options |= {"wraps": wraps, "header_only": is_plain}
+    try:
+        selections = list_selections(path, preset=preset, mapping=mapping, all_layers=all_layers)
+        first, *others = (
+            import_file(path, view=selected.view or None, layer=selected.layer or None, denoised=selections, **options)  # type: ignore[arg-type]
+            for selected in selections
+        )
+    except LobewiseError as problem:
+        if is_plain and is_own(container):
+            return _describe_refused(container, problem), None
+        raise
     # A user who maps the color says that this image is noisy, so the checks must not refuse it.
     marks = (
         ()
@@ -102,7 +102,20 @@ def inspect_file(
     except InputError as problem:
         refusal = f"Denoising will refuse this: {problem}"
         return replace(described, notes=(*described.notes, refusal), refusals=(*marks, refusal)), first
-    return replace(described, refusals=marks), first
+    return replace(described, refusals=marks), None if is_plain and first.map.is_own else first
+
+
+def _describe_refused(container: Container, problem: LobewiseError) -> FileDescription:
+    """Return the description of a file in lobewise's own names that cannot be read."""
+    refusal, beauty = f"Denoising will refuse this file: {problem}", look_up_beauty(container.parts)
+    return FileDescription(
+        path=str(container.path),
+        bytes=container.path.stat().st_size,
+        parts=tuple(describe_part(part, {}) for part in container.parts),
+        image_part=None if beauty is None else beauty.index,
+        notes=(refusal,),
+        refusals=(refusal,),
+    )
 
 
 def _list_refusals(findings: Iterable[Finding]) -> tuple[str, ...]:
@@ -113,17 +126,14 @@ def _list_refusals(findings: Iterable[Finding]) -> tuple[str, ...]:
 def describe_import(imported: Imported, others: Sequence[Imported] = ()) -> FileDescription:
     """Return the description of an imported file; ``others`` are further views of it that are denoised."""
     container, frame, channels = imported.container, imported.frame, imported.map
-    if channels is None:
-        return describe_own(container.path)
     image_part = channels.roles["color"].source.part.index
     used = {
         (one.source.part.index, name): what
         for each in (*others, imported)
-        if each.map is not None
         for what, one in _list_found(each.map, each)
         for name in one.channels
     }
-    guides = set(frame.gbuffer.names)
+    has_lobes = frame.is_placed and frame.gbuffer.alpha_u is not None
     return FileDescription(
         path=str(container.path),
         bytes=container.path.stat().st_size,
@@ -132,8 +142,8 @@ def describe_import(imported: Imported, others: Sequence[Imported] = ()) -> File
         images=list_roles(channels, frame),
         camera=frame.camera,
         spp=frame.spp,
-        materials=(),
-        similarities=list_similarities(guides, frame.camera if frame.gbuffer.is_placed else None),
+        materials=tuple(map(_describe_table, frame.lobe_tables)),
+        similarities=SIMILARITY_NAMES if has_lobes else ("normal",),
         notes=(
             *_tell_selections(imported, others),
             *frame.notes,
@@ -144,7 +154,7 @@ def describe_import(imported: Imported, others: Sequence[Imported] = ()) -> File
         reason=channels.reason,
         roles=tuple(
             RoleDescription(what, one.label, "; ".join(CONVERSIONS[word] for word in one.convert))
-            for what, one in _list_found(channels, imported)
+            for what, one in (() if channels.is_own else _list_found(channels, imported))
         ),
         version=_read_version(channels.preset, container),
         uses=list_uses(channels, frame),
@@ -160,14 +170,13 @@ def describe_import(imported: Imported, others: Sequence[Imported] = ()) -> File
             )
         ),
         unusable=tuple(channels.refused.values()),
-        alone=" ".join(describe_alone(channels, frame)),
+        alone="" if channels.is_own else " ".join(describe_alone(channels, frame)),
     )
 
 
 def _tell_selections(imported: Imported, others: Sequence[Imported]) -> list[str]:
     """Return sentences that name the views and the view layers of a file that has several, and say what is denoised."""
-    assert imported.map is not None
-    denoised = [each.map.selection for each in (imported, *others) if each.map is not None]
+    denoised = [each.map.selection for each in (imported, *others)]
     notes = []
     for what, name in (("view", "views"), ("layer", "view layers")):
         all_names = list(dict.fromkeys(getattr(each, what) for each in imported.map.selections))
@@ -181,12 +190,10 @@ def _tell_selections(imported: Imported, others: Sequence[Imported]) -> list[str
 
 def _list_further_notes(imported: Imported, others: Sequence[Imported]) -> list[str]:
     """Return the notes on further views of a kind that the first does not have, each with the name of its view."""
-    assert imported.map is not None
     first = imported.map.selection
     known = {first.name_kind(note) for note in (*imported.frame.notes, *imported.notes)}
     notes: list[str] = []
     for other in others:
-        assert other.map is not None
         own = other.map.selection
         new = [note for note in (*other.frame.notes, *other.notes) if own.name_kind(note) not in known]
         notes += [own.begin_note(note, first) for note in new]
@@ -202,8 +209,18 @@ def _read_version(preset: Preset, container: Container) -> str:
     return ""
 
 
+def _describe_table(table: LobeTable) -> str:
+    kind = f"{table.lobe_count} {table.kind} lobe{'s' if table.lobe_count > 1 else ''}"
+    where = f"{table.cosine.size} views" + ("" if table.is_isotropic else f" at {table.azimuth.size} azimuths")
+    return f"{show_name(table.name)!r}: {kind} for each of {where}"
+
+
 def list_roles(channels: ChannelMap, frame: Frame) -> tuple[ImageDescription, ...]:
     """Return all roles, present or missing; "denoiser_normal" only if present, because one renderer alone writes it."""
+    if channels.is_own:
+        return tuple(
+            ImageDescription(slot.label, slot.role in channels.roles, slot.meaning, slot.missing) for slot in SLOTS
+        )
     roles = [role for role in ROLES if role != "denoiser_normal" or role in channels.roles]
     return tuple(_describe_role(channels, frame, role) for role in roles)
 
@@ -231,6 +248,10 @@ def _has_own_albedo(channels: ChannelMap, frame: Frame) -> bool:
 
 def _list_found(channels: ChannelMap, imported: Imported) -> list[tuple[str, Found]]:
     """Return the images that are used, each with its purpose: roles, passes of the frame's layers, Cryptomatte."""
+    if channels.is_own:
+        return [
+            (f"{slot.owner}.{slot.field}", channels.roles[slot.role]) for slot in SLOTS if slot.role in channels.roles
+        ]
     names = {layer.name for layer in imported.frame.layers}
     found = list(channels.roles.items())
     for layer in channels.layers:

@@ -18,9 +18,6 @@ from lobewise.io.exr.pixels import DTYPES, Pixels
 from lobewise.records.frame import FloatArray, Frame
 from lobewise.work.limits import check_limits, require_memory
 
-OWN_PRESET = "lobewise"
-"""Preset name that is reported for a file in lobewise's own channel names."""
-
 
 @dataclass(frozen=True)
 class Imported:
@@ -32,8 +29,8 @@ class Imported:
         The frame, ready to be denoised.
     container : Container
         The file.
-    map : ChannelMap or None
-        The meaning of the channels; None for a file in lobewise's own names.
+    map : ChannelMap
+        The meaning of the channels.
     notes : tuple of str
         One sentence for each image that was found, converted, dropped or is missing.
     outputs : mapping of str to PartOutput
@@ -49,7 +46,7 @@ class Imported:
 
     frame: Frame
     container: Container
-    map: ChannelMap | None = None
+    map: ChannelMap
     notes: tuple[str, ...] = ()
     outputs: Mapping[str, PartOutput] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
@@ -59,12 +56,12 @@ class Imported:
     @property
     def preset(self) -> str:
         """Name of the preset by which the file was read."""
-        return OWN_PRESET if self.map is None else self.map.preset.name
+        return self.map.preset.name
 
     @property
     def remarks(self) -> tuple[str, ...]:
         """The preset and the reason for it, then the notes; empty for a file in lobewise's own names."""
-        if self.map is None:
+        if self.map.is_own:
             return ()
         return (f"Read as {self.map.preset.title}, because {self.map.reason}.", *self.notes)
 

@@ -30,7 +30,7 @@ def add_also(imported: Imported, patterns: Sequence[str], read: ImageReader) -> 
     InputError
         If no unused pass matches a pattern, or the file uses lobewise's own names, which have no further passes.
     """
-    if imported.map is None:
+    if imported.map.is_own:
         raise InputError(
             "--also",
             expected="a file of another renderer",
@@ -154,7 +154,6 @@ def _look_up_owner(imported: Imported, one: Pass) -> tuple[str | None, Found | N
 
     The layer is the one with the longest pass name that begins the name of this pass.
     """
-    assert imported.map is not None
     names = {layer.name for layer in imported.frame.layers}
     last, best = name_pass(one.path), ""
     owner: tuple[str | None, Found | None] = None, None

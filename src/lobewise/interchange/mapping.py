@@ -20,6 +20,7 @@ from lobewise.interchange.channels import (
     list_views,
 )
 from lobewise.interchange.preset import (
+    OWN,
     ROLES,
     SINGLE_VALUE_ROLES,
     LayerRule,
@@ -31,7 +32,8 @@ from lobewise.interchange.preset import (
 )
 from lobewise.interchange.selections import Selection, choose_view, keep_layer, list_images, list_selections
 from lobewise.io.exr.container import Container, Part, show_name
-from lobewise.io.exr.layout import refuse_missing_image
+from lobewise.io.exr.layout import look_up_beauty, plan_reading, refuse_missing_image, require_beauty
+from lobewise.io.exr.schema import SCHEMA
 from lobewise.io.files import PathLike
 
 ORDERS: dict[str, Sequence[str]] = {"normal": VECTOR, "position": VECTOR, "motion": PLANE}
@@ -127,6 +129,11 @@ class ChannelMap:
     refused: Mapping[str, str] = field(default_factory=dict)
 
     @property
+    def is_own(self) -> bool:
+        """Whether the file uses lobewise's own channel names. Its roles are those of `Slot`."""
+        return self.preset is OWN
+
+    @property
     def target(self) -> Found:
         """The image that viewers show. The result replaces it."""
         return self.roles["color"] if self.shown is None else self.shown
@@ -150,6 +157,57 @@ def choose_preset(container: Container, passes: Iterable[Pass], asked: PathLike 
     return load_presets()[
         "generic"
     ], "neither the attributes of the file nor the names of its channels tell which renderer wrote it"
+
+
+def is_own(container: Container) -> bool:
+    """Return whether a file uses lobewise's own channel names.
+
+    It does if its header says so, or if it has lobewise's guides and no known renderer is recognised.
+    """
+    if any(part.get(SCHEMA) is not None for part in container.parts):
+        return True
+    beauty = look_up_beauty(container.parts)
+    if beauty is None or choose_preset(container, list_passes(container))[0].name != "generic":
+        return False
+    return any(slot.owner != "radiance" for _, slots in plan_reading(container, beauty) for slot in slots)
+
+
+def map_file(
+    container: Container,
+    *,
+    preset: PathLike | None = None,
+    mapping: Mapping[str, str] | None = None,
+    view: str | None = None,
+    layer: str | None = None,
+) -> ChannelMap:
+    """Map the channels of a file: in lobewise's own names as they are, unless the user says more, else `map_channels`.
+
+    Raises
+    ------
+    InputError, MissingChannelError
+        As `map_channels`; also if an image in lobewise's own names has only some of its channels, or the user names a
+        view or a view layer of such a file.
+    """
+    if preset is None and not mapping and is_own(container):
+        if view or layer:
+            raise InputError(
+                "view" if layer is None else "layer",
+                expected="a file of another renderer",
+                got="a file with lobewise's own channel names, of which the first view is read",
+                action="leave it out",
+            )
+        return _map_own(container)
+    return map_channels(container, preset=preset, mapping=mapping, view=view, layer=layer)
+
+
+def _map_own(container: Container) -> ChannelMap:
+    roles = {
+        slot.role: Found(Pass(part, slot.prefix, {name: name for name in slot.channels}), slot.channels)
+        for part, slots in plan_reading(container, require_beauty(container))
+        for slot in slots
+    }
+    selections = (Selection(), *map(Selection, list_views(container)[1:]))
+    return ChannelMap(OWN, "", roles, layers=(), cryptomatte=(), selections=selections)
 
 
 def map_channels(

@@ -149,6 +149,10 @@ class Preset:
     is_users: bool = False
 
 
+OWN = Preset("lobewise", "lobewise", roles={"color": (Rule(""),)})
+"""lobewise's own channel names (`lobewise.io.exr.schema`). Their values need no conversion; no option names them."""
+
+
 @cache
 def load_presets() -> dict[str, Preset]:
     """Return the presets of this package by name. "generic" knows only common pass names, so it comes last."""

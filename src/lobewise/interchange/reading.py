@@ -9,23 +9,22 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from lobewise.errors import InputError, MissingChannelError
 from lobewise.interchange.channels import list_passes
-from lobewise.interchange.checks import check_own_mark
 from lobewise.interchange.imported import ImageReader, Imported
-from lobewise.interchange.importing.leftovers import describe_left_noisy, describe_own_left_noisy
-from lobewise.interchange.importing.steps import import_foreign
+from lobewise.interchange.importing.leftovers import describe_left_noisy
+from lobewise.interchange.importing.steps import import_mapped
 from lobewise.interchange.importing.surfaces import WRAPS_AROUND
 from lobewise.interchange.joining import add_also, add_further, add_light_groups, add_noisy_alpha, join_halves
-from lobewise.interchange.mapping import map_channels
+from lobewise.interchange.mapping import Found, map_channels, map_file
 from lobewise.interchange.selections import Selection, look_up_mapped_view
 from lobewise.interchange.siblings import look_up_family
 from lobewise.io.exr.container import Channel, Container, Part, Window
-from lobewise.io.exr.frames import read_whole
 from lobewise.io.exr.header import wraps_around
-from lobewise.io.exr.layout import look_up_beauty, name_file, plan_reading, require_shaded
+from lobewise.io.exr.layout import name_file, require_shaded
 from lobewise.io.exr.parsing import read_container
-from lobewise.io.exr.schema import SCHEMA
 from lobewise.io.files import PathLike
 from lobewise.records.camera import Camera
 from lobewise.records.frame import FloatArray, Frame
@@ -33,19 +32,6 @@ from lobewise.records.lobe_table import LobeTable
 
 MAX_SELECTIONS = 256
 """Most pairs of a view and a view layer in a file."""
-
-
-def is_own(container: Container) -> bool:
-    """Return whether a file uses lobewise's own channel names.
-
-    It does if its header says so, or if it has lobewise's guides and no known renderer is recognised.
-    """
-    if any(item.name == SCHEMA for part in container.parts for item in part.attributes):
-        return True
-    beauty = look_up_beauty(container.parts)
-    if beauty is None or map_channels(look_up_family(container).container).preset.name != "generic":
-        return False
-    return any(slot.owner != "radiance" for _, slots in plan_reading(container, beauty) for slot in slots)
 
 
 def read_frame(
@@ -152,11 +138,9 @@ def list_selections(
             "--all-layers", expected="no --map color beside it", got="both", action="leave --all-layers out"
         )
     container = read_container(path)
-    if preset is None and not mapping and is_own(container):
-        return (Selection(),)
     family = look_up_family(container).container
     with name_file(path):
-        first = map_channels(family, preset=preset, mapping=mapping)
+        first = map_file(family, preset=preset, mapping=mapping)
     views = dict.fromkeys(each.view for each in first.selections)
     if look_up_mapped_view(list_passes(family), mapping or {}):
         views = {}
@@ -171,7 +155,7 @@ def list_selections(
     selections = {first.selection: None}
     for view, layer in product(views or (first.selection.view,), layers):
         with suppress(InputError, MissingChannelError):
-            own = map_channels(family, preset=preset, mapping=mapping, view=view, layer=layer or None)
+            own = map_file(family, preset=preset, mapping=mapping, view=view, layer=layer or None)
             selections[own.selection] = None
     return tuple(selections)
 
@@ -191,6 +175,7 @@ def import_file(
     layer: str | None = None,
     denoised: Collection[Selection] = (),
     wraps: bool | None = None,
+    header_only: bool = False,
 ) -> Imported:
     """Return the frame of an EXR file, with notes, findings and the channels that receive results.
 
@@ -207,6 +192,8 @@ def import_file(
         Whether light groups are found and filtered, see `add_light_groups`, as far as ``light_passes`` lets them.
     denoised : collection of Selection
         Further views and view layers that are denoised, so that no note says that they stay noisy.
+    header_only : bool
+        Whether one black pixel stands for the image of a file in lobewise's own names, whose header tells the rest.
 
     Raises
     ------
@@ -218,21 +205,15 @@ def import_file(
     wraps = True if told else wraps
     family = look_up_family(container)
     read = ImageReader(family.decode)
-    if preset is None and not mapping and is_own(container):
-        _refuse_selection(container, view, layer)
-        frame = read_whole(path, container, lobe_tables)
-        frame = frame if camera is None else frame.with_changes(camera=camera)
-        imported = Imported(
-            frame.with_changes(notes=(*told, *describe_own_left_noisy(container)), wraps=bool(wraps)),
-            container,
-            findings=check_own_mark(container),
-        )
-    else:
-        require_no_tables(path, lobe_tables)
-        with name_file(path):
-            channels = map_channels(family.container, preset=preset, mapping=mapping, view=view, layer=layer)
-            imported, read = import_foreign(container, read, channels, camera, wraps=wraps)
-        imported = replace(imported, notes=(*told, *imported.notes))
+    with name_file(path):
+        channels = map_file(family.container, preset=preset, mapping=mapping, view=view, layer=layer)
+        if not channels.is_own:
+            require_no_tables(path, lobe_tables)
+        elif header_only:
+            read = read.with_images({one.key: _make_black_pixel(one) for one in channels.roles.values()})
+        else:
+            require_shaded(container)
+        imported, read = import_mapped(container, read, channels, camera, wraps=wraps, lobe_tables=lobe_tables)
     if not light_passes:
         layers = tuple(replace(layer, parts={}) for layer in imported.frame.layers)
         imported = replace(imported, frame=imported.frame.with_changes(layers=layers))
@@ -244,11 +225,9 @@ def import_file(
             imported = add_also(imported, also, read)
     if not light_passes:
         imported = replace(imported, outputs=_add_known(imported, read, light_groups).outputs)
-    if imported.map is not None:
-        selection = imported.map.selection
-        imported = add_noisy_alpha(imported, imported.map, read)
-        notes = describe_left_noisy(imported, read, {selection, *denoised})
-        imported = replace(imported, frame=imported.frame.with_changes(notes=notes))
+    imported = add_noisy_alpha(imported, imported.map, read)
+    left = describe_left_noisy(imported, read, {imported.map.selection, *denoised})
+    imported = replace(imported, frame=imported.frame.with_changes(notes=(*told, *left)))
     if half is None:
         return imported
     options: dict[str, Any] = {"preset": preset, "mapping": mapping, "camera": camera, "lobe_tables": lobe_tables}
@@ -259,21 +238,14 @@ def import_file(
         return join_halves(imported, other)
 
 
+def _make_black_pixel(found: Found) -> FloatArray:
+    count = len(found.channels)
+    return np.zeros((1, 1) if count == 1 else (1, 1, count), np.float32)
+
+
 def _add_known(imported: Imported, read: ImageReader, light_groups: bool) -> Imported:
     """Return a frame with the noisy images that its preset names, with light groups if asked."""
     return add_further(add_light_groups(imported, read) if light_groups else imported, read)
-
-
-def _refuse_selection(container: Container, view: str | None, layer: str | None) -> None:
-    """Raise InputError if a file in lobewise's own names was shaded sparsely, or a view or view layer is named."""
-    require_shaded(container)
-    if view is not None or layer is not None:
-        raise InputError(
-            "view" if layer is None else "layer",
-            expected="a file of another renderer",
-            got="a file with lobewise's own channel names, of which the first view is read",
-            action="leave it out",
-        )
 
 
 def require_no_tables(path: PathLike, lobe_tables: Sequence[LobeTable] | None) -> None:
@@ -314,4 +286,4 @@ def import_planes(
     part = Part(0, (), False, False, channels, "none", window, window, 1, ())
     container = Container(Path("memory"), 2, (part,))
     read = ImageReader(lambda part, names: planes)
-    return import_foreign(container, read, map_channels(container, preset=preset, mapping=mapping), camera)[0]
+    return import_mapped(container, read, map_channels(container, preset=preset, mapping=mapping), camera)[0]

@@ -15,7 +15,6 @@ from lobewise.interchange.mapping import Found
 from lobewise.interchange.reading import import_file
 from lobewise.interchange.siblings import FIRST_SIBLING_INDEX
 from lobewise.io.exr.container import Container, Part, show_name
-from lobewise.io.exr.layout import plan_writing, require_beauty
 from lobewise.io.exr.replacing import write_copy
 from lobewise.io.files import PathLike
 from lobewise.records.frame import FloatArray, Result
@@ -146,12 +145,8 @@ def plan_result(
     """Return what a result changes in the copy of its file; see `write_result`."""
     require_target(imported)
     container = imported.container
-    if imported.map is None:
-        beauty = require_beauty(container)
-        planes = _plan_own(imported, result)
-    else:
-        beauty = imported.map.target.source.part
-        planes = _plan_foreign(imported, result)
+    beauty = imported.map.target.source.part
+    planes = _plan_planes(imported, result)
     notes = _note_noisy(imported, result)
     shown, shown_notes = ({}, []) if suffix or only else _keep_shown(imported)
     notes += shown_notes
@@ -177,8 +172,6 @@ def plan_result(
 
 def _name_prefix(imported: Imported, beauty: Part) -> str:
     """Return the beginning of the names of added channels, with the view and layer of which the part has several."""
-    if imported.map is None:
-        return CONFIDENCE_PREFIX
     view = "" if beauty.view else imported.map.selection.view
     layer = imported.map.prefix if len({each.layer for each in imported.map.selections}) > 1 else ""
     return f"{layer}{CONFIDENCE_PREFIX}{view}{'.' if view else ''}"
@@ -186,7 +179,7 @@ def _name_prefix(imported: Imported, beauty: Part) -> str:
 
 def require_target(imported: Imported) -> None:
     """Raise InputError if the image to replace is in a neighbouring file, not in the file that is copied."""
-    if imported.map is None or imported.map.target.source.part.index < FIRST_SIBLING_INDEX:
+    if imported.map.target.source.part.index < FIRST_SIBLING_INDEX:
         return
     name = imported.container.path.name
     raise InputError(
@@ -197,19 +190,8 @@ def require_target(imported: Imported) -> None:
     )
 
 
-def _plan_own(imported: Imported, result: Result) -> Planes:
-    """Return the new channel values for a file in lobewise's names."""
-    results = {"color": result.image, "diffuse": result.diffuse, "specular": result.specular}
-    images = {field: image for field, image in results.items() if image is not None}
-    container = imported.container
-    return {
-        part.index: {name: images[slot.field][..., k] for slot in slots for k, name in enumerate(slot.channels)}
-        for part, slots in plan_writing(container, require_beauty(container), images)
-    }
-
-
-def _plan_foreign(imported: Imported, result: Result) -> Planes:
-    """Return the new channel values for a file of another renderer."""
+def _plan_planes(imported: Imported, result: Result) -> Planes:
+    """Return the new values of the channels that receive results."""
     images = _list_images(result)
     planes: Planes = {}
     # Rescaled exact light adds up to the image only with the filtered passes, so keep it if any pass stays noisy.
@@ -246,7 +228,7 @@ def _keep_shown(imported: Imported) -> tuple[Planes, list[str]]:
 
     A file that lobewise wrote before has these channels already. They stay unchanged.
     """
-    shown = None if imported.map is None else imported.map.shown
+    shown = imported.map.shown
     if shown is None or imported.shown is None:
         return {}, []
     names = [_add_suffix(name, KEPT_SUFFIX, imported.container) for name in shown.channels]

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from lobewise.display.colors import convert_light
 from lobewise.interchange.imported import ImageReader
-from lobewise.interchange.mapping import map_channels
-from lobewise.interchange.reading import is_own
+from lobewise.interchange.mapping import map_file
 from lobewise.interchange.siblings import look_up_family
-from lobewise.io.exr.frames import read_image as read_own_image
 from lobewise.io.exr.header import read_chromaticities
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.files import PathLike
@@ -28,10 +26,8 @@ def read_image(path: PathLike) -> FloatArray:
         If there is no image.
     """
     container = read_container(path)
-    if is_own(container):
-        return read_own_image(path)
     family = look_up_family(container)
-    return ImageReader(family.decode)(map_channels(family.container).target)
+    return ImageReader(family.decode)(map_file(family.container).target)
 
 
 def read_light(path: PathLike) -> FloatArray:
@@ -50,7 +46,5 @@ def name_noisy_pass(path: PathLike) -> tuple[str, str] | None:
         If there is no image.
     """
     container = read_container(path)
-    if is_own(container):
-        return None
-    channels = map_channels(look_up_family(container).container)
+    channels = map_file(look_up_family(container).container)
     return None if channels.shown is None else (channels.shown.label, channels.roles["color"].label)

@@ -12,6 +12,7 @@ from lobewise.interchange.preset import Preset, load_presets
 from lobewise.io.exr.container import MULTIPART, Attribute, Container, Part
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.pixels import Pixels, decode_part
+from lobewise.io.exr.schema import SCHEMA
 
 FIRST_SIBLING_INDEX = 1 << 16
 """Smallest part index that stands for a part of another file."""
@@ -43,7 +44,8 @@ def look_up_family(container: Container) -> Family:
     Neighbouring files are used only if the file holds one plain RGB(A) image, they have its data window, and they
     include all passes that identify a preset.
     """
-    if len(container.parts) != 1 or {channel.name for channel in container.parts[0].channels} - set("RGBA"):
+    names = {channel.name for part in container.parts for channel in part.channels}
+    if len(container.parts) != 1 or names - set("RGBA") or container.parts[0].get(SCHEMA) is not None:
         return Family(container)
     for preset in load_presets().values():
         for word in preset.files:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from lobewise.io.exr import read_frame, read_image, write_frame, write_image
-from lobewise.io.exr.describe import FileDescription, describe_file
+from lobewise.io.exr import read_frame, write_frame, write_image
+from lobewise.io.exr.describe import FileDescription
 from lobewise.io.exr.sparse import read_sparse_frame, write_sparse_frame
 
 __all__ = [
     "FileDescription",
-    "describe_file",
     "read_frame",
-    "read_image",
     "read_sparse_frame",
     "write_frame",
     "write_image",

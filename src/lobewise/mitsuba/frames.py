@@ -71,7 +71,6 @@ def make_frame(passed: Given) -> tuple[Frame, list[str]]:
         mapping[role] = ",".join(names) + convert
     planes |= passed.others
     imported = import_planes(planes, preset=PRESET, mapping=mapping)
-    assert imported.map is not None
     used = {name for image in imported.map.roles.values() for name in image.channels}
     idle = list(dict.fromkeys(name.rpartition(".")[0] or name for name in passed.others if name not in used))
     notes = [note.replace("given.", "") for note in imported.notes if "There are images of the same kind" not in note]

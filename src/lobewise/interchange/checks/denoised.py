@@ -8,8 +8,7 @@ from lobewise.interchange.checks.finding import Finding
 from lobewise.interchange.mapping import ChannelMap, Found
 from lobewise.io.exr.container import Container
 from lobewise.io.exr.header import read_replaced
-from lobewise.io.exr.layout import require_beauty
-from lobewise.io.exr.schema import BEAUTY, DENOISED
+from lobewise.io.exr.schema import DENOISED
 
 MARKED = "denoised by lobewise"
 """Name of the finding that the image, or the passes of light that add up to it, are results of lobewise."""
@@ -31,12 +30,12 @@ def leave_out_denoised_light(container: Container, channels: ChannelMap) -> Chan
 
 
 def check_mark(container: Container, channels: ChannelMap) -> list[Finding]:
-    """Return a finding if lobewise has denoised the image of another renderer's file, or its passes of light."""
+    """Return a finding if lobewise has denoised the image of a file, or its passes of light."""
     is_image_denoised, is_light_denoised = _look_up_denoised(container, channels)
     if is_image_denoised:
         note = f"{SAYS_MARK}: give the noisy render, or say by --map color=... which image is noisy."
         return [Finding(MARKED, note, mended=False)]
-    if not is_light_denoised:
+    if not is_light_denoised or channels.is_own:
         return []
     note = (
         f"{SAYS_MARK}, but not {channels.roles['color'].label}: the image is filtered as a whole, because its "
@@ -55,10 +54,3 @@ def _look_up_denoised(container: Container, channels: ChannelMap) -> tuple[bool,
     light = [channels.roles[name] for name in LIGHT if name in channels.roles]
     layers = [one for layer in channels.layers for one in layer.light]
     return is_result(channels.roles["color"]), any(map(is_result, (*light, *layers)))
-
-
-def check_own_mark(container: Container) -> tuple[Finding, ...]:
-    """Return a finding if the image of a file with lobewise's own channel names is a result of lobewise."""
-    replaced = (read_replaced(container) or {}).get(require_beauty(container).index, frozenset())
-    note = f"{SAYS_MARK}: give the noisy render."
-    return (Finding(MARKED, note, mended=False),) if replaced.intersection(BEAUTY.channels) else ()

@@ -14,10 +14,11 @@ ADVISED_ROLES = ("normal", "position", "layers", "albedo", "roughness")
 def list_uses(channels: ChannelMap, frame: Frame) -> tuple[str, ...]:
     """Return the entries of `lobewise.io.exr.describe.USES` that a frame has."""
     guides = frame.gbuffer
+    # Without a camera no lobe is compared. The network of "high" reads the roughness, too.
+    takes_roughness = frame.is_placed or channels.is_own or not has_oidn()
     there = {
         "normal": "normal" in channels.roles,
-        # Without a camera no lobe is compared. The network of "high" reads the roughness, too.
-        "roughness": guides.alpha_u is not None and (frame.is_placed or not has_oidn()),
+        "roughness": guides.alpha_u is not None and takes_roughness,
         "camera": frame.is_placed,
         "layers": frame.radiance.parts is not None,
         "albedo": guides.diffuse_albedo is not None or guides.specular_albedo is not None,

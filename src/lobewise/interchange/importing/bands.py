@@ -23,7 +23,7 @@ from lobewise.interchange.imported import ImageReader, Imported
 from lobewise.interchange.importing.blur import is_blurred
 from lobewise.interchange.importing.draft import Draft, Step, run_steps
 from lobewise.interchange.importing.leftovers import describe_left_noisy, take_noisy_alpha
-from lobewise.interchange.importing.steps import BAND_STEPS, import_foreign
+from lobewise.interchange.importing.steps import BAND_STEPS, import_mapped
 from lobewise.interchange.importing.surfaces import measure_offsets
 from lobewise.interchange.lighting import BACKGROUND, REST, PartOutput
 from lobewise.interchange.mapping import ChannelMap, Found, map_channels
@@ -215,13 +215,12 @@ class ImportedBands(BandReader):
         height, width = self.shape
         # An odd step has a pixel in its middle.
         step = int(np.ceil(np.sqrt(height * width / MAX_JUDGED_PIXELS))) // 2 * 2 + 1
-        imported, read = import_foreign(
-            self.container, ImageReader(lambda part, names: self._thin(part, names, step)), channels, None
+        imported, read = import_mapped(
+            self.container, ImageReader(lambda part, names: self._thin(part, names, step)), channels
         )
         reason = self._describe_obstacle(imported)
         if reason:
             raise self._refuse(path, reason)
-        assert imported.map is not None
         header = read_camera_attributes(self.container.parts, imported.map.roles["color"].source.part)
         roles, grain = dict(imported.map.roles), None
         if "position" in roles:

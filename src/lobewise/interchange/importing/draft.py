@@ -1,4 +1,4 @@
-"""The frame of a foreign file while it is imported, the steps that complete it, and the loop that runs them."""
+"""The frame of a file while it is imported, the steps that complete it, and the loop that runs them."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from lobewise.io.exr.container import Container, Part
 from lobewise.io.exr.describe import Lack
 from lobewise.records.camera import Camera
 from lobewise.records.frame import FloatArray, Frame
+from lobewise.records.lobe_table import LobeTable
 
 
 class Section(IntEnum):
@@ -30,7 +31,7 @@ class Section(IntEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Draft:
-    """What is known of a foreign frame so far. A draft never changes: each step returns a changed copy.
+    """What is known of a frame so far. A draft never changes: each step returns a changed copy.
 
     Parameters
     ----------
@@ -46,6 +47,8 @@ class Draft:
         The user's camera.
     wraps : bool or None
         As of `lobewise.Frame`; None before positions tell.
+    lobe_tables : sequence of LobeTable, or None
+        The user's lobe tables, for a file in lobewise's own names.
     images : mapping of str to array
         Images by role, as in the file; the checks replace those that they correct.
     roles : mapping of str to Found
@@ -95,6 +98,7 @@ class Draft:
     read: ImageReader
     given_camera: Camera | None = None
     wraps: bool | None = None
+    lobe_tables: Sequence[LobeTable] | None = None
     images: Mapping[str, FloatArray] = field(default_factory=dict)
     roles: Mapping[str, Found] = field(default_factory=dict)
     light: Light = field(default_factory=Light)

@@ -7,14 +7,14 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 import numpy as np
 
 from lobewise.guides.squares import compute_square_maximum
-from lobewise.interchange.channels import COLOR, Pass, list_views
+from lobewise.interchange.channels import COLOR, Pass
 from lobewise.interchange.imported import ImageReader, Imported
 from lobewise.interchange.lighting import is_smooth, name_pass
 from lobewise.interchange.mapping import ChannelMap, Found, Key
 from lobewise.interchange.preset import load_presets
 from lobewise.interchange.selections import Selection
 from lobewise.interchange.siblings import FIRST_SIBLING_INDEX
-from lobewise.io.exr.container import Container, show_name
+from lobewise.io.exr.container import show_name
 from lobewise.io.exr.header import read_replaced
 from lobewise.records.frame import FloatArray
 from lobewise.records.images import is_band
@@ -48,7 +48,6 @@ def describe_left_noisy(
         Whether there is a noisy opacity that is not denoised.
     """
     channels = imported.map
-    assert channels is not None
     unused = list(_list_unused(imported, channels))
     views, layers = ({getattr(each, what): None for each in channels.selections} for what in ("view", "layer"))
     words = [
@@ -61,19 +60,6 @@ def describe_left_noisy(
         *(["alpha"] if alpha_stays else []),
         *_count_bands(imported, channels),
     ]
-    return _say(words)
-
-
-def describe_own_left_noisy(container: Container) -> tuple[str, ...]:
-    """Return the sentence of `describe_left_noisy` for a file in lobewise's own channel names."""
-    names = {channel.name for part in container.parts for channel in part.channels}
-    light = [word for word in OWN_PARTS if f"{word}.R" in names]
-    return _say(
-        [*list_names("view", list_views(container)[1:]), *list_names("pass of light", light, many="passes of light")]
-    )
-
-
-def _say(words: Sequence[str]) -> tuple[str, ...]:
     return (f"Left noisy: {', '.join(words)}.",) if words else ()
 
 
@@ -117,7 +103,7 @@ def list_light_groups(imported: Imported) -> list[tuple[str, Found]]:
     """Return the light groups of a file that no result is written to: the name of each light, and the image."""
     channels = imported.map
     # Light groups are parts of the picture, not of another image that the user chose.
-    if channels is None or not _is_picture(channels, channels.roles["color"].source):
+    if not _is_picture(channels, channels.roles["color"].source):
         return []
     return _pick_groups(channels, list(_list_unused(imported, channels)))
 
@@ -125,8 +111,8 @@ def list_light_groups(imported: Imported) -> list[tuple[str, Found]]:
 def list_further(imported: Imported) -> list[Found]:
     """Return the further noisy passes of a file that its preset names."""
     channels = imported.map
-    patterns = () if channels is None else channels.preset.also
-    unused = [] if channels is None or not patterns else list(_list_unused(imported, channels))
+    patterns = channels.preset.also
+    unused = _list_unused(imported, channels) if patterns else ()
     return [found for found in unused if any(found.source.matches(pattern) for pattern in patterns)]
 
 
@@ -144,7 +130,8 @@ def _pick_groups(channels: ChannelMap, unused: Sequence[Found]) -> list[tuple[st
 
 def _list_light(channels: ChannelMap, unused: Iterable[Found], read: ImageReader) -> list[str]:
     light = [one for one in unused if _is_light(channels, one.source)]
-    return [name_pass(one.source.path) for one in light if not is_smooth(_take_finite(read, one))]
+    noisy = [name_pass(one.source.path) for one in light if not is_smooth(_take_finite(read, one))]
+    return [*noisy, *(role for role in OWN_PARTS if role in channels.roles)]
 
 
 def _is_picture(channels: ChannelMap, one: Pass) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from lobewise.interchange.checks.denoised import leave_out_denoised_light
 from lobewise.interchange.checks.guides import leave_out_empty
 from lobewise.interchange.imported import ImageReader, Imported
@@ -34,6 +36,7 @@ from lobewise.interchange.importing.guides import (
     tell_channels,
     turn_over_guides,
 )
+from lobewise.interchange.importing.own import make_own_frame, tell_own_lacks
 from lobewise.interchange.importing.surface_checks import check_depth, check_normal_space, check_position_precision
 from lobewise.interchange.importing.surfaces import (
     choose_camera,
@@ -47,6 +50,7 @@ from lobewise.interchange.importing.surfaces import (
 from lobewise.interchange.mapping import ChannelMap
 from lobewise.io.exr.container import Container
 from lobewise.records.camera import Camera
+from lobewise.records.lobe_table import LobeTable
 
 STEPS = (
     # Images as they stand in the file
@@ -88,6 +92,15 @@ STEPS = (
 )
 """Each step reads, converts or checks one thing. Later steps rely on what earlier ones corrected."""
 
+OWN_STEPS = (
+    Step(check_own_result),
+    Step(read_images),
+    Step(make_own_frame),
+    Step(tell_own_lacks, section=Section.MISSING),
+    Step(list_outputs),
+)
+"""The steps for a file in lobewise's own channel names."""
+
 BAND_STEPS = (
     Step(correct_compressed_light),
     Step(read_images),
@@ -109,10 +122,16 @@ BAND_STEPS = (
 """The steps for some rows of a file, after what the whole of it tells is known."""
 
 
-def import_foreign(
-    container: Container, read: ImageReader, channels: ChannelMap, camera: Camera | None, *, wraps: bool | None = None
+def import_mapped(
+    container: Container,
+    read: ImageReader,
+    channels: ChannelMap,
+    camera: Camera | None = None,
+    *,
+    wraps: bool | None = None,
+    lobe_tables: Sequence[LobeTable] | None = None,
 ) -> tuple[Imported, ImageReader]:
-    """Return the frame of another renderer's file, and a reader of its images that has the corrected light.
+    """Return the frame of a file whose channels are mapped, and a reader of its images that has the corrected light.
 
     Parameters
     ----------
@@ -126,12 +145,24 @@ def import_foreign(
         The user's camera.
     wraps : bool or None
         As of `lobewise.Frame`; None if positions may tell.
+    lobe_tables : sequence of LobeTable, or None
+        The user's lobe tables, in place of those in the header.
     """
     read.expect(channels)
-    channels = leave_out_empty(channels, read)
-    used = leave_out_denoised_light(container, channels)
-    start = Draft(container=container, mapped=channels, channels=used, read=read, given_camera=camera, wraps=wraps)
-    draft = run_steps(start, STEPS)
+    used = channels
+    if not channels.is_own:
+        channels = leave_out_empty(channels, read)
+        used = leave_out_denoised_light(container, channels)
+    start = Draft(
+        container=container,
+        mapped=channels,
+        channels=used,
+        read=read,
+        given_camera=camera,
+        wraps=wraps,
+        lobe_tables=lobe_tables,
+    )
+    draft = run_steps(start, OWN_STEPS if channels.is_own else STEPS)
     assert draft.frame is not None
     imported = Imported(
         draft.frame,

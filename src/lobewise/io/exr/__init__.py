@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from lobewise.io.exr.frames import read_frame, read_image, read_whole, write_frame, write_image
+from lobewise.io.exr.frames import read_frame, read_whole, write_frame, write_image
 
-__all__ = ["read_frame", "read_image", "read_whole", "write_frame", "write_image"]
+__all__ = ["read_frame", "read_whole", "write_frame", "write_image"]

@@ -21,7 +21,6 @@ from lobewise.io.exr.layout import (
     make_images,
     name_file,
     plan_reading,
-    plan_writing,
     put_images,
     require_beauty,
     require_shaded,
@@ -157,8 +156,9 @@ class BandReader:
             return build_frame(images, camera, self.spp, self.lobe_tables)
 
     def plan_writing(self, fields: Collection[str]) -> list[tuple[Part, list[Slot]]]:
-        """Return the slots of a result's images that each part has channels for; see `plan_writing`."""
-        return plan_writing(self.container, self.beauty, fields)
+        """Return the slots of a result's images that each part has channels for."""
+        written = [(part, [slot for slot in slots if slot.role in fields]) for part, slots in self._plan]
+        return [(part, slots) for part, slots in written if slots]
 
     def read_part(self, part: Part, first: int, stop: int) -> dict[str, Pixels]:
         """Return rows of every channel of a part, in their stored types.

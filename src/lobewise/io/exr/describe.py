@@ -1,20 +1,12 @@
-"""Describe an EXR file and what denoising would use of it. No pixel is read."""
+"""The description of an EXR file, and what denoising would use of it."""
 
 from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
 
-from lobewise.errors import LobewiseError
-from lobewise.io.exr.container import Attribute, Container, Part, Window, show_name
-from lobewise.io.exr.header import read_camera, read_lobe_tables, read_spp
-from lobewise.io.exr.layout import look_up_beauty, plan_reading
-from lobewise.io.exr.parsing import read_container
-from lobewise.io.exr.schema import CAMERA, SLOTS, SPP
-from lobewise.io.files import PathLike
+from lobewise.io.exr.container import Attribute, Part, Window, show_name
 from lobewise.records.camera import Camera
-from lobewise.records.lobe_table import LobeTable
-from lobewise.settings import SIMILARITY_NAMES
 
 _LAYOUTS = {
     "int": "i", "float": "f", "double": "d", "v2i": "2i", "v2f": "2f", "v2d": "2d", "v3i": "3i", "v3f": "3f",
@@ -73,8 +65,6 @@ COSTS = {
     "albedo": "textures are filtered like noise",
 }
 """Consequence of each thing that a frame can lack."""
-REMEDY = "lobewise render, which writes every guide in one pass"
-"""Remedy for images that a file in lobewise's names lacks."""
 USES = (*COSTS, "silhouettes", "halves")
 """Things that denoising can use of a frame. "camera" means a camera with positions or depths."""
 
@@ -106,7 +96,7 @@ class Lack:
 
 @dataclass(frozen=True)
 class FileDescription:
-    """What `describe_file` found.
+    """What `lobewise.interchange.describe_file` found.
 
     Parameters
     ----------
@@ -158,12 +148,12 @@ class FileDescription:
     bytes: int
     parts: tuple[PartDescription, ...]
     image_part: int | None
-    images: tuple[ImageDescription, ...]
-    camera: Camera | None
-    spp: int | None
-    materials: tuple[str, ...]
-    similarities: tuple[str, ...]
-    notes: tuple[str, ...]
+    images: tuple[ImageDescription, ...] = ()
+    camera: Camera | None = None
+    spp: int | None = None
+    materials: tuple[str, ...] = ()
+    similarities: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     preset: str = "lobewise"
     reason: str = ""
     roles: tuple[RoleDescription, ...] = ()
@@ -181,126 +171,6 @@ class FileDescription:
     def can_be_denoised(self) -> bool:
         """Whether ``lobewise denoise`` takes the file, as far as its description tells."""
         return bool(self.outputs) and not self.refusals
-
-
-def describe_file(path: PathLike) -> FileDescription:
-    """Return what an EXR file holds: parts, channels, windows, attributes, and which of them denoising uses.
-
-    Raises
-    ------
-    FileError
-        If the file is missing, unreadable, damaged, truncated or of zero size.
-    """
-    container = read_container(path)
-    beauty = look_up_beauty(container.parts)
-    notes: list[str] = []
-    refusals: list[str] = []
-    used: dict[tuple[int, str], str] = {}
-    fields: set[tuple[str, str]] = set()
-    camera: Camera | None = None
-    tables: tuple[LobeTable, ...] = ()
-    if beauty is None:
-        notes.append("There is no part with channels R, G and B, so there is no image to denoise.")
-    else:
-        try:
-            for part, slots in plan_reading(container, beauty):
-                for slot in slots:
-                    fields.add((slot.owner, slot.field))
-                    used.update({(part.index, name): f"{slot.owner}.{slot.field}" for name in slot.channels})
-            camera = read_camera(beauty)
-            tables = read_lobe_tables(beauty)
-        except LobewiseError as problem:
-            refusals.append(f"Denoising will refuse this file: {problem}")
-    gbuffer = {field for owner, field in fields if owner == "gbuffer"}
-    similarities = list_similarities(gbuffer, camera)
-    uses = _list_uses(fields, camera)
-    lacks: list[Lack] = []
-    if beauty is not None:
-        lobe_notes = _note_lobes(gbuffer, camera, similarities)
-        lacks = [Lack(role, COSTS[role], REMEDY, told=lobe_notes) for role in COSTS if role not in uses]
-        notes += [*([lobe_notes] if lobe_notes else []), *_note_what_lacks(container, beauty, gbuffer)]
-    notes = [*refusals, *notes]
-    return FileDescription(
-        path=str(path),
-        bytes=container.path.stat().st_size,
-        parts=tuple(describe_part(part, used) for part in container.parts),
-        image_part=beauty.index if beauty else None,
-        images=tuple(
-            ImageDescription(slot.label, (slot.owner, slot.field) in fields, slot.meaning, slot.missing)
-            for slot in SLOTS
-        ),
-        camera=camera,
-        spp=read_spp(beauty) if beauty else None,
-        materials=tuple(map(_describe_table, tables)),
-        similarities=similarities,
-        notes=tuple(notes),
-        uses=uses,
-        layers=("diffuse", "specular") if "layers" in uses else (),
-        lacks=tuple(lacks),
-        outputs=tuple(slot.label for slot in SLOTS[:3] if (slot.owner, slot.field) in fields),
-        refusals=tuple(refusals),
-    )
-
-
-def _list_uses(fields: set[tuple[str, str]], camera: Camera | None) -> tuple[str, ...]:
-    """Return what denoising uses of a file in lobewise's names, of `USES`, from the images that it holds."""
-    guides = {field for owner, field in fields if owner == "gbuffer"}
-    there = {
-        "normal": "normal" in guides,
-        "roughness": "alpha_u" in guides,
-        "camera": camera is not None and bool(guides & {"depth", "position"}),
-        "layers": {("radiance", "diffuse"), ("radiance", "specular")} <= fields,
-        "albedo": bool(guides & {"diffuse_albedo", "specular_albedo"}),
-        "halves": {("half_a", "color"), ("half_b", "color")} <= fields,
-    }
-    there["silhouettes"] = there["layers"] and "coverage" in guides
-    return tuple(use for use in USES if there[use])
-
-
-def _describe_table(table: LobeTable) -> str:
-    kind = f"{table.lobe_count} {table.kind} lobe{'s' if table.lobe_count > 1 else ''}"
-    where = f"{table.cosine.size} views" + ("" if table.is_isotropic else f" at {table.azimuth.size} azimuths")
-    return f"{show_name(table.name)!r}: {kind} for each of {where}"
-
-
-def list_similarities(gbuffer: set[str], camera: Camera | None) -> tuple[str, ...]:
-    """Return the similarities that can be computed from images of the G-buffer and a camera, the simplest first.
-
-    Missing normals are computed from places, or are all alike.
-    """
-    has_lobes = "alpha_u" in gbuffer and camera is not None and gbuffer & {"depth", "position"}
-    return SIMILARITY_NAMES if has_lobes else ("normal",)
-
-
-def _note_lobes(gbuffer: set[str], camera: Camera | None, similarities: tuple[str, ...]) -> str:
-    """Return why normals are compared and not reflection lobes; empty where lobes are, or there are no normals."""
-    if "normal" in gbuffer and similarities == ("normal",):
-        lacks = [
-            what
-            for what, there in (
-                ("alpha.U", "alpha_u" in gbuffer),
-                ("depth.Z or position.X/Y/Z", bool(gbuffer & {"depth", "position"})),
-                (f"the camera ({CAMERA}...)", camera is not None),
-            )
-            if not there
-        ]
-        return f"Without {' and '.join(lacks)} only normals can be compared, not reflection lobes."
-    return ""
-
-
-def _note_what_lacks(container: Container, beauty: Part, gbuffer: set[str]) -> list[str]:
-    notes = []
-    if "alpha_v" in gbuffer and "tangent" not in gbuffer:
-        notes.append("Without tangent.X/Y/Z the similarity ggx is refused where alpha.V differs from alpha.U.")
-    if read_spp(beauty) is None:
-        notes.append(
-            f"Without the attribute {SPP} the amount of noise is judged by the variance, or taken as that of 4 samples."
-        )
-    for part in container.parts:
-        if part.data_window != beauty.data_window:
-            name = show_name(part.name) or str(part.index)
-            notes.append(f"Part {name!r} has another data window than the image and is only copied.")
-    return notes
 
 
 def describe_part(part: Part, used: dict[tuple[int, str], str]) -> PartDescription:

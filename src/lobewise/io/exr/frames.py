@@ -14,7 +14,6 @@ from lobewise.io.exr.header import ENVMAP, ENVMAP_LATLONG, describe_camera, read
 from lobewise.io.exr.layout import (
     MAX_HALF,
     build_frame,
-    join_planes,
     make_images,
     name_file,
     plan_reading,
@@ -23,7 +22,7 @@ from lobewise.io.exr.layout import (
 )
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.pixels import Pixels, decode_part, encode_file
-from lobewise.io.exr.schema import BEAUTY, LOBES, SCHEMA, SCHEMA_VERSION, SLOTS, SPP
+from lobewise.io.exr.schema import LOBES, SCHEMA, SCHEMA_VERSION, SLOTS, SPP
 from lobewise.io.files import PathLike, open_atomic, require_writable
 from lobewise.io.materials import lobe_table_to_json
 from lobewise.records.frame import FloatArray, Frame, Radiance
@@ -73,21 +72,6 @@ def read_whole(path: PathLike, container: Container, lobe_tables: Sequence[LobeT
     with name_file(path):
         tables = read_lobe_tables(beauty) if lobe_tables is None else tuple(lobe_tables)
         return build_frame(images, read_camera(beauty), read_spp(beauty), tables)
-
-
-def read_image(path: PathLike) -> FloatArray:
-    """Return only the image of any EXR file with channels R, G and B: float32, shape (height, width, 3).
-
-    Raises
-    ------
-    FileError
-        If the file is missing, unreadable, damaged, truncated or of zero size.
-    MissingChannelError
-        If there is no R, G and B.
-    """
-    container = read_container(path)
-    pixels = decode_part(container, require_beauty(container), BEAUTY.channels)
-    return join_planes([pixels[name] for name in BEAUTY.channels])
 
 
 def write_frame(

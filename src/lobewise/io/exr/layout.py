@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -84,19 +84,6 @@ def name_file(path: PathLike) -> Iterator[None]:
         text, name = str(problem), f"input {str(path)!r}"
         named = f"{text[:-1]} ({name}){text[-1]}" if text.startswith("--") else f"{name}: {text}"
         raise type(problem)(named) from None
-
-
-def plan_writing(container: Container, beauty: Part, fields: Collection[str]) -> list[tuple[Part, list[Slot]]]:
-    """Return the slots of a result's images that each part has channels for. ``fields`` are the result's images."""
-    plan: dict[int, list[Slot]] = {}
-    for slot in SLOTS:
-        if slot.owner != "radiance" or slot.field not in fields:
-            continue
-        for part in _list_readable(container, beauty):
-            if {channel.name for channel in part.channels}.issuperset(slot.channels):
-                plan.setdefault(part.index, []).append(slot)
-                break
-    return [(container.parts[index], slots) for index, slots in plan.items()]
 
 
 def put_images(

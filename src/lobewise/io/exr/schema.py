@@ -34,10 +34,20 @@ class Slot:
     """Consequence of missing channels."""
 
     @property
+    def role(self) -> str:
+        """The image in one word, for example ``normal`` or ``half_a.color``."""
+        return self.field if self.owner in ("radiance", "gbuffer") else f"{self.owner}.{self.field}"
+
+    @property
     def label(self) -> str:
         """The channels in short, for example ``normal.X/Y/Z``."""
-        head, dot, _ = self.channels[0].rpartition(".")
-        return head + dot + "/".join(name.rpartition(".")[2] for name in self.channels)
+        words = "/".join(name.rpartition(".")[2] for name in self.channels)
+        return f"{self.prefix}.{words}" if self.prefix else words
+
+    @property
+    def prefix(self) -> str:
+        """The words before the last one of its channels, for example ``half_a.diffuse``; empty for R, G and B."""
+        return self.channels[0].rpartition(".")[0]
 
 
 def _name(prefix: str, suffixes: str) -> tuple[str, ...]:

@@ -13,11 +13,11 @@ from lobewise.denoising.automatic import ask
 from lobewise.denoising.recipe import check_frame, denoise_checked
 from lobewise.errors import InputError, LobewiseError
 from lobewise.guides.usable import CheckedGuides, check_guides
-from lobewise.interchange.checks import MARKED, Finding, check_own_mark
+from lobewise.interchange.checks import MARKED, Finding
 from lobewise.interchange.checks.denoised import check_mark
 from lobewise.interchange.imported import Imported
-from lobewise.interchange.mapping import map_channels
-from lobewise.interchange.reading import import_file, is_own, list_selections
+from lobewise.interchange.mapping import map_file
+from lobewise.interchange.reading import import_file, list_selections
 from lobewise.interchange.replacing import PlannedResult, plan_result, require_target, write_planned
 from lobewise.interchange.selections import Selection
 from lobewise.io.exr.parsing import read_container
@@ -244,7 +244,7 @@ def _locate_half(request: FileRequest, path: Path, source: Path) -> Path | None:
 def check_import(imported: Imported, named: DenoiseSettings) -> CheckedGuides[Frame]:
     """Return the frame of a file with its guides checked, and notes; ``named`` are the settings of the user."""
     # The notes on a file of another renderer say already what it lacks, and how to have it.
-    return check_frame(imported.frame, named) if imported.map is None else check_guides(imported.frame)
+    return check_frame(imported.frame, named) if imported.map.is_own else check_guides(imported.frame)
 
 
 def choose_bands(path: Path, request: FileRequest) -> bool:
@@ -256,8 +256,7 @@ def choose_bands(path: Path, request: FileRequest) -> bool:
     if request.bands == "off" or request.whole_field or not (is_asked or _is_large(path, request.settings)):
         return False
     container = read_container(path)
-    is_ours = is_own(container)
-    refuse_results(path, check_own_mark(container) if is_ours else check_mark(container, map_channels(container)))
+    refuse_results(path, check_mark(container, map_file(container)))
     return True
 
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from lobewise.errors import InputError
 from lobewise.interchange.imported import Imported
-from lobewise.interchange.reading import is_own, list_selections
+from lobewise.interchange.mapping import map_file
+from lobewise.interchange.reading import list_selections
 from lobewise.interchange.replacing import write_result
 from lobewise.interchange.siblings import list_family
 from lobewise.io.exr import write_frame
@@ -103,7 +104,7 @@ class FileUpsampler:
     def read(self, path: Path) -> SparseFile:
         """Return the sparse frame of a file, and for a file of another renderer how it was read."""
         scale, place = self._request.scale, self._request.place
-        if is_own(read_container(path)):
+        if map_file(read_container(path)).is_own:
             return SparseFile(read_sparse_frame(path, scale=scale, place=place))
         if scale is None:
             raise InputError(

@@ -7,10 +7,9 @@ from collections.abc import Sequence
 from lobewise.denoising.inputs import Images
 from lobewise.errors import InputError, MissingChannelError, name_value
 from lobewise.guides.survey import GuideSurvey
-from lobewise.interchange.checks import check_own_mark
 from lobewise.interchange.importing.bands import ImportedBands
-from lobewise.interchange.importing.leftovers import describe_own_left_noisy
-from lobewise.interchange.reading import is_own, require_no_tables
+from lobewise.interchange.mapping import map_file
+from lobewise.interchange.reading import import_file, require_no_tables
 from lobewise.io.exr.bands import BandReader
 from lobewise.io.exr.header import wraps_around
 from lobewise.io.exr.parsing import read_container
@@ -49,7 +48,7 @@ def open_bands(
             got="one that wraps around, as its header says (envmap)",
             action="denoise it as a whole (--bands off)",
         )
-    if is_own(container):
+    if map_file(container).is_own:
         return BandReader(source, lobe_tables=lobe_tables, wanted=wanted)
     require_no_tables(source, lobe_tables)
     return ImportedBands(source)
@@ -59,8 +58,8 @@ def describe_file(reader: BandReader) -> tuple[str, ...]:
     """Return what is to be told of the whole of a file: how it was read, and what stays noisy."""
     if isinstance(reader, ImportedBands):
         return reader.judged.notes
-    marks = (one.sentence for one in check_own_mark(reader.container))
-    return (*describe_own_left_noisy(reader.container), *marks)
+    imported = import_file(reader.container.path, header_only=True)
+    return (*imported.frame.notes, *(one.sentence for one in imported.findings))
 
 
 def survey_guides(reader: BandReader) -> GuideSurvey:
