@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import struct
 from collections.abc import Mapping
 
 import numpy as np
@@ -11,10 +10,6 @@ from numpy.typing import NDArray
 
 from lobewise.errors import InputError
 from lobewise.io.files import PathLike
-
-SIGNATURE = b"\x89PNG\r\n\x1a\n"
-MAX_BYTES_OF_TEXTS = 4096
-"""Texts are searched in this many bytes from the beginning of a file."""
 
 
 def encode_png(
@@ -52,16 +47,12 @@ def encode_png(
 
 def read_png_text(path: PathLike, name: str) -> str | None:
     """Return a text that `encode_png` kept in a file; None if there is no such file or text."""
+    from PIL.PngImagePlugin import PngImageFile
+
     try:
-        with open(path, "rb") as stream:
-            data = stream.read(MAX_BYTES_OF_TEXTS)
-    except OSError:
+        # `Image.open` would refuse pictures of very many pixels, of which none is read here.
+        with PngImageFile(path) as picture:
+            text = picture.info.get(name)
+    except (OSError, SyntaxError, ValueError):
         return None
-    place = len(SIGNATURE)
-    while data.startswith(SIGNATURE) and place + 8 <= len(data):
-        length, kind = struct.unpack_from(">I4s", data, place)
-        key, _, text = data[place + 8 : place + 8 + length].partition(b"\0")
-        if kind == b"tEXt" and key == name.encode("latin-1") and place + 8 + length <= len(data):
-            return text.decode("latin-1")
-        place += 12 + length
-    return None
+    return text if isinstance(text, str) else None
