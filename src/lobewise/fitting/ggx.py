@@ -2,8 +2,7 @@
 
 A BRDF here is ``f(view, light)`` in 1/sr, without the cosine, in a local frame: z is the normal, x the direction of
 ``alpha_u``. Both directions are unit vectors of shape (..., 3) that point away from the surface. The BRDF is 0 if
-either is below the horizon. Roughness ``alpha`` is the width of the microfacet distribution. The Fresnel term is
-Schlick's with the reflectance ``f0`` at normal incidence; ``f0 = 1`` means no Fresnel term.
+either is below the horizon. Roughness ``alpha`` is the width of the microfacet distribution. There is no Fresnel term.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lobewise.fitting.arrays import Array, as_reals, dot, normalize
+from lobewise.fitting.arrays import Array, as_reals, normalize
 
 
 def are_above(view: Array, light: Array) -> Array:
@@ -24,12 +23,6 @@ def are_above(view: Array, light: Array) -> Array:
 def make_positive(cosine: Array) -> Array:
     """Return cosines that are safe to divide by: 1 in place of values up to 0. The caller masks these out."""
     return np.asarray(np.where(cosine > 0.0, cosine, 1.0))
-
-
-def schlick_fresnel(cosine: ArrayLike, f0: ArrayLike) -> Array:
-    """Return ``f0 + (1 - f0) (1 - cosine)^5`` (Schlick 1994)."""
-    cosine, f0 = as_reals(cosine, f0)
-    return np.asarray(f0 + (1.0 - f0) * (1.0 - cosine) ** 5)
 
 
 def ggx_normal_density(half: ArrayLike, alpha_u: ArrayLike, alpha_v: ArrayLike | None = None) -> Array:
@@ -51,11 +44,10 @@ def ggx_smith_lambda(direction: ArrayLike, alpha_u: ArrayLike, alpha_v: ArrayLik
     return np.asarray(0.5 * slope / (1.0 + np.sqrt(1.0 + slope)))
 
 
-def evaluate_microfacet(view: Array, light: Array, density: Array, lambdas: Array, f0: Array) -> Array:
-    """Return ``F D / (4 n.v n.l (1 + Lambda(v) + Lambda(l)))``: height-correlated masking (Heitz 2014, eq. 99)."""
-    fresnel = schlick_fresnel(np.clip(dot(view, normalize(view + light)), 0.0, 1.0), f0)
+def evaluate_microfacet(view: Array, light: Array, density: Array, lambdas: Array) -> Array:
+    """Return ``D / (4 n.v n.l (1 + Lambda(v) + Lambda(l)))``: height-correlated masking (Heitz 2014, eq. 99)."""
     cosines = make_positive(view[..., 2]) * make_positive(light[..., 2])
-    return np.asarray(np.where(are_above(view, light), fresnel * density / (4.0 * cosines * (1.0 + lambdas)), 0.0))
+    return np.asarray(np.where(are_above(view, light), density / (4.0 * cosines * (1.0 + lambdas)), 0.0))
 
 
 def _raise_above(direction: Array) -> Array:
@@ -64,11 +56,9 @@ def _raise_above(direction: Array) -> Array:
     return raised
 
 
-def ggx_brdf(
-    view: ArrayLike, light: ArrayLike, alpha_u: ArrayLike, alpha_v: ArrayLike | None = None, f0: ArrayLike = 1.0
-) -> Array:
+def ggx_brdf(view: ArrayLike, light: ArrayLike, alpha_u: ArrayLike, alpha_v: ArrayLike | None = None) -> Array:
     """Return the GGX reflection BRDF with height-correlated Smith masking, single scattering, 1/sr."""
-    view, light, alpha_u, alpha_v, f0 = as_reals(view, light, alpha_u, alpha_u if alpha_v is None else alpha_v, f0)
+    view, light, alpha_u, alpha_v = as_reals(view, light, alpha_u, alpha_u if alpha_v is None else alpha_v)
     lambdas = ggx_smith_lambda(_raise_above(view), alpha_u, alpha_v)
     lambdas = lambdas + ggx_smith_lambda(_raise_above(light), alpha_u, alpha_v)
-    return evaluate_microfacet(view, light, ggx_normal_density(normalize(view + light), alpha_u, alpha_v), lambdas, f0)
+    return evaluate_microfacet(view, light, ggx_normal_density(normalize(view + light), alpha_u, alpha_v), lambdas)

@@ -2,8 +2,7 @@
 
 A BRDF here is ``f(view, light)`` in 1/sr, without the cosine, in a local frame: z is the normal, x the direction of
 ``alpha_u``; both directions are unit vectors of shape (..., 3) that point away from the surface. It is 0 where either
-is below the horizon. Roughness ``alpha`` is the microfacet width. Fresnel is
-Schlick's with the reflectance ``f0`` at normal incidence; ``f0 = 1`` leaves the bare lobe.
+is below the horizon. Roughness ``alpha`` is the microfacet width. There is no Fresnel term.
 """
 
 from __future__ import annotations
@@ -40,15 +39,11 @@ def beckmann_smith_lambda(direction: ArrayLike, alpha_u: ArrayLike, alpha_v: Arr
     return np.asarray(np.maximum(0.5 * (divide_or(decay, steepness, np.inf) - tail), 0.0))
 
 
-def beckmann_brdf(
-    view: ArrayLike, light: ArrayLike, alpha_u: ArrayLike, alpha_v: ArrayLike | None = None, f0: ArrayLike = 1.0
-) -> Array:
+def beckmann_brdf(view: ArrayLike, light: ArrayLike, alpha_u: ArrayLike, alpha_v: ArrayLike | None = None) -> Array:
     """Return the Beckmann reflection BRDF with height-correlated Smith masking, single scattering, 1/sr."""
-    view, light, alpha_u, alpha_v, f0 = as_reals(view, light, alpha_u, alpha_u if alpha_v is None else alpha_v, f0)
+    view, light, alpha_u, alpha_v = as_reals(view, light, alpha_u, alpha_u if alpha_v is None else alpha_v)
     lambdas = beckmann_smith_lambda(view, alpha_u, alpha_v) + beckmann_smith_lambda(light, alpha_u, alpha_v)
-    return evaluate_microfacet(
-        view, light, beckmann_normal_density(normalize(view + light), alpha_u, alpha_v), lambdas, f0
-    )
+    return evaluate_microfacet(view, light, beckmann_normal_density(normalize(view + light), alpha_u, alpha_v), lambdas)
 
 
 def lambert_brdf(view: ArrayLike, light: ArrayLike) -> Array:
