@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import pytest
 from PIL import Image
 
@@ -55,6 +56,27 @@ def test_the_picture_is_that_of_the_file(bands: str, folder: Path, capsys: pytes
     assert denoise(folder, "--bands", bands, output="bare.exr") == 0
     assert not (folder / "bare.png").exists()
     assert (folder / "bare.exr").read_bytes() == (folder / "out.exr").read_bytes()
+
+
+@pytest.mark.parametrize("bands", ["off", "30"])
+def test_the_picture_shows_the_image_of_a_renderers_file(bands: str, folder: Path) -> None:
+    frame = make_scene((83, 19), seed=1)
+    passes = {
+        "albedo.RGB": frame.gbuffer.diffuse_albedo,
+        "beauty.RGB": frame.radiance.color,
+        "N.XYZ": frame.gbuffer.normal,
+    }
+    parts = []
+    for name, image in passes.items():
+        path, letters = name.split(".")
+        planes = {letter: np.ascontiguousarray(image[..., k], np.float16) for k, letter in enumerate(letters)}
+        parts.append(OpenEXR.Part({}, planes, path))
+    OpenEXR.File(parts).write(str(folder / "in.exr"))
+    joined = {f"{part.name()}.{letter}": channel.pixels for part in parts for letter, channel in part.channels.items()}
+    OpenEXR.File({}, joined).write(str(folder / "joined.exr"))
+    for source in ("in.exr", "joined.exr"):
+        assert denoise(folder, "--png", "--bands", bands, source=source) == 0
+        np.testing.assert_array_equal(load(folder / "out.png"), paint(folder / "out.exr"))
 
 
 def test_large_images_are_measured_at_some_pixels(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

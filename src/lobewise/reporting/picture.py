@@ -12,8 +12,11 @@ from numpy.typing import NDArray
 from lobewise.display.colors import Chromaticities, convert_light
 from lobewise.display.tones import choose_exposure
 from lobewise.display.views import View, paint_picture
-from lobewise.io.exr.bands import SLAB_ROWS, BandReader
+from lobewise.interchange.mapping import Found, map_file
+from lobewise.io.exr.bands import SLAB_ROWS, read_slabs
+from lobewise.io.exr.container import Container
 from lobewise.io.exr.header import read_chromaticities
+from lobewise.io.exr.layout import join_planes
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.files import open_atomic
 from lobewise.io.png import encode_png, read_png_text
@@ -63,20 +66,21 @@ class Pictures:
         return _write(path, self._paint((image.shape[0], image.shape[1]), rows, primaries, exposure), exposure)
 
     def write_from_file(self, path: Path) -> Path:
-        """Write the picture of a file with lobewise's own channel names, reading some rows at a time; return its path.
+        """Write the picture of a file, reading some rows of its image at a time; return its path.
 
         Raises FileError if it cannot be written, or ``path`` cannot be read.
         """
-        reader = _open(path)
-        height, width = reader.shape
-        primaries = read_chromaticities(reader.container)
-        step = _choose_step(height, width)
+        container = read_container(path)
+        shown = map_file(container).target
+        window, primaries = shown.source.part.data_window, read_chromaticities(container)
+        step = _choose_step(window.height, window.width)
         exposure = self._choose(
             path,
             primaries,
-            lambda: np.concatenate([rows[-top % step :: step, ::step] for top, rows in _read_rows(_open(path))]),
+            lambda: np.concatenate([rows[-top % step :: step, ::step] for top, rows in _read_rows(container, shown)]),
         )
-        return _write(path, self._paint((height, width), _read_rows(reader), primaries, exposure), exposure)
+        rows = _read_rows(container, shown)
+        return _write(path, self._paint((window.height, window.width), rows, primaries, exposure), exposure)
 
     def _choose(self, path: Path, primaries: Chromaticities | None, measure: Callable[[], FloatArray]) -> float:
         """Return the exposure of all pictures, which the first picture decides; ``measure`` returns its image."""
@@ -104,22 +108,16 @@ def _choose_step(height: int, width: int) -> int:
     return max(math.ceil(math.sqrt(height * width / MAX_EXPOSURE_PIXELS)), 1)
 
 
-def _open(path: Path) -> BandReader:
-    return BandReader(path, wanted=[("radiance", "color")])
-
-
 def _round_to_half(image: FloatArray) -> FloatArray:
     """Round an image to the 16-bit floats of the file, so that its picture is the picture of the file."""
     with np.errstate(over="ignore"):
         return image.astype(np.float16).astype(np.float32)
 
 
-def _read_rows(reader: BandReader) -> Iterator[tuple[int, FloatArray]]:
-    """Yield the image some rows at a time, each with the number of its first row."""
-    height, _ = reader.shape
-    for top in range(0, height, SLAB_ROWS):
-        yield top, reader.read_frame(top, min(top + SLAB_ROWS, height)).radiance.color
-        reader.forget(top)
+def _read_rows(container: Container, shown: Found) -> Iterator[tuple[int, FloatArray]]:
+    """Yield an image some rows at a time, each with the number of its first row."""
+    for top, pixels in read_slabs(container, shown.source.part, shown.channels):
+        yield top, join_planes([pixels[name] for name in shown.channels])
 
 
 def _read_exposure(path: Path) -> float | None:

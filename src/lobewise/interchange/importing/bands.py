@@ -29,11 +29,11 @@ from lobewise.interchange.lighting import BACKGROUND, REST, PartOutput
 from lobewise.interchange.mapping import ChannelMap, Found, map_channels
 from lobewise.interchange.siblings import look_up_family
 from lobewise.interchange.silhouettes import Silhouettes, take_silhouettes
-from lobewise.io.exr.bands import BandReader, count_slab_rows
-from lobewise.io.exr.container import Part, crop_part
+from lobewise.io.exr.bands import BandReader, read_slabs
+from lobewise.io.exr.container import Part
 from lobewise.io.exr.layout import name_file
 from lobewise.io.exr.parsing import read_container
-from lobewise.io.exr.pixels import Pixels, decode_part
+from lobewise.io.exr.pixels import Pixels
 from lobewise.io.exr.schema import Slot
 from lobewise.io.files import PathLike
 from lobewise.records.camera import Camera
@@ -273,11 +273,8 @@ class ImportedBands(BandReader):
     def _thin(self, part: Part, names: frozenset[str], step: int) -> dict[str, Pixels]:
         """Return one pixel of every square of ``step`` pixels of channels."""
         pieces: dict[str, list[Pixels]] = {name: [] for name in names}
-        height, rows = part.data_window.height, count_slab_rows(part)
-        for top in range(0, height, rows):
-            bottom = min(top + rows, height)
+        for top, decoded in read_slabs(self.container, part, names):
             first = (step // 2 - top) % step
-            decoded = decode_part(self.container, crop_part(part, top, bottom), names)
             for name in names:
                 # A copy, so that the other pixels are freed.
                 pieces[name].append(decoded[name][first::step, step // 2 :: step].copy())

@@ -46,6 +46,13 @@ def count_slab_rows(part: Part) -> int:
     return min(rows * max(SLAB_ROWS // rows, 1), count_fitting_rows(part))
 
 
+def read_slabs(container: Container, part: Part, names: Collection[str]) -> Iterator[tuple[int, dict[str, Pixels]]]:
+    """Yield some rows of channels at a time, in their stored types, each with the number of the first row."""
+    height, rows = part.data_window.height, count_slab_rows(part)
+    for top in range(0, height, rows):
+        yield top, decode_part(container, crop_part(part, top, min(top + rows, height)), names)
+
+
 class BandReader:
     """Reads a frame some rows at a time. Every row is decoded once and kept until it is forgotten.
 
