@@ -14,7 +14,7 @@ from lobewise.exporting.shaders.passes import WORKGROUP, Chain, Lifetime, Pass, 
 from lobewise.recipes.temporal.recipe import TemporalFilter, compute_own_weight
 from lobewise.records.frame import FloatArray, Frame
 from lobewise.records.sparse_frame import SparseFrame
-from tests.exporting.shaders import compile_spirv
+from tests.exporting.shaders import compile_spirv, dispatch
 
 
 def fill(*channels: Any) -> FloatArray:
@@ -94,6 +94,7 @@ class Player:
     images: dict[str, FloatArray] = field(default_factory=dict)
     """The images that were given or written last, by name."""
     _pipelines: dict[str, Any] = field(default_factory=dict)
+    _layouts: dict[str, Any] = field(default_factory=dict)
 
     def run(self, given: Mapping[str, FloatArray], constants: Mapping[str, Any]) -> FloatArray:
         """Run all passes on a frame and return the result, (height, width, 4)."""
@@ -136,19 +137,9 @@ class Player:
                 )
             entries.append({"binding": number, "resource": texture.create_view()})
         pipeline = self._get_pipeline(each)
-        group = self.device.create_bind_group(layout=self._layouts[name], entries=entries)
-        encoder = self.device.create_command_encoder()
-        step = encoder.begin_compute_pass()
-        step.set_pipeline(pipeline)
-        step.set_bind_group(0, group)
         groups = [-(-constants[side] // count) for side, count in zip(each.extent, WORKGROUP, strict=True)]
-        step.dispatch_workgroups(*groups)
-        step.end()
-        self.device.queue.submit([encoder.finish()])
+        dispatch(self.device, pipeline, self._layouts[name], entries, groups)
         return {image: self._read(*texture) for image, texture in textures.items()}
-
-    def __post_init__(self) -> None:
-        self._layouts: dict[str, Any] = {}
 
     def _read(self, texture: Any, size: tuple[int, int, int]) -> FloatArray:
         layout = {"bytes_per_row": 16 * size[0], "rows_per_image": size[1]}

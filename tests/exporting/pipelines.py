@@ -14,10 +14,11 @@ STRICT = ("-Wall", "-Wextra", "-pedantic", "-Werror")
 LIBRARIES = ("-lpthread", "-ldl", "-lm")
 
 
-def build(folder: Path, *words: str) -> None:
-    """Run a compiler in a folder, and fail with what it says."""
+def build(folder: Path, *words: str) -> str:
+    """Run a compiler, or what it made, in a folder; return what it printed, and fail with it."""
     done = subprocess.run(words, cwd=folder, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
 
 
 def export(folder: Path, **settings: Any) -> Path:
@@ -29,6 +30,4 @@ def export(folder: Path, **settings: Any) -> Path:
 def run_example(folder: Path, compiler: str) -> list[float]:
     """Build and run the example of an export; return the difference of each frame to Python's result."""
     build(folder, compiler, "-std=c++11", *STRICT, "example.cpp", "liblobewise.a", "-o", "example", *LIBRARIES)
-    done = subprocess.run(["./example"], cwd=folder, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return [float(word) for word in re.findall(r"difference (\S+)", done.stdout)]
+    return [float(word) for word in re.findall(r"difference (\S+)", build(folder, "./example"))]

@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,7 +138,18 @@ def compile_spirv(language: str, program: str, folder: Path) -> bytes:
     return binary.read_bytes()
 
 
-def run_program(device: object, code: str | bytes, given: NDArray[np.float32]) -> dict[str, NDArray[np.float64]]:
+def dispatch(device: Any, pipeline: Any, layout: Any, entries: list[dict[str, Any]], groups: list[int]) -> None:
+    """Run a pipeline on buffers and images, by as many groups of threads along each axis."""
+    encoder = device.create_command_encoder()
+    step = encoder.begin_compute_pass()
+    step.set_pipeline(pipeline)
+    step.set_bind_group(0, device.create_bind_group(layout=layout, entries=entries))
+    step.dispatch_workgroups(*groups)
+    step.end()
+    device.queue.submit([encoder.finish()])
+
+
+def run_program(device: Any, code: str | bytes, given: NDArray[np.float32]) -> dict[str, NDArray[np.float64]]:
     """Run a program on rows (count, inputs); return its outputs by name."""
     import wgpu
 
@@ -145,27 +157,16 @@ def run_program(device: object, code: str | bytes, given: NDArray[np.float32]) -
     assert count % 64 == 0
     assert width == sum(INPUTS.values())
     results = sum(OUTPUTS.values())
-    module = device.create_shader_module(code=code, label="comp")  # type: ignore[attr-defined]
+    module = device.create_shader_module(code=code, label="comp")
     usage = wgpu.BufferUsage.STORAGE | wgpu.BufferUsage.COPY_SRC
     buffers = [
-        device.create_buffer_with_data(data=np.ascontiguousarray(given), usage=usage),  # type: ignore[attr-defined]
-        device.create_buffer(size=count * results * 4, usage=usage),  # type: ignore[attr-defined]
+        device.create_buffer_with_data(data=np.ascontiguousarray(given), usage=usage),
+        device.create_buffer(size=count * results * 4, usage=usage),
     ]
-    pipeline = device.create_compute_pipeline(  # type: ignore[attr-defined]
-        layout="auto", compute={"module": module, "entry_point": "main"}
-    )
+    pipeline = device.create_compute_pipeline(layout="auto", compute={"module": module, "entry_point": "main"})
     entries = [{"binding": k, "resource": {"buffer": buffer}} for k, buffer in enumerate(buffers)]
-    group = device.create_bind_group(  # type: ignore[attr-defined]
-        layout=pipeline.get_bind_group_layout(0), entries=entries
-    )
-    encoder = device.create_command_encoder()  # type: ignore[attr-defined]
-    step = encoder.begin_compute_pass()
-    step.set_pipeline(pipeline)
-    step.set_bind_group(0, group)
-    step.dispatch_workgroups(count // 64)
-    step.end()
-    device.queue.submit([encoder.finish()])  # type: ignore[attr-defined]
-    raw = np.frombuffer(device.queue.read_buffer(buffers[1]), np.float32)  # type: ignore[attr-defined]
+    dispatch(device, pipeline, pipeline.get_bind_group_layout(0), entries, [count // 64])
+    raw = np.frombuffer(device.queue.read_buffer(buffers[1]), np.float32)
     rows = raw.reshape(count, results).astype(np.float64)
     split = np.split(rows, np.cumsum(list(OUTPUTS.values()))[:-1], axis=1)
     return {name: part[:, 0] if part.shape[1] == 1 else part for name, part in zip(OUTPUTS, split, strict=True)}

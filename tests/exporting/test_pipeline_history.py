@@ -72,8 +72,7 @@ def test_a_cancelled_frame_leaves_the_history_as_it_was(history: Path, cpp: str)
     text = (history / "example.cpp").read_text()
     (history / "cancelled.cpp").write_text(text.replace("            pipeline.run(camera, frame);\n", CANCELLED))
     build(history, cpp, "-std=c++11", *STRICT, "cancelled.cpp", "liblobewise.a", "-o", "cancelled", *LIBRARIES)
-    done = subprocess.run(["./cancelled"], cwd=history, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout + done.stderr
+    build(history, "./cancelled")
 
 
 @pytest.mark.nightly
