@@ -34,6 +34,10 @@ def cast(camera: Camera) -> Vector:
     return camera.make_ray_directions(WIDTH, HEIGHT).astype(np.float64)
 
 
+AHEAD = (CAMERA.position + cast(CAMERA) * 3.0).astype(np.float32)
+"""Points at a distance of 3."""
+
+
 def hit_sphere(camera: Camera, centre: Vector, radius: float, far: bool = False) -> tuple[FloatArray, FloatArray]:
     """Return where rays hit a sphere that fills the image, and its outward normals."""
     rays = cast(camera)
@@ -131,19 +135,17 @@ def test_curved_mirror_agrees_with_traced_reflection_near_the_axis(
 
 def test_infinite_hits_of_a_flat_mirror_do_not_move_with_the_camera() -> None:
     shape = HEIGHT, WIDTH
-    points = (CAMERA.position + cast(CAMERA) * 3.0).astype(np.float32)
     shifted = Camera(position=(1.0, -2.0, 3.0), forward=CAMERA.forward, up=CAMERA.up, fov_y=CAMERA.fov_y)
     flat, infinite = np.zeros(shape, np.float32), np.full(shape, np.inf, np.float32)
-    places = compute_virtual_places(points, flat, infinite, CAMERA, shifted)
+    places = compute_virtual_places(AHEAD, flat, infinite, CAMERA, shifted)
     # A step of 2 over 3e6 at 50 pixels a radian, and rounding.
     np.testing.assert_allclose(places, add_grid(np.zeros((*shape, 2), np.float32)), rtol=0.0, atol=1e-3)
 
 
 def test_infinite_hits_of_a_sphere_are_in_its_focus() -> None:
     shape = HEIGHT, WIDTH
-    points = (CAMERA.position + cast(CAMERA) * 3.0).astype(np.float32)
     places = compute_virtual_places(
-        points, np.full(shape, 0.5, np.float32), np.full(shape, np.inf, np.float32), CAMERA, MOVED
+        AHEAD, np.full(shape, 0.5, np.float32), np.full(shape, np.inf, np.float32), CAMERA, MOVED
     )
     # The focal length is half the radius 2.
     focus = CAMERA.position + cast(CAMERA) * 4.0
@@ -152,41 +154,37 @@ def test_infinite_hits_of_a_sphere_are_in_its_focus() -> None:
 
 @pytest.mark.parametrize("distance", [0.0, -1.0, np.nan])
 def test_unknown_hits_have_no_place(distance: float) -> None:
-    points = (CAMERA.position + cast(CAMERA) * 3.0).astype(np.float32)
     hits = np.full((HEIGHT, WIDTH), 2.0, np.float32)
     hits[3, 4] = distance
-    places = compute_virtual_places(points, np.zeros_like(hits), hits, CAMERA, MOVED)
+    places = compute_virtual_places(AHEAD, np.zeros_like(hits), hits, CAMERA, MOVED)
     assert np.isnan(places[3, 4]).all()
     assert np.count_nonzero(np.isnan(places)) == 2
 
 
 def test_concave_mirrors_have_no_place_from_their_focus_on() -> None:
-    points = (CAMERA.position + cast(CAMERA) * 3.0).astype(np.float32)
     curvature = np.full((HEIGHT, WIDTH), -0.25, np.float32)
     hits = np.full_like(curvature, 1.0)
     hits[:, WIDTH // 2 :] = 2.5
     hits[0, 0], hits[1, 1] = 2.0, np.inf
-    places = compute_virtual_places(points, curvature, hits, CAMERA, CAMERA)
+    places = compute_virtual_places(AHEAD, curvature, hits, CAMERA, CAMERA)
     nowhere = hits > 1.5
     np.testing.assert_array_equal(np.isnan(places).all(axis=-1), nowhere)
     assert np.isfinite(places[~nowhere]).all()
 
 
 def test_images_behind_the_previous_camera_have_no_place() -> None:
-    points = (CAMERA.position + cast(CAMERA) * 3.0).astype(np.float32)
     hits = np.full((HEIGHT, WIDTH), 2.0, np.float32)
     turned = Camera(position=CAMERA.position, forward=-CAMERA.forward, up=CAMERA.up, fov_y=0.6)
-    assert not np.isfinite(compute_virtual_places(points, np.zeros_like(hits), hits, CAMERA, turned)).any()
+    assert not np.isfinite(compute_virtual_places(AHEAD, np.zeros_like(hits), hits, CAMERA, turned)).any()
     # The points themselves would be behind it as well, but not what lies 2 behind them.
     passed = Camera(position=(0.0, 0.0, 0.5), forward=CAMERA.forward, up=CAMERA.up, fov_y=0.6)
-    assert np.isfinite(compute_virtual_places(points, np.zeros_like(hits), hits, CAMERA, passed)).all()
+    assert np.isfinite(compute_virtual_places(AHEAD, np.zeros_like(hits), hits, CAMERA, passed)).all()
 
 
 def test_strange_pixels_neither_warn_nor_spoil_others() -> None:
-    points = (CAMERA.position + cast(CAMERA) * 3.0).astype(np.float32)
     hits, curvature = np.full((HEIGHT, WIDTH), 2.0, np.float32), np.full((HEIGHT, WIDTH), 0.1, np.float32)
-    expected = compute_virtual_places(points, curvature, hits, CAMERA, MOVED)
-    spoilt = points.copy(), curvature.copy(), hits.copy()
+    expected = compute_virtual_places(AHEAD, curvature, hits, CAMERA, MOVED)
+    spoilt = AHEAD.copy(), curvature.copy(), hits.copy()
     spoilt[0][0, :4] = np.array([np.inf, -np.inf, np.nan, 1e30])[:, None]
     spoilt[0][1, 0] = CAMERA.position
     spoilt[2][0, :2] = np.inf
