@@ -1,4 +1,4 @@
-"""Interpreters of other environments, for tests of programs that bring their own Python."""
+"""Interpreters that run programs of tests: this one, and those of programs that bring their own Python."""
 
 from __future__ import annotations
 
@@ -8,6 +8,14 @@ import subprocess
 import sys
 
 import pytest
+
+
+def run_python(*words: str, **more: str) -> str:
+    """Return what this interpreter prints with some words, and fail with what it says; ``more`` are variables."""
+    command, variables = [sys.executable, *words], {**os.environ, **more}
+    done = subprocess.run(command, env=variables, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 def choose_python(module: str) -> str:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +14,7 @@ from lobewise import peers
 from lobewise.errors import InputError
 from lobewise.peers import OIDN_GUIDES, denoise_oidn, has_oidn, name_oidn_guides
 from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance
+from tests.pythons import run_python
 
 pytestmark = pytest.mark.skipif(not has_oidn(), reason="needs Open Image Denoise: pip install 'lobewise[compare]'")
 
@@ -226,8 +225,7 @@ start = read_status("VmHWM")
 denoise_oidn(Frame(Radiance(light), GBuffer(normal=light, diffuse_albedo=light)))
 print((read_status("VmHWM") - start) / light[..., 0].size)
 """
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert float(done.stdout) < 1200.0  # bytes a pixel
+    assert float(run_python("-c", program)) < 1200.0  # bytes a pixel
 
 
 def test_mistakes_are_told(full_frame: Frame) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import os
-import subprocess
 import sys
 from functools import cache
 from pathlib import Path
@@ -37,6 +36,7 @@ from lobewise.filters.history.reprojection_pass import make_reprojection
 from lobewise.guides import lobe_fields
 from lobewise.guides.surfaces import mark_surface_pixels
 from lobewise.records import frame
+from tests.pythons import run_python
 from tests.streaming.frames import make_scene
 
 pytestmark = pytest.mark.processor
@@ -58,11 +58,9 @@ print(len(made), np.abs(image - 1.0).max() < 1e-5)
 """
 
 
-def run_program(folder: Path | str, feature: str = "ScreenFeature(1.0)") -> str:
-    """Return how much a process that filters compiled, and whether its result is right."""
-    told = {**os.environ, "LOBEWISE_CACHE": str(folder)}
-    program = PROGRAM.format(feature=feature)
-    return subprocess.run([sys.executable, "-c", program], capture_output=True, check=True, env=told, text=True).stdout
+def run_program(folder: Path | str, feature: str = "ScreenFeature(1.0)", before: str = "") -> str:
+    """Return how much a process that filters compiled, and whether its result is right; ``before`` runs before it."""
+    return run_python("-c", before + PROGRAM.format(feature=feature), LOBEWISE_CACHE=str(folder))
 
 
 def make_elf() -> bytes:
@@ -439,4 +437,4 @@ assert runtime._look_up_function(runtime._load_object(content, side_by_side=Fals
 @pytest.mark.processor
 def test_the_runtime_of_cuda_loads_without_a_card() -> None:
     """In a process of its own: a memory manager that cannot hold the file ends it."""
-    subprocess.run([sys.executable, "-c", LOAD_CUDA], check=True, capture_output=True)
+    run_python("-c", LOAD_CUDA)

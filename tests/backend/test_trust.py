@@ -20,7 +20,8 @@ from lobewise.backend.disk import CacheWarning, fetch_object, locate_cache_folde
 from lobewise.backend.objects import compile_object, is_object
 from lobewise.backend.trust import describe_folder_problem, describe_problem
 from lobewise.errors import FileError
-from tests.backend.test_jit import PROGRAM, make_elf
+from tests.backend.test_jit import PROGRAM, make_elf, run_program
+from tests.pythons import run_python
 
 pytestmark = [pytest.mark.processor, pytest.mark.skipif(os.name != "posix", reason="Windows has no modes of files")]
 
@@ -167,7 +168,6 @@ class TestObjects:
     @pytest.mark.nightly
     def test_an_empty_one_with_a_valid_checksum_is_compiled_anew(self, tmp_path: Path) -> None:
         # The digest of a file without code is right, as a compiler on a full disk would have left it.
-        program = PROGRAM.format(feature="ScreenFeature(1.0)")
         poison = (
             "from lobewise.backend import disk\n"
             "write = disk.write_whole\n"
@@ -175,11 +175,9 @@ class TestObjects:
             "disk._digest = lambda known, told, content: digest(known, told, b'')\n"
             "disk.write_whole = lambda path, content: write(path, content.split(b'\\n', 1)[0] + b'\\n')\n"
         )
-        environment = {**os.environ, "LOBEWISE_CACHE": str(tmp_path)}
-        subprocess.run([sys.executable, "-c", poison + program], check=True, env=environment, capture_output=True)
+        run_program(tmp_path, before=poison)
         assert all(path.read_bytes().endswith(b"\n") for path in tmp_path.glob("*.kernel"))
-        done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
-        assert (done.returncode, done.stdout) == (0, "2 True\n"), done.stderr
+        assert run_program(tmp_path) == "2 True\n"
 
     def test_a_disk_that_is_full(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         def refuse(*_: object) -> None:
@@ -266,13 +264,6 @@ shift 2
 exec "$@"
 """
 UNSHARE = ["unshare", "--mount"]
-FILTER = """
-import numpy as np
-from lobewise.features import ScreenFeature
-from lobewise.filters.cross_filter import run_filter
-run_filter(np.ones((4, 5, 3), np.float32), np.ones((4, 5), bool), [ScreenFeature(1.0)], form="full", radius=1)
-print("filtered")
-"""
 
 
 def can_unshare() -> bool:
@@ -288,12 +279,12 @@ def test_a_read_only_machine_uses_the_kernels_of_its_cache(tmp_path: Path) -> No
     # /var/tmp stands for the system: /tmp, where pytest's folders are, is hidden in the program.
     place, kept = tempfile.mkdtemp(dir="/var/tmp"), tmp_path / "kept"
     try:
-        told = {**os.environ, "LOBEWISE_CACHE": str(kept)}
-        subprocess.run([sys.executable, "-c", FILTER], env=told, check=True, capture_output=True)
-        for cache, code, words in ((f"{place}/cache", 0, "filtered"), ("off", 1, "a folder /tmp that can be written")):
+        program = PROGRAM.format(feature="ScreenFeature(1.0)")
+        run_python("-c", program, LOBEWISE_CACHE=str(kept))
+        for cache, code, words in ((f"{place}/cache", 0, "0 True"), ("off", 1, "a folder /tmp that can be written")):
             told = {**os.environ, "LOBEWISE_CACHE": cache, "TMPDIR": "/missing", "PYTHONDONTWRITEBYTECODE": "1"}
-            program = [*UNSHARE, "sh", "-c", READ_ONLY, "sh", place, str(kept), sys.executable, "-c", FILTER]
-            done = subprocess.run(program, env=told, check=False, capture_output=True, text=True)
+            command = [*UNSHARE, "sh", "-c", READ_ONLY, "sh", place, str(kept), sys.executable, "-c", program]
+            done = subprocess.run(command, env=told, check=False, capture_output=True, text=True)
             assert done.returncode == code, done.stderr
             assert words in done.stdout + done.stderr
     finally:

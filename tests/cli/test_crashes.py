@@ -6,7 +6,6 @@ import os
 import signal
 import struct
 import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from typing import Any
 import pytest
 
 from lobewise.cli.main import run
-from tests.interrupts import LISTEN
+from tests.interrupts import start_program
 
 SCENE = """<scene version="3.0.0">
 <sensor type="perspective"><film type="hdrfilm">
@@ -60,10 +59,7 @@ def broken(write_scene: Callable[[int], Path]) -> Path:
 
 def start(*words: object, before: str = "", after: str = MAIN, err: int = subprocess.PIPE) -> subprocess.Popen[str]:
     """Start the program with a line of Python before it, in a session of its own."""
-    command = [sys.executable, "-c", f"{LISTEN}{before}{after}", *map(str, words)]
-    return subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=err, text=True, start_new_session=os.name == "posix"
-    )
+    return start_program(*words, program=before + after, stderr=err, start_new_session=os.name == "posix")
 
 
 def finish(process: subprocess.Popen[str]) -> tuple[int, str, str]:

@@ -1,7 +1,6 @@
 """`lobewise fit` as users call it: its output, its files and its errors."""
 
 import struct
-import subprocess
 import sys
 
 import numpy as np
@@ -17,6 +16,7 @@ from lobewise.reporting.fit_plot import draw_fit
 from tests.cli import lines
 from tests.fitting.merl_tables import make_merl, to_bytes
 from tests.lobes.oracles.brdf import lambert_brdf
+from tests.pythons import run_python
 
 
 @pytest.fixture(scope="module")
@@ -124,5 +124,4 @@ def test_nothing_heavy_is_imported_before_it_is_needed():
         "import lobewise.fitting.fit, lobewise.reporting.fit_plot, lobewise.io.materials, lobewise.cli.fitting, sys;"
         "print(sorted(set(sys.modules) & {'scipy', 'matplotlib', 'rich.table'}))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+    assert run_python("-c", code) == "[]\n"

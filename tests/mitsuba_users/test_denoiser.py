@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from typing import Any
 
 import numpy as np
@@ -15,6 +13,7 @@ from lobewise.metrics import rel_mse
 from lobewise.mitsuba import Denoiser
 from lobewise.mitsuba.frames import to_camera_space
 from lobewise.records.frame import Frame
+from tests.pythons import run_python
 
 SIZE = 64
 
@@ -160,8 +159,7 @@ clean = lobewise.mitsuba.Denoiser((32, 24))(noisy)
 assert clean.shape == noisy.shape and clean.std() < 0.5 * noisy.std()
 print(sorted({"mitsuba", "drjit"} & set(sys.modules)))
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+    assert run_python("-c", code) == "[]\n"
 
 
 def test_normals_keep_an_edge_that_light_alone_does_not() -> None:
@@ -323,7 +321,4 @@ print(clean.shape[2])
     [("scalar_rgb", "rgba", 4), ("llvm_ad_mono", "luminance", 1), ("llvm_ad_spectral", "rgb", 3)],
 )
 def test_every_variant(mi: Any, variant: str, format_: str, channels: int) -> None:
-    code = VARIANTS.format(variant=variant, format=format_)
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.strip() == str(channels)
+    assert run_python("-c", VARIANTS.format(variant=variant, format=format_)) == f"{channels}\n"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from typing import Any
 
 import numpy as np
@@ -13,6 +11,7 @@ import lobewise.mitsuba
 from lobewise.errors import InputError
 from lobewise.metrics import rel_mse
 from lobewise.mitsuba import Denoiser
+from tests.pythons import run_python
 from tests.render.items import make_camera, make_lamp, rgb
 
 pytestmark = pytest.mark.mitsuba
@@ -122,6 +121,6 @@ except lobewise.LobewiseError as problem:
 
 
 def test_other_variants_are_refused_by_name(mi: Any) -> None:
-    done = subprocess.run([sys.executable, "-c", SPECTRAL], capture_output=True, text=True, check=True)
-    assert "llvm_ad_rgb or cuda_ad_rgb, got a Scene under the variant llvm_ad_spectral_polarized" in done.stdout
-    assert "without polarisation" in done.stdout
+    told = run_python("-c", SPECTRAL)
+    assert "llvm_ad_rgb or cuda_ad_rgb, got a Scene under the variant llvm_ad_spectral_polarized" in told
+    assert "without polarisation" in told

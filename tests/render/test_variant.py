@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -12,20 +10,12 @@ import pytest
 
 from lobewise.errors import DeviceError, InputError, MissingDependencyError
 from lobewise.render import variant
+from tests.pythons import run_python
 
 
 def _run(code: str, **environment: str) -> str:
     """Run code in a fresh interpreter, warnings as errors, and return what it prints."""
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code],
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout.strip()
+    return run_python("-W", "error", "-c", code, **environment).strip()
 
 
 @pytest.mark.parametrize(

@@ -75,8 +75,6 @@ def write_parts(path: Path) -> None:
     """Write a file whose image, parts of it and guides are in parts of different kinds."""
     channels = make_channels(SHAPE)
     window = make_window(SHAPE, (2, -7))
-    tiles = OpenEXR.TileDescription()
-    tiles.xSize, tiles.ySize = 8, 10
 
     def part(name: str, prefix: str, **header: Any) -> OpenEXR.Part:
         chosen = {key: value for key, value in channels.items() if key.rpartition(".")[0] == prefix}
@@ -87,7 +85,7 @@ def write_parts(path: Path) -> None:
         [
             part("guides", "depth", compression=OpenEXR.ZIPS_COMPRESSION),
             part("image", "", compression=OpenEXR.ZIP_COMPRESSION),
-            part("one", "diffuse", type=OpenEXR.tiledimage, tiles=tiles, **other),
+            part("one", "diffuse", **make_tiles(8, 10), **other),
             part("two", "specular", lineOrder=OpenEXR.DECREASING_Y, **other),
             part("extra", "extra", **other),
         ]

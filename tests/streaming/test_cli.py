@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from lobewise.cli.output import describe_result, describe_settings
 from lobewise.io import write_frame
 from lobewise.recipes.files import FileResult
 from lobewise.recipes.streaming import DenoisedFile, plan
-from tests.interrupts import LISTEN
+from tests.interrupts import start_program
 from tests.streaming.frames import change_radiance, make_scene
 
 CHEAP = ["--quality", "fast", "--similarity", "normal"]
@@ -85,9 +86,7 @@ def test_materials_come_along(folder: Path, full_frame: Any) -> None:
     from lobewise.io.materials import write_lobe_table
 
     frame = make_scene((83, 19))
-    guides = frame.gbuffer.__class__(
-        **{**frame.gbuffer.__dict__, "material": np.random.default_rng(1).integers(0, 3, (83, 19))}
-    )
+    guides = replace(frame.gbuffer, material=np.random.default_rng(1).integers(0, 3, (83, 19)))
     write_frame(folder / "in.exr", frame.with_changes(gbuffer=guides, lobe_tables=full_frame.lobe_tables))
     options = ["--quality", "fast", "--similarity", "sg_mixture"]
     for number, table in enumerate(full_frame.lobe_tables[::-1]):
@@ -138,9 +137,7 @@ def test_ctrl_c_leaves_no_part_of_a_file(before: bytes | None, folder: Path) -> 
     if before is not None:
         (folder / "out.exr").write_bytes(before)
     arguments = ["denoise", str(folder / "in.exr"), "-o", str(folder / "out.exr"), "--bands", "10", *CHEAP]
-    process = subprocess.Popen(
-        [sys.executable, "-c", LISTEN + PROGRAM, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    process = start_program(*arguments, program=PROGRAM)
     # In the midst of the third of nine bands; two are on the disk.
     for _ in range(3):
         assert process.stdout.readline() == "band\n"

@@ -148,14 +148,7 @@ def test_fast_reaches_exactly_so_far(form: str, radius: int, expected: int) -> N
 
 
 @pytest.mark.parametrize("halves", [True, False], ids=["halves", "checkerboard"])
-@pytest.mark.parametrize(
-    ("quality", "radius"),
-    [
-        ("balanced", 8),
-        pytest.param("balanced", 3, marks=pytest.mark.nightly),
-        pytest.param("high", 4, marks=pytest.mark.nightly),
-    ],
-)
+@pytest.mark.parametrize(("quality", "radius"), [("balanced", 8), ("balanced", 3), ("high", 4)])
 def test_nothing_further_away_tells_on_a_pixel(quality: str, radius: int, halves: bool) -> None:
     settings = {"quality": quality, "radius": radius, "screen_sigma": 400.0, **WIDE}
     reach = measure_reach(settings, find=True)

@@ -8,7 +8,6 @@ import http.client
 import io
 import json
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -28,7 +27,7 @@ from lobewise.io import read_frame, write_frame
 from lobewise.records.frame import Frame, Radiance
 from lobewise.viewer import FrameViewer
 from lobewise.viewer.http.browser_messages import MAX_MESSAGE_BYTES
-from tests.interrupts import LISTEN
+from tests.interrupts import start_program
 from tests.viewer.conftest import ask
 
 PATIENCE = 60.0
@@ -152,13 +151,7 @@ class TestAnswers:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGINT for one process")
 def test_ctrl_c_ends_it_while_it_filters(floor_file: Path) -> None:
-    program = LISTEN + "from lobewise.cli import main; main()"
-    running = subprocess.Popen(
-        [sys.executable, "-c", program, "view", str(floor_file), "--port", "0"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    running = start_program("view", floor_file, "--port", 0)
     line = running.stdout.readline()
     assert line.startswith(f"Showing {floor_file} at http://127.0.0.1:")
     place = urlsplit(line.split(" at ")[1].split()[0])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,6 +24,7 @@ from lobewise.viewer import frame_target
 from lobewise.viewer.frame_target import CONTROLS, FrameTarget
 from lobewise.viewer.messages import FrameReading
 from lobewise.viewer.pictures import RADIANCE, paint
+from tests.pythons import run_python
 
 FOREIGN = Path(__file__).parents[1] / "data" / "foreign"
 RENDERED = ("blender_4.5_seed1.exr", "blender_5.2_multipart.exr", "luxcore/RGB.exr")
@@ -197,8 +196,7 @@ sys.modules["mitsuba"] = sys.modules["drjit"] = sys.modules["viser"] = None
 from lobewise.viewer.frame_target import FrameTarget
 print(FrameTarget({str(floor_file)!r}).describe()["width"])
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert (done.returncode, done.stdout) == (0, "48\n"), done.stderr
+    assert run_python("-c", code) == "48\n"
 
 
 class TestSparseFrames:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -22,7 +21,7 @@ from lobewise.viewer import FrameViewer, Viewer, worker_process
 from lobewise.viewer.http.site import choose_port
 from lobewise.viewer.messages import Opened, Picture, Problem, Request, SavedFile, Target, Window
 from lobewise.viewer.worker_process import MAX_RESTARTS, WorkerProcess
-from tests.interrupts import LISTEN
+from tests.interrupts import start_program
 from tests.viewer.slow_worker import CAMERA, SECONDS, run_slow_worker
 
 PATIENCE = 120.0
@@ -176,13 +175,7 @@ class TestEnd:
     @pytest.mark.mitsuba
     def test_no_process_is_left(self, number, code):
         pytest.importorskip("viser", reason="pip install 'lobewise[viewer]'")
-        program = LISTEN + "from lobewise.cli import main; main()"
-        running = subprocess.Popen(
-            [sys.executable, "-c", program, "view", "showroom", "--port", "0", "--similarity", "none"],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+        running = start_program("view", "showroom", "--port", 0, "--similarity", "none")
         line = running.stdout.readline()
         assert re.match(r"Showing showroom at http://127\.0\.0\.1:\d+/\?token=[\w-]{40,} ", line)
         assert line.endswith(" (only this machine can reach it); Ctrl-C ends it.\n")

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import gc
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+
+from tests.pythons import run_python
 
 pytestmark = pytest.mark.mitsuba
 
@@ -54,10 +54,7 @@ print(fatal, old)
 
 def test_an_old_scene_may_become_garbage_between_any_two_calls(mi: Any, tmp_path: Path) -> None:
     (tmp_path / "scene.xml").write_text(SCENE)
-    command = [sys.executable, "-c", PROGRAM, str(tmp_path / "scene.xml")]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr[-2000:]
-    count, _, left = done.stdout.partition(" ")
+    count, _, left = run_python("-c", PROGRAM, str(tmp_path / "scene.xml")).partition(" ")
     assert int(count) > 6
     assert left == "[]\n"
 
