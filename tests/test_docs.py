@@ -33,10 +33,15 @@ def load_publisher() -> ModuleType:
     return import_module("benchmarks.publish")
 
 
+def list_blocks(page: Path) -> list[str]:
+    """Return the blocks of Python of a page."""
+    return re.findall(r"```python\n(.*?)```", page.read_text(), flags=re.S)
+
+
 def run_blocks(name: str, names: dict[str, Any] | None = None) -> dict[str, Any]:
     """Run the Python blocks of a page of docs one after the other; return the names that they define."""
     names = {} if names is None else names
-    for block in re.findall(r"```python\n(.*?)```", (ROOT / "docs" / name).read_text(), flags=re.S):
+    for block in list_blocks(ROOT / "docs" / name):
         exec(compile(block, name, "exec"), names)
     return names
 
@@ -44,7 +49,7 @@ def run_blocks(name: str, names: dict[str, Any] | None = None) -> dict[str, Any]
 def test_readme_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shutil.copy(BUNDLED, tmp_path / "frame.exr")
     monkeypatch.chdir(tmp_path)
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), flags=re.S)
+    blocks = list_blocks(ROOT / "README.md")
     assert blocks
     for block in blocks:
         exec(compile(block, "README.md", "exec"), {})
@@ -59,8 +64,7 @@ BLENDER_PAGE = ROOT / "docs" / "blender.md"
 def test_blender_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shutil.copy(ROOT / "tests" / "data" / "foreign" / "blender_4.5_seed1.exr", tmp_path / "shot.exr")
     monkeypatch.chdir(tmp_path)
-    (block,) = re.findall(r"```python\n(.*?)```", BLENDER_PAGE.read_text(), flags=re.S)
-    exec(compile(block, "blender.md", "exec"), {})
+    run_blocks("blender.md")
     before, after = lobewise.read_frame("shot.exr"), lobewise.read_frame("clean.exr")
     assert not np.array_equal(after.radiance.color, before.radiance.color)
     assert [len(layer.parts) for layer in after.layers] == [len(layer.parts) for layer in before.layers] != []
@@ -135,11 +139,7 @@ def test_temporal_page_runs() -> None:
 @pytest.mark.nightly
 @pytest.mark.mitsuba
 def test_page_for_mitsubas_users_runs(mi: Any) -> None:
-    names: dict[str, Any] = {}
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "mitsuba.md").read_text(), flags=re.S)
-    for block in blocks:
-        exec(compile(block, "mitsuba.md", "exec"), names)
-    assert len(blocks) == 5
+    names = run_blocks("mitsuba.md")
     assert np.array(names["denoised"]).shape == names["previous"].shape == (256, 256, 3)
     assert np.isfinite(np.array(names["dr"].grad(names["noisy"]))).all()
 

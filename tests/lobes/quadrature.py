@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from hypothesis import strategies as st
 
 from lobewise.fitting import ggx
 
@@ -18,6 +19,22 @@ from .oracles import brdf, tangent
 
 def normalize(a):
     return a / np.linalg.norm(a, axis=-1, keepdims=True)
+
+
+components = st.floats(-1.0, 1.0)
+directions = (
+    st.tuples(components, components, components).map(np.array).filter(lambda v: np.linalg.norm(v) > 0.1).map(normalize)
+)
+"""Any unit vectors, as hypothesis draws them."""
+
+
+def rms(error):
+    return float(np.sqrt(np.mean(np.square(error))))
+
+
+def unpack(six):
+    """Return the full matrices of six components."""
+    return six[..., [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(*six.shape[:-1], 3, 3)
 
 
 def make_frame(axis):
@@ -99,7 +116,7 @@ class Surface:
 def lobe_stretch(lobes):
     """Return (axis, stretch) of a grid that covers the given lobes: a square root of their mean covariance."""
     axis = normalize(sum(lobe.axis for lobe in lobes))
-    matrix = sum(lobe.covariance[[0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(3, 3) for lobe in lobes) / len(lobes)
+    matrix = sum(unpack(lobe.covariance) for lobe in lobes) / len(lobes)
     across = np.eye(3) - np.outer(axis, axis)
     values, vectors = np.linalg.eigh(across @ matrix @ across)
     root = vectors @ np.diag(np.sqrt(np.maximum(values, 0.0))) @ vectors.T

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from .oracles import asg, tangent
-from .quadrature import draw_pairs, lobe_stretch, measure_similarity, normalize, sphere_grid, stack_lobes
+from .quadrature import draw_pairs, lobe_stretch, measure_similarity, normalize, rms, sphere_grid, stack_lobes, unpack
 from .tolerances import ROUNDING
 
 Z = np.array([0.0, 0.0, 1.0])
@@ -18,11 +18,6 @@ def make_tangent(axis, helper):
     across = np.cross(axis, helper)
     fallback = np.cross(axis, np.roll(axis, 1) * np.array([1.0, -1.0, 1.0]) + np.array([0.1, 0.7, -0.3]))
     return normalize(np.where(np.linalg.norm(across, axis=-1, keepdims=True) > 1e-2, across, fallback))
-
-
-def matrix(six):
-    """Return the full matrix of six components."""
-    return six[..., [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(*six.shape[:-1], 3, 3)
 
 
 def draw_planar_pairs(count, low, high, *, apart=1.3, ratio=4.0, size=3.0, anywhere=False, seed=0):
@@ -63,7 +58,7 @@ def to_asg(planar):
 
 def evaluate_by_definition(direction, planar):
     """``max(w.z, 0) exp(-w^T A w)`` with A by the pseudo-inverse of the covariance."""
-    precision = 0.5 * np.linalg.pinv(matrix(planar.covariance), hermitian=True, rcond=1e-9)
+    precision = 0.5 * np.linalg.pinv(unpack(planar.covariance), hermitian=True, rcond=1e-9)
     exponent = np.einsum("...k,kl,...l->...", direction, precision, direction)
     return np.maximum(direction @ planar.axis, 0.0) * np.exp(-exponent)
 
@@ -87,16 +82,12 @@ def measured_pairs(low, high, kind):
     return to_asg(stack_i), to_asg(stack_j), np.array(similarity)
 
 
-def rms(error):
-    return float(np.sqrt(np.mean(np.square(error))))
-
-
 def test_covariance_of_a_planar_gaussian_gives_its_shape(rng):
     planar, _ = draw_planar_pairs(20, 0.5, 1e3, seed=3)
     lobe = to_asg(planar)
     for k in range(20):
-        inverse = np.linalg.pinv(matrix(planar.covariance[k]), hermitian=True, rcond=1e-9)
-        np.testing.assert_allclose(matrix(lobe.precision[k]), 0.5 * inverse, atol=1e-10 * np.abs(inverse).max())
+        inverse = np.linalg.pinv(unpack(planar.covariance[k]), hermitian=True, rcond=1e-9)
+        np.testing.assert_allclose(unpack(lobe.precision[k]), 0.5 * inverse, atol=1e-10 * np.abs(inverse).max())
     np.testing.assert_allclose(lobe.determinant, 0.25 / planar.determinant, rtol=ROUNDING)
 
 
@@ -105,7 +96,7 @@ def test_sharp_lobes_are_planar_gaussians():
     middle = normalize(stack_i.axis + stack_j.axis)
     x = make_tangent(middle, np.roll(middle, 1, axis=-1))
     basis = np.stack([x, np.cross(middle, x)], axis=1)
-    plane = basis @ matrix(stack_i.covariance + stack_j.covariance) @ np.swapaxes(basis, 1, 2)
+    plane = basis @ unpack(stack_i.covariance + stack_j.covariance) @ np.swapaxes(basis, 1, 2)
     apart = basis @ (stack_j.axis - stack_i.axis)[..., None]
     square = np.sum(apart * np.linalg.solve(plane, apart), axis=(1, 2))
     roots = (stack_i.determinant * stack_j.determinant) ** 0.25

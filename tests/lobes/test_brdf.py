@@ -10,7 +10,7 @@ from lobewise.fitting import ggx
 from lobewise.lobes import albedo
 
 from .oracles import brdf, sg
-from .quadrature import Surface, gauss, lobe_stretch, normalize, sphere_grid
+from .quadrature import Surface, gauss, lobe_stretch, normalize, rms, sphere_grid
 from .tolerances import HORIZON, QUADRATURE, ROUNDING
 
 ALPHAS = [(0.01, 0.01), (0.1, 0.1), (0.5, 0.5), (1.0, 1.0), (0.05, 0.3), (0.8, 0.2)]
@@ -221,9 +221,9 @@ def test_directional_albedo_against_quadrature():
             dielectric = 0.04 * white + 0.96 * grazing
             relative.append(albedo.ggx_directional_albedo(cosine, alpha, 0.04) / dielectric - 1.0)
     assert np.abs(errors).max() < 0.0125
-    assert np.sqrt(np.mean(np.square(errors))) < 0.006
+    assert rms(errors) < 0.006
     assert np.abs(relative).max() < 0.04
-    assert np.sqrt(np.mean(np.square(relative))) < 0.02
+    assert rms(relative) < 0.02
 
 
 def test_directional_albedo_stays_in_range():

@@ -11,20 +11,13 @@ from lobewise.fitting import ggx
 from lobewise.lobes.mixture import GGX_MIXTURES, MIN_SHARPNESS
 
 from .oracles import mixture, sg
-from .quadrature import draw_pairs, measure_similarity, normalize, sphere_grid
+from .quadrature import directions, draw_pairs, measure_similarity, normalize, rms, sphere_grid
 from .tolerances import ROUNDING
 
 Z = np.array([0.0, 0.0, 1.0])
 ACCEPTED = 0.01
 """How near the similarity of three-lobe mixtures has to be where their axes are exact."""
 
-components = st.floats(-1.0, 1.0)
-directions = (
-    st.tuples(components, components, components)
-    .map(np.array)
-    .filter(lambda v: np.linalg.norm(v) > 0.1)
-    .map(lambda v: v / np.linalg.norm(v))
-)
 single_lobes = st.tuples(directions, st.floats(0.3, 1e5), st.one_of(st.just(0.0), st.floats(1e-3, 1e3)))
 mixtures = st.lists(single_lobes, min_size=1, max_size=4).map(
     lambda parts: mixture.SgMixture(*(np.array(column) for column in zip(*parts, strict=True)))
@@ -129,10 +122,6 @@ def test_three_lobes_are_within_a_hundredth_where_axes_are_exact(alpha, ratio):
         truth = inner / np.sqrt(squares[0] * squares[1])
         pair = mixture.make_ggx_mixture(Z, Z, alpha), mixture.make_ggx_mixture(axis, axis, small)
         assert mixture.mixture_approx_similarity(*pair) == pytest.approx(truth, abs=ACCEPTED)
-
-
-def rms(error):
-    return float(np.sqrt(np.mean(np.square(error))))
 
 
 # n.v from; RMSE of S that the theory page states

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from .oracles import sg
-from .quadrature import normalize, rotate, sphere_grid
+from .quadrature import directions, normalize, rotate, sphere_grid
 from .tolerances import QUADRATURE, ROUNDING
 
 SHARPNESSES = [0.0, 1e-8, 1e-3, 0.5, 1.0, 2.133, 10.0, 100.0, 2e4]
@@ -23,13 +23,6 @@ VECTORS = [
 ]
 
 sharpnesses = st.one_of(st.just(0.0), st.floats(1e-6, 1e6))
-components = st.floats(-1.0, 1.0)
-directions = (
-    st.tuples(components, components, components)
-    .map(np.array)
-    .filter(lambda v: np.linalg.norm(v) > 0.1)
-    .map(lambda v: v / np.linalg.norm(v))
-)
 
 
 def tilt(angle):
