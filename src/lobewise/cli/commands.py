@@ -21,7 +21,7 @@ from lobewise.cli.rendering import render
 from lobewise.cli.terminal.help import EXAMPLES, FILTER_DETAILS, HELP_NAMES, App
 from lobewise.cli.terminal.steps import Steps
 from lobewise.cli.viewing import view
-from lobewise.errors import InputError, LobewiseError
+from lobewise.errors import LobewiseError
 from lobewise.settings import DenoiseSettings
 
 if TYPE_CHECKING:
@@ -149,15 +149,8 @@ def inspect(
     from lobewise.io.files import require_other_files, require_writable
 
     if plan:
-        if as_json or everything or attributes or page:
-            raise InputError(
-                "--plan", expected="no --json, --all, --attributes or --html", got="both", action="leave one out"
-            )
         print_plan(source, reading, settings)
         return
-    if settings:
-        names = ", ".join(f"--{name.replace('_', '-')}" for name in settings)
-        raise InputError(names, expected="--plan beside it", got="none", action="add --plan")
     if page is not None:
         require_writable(page)
         require_other_files([page], [source])

@@ -31,7 +31,6 @@ from lobewise.cli.options.windows import Window
 from lobewise.cli.options.writing import Output, Overwrite, Picture, Writing, protect_inputs
 from lobewise.cli.running import Job
 from lobewise.cli.terminal.help import FILTER_DETAILS
-from lobewise.errors import InputError
 from lobewise.settings import DenoiseSettings, TemporalSettings
 
 OPTIONS = {
@@ -146,8 +145,6 @@ def upsample(
     from lobewise.recipes.files.upsampler import UpsampleRequest
     from lobewise.records.sparse_frame import require_place
 
-    if bilinear and over_time.temporal:
-        raise InputError("--bilinear", expected="no --temporal beside it", got="both", action="leave one out")
     where = None if place is None else parse_place(place)
     DenoiseSettings(**settings)
     TemporalSettings(memory=over_time.memory)

@@ -82,8 +82,6 @@ def choose_plot(output: Path, plot: Path | None, *, wanted: bool) -> Path | None
 
     target = require_writable(output)
     if not wanted:
-        if plot is not None:
-            raise InputError("--no-plot", expected="no --plot beside it", got="both", action="leave one of them out")
         return None
     picture = output.with_suffix(".png") if plot is None else plot
     if require_writable(picture, what="plot") == target:

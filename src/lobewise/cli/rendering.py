@@ -208,7 +208,7 @@ def render(
     """Render a scene with Mitsuba into one EXR file per frame, with every channel that denoising can use."""
     from lobewise.io.files import require_exr_name
 
-    _refuse_contradictions(contents, sparse, motion, picture)
+    _check_speed(motion)
     # A wrong place is an error even where it is not used.
     place = sparse.parse_place()
     parse_definitions(sampling.define or [])
@@ -237,33 +237,13 @@ def give_switches_values(arguments: Sequence[str]) -> list[str]:
     return words
 
 
-def _refuse_contradictions(contents: Contents, sparse: Sparse, motion: Motion, picture: Picture) -> None:
-    """Raise InputError if two options exclude each other, or an option lacks another that it needs."""
-    needs_frames = {
-        "--camera-path": motion.camera_path is not None,
-        "--speed": motion.speed is not None,
-        "--start": motion.start is not None,
-        "--moving-objects": motion.moving_objects is not None,
-    }
-    if motion.frames is None:
-        for other, given in needs_frames.items():
-            if given:
-                raise InputError(other, expected="--frames beside it", got="none", action="say how many frames")
+def _check_speed(motion: Motion) -> None:
+    """Raise InputError if the speed of a camera is no number, or the camera follows no orbit."""
     if motion.speed is not None and not math.isfinite(motion.speed):
         raise InputError("--speed", expected="a finite number", got=f"{motion.speed:g}", action="0.25 is usual")
-    rules: list[tuple[str, bool, dict[str, bool]]] = [
-        ("--frames", motion.frames is not None, {"--aov-only": contents.aov_only, "--place": sparse.place is not None}),
-        (
-            "--scale",
-            sparse.scale != 1,
-            {"--aov-only": contents.aov_only, "--reference": contents.reference, "--png": picture.png},
-        ),
-        ("--aov-only", contents.aov_only, {"--reference": contents.reference, "--png": picture.png}),
-        (f"--camera-path {motion.path}", motion.path != "orbit", {"--speed": motion.speed is not None}),
-    ]
-    for name, is_given, others in rules:
-        for other in (other for other, given in others.items() if is_given and given):
-            raise InputError(name, expected=f"no {other} beside it", got="both", action="leave one of them out")
+    if motion.path != "orbit" and motion.speed is not None:
+        name, expected = f"--camera-path {motion.path}", "no --speed beside it"
+        raise InputError(name, expected=expected, got="both", action="leave one of them out")
 
 
 def parse_definitions(words: Iterable[str]) -> dict[str, str]:

@@ -52,17 +52,8 @@ class Farm:
 
     def check(self, source: Path) -> None:
         """Raise InputError if an option is wrong, or the options do not go together."""
-        if self.insecure and self.farm is None:
-            raise InputError("--insecure", expected="--farm beside it", got="no address", action="leave it out")
         if not self.is_wanted:
             return
-        if self.farm is not None and self.workers is not None:
-            raise InputError(
-                "--workers",
-                expected="no --farm beside it, whose workers run already",
-                got="both",
-                action="leave one out",
-            )
         if self.workers is not None and not 1 <= self.workers <= MAX_WORKERS:
             raise InputError(
                 "--workers",

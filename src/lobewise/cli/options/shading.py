@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, cast
 
 from lobewise.cli.terminal.help import shading_option
@@ -69,23 +69,13 @@ class Reshading:
         expected, got = f'1 to {MAX_SPP}, or "auto"', repr(self.adaptive_spp)
         raise InputError("--adaptive-spp", expected=expected, got=got, action='"auto" is usual')
 
-    def _require_unused(self) -> None:
-        """Raise InputError if an option is given that nothing uses without ``--adaptive``."""
-        for one in fields(self):
-            if getattr(self, one.name) != one.default and one.name != "adaptive":
-                option = f"--{one.name.replace('_', '-')}"
-                raise InputError(option, expected="--adaptive beside it", got="none", action="add --adaptive 5%")
-
     def make_shading(self) -> Shading | None:
         """Return what is shaded again, None for nothing. Raises InputError or FileError if an option is wrong."""
         from lobewise.recipes.adaptive.shading import Shading
 
         share = self.share
-        if share == 0.0:
-            self._require_unused()
+        if share == 0.0 or self.scene is None:
             return None
-        if self.scene is None:
-            raise InputError("--adaptive", expected="--scene beside it", got="none", action="name the scene")
         require_scene(self.scene)
         require_choice("light", self.light, ("all", "indirect"))
         return Shading(scene=self.scene, share=share, spp=self.choose_spp(), light=cast("Light", self.light))

@@ -81,14 +81,10 @@ class Picture:
     def check(self) -> float | None:
         """Return the exposure in stops, None for one by the picture.
 
-        Raises InputError if an exposure or a view is given without a picture, or the exposure is out of range, and the
-        errors of `lobewise.display.views.open_view`.
+        Raises InputError if the exposure is out of range, and the errors of `lobewise.display.views.open_view`.
         """
         self.open_view()
         stops = 0.0 if self.exposure is None and self.has_view else self.exposure
-        for name in () if self.png else ("exposure", "display", "view", "ocio"):
-            if getattr(self, name) is not None:
-                raise InputError(f"--{name}", expected="--png beside it", got="none", action="add --png")
         # Written so that NaN fails.
         if stops is not None and not -MAX_EXPOSURE_STOPS <= stops <= MAX_EXPOSURE_STOPS:
             raise InputError(

@@ -80,6 +80,13 @@ class _Helpful:
 class Command(_Helpful, TyperCommand):
     """A verb."""
 
+    def invoke(self, ctx: Any) -> Any:
+        """Run the verb, unless its options contradict each other."""
+        from lobewise.cli.terminal.pairs import check_pairs
+
+        check_pairs(ctx)
+        return super().invoke(ctx)
+
 
 class Group(_Helpful, TyperGroup):
     """A group of verbs. A command line without one of them is refused in one sentence."""
