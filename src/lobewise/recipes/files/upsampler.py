@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from lobewise.errors import InputError
 from lobewise.interchange.imported import Imported
+from lobewise.interchange.importing.leftovers import list_names
+from lobewise.interchange.lighting import name_pass
 from lobewise.interchange.mapping import map_file
 from lobewise.interchange.reading import list_selections
 from lobewise.interchange.replacing import write_result
@@ -115,6 +117,9 @@ class FileUpsampler:
             )
         first = list_selections(path)[0]
         imported = read_view(FileRequest(), path, self._source, self._remarks, selection=first)
+        left = [name_pass(one.target.source.path) for name, one in imported.outputs.items() if name != "color"]
+        for words in list_names("pass", left, many="passes"):
+            self._remarks.add(f"Only the image is upsampled. Left as rendered: {words}.")
         with name_file(path):
             return SparseFile(make_sparse(imported.frame, scale, place or (0, 0)), imported)
 
