@@ -1,10 +1,10 @@
-"""Draw the gallery: whole shots of Blender Cycles, noisy, by Open Image Denoise, `high`, `auto`, and the reference.
+"""Draw the gallery: whole shots, noisy, by Open Image Denoise, `high`, `auto`, and the reference.
 
     python -m benchmarks.pictures.gallery FOLDER
 
-``FOLDER`` holds ``KIND_SEED/16.exr`` and ``reference.exr`` of the factory (``benchmarks/foreign/factory``), rendered
-640 pixels wide. Writes docs/_static/gallery, benchmarks/results/gallery_shots.json and the part of
-docs/developers/gallery.md between its marks.
+``FOLDER`` holds a folder for each shot, with ``16.exr`` and ``reference_1.exr``: the page has the commands that render
+them, by Blender Cycles (``benchmarks/foreign/factory``) or by our own renderer. Writes docs/_static/gallery,
+benchmarks/results/gallery_shots.json and the part of docs/developers/gallery.md between its marks.
 """
 
 from __future__ import annotations
@@ -24,10 +24,25 @@ from lobewise.records.frame import FloatArray
 PAGE, PICTURES = ROOT / "docs" / "developers" / "gallery.md", ROOT / "docs" / "_static" / "gallery"
 START, END = "<!-- shots:start -->\n", "<!-- shots:end -->\n"
 PAIRS = (("noisy", "auto"), ("Open Image Denoise", "auto"), ("Open Image Denoise", "high"), ("auto", "reference"))
+ENDS = ("-o clean.exr", "-o clean.exr --quality high")
+"""Ends of the commands that denoise a shot."""
+REFERENCE_SPP = 2048
+"""Samples of the reference of a built-in scene."""
 EPSILON = 0.01
 """Added to the squared reference, below the squared error."""
 SHARE_LEFT_OUT = 0.001
 """Share of the pixels, the worst ones, that the second error leaves out: the reference has fireflies of its own."""
+
+
+def list_commands(kind: str, seed: str, frame: lobewise.Frame) -> list[str]:
+    """Return the commands that render a shot: of the factory of Blender's files, or without a seed a built-in scene."""
+    if seed:
+        return [f"python3.11 benchmarks/foreign/factory . --kinds {kind} --seeds {seed} --width {frame.width}"]
+    line = f"lobewise render {kind} --width {frame.width} --height {frame.height}"
+    return [
+        f"{line} --spp 16 -o {kind}/16.exr",
+        f"{line} --spp {REFERENCE_SPP} --seed 7 --reference -o {kind}/reference_1.exr",
+    ]
 
 
 def draw_wipe(shot: str, first: str, second: str) -> str:
@@ -53,7 +68,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     PICTURES.mkdir(parents=True, exist_ok=True)
     blocks, rows = [], {}
-    for path in sorted(parser.parse_args().folder.glob("*/reference.exr")):
+    for path in sorted(parser.parse_args().folder.glob("*/reference_1.exr")):
         shot, frame = path.parent.name, lobewise.read_frame(path.with_name("16.exr"))
         reference = lobewise.read_frame(path).radiance.color
         images = {
@@ -71,10 +86,13 @@ def main() -> None:
         rows[shot] = errors
         told = ", ".join(f"{name} {every:g} ({most:g})" for name, (every, most) in errors.items())
         wipes = "\n".join(draw_wipe(shot, *pair) for pair in PAIRS)
-        kind = shot.partition("_")[0].capitalize()
-        command = "```bash\nlobewise denoise 16.exr -o clean.exr                  # auto\n"
-        command += "lobewise denoise 16.exr -o clean.exr --quality high\n```"
-        blocks.append(f"### {kind}, 16 samples\n\nErrors: {told}.\n\n{command}\n\n```{{raw}} html\n{wipes}\n```\n")
+        kind, _, seed = shot.partition("_")
+        commands = "\n".join(
+            [*list_commands(kind, seed, frame), *(f"lobewise denoise {shot}/16.exr {end}" for end in ENDS)]
+        )
+        by = "Blender Cycles" if seed else "our own renderer"
+        title = f"### {kind.capitalize()}, by {by}, 16 samples"
+        blocks.append(f"{title}\n\nErrors: {told}.\n\n```bash\n{commands}\n```\n\n```{{raw}} html\n{wipes}\n```\n")
     write_json(RESULTS / "gallery_shots.json", {"spp": 16, "errors": rows})
     text = PAGE.read_text()
     before, rest = text.split(START)

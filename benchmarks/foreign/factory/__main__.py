@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 sys.path.insert(1, str(Path(__file__).parents[1]))
@@ -42,15 +43,22 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=0, help="0 for all")
     parser.add_argument("--films", action="store_true", help="films of 12 frames with two references of each")
     parser.add_argument("--groups", action="store_true", help="put lamps and sky into light groups")
+    parser.add_argument(
+        "--width", type=int, help="pictures for the gallery: so many columns, 16 samples, one reference"
+    )
     asked = parser.parse_args(sys.argv[1:])
     kinds = splits[asked.split] if asked.split else asked.kinds.split(",") if asked.kinds else list(KINDS)
     if unknown := set(kinds) - set(KINDS):
         parser.error(f"unknown kinds: {', '.join(sorted(unknown))}; there are {', '.join(KINDS)}")
     for kind, seed in list_shots(list(kinds), asked.seeds):
+        plan, random = plan_shot(kind, seed)
+        if asked.width:
+            size = asked.width, round(plan.size[1] * asked.width / plan.size[0])
+            plan = replace(plan, size=size, spp=(16,), reference_spp=(400,))
         if asked.films:
-            render_film(asked.folder, *plan_shot(kind, seed), asked.threads)
+            render_film(asked.folder, plan, random, asked.threads)
         else:
-            render_shot(asked.folder, *plan_shot(kind, seed), asked.threads, groups=asked.groups)
+            render_shot(asked.folder, plan, random, asked.threads, groups=asked.groups)
 
 
 if __name__ == "__main__":
