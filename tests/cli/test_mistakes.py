@@ -164,7 +164,7 @@ MISTAKES = {
     "upsample gone.#.exr -o x.#.exr --temporal --memory 3": "--memory: expected a number from 0 to 1, got 3.0; ",
     # Shading again.
     f"denoise gone.exr {TO} --adaptive 5%": "--adaptive: expected --scene beside it, got none; name the scene.",
-    f"upsample gone.exr {TO} --scene parlour --adaptive many": "--adaptive: expected 0% to 100%, got 'many'; 5% is usual.",
+    f"upsample gone.exr {TO} --scene parlour --adaptive many": "--adaptive: expected 0% to 100%, got 'many'; 5% ",
     f"denoise gone.exr {TO} --scene showroom": "--scene: expected --adaptive beside it, got none; add --adaptive 5%.",
     f"denoise gone.exr {TO} --adaptive 5% --scene showrom": "--scene: expected one of …, got 'showrom'; did you mean ",
     f"denoise gone.exr {TO} --adaptive 5% --scene parlour --light red": "--light: expected one of all, indirect, got ",
