@@ -20,7 +20,7 @@ import numpy as np
 
 from lobewise.backend import jit
 from lobewise.backend.devices import make_target
-from lobewise.backend.signature import Parameter, check_call
+from lobewise.backend.signature import Parameter, check_call, list_outputs
 from lobewise.engine.here import Here
 from lobewise.recipes.temporal import past
 
@@ -51,7 +51,7 @@ class _RecordedKernel(jit.Kernel):
     """A kernel that fills its outputs instead of computing them."""
 
     def __init__(self, name: str, parameters: list[Parameter], seed: int) -> None:
-        self.name, self.parameters = name, tuple(parameters)
+        self.name, self.parameters, self.outputs = name, tuple(parameters), list_outputs(parameters)
         self._random = np.random.default_rng(seed)
         self._largest = 0.0 if name in FAULT_FINDERS and seed % 2 == 0 else 2.0
 

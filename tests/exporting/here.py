@@ -18,6 +18,7 @@ import numpy as np
 
 from lobewise import engine
 from lobewise.backend.jit import Kernel, get_kernel, run_kernel
+from lobewise.backend.signature import list_axis_lengths
 from lobewise.denoising.automatic import estimate_spp
 from lobewise.engine.graph import Graph, GraphImage, write_length
 from lobewise.engine.numbers import Condition, Number
@@ -205,7 +206,7 @@ class Here(Recorder):
         given = {name: value for name, value in arguments.items() if name in wanted and value is not None}
         images = {name: value for name, value in given.items() if isinstance(value, GraphImage)}
         outputs: dict[str, GraphImage] = dict(into or {})
-        axes: Any = kernel.list_axis_lengths(images)  # type: ignore[arg-type]
+        axes = list_axis_lengths(kernel.parameters, images)
         axes |= sizes or {}
         shapes = {each.name: tuple(axes.get(axis, axis) for axis in each.axes) for each in kernel.outputs}
         if not graph.is_on:

@@ -27,7 +27,14 @@ from lobewise.backend.disk import fetch_object
 from lobewise.backend.objects import compile_object
 from lobewise.backend.prebuilt import choose_library, name_symbol
 from lobewise.backend.runtime import Runtime, get_runtime
-from lobewise.backend.signature import Parameter, Signature, check_call, unpack_parameters
+from lobewise.backend.signature import (
+    Parameter,
+    Signature,
+    check_call,
+    list_axis_lengths,
+    list_outputs,
+    unpack_parameters,
+)
 from lobewise.backend.sources import PACKAGE, describe_definitions
 from lobewise.backend.watching import tell_compiling
 from lobewise.work.chunks import make_fork_lock
@@ -68,28 +75,14 @@ class Kernel:
         self._function = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p)(address)
         self.name = name
         self.parameters = tuple(parameters)
+        self.outputs = list_outputs(parameters)
         self._accepted: set[Hashable] = set()
-
-    @property
-    def outputs(self) -> list[Parameter]:
-        """The parameters that are output images."""
-        return [each for each in self.parameters if each.role == "output"]
 
     def list_shapes(self, **sizes: int) -> dict[str, tuple[int, ...]]:
         """Return the shapes of the output images by name; ``sizes`` are the lengths of named axes."""
         return {
             each.name: tuple(sizes[axis] if isinstance(axis, str) else axis for axis in each.axes)
             for each in self.outputs
-        }
-
-    def list_axis_lengths(self, images: Mapping[str, Image]) -> dict[str, int]:
-        """Return the lengths of named axes from the input images by name."""
-        return {
-            axis: length
-            for each in self.parameters
-            if each.role == "input" and each.name in images
-            for axis, length in zip(each.axes, images[each.name].shape, strict=False)
-            if isinstance(axis, str)
         }
 
     def __call__(self, **arguments: Any) -> None:
@@ -203,7 +196,7 @@ def run_kernel(
     DeviceError
         If the device fails or runs out of memory.
     """
-    axes = {**kernel.list_axis_lengths(images), **sizes}
+    axes = {**list_axis_lengths(kernel.parameters, images), **sizes}
     types = {each.name: each.type for each in kernel.outputs}
     shapes = kernel.list_shapes(**axes)
     # Keep every buffer in a local name until the call has returned: Halide holds no reference.

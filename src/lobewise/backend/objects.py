@@ -33,7 +33,7 @@ def compile_object(write: Callable[[str], None]) -> bytes:
         If Halide cannot make its temporary folder.
     """
     try:
-        content = _catch(write)
+        content = catch_file(write)
     except hl.HalideError as problem:
         if "temp directory" not in str(problem):
             raise
@@ -43,7 +43,8 @@ def compile_object(write: Callable[[str], None]) -> bytes:
     return content
 
 
-def _catch(write: Callable[[str], None]) -> bytes:
+def catch_file(write: Callable[[str], None]) -> bytes:
+    """Return the bytes that ``write`` writes to a path."""
     if hasattr(os, "memfd_create"):
         descriptor = os.memfd_create("lobewise-kernel")
         with os.fdopen(descriptor, "rb") as file:

@@ -77,9 +77,7 @@ class Signature:
         """All parameters in the order of the compiled function: outputs come last, whenever they are declared."""
         return [*self._given, *self._written]
 
-    def image(
-        self, name: str, *axes: Axis, type: hl.Type | None = None, strides: Sequence[int | None] | None = None
-    ) -> hl.ImageParam:
+    def image(self, name: str, *axes: Axis, type: hl.Type | None = None) -> hl.ImageParam:
         """Declare an input image and return its Halide parameter, whose axes are in the opposite order.
 
         If the last axis has a fixed number of channels, the channels of a pixel lie together: neighbouring pixels are
@@ -93,21 +91,15 @@ class Signature:
             Axes in NumPy's order; coordinates begin at 0.
         type : halide.Type
             float32 by default; uint8 for masks.
-        strides : sequence of int or None, optional
-            Stride of each axis in NumPy's order, entries; None if any stride is allowed.
         """
-        kind = hl.Float(32) if type is None else type
-        dense = strides is None
-        if strides is None:
-            strides = _compute_strides(axes)
+        kind, strides = hl.Float(32) if type is None else type, _compute_strides(axes)
         param = hl.ImageParam(kind, len(axes), name)
         for place, stride in enumerate(reversed(strides)):
             param.dim(place).set_min(0)
-            if place == 0 and stride is None:
-                param.dim(place).set_stride(hl.Expr())
-            elif stride is not None and (place > 0 or not dense):
+            # Halide itself asks for a stride of 1 along the innermost axis.
+            if place > 0 and stride is not None:
                 param.dim(place).set_stride(stride)
-        self._given.append(Parameter(name, "input", _name_type(kind), tuple(axes), tuple(strides)))
+        self._given.append(Parameter(name, "input", _name_type(kind), axes, strides))
         self.arguments.append(param)
         return param
 
@@ -128,23 +120,36 @@ class Signature:
         self.arguments.append(param)
         return param
 
-    def output(
-        self, name: str, *axes: Axis, type: hl.Type | None = None, strides: Sequence[int | None] | None = None
-    ) -> None:
+    def output(self, name: str, *axes: Axis, type: hl.Type | None = None) -> None:
         """Declare an output image, in the order of the kernel's output functions."""
         kind = _name_type(hl.Float(32) if type is None else type)
-        entries = _compute_strides(axes) if strides is None else strides
-        self._written.append(Parameter(name, "output", kind, tuple(axes), tuple(entries)))
+        self._written.append(Parameter(name, "output", kind, axes, _compute_strides(axes)))
 
 
-def _compute_strides(axes: Sequence[Axis]) -> list[int | None]:
-    """Return the default strides: entries of the last axis are adjacent, and so are pixels if it holds channels."""
+def _compute_strides(axes: Sequence[Axis]) -> tuple[int | None, ...]:
+    """Return the strides: entries of the last axis are adjacent, and so are pixels if it holds channels."""
     strides: list[int | None] = [None] * len(axes)
     if axes:
         strides[-1] = 1
     if len(axes) > 1 and isinstance(axes[-1], int):
         strides[-2] = axes[-1]
-    return strides
+    return tuple(strides)
+
+
+def list_outputs(parameters: Sequence[Parameter]) -> list[Parameter]:
+    """Return the parameters that are output images."""
+    return [each for each in parameters if each.role == "output"]
+
+
+def list_axis_lengths(parameters: Sequence[Parameter], images: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the lengths of named axes by the input images of a call, each by its first image."""
+    lengths: dict[str, Any] = {}
+    for each in parameters:
+        if each.role == "input" and each.name in images:
+            for axis, length in zip(each.axes, images[each.name].shape, strict=False):
+                if isinstance(axis, str):
+                    lengths.setdefault(axis, length)
+    return lengths
 
 
 def _name_type(kind: hl.Type) -> str:

@@ -17,6 +17,7 @@ from lobewise.backend.buffers import Buffer, HostImage, Image, download, lend, m
 from lobewise.backend.devices import count_host_lanes
 from lobewise.backend.jit import Kernel, get_kernel, run_kernel
 from lobewise.backend.pointwise import PointwiseKey, make_pointwise
+from lobewise.backend.signature import list_axis_lengths
 from lobewise.errors import InputError
 from lobewise.records.images import FloatArray
 
@@ -150,7 +151,7 @@ class Here:
     ) -> FloatArray:
         """See `lobewise.engine.planes`."""
         kernel = get_kernel(self.device, key, make, strict=strict)
-        (shape,) = set(kernel.list_shapes(**kernel.list_axis_lengths(images)).values())
+        (shape,) = set(kernel.list_shapes(**list_axis_lengths(kernel.parameters, images)).values())
         # All planes lie in one array, so that the next kernel reads them without a copy.
         memory = make_plane_stack((len(kernel.outputs), *shape))
         planes = [

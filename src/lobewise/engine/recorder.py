@@ -7,8 +7,6 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from functools import partial
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -17,9 +15,9 @@ from numpy.typing import NDArray
 from lobewise.backend.compiler import hl
 from lobewise.backend.disk import fetch_object
 from lobewise.backend.jit import Scheduled, describe_kernel
-from lobewise.backend.objects import compile_object
+from lobewise.backend.objects import catch_file, compile_object
 from lobewise.backend.pointwise import Definition, PointwiseKey, make_pointwise
-from lobewise.backend.signature import Axis, Parameter
+from lobewise.backend.signature import Axis, Parameter, list_axis_lengths, list_outputs
 from lobewise.engine.graph import Graph, GraphImage, Length, write_length
 from lobewise.engine.here import KernelPass
 from lobewise.engine.numbers import Condition, Number, write_number
@@ -58,23 +56,10 @@ class CompiledKernel:
             hl.Pipeline(funcs.out).compile_to_object(path, funcs.signature.arguments, self.symbol, self.target)
 
         if self.target.bits != 64:
-            with TemporaryDirectory() as folder:
-                path = Path(folder) / "kernel.o"
-                write(str(path))
-                return path.read_bytes()
+            return catch_file(write)
         known = self.known and f"exported {self.symbol} {self.known}"
         content, _ = fetch_object(known, lambda: (compile_object(write), {}), symbol=self.symbol)
         return content
-
-    def list_axis_lengths(self, images: Mapping[str, GraphImage]) -> dict[str, Any]:
-        """Return the lengths of named axes by the images of a call."""
-        lengths: dict[str, Any] = {}
-        for parameter in self.parameters:
-            if parameter.role == "input":
-                for axis, length in zip(parameter.axes, images[parameter.name].shape, strict=True):
-                    if isinstance(axis, str):
-                        lengths.setdefault(axis, length)
-        return lengths
 
 
 GRAPHICS = ("CUDA", "Vulkan", "OpenCL", "D3D12Compute", "Metal", "WebGPU")
@@ -173,13 +158,10 @@ class Recorder:
         """
         declared = {parameter.name for parameter in kernel.parameters}
         passed = {name: value for name, value in arguments.items() if name in declared}
-        axes = kernel.list_axis_lengths(
-            {name: value for name, value in passed.items() if isinstance(value, GraphImage)}
-        )
-        axes |= sizes or {}
+        axes = {**list_axis_lengths(kernel.parameters, passed), **(sizes or {})}
         outputs: dict[str, GraphImage] = dict(into or {})
-        for parameter in kernel.parameters:
-            if parameter.role == "output" and parameter.name not in outputs:
+        for parameter in list_outputs(kernel.parameters):
+            if parameter.name not in outputs:
                 shape = [axes.get(axis, axis) if isinstance(axis, str) else axis for axis in parameter.axes]
                 name = (names or {}).get(parameter.name, f"{kernel.name.replace(' ', '_')}_{parameter.name}")
                 outputs[parameter.name] = self.graph.make(name, *shape, type=parameter.type)
@@ -222,7 +204,7 @@ class Recorder:
         output_names = {f"out{number}": name for number, name in enumerate(names)}
         written = {f"out{number}": image for number, image in enumerate(into) if image is not None}
         outputs = self.call(kernel, {**held, **named}, names=output_names, into=written, text=text or describe(define))
-        results = tuple(outputs[each.name] for each in kernel.parameters if each.role == "output")
+        results = tuple(outputs[each.name] for each in list_outputs(kernel.parameters))
         if not changes:
             self.computed[same] = results
         return results
@@ -274,10 +256,7 @@ class Recorder:
     ) -> Any:
         """See `lobewise.engine.planes`."""
         kernel, arguments = self.get(key, make, strict=strict), {**images, **numbers}
-        outputs = [each for each in kernel.parameters if each.role == "output"]
-        axes = kernel.list_axis_lengths(
-            {each: image for each, image in arguments.items() if isinstance(image, GraphImage)}
-        )
+        outputs, axes = list_outputs(kernel.parameters), list_axis_lengths(kernel.parameters, arguments)
         size = [axes.get(axis, axis) if isinstance(axis, str) else axis for axis in outputs[0].axes]
         if keep:
             self.declare(keep, len(outputs), *size)
@@ -385,7 +364,7 @@ class Recorder:
     ) -> GraphImage:
         """See `lobewise.engine.chain`."""
         kernel, size = self.host.get(key, make), ("height", "width")
-        (out,) = (each for each in kernel.parameters if each.role == "output")
+        (out,) = list_outputs(kernel.parameters)
         held = {each: self.graph.hold(f"{out.name}_{each}", array) for each, array in arrays.items()}
         between = self.graph.make(name, "band", size[1], channels)
         result = self.graph.make(out.name, *size, *out.axes[2:], type=out.type)

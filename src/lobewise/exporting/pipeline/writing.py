@@ -10,6 +10,7 @@ from pathlib import Path
 
 import lobewise
 from lobewise.backend.compiler import hl
+from lobewise.backend.objects import catch_file
 from lobewise.exporting.folder import MARK, fill_template, open_folder, require_folder
 from lobewise.exporting.names import require_identifier
 from lobewise.exporting.pipeline.contents import describe_contents, write_readme
@@ -104,12 +105,7 @@ def compile_kernels(pipeline: Pipeline, target: str) -> list[tuple[str, bytes]]:
 
 def compile_runtime(target: str) -> bytes:
     """Return Halide's runtime for a target as an object file: threads, memory, errors."""
-    from tempfile import TemporaryDirectory
-
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "runtime.o"
-        hl.compile_standalone_runtime(str(path), parse_target(target))
-        return path.read_bytes()
+    return catch_file(lambda path: hl.compile_standalone_runtime(path, parse_target(target)))
 
 
 def write_texts(pipeline: Pipeline) -> dict[str, str]:
