@@ -13,7 +13,7 @@ from lobewise.fitting.ggx import ggx_brdf
 from lobewise.fitting.nodes import make_nodes
 from lobewise.fitting.table import evaluate_lobes, evaluate_table
 from lobewise.lobes.albedo import ggx_directional_albedo
-from lobewise.lobes.mixture import GGX_MIXTURES
+from lobewise.lobes.gaussian import GGX_MIXTURES
 from tests.fitting.merl_tables import make_merl
 from tests.lobes.oracles.brdf import beckmann_brdf, lambert_brdf, oren_nayar_brdf
 from tests.lobes.oracles.sg import sg_integral

@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 from scipy.special import exp1
 
 from lobewise.fitting import ggx
-from lobewise.lobes.mixture import GGX_MIXTURES, MIN_SHARPNESS
+from lobewise.lobes.gaussian import GGX_MIXTURES, MIN_SHARPNESS
 
 from .oracles import mixture, sg
 from .quadrature import directions, draw_pairs, measure_similarity, normalize, rms, sphere_grid

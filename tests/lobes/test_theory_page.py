@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 PAGE = (Path(__file__).parents[2] / "docs" / "developers" / "theory.md").read_text()
-LOBES = ["albedo", "clusters", "covariance", "directions", "gaussian", "hits", "mixture", "roughness"]
+LOBES = ["albedo", "clusters", "covariance", "directions", "gaussian", "hits", "roughness"]
 ORACLES = ["asg", "brdf", "hits", "mixture", "sg", "tangent"]
 
 

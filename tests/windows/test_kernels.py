@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from lobewise.filters.windows.edges import mark_edges
-from lobewise.filters.windows.following import follow_back, follow_on
-from lobewise.filters.windows.sampling import sample_cubic
+from lobewise.filters.windows.following import follow_back, follow_on, sample_cubic
 from lobewise.filters.windows.weighing import compare_pilots, estimate_relative_bias, estimate_variance
 from lobewise.guides.places import estimate_curvature, make_grid
 from lobewise.guides.screen_hits import estimate_screen_hits

@@ -134,6 +134,12 @@ def is_finite(value: hl.Expr) -> hl.Expr:
     return (hl.reinterpret(hl.UInt(32), value) & hl.u32(0x7F800000)) != hl.u32(0x7F800000)
 
 
+def select_bits(condition: hl.Expr, first: hl.Expr, second: hl.Expr) -> hl.Expr:
+    """Return one of two float32 that may be NaN."""
+    bits = [hl.reinterpret(hl.UInt(32), value) for value in (first, second)]
+    return hl.reinterpret(hl.Float(32), hl.select(condition, *bits))
+
+
 def select_or_nan(condition: hl.Expr, value: hl.Expr) -> hl.Expr:
     """Return a float32 where ``condition`` holds, else NaN, in a form that float optimisations do not remove."""
     bits = hl.select(condition, hl.reinterpret(hl.UInt(32), value), hl.u32(0x7FC00000))

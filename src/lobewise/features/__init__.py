@@ -8,8 +8,7 @@ from lobewise.features.position import PlaneFeature, PositionFeature
 from lobewise.features.ray import RayFeature
 from lobewise.features.screen import BandLimitFeature, ScreenFeature, TentFeature
 from lobewise.features.seen import HitDistanceFeature, SeenFeature
-from lobewise.features.sg import SgFeature
-from lobewise.features.sg_mixture import SgMixtureFeature
+from lobewise.features.sg import SgFeature, SgMixtureFeature
 
 __all__ = [
     "AsgFeature",

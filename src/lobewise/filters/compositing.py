@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lobewise import engine
 from lobewise.backend import expressions
 from lobewise.backend.compiler import hl
-from lobewise.backend.pointwise import Grid, Vector, give_channels, select_or_nan
+from lobewise.backend.pointwise import Grid, Vector, give_channels, select_bits, select_or_nan
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS
 from lobewise.records.frame import FloatArray
 
@@ -186,8 +186,6 @@ def define_composite(grid: Grid) -> list[Vector]:
         known = area > zero
     tints = read_albedo(grid.x, grid.y) if grid.has("albedo") else [hl.f32(1.0)] * COLORS
     raw = grid.read("radiance")
-    good = ~(expressions.is_bad(raw[0]) | expressions.is_bad(raw[1]) | expressions.is_bad(raw[2]))
-    # Select bits, because the kept radiance may be NaN.
-    raw_bits = [hl.reinterpret(hl.UInt(32), select_or_nan(good, value)) for value in raw]
-    mixed_bits = [hl.reinterpret(hl.UInt(32), value * tint) for value, tint in zip(light, tints, strict=True)]
-    return [[hl.reinterpret(hl.Float(32), hl.select(known, a, b)) for a, b in zip(mixed_bits, raw_bits, strict=True)]]
+    good = expressions.is_good(raw)
+    mixed = zip(light, tints, raw, strict=True)
+    return [[select_bits(known, value * tint, select_or_nan(good, kept)) for value, tint, kept in mixed]]

@@ -87,11 +87,6 @@ class PassKey:
         """Number of channels of the sums."""
         return self.own_channels + self.other_count * (COLORS + 1)
 
-    @property
-    def reads_albedo(self) -> bool:
-        """Whether the pass reads an albedo."""
-        return self.modulate or self.reads is Reads.DEMODULATED
-
 
 def chain_passes(whole: PassKey, taps: Sequence[Taps], *, mirror: bool) -> list[PassKey]:
     """Return the keys of passes over ``taps`` that pass on sums and together compute ``whole``.
@@ -164,7 +159,7 @@ def declare_pass(signature: Signature, key: PassKey, features: Sequence[Feature]
     axes = ("height", key.channels, "width") if key.reads is Reads.SUMS else (*size, COLORS)
     inputs = PassInputs(
         source=signature.image("source", *axes),
-        albedo=signature.image("albedo", *size, COLORS) if key.reads_albedo else None,
+        albedo=signature.image("albedo", *size, COLORS) if key.modulate or key.reads is Reads.DEMODULATED else None,
         mask=signature.image("mask", *size, type=hl.UInt(8)),
         arrays=declare_features(signature, "tap", features, *size),
         radius=signature.count("radius", most=LARGEST_RADIUS),

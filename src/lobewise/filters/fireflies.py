@@ -22,7 +22,7 @@ from lobewise.backend.buffers import Image, download, returns_host_images, take_
 from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import is_good
 from lobewise.backend.jit import Scheduled
-from lobewise.backend.pointwise import LARGEST_FLOAT, Grid, Vector, select_or_nan
+from lobewise.backend.pointwise import LARGEST_FLOAT, Grid, Vector, select_bits, select_or_nan
 from lobewise.backend.signature import Signature
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, compute_expression_luminance, demodulate
 from lobewise.filters.planes import C, X, Y
@@ -364,8 +364,6 @@ def _define_bounded(halves: Sequence[hl.ImageParam], factor: hl.Func) -> hl.Func
     colours = []
     for number, half in enumerate(halves):
         value, scale = half[C, X, Y], factor[X, Y][number]
-        unscaled = hl.reinterpret(hl.UInt(32), value)
-        scaled = hl.reinterpret(hl.UInt(32), value * scale)
-        colours.append(hl.reinterpret(hl.Float(32), hl.select(scale < hl.f32(1.0), scaled, unscaled)))
+        colours.append(select_bits(scale < hl.f32(1.0), value * scale, value))
     out[C, X, Y] = hl.Tuple(colours)
     return out

@@ -8,7 +8,7 @@ from operator import and_, or_
 
 from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import is_good
-from lobewise.backend.pointwise import LARGEST_FLOAT, Grid, Vector, is_finite, select_or_nan
+from lobewise.backend.pointwise import LARGEST_FLOAT, Grid, Vector, is_finite, select_bits, select_or_nan
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS
 
 
@@ -55,12 +55,6 @@ def define_rest(grid: Grid) -> list[Vector]:
     return [read_rest(grid)]
 
 
-def select_bits(condition: hl.Expr, first: hl.Expr, second: hl.Expr) -> hl.Expr:
-    """Return one of two float32 that may be NaN."""
-    bits = [hl.reinterpret(hl.UInt(32), value) for value in (first, second)]
-    return hl.reinterpret(hl.Float(32), hl.select(condition, *bits))
-
-
 def define_filtered_sum(grid: Grid, count: int) -> list[Vector]:
     """Return the sum of filtered layers and of the light in none of them, its holes, its support, and its parts.
 
@@ -68,12 +62,12 @@ def define_filtered_sum(grid: Grid, count: int) -> list[Vector]:
     are several layers, or light beside one.
     """
     parts = [keep_unfiltered(grid, number) for number in range(count)]
-    total: Vector = reduce(_add_colors, parts)
+    total: Vector = reduce(add_colors, parts)
     if grid.has("exact"):
         exact = grid.read("exact")
-        total = _add_colors(total, [hl.select(is_good(exact), value, hl.f32(0.0)) for value in exact])
+        total = add_colors(total, [hl.select(is_good(exact), value, hl.f32(0.0)) for value in exact])
     elif grid.has("color"):
-        total = _add_colors(total, read_rest(grid))
+        total = add_colors(total, read_rest(grid))
     weights = [grid.read_one(f"weight{number}") for number in range(count)]
     untouched = reduce(and_, (weight <= hl.f32(0.0) for weight in weights))
     outputs = [total, [hl.u8(~is_good(total) | ((grid.read_one("bad") != 0) & untouched))]]
@@ -92,7 +86,8 @@ def keep_unfiltered(grid: Grid, number: int) -> Vector:
     return [select_bits(lost, select_or_nan(good, raw), value) for raw, value in pairs]
 
 
-def _add_colors(first: Vector, second: Vector) -> Vector:
+def add_colors(first: Vector, second: Vector) -> list[hl.Expr]:
+    """Return the sum of two colours."""
     return [a + b for a, b in zip(first, second, strict=True)]
 
 
@@ -162,7 +157,7 @@ def define_tinted(grid: Grid, most: float) -> list[Vector]:
             tinted.append(value * hl.select(known, hl.min(ratio, hl.f32(most)), hl.f32(1.0)))
         parts.append(tinted)
         total = [value - untinted for value, untinted in zip(total, old, strict=True)]
-    return [reduce(_add_colors, [total, *parts]), *parts]
+    return [reduce(add_colors, [total, *parts]), *parts]
 
 
 def define_good(grid: Grid) -> list[Vector]:
@@ -175,7 +170,7 @@ def define_good(grid: Grid) -> list[Vector]:
 def define_whole_albedo(grid: Grid, least: float) -> list[Vector]:
     """Return the albedo of all light; see `compute_whole_albedo`."""
     known: Sequence[Vector] = [grid.read(name) for name in grid.images]
-    albedo = known[0] if len(known) == 1 else [a + b for a, b in zip(*known, strict=True)]
+    albedo = reduce(add_colors, known)
     bound = hl.f32(least)
     # NumPy's maximum of channels is NaN where one is, and then counts as black.
     finite = reduce(and_, (~_is_nan(value) for value in albedo))
@@ -197,7 +192,7 @@ def define_joined_halves(grid: Grid) -> list[Vector]:
     """Return the mean of both halves and the light of highlights; see `join_halves`."""
     (mean,) = define_mean(grid)
     if grid.has("kept"):
-        mean = [value + highlight for value, highlight in zip(mean, grid.read("kept"), strict=True)]
+        mean = add_colors(mean, grid.read("kept"))
     return [mean]
 
 
@@ -206,7 +201,7 @@ def define_joined_colours(grid: Grid) -> list[Vector]:
     pairs = zip(grid.read("a"), grid.read("b"), strict=True)
     joined = [select_bits(_is_nan(even), odd, even) for even, odd in pairs]
     if grid.has("kept"):
-        joined = [value + highlight for value, highlight in zip(joined, grid.read("kept"), strict=True)]
+        joined = add_colors(joined, grid.read("kept"))
     return [joined]
 
 
@@ -247,10 +242,9 @@ def define_with_highlights(grid: Grid) -> list[Vector]:
 def define_composed(grid: Grid) -> list[Vector]:
     """Return the sum of the parts ``part0`` and so on and of ``rest``; see `compose`."""
     parts = read_parts(grid, "part")
-    total = parts[0]
-    for part in (*parts[1:], *([grid.read("rest")] if grid.has("rest") else [])):
-        total = [value + light for value, light in zip(total, part, strict=True)]
-    return [total]
+    if grid.has("rest"):
+        parts.append(grid.read("rest"))
+    return [reduce(add_colors, parts)]
 
 
 def define_checked(grid: Grid) -> list[Vector]:

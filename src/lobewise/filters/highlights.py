@@ -23,7 +23,7 @@ from lobewise import engine
 from lobewise.backend.buffers import Image, returns_host_images
 from lobewise.backend.compiler import hl
 from lobewise.backend.jit import Scheduled
-from lobewise.backend.pointwise import LARGEST_FLOAT
+from lobewise.backend.pointwise import LARGEST_FLOAT, select_bits
 from lobewise.backend.signature import Signature
 from lobewise.filters.fireflies import declare_halves, define_both, define_light, read_light, take_halves
 from lobewise.filters.planes import C, X, Y
@@ -258,8 +258,7 @@ def _define_split(halves: Sequence[hl.ImageParam], light: hl.Func, share: hl.Fun
     rests: list[hl.Expr] = []
     for image, known in zip(halves, counts, strict=True):
         value = image[C, X, Y]
-        bits = [hl.reinterpret(hl.UInt(32), each) for each in (value, value * (hl.f32(1.0) - part))]
-        rests.append(hl.reinterpret(hl.Float(32), hl.select(known & (part > zero), bits[1], bits[0])))
+        rests.append(select_bits(known & (part > zero), value * (hl.f32(1.0) - part), value))
     first, second = (hl.select(known, image[C, X, Y], zero) for image, known in zip(halves, counts, strict=True))
     mean = hl.select(counts[0] & counts[1], half * first + half * second, first + second)
     out[C, X, Y] = hl.Tuple([*rests, hl.select(part > zero, mean * part, zero)])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lobewise import engine
 from lobewise.backend import expressions
-from lobewise.backend.buffers import Image, device_scope, download, returns_host_images, take_image, take_mask
+from lobewise.backend.buffers import Image, device_scope, download, returns_host_images, take_image
 from lobewise.backend.compiler import hl
 from lobewise.backend.jit import Scheduled
 from lobewise.backend.pointwise import LARGEST_FLOAT
@@ -18,6 +18,7 @@ from lobewise.backend.signature import Signature
 from lobewise.engine.numbers import choose_larger
 from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS, compute_expression_luminance, demodulate
 from lobewise.filters.dual_buffer import GUIDE_CHANNELS
+from lobewise.filters.fireflies import take_halves
 from lobewise.filters.planes import C, X, Y
 from lobewise.filters.scheduling import COLUMNS, ROWS, STRIP, count_lanes, keep_planes, keep_rows, schedule_stencil
 from lobewise.records.frame import FloatArray
@@ -134,11 +135,7 @@ def measure_light(
 
 def add_light(halves: tuple[Image, Image], albedo: FloatArray | None, mask: NDArray[np.bool_]) -> Image:
     """Return for every row in parts the sum of luminance over albedo, (height, parts); see `measure_light`."""
-    shape, tinted = (*mask.shape, COLORS), albedo is not None
-    images: dict[str, Image] = {name: take_image("half", half, shape) for name, half in zip("ab", halves, strict=True)}
-    if albedo is not None:
-        images["albedo"] = take_image("albedo", albedo, shape)
-    images["mask"] = take_mask(mask)
+    images, tinted = take_halves(halves, albedo, mask), albedo is not None
     make = partial(make_light_sums, tinted)
     sums: Image = engine.kernel(("light sums", tinted), make, images, text="light of every row")["sums"]
     return sums

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from lobewise.fitting.arrays import Array
-from lobewise.lobes.mixture import GGX_MIXTURES
+from lobewise.lobes.gaussian import GGX_MIXTURES
 
 # Range of the logarithm of sharpness. Flatter lobes all look alike, and closed forms for their products fail.
 _LOG_SHARPNESS_RANGE = (math.log(0.5), math.log(1e7))

@@ -22,8 +22,13 @@ from lobewise.fitting.arrays import normalize
 from lobewise.fitting.table import evaluate_table
 from lobewise.guides.lobe_fields import LAMBERT_LOBE, NO_LOBE, check_lobe_guides, collect_guides, compute_lobe
 from lobewise.guides.surfaces import mark_surface_pixels
-from lobewise.lobes.gaussian import LAMBERT_SIMILARITY_SHARPNESS, integrate_gaussian
-from lobewise.lobes.mixture import LAMBERT_AMPLITUDE, LAMBERT_SHARPNESS, spread_ggx_mixture
+from lobewise.lobes.gaussian import (
+    LAMBERT_AMPLITUDE,
+    LAMBERT_SHARPNESS,
+    LAMBERT_SIMILARITY_SHARPNESS,
+    integrate_gaussian,
+    spread_ggx_mixture,
+)
 from lobewise.lobes.vectors import compute_luminance, dot, scale
 from lobewise.records.camera import Camera
 from lobewise.records.frame import FloatArray, GBuffer, LobeKind
@@ -65,7 +70,7 @@ def make_mixture_field(
 ) -> MixtureField:
     """Return the lobes of every pixel.
 
-    A GGX surface has ``lobes`` lobes about its mirror direction (`lobewise.lobes.mixture.GGX_MIXTURES`). A Beckmann
+    A GGX surface has ``lobes`` lobes about its mirror direction (`lobewise.lobes.gaussian.GGX_MIXTURES`). A Beckmann
     surface and a mirror have one lobe. A material with a lobe table has the lobes of the table. The lobes integrate to
     the specular albedo if the G-buffer has it, and otherwise to 1.
 

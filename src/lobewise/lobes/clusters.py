@@ -4,7 +4,7 @@ Source: Tokuyoshi 2015, "Virtual Spherical Gaussian Lights for Real-Time Glossy 
 the lights are a Gaussian of variance ``sigma^2``, so that a surface at the distance r sees a spherical Gaussian of
 sharpness ``r^2 / sigma^2``; the radiant intensity of all lights is one spherical Gaussian for the diffuse and one for
 the glossy part. Departs: the places have a covariance, because clusters are flat, and the lobe that receives is a sum
-of planar Gaussians, `lobewise.lobes.mixture`, about the axis of `lobewise.lobes.covariance`.
+of planar Gaussians, `lobewise.lobes.gaussian`, about the axis of `lobewise.lobes.covariance`.
 """
 
 from __future__ import annotations
@@ -12,8 +12,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from lobewise.lobes.gaussian import compute_share_on_sphere, integrate_gaussian
-from lobewise.lobes.mixture import GGX_MIXTURES
+from lobewise.lobes.gaussian import GGX_MIXTURES, compute_share_on_sphere, integrate_gaussian
 from lobewise.lobes.numbers import Namespace
 from lobewise.lobes.vectors import Vector, combine, dot
 
@@ -153,10 +152,8 @@ def evaluate_lobe(xp: Namespace, offset: tuple[Any, Any], lobe: Vector, light: V
     for number, (exponent, weight) in enumerate(zip(exponents, weights, strict=True)):
         narrower = xp.where(beckmann, 1.0, xp.number(1.0 / exponent))
         share = xp.where(beckmann, 1.0 if number == 0 else 0.0, xp.number(weight / exponent / total))
-        xx, xy, yy = (narrower * part + more for part, more in zip(lobe, light, strict=True))
-        determinant = _compute_determinant(xp, xx, xy, yy)
-        x, y = offset
-        square = (x * x * yy - 2.0 * (x * y) * xy + y * y * xx) / determinant
+        covariance = [narrower * part + more for part, more in zip(lobe, light, strict=True)]
+        square, determinant = _measure_offset(xp, offset, covariance)
         value = value + share * _exp(xp, -0.5 * square) / (xp.number(2.0 * math.pi) * xp.sqrt(determinant))
     return value
 
@@ -166,17 +163,20 @@ def bound_lobe(xp: Namespace, offset: tuple[Any, Any], lobe: Vector, variance: A
 
     It estimates `evaluate_lobe` for clusters of any shape of this variance, and never vanishes.
     """
-    xx, xy, yy = lobe[0] + variance, lobe[1], lobe[2] + variance
-    determinant = _compute_determinant(xp, xx, xy, yy)
-    x, y = offset
-    square = (x * x * yy - 2.0 * (x * y) * xy + y * y * xx) / determinant
+    square, determinant = _measure_offset(xp, offset, (lobe[0] + variance, lobe[1], lobe[2] + variance))
     tail = 1.0 + 0.5 * square
     return 1.0 / (xp.number(2.0 * math.pi) * xp.sqrt(determinant) * (tail * tail))
 
 
-def _compute_determinant(xp: Namespace, xx: Any, xy: Any, yy: Any) -> Any:
-    """Return a determinant that rounding leaves above 0 if both principal variances are at least `MIN_VARIANCE`."""
-    return xp.maximum(xx * yy - xy * xy, xp.number(0.5 * MIN_VARIANCE) * (xx + yy))
+def _measure_offset(xp: Namespace, offset: tuple[Any, Any], covariance: Vector) -> tuple[Any, Any]:
+    """Return the squared length of an offset in standard deviations, and the determinant of the covariance.
+
+    Rounding leaves the determinant above 0 if both principal variances are at least `MIN_VARIANCE`.
+    """
+    x, y = offset
+    xx, xy, yy = covariance
+    determinant = xp.maximum(xx * yy - xy * xy, xp.number(0.5 * MIN_VARIANCE) * (xx + yy))
+    return (x * x * yy - 2.0 * (x * y) * xy + y * y * xx) / determinant, determinant
 
 
 def _exp(xp: Namespace, value: Any) -> Any:

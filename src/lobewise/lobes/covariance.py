@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from lobewise.lobes.mixture import GGX_MIXTURES
+from lobewise.lobes.gaussian import GGX_MIXTURES
 from lobewise.lobes.numbers import Namespace
 from lobewise.lobes.vectors import Vector, combine, cross, dot, scale
 

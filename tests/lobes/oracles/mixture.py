@@ -12,9 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lobewise.lobes.gaussian import MIN_WARP_COSINE
-from lobewise.lobes.mixture import LAMBERT_AMPLITUDE, LAMBERT_SHARPNESS
-from lobewise.lobes.mixture import spread_ggx_mixture as spread
+from lobewise.lobes.gaussian import LAMBERT_AMPLITUDE, LAMBERT_SHARPNESS, MIN_WARP_COSINE
+from lobewise.lobes.gaussian import spread_ggx_mixture as spread
 from lobewise.lobes.numbers import NUMPY, NUMPY_SINGLE
 
 from .sg import sg_approx_product_integral
@@ -72,7 +71,7 @@ def mixture_approx_similarity(mixture_i: SgMixture, mixture_j: SgMixture, beta: 
 def spread_ggx_mixture(
     area: ArrayLike, alpha_square: ArrayLike, albedo: ArrayLike, *, lobes: int, noise: float
 ) -> tuple[Array, Array]:
-    """Return `lobewise.lobes.mixture.spread_ggx_mixture` as two arrays (..., ``lobes``)."""
+    """Return `lobewise.lobes.gaussian.spread_ggx_mixture` as two arrays (..., ``lobes``)."""
     area, square, albedo = as_reals(area, alpha_square, albedo)
     numbers = NUMPY_SINGLE if square.dtype == np.float32 else NUMPY
     found = spread(numbers, area, square, albedo, lobes=lobes, noise=noise)

@@ -14,12 +14,12 @@ from lobewise.features import ggx, normal
 from lobewise.filters import cross_pass, forms
 from lobewise.filters.history import accumulation, accumulation_pass, reprojection_pass
 from lobewise.guides import places, surfaces
-from lobewise.lobes import covariance, directions, gaussian, mixture, vectors
+from lobewise.lobes import covariance, directions, gaussian, vectors
 from lobewise.recipes.temporal import validation
 
 _SHARED = (
     *(layers, ggx, cross_pass, accumulation, accumulation_pass, reprojection_pass, places, surfaces),
-    *(covariance, directions, gaussian, mixture, validation),
+    *(covariance, directions, gaussian, validation),
 )
 """The modules whose numbers the texts may name."""
 _NAME = re.compile(r"\b(?:lobewise_|LOBEWISE_|Lobewise)\w+")
@@ -50,7 +50,7 @@ def list_constants() -> Mapping[str, str]:
     named = [each for module in _SHARED for each in vars(module).items() if isinstance(each[1], (int, float))]
     numbers = dict(named)
     assert all(numbers[name] == value for name, value in named), "a name stands for two numbers"
-    exponents, weights = mixture.GGX_MIXTURES[3]
+    exponents, weights = gaussian.GGX_MIXTURES[3]
     return {
         **{name: str(value) if isinstance(value, int) else write_number(value) for name, value in numbers.items()},
         "MIXTURE_EXPONENTS": write_vector(exponents),

@@ -9,19 +9,15 @@ from operator import and_, or_
 
 from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import is_good
-from lobewise.backend.pointwise import Grid, Vector, is_finite
-from lobewise.filters.glue import read_parts, select_bits
-from lobewise.lobes.vectors import LUMINANCE
+from lobewise.backend.pointwise import Grid, Vector, is_finite, select_bits
+from lobewise.filters.cross_pass import compute_expression_luminance
+from lobewise.filters.glue import add_colors, read_parts
 
 
 def _sum_good(parts: list[Vector]) -> Vector:
     """Return the sum of colours, finite and >= 0; bad ones count as black."""
-    total = reduce(_add, map(_blacken, parts))
+    total = reduce(add_colors, map(_blacken, parts))
     return [hl.max(value, hl.f32(0.0)) for value in _blacken(total)]
-
-
-def _add(first: Vector, second: Vector) -> Vector:
-    return [a + b for a, b in zip(first, second, strict=True)]
 
 
 def _blacken(colour: Vector) -> Vector:
@@ -29,12 +25,8 @@ def _blacken(colour: Vector) -> Vector:
     return [hl.select(good, value, hl.f32(0.0)) for value in colour]
 
 
-def _keep_finite(value: hl.Expr) -> hl.Expr:
-    return hl.select(is_finite(value), value, hl.f32(0.0))
-
-
 def _read_finite(grid: Grid, name: str) -> Vector:
-    return [_keep_finite(value) for value in grid.read(name)]
+    return [hl.select(is_finite(value), value, hl.f32(0.0)) for value in grid.read(name)]
 
 
 def define_inputs(grid: Grid, least: float) -> list[Vector]:
@@ -50,13 +42,13 @@ def define_inputs(grid: Grid, least: float) -> list[Vector]:
         seen = grid.read_one("small") == 0
         others = [hl.select(seen, value, zero) for value in grid.read("rest")]
         noisy, parts = [*noisy, others], [*parts, others]
-    filtered, samples = _sum_good(parts), reduce(_add, noisy)
+    filtered, samples = _sum_good(parts), reduce(add_colors, noisy)
     good = is_good(samples)
     pairs = zip(samples, filtered, strict=True)
     planes: list[Vector] = [[hl.select(good, hl.max(value, zero), other) for value, other in pairs], filtered]
     albedos = [_read_finite(grid, name) for name in ("diffuse", "specular") if grid.has(name)]
     if albedos:
-        planes.append([hl.clamp(value, zero, hl.f32(1.0)) for value in reduce(_add, albedos)])
+        planes.append([hl.clamp(value, zero, hl.f32(1.0)) for value in reduce(add_colors, albedos)])
     if grid.has("normal"):
         planes.append(_read_finite(grid, "normal"))
     if grid.has("depth"):
@@ -65,17 +57,12 @@ def define_inputs(grid: Grid, least: float) -> list[Vector]:
     if widths:
         planes.append(widths if len(widths) == 1 else [hl.sqrt(hl.max(widths[0] * widths[1], zero))])
     if len(albedos) == 2:
-        first, second = (_compute_luminance([hl.max(value, zero) for value in albedo]) for albedo in albedos)
+        first, second = (compute_expression_luminance([hl.max(value, zero) for value in albedo]) for albedo in albedos)
         planes.append([second / hl.max(first + second, hl.f32(least))])
     if grid.has("half_a", "half_b"):
         pairs = zip(grid.read("half_a"), grid.read("half_b"), strict=True)
         planes.append(_blacken([hl.abs(hl.f32(0.5) * (a - b)) for a, b in pairs]))
     return planes
-
-
-def _compute_luminance(colour: Vector) -> hl.Expr:
-    red, green, blue = (hl.f32(weight) * value for weight, value in zip(LUMINANCE, colour, strict=True))
-    return red + green + blue
 
 
 def define_known_lobes(grid: Grid, least: float) -> list[Vector]:

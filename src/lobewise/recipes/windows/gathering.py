@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lobewise.filters.history.reprojection import reproject_images
-from lobewise.filters.windows.sampling import sample_cubic
+from lobewise.filters.windows.following import sample_cubic
 from lobewise.guides.places import make_grid
 from lobewise.recipes.windows.layers import LayerImages
 from lobewise.recipes.windows.places import compute_reflections
