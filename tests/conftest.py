@@ -1,7 +1,5 @@
 """Fixtures that several rooms' tests use: seeded random numbers, a frame with every image, real EXR files."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from functools import partial

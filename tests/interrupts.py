@@ -1,7 +1,5 @@
 """Children of tests that Ctrl-C reaches."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from typing import Any

@@ -1,7 +1,5 @@
 """Interpreters that run programs of tests: this one, and those of programs that bring their own Python."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """docs/developers/architecture.md is true: it names every room, and the files that each recipe goes through."""
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Callable

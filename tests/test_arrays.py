@@ -1,7 +1,5 @@
 """Arrays of any library go in, and come out as what they were."""
 
-from __future__ import annotations
-
 import importlib
 import pickle
 import sys

@@ -1,7 +1,5 @@
 """Work in pieces is the work of the whole."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The documentation is true: its code runs, its commands exist, its figures come from the committed JSON files."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

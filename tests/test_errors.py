@@ -1,7 +1,5 @@
 """What messages say: a suggestion only where one is near, numbers as people write them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

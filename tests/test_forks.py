@@ -1,7 +1,5 @@
 """Processes that were forked or started anew, and threads, read and filter after their parent did, to the same bits."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

@@ -1,7 +1,5 @@
 """Cameras against projection by hand; frames and their checks."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

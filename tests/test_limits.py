@@ -1,7 +1,5 @@
 """Limits of memory and time: what would take more is refused in a sentence, and what fits has the same bits."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Open Image Denoise is given the guides that were asked for, as they came or through its own filter."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

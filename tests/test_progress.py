@@ -1,7 +1,5 @@
 """How far a call is: shares that never fall, the clock between steps, time left, and cancelling."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from typing import Any

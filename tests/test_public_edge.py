@@ -1,7 +1,5 @@
 """Public functions answer arguments of a wrong shape or type with a sentence, never with an error from inside."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable, Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Settings are declared once: what derives from the declarations has exactly their fields, types and words."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

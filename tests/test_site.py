@@ -1,7 +1,5 @@
 """The site builds without a warning and stands alone, its reference is whole, its notebooks run."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import re

@@ -1,7 +1,5 @@
 """The package and the program's help appear at once: nothing heavy is imported before it is needed."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import json

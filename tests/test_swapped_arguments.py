@@ -4,8 +4,6 @@ So a mistake at a call cannot pass unseen: that what comes out is right is held 
 filter.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import combinations

@@ -1,7 +1,5 @@
 """No bit of a result depends on threads: those of a kernel, and those that call the library at the same time."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Fixtures of the package's tests that those of the benchmarks use as well, and PyTorch."""
 
-from __future__ import annotations
-
 import importlib
 import os
 from typing import Any

@@ -1,7 +1,5 @@
 """The times that a printed plan foretells are those that were measured."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

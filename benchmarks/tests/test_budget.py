@@ -1,7 +1,5 @@
 """The budget of processor time: what counts as kernels, and what counts as slower."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

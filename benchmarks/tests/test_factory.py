@@ -1,7 +1,5 @@
 """The factory of random shots of Blender: its kinds and plans, and shots that follow from their seeds alone."""
 
-from __future__ import annotations
-
 import ast
 import json
 from importlib import import_module

@@ -1,7 +1,5 @@
 """Frames of other renderers: errors without the reference's noise, passes of files, live renders."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Targets of a killed run are whole, and the next run leaves nothing over."""
 
-from __future__ import annotations
-
 import pytest
 
 from benchmarks.robustness.kills import WAYS, run_kills

@@ -1,7 +1,5 @@
 """The list of faults fits the tree: a fault that no longer applies proves nothing of the tests."""
 
-from __future__ import annotations
-
 import ast
 
 from benchmarks.common import ROOT

@@ -1,7 +1,5 @@
 """The bench of quality: which pixel is of which class, references in pieces, means of ratios, goals, and its page."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from importlib import import_module

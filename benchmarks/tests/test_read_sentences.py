@@ -1,7 +1,5 @@
 """The sentences that are drawn are those of comments, docstrings and prose, with the right line."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from benchmarks.read_sentences import draw_sentences, list_code_sentences, list_page_sentences

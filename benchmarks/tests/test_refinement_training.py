@@ -1,7 +1,5 @@
 """benchmarks/training/refinement*.py: the trainer's network is the package's, steps go on, frames are as users have."""
 
-from __future__ import annotations
-
 import importlib
 import json
 from pathlib import Path

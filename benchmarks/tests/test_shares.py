@@ -1,7 +1,5 @@
 """The networks that mix images take what is nearer to the truth, and what they learn from is what it says."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The benchmark of whole processes gives both programs the same pixels, and its page says what it found."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from types import ModuleType

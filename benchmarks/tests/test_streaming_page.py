@@ -1,7 +1,5 @@
 """The pages on bands: their code runs, the goal was met, their numbers of rows are true."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

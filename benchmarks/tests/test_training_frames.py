@@ -1,7 +1,5 @@
 """benchmarks/training/frames.py and rendering.py: stored values, scenes kept aside, exposure."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

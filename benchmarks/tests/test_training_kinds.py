@@ -1,7 +1,5 @@
 """benchmarks/training/kinds.py and refinement_frames.py: every kind builds, a seed gives the same scene and files."""
 
-from __future__ import annotations
-
 import importlib
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """benchmarks/training/materials.py and settings.py: what patterns and materials promise, and where objects stand."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Iterator
 from typing import Any

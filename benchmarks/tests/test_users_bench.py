@@ -1,7 +1,5 @@
 """The bench of the frames that users have: scenes made ready, guide sets, cells, promises and the page."""
 
-from __future__ import annotations
-
 import subprocess
 import xml.etree.ElementTree as ET
 from importlib import import_module

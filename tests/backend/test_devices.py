@@ -1,7 +1,5 @@
 """Devices: which are found, why one is missing, and images that stay on a device between kernels."""
 
-from __future__ import annotations
-
 import ctypes
 from typing import Any
 

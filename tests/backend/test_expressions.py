@@ -1,7 +1,5 @@
 """The polynomials of a tap against NumPy, with the errors that their docstrings state."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import halide as hl

@@ -1,7 +1,5 @@
 """Compiled kernels on disk: which are kept, what their names depend on, damaged files; and checks of calls."""
 
-from __future__ import annotations
-
 import ast
 import os
 import sys

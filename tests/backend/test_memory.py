@@ -1,7 +1,5 @@
 """The memory of images: where it begins, and when it is used again."""
 
-from __future__ import annotations
-
 import gc
 
 import numpy as np

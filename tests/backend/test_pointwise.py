@@ -1,7 +1,5 @@
 """The seam of the pointwise kernels: structure, sizes, truth, numbers; and that threads change no bit."""
 
-from __future__ import annotations
-
 import halide as hl
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Kernels that come compiled with the package: used without a compiler, with the bits of the compiler, or refused."""
 
-from __future__ import annotations
-
 import ctypes
 import json
 import re

@@ -1,7 +1,5 @@
 """Machine code is read only from files of this user, and only whole object files reach the loader."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

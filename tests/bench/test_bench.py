@@ -1,7 +1,5 @@
 """`lobewise bench interactive`: its figures, output and files."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """`lobewise bench` without a verb: its jobs, times and tables."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

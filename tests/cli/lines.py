@@ -1,7 +1,5 @@
 """Command lines that must fail."""
 
-from __future__ import annotations
-
 import pytest
 
 from lobewise.cli.main import run

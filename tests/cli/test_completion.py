@@ -1,7 +1,5 @@
 """Shells complete verbs, options and values."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

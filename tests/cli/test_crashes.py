@@ -1,7 +1,5 @@
 """A crash of Mitsuba ends `render`, `view` and `fit` in one sentence; everything else ends them as without a child."""
 
-from __future__ import annotations
-
 import os
 import signal
 import struct

@@ -1,7 +1,5 @@
 """`lobewise.denoise_files` does from Python what the command does: the same bytes, remarks and refusals."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 from typing import Any

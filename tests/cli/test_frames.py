@@ -1,7 +1,5 @@
 """The option `--frames`: which frames of a sequence are filtered, and what runs of other frames leave alone."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

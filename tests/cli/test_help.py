@@ -1,7 +1,5 @@
 """The help of every verb, made by one mechanism: short, in groups, nothing cut; rare options on request."""
 
-from __future__ import annotations
-
 import inspect
 import re
 import shlex

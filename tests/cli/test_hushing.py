@@ -1,7 +1,5 @@
 """The command prints one sentence about damaged pixels, and nothing of what OpenEXR prints about them."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What artists do wrong at the command line: one sentence each, which blames no file for an option."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import shutil

@@ -1,7 +1,5 @@
 """No command replaces a file that it reads, unless it is told to; any other file it may replace."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`inspect --html` and `compare --html`: pages that hold every picture, and refusals."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """``lobewise inspect --plan``: what denoising will do with a file, before it does it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """``--progress json``: every line on standard error is an object that programs read."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`lobewise render` of scene files: their parameters, and the integrator that computes the light."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Several inputs, folders, names of our own, standard input and output, and tev."""
 
-from __future__ import annotations
-
 import io
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Progress on a terminal while a frame is denoised, and no progress where there is no terminal."""
 
-from __future__ import annotations
-
 import io
 import re
 import shutil

@@ -1,7 +1,5 @@
 """The verbs on sequences: every frame has its file, a stop loses nothing, mistakes are one sentence."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`lobewise denoise --window` on sequences of files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

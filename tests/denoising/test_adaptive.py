@@ -1,7 +1,5 @@
 """Adaptive re-computation: which pixels, and how they are merged."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Light passes and light groups keep their own light: none takes the highlights, fireflies or detail of another."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import reduce
 from pathlib import Path

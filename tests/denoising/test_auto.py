@@ -1,7 +1,5 @@
 """What the quality "auto" stands for, with and without Open Image Denoise, and what is said of it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

@@ -3,8 +3,6 @@
 The conditions are those that the tests of Open Image Denoise check for its filters.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The recipe on small frames made here: what it takes, what it gives, what it refuses."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

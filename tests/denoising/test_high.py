@@ -1,7 +1,5 @@
 """The quality "high": the refining network, and the share of Open Image Denoise."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import fields, replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Light that is lost with fireflies is told where the noise of the image's mean does not explain it, and only there."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Light below 0 is filtered as light; a lone pixel far below its surroundings is damage."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

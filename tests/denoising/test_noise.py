@@ -1,7 +1,5 @@
 """Two independent images of a frame: from the file, or from neighbours."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

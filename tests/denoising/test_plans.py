@@ -1,7 +1,5 @@
 """Plans: the steps of a frame, how far they reach and what they cost; and the passes over a layer."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Qualities of `denoise`: what knowing the noise buys, what it must not change, and where it is refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

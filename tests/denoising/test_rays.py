@@ -1,7 +1,5 @@
 """Frames whose samples know their rays: constant light stays, mirrors get sharper, and bad rays are refused."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """lobewise.denoising.refining.lamps: what the network sees and changes of lamps and skies."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The image of the color alone, which the quality "high" mixes in where guides are noise."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Guides that no surface can have are counted and do no harm; what is not used is named."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

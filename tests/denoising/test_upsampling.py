@@ -1,7 +1,5 @@
 """The upsampling recipe: edges stay where the guides have them, everything else as in denoising."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Where no kernel can be had, Open Image Denoise denoises alone, and the user is told."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """An image of 360 degrees that is turned gives the turned result: its left and right border are neighbours."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

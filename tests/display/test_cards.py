@@ -1,7 +1,5 @@
 """Cards of notebooks: what they show, that they stand alone, and that no text of a file becomes markup."""
 
-from __future__ import annotations
-
 import base64
 import html
 import io

@@ -1,7 +1,5 @@
 """Light is shown in the primaries of screens, whatever primaries a file has."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

@@ -1,7 +1,5 @@
 """Pictures of guides: each value has one shade, and what is missing is grey."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The progress bar: what it shows in a terminal, and nothing where nobody looks. Notebooks: tests/test_site.py."""
 
-from __future__ import annotations
-
 import io
 import sys
 

@@ -1,7 +1,5 @@
 """Pictures by views of OpenColorIO, among them Blender's own."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What `lobewise doctor` says of a machine, and of one that lacks something."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

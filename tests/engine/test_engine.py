@@ -1,7 +1,5 @@
 """The verbs of recipes: the same calls, run at once and recorded."""
 
-from __future__ import annotations
-
 from functools import partial
 from itertools import pairwise
 

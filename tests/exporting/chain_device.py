@@ -1,7 +1,5 @@
 """Runs the passes of exported chains on a device of wgpu."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

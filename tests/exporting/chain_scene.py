@@ -1,7 +1,5 @@
 """A sequence in closed form: a floor, a still and a moving sphere under a sky, seen by a moving camera."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

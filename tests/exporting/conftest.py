@@ -1,7 +1,5 @@
 """What the exports are tested with: a C compiler, a device for shaders; where CI is set a missing one is a failure."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from pathlib import Path

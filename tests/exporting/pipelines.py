@@ -1,7 +1,5 @@
 """Exported pipelines of the tests, each exported and run once for all of them."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Runs the exported shader functions on a device: one kernel that calls all of them on rows of numbers."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """The exported chains on a device, in three languages, against Python: pass by pass, and over whole sequences."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The passes of a history on a device, in three languages, against Python: whole sequences, and the sums they keep."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

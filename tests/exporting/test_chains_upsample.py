@@ -1,7 +1,5 @@
 """The chain that upsamples sparse frames on a device, in three languages, against Python."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Exported filters as a C programmer meets them: built by the system's compiler, run, and held against Python."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

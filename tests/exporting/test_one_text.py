@@ -1,7 +1,5 @@
 """A recorded recipe, run at once in this process, has the bits of the library's own: one text is enough for both."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The pages on exports are true: their commands run, their programs compile, their lists are those of the code."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Exported pipelines: C++ agrees with Python, the steps are those of the plan, and memory is shared out safely."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The exported plan "balanced": C++ agrees with Python, for its passes and for what the samples tell afterwards."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Exported pipelines on a graphics processor: Vulkan in software agrees with Python."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Exported histories: C++ follows Python from frame to frame, over a cut, and after a reset."""
 
-from __future__ import annotations
-
 import platform
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Exported upsampling: C++ agrees with Python for sparse frames, alone and over time."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """The shader functions on a device, in three languages, against the lobes in double precision."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The page of examples/web: its files, the sequence inside it, and what a headless browser computes and shows."""
 
-from __future__ import annotations
-
 import base64
 import importlib.util
 import io

@@ -1,7 +1,5 @@
 """The extension for Blender: its process, and in Blender's module for Python the extension as users install it."""
 
-from __future__ import annotations
-
 import importlib.util
 import io
 import json

@@ -1,7 +1,5 @@
 """Random but plausible guides for the kernel tests: smooth normals, lobes of every width, real depth."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

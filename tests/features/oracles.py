@@ -1,7 +1,5 @@
 """The similarities a second time: NumPy, float64, from the definition of each feature and not from its planes."""
 
-from __future__ import annotations
-
 import math
 from functools import singledispatch
 

@@ -1,7 +1,5 @@
 """The similarity of pairs of pixels as a tap computes it, in a kernel of its own that compiles at once."""
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Sequence
 from functools import partial
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """The constants of the lobe features against their exact counterparts, and the narrowest lobes against the oracle."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Every feature against its oracle on pairs of pixels, ordinary ones and such that are nearly degenerate."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

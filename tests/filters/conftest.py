@@ -1,7 +1,5 @@
 """Every test of a kernel runs on every device that CI has: the processor, and Vulkan in software."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 

@@ -6,8 +6,6 @@ back, and memory between the rows of a part of an image must not change. Kernels
 aligned to their own size (`lobewise.backend.buffers.lend`).
 """
 
-from __future__ import annotations
-
 import ctypes
 import mmap
 import os

@@ -3,8 +3,6 @@
 It shares nothing with the kernels; the similarities are written a second time in `tests.features.oracles`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple

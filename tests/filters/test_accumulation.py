@@ -1,7 +1,5 @@
 """Accumulation of samples into a history, and the trust in the history, against the definitions."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the samples say of two filtered images."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Albedos without the noise of samples: against the definition in NumPy, and what must stay."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Radiance of pixel areas from the radiance of the surfaces at pixel centres, against NumPy."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The kernels against the float64 oracle: weights read back from single pixels, weight sums, images."""
 
-from __future__ import annotations
-
 import os
 from typing import Any
 

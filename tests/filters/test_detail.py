@@ -1,7 +1,5 @@
 """Features that distinguish noise from detail, and the shares that a network predicts from them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How much of the noisy image is taken back: nothing by chance, what a filter blurs, more as samples grow."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The expected error of pixels against NumPy."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

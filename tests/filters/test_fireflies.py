@@ -1,7 +1,5 @@
 """Fireflies against the definition in NumPy: light that must go or stay, bad numbers, borders, threads."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

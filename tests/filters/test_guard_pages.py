@@ -3,8 +3,6 @@
 Tests of the filters run again, each in a process of its own, which an access out of bounds ends.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import signal

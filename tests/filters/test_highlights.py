@@ -1,7 +1,5 @@
 """Highlights against the definition in NumPy: spots that are highlights or not, bad numbers, sums of the parts."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """The sum of a frame's layers against NumPy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

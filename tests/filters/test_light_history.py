@@ -1,7 +1,5 @@
 """The short history of direct light, against a definition in NumPy and its laws."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

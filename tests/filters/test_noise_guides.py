@@ -1,7 +1,5 @@
 """The guide of a dual-buffer pass against NumPy's logarithm and SciPy's Gaussian."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Samples that are weighed by the pixel's own lobe along their rays, against lobes in local frames."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

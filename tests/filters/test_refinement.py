@@ -1,7 +1,5 @@
 """filters/refinement: the kernels agree with the definition in NumPy, for every size, set of images and cut."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The reprojection kernel against the float64 oracle, and its laws."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

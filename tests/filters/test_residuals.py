@@ -1,7 +1,5 @@
 """The noise of images without halves: the accuracy of residuals, and their use in the filters."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

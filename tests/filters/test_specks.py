@@ -1,7 +1,5 @@
 """Light out of focus against the definition in NumPy, pixel by pixel; lamps out of focus and in focus."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

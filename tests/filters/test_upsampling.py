@@ -1,7 +1,5 @@
 """The upsampling kernel against a float64 loop over pairs of pixels, and its laws."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """BRDFs tabulated in MERL's layout: the inverse of reading a MERL file, for tests and benchmarks."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

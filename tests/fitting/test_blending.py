@@ -1,7 +1,5 @@
 """Lobe tables between two tables."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

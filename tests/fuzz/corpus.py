@@ -3,8 +3,6 @@
 ``python -m tests.fuzz.corpus`` writes the checkpoint anew, whose content is that of the filter's state.
 """
 
-from __future__ import annotations
-
 import shutil
 import tempfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """EXR files with a sound structure and mad contents: headers, chunk tables and chunks, taken apart and put together."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass, field
 

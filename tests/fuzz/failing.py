@@ -1,7 +1,5 @@
 """Readers that fail in every way, to see that the watcher notices each."""
 
-from __future__ import annotations
-
 import ctypes
 import time
 from collections.abc import Callable

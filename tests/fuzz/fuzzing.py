@@ -1,7 +1,5 @@
 """The property that every kind of file has, tried until time or a count is spent."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections import Counter

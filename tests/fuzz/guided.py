@@ -5,8 +5,6 @@ atheris keeps files that reach new code and changes them further, beginning with
 regressions. Nothing limits the process, so that a crash or a hang (60 seconds) ends it too.
 """
 
-from __future__ import annotations
-
 import sys
 import tempfile
 import warnings

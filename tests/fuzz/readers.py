@@ -3,8 +3,6 @@
 A reader returns the sentence of a `LobewiseError`, or an empty text. Any other exception is a finding.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import os

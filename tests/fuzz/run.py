@@ -4,8 +4,6 @@ Prints for every kind how many files were tried, opened and refused, what failed
 file that failed among the regressions. Ends with 1 if any did.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import secrets

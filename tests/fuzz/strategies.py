@@ -1,7 +1,5 @@
 """How files are made: seeds of the corpus with something changed in them, and documents made up from a grammar."""
 
-from __future__ import annotations
-
 import copy
 import io
 import json

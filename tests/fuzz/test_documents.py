@@ -1,7 +1,5 @@
 """Documents made at random are read or refused in a sentence."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.fuzz.fuzzing import check_kind

@@ -1,7 +1,5 @@
 """EXR files made at random are read as OpenEXR reads them, or refused in a sentence."""
 
-from __future__ import annotations
-
 from tests.fuzz.fuzzing import check_kind
 
 

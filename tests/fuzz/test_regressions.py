@@ -1,7 +1,5 @@
 """Every seed opens, and every file that ever failed is read or refused."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

@@ -1,7 +1,5 @@
 """The watcher notices every way to fail; otherwise nothing that it says is worth anything."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

@@ -4,8 +4,6 @@ It takes cases from its standard input, each a line of JSON (kind, whether that 
 with lines of JSON on its standard output. What the libraries print goes nowhere.
 """
 
-from __future__ import annotations
-
 import faulthandler
 import importlib
 import json

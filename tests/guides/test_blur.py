@@ -1,7 +1,5 @@
 """The radius that a lens blurs over, from where positions are seen: discs, edges of things in focus, bent cameras."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

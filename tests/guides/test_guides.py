@@ -1,7 +1,5 @@
 """What guides say of surfaces, against the definitions in NumPy, strange numbers among them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

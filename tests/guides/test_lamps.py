@@ -1,7 +1,5 @@
 """Lamps are found by their brightness and by having no noise; noise, textures and even light are none."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The mixtures of an image against the functions of one point, and the laws of the whole image."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

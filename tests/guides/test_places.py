@@ -1,7 +1,5 @@
 """Places of surfaces against the motion of `lobewise.motion`, and that what stands still finds itself."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Sums, means and maxima over squares against the pixels of each square."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Pixels with scattered light but no surface, as in fog, are filtered with the surfaces beside them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

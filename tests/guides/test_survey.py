@@ -1,7 +1,5 @@
 """Empty guides are left out, encoded normals decoded, and guides that tell nothing named: of arrays as of files."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
 from pathlib import Path

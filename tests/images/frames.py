@@ -1,7 +1,5 @@
 """The frames of the image tests: how each is read and denoised, and by which names their light goes."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass

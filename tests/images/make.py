@@ -11,8 +11,6 @@ The data window of a cut says where it lies in the render, so that the camera is
 floats, as Blender writes them. Normals and roughness keep 12 bits, places 18, so that the files compress.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The figures of one image: errors, energy, the light of every pass, sums of passes, pixels that stand alone."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass

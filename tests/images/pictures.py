@@ -1,7 +1,5 @@
 """Pictures of a failure: noisy, result, committed result and reference side by side."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 

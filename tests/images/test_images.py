@@ -1,7 +1,5 @@
 """Small frames of four renderers: errors, energy and the light of every pass stay as they were committed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -4,8 +4,6 @@ Run it after a deliberate change, with Open Image Denoise installed, and read th
 you commit it: every figure that rose wants a reason in the message of the commit.
 """
 
-from __future__ import annotations
-
 import json
 import re
 

@@ -1,7 +1,5 @@
 """The resting picture of the chain against Mitsuba's own integrators, for scenes of every kind."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A session whose objects and lights move: frames are those of the new scene, and histories follow."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

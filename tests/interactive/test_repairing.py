@@ -1,7 +1,5 @@
 """How often unsupported pixels of an interactive frame are shaded again, and what becomes of the samples."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

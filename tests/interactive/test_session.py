@@ -1,7 +1,5 @@
 """The interactive chain: what it promises to a script that drives it without a window."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Histories that follow a change of the light: ratios of samples, and what they make of sums."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

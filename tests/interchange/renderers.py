@@ -1,7 +1,5 @@
 """One small scene, computed point by point, as each renderer would write it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any

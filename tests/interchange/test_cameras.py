@@ -1,7 +1,5 @@
 """Cameras of other renderers' frames: off the centre, orthographic, from headers and from files of their own."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

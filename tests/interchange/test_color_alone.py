@@ -1,7 +1,5 @@
 """A color image without any guide: that the result is weak, and what helps, is said once."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

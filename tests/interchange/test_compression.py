@@ -1,7 +1,5 @@
 """Compression with loss: which channels it changes, and what becomes of light that it left below 0."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What `inspect` and `denoise` say of a file is true together: nothing is told to be missing or unused that is used."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path

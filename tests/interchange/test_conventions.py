@@ -1,7 +1,5 @@
 """Each wrong convention, made on purpose, is found and mended; right files raise nothing."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache

@@ -1,7 +1,5 @@
 """Shares of a pixel from Cryptomatte's ranks, on silhouettes that are drawn by area."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

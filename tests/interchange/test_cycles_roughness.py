@@ -1,7 +1,5 @@
 """What Blender's "Denoising Roughness" means, held against a shader AOV that is the roughness itself."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A wrong alarm that an image is denoised already costs more than none: it takes clear evidence."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

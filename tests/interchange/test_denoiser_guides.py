@@ -1,7 +1,5 @@
 """Albedo and normal reach Open Image Denoise as the file has them; our own filters get what they can divide by."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lobewise import peers

@@ -1,7 +1,5 @@
 """Lamps in images whose light is not told apart do not spoil what is around them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 import lobewise

@@ -1,7 +1,5 @@
 """One line names the noisy images of a file that denoising leaves as they are."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

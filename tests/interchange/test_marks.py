@@ -1,7 +1,5 @@
 """A file that lobewise denoised is not denoised again in silence; its noisy image, where it is still there, serves."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

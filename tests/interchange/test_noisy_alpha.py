@@ -1,7 +1,5 @@
 """Opacity that is a fraction in whole areas is denoised with the picture: shadow catchers, things out of focus."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

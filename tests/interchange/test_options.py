@@ -1,7 +1,5 @@
 """What a user adds where a file does not tell: presets and maps of their own, a second render, files beside it."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Panoramas by latitude and longitude: positions tell where the camera stands, and that the image wraps around."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pixels that are not square: the camera has them so, wherever it comes from."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

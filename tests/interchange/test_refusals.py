@@ -1,7 +1,5 @@
 """What a file has and denoising cannot use is named with its reason, and never passed over in silence."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

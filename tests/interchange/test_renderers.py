@@ -1,7 +1,5 @@
 """Each renderer's file is understood: by its own names, spaces and units, in whatever parts they lie."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

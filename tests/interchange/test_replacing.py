@@ -1,7 +1,5 @@
 """Results go back where they came from; every other channel, part and attribute stays, bit for bit."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

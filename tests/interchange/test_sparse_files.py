@@ -1,7 +1,5 @@
 """`lobewise upsample` of files of other renderers: the image is replaced in a copy of the file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

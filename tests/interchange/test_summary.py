@@ -1,7 +1,5 @@
 """What `inspect` tells a person: a summary without contradictions, and commands that work."""
 
-from __future__ import annotations
-
 import json
 import shlex
 import shutil

@@ -1,7 +1,5 @@
 """Light that no surface scattered: lamps out of focus, what is written back, and backgrounds that are no part."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Files of several view layers: one is denoised by default, with --all-layers all, each with its own passes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Files of several views: each view is denoised with its own guides, and one copy of the file gets all results."""
 
-from __future__ import annotations
-
 import shlex
 from pathlib import Path
 

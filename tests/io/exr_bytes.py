@@ -1,7 +1,5 @@
 """A second, minimal reader and writer of EXR headers, independent of the one under test: single-part files only."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

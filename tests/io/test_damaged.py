@@ -1,7 +1,5 @@
 """Damage is told in one sentence: no traceback, no crash, no hang."""
 
-from __future__ import annotations
-
 import errno
 import io
 import struct

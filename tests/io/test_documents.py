@@ -1,7 +1,5 @@
 """JSON and TOML of strangers: what is read, and what is refused before it takes time or memory."""
 
-from __future__ import annotations
-
 import tracemalloc
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What the system refuses is named: a good file is never called damaged. Decoding needs no temporary file."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

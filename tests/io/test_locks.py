@@ -1,7 +1,5 @@
 """Locks and replaced files as Windows has them, stood in for by rules that hold there."""
 
-from __future__ import annotations
-
 import os
 from contextlib import suppress
 from pathlib import Path

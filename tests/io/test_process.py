@@ -1,7 +1,5 @@
 """Reading and writing files leaves the process to others: lines of threads and children, modes of files, the mask."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

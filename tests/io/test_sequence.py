@@ -1,7 +1,5 @@
 """Patterns of numbered files: what they name, what they find, what they say when there is nothing."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """What becomes of the file that an output replaces, and of what a killed process left."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Two processes write one file at the same time, with and without locks of files: it is always one of theirs, whole."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

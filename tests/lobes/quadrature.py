@@ -4,8 +4,6 @@ The grid's shape only places nodes; what is integrated is always the full BRDF t
 and shapes must give the same (see test_quadrature.py).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 

@@ -1,7 +1,5 @@
 """`lobewise.mitsuba.Denoiser`: the call of Mitsuba's own denoiser, on tensors, bitmaps and NumPy arrays."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

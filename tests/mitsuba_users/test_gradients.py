@@ -1,7 +1,5 @@
 """Gradients pass through a denoiser with fixed weights, exactly; everything else refuses them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The integrator ``lobewise`` of Mitsuba: `mitsuba.render` gives the denoised image."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`lobewise.mitsuba.denoise`: a scene in, a clean tensor out."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

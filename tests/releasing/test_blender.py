@@ -1,7 +1,5 @@
 """What goes into an extension for Blender, and into its manifest. `tests/extensions` builds, installs and uses one."""
 
-from __future__ import annotations
-
 import sys
 import zipfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The list of kernels that wheels bring along holds all that the verbs ask for on the test files."""
 
-from __future__ import annotations
-
 import shutil
 import warnings
 from collections.abc import Iterator

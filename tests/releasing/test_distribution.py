@@ -1,7 +1,5 @@
 """The source distribution is small and makes a wheel, and an index of packages accepts both."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The lock file has a version, with digests, of all that pyproject.toml asks for."""
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The bill of materials names what a wheel contains, what made it, and what pip installs beside it."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import zipfile

@@ -1,7 +1,5 @@
 """What goes into a wheel, and how it is weighed."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import sys

@@ -1,7 +1,5 @@
 """The workflows of GitHub build, try and publish what the programs of `releasing` make; so does the Dockerfile."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Small scenes, one for every kind of thing that Mitsuba's users put into theirs, as dictionaries for its loader."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from typing import Any

@@ -1,7 +1,5 @@
 """Scenes that the rendering tests share."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Any

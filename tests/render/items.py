@@ -1,7 +1,5 @@
 """Items of scenes, as Mitsuba takes them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Guides of scenes that Mitsuba's users have: instances, and surfaces that let light pass."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Cameras that stand still, go round, or follow a file; sensors that take them."""
 
-from __future__ import annotations
-
 import json
 from itertools import pairwise
 from pathlib import Path

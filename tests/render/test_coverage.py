@@ -1,7 +1,5 @@
 """Coverage and means over the areas of pixels, against areas known from geometry."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Guides against geometry that is known: planes, mirrors, a moving camera, what lies behind a mask."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

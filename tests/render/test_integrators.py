@@ -1,7 +1,5 @@
 """Whose light a frame holds: what the scene's integrator says, by paths of this package or by itself."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

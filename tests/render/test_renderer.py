@@ -1,7 +1,5 @@
 """What a frame promises: its bits, its halves, its variance, its errors, its progress."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Scenes that are too large are refused with a sentence: the film, the nesting of the file, the memory of the image."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Sequences: what stands still is the same to the bit, what moves says from where, and pieces make the whole."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Guides, direct and indirect light of the interactive chain, against the renderer of whole frames."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

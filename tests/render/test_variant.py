@@ -1,7 +1,5 @@
 """The search for libLLVM, and the import of Mitsuba; most of it needs neither."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any

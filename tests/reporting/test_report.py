@@ -1,7 +1,5 @@
 """The page of a report: its pictures, text and slider; the demonstration."""
 
-from __future__ import annotations
-
 import base64
 import html
 import io

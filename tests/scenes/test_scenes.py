@@ -1,7 +1,5 @@
 """Built-in scenes are what their names promise; scene files load, or say in one sentence why not."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

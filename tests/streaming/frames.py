@@ -1,7 +1,5 @@
 """A frame with every image that denoising looks at, whose pixels agree well enough to be averaged."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Rows read from files and put back into them: the same pixels and bytes as of whole files."""
 
-from __future__ import annotations
-
 import os
 import struct
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """`lobewise denoise --bands`: what it takes and says, when it chooses bands by itself, and how Ctrl-C ends it."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

@@ -1,7 +1,5 @@
 """Files of other renderers in bands: the bytes of the whole frame, or a sentence on why it must be read as a whole."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """`--png`: a tone-mapped picture beside every EXR file, however it is denoised; written whole or not at all."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

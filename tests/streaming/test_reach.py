@@ -1,7 +1,5 @@
 """From how far away a pixel can be told anything: every link of the chain, then the whole."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

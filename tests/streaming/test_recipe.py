@@ -1,7 +1,5 @@
 """Files denoised in bands: the bytes of those denoised as a whole, and the same account of it."""
 
-from __future__ import annotations
-
 import errno
 import os
 from dataclasses import fields, replace

@@ -1,7 +1,5 @@
 """Small scenes in closed form: a shiny floor under a pattern of light, and a card that is moved over it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lobewise.records.camera import Camera, compute_motion, project_points

@@ -1,7 +1,5 @@
 """What is remembered, taken apart into arrays and put together again."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable
 from dataclasses import fields, replace

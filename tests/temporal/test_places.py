@@ -1,7 +1,5 @@
 """Places against geometry in closed form: mirrors, spheres, cylinders; and against numerically traced reflections."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

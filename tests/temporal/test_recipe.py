@@ -1,7 +1,5 @@
 """TemporalFilter against what must hold over time, on scenes whose truth is known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

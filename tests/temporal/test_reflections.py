@@ -1,7 +1,5 @@
 """Reflections of objects that move, and in mirrors that move, against geometry in closed form and traced rays."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

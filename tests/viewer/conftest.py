@@ -1,7 +1,5 @@
 """A headless browser, small frames to look at, and pages that are followed while they are used."""
 
-from __future__ import annotations
-
 import contextlib
 import http.client
 import importlib.util

@@ -1,7 +1,5 @@
 """A stand-in for the process that renders: its pictures take long and it says what it was asked for."""
 
-from __future__ import annotations
-
 import os
 import time
 from multiprocessing.connection import Connection

@@ -1,7 +1,5 @@
 """The browser's camera as ours."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

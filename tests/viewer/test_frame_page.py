@@ -1,7 +1,5 @@
 """The page of a finished frame: who may ask it for what, and what a user meets in a headless browser."""
 
-from __future__ import annotations
-
 import base64
 import contextlib
 import http.client

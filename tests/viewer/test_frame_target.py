@@ -1,7 +1,5 @@
 """A finished frame behind the page, without a page."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

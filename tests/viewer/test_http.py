@@ -1,7 +1,5 @@
 """Who may see the page and speak to it, and what may be said; asked without a browser."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import re

@@ -1,7 +1,5 @@
 """The process that renders does not grow with the pictures that it gives; asked directly, quicker than by a page."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from dataclasses import replace

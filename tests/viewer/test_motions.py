@@ -1,7 +1,5 @@
 """Objects that move in the viewer, without a browser: moments, places, loops, and what is asked for."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """How resolution follows the time of frames."""
 
-from __future__ import annotations
-
 import pytest
 
 from lobewise.viewer.browser import STEPS, TARGET, Pace, fit_size

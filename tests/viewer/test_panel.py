@@ -1,7 +1,5 @@
 """The controls of a side of the wipe, on a page that only remembers them."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import pytest

@@ -1,7 +1,5 @@
 """The plots of docs/developers/how_it_works.md compute what the package computes, and follow their sliders."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

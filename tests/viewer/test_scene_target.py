@@ -1,7 +1,5 @@
 """A scene in the page: it is rendered while a browser looks at it."""
 
-from __future__ import annotations
-
 import io
 import os
 import signal

@@ -1,7 +1,5 @@
 """Pages of strangers in a real browser: none reaches the viewer, and its own page works as before."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 from urllib.parse import urlsplit

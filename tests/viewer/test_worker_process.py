@@ -1,7 +1,5 @@
 """The process that renders, from outside: latest request first, everyone in turn, death and end."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

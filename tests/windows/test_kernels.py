@@ -1,7 +1,5 @@
 """The kernels of windows in time, against closed forms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

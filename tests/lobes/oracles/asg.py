@@ -7,8 +7,6 @@ numbers ``xx, xy, xz, yy, yz, zz``, with ``l m`` beside it, so that no two pixel
 Equal sharpnesses ``s`` are the spherical Gaussian of sharpness ``2 s`` (Xu et al. 2013).
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -5,8 +5,6 @@ A BRDF here is ``f(view, light)`` in 1/sr, without the cosine, in a local frame:
 is below the horizon. Roughness ``alpha`` is the microfacet width. There is no Fresnel term.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

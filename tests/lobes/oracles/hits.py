@@ -1,7 +1,5 @@
 """The hit-distance term of `lobewise.lobes.hits` without its expansion, in arrays of vectors."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

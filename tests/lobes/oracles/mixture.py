@@ -4,8 +4,6 @@ Product integrals are bilinear, so a pair of pixels costs the product of their n
 The similarity divides by the norms, which belong to one pixel each and are computed by the same formula as the product.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

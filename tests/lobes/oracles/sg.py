@@ -5,8 +5,6 @@ Everything is written with ``1 - a.b = |a - b|^2 / 2`` and ``expm1`` so that nei
 The result has the dtype of the arrays that went in.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The similarities of covariance lobes (`lobewise.lobes.covariance`), in arrays of vectors."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

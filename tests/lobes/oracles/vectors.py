@@ -1,7 +1,5 @@
 """Operations on arrays of vectors that the oracles share, beside `lobewise.fitting.arrays`."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lobewise.fitting.arrays import Array, as_reals, dot, normalize

@@ -1,7 +1,5 @@
 """Files of Mitsuba's ``measured`` plugin (Dupuy and Jakob 2018), made from a formula."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """BSDFs written in Python, as users would: lobes about the mirror direction that no plugin of Mitsuba has."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Any
 

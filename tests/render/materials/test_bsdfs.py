@@ -4,8 +4,6 @@ The albedos' second definition is a furnace: under a white sky, the split radian
 albedo of each lobe. The frame's is the shape of the BSDF near its peak, which must widen along the tangent by alpha_u.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

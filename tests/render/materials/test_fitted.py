@@ -1,7 +1,5 @@
 """BSDFs without a formula: lobes fitted to what they answer, against the formulas of those that have one."""
 
-from __future__ import annotations
-
 import gc
 import sys
 from collections.abc import Callable

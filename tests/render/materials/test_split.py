@@ -1,7 +1,5 @@
 """The share of a reflection that is diffuse, against Mitsuba's own evaluation of single lobes."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Lobes that change their shape over a texture, against BSDFs whose parameters are the texture's values there."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

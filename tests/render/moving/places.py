@@ -1,7 +1,5 @@
 """Matrices that slide, turn and stretch."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Files that say where shapes are over time."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

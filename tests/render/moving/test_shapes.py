@@ -1,7 +1,5 @@
 """Shapes that move in a loaded scene, against scenes that were built with the shapes at their new places."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

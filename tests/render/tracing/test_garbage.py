@@ -1,7 +1,5 @@
 """Old scenes are freed while Dr.Jit does not record: freed in the midst of a recording, they end the process."""
 
-from __future__ import annotations
-
 import gc
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Indirect light apart: what remains when emission and direct light are taken away, with the same random numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The path tracer against Mitsuba's own, against furnaces, and against itself."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

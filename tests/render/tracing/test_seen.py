@@ -1,7 +1,5 @@
 """What reflections see, and normals over areas, against planes whose colours and places are known."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Clusters of virtual lights against sums over the lights."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Clusters of virtual lights against closed forms, against paths, against point lights, and against themselves."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

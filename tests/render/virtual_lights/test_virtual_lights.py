@@ -1,7 +1,5 @@
 """Virtual lights against closed forms, against paths, and against themselves."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

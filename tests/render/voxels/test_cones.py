@@ -1,7 +1,5 @@
 """Voxel cones: against closed forms, rays and the path tracer, and what each part of them promises alone."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Voxels that follow a change of the scene, against voxels that are made anew in the changed scene."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
