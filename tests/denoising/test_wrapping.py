@@ -180,7 +180,9 @@ def write(path: Path, envmap: int | None, *, foreign: bool = False, cropped: boo
 @pytest.mark.parametrize("foreign", [True, False])
 def test_the_header_tells_a_panorama(foreign: bool, tmp_path: Path) -> None:
     path = tmp_path / "a.exr"
-    assert lobewise.read_frame(write(path, 0, foreign=foreign)).wraps
+    frame = lobewise.read_frame(write(path, 0, foreign=foreign))
+    assert frame.wraps
+    assert "The image wraps around, as its header says" in frame.notes[0]
     assert not lobewise.read_frame(path, wraps=False).wraps
     assert not lobewise.read_frame(write(path, 1, foreign=foreign)).wraps, "a cube"
     assert not lobewise.read_frame(write(path, 0, foreign=foreign, cropped=True)).wraps

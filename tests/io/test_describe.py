@@ -14,6 +14,7 @@ from lobewise.interchange import describe_file
 from lobewise.io import read_frame, write_frame
 from lobewise.io.exr.describe import COSTS
 from lobewise.io.exr.schema import CAMERA, DENOISED, LOBES, SCHEMA, SLOTS, SPP
+from lobewise.records.camera import Camera
 from lobewise.records.frame import Frame, GBuffer, Radiance
 
 
@@ -99,6 +100,15 @@ def test_pixels_are_not_read(full_frame, tmp_path):
         read_frame(path)
     assert describe_file(path).notes == whole.notes
     assert describe_file(path).images == whole.images
+
+
+def test_a_camera_that_is_given_is_described(rng, tmp_path):
+    path, camera = tmp_path / "a.exr", Camera(position=(0, 0, 0), forward=(0, 0, 1), up=(0, 1, 0), fov_y=0.5)
+    guides = GBuffer(normal=rng.random((4, 5, 3)), depth=np.ones((4, 5)), alpha_u=np.ones((4, 5)))
+    write_frame(path, Frame(Radiance(rng.random((4, 5, 3))), guides, spp=4))
+    assert describe_file(path).similarities == ("normal",)
+    found = describe_file(path, camera=camera)
+    assert (found.camera.fov_y, found.similarities[-1], found.notes) == (0.5, "ggx", ())
 
 
 def test_a_part_with_another_window_is_only_copied(tmp_path):

@@ -1,4 +1,4 @@
-"""Read EXR files of other renderers as frames, and write denoised images back into copies of these files."""
+"""Read EXR files of any renderer as frames, and write denoised images back into copies of these files."""
 
 from lobewise.interchange.describing import describe_file
 from lobewise.interchange.imported import Imported

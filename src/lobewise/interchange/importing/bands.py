@@ -29,12 +29,11 @@ from lobewise.interchange.lighting import BACKGROUND, REST, PartOutput
 from lobewise.interchange.mapping import ChannelMap, Found, map_channels
 from lobewise.interchange.siblings import look_up_family
 from lobewise.interchange.silhouettes import Silhouettes, take_silhouettes
-from lobewise.io.exr.bands import BandReader, read_slabs
+from lobewise.io.exr.bands import BandReader, Place, read_slabs
 from lobewise.io.exr.container import Part
 from lobewise.io.exr.layout import name_file
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.pixels import Pixels
-from lobewise.io.exr.schema import Slot
 from lobewise.io.files import PathLike
 from lobewise.records.camera import Camera
 from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance
@@ -113,11 +112,7 @@ class ImportedBands(BandReader):
         for layer in self._channels.layers:
             used += [*layer.light, *([layer.albedo] if layer.albedo else [])]
         used += () if judged is None else judged.silhouettes
-        parts = {one.source.part.index: one.source.part for one in used}
-        plan = [
-            (part, [_make_slot(one) for one in used if one.source.part.index == index]) for index, part in parts.items()
-        ]
-        self._start(container, self._channels.target.source.part, plan)
+        self._start(container, self._channels.target.source.part, [(one.source.part, one.channels) for one in used])
         self.lobe_tables = ()
 
     @cached_property
@@ -159,17 +154,10 @@ class ImportedBands(BandReader):
         stored, read = super().count_bytes()
         return stored, COPIES * read
 
-    def plan_writing(self, fields: Collection[str]) -> list[tuple[Part, list[Slot]]]:
-        """Return the slots of a result's images that each part has channels for."""
-        found = {name: one.target for name, one in self.judged.outputs.items() if name in fields}
-        parts = {one.source.part.index: one.source.part for one in found.values()}
-        return [
-            (
-                part,
-                [replace(_make_slot(one), field=name) for name, one in found.items() if one.source.part.index == index],
-            )
-            for index, part in parts.items()
-        ]
+    def list_targets(self, fields: Collection[str]) -> dict[str, Place]:
+        """Return the places of a result's images, of those that the file has channels for."""
+        targets = {name: one.target for name, one in self.judged.outputs.items() if name in fields}
+        return {name: (one.source.part, one.channels) for name, one in targets.items()}
 
     def read_frame(self, first: int, stop: int) -> Frame:
         """Return the rows from ``first`` to before ``stop``, counted from the top, as a frame."""
@@ -292,10 +280,6 @@ class ImportedBands(BandReader):
 
 NOISE = ("noise shared by pixels", "denoised already")
 """Findings of `check_noise`."""
-
-
-def _make_slot(found: Found) -> Slot:
-    return Slot("file", found.label, found.channels, "", "", "")
 
 
 def _is_same(one: Camera, other: Camera) -> bool:

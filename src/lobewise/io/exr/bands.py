@@ -7,7 +7,7 @@ as a whole.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, BinaryIO
 
@@ -27,7 +27,6 @@ from lobewise.io.exr.layout import (
 )
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.pixels import DTYPES, Pixels, count_fitting_rows, decode_part
-from lobewise.io.exr.schema import Slot
 from lobewise.io.exr.splice import write_container
 from lobewise.io.exr.spool import ChunkSpool
 from lobewise.io.files import PathLike, open_atomic
@@ -53,6 +52,10 @@ def read_slabs(container: Container, part: Part, names: Collection[str]) -> Iter
         yield top, decode_part(container, crop_part(part, top, min(top + rows, height)), names)
 
 
+Place = tuple[Part, Sequence[str]]
+"""A part, and those of its channels that hold an image."""
+
+
 class BandReader:
     """Reads a frame some rows at a time. Every row is decoded once and kept until it is forgotten.
 
@@ -73,29 +76,25 @@ class BandReader:
         container = read_container(path)
         require_shaded(container)
         beauty = require_beauty(container)
-        self._start(
-            container,
-            beauty,
-            [
-                (part, [slot for slot in slots if wanted is None or (slot.owner, slot.field) in wanted])
-                for part, slots in plan_reading(container, beauty)
-            ],
-        )
+        self._slots = [
+            (part, slot)
+            for part, slots in plan_reading(container, beauty)
+            for slot in slots
+            if wanted is None or (slot.owner, slot.field) in wanted
+        ]
+        self._start(container, beauty, [(part, slot.channels) for part, slot in self._slots])
         with name_file(path):
             self.camera = read_camera(beauty)
             self.spp = read_spp(beauty)
             self.lobe_tables = read_lobe_tables(beauty) if lobe_tables is None else tuple(lobe_tables)
 
-    def _start(self, container: Container, beauty: Part, plan: Iterable[tuple[Part, list[Slot]]]) -> None:
-        """Keep the channels of the images of ``plan``, by the parts that hold them."""
-        self.container, self.beauty = container, beauty
-        self._plan = [(part, slots) for part, slots in plan if slots]
-        for part, _ in self._plan:
-            self._require_plain(part)
+    def _start(self, container: Container, beauty: Part, places: Sequence[Place]) -> None:
+        """Keep the channels of the images at some places."""
+        self.container, self.beauty, self._places = container, beauty, places
         self._slabs: dict[tuple[int, int], dict[str, Pixels]] = {}
         self._kept: dict[int, set[str]] = {}
-        for part, slots in self._plan:
-            self.keep(part, {name for slot in slots for name in slot.channels})
+        for part, names in places:
+            self.keep(part, names)
 
     def reopen(self, wanted: Collection[tuple[str, str]] | None = None) -> BandReader:
         """Return another reader of the same file; ``wanted`` is as in `BandReader`."""
@@ -110,7 +109,7 @@ class BandReader:
     @property
     def images(self) -> frozenset[tuple[str, str]]:
         """Owner and field of every image that is read."""
-        return frozenset((slot.owner, slot.field) for _, slots in self._plan for slot in slots)
+        return frozenset((slot.owner, slot.field) for _, slot in self._slots)
 
     @property
     def layers(self) -> tuple[str, ...]:
@@ -131,7 +130,7 @@ class BandReader:
             for channel in self.container.parts[index].channels
             if channel.name in names
         )
-        return stored, sum(4 * len(slot.channels) for _, slots in self._plan for slot in slots)
+        return stored, sum(4 * len(names) for _, names in self._places)
 
     def count_more(self, part: Part) -> int:
         """Return bytes per pixel of the channels of a part that are not kept."""
@@ -155,17 +154,15 @@ class BandReader:
             If a pixel names a lobe table that does not exist.
         """
         images: dict[tuple[str, str], FloatArray] = {}
-        for part, slots in self._plan:
-            for slot in slots:
-                images |= make_images([slot], self.read_channels(part, slot.channels, first, stop))
+        for part, slot in self._slots:
+            images |= make_images([slot], self.read_channels(part, slot.channels, first, stop))
         camera = None if self.camera is None else self.camera.crop_rows(first, self.shape[0])
         with name_file(self.container.path):
             return build_frame(images, camera, self.spp, self.lobe_tables)
 
-    def plan_writing(self, fields: Collection[str]) -> list[tuple[Part, list[Slot]]]:
-        """Return the slots of a result's images that each part has channels for."""
-        written = [(part, [slot for slot in slots if slot.role in fields]) for part, slots in self._plan]
-        return [(part, slots) for part, slots in written if slots]
+    def list_targets(self, fields: Collection[str]) -> dict[str, Place]:
+        """Return the places of a result's images, of those that the file has channels for."""
+        return {slot.role: (part, slot.channels) for part, slot in self._slots if slot.role in fields}
 
     def read_part(self, part: Part, first: int, stop: int) -> dict[str, Pixels]:
         """Return rows of every channel of a part, in their stored types.
@@ -212,7 +209,8 @@ class _Written:
     """A part that is being written."""
 
     part: Part
-    slots: list[Slot]
+    channels: dict[str, Sequence[str]]
+    """The channels of each image of the result."""
     row: int
     """The first row that is not written."""
     spool: ChunkSpool
@@ -231,9 +229,11 @@ class BandWriter:
     def __init__(self, reader: BandReader, fields: Collection[str], spool: BinaryIO) -> None:
         self._reader = reader
         container = reader.container
-        self._written = [
-            _Written(part, slots, 0, ChunkSpool(container, part, spool)) for part, slots in reader.plan_writing(fields)
-        ]
+        channels: dict[int, dict[str, Sequence[str]]] = {}
+        for field, (part, names) in reader.list_targets(fields).items():
+            channels.setdefault(part.index, {})[field] = names
+        parts = [(container.parts[index], names) for index, names in channels.items()]
+        self._written = [_Written(part, names, 0, ChunkSpool(container, part, spool)) for part, names in parts]
         for one_part in self._written:
             if reader.count_more(one_part.part) <= MAX_KEPT_BYTES:
                 reader.keep(one_part.part, {channel.name for channel in one_part.part.channels})
@@ -267,7 +267,9 @@ class BandWriter:
         Raises FileError if the path cannot be written.
         """
         container = self._reader.container
-        replaced = {each.part.index: [name for slot in each.slots for name in slot.channels] for each in self._written}
+        replaced = {
+            each.part.index: [name for names in each.channels.values() for name in names] for each in self._written
+        }
         headers = make_headers(container, self._reader.beauty, settings, replaced)
         chunks = {each.part.index: self._list_chunks(each) for each in self._written}
         with container.path.open("rb") as stream, open_atomic(path) as out:
@@ -277,7 +279,7 @@ class BandWriter:
         part, first = written.part, written.row
         rows = slice(first - self._top, stop - self._top)
         images = {field: image[rows] for field, image in self._pending.items()}
-        written.spool.add(first, stop, put_images(written.slots, images, self._reader.read_part(part, first, stop)))
+        written.spool.add(first, stop, put_images(written.channels, images, self._reader.read_part(part, first, stop)))
         written.row = stop
 
     def _list_chunks(self, written: _Written) -> Iterator[tuple[int, bytes]]:

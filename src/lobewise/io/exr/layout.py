@@ -87,13 +87,13 @@ def name_file(path: PathLike) -> Iterator[None]:
 
 
 def put_images(
-    slots: Iterable[Slot], images: Mapping[str, FloatArray], pixels: Mapping[str, Pixels]
+    channels: Mapping[str, Sequence[str]], images: Mapping[str, FloatArray], pixels: Mapping[str, Pixels]
 ) -> dict[str, Pixels]:
-    """Return the channels of a part with the channels of some slots replaced, all in their stored types."""
+    """Return the channels of a part with the channels of some images replaced, all in their stored types."""
     changed = dict(pixels)
-    for slot in slots:
-        for index, name in enumerate(slot.channels):
-            changed[name] = convert_plane(images[slot.field][..., index], pixels[name].dtype)
+    for field, names in channels.items():
+        for index, name in enumerate(names):
+            changed[name] = convert_plane(images[field][..., index], pixels[name].dtype)
     return changed
 
 
