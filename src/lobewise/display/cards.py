@@ -64,7 +64,7 @@ def _encode_all(pictures: Mapping[str, NDArray[np.float32]]) -> dict[str, str]:
     except InputError:
         return {}
     return {
-        name: f'<img alt="{html.escape(name)}" style="{_IMAGE}" src="{encode_picture(image, exposure)}">'
+        name: f'<img alt="{html.escape(name)}" style="{_IMAGE}" src="{encode_bytes(map_tones(image, exposure))}">'
         for name, image in pictures.items()
     }
 
@@ -89,11 +89,6 @@ def thin_out(image: NDArray[Any]) -> NDArray[Any]:
     """Return every n-th row and column of a large image, at least `MAX_WIDTH_PIXELS` columns: painting takes memory."""
     step = max(image.shape[1] // MAX_WIDTH_PIXELS, 1)
     return image[::step, ::step]
-
-
-def encode_picture(image: NDArray[np.float32], exposure: float) -> str:
-    """Return the data URL of a tone-mapped PNG of at most `MAX_WIDTH_PIXELS` columns."""
-    return encode_bytes(map_tones(image, exposure))
 
 
 def encode_bytes(colors: NDArray[np.uint8]) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.display.tones import choose_exposure, map_tones
+from lobewise.display.tones import choose_exposure, map_tones, round_codes
 from lobewise.errors import InputError
 
 SHOWN_PERCENTILES = (1.0, 99.0)
@@ -45,7 +45,7 @@ def paint_guide(name: str, image: NDArray[np.float32]) -> NDArray[np.uint8]:
         least = MIN_SHOWN_MOTION_PIXELS if name == "motion" else 0.0
         shown = _stretch_signed(value, least) if name.endswith(SIGNED) else _stretch(value)
     codes = np.nan_to_num(np.clip(_make_rgb(shown), 0.0, 1.0)) * 255.0
-    return _fill(np.rint(codes).astype(np.uint8), value)
+    return _fill(round_codes(codes), value)
 
 
 def paint_light(image: NDArray[np.float32]) -> NDArray[np.uint8]:

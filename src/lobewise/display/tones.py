@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -53,8 +54,12 @@ def map_tones(image: ArrayLike, exposure: float) -> NDArray[np.uint8]:
         MAX_LINEAR_VALUE - rest * np.expm1(-np.maximum(value - MAX_LINEAR_VALUE, 0.0) / rest),
     )
     encoded = np.where(value <= 0.0031308, 12.92 * value, 1.055 * np.maximum(value, 0.0031308) ** (1.0 / 2.4) - 0.055)
-    out: NDArray[np.uint8] = np.rint(np.clip(encoded, 0.0, 1.0) * 255.0).astype(np.uint8)
-    return out
+    return round_codes(np.clip(encoded, 0.0, 1.0) * 255.0)
+
+
+def round_codes(values: NDArray[np.floating[Any]]) -> NDArray[np.uint8]:
+    """Return numbers from 0 to 255 as whole ones."""
+    return np.asarray(np.rint(values), np.uint8)
 
 
 def map_tones_quickly(image: NDArray[np.float32], exposure: float) -> NDArray[np.uint8]:
@@ -79,13 +84,11 @@ def make_error_palette() -> NDArray[np.uint8]:
     anchors = np.array(_RAMP, dtype=np.float64)
     places = np.linspace(0.0, len(anchors) - 1.0, 256)
     columns = [np.interp(places, np.arange(len(anchors)), anchors[:, channel]) for channel in range(3)]
-    out: NDArray[np.uint8] = np.rint(np.stack(columns, axis=-1)).astype(np.uint8)
-    return out
+    return round_codes(np.stack(columns, axis=-1))
 
 
 def index_errors(error: ArrayLike) -> NDArray[np.uint8]:
     """Return indices into `make_error_palette` for relative errors, logarithmic from 1 % to 100 %, clamped outside."""
     value = np.clip(np.asarray(error, dtype=np.float64), MIN_SHOWN_ERROR, MAX_SHOWN_ERROR)
     place = np.log(value / MIN_SHOWN_ERROR) / np.log(MAX_SHOWN_ERROR / MIN_SHOWN_ERROR)
-    out: NDArray[np.uint8] = np.rint(place * 255.0).astype(np.uint8)
-    return out
+    return round_codes(place * 255.0)

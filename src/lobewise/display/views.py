@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.display.colors import Chromaticities, convert_light
-from lobewise.display.tones import map_tones
+from lobewise.display.tones import map_tones, round_codes
 from lobewise.errors import FileError, InputError, MissingDependencyError, make_printable, require_choice
 from lobewise.work.arrays import FloatArray
 
@@ -44,8 +44,7 @@ class View:
             light = np.ascontiguousarray(image * np.float32(exposure), dtype=np.float32)
         light = np.nan_to_num(light, nan=0.0, posinf=MAX_SHOWN_LIGHT, neginf=-MAX_SHOWN_LIGHT)
         _make_processor(self, source).applyRGB(light)
-        out: NDArray[np.uint8] = np.rint(np.clip(light, 0.0, 1.0) * 255.0).astype(np.uint8)
-        return out
+        return round_codes(np.clip(light, 0.0, 1.0) * 255.0)
 
 
 def paint_picture(

@@ -96,13 +96,11 @@ def _choose_sensor(scene: Any, sensor: Any) -> Any:
         If it is neither.
     """
     from lobewise.render.bridge import mi
+    from lobewise.render.camera import list_sensors
 
     if isinstance(sensor, mi.Sensor):
         return sensor
-    sensors = scene.sensors()
-    if not sensors:
-        action = "add <sensor type='perspective'> to the scene"
-        raise InputError("scene", expected="a sensor", got="none", action=action)
+    sensors = list_sensors(scene)
     return sensors[require_integer("sensor", sensor, 0, len(sensors) - 1)]
 
 

@@ -48,13 +48,16 @@ def get_sensor(scene: Any) -> Any:
         If the scene has no sensor.
     """
     chosen = _chosen.get()
-    if chosen is not None:
-        return chosen
-    if not scene.sensors():
-        raise InputError(
-            "scene", expected="a sensor", got="none", action="add <sensor type='perspective'> to the scene"
-        )
-    return scene.sensors()[0]
+    return list_sensors(scene)[0] if chosen is None else chosen
+
+
+def list_sensors(scene: Any) -> list[Any]:
+    """Return the sensors of a scene; raise InputError if there is none."""
+    sensors: list[Any] = scene.sensors()
+    if not sensors:
+        action = "add <sensor type='perspective'> to the scene"
+        raise InputError("scene", expected="a sensor", got="none", action=action)
+    return sensors
 
 
 def get_image_size(scene: Any) -> tuple[int, int]:

@@ -18,13 +18,13 @@ from lobewise.errors import InputError, require_choice, require_integer
 from lobewise.records.camera import Camera
 from lobewise.records.frame import FloatArray, Frame, GBuffer, LobeKind, Radiance
 from lobewise.render.bridge import dr, mi, repeat, starts_as
-from lobewise.render.camera import get_camera, get_image_size, get_sensor, has_lens, is_flat, make_matrix
+from lobewise.render.camera import get_camera, get_image_size, get_sensor, has_lens, is_flat, make_matrix, use_sensor
 from lobewise.render.images import to_image
 from lobewise.render.integrators import LIGHTS, Light, name_integrator
 from lobewise.render.materials.bsdfs import list_shapes, read_scene_materials
 from lobewise.render.tracing.own_samples import OwnSamples, sample_own
 from lobewise.render.tracing.points import Points, trace_first_opaque, trace_points
-from lobewise.render.tracing.rays import draw_point, make_opaque, make_rng
+from lobewise.render.tracing.rays import draw_point, make_opaque, make_ray, make_rng
 
 CHUNK_SAMPLES = 1 << 22
 """Samples per launch of the scene's integrator."""
@@ -237,16 +237,13 @@ def render_lens_guides(scene: Any, *, samples: int, seed: int, moved: bool = Fal
     width, height = get_image_size(scene)
     sensor, materials = make_box_sensor(scene), read_scene_materials(scene)
     pixel = dr.arange(mi.UInt32, width * height)
-    columns, rows = dr.opaque(mi.UInt32, width), dr.opaque(mi.UInt32, height)
+    size = dr.opaque(mi.UInt32, width), dr.opaque(mi.UInt32, height)
     eye = mi.Point3f(*(float(value) for value in camera.position))
     seed_value = make_opaque(seed)
 
     def take(index: Any, sums: _Sums) -> tuple[_Sums]:
         rng = make_rng(pixel, index, seed_value)
-        place = draw_point(rng)
-        x = (mi.Float(pixel % columns) + place.x) / mi.Float(columns)
-        y = (mi.Float(pixel // columns) + place.y) / mi.Float(rows)
-        ray, _ = sensor.sample_ray(0.0, 0.5, mi.Point2f(x, y), draw_point(rng))
+        ray = make_ray(scene, pixel, size, draw_point(rng), draw_point(rng), hides=False)
         si, surface = trace_first_opaque(scene, materials, ray)
         is_hit = si.is_valid()
         shine = dr.select(is_hit, dr.mean(surface.specular_albedo), 0.0)
@@ -261,7 +258,7 @@ def render_lens_guides(scene: Any, *, samples: int, seed: int, moved: bool = Fal
         sums.specular_albedo += dr.select(is_hit, surface.specular_albedo, 0.0)
         return (sums,)
 
-    with dr.suspend_grad():
+    with use_sensor(sensor), dr.suspend_grad():
         (sums,) = repeat(take, mi.UInt32(0), dr.opaque(mi.UInt32, samples), _Sums(), label="lens")
         dr.eval(sums)
     hit_count, shine = to_image(sums.hit_count), to_image(sums.shine)
