@@ -53,10 +53,15 @@ def test_the_files_are_those_of_the_command(
 
 
 def test_a_sequence_that_was_cancelled_goes_on(folder: Path) -> None:
+    Path("in.4.exr").write_bytes(Path("in.3.exr").read_bytes())
+    Path("in.3.exr").unlink()
+    remarks: list[str] = []
     request = lobewise.FileRequest(settings=lobewise.DenoiseSettings(quality="fast"))
     with pytest.raises(CancelledError):
         lobewise.denoise_files("in.#.exr", "out.#.exr", request, progress=lambda record: record.done < 2)
-    report = lobewise.denoise_files("in.#.exr", "out.#.exr", request, numbers=None)
+    report = lobewise.denoise_files("in.#.exr", "out.#.exr", request, remark=remarks.append)
+    assert remarks[0] == "Frame 3 of 1 to 4 is missing."
+    assert remarks[1].startswith("Going on after frame 2")
     assert (report.frames, report.written, report.resumed_after) == (3, 1, 2)
     assert report.last is not None
     assert report.last.describe()["width"] == 32

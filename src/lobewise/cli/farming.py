@@ -14,7 +14,7 @@ from lobewise.cli.options.farming import Farm
 from lobewise.cli.output import describe_result, describe_settings, print_line, print_note
 from lobewise.cli.running import Job, write_picture
 from lobewise.cli.running import run_files as run_files_here
-from lobewise.cli.terminal.outcome import tell_gaps, tell_picture
+from lobewise.cli.terminal.outcome import tell_picture
 from lobewise.display.views import View
 from lobewise.errors import LobewiseError
 from lobewise.farm.running import FarmJob, FarmReport, filter_on_farm
@@ -23,7 +23,7 @@ from lobewise.io.files import require_exr_name
 from lobewise.io.sequence import FramePattern, name_frames
 from lobewise.recipes.files import FileResult
 from lobewise.recipes.files.remarks import Remarks
-from lobewise.recipes.files.running import FileFilter, Request, open_filter, run_files
+from lobewise.recipes.files.running import FileFilter, Request, add_gaps, open_filter, run_files
 from lobewise.reporting.picture import Pictures, name_picture
 from lobewise.work.limits import limit_call
 
@@ -148,7 +148,7 @@ def _run_on_farm(job: Job, request: Request, context: str, farm: Farm) -> None:
         numbers=job.numbers,
     )
     if job.numbers is None:
-        tell_gaps(farm_job.source)
+        add_gaps(job.remarks, farm_job.source)
     with job.steps as steps:
         report = filter_on_farm(
             farm_job,

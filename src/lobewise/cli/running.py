@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from lobewise.cli.options.common import Telling
 from lobewise.cli.options.frames import choose_numbers
 from lobewise.cli.options.writing import Picture, name_first_output
-from lobewise.cli.terminal.outcome import make_remarks, tell_gaps, tell_picture, tell_settings
+from lobewise.cli.terminal.outcome import make_remarks, tell_picture, tell_settings
 from lobewise.cli.terminal.steps import Steps
 
 if TYPE_CHECKING:
@@ -62,14 +62,11 @@ def run_files(job: Job, request: Request, context: str) -> None:
 
     ``context`` is what the outputs depend on beside the files and the request.
     """
-    from lobewise.cli.output import describe_result, print_line, print_note
+    from lobewise.cli.output import describe_result, print_line
     from lobewise.farm.ledger import remove_records
-    from lobewise.io.sequence import FramePattern, is_pattern
+    from lobewise.io.sequence import is_pattern
     from lobewise.recipes.files.running import run_files as run
 
-    is_sequence = is_pattern(job.source)
-    if is_sequence and job.numbers is None:
-        tell_gaps(FramePattern.parse(job.source))
     with job.steps as steps:
         report = run(
             job.source,
@@ -80,11 +77,11 @@ def run_files(job: Job, request: Request, context: str) -> None:
             numbers=job.numbers,
             after=None if job.pictures is None else partial(write_picture, job.pictures),
             progress=steps.follow,
-            remark=print_note,
+            remark=job.remarks.add,
         )
     last = report.last
     counted = "" if last is None else describe_result(last)
-    if is_sequence:
+    if is_pattern(job.source):
         # Every frame was made: what a stopped farm has recorded is of no use any more.
         remove_records(job.output, job.numbers)
         counted = f"{report.written} of {report.frames} frames{'; the last: ' if counted else ''}{counted}"

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from lobewise.io.sequence import FramePattern
     from lobewise.recipes.files import FileResult
     from lobewise.recipes.files.remarks import Remarks
     from lobewise.reporting.picture import Pictures
@@ -18,15 +17,6 @@ def make_remarks() -> Remarks:
     from lobewise.recipes.files.remarks import Remarks
 
     return Remarks(print_note)
-
-
-def tell_gaps(source: FramePattern) -> None:
-    """Print which frames of a sequence are missing between its first and its last, if any is."""
-    from lobewise.cli.output import print_note
-    from lobewise.io.sequence import describe_gaps
-
-    if gaps := describe_gaps([number for number, _ in source.find()]):
-        print_note(gaps)
 
 
 def tell_picture(output: Path, pictures: Pictures | None) -> None:

@@ -11,7 +11,7 @@ from lobewise.denoising.automatic import change_settings
 from lobewise.errors import InputError, require_choice, require_kind
 from lobewise.io.exr.layout import name_file
 from lobewise.io.files import PathLike, as_path, require_exr_name, require_other_files, require_writable
-from lobewise.io.sequence import is_pattern, look_up_number
+from lobewise.io.sequence import FramePattern, describe_gaps, is_pattern, look_up_number
 from lobewise.recipes.files.denoiser import FileDenoiser
 from lobewise.recipes.files.remarks import Remarks
 from lobewise.recipes.files.request import FileRequest
@@ -108,7 +108,7 @@ def denoise_files(
             raise InputError(what, expected=expected, got=repr(str(source)), action="leave it out")
         require_other_files([output], [source])
     remarks = Remarks(remark)
-    return run_files(source, output, asked, remarks, numbers=numbers, progress=progress)
+    return run_files(source, output, asked, remarks, numbers=numbers, progress=progress, remark=remarks.add)
 
 
 def change_request(request: FileRequest, changes: dict[str, Any]) -> FileRequest:
@@ -122,6 +122,12 @@ def change_request(request: FileRequest, changes: dict[str, Any]) -> FileRequest
     for name in settings:
         require_choice("setting", name, sorted(own | {one.name for one in fields(DenoiseSettings)}))
     return replace(request, settings=change_settings(request.settings, settings))
+
+
+def add_gaps(remarks: Remarks, source: FramePattern) -> None:
+    """Tell which frames of a sequence are missing between its first and its last, if any is."""
+    if gaps := describe_gaps([number for number, _ in source.find()]):
+        remarks.add(gaps)
 
 
 def run_files(
@@ -161,6 +167,8 @@ def run_files(
             after(target, result)
 
     if is_pattern(source):
+        if numbers is None:
+            add_gaps(remarks, FramePattern.parse(source))
         return filter_sequence(
             source,
             output,
