@@ -345,7 +345,7 @@ SENSOR = (
         ("camera.txt", "", "a name that ends in .json"),
         ("camera.json", "{", "expected JSON"),
         ("camera.json", "[]", "expected an object, got a list"),
-        ("camera.json", '{VIEW, "target": [1, 1, 1]}', "either forward or target"),
+        ("camera.json", '{VIEW, "target": [1, 1, 1]}', "either target or forward"),
         ("camera.json", '{"position": ["0", 0, 0], "forward": [0, 0, 1]}', "position: expected a list of three number"),
         ("camera.json", '{VIEW, "fov_y": true}', "fov_y: .* got true"),
         ("camera.json", '{VIEW, "fov_y": 1%s}' % (400 * "0"), "401 digits"),

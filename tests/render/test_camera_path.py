@@ -150,9 +150,12 @@ class TestFile:
             ([{"position": [0, 0, 0], "target": [1, 0, 0], "forward": [1, 0, 0]}], "either target or forward"),
             ([{"position": [0, 0], "target": [1, 0, 0]}], "position: expected a list of three numbers"),
             ([{"position": [0, 0, True], "target": [1, 0, 0]}], "position: expected a list of three numbers"),
-            ([{"position": [0, 0, 0], "target": [0, 0, 0]}], "a direction of view"),
+            ([{"position": [0, 0, 0], "target": [0, 0, 0]}], "target: expected another point than position"),
             ([{"position": [0, 0, 0], "target": [0, 2, 0]}], "parallel"),
-            ([{"position": [0, 0, 0], "target": [0, 0, 1], "fov_y": 180}], "fov_y: expected degrees"),
+            (
+                [{"position": [0, 0, 0], "target": [0, 0, 1], "fov_y": 180}],
+                "fov_y: expected an angle between 0 and 180 degrees",
+            ),
             ([{"positoin": [0, 0, 0], "target": [0, 0, 1]}], "did you mean 'position'"),
         ],
     )

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lobewise.errors import InputError, name_value, require_choice
-from lobewise.io.documents import describe_kind, parse_json, read_document, require_number, require_numbers
+from lobewise.errors import InputError, name_value
+from lobewise.io.cameras import make_camera
+from lobewise.io.documents import describe_kind, parse_json, read_document
 from lobewise.io.files import PathLike
 from lobewise.records.camera import Camera
 from lobewise.render.bridge import mi
@@ -97,33 +98,7 @@ def read_camera_path(path: PathLike, camera: Camera) -> list[Camera]:
         got = "an empty list" if entries == [] else describe_kind(entries)
         action = 'write [{"position": [0, 1, 5], "target": [0, 0, 0]}, ...]'
         raise InputError(name, expected="a JSON list of cameras, one for each frame", got=got, action=action)
-    return [_make_camera(f"{name}, entry {number}", entry, camera) for number, entry in enumerate(entries, start=1)]
-
-
-def _make_camera(name: str, entry: Any, default: Camera) -> Camera:
-    if not isinstance(entry, dict):
-        raise InputError(name, expected="an object", got=describe_kind(entry), action="write position and target")
-    for key in entry:
-        require_choice(f"{name}, key", key, _KEYS)
-    if "position" not in entry or ("target" in entry) == ("forward" in entry):
-        expected = "position, and either target or forward"
-        got = ", ".join(entry) or "nothing"
-        raise InputError(name, expected=expected, got=got, action="say where the camera is and where it looks")
-    position = require_numbers(f"{name}, position", entry["position"], 3)
-    aim = "target" if "target" in entry else "forward"
-    with np.errstate(over="ignore"):  # `Camera` refuses numbers that are not finite
-        forward = require_numbers(f"{name}, {aim}", entry[aim], 3) - (position if aim == "target" else 0.0)
-    if not forward.any():
-        raise InputError(name, expected="a direction of view", got="a length of 0", action="look at another point")
-    up = require_numbers(f"{name}, up", entry["up"], 3) if "up" in entry else np.array([0.0, 1.0, 0.0])
-    fov_y = default.fov_y
-    if "fov_y" in entry:
-        known = "degrees between 0 and 180"
-        angle = require_number(f"{name}, fov_y", entry["fov_y"], expected=known, action="40 is usual")
-        if not 0.0 < angle < 180.0:
-            raise InputError(f"{name}, fov_y", expected=known, got=repr(angle), action="40 is usual")
-        fov_y = float(np.deg2rad(angle))
-    try:
-        return Camera(position, forward, up, fov_y)
-    except InputError as problem:
-        raise InputError(f"{name}: {problem}") from None
+    return [
+        make_camera(f"{name}, entry {number}", entry, _KEYS, camera.fov_y)
+        for number, entry in enumerate(entries, start=1)
+    ]
