@@ -56,23 +56,6 @@ def test_the_table_fits_a_terminal_and_the_file_says_the_same(
     assert len(found["devices"]["cpu"]) == 2
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["--size", "512"], "size"),
-        (["--size", "0x4"], "size"),
-        (["--frames", "0"], "frames"),
-        (["--method", "radiosity"], "method"),
-        (["nowhere"], "scene"),
-        (["-o", "no/such/folder/b.json"], "no/such/folder"),
-    ],
-    ids=str,
-)
-def test_bad_input_is_told_in_a_sentence(arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["bench", "interactive", "--device", "cpu", *arguments]) == 2
-    assert says in capsys.readouterr().err
-
-
 def test_rays_are_always_traced_on_the_cpu() -> None:
     assert list_render_devices()[0] == "cpu"
 

@@ -15,6 +15,8 @@ from tests.streaming.frames import make_scene
 FOREIGN = Path(__file__).parents[1] / "data" / "foreign"
 TO = "-o x.exr"
 """An output that could be written, beside an input that is not there where an option is wrong."""
+LONG = "x" * 300 + ".exr"
+"""A longer name than file systems keep."""
 
 MISTAKES = {
     # Verbs and names of options.
@@ -71,6 +73,7 @@ MISTAKES = {
     f"upsample gone.exr {TO} --radius 99": "--radius: expected an integer from 0 to 64, got 99; ",
     f"upsample gone.exr {TO} --memory 0.5": "--memory: expected --temporal beside it, got none; add --temporal.",
     f"upsample gone.exr {TO} --temporal --bilinear": "--bilinear: expected no --temporal beside it, got both; ",
+    f"denoise gone.exr {TO} --wrap --bands 16": "--bands: expected auto or off with --wrap, which takes whole frames, ",
     # What the file holds.
     f"denoise gone.exr {TO} --preset cyclse": "--preset: expected one of …, got 'cyclse'; did you mean 'cycles'?",
     f"denoise gone.exr {TO} --preset gone.toml": "--preset 'gone.toml': expected an existing file, got no such file; ",
@@ -112,7 +115,18 @@ MISTAKES = {
     f"upsample a.exr {TO}": "input 'a.exr': expected the attribute lobewise/sparse with scale, row and column, got ",
     f"upsample cycles.exr {TO}": "input 'cycles.exr': expected --scale for a file of another renderer, whose header ",
     "upsample in.#.exr -o x.#.exr": "input 'in.1.exr': expected the attribute lobewise/sparse with scale, row and ",
+    f"inspect {LONG}": "input 'xxx…xxx.exr': expected a readable file, got file name too long; check the path.",
+    f"denoise {LONG} {TO}": "input 'xxx…xxx.exr': expected a readable file, got file name too long; check the path.",
+    f"upsample {LONG} {TO}": "input 'xxx…xxx.exr': expected a readable file, got file name too long; check the path.",
+    f"view {LONG}": "input 'xxx…xxx.exr': expected a readable file, got file name too long; check the path.",
+    f"fit {LONG} -o x.lobes": "input 'xxx…xxx.exr': expected a readable file, got file name too long; check the path.",
     # Outputs.
+    f"render showroom -o {LONG}": "--output 'xxx…xxx.exr': expected a path that can be written, got file name too long",
+    f"export filter -o {LONG}": "--output 'xxx…xxx.exr': expected a new or empty folder, got file name too long; ",
+    "upsample a.exr -o b.exr/": "--output 'b.exr/': expected a file name, got a name that ends with a slash, ",
+    "inspect a.exr --html b.exr/": "--html 'b.exr/': expected a file name, got a name that ends with a slash, ",
+    "compare a.exr -r a.exr --json b.exr/": "--json 'b.exr/': expected a file name, got a name that ends with a ",
+    "fit gone.binary -o b.exr/": "--output 'b.exr/': expected a file name, got a name that ends with a slash, ",
     "denoise gone.exr -o x.png": "--output: expected a name that ends in .exr, …, got 'x.png'; name it 'x.exr'.",
     "upsample gone.exr -o x.jpg": "--output: expected a name that ends in .exr, …, got 'x.jpg'; name it 'x.exr'.",
     "render showroom -o x.png": "--output: expected a name that ends in .exr, …, got 'x.png'; name it 'x.exr'.",
@@ -139,6 +153,8 @@ MISTAKES = {
     "denoise gone.exr -o - --png": "--png: expected files as input and output, got '-'; name files.",
     f"denoise gone.exr {TO} --tev": "--tev: expected the program tev, got none on the PATH; install it from ",
     # Sequences.
+    f"denoise in.#{LONG} -o x.#.exr": "sequence 'in.#xxx…xxx.exr': expected files such as 'in.1xxx…xxx.exr', got none",
+    "denoise in.#.exr -o x.#.exr --temporal --bands 9": "--bands: expected auto or off with --temporal, which takes ",
     "denoise gone.#.exr -o x.#.exr": "sequence 'gone.#.exr': expected files such as 'gone.1.exr', got none; ",
     "denoise gone.#.exr -o x.exr": "--output: expected a sequence such as 'in.####.exr', got 'x.exr'; put # in place ",
     "denoise in.#.exr -o x.#.exr --overwrite": "--overwrite: expected a single file, got the sequence 'in.#.exr', ",
@@ -175,6 +191,8 @@ MISTAKES = {
     "inspect a.exr --html a.exr": "--html 'a.exr': expected a file that is not read, as its content would be lost, ",
     "render showrom -o x.exr": "scene: expected one of showroom, …, got 'showrom'; did you mean 'showroom'?",
     "render gone.xml -o x.exr": "scene 'gone.xml': expected an existing file, got no such file; check the path.",
+    f"render showroom {TO} -D spp=3": "parameter 'spp': expected an XML file, got the scene 'showroom'; leave it out: ",
+    "render brushed -o x.#.exr --frames 2 --moving-objects": "scene: expected one …: showroom or parlour, got ",
     "render gone.xml -o x.exr --spp 0": "--spp: expected a number …, got '0'; see lobewise re",
     "render gone.xml -o x.exr --aov-only --reference": "--aov-only: expected no --reference beside it, got both; ",
     "render gone.xml -o x.exr --speed 2": "--speed: expected --frames beside it, got none; say how many frames.",
@@ -189,6 +207,9 @@ MISTAKES = {
     "view showroom --reference a.exr": "--reference: expected a finished frame beside it, got a scene; leave it out.",
     "view showroom --preset cycles": "--preset: expected a finished frame beside it, got a scene; leave it out.",
     "view showroom --port 99999": "--port: expected a number …, got '99999'; see lobewise ",
+    "view brushed --moving-objects": "scene: expected one whose objects move: showroom or parlour, got 'brushed'; ",
+    "view showroom --moving-objects gone.json": "--moving-objects 'gone.json': expected an existing file, got no such ",
+    "view a.exr --moving-objects": "--moving-objects: expected a scene beside it, got a finished frame; leave it out.",
     "view a.exr --size 512x512": "--size: expected a scene beside it, got a finished frame; leave it out.",
     "view a.exr --reference gone.exr": "--reference 'gone.exr': expected an existing file, got no such file; ",
     "view a.exr --radius 900": "--radius: expected an integer from 0 to 64, got 900; ",
@@ -206,6 +227,12 @@ MISTAKES = {
     "compare in.#.exr -r in.#.exr --html x": "--html: expected single files, got sequences; name one frame of each.",
     "bench --device gpu": "--device: expected one of auto, cpu, vulkan, cuda, metal, got 'gpu'; did you mean 'cpu'?",
     "bench -o gone/x.json": "--output 'gone/x.json': expected a path that can be written, got no folder ",
+    "bench interactive --size 512": "--size: expected columns x rows from 8 to 8192, such as 512x512, got '512'; ",
+    "bench interactive --size 0x4": "--size: expected columns x rows from 8 to 8192, such as 512x512, got '0x4'; ",
+    "bench interactive --frames 0": "--frames: expected at least 1, got 0; 24 is usual.",
+    "bench interactive --method radiosity": "--method: expected one of paths, …, got 'radiosity'; choose one of them.",
+    "bench interactive nowhere": "scene: expected one of showroom, …, got 'nowhere'; choose one of them.",
+    "bench interactive -o gone/x.json": "--output 'gone/x.json': expected a path that can be written, got no folder ",
     "bench --quick interactive": "bench: expected its options behind `interactive`, got some before it; ",
     "export filter": "--output: expected a folder to write, or --list, which writes nothing, got neither; ",
     "export filter -o x --list": "--output: expected a folder to write, or --list, which writes nothing, got both; ",

@@ -95,8 +95,3 @@ def test_sequences_of_an_own_integrator(fog: Path) -> None:
     words = ["--frames", "2", "--camera-path", "still", "-D", "density=2", "-o", str(pattern)]
     assert run(["render", str(fog), "--spp", "2", *words]) == 0
     assert lobewise.read_frame(fog.with_name("out.0002.exr")).gbuffer.motion is not None
-
-
-def test_built_in_scenes_have_no_parameters(tmp_path: Path, capsys: pytest.CaptureFixture[str], mi: Any) -> None:
-    assert run(["render", "showroom", "-D", "spp=3", "-o", str(tmp_path / "a.exr")]) == 2
-    assert "parameter 'spp': expected an XML file, got the scene 'showroom'" in capsys.readouterr().err

@@ -134,7 +134,3 @@ class TestMistakes:
         (tmp_path / "moves.json").write_text(json.dumps(moves))
         assert message in fail(capsys, "--frames 2 --moving-objects moves.json -o out.####.exr")
         assert [path.name for path in tmp_path.iterdir()] == ["moves.json"]
-
-    def test_scenes_without_moving_objects_say_which_have(self, render, capsys):
-        assert run(["render", "brushed", "--frames", "2", "--moving-objects", "-o", "out.####.exr"]) == 2
-        assert "showroom or parlour" in capsys.readouterr().err

@@ -134,7 +134,6 @@ def test_listing(capsys: pytest.CaptureFixture[str]) -> None:
     assert any(line.startswith("  hits: width x height, distance") for line in lines)
     # Nine images of 16 bytes are kept, and their earlier versions.
     assert f" {2 * 9 * 16} from frame to frame" in next(line for line in lines if line.startswith("Memory"))
-    assert run(["export", "passes", "history", "glls", "--list"]) == 2
 
 
 def test_memory_is_shared_by_images_of_a_frame() -> None:

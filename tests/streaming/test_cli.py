@@ -75,9 +75,6 @@ def test_sequences_go_band_by_band_and_frame_by_frame(
         for number in (1, 2):
             expected = (folder / f"whole.{number:04d}.exr").read_bytes()
             assert (folder / f"{name}.{number:04d}.exr").read_bytes() == expected
-    temporal = [*sequence, str(folder / "t.####.exr"), "--temporal"]
-    assert run([*temporal, "--bands", "9"]) == 2
-    assert "with --temporal, which takes whole frames" in capsys.readouterr().err
 
 
 def test_materials_come_along(folder: Path, full_frame: Any) -> None:

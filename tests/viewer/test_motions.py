@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.cli.main import run
 from lobewise.errors import InputError
 from lobewise.interactive.settings import InteractiveSettings
 from lobewise.scenes import BY_THEMSELVES
@@ -121,23 +120,6 @@ def test_shapes_that_are_not_there_are_told(room: tuple[str, str], tmp_path: Pat
     wrong.write_text(json.dumps({"bell": {"matrices": [slide(0.0, 0.0, 0.0).tolist()]}}))
     with pytest.raises(InputError, match=r"wrong\.json.*bell"):
         open_target(room[0], str(wrong))
-
-
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["brushed", "--moving-objects"], "showroom or parlour"),
-        (["showroom", "--moving-objects", "absent.json"], "absent.json"),
-        (["frame.exr", "--moving-objects"], "--moving-objects: expected a scene beside it"),
-    ],
-)
-def test_wrong_motions_end_the_command(
-    words: list[str], says: str, capsys: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "frame.exr").write_bytes(b"v/1\x01")
-    assert run(["view", *words]) == 2
-    assert says in capsys.readouterr().err
 
 
 def make_browser(speed: float) -> Browser:
