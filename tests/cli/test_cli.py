@@ -369,10 +369,6 @@ class TestRender:
         assert run(["denoise", str(tmp_path / "frame.exr"), "-o", str(tmp_path / "out.exr")]) == 0
         assert (tmp_path / "frame.png").read_bytes().startswith(b"\x89PNG")
 
-    @pytest.mark.parametrize("option", [["--aov-only"], ["--scale", "2"]])
-    def test_a_picture_of_no_image_is_refused(self, option, tmp_path, capsys):
-        assert "--png" in fail(capsys, "render", "showroom", "-o", str(tmp_path / "a.exr"), "--png", *option)
-
     def test_output_is_checked_before_rendering(self, tmp_path, capsys, monkeypatch):
         monkeypatch.setattr("lobewise.render.load_scene", lambda *_a, **_k: pytest.fail("rendered first"))
         assert run(["render", "showroom", "-o", str(tmp_path / "missing" / "a.exr")]) == 2

@@ -98,28 +98,6 @@ class TestSequence:
 @pytest.mark.mitsuba
 class TestMistakes:
     @pytest.mark.parametrize(
-        ("line", "message"),
-        [
-            ("--camera-path orbit", "--camera-path: expected --frames beside it"),
-            ("--start 2", "--start: expected --frames beside it"),
-            ("--moving-objects", "--moving-objects: expected --frames beside it"),
-            ("--moving-objects moves.json", "--moving-objects: expected --frames beside it"),
-            ("--frames 2 --moving-objects absent.json", "no such file"),
-            ("--frames 2 --aov-only", "no --aov-only beside it"),
-            ("--frames 2 --scale 4 --place 1,1", "no --place beside it"),
-            ("--frames 2 --scale 4 --reference", "no --reference beside it"),
-            ("--frames 2 --camera-path still --speed 1", "no --speed beside it"),
-            ("--frames 2 --camera-path orbti", "did you mean 'orbit'"),
-            ("--frames 2 --camera-path absent.json", "no such file"),
-            ("--frames 2 -o absent/out.####.exr", "absent"),
-        ],
-    )
-    def test_one_sentence_and_no_file(self, render, tmp_path, capsys, line, message):
-        line = line if "-o" in line.split() else f"{line} -o out.####.exr"
-        assert message in fail(capsys, line)
-        assert list(tmp_path.iterdir()) == []
-
-    @pytest.mark.parametrize(
         ("moves", "message"),
         [
             ({"chalks": {"keys": [{"frame": 1}]}}, "did you mean 'chalk'"),
