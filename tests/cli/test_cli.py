@@ -206,9 +206,9 @@ def test_sparse_render_upsampled_and_shaded_again(tmp_path, capsys):
     assert "24x20 pixels, one of 4x4 pixels shaded, 1 spp" in capsys.readouterr().out
     line = ["upsample", str(sparse), "-o", str(out), "--radius", "2"]
     assert run([*line, "--adaptive", "10%", "--scene", "showroom", "--adaptive-spp", "2"]) == 0
-    assert re.search(r"Shaded \d+ pixels again, 2 spp\.", capsys.readouterr().out)
+    assert re.search(r"\d+ pixels were shaded again, with 2 samples each\.", capsys.readouterr().err)
     assert run([*line, "--adaptive", "10%", "--scene", "showroom"]) == 0
-    assert re.search(r"Shaded \d+ pixels again, 32 spp\.", capsys.readouterr().out)
+    assert re.search(r"\d+ pixels were shaded again, with 32 samples each\.", capsys.readouterr().err)
     assert read_image(out).shape == (20, 24, 3)
     assert np.isfinite(read_image(out)).all()
 
