@@ -216,11 +216,16 @@ def render_direct(session: Session, path: list[Camera], changes: int = 0, **sett
     return frame.get_view("direct")
 
 
-def test_direct_light_has_a_history(session: Session, path: list[Camera]) -> None:
+def compute_direct(session: Session, camera: Camera) -> np.ndarray:
+    """Return direct light of a session that becomes 96 pixels wide and high, without noise."""
     session.resize(96, 96)
     reference = session.make_sibling()
     raw = replace(QUICK, adaptive=0.0, temporal=False, filter_direct=False)
-    truth = [reference.render(path[-1], raw) for _ in range(128)][-1].get_view("direct")
+    return [reference.render(camera, raw) for _ in range(128)][-1].get_view("direct")
+
+
+def test_direct_light_has_a_history(session: Session, path: list[Camera]) -> None:
+    truth = compute_direct(session, path[-1])
     kept, alone = (render_direct(session, path, temporal=temporal) for temporal in (True, False))
     assert rel_mse(kept, truth) < rel_mse(alone, truth)
     # The history is left behind when lights change.
@@ -229,10 +234,7 @@ def test_direct_light_has_a_history(session: Session, path: list[Camera]) -> Non
 
 
 def test_direct_light_gets_better_while_the_camera_rests(session: Session, path: list[Camera]) -> None:
-    session.resize(96, 96)
-    reference = session.make_sibling()
-    raw = replace(QUICK, adaptive=0.0, temporal=False, filter_direct=False)
-    truth = [reference.render(path[-1], raw) for _ in range(128)][-1].get_view("direct")
+    truth = compute_direct(session, path[-1])
     images = [render_direct(session, [*path, *[path[-1]] * count]) for count in (0, 4, 24)]
     errors = [rel_mse(image, truth) for image in images]
     assert errors[1] < errors[0]

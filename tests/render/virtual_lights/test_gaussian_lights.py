@@ -9,8 +9,6 @@ from lobewise.errors import InputError
 from lobewise.metrics import rel_mse
 from tests.render.virtual_lights.test_virtual_lights import (
     PATHS_NOISE,
-    assert_nothing_is_compiled_twice,
-    assert_same_seed_same_bits_whatever_the_order,
     expect_one_light,
     get_image,
     make_cornell_box,
@@ -36,15 +34,6 @@ def cornell(mi: Any) -> Any:
     return make_cornell_box(mi)
 
 
-def make_copper_box(mi: Any, alpha: float, size: int = 32) -> Any:
-    """Return the Cornell box with boxes of copper."""
-    items = mi.cornell_box()
-    items["sensor"]["film"].update(width=size, height=size)
-    copper = {"type": "roughconductor", "material": "Cu", "alpha": alpha, "distribution": "ggx"}
-    items["small-box"]["bsdf"] = items["large-box"]["bsdf"] = copper
-    return mi.load_dict(items)
-
-
 def test_one_light_is_the_closed_form(mi: Any) -> None:
     scene = make_corner(mi)
     points = view(scene)
@@ -59,20 +48,9 @@ def test_one_light_is_the_closed_form(mi: Any) -> None:
 
 
 @pytest.mark.nightly
-def test_clusters_of_one_light_are_point_lights(cornell: Any) -> None:
-    points = view(cornell)
-    # Most of the light must not come from lights that are nearer than their share of the walls.
-    plain = total(make_lights(cornell, count=64, clamp=0.0).shade(points, samples=1, seed=0, all_lights=True))
-    method = make_clusters(cornell, count=64, cluster_size=1)
-    found = total(method.shade(points, samples=1, seed=0, all_lights=True))
-    assert np.median(np.abs(found - plain)[plain > 0] / plain[plain > 0]) < 1e-3
-    assert found.mean() == pytest.approx(plain.mean(), rel=0.02)
-
-
-@pytest.mark.nightly
 @pytest.mark.parametrize("alpha", [None, 0.12])
 def test_drawn_clusters_are_the_sum_over_all(mi: Any, alpha: float | None) -> None:
-    scene = make_cornell_box(mi) if alpha is None else make_copper_box(mi, alpha)
+    scene = make_cornell_box(mi, alpha)
     points = view(scene)
     method = make_clusters(scene, count=512)
     whole = np.mean([total(method.shade(points, samples=4, seed=k, all_lights=True)) for k in range(16)], axis=0)
@@ -102,7 +80,7 @@ def test_light_comes_near_paths(cornell: Any) -> None:
 @pytest.mark.nightly
 @pytest.mark.parametrize("alpha", [0.03, 0.12, 0.35])
 def test_glossy_surfaces_have_less_error_than_by_point_lights(mi: Any, alpha: float) -> None:
-    scene = make_copper_box(mi, alpha)
+    scene = make_cornell_box(mi, alpha)
     points = view(scene)
     metal = (np.array(points.surface.alpha_u) > 0)[None]
     assert 0.1 < metal.mean() < 0.5
@@ -115,30 +93,6 @@ def test_glossy_surfaces_have_less_error_than_by_point_lights(mi: Any, alpha: fl
     # Lobes of this width have no spikes when all lights are taken.
     assert rel_mse(converged, paths, metal) < (1.0 if alpha > 0.3 else 0.1) * rel_mse(all_spikes, paths, metal)
     assert converged[metal].mean() == pytest.approx(paths[metal].mean(), rel=DARKER)
-
-
-def test_same_seed_same_bits_whatever_the_order(cornell: Any) -> None:
-    assert_same_seed_same_bits_whatever_the_order(make_clusters(cornell, count=256), cornell)
-
-
-def test_nothing_is_compiled_twice(mi: Any) -> None:
-    scene = make_copper_box(mi, 0.1)
-    assert_nothing_is_compiled_twice(make_clusters(scene, count=256), scene)
-
-
-@pytest.mark.sampled("bsdf0")
-@pytest.mark.parametrize("bsdf", [{"type": "conductor", "material": "Al"}, {"type": "roughconductor", "alpha": 0.01}])
-def test_mirrors_show_what_is_lit(mi: Any, bsdf: dict[str, Any]) -> None:
-    scene = make_corner(mi, cone=30.0, bsdf=bsdf)
-    points = view(scene)
-    mirror = np.abs(np.array(points.si.n)[2]) > 0.5
-    assert 0.2 < mirror.mean() < 0.9
-    paths = render_paths(scene, points, samples=4096)
-    found = make_clusters(scene, count=4096).shade(points, samples=64, seed=0)
-    assert get_image(found.diffuse)[:, mirror].max() == 0.0
-    lit, expected = get_image(found.specular)[:, mirror], get_image(paths.specular)[:, mirror]
-    assert expected.max() > 0.01
-    assert lit.mean() == pytest.approx(expected.mean(), rel=PATHS_NOISE)
 
 
 def test_light_behind_a_mask_passes(mi: Any) -> None:

@@ -50,6 +50,13 @@ def read(method: Any) -> tuple[np.ndarray, np.ndarray]:
     return found[..., :3], found[..., 3]
 
 
+def move(scene: Any, name: str, *way: float) -> Any:
+    """Slide a shape of a scene; return the boxes that it was and is in."""
+    from lobewise.render.moving.shapes import ShapePlaces
+
+    return ShapePlaces(scene).place({name: slide(*way)})[name]
+
+
 def settle(method: Any) -> None:
     for _ in range(100):
         if method.is_settled:
@@ -83,14 +90,12 @@ def test_light_that_fades_is_followed_at_once(mi: Any, bounces: int) -> None:
 def test_a_lamp_that_moved_lights_as_if_it_had_been_there(
     mi: Any, bounces: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from lobewise.render.moving.shapes import ShapePlaces
     from lobewise.render.voxels import lighting
 
     monkeypatch.setattr(lighting, "FACES_PER_STEP", 1500)
     scene = load(mi)
     method = make(scene, bounces=bounces)
-    moved = ShapePlaces(scene).place({"lamp": slide(0.5, 0.0, -0.5)})["lamp"]
-    method.update_shapes(moved)
+    method.update_shapes(move(scene, "lamp", 0.5, 0.0, -0.5))
     first, _ = read(method)
     settle(method)
     found, depth = read(method)
@@ -122,14 +127,13 @@ def test_shapes_that_moved_are_where_they_are(mi: Any) -> None:
 
 def test_new_voxels_have_all_light_at_once(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """But for what they send each other more than twice. Other voxels have the light of before."""
-    from lobewise.render.moving.shapes import ShapePlaces
     from lobewise.render.voxels import lighting
 
     monkeypatch.setattr(lighting, "FACES_PER_STEP", 50)
     scene = load(mi)
     method = make(scene)
     _, before = read(method)
-    method.update_shapes(ShapePlaces(scene).place({"ball": slide(0.2, 0.3, 0.1)})["ball"])
+    method.update_shapes(move(scene, "ball", 0.2, 0.3, 0.1))
     (found, depth), (expected, _) = read(method), read(make(scene))
     new = (depth > 0.0) & (before == 0.0)
     assert new.sum() > 200
@@ -137,7 +141,6 @@ def test_new_voxels_have_all_light_at_once(mi: Any, monkeypatch: pytest.MonkeyPa
 
 
 def test_only_columns_that_cross_a_box_are_cast_again(mi: Any) -> None:
-    from lobewise.render.moving.shapes import ShapePlaces
     from lobewise.render.voxels.axis_hits import recast_hits
 
     scene = load(mi)
@@ -150,7 +153,7 @@ def test_only_columns_that_cross_a_box_are_cast_again(mi: Any) -> None:
         return original(ray)
 
     method._caster.cast = count
-    moved = ShapePlaces(scene).place({"ball": slide(0.1, 0.0, 0.0)})["ball"]
+    moved = move(scene, "ball", 0.1, 0.0, 0.0)
     hits = recast_hits(method._caster, surfaces.bounds, surfaces.hits, moved)
     # The ball and its step are 0.7 by 0.6 by 0.6 of a room that is 2 wide.
     share = (0.6 * 0.6 + 2.0 * 0.7 * 0.6) / (3.0 * 2.0 * 2.0)
@@ -160,12 +163,10 @@ def test_only_columns_that_cross_a_box_are_cast_again(mi: Any) -> None:
 
 
 def test_a_shape_that_leaves_the_grid_makes_it_anew(mi: Any) -> None:
-    from lobewise.render.moving.shapes import ShapePlaces
-
     scene = load(mi)
     method = make(scene)
     voxel = float(method.grid.voxel[0])
-    method.update_shapes(ShapePlaces(scene).place({"room": slide(1.0, 0.0, 0.0)})["room"])
+    method.update_shapes(move(scene, "room", 1.0, 0.0, 0.0))
     assert float(method.grid.voxel[0]) > 1.2 * voxel
     assert float(method.grid.voxel[0]) == float(make(scene).grid.voxel[0])
 
