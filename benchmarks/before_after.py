@@ -6,8 +6,6 @@ neighbouring runs. A machine that slows down or speeds up meanwhile slows both. 
 ``benchmarks/results/before_after.json``.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

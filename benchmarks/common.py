@@ -1,7 +1,5 @@
 """What every benchmark shares: the machine it names, how its JSON is written, where its frames are kept."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable

@@ -6,8 +6,6 @@ Without names, all notebooks of docs are run, each from top to bottom in a fresh
 the folder, so that the files that they write vanish.
 """
 
-from __future__ import annotations
-
 import argparse
 import shutil
 import tempfile

@@ -5,8 +5,6 @@ python -m benchmarks.publish
 People write the pages. This program changes nothing outside the marks (see `benchmarks.pages.marks`).
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from typing import NamedTuple

@@ -7,8 +7,6 @@ Tables, code, headings and the figures that programs fill in are left out. The s
 sentences.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import io

@@ -16,8 +16,6 @@ the command line, as people call it, in a process of its own; Open Image Denoise
 - "cpu_seconds" of a frame, and "peak_gib" of the process.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import resource

@@ -4,8 +4,6 @@ python -m benchmarks.interactive.chain --output benchmarks/results/interactive_q
 python -m benchmarks.interactive.chain --results benchmarks/results/interactive_quality.json --pictures docs/images
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Iterator

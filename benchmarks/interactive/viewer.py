@@ -7,8 +7,6 @@ that browser, and with a client that speaks the page's protocol and draws nothin
 python -m benchmarks.interactive.viewer --output benchmarks/results/viewer.json
 """
 
-from __future__ import annotations
-
 import argparse
 import io
 import math

@@ -13,8 +13,6 @@ no licence there; all were published by Benedikt Bitterli, https://benedikt-bitt
 and make the scene fail, unless the scene's entry leaves them out.
 """
 
-from __future__ import annotations
-
 import argparse
 import subprocess
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Make a scene written for older Mitsuba one that Mitsuba 3 renders as the author meant it."""
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable

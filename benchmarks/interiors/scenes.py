@@ -1,7 +1,5 @@
 """Which public interiors are rendered, where they are cloned from, and what their repositories say of their origin."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

@@ -6,8 +6,6 @@ runs first: it must pass, or failures tell nothing. The result is ``benchmarks/r
 after every fault, and the next run goes on from there. All forty take hours.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -3,8 +3,6 @@
 Each fault replaces one text of one file. None breaks an import, and each changes what a user gets.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 

@@ -1,7 +1,5 @@
 """The figures of docs/developers/bench.md, by `performance/startup.py` and `lobewise bench` on several machines."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """The figures of docs/developers/releasing.md, measured by ``python -m releasing.wheels``."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

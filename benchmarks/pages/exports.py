@@ -1,7 +1,5 @@
 """The figures of docs/developers/export.md, measured by `performance/pipelines.py` and `performance/chains.py`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

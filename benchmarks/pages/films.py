@@ -1,7 +1,5 @@
 """The figures of docs/developers/windows.md, measured by `benchmarks/films`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The figures of light groups, measured by `foreign/groups.py`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The figures of docs/developers/interactive.md, by `lobewise bench interactive` and `benchmarks/interactive`."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from benchmarks.pages.tables import describe_run, judge, list_facts, make_table

@@ -3,8 +3,6 @@
 A place begins with `<!-- figures:NAME -->` and ends with `<!-- figures:end -->`.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 

@@ -1,7 +1,5 @@
 """The figures of docs/paper.md. The tag `trials-2026-11` keeps the programs that measured them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

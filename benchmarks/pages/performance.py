@@ -1,7 +1,5 @@
 """The figures of performance.md and filter_results.md in docs/developers, by `benchmarks/performance`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The figures of docs/developers/quality_results.md, measured by `quality/measure.py`."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The figures of README.md and of the pages for users: all from the same JSON files."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

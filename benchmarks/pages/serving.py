@@ -1,7 +1,5 @@
 """The figures of docs/developers/robustness.md, measured by `robustness/circumstances.py` and `robustness/farm.py`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The figures of docs/developers/research/mixing_networks.md, measured by `benchmarks/training/shares.py`."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from benchmarks.pages.tables import list_facts, make_table

@@ -1,7 +1,5 @@
 """The figures of docs/developers/bands.md, measured by `performance/streaming.py`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Markdown that all pages share: tables, lists of facts, and the machine that measured a result."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 

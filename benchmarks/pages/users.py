@@ -1,7 +1,5 @@
 """The figures of docs/developers/users_results.md, measured by `benchmarks/users`."""
 
-from __future__ import annotations
-
 import statistics
 from collections.abc import Iterable, Mapping
 from typing import Any

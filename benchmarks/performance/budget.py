@@ -9,8 +9,6 @@ where a recipe takes more than `LARGEST_RISE` times as much of Open Image Denois
 recipe are timed in one run, and Open Image Denoise in turn with both, so that a slow machine slows all.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

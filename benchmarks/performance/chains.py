@@ -6,8 +6,6 @@ The frame is a floor of tiles under noise, so that every pixel has a surface and
 is that of many frames in a row divided by their number; inputs stay on the card.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import time

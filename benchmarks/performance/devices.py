@@ -5,8 +5,6 @@
 The devices denoise one frame in turn, and the best time of each counts; images travel to the device and back.
 """
 
-from __future__ import annotations
-
 import argparse
 from functools import partial
 from pathlib import Path

@@ -6,8 +6,6 @@ that a disturbance of the machine meets all of them. One image is filtered, as O
     python -m benchmarks.performance.filters -o benchmarks/results/filters.json
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable
 from pathlib import Path

@@ -7,8 +7,6 @@ that other programs on the machine change little.
     python -m benchmarks.performance.pipelines -o benchmarks/results/pipelines.json
 """
 
-from __future__ import annotations
-
 import argparse
 import ctypes
 import json

@@ -8,8 +8,6 @@ declared clean. All candidates run in turn and the best time of each counts. "fi
     python -m benchmarks.performance.startup -o benchmarks/results/startup.json
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import re

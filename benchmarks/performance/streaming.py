@@ -9,8 +9,6 @@ by a process of its own, as a user would; kernels come from the disk, so every q
     python -m benchmarks.performance.streaming --foreign          a file of 16384x16384 pixels of another renderer
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

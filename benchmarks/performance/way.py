@@ -6,8 +6,6 @@ A reader who follows a frame turns to another file at every change. The frame is
 prints which files follow each other most often.
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import sys

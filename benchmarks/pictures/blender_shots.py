@@ -6,8 +6,6 @@
 part: noisy, Open Image Denoise at its best, `high`, `auto`, the reference.
 """
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -6,8 +6,6 @@ print. Channels that the demonstration does not read, or can make again, are lef
 files are small.
 """
 
-from __future__ import annotations
-
 import argparse
 from typing import Any
 

@@ -3,8 +3,6 @@
 python -m benchmarks.pictures.front
 """
 
-from __future__ import annotations
-
 from PIL import Image
 
 import lobewise

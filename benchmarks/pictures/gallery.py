@@ -7,8 +7,6 @@ them, by Blender Cycles (``benchmarks/foreign/factory``) or by our own renderer.
 benchmarks/results/gallery_shots.json and the part of docs/developers/gallery.md between its marks.
 """
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 python -m benchmarks.pictures.readme
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from benchmarks.common import ROOT

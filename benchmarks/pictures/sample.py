@@ -3,8 +3,6 @@
 All but a small part is black, so that the file is small; size and camera are those of the whole frame.
 """
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 from typing import Any
 

@@ -3,8 +3,6 @@
 python -m benchmarks.pictures.viewer             # needs playwright and Debian's chromium
 """
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

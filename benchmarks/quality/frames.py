@@ -1,7 +1,5 @@
 """Frames that `measure.py` measures on, rendered once into a cache, and their pixels told apart by what they show."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable, Iterator

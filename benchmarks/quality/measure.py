@@ -12,8 +12,6 @@ commit it was measured at.
     python -m benchmarks.quality.measure --summary     ratios and goals, from the JSON alone
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import re

@@ -1,7 +1,5 @@
 """What `measure.py` compares: every method by its name, why one is missing, and how the baseline is tuned."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, fields

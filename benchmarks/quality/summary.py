@@ -1,7 +1,5 @@
 """What the measurements of `measure.py` amount to: mean ratios between methods, and which goals they reach."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

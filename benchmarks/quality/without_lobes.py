@@ -8,8 +8,6 @@ and still reads the roughness. Errors are those of `benchmarks.users` on the hel
 and over the glossy ones.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections import defaultdict
 from contextlib import nullcontext

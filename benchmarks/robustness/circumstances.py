@@ -16,8 +16,6 @@ A run is right if it ends with exit code 0 and the bytes of an undisturbed run, 
 the signal of the system), and every output as it was. Each part adds its counts to benchmarks/results/robustness.json.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

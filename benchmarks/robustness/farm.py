@@ -10,8 +10,6 @@
 Each part adds its figures to the JSON file. Wall times count where nothing else runs meanwhile: ``--quiet`` says so.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

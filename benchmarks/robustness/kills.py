@@ -7,8 +7,6 @@ the kills come at a random moment of the run, the other half as soon as a tempor
 command runs to its end, and the folder must hold its outputs and nothing else. The seed chooses the moments.
 """
 
-from __future__ import annotations
-
 import argparse
 import random
 import signal

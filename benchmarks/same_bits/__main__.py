@@ -6,8 +6,6 @@ computed again and compared. Results that may differ in the last bits are told w
 width add in another order.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json

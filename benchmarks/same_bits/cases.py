@@ -1,7 +1,5 @@
 """The cases by name: each returns the arrays of a result."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace

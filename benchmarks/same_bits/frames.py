@@ -1,7 +1,5 @@
 """The frames of the cases: parts of the bundled one, with guides and light that it lacks."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 from typing import Any
 

@@ -10,8 +10,6 @@ every cell, so that the program may be stopped at any time. Errors need Open Ima
 references that it has cleaned.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

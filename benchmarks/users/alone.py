@@ -1,7 +1,5 @@
 """Pixels that stand alone: dots that a filter left or made."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """What a file of fewer passes would give: the frames of the bench with some of their guides alone."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lobewise.interchange.reading import import_planes

@@ -1,7 +1,5 @@
 """One cell of the bench: how far the image of a method is from the truth, how it looks, and how much light it kept."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The columns of the bench: what a user can do with a frame, by name."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping

@@ -8,8 +8,6 @@
 renderers are rendered by `benchmarks/foreign`.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Callable

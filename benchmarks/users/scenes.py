@@ -1,7 +1,5 @@
 """The scenes of the bench: which frames and references of each are there, and which scenes are held out."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property

@@ -1,7 +1,5 @@
 """What the cells of `benchmarks/users` amount to: mean ratios, and every cell in which a promise is broken."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
