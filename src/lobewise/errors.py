@@ -59,6 +59,10 @@ class LimitError(LobewiseError):
     """A call would take more memory or time than it may; see `lobewise.limit_call`."""
 
 
+class TimeLimitError(LimitError):
+    """The time of a call is over; no file is to blame."""
+
+
 class CancelledError(LobewiseError):
     """The function that was given as ``progress`` has returned False; nothing was written."""
 

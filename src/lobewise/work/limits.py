@@ -11,7 +11,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from lobewise.errors import InputError, LimitError
+from lobewise.errors import InputError, LimitError, TimeLimitError
 from lobewise.work.progress import work_in_progress
 
 GIB = float(2**30)
@@ -126,8 +126,8 @@ def check_limits() -> None:
         work.tick()
     limits = get_limits()
     if time.monotonic() > limits.deadline:
-        raise LimitError(
-            "time",
+        raise TimeLimitError(
+            "max_seconds",
             expected=f"an end within {limits.seconds:g} seconds",
             got="more work",
             action="allow more time, choose a faster quality, or give a smaller image",

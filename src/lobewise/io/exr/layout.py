@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.errors import InputError, LobewiseError, MissingChannelError
+from lobewise.errors import CancelledError, InputError, LobewiseError, MissingChannelError, TimeLimitError
 from lobewise.io.exr.container import Container, Part, show_name
 from lobewise.io.exr.pixels import Pixels
 from lobewise.io.exr.schema import BEAUTY, SLOTS, SPARSE, Slot
@@ -78,6 +78,8 @@ def name_file(path: PathLike) -> Iterator[None]:
     """Add the name of the file to errors about its content, at the end where an option is wrong for this file."""
     try:
         yield
+    except (CancelledError, TimeLimitError):
+        raise
     except LobewiseError as problem:
         if repr(str(path)) in str(problem):
             raise
