@@ -326,7 +326,13 @@ def leave_to_peer(checked: CheckedGuides[Frame]) -> Result:
 
 
 def filter_below(below: Frame, named: DenoiseSettings, features: Sequence[Feature]) -> Result:
-    """Return the light below 0 of a frame, see `split_negative`, filtered by the guides alone."""
+    """Return the light below 0 of a frame, see `split_negative`, filtered by the guides alone.
+
+    Layers and further images without light below 0 are left out.
+    """
+    layers = [layer for layer in below.layers if any(map(np.any, (layer.radiance, *layer.parts.values())))]
+    also = {name: image for name, image in below.also.items() if image.any()}
+    below = below.with_changes(layers=layers or below.layers, also=also)
     return denoise_checked(CheckedGuides(below), replace(named, quality="fast", with_oidn=False), features)
 
 

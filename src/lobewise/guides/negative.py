@@ -72,10 +72,13 @@ def split_negative(frame: AnyFrame) -> tuple[Any, Any]:
 
 def mark_damaged(image: FloatArray) -> NDArray[np.bool_]:
     """Return which pixels of an image, (height, width, 3), are so far below 0 that they are damage, (height, width)."""
-    finite = np.where(np.isfinite(image), image, np.float32(0.0))
-    below, above = -finite.min(axis=-1), finite.max(axis=-1)
-    doubtful = below > np.float32(MAX_RATIO_BELOW) * np.maximum(above, np.float32(0.0))
     damaged = np.zeros(image.shape[:2], np.bool_)
+    if not (image < 0.0).any():
+        return damaged
+    # Channel by channel: NumPy is ten times slower over a last axis of three.
+    channels = [np.where(np.isfinite(one), one, np.float32(0.0)) for one in np.moveaxis(image, -1, 0)]
+    below, above = -reduce(np.minimum, channels), reduce(np.maximum, channels)
+    doubtful = below > np.float32(MAX_RATIO_BELOW) * np.maximum(above, np.float32(0.0))
     if not doubtful.any():
         return damaged
     light = np.pad(np.maximum(below, above), NEGATIVE_REACH)
@@ -101,6 +104,8 @@ def _list_light(frame: AnyFrame) -> list[FloatArray]:
 
 def _split_image(image: FloatArray, below: Sequence[FloatArray] = ()) -> Split:
     """Return an image without light below 0, and this light; ``below`` is the light below 0 of both of its halves."""
+    if not below and not (image < 0.0).any():
+        return image, np.zeros_like(image)
     known = np.isfinite(image) & ~mark_damaged(image)[..., None]
     least = np.mean(below, axis=0, dtype=np.float32) if below else np.float32(0.0)
     with np.errstate(invalid="ignore"):
