@@ -165,10 +165,12 @@ class TestDeath:
 
 
 class TestEnd:
-    @pytest.mark.sampled("2-0")
+    @pytest.mark.sampled("interrupt")
     @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc to find child processes")
     @pytest.mark.parametrize(
-        ("number", "code"), [(signal.SIGINT, 0), (signal.SIGTERM, -signal.SIGTERM), (signal.SIGKILL, -signal.SIGKILL)]
+        ("number", "code"),
+        [(signal.SIGINT, 0), (signal.SIGTERM, -signal.SIGTERM), (signal.SIGKILL, -signal.SIGKILL)],
+        ids=["interrupt", "end", "kill"],
     )
     @pytest.mark.mitsuba
     def test_no_process_is_left(self, number, code):
