@@ -75,16 +75,6 @@ def test_files_of_other_frames_do_not_matter(folder: Path) -> None:
     assert denoise("--frames", "2", "--png", "--exposure", "0") == 0
 
 
-def test_frames_without_a_file_are_named_before_any_is_filtered(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert denoise("--frames", "1-8") == 2
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1
-    assert "got no file of frames 5, 7 to 8; " in told
-    assert list_written(folder) == []
-
-
 def test_records_of_other_runs_are_kept(folder: Path) -> None:
     others = [name_ledger(folder / "out.#.exr", numbers) for numbers in (None, [3, 4])]
     own = name_ledger(folder / "out.#.exr", [1, 2])

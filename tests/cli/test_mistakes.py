@@ -10,7 +10,7 @@ import pytest
 
 from lobewise.cli.main import run
 from lobewise.io import write_frame, write_image
-from tests.streaming.frames import make_scene
+from tests.streaming.frames import change_radiance, make_scene
 
 FOREIGN = Path(__file__).parents[1] / "data" / "foreign"
 TO = "-o x.exr"
@@ -109,6 +109,9 @@ MISTAKES = {
     "denoise --png cut.exr": "input 'cut.exr': expected a whole OpenEXR file, got a truncated file of ",
     "denoise cut.exr -o cut.exr --overwrite": "input 'cut.exr': expected a whole OpenEXR file, got a truncated ",
     f"denoise a.exr --half cut.exr {TO}": "--half 'cut.exr': expected a whole OpenEXR file, got a truncated file of ",
+    f"denoise nan.exr {TO} --bands off": "input 'nan.exr': radiance: expected at least one pixel that is finite ",
+    f"denoise nan.exr {TO} --bands 9": "input 'nan.exr': radiance: expected at least one pixel that is finite ",
+    f"denoise gone.exr {TO} --bands 9": "input 'gone.exr': expected an existing file, got no such file; ",
     "inspect cut.exr": "input 'cut.exr': expected a whole OpenEXR file, got a truncated file of ",
     "denoise -": "--output: expected a file, or -, got none; add -o FILE.",
     "denoise - a.exr -o full/": "input: expected one input where - is given, got 2; ",
@@ -300,6 +303,7 @@ def full_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("full/a.exr", "full/b.exr", "more/a.exr"):
         shutil.copy(folder / "a.exr", folder / name)
     (folder / "locked.exr").chmod(0o444)
+    write_frame(folder / "nan.exr", change_radiance(make_scene((12, 16)), slice(None), slice(None), np.nan))
     write_image(folder / "small.exr", np.ones((4, 5, 3)))
     shutil.copy(FOREIGN / "blender_4.5_seed1.exr", folder / "cycles.exr")
     (folder / "empty.exr").write_bytes(b"")

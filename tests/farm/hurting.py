@@ -6,8 +6,6 @@
 - ``full 4096``: this worker writes no file of more than so many bytes. The system refuses, as on a full disk.
 """
 
-from __future__ import annotations
-
 import os
 import resource
 import signal

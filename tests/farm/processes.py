@@ -1,7 +1,5 @@
 """Processes of a farm that tests may kill: a scheduler, workers, and the program itself."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket
@@ -81,7 +79,7 @@ class Farm:
         self._keeper = threading.Thread(target=self._keep_workers)
         self._keeper.start()
 
-    def __enter__(self) -> Farm:
+    def __enter__(self) -> "Farm":
         return self
 
     def __exit__(

@@ -1,7 +1,5 @@
 """What Dask's exceptions do not print."""
 
-from __future__ import annotations
-
 import logging
 import sys
 from collections.abc import Callable

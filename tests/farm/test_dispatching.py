@@ -1,7 +1,5 @@
 """Handing out tasks: with workers that are lost, refused, slow to show their files, or wrong; without Dask."""
 
-from __future__ import annotations
-
 import platform
 import pydoc
 from collections.abc import Callable, Iterator
@@ -146,15 +144,17 @@ def make_farm(**options: Any) -> FakeFarm:
     return FakeFarm({"a": dict(ENVIRONMENT), "b": dict(ENVIRONMENT)}, **options)
 
 
-def run(farm: FakeFarm, tasks: list[Task], *, by_runs: bool = False) -> tuple[list[Failure], list[str]]:
-    """Do tasks; return the failures and what was told."""
+def run(
+    farm: FakeFarm, tasks: list[Task], *, by_runs: bool = False, show: Callable[..., None] = lambda *_: None
+) -> tuple[list[Failure], list[str]]:
+    """Do tasks; return the failures and what was told. ``show`` is called with the state of the work."""
     told: list[str] = []
     dispatcher = Dispatcher(
         cast(Connection, farm),
         Requirements(environment=ENVIRONMENT, check=()),
         make_assignment=lambda task: cast(Assignment, _Assignment(task)),
         list_missing=lambda task: tuple(number for number in task.numbers if number not in farm.done),
-        callbacks=Callbacks(tell=told.append, log_task=lambda _: None, show=lambda *_: None),
+        callbacks=Callbacks(tell=told.append, log_task=lambda _: None, show=show),
         by_runs=by_runs,
     )
     dispatcher.run(tasks)
@@ -360,14 +360,7 @@ def test_a_good_worker_that_went_is_waited_for() -> None:
         if rounds == 16:
             farm.workers["c"] = dict(ENVIRONMENT)
 
-    dispatcher = Dispatcher(
-        cast(Connection, farm),
-        Requirements(environment=ENVIRONMENT, check=()),
-        make_assignment=lambda task: cast(Assignment, _Assignment(task)),
-        list_missing=lambda task: tuple(number for number in task.numbers if number not in farm.done),
-        callbacks=Callbacks(tell=lambda _: None, log_task=lambda _: None, show=show),
-    )
-    dispatcher.run(make_tasks(*range(20)))
+    run(farm, make_tasks(*range(20)), show=show)
     assert farm.done == set(range(20))
     assert {worker for worker, _ in farm.ran} == {"a", "c"}
 
@@ -375,20 +368,13 @@ def test_a_good_worker_that_went_is_waited_for() -> None:
 def test_without_workers_the_run_says_so_once_and_waits() -> None:
     farm = FakeFarm({})
     shown: list[str] = []
-    told: list[str] = []
 
     def show(waits_for: str, _: list[Task]) -> None:
         shown.append(waits_for)
         if len(shown) == 3:
             farm.workers["late"] = dict(ENVIRONMENT)
 
-    Dispatcher(
-        cast(Connection, farm),
-        Requirements(environment=ENVIRONMENT, check=()),
-        make_assignment=lambda task: cast(Assignment, _Assignment(task)),
-        list_missing=lambda task: tuple(number for number in task.numbers if number not in farm.done),
-        callbacks=Callbacks(tell=told.append, log_task=lambda _: None, show=show),
-    ).run(make_tasks(1))
+    _, told = run(farm, make_tasks(1), show=show)
     assert told == ["No worker is connected to tcp://fake:8786; waiting for one."]
     assert shown[:3] == ["Waiting for workers"] * 3
     assert shown[-1] == ""

@@ -1,7 +1,5 @@
 """What a worker does with a frame, in this process: the work of the verbs, with the memory of the worker."""
 
-from __future__ import annotations
-
 import pickle
 from collections.abc import Sequence
 from pathlib import Path

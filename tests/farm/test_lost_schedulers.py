@@ -1,26 +1,21 @@
 """A scheduler that is killed or falls silent in the middle of a run, and stays away: one sentence, and nothing left."""
 
-from __future__ import annotations
-
-import contextlib
 import os
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any, cast
 
 import pytest
 
 from lobewise.errors import LobewiseError
 from lobewise.farm.environment import describe_environment
-from lobewise.farm.running import filter_on_farm
 from lobewise.farm.tasks import Task
 from tests.farm.conftest import NUMBERS, read_outputs
 from tests.farm.processes import MAX_SECONDS, Farm, count_outputs, run_program, start_program, wait_until
 from tests.farm.test_dispatching import FakeFarm
-from tests.farm.test_two_runs import make_job
+from tests.farm.test_two_runs import make_job, run_job
 
 MAX_SECONDS_TO_NOTICE = 15.0
 
@@ -30,10 +25,8 @@ MAX_SECONDS_TO_NOTICE = 15.0
 @pytest.mark.sampled("SIGKILL")
 @pytest.mark.parametrize("name", ["SIGKILL", "SIGSTOP"])
 def test_a_scheduler_that_stays_away_ends_the_run_and_the_next_one_goes_on(
-    name: str, sources: Path, expected: dict[str, bytes], farm: Farm, tmp_path: Path
+    name: str, sources: Path, expected: dict[str, bytes], farm: Farm, folder: Path
 ) -> None:
-    folder = tmp_path / "outputs"
-    folder.mkdir()
     program = start_program(sources, folder, "--farm", farm.address)
     wait_until(lambda: count_outputs(folder) >= 3)
     farm.scheduler.send_signal(signal.Signals[name])
@@ -71,7 +64,5 @@ def test_what_workers_had_begun_when_the_scheduler_went_is_cleaned_up(tmp_path: 
 
     farm = FakeFarm({"a": describe_environment(with_oidn=False)}, on_task=die)
     with pytest.raises(LobewiseError, match="expected the scheduler"):
-        filter_on_farm(
-            make_job(tmp_path), cast(Any, contextlib.nullcontext(farm)), tell=lambda _: None, remark=lambda *_: None
-        )
+        run_job(make_job(tmp_path), farm)
     assert list(tmp_path.glob(".out.*.part")) == []

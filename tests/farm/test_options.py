@@ -1,7 +1,5 @@
 """Options of farms: what they mean, and one sentence for each mistake."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The processes of ``--workers`` cannot be reached: by other users of the machine, and by web pages."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

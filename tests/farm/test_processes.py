@@ -1,7 +1,5 @@
 """A sequence on real processes: killed workers, a restarted scheduler, failing frames and Ctrl-C lose nothing."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -16,19 +14,11 @@ from lobewise.farm import processes
 from lobewise.farm.calls import WorkerLostError
 from lobewise.farm.ledger import TOKEN
 from lobewise.records.sparse_frame import list_places, make_sparse
-from tests.farm.conftest import NUMBERS, read_outputs
+from tests.farm.conftest import NUMBERS, read_outputs, require_frame_3_failed, require_only_frame_3_is_filtered
 from tests.farm.processes import MAX_SECONDS, PROGRAM, Farm, count_outputs, run_program, start_program, wait_until
 from tests.streaming.frames import make_scene
 
 pytestmark = [pytest.mark.nightly, pytest.mark.processor, pytest.mark.usefixtures("dask")]
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    """Return an empty folder for outputs."""
-    made = tmp_path / "outputs"
-    made.mkdir()
-    return made
 
 
 def test_a_killed_worker_loses_no_frame(sources: Path, expected: dict[str, bytes], folder: Path, farm: Farm) -> None:
@@ -62,20 +52,11 @@ def test_a_frame_that_fails_does_not_stop_the_others(
     broken.unlink()
     broken.write_bytes((sources / "in.0003.exr").read_bytes()[:5000])
     done = run_program(mine, folder, "--workers", "2")
-    assert done.returncode == 2, done.stderr
     assert "Frame 3, worker process " in done.stderr
     assert f": input {str(broken)!r}: " in done.stderr
-    assert f"lobewise: 1 of {len(NUMBERS)} frames could not be filtered (frame 3); " in done.stderr
-    assert read_outputs(folder) == {name: data for name, data in expected.items() if name != "out.0003.exr"}
-    # The same command filters only what failed.
-    others = {path: path.stat().st_mtime_ns for path in folder.glob("out.*.exr")}
+    require_frame_3_failed(done, folder, expected)
     broken.write_bytes((sources / "in.0003.exr").read_bytes())
-    done = run_program(mine, folder, "--workers", "1")
-    assert done.returncode == 0, done.stderr
-    assert f"Going on: {len(NUMBERS) - 1} of {len(NUMBERS)} frames are done" in done.stderr
-    assert f"1 of {len(NUMBERS)} frames" in done.stdout
-    assert {path: path.stat().st_mtime_ns for path in others} == others
-    assert read_outputs(folder) == expected
+    require_only_frame_3_is_filtered(mine, folder, expected)
 
 
 def test_shots_over_time_have_the_bits_of_one_process(tmp_path: Path) -> None:
@@ -89,26 +70,27 @@ def test_shots_over_time_have_the_bits_of_one_process(tmp_path: Path) -> None:
         assert (tmp_path / f"out.{number}.exr").read_bytes() == (tmp_path / f"one.{number}.exr").read_bytes()
 
 
-def test_frames_with_a_window_have_the_bits_of_one_process(sources: Path, folder: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("options", "files"), [(("--window", "1", "--quality", "fast"), 1), (("--png",), 2)], ids=str)
+def test_frames_that_hang_on_others_have_the_bits_of_one_process(
+    options: tuple[str, ...], files: int, sources: Path, folder: Path, tmp_path: Path
+) -> None:
+    """A window has neighbours, and pictures the exposure of the first frame."""
     alone = tmp_path / "alone"
     alone.mkdir()
-    options = ("--window", "1", "--quality", "fast")
     assert run_program(sources, alone, *options).returncode == 0
     done = run_program(sources, folder, *options, "--workers", "2")
     assert done.returncode == 0, done.stderr
-    assert len(read_outputs(alone)) == len(NUMBERS)
+    assert len(read_outputs(alone)) == files * len(NUMBERS)
     assert read_outputs(folder) == read_outputs(alone)
 
 
-@pytest.mark.nightly
-def test_pictures_follow_the_first_frame(sources: Path, folder: Path, tmp_path: Path) -> None:
-    alone = tmp_path / "alone"
-    alone.mkdir()
-    assert run_program(sources, alone, "--png").returncode == 0
-    done = run_program(sources, folder, "--png", "--workers", "2")
-    assert done.returncode == 0, done.stderr
-    assert len(read_outputs(alone)) == 2 * len(NUMBERS)
-    assert read_outputs(folder) == read_outputs(alone)
+def interrupt(program: subprocess.Popen[str]) -> None:
+    """Press Ctrl-C, and raise AssertionError unless the program ends with its sentence."""
+    os.killpg(program.pid, signal.SIGINT)
+    _, err = program.communicate(timeout=MAX_SECONDS)
+    assert program.returncode == 130
+    assert err.endswith("lobewise: interrupted; every output is whole, or as it was.\n")
+    assert "Traceback" not in err
 
 
 def test_an_interrupt_leaves_whole_files_and_the_same_command_goes_on(
@@ -116,11 +98,7 @@ def test_an_interrupt_leaves_whole_files_and_the_same_command_goes_on(
 ) -> None:
     program = start_program(sources, folder, "--workers", "2")
     wait_until(lambda: count_outputs(folder) >= 3)
-    os.killpg(program.pid, signal.SIGINT)
-    _, err = program.communicate(timeout=MAX_SECONDS)
-    assert program.returncode == 130
-    assert err.endswith("lobewise: interrupted; every output is whole, or as it was.\n")
-    assert "Traceback" not in err
+    interrupt(program)
     left = read_outputs(folder)
     assert 3 <= len(left) < len(NUMBERS)
     assert left.items() <= expected.items()
@@ -134,11 +112,7 @@ def test_an_interrupt_while_workers_start_leaves_nothing(sources: Path, folder: 
     program = start_program(sources, folder, "--workers", "2")
     # The folder of records is there, and workers are about to start.
     wait_until((folder / "out.lobewise-farm" / TOKEN).exists)
-    os.killpg(program.pid, signal.SIGINT)
-    _, err = program.communicate(timeout=MAX_SECONDS)
-    assert program.returncode == 130
-    assert err.endswith("lobewise: interrupted; every output is whole, or as it was.\n")
-    assert "Traceback" not in err
+    interrupt(program)
     assert list(folder.iterdir()) == []
 
 

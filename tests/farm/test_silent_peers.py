@@ -1,7 +1,5 @@
 """A peer that is silent, mad or stopped instead of a scheduler: one sentence, in time, and nothing left behind."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket
@@ -57,9 +55,7 @@ PEERS = ["silent", "deaf", "mad", "many parts", "stopped"]
 
 @pytest.mark.usefixtures("dask")
 @pytest.mark.parametrize("peer", PEERS, indirect=True)
-def test_a_peer_that_is_no_scheduler_ends_the_run_in_time(peer: str, sources: Path, tmp_path: Path) -> None:
-    folder = tmp_path / "outputs"
-    folder.mkdir()
+def test_a_peer_that_is_no_scheduler_ends_the_run_in_time(peer: str, sources: Path, folder: Path) -> None:
     program = start_program(sources, folder, "--farm", peer)
     # A busy machine needs some seconds to start the program.
     _, told = program.communicate(timeout=60.0)

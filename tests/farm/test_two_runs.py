@@ -1,7 +1,5 @@
 """Two runs of one sequence: runs of other frames do not meet. Without locks the later run of the same takes over."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass

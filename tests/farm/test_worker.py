@@ -1,7 +1,5 @@
 """What a worker is asked, and what it does with an assignment that goes wrong."""
 
-from __future__ import annotations
-
 import os
 import threading
 import time

@@ -1,10 +1,14 @@
 """A frame with every image that denoising looks at, whose pixels agree well enough to be averaged."""
 
+import os
 from dataclasses import fields, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+import lobewise
+from lobewise.recipes.streaming import denoise_file
 from lobewise.records.frame import Frame, LobeKind, Radiance
 from tests.denoising.test_denoising import make_frame
 
@@ -99,6 +103,26 @@ def change_radiance(frame: Frame, rows: slice | list[int], columns: slice | int,
                 images[item.name] = image
         changed[owner] = Radiance(**images)
     return frame.with_changes(**changed)
+
+
+def compare_bands(source: Path, heights: tuple[int, ...], **settings: Any) -> tuple[lobewise.Result, set[Any]]:
+    """Raise AssertionError unless bands give the file of the whole frame; return its result, and the notes of bands."""
+    whole, banded = source.with_name("whole.exr"), source.with_name("bands.exr")
+    tables = settings.pop("lobe_tables", None)
+    frame = lobewise.read_frame(source, lobe_tables=tables)
+    result, notes = lobewise.denoise(frame, **settings), set()
+    lobewise.write_result(whole, result, source=source)
+    for rows in heights:
+        done = denoise_file(source, banded, rows=rows, lobe_tables=tables, **settings)
+        assert banded.read_bytes() == whole.read_bytes(), rows
+        assert done.settings == result.settings
+        assert done.energy_lost == result.energy_lost
+        notes.add(done.notes)
+        assert done.bad_pixel_count == result.bad_pixel_count
+        assert done.shape == frame.shape
+        assert done.bands == -(-frame.height // rows)
+    assert sorted(os.listdir(source.parent)) == ["bands.exr", "in.exr", "whole.exr"]
+    return result, notes
 
 
 def add_bad_pixels(frame: Frame, rows: list[int]) -> Frame:

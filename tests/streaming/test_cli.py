@@ -92,16 +92,6 @@ def test_materials_come_along(folder: Path, full_frame: Any) -> None:
     assert (folder / "out.exr").read_bytes() == (folder / "whole.exr").read_bytes()
 
 
-def test_mistakes_in_a_file_are_told_with_its_name(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_frame(folder / "in.exr", change_radiance(make_scene((20, 19)), slice(None), slice(None), np.nan))
-    for bands in ("off", "9"):
-        assert denoise(folder, "--bands", bands, *CHEAP) == 2
-        text = f"lobewise: input '{folder / 'in.exr'}': radiance: expected at least one pixel that is finite"
-        assert capsys.readouterr().err.startswith(text)
-    assert run(["denoise", str(folder / "none.exr"), "-o", str(folder / "out.exr"), "--bands", "9"]) == 2
-    assert capsys.readouterr().err.startswith(f"lobewise: input '{folder / 'none.exr'}': expected an existing file")
-
-
 def test_the_account_names_what_was_done() -> None:
     settings = {"similarity": "sg", "form": "full", "quality": "high", "radius": 8, "beta": 1.0, "device": "cpu"}
     done = FileResult((DenoisedFile((4320, 7680), 12, 1, 0.01234, settings, 61.234),))

@@ -15,6 +15,7 @@ from lobewise.interchange import import_file
 from lobewise.interchange.importing import bands
 from lobewise.recipes.streaming import denoise_file, plan
 from tests.interchange import renderers
+from tests.streaming.frames import compare_bands
 
 LIGHT = ("diffuse.", "specular.")
 CHEAP = ["--quality", "fast", "--similarity", "normal"]
@@ -42,14 +43,7 @@ def write(path: Path, channels: Mapping[str, Any], attributes: Mapping[str, Any]
 
 def compare(source: Path, **settings: Any) -> lobewise.Result:
     """Raise AssertionError unless bands give the file that the whole frame does; return that frame's result."""
-    whole, banded = source.with_name("whole.exr"), source.with_name("bands.exr")
-    result = lobewise.denoise(lobewise.read_frame(source), with_oidn=False, **settings)
-    lobewise.write_result(whole, result, source=source)
-    for rows in (27, 136):
-        done = denoise_file(source, banded, rows=rows, with_oidn=False, **settings)
-        assert banded.read_bytes() == whole.read_bytes(), rows
-        assert (done.settings, done.energy_lost) == (result.settings, result.energy_lost)
-    return result
+    return compare_bands(source, (27, 136), with_oidn=False, **settings)[0]
 
 
 @pytest.mark.parametrize("most", [1 << 20, 2000], ids=["all pixels", "some pixels"])

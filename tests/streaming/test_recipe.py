@@ -14,7 +14,6 @@ from lobewise.denoising import denoise
 from lobewise.denoising.automatic import ask
 from lobewise.denoising.evidence import NOTED_STRIP_ROWS
 from lobewise.errors import CancelledError, FileError, InputError, LobewiseError
-from lobewise.interchange import write_result
 from lobewise.io import read_frame, write_frame
 from lobewise.io.exr.bands import BandReader, BandWriter
 from lobewise.recipes.streaming import denoise_file, list_images, needs_bands, plan
@@ -24,7 +23,7 @@ from lobewise.records.frame import Frame, GBuffer, Radiance
 from lobewise.settings import DenoiseSettings
 from lobewise.settings.choices import QUALITIES
 from lobewise.work.progress import Progress
-from tests.streaming.frames import add_bad_pixels, change_radiance, make_scene
+from tests.streaming.frames import add_bad_pixels, change_radiance, compare_bands, make_scene
 
 pytestmark = pytest.mark.nightly  # every quality and form, whole and in bands
 
@@ -35,22 +34,9 @@ HEIGHTS = (1, 10, 33, 83)
 
 def compare(frame: Frame, folder: Path, heights: tuple[int, ...] = HEIGHTS, **settings: Any) -> lobewise.Result:
     """Raise AssertionError unless bands give the file that the whole frame does; return that frame's result."""
-    source, whole, banded = folder / "in.exr", folder / "whole.exr", folder / "bands.exr"
-    write_frame(source, frame, half=False)
-    tables = settings.pop("lobe_tables", None)
-    frame = read_frame(source, lobe_tables=tables)
-    result = denoise(frame, **settings)
-    write_result(whole, result, source=source)
-    for rows in heights:
-        done = denoise_file(source, banded, rows=rows, lobe_tables=tables, **settings)
-        assert banded.read_bytes() == whole.read_bytes(), rows
-        assert done.settings == result.settings
-        assert done.energy_lost == result.energy_lost
-        assert done.notes == result.notes
-        assert done.bad_pixel_count == result.bad_pixel_count
-        assert done.shape == frame.shape
-        assert done.bands == -(-frame.height // rows)
-    assert sorted(os.listdir(folder)) == ["bands.exr", "in.exr", "whole.exr"]
+    write_frame(folder / "in.exr", frame, half=False)
+    result, notes = compare_bands(folder / "in.exr", heights, **settings)
+    assert notes == {result.notes}
     return result
 
 
