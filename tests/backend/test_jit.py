@@ -17,7 +17,7 @@ import lobewise
 from lobewise import errors, settings
 from lobewise.backend import disk, expressions, jit, pointwise, trust
 from lobewise.backend.buffers import Buffer
-from lobewise.backend.disk import CacheWarning, fetch_object, locate_cache_folder
+from lobewise.backend.disk import fetch_object, locate_cache_folder
 from lobewise.backend.jit import Kernel, describe_kernel, describe_key, list_definitions
 from lobewise.backend.runtime import Runtime, get_runtime
 from lobewise.backend.signature import Parameter, Signature, check_call
@@ -105,12 +105,6 @@ class TestFolder:
         assert head["kinds"] == ["buffer"]
         assert len(made) == 2
         assert list(tmp_path.iterdir()) == [path]
-
-    def test_a_folder_that_cannot_be_made_is_done_without(self, tmp_path, monkeypatch):
-        (tmp_path / "file").write_text("")
-        monkeypatch.setenv("LOBEWISE_CACHE", str(tmp_path / "file" / "folder"))
-        with pytest.warns(CacheWarning, match="not kept"):
-            assert fetch_object("something", lambda: (b"code", {}))[0] == b"code"
 
     def test_files_not_used_for_longest_go(self, tmp_path, monkeypatch):
         monkeypatch.setenv("LOBEWISE_CACHE", str(tmp_path))

@@ -87,6 +87,12 @@ class Written:
     found: tuple[str, ...] = ()
     """Of ``camera``, ``position``, ``depth``, ``alpha``, ``layers`` and ``spp``."""
 
+    def leave_out(self, *words: str) -> "Written":
+        """Remove the channels whose names have one of some words in them; return the file."""
+        for key in [key for key in self.channels if any(word in key for word in words)]:
+            del self.channels[key]
+        return self
+
 
 def name(head: str, image: np.ndarray, letters: str = "RGB") -> dict[str, np.ndarray]:
     """Return an image as channels."""

@@ -33,9 +33,7 @@ def read_showroom() -> tuple[Frame, FloatArray]:
 
 
 def get_camera() -> Camera:
-    camera = read_showroom()[0].camera
-    assert camera is not None
-    return camera
+    return read_showroom()[0].camera
 
 
 def write_showroom(*leave: str) -> Channels:

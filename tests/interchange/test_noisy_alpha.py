@@ -28,6 +28,12 @@ def make_noisy(truth: FloatArray) -> FloatArray:
     return (np.random.default_rng(5).binomial(SAMPLES, truth) / SAMPLES).astype(np.float32)
 
 
+def make_frame(alpha: FloatArray) -> Frame:
+    """Return a noisy image with opacity."""
+    light = np.random.default_rng(1).gamma(4.0, 0.05, (*alpha.shape, 3))
+    return Frame(Radiance(light.astype(np.float32)), alpha=alpha)
+
+
 def write_catcher(path: Path, *, with_passes: bool = True) -> FloatArray:
     """Write a file of Cycles with noisy opacity; return the truth."""
     written: Written = WRITERS["cycles"](make_scene())
@@ -43,8 +49,7 @@ def write_catcher(path: Path, *, with_passes: bool = True) -> FloatArray:
 @pytest.mark.parametrize("quality", ["fast", "balanced"])
 def test_opacity_is_denoised(quality: str) -> None:
     truth = make_truth((60, 80))
-    color = np.random.default_rng(1).gamma(4.0, 0.05, (60, 80, 3)).astype(np.float32)
-    frame = Frame(Radiance(color), alpha=make_noisy(truth))
+    frame = make_frame(make_noisy(truth))
     result = lobewise.denoise(frame, quality=quality)
     assert np.mean((result.alpha - truth) ** 2) < 0.3 * np.mean((frame.alpha - truth) ** 2)
     assert result.alpha.min() >= 0.0
@@ -56,9 +61,8 @@ def test_opacity_is_denoised(quality: str) -> None:
 def test_named_qualities_count_as_high_and_colors_do_not_count() -> None:
     truth = make_truth((40, 50))
     truth[:, 20:] *= 0.3
-    color = np.random.default_rng(1).gamma(4.0, 0.05, (40, 50, 3)).astype(np.float32)
     normal = np.broadcast_to(np.float32([0.0, 0.0, 1.0]), (40, 50, 3))
-    plain = Frame(Radiance(color), GBuffer(normal=normal), alpha=make_noisy(truth))
+    plain = make_frame(make_noisy(truth)).with_changes(gbuffer=GBuffer(normal=normal))
     alphas = [lobewise.denoise(plain, quality=quality).alpha for quality in ("fast", "high")]
     np.testing.assert_array_equal(*alphas)
     stripes = np.where(np.arange(50) % 6 < 3, 0.2, 0.8)[None, :, None] * np.ones((40, 1, 3))
@@ -71,8 +75,7 @@ def test_surfaces_stay_opaque_and_the_background_clear() -> None:
     truth = make_truth((60, 80))
     alpha = make_noisy(truth)
     alpha[:20, :30], alpha[40:, 50:] = 1.0, 0.0
-    color = np.random.default_rng(1).gamma(4.0, 0.05, (60, 80, 3)).astype(np.float32)
-    clean = lobewise.denoise(Frame(Radiance(color), alpha=alpha), quality="balanced").alpha
+    clean = lobewise.denoise(make_frame(alpha), quality="balanced").alpha
     assert (clean[:17, :27] == 1.0).all()
     assert (clean[43:, 53:] == 0.0).all()
 

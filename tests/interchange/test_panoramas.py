@@ -1,5 +1,6 @@
 """Panoramas by latitude and longitude: positions tell where the camera stands, and that the image wraps around."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -82,13 +83,8 @@ def test_other_images_are_no_panorama() -> None:
     assert fit_panorama(np.ones((*SIZE, 3), np.float32), EVERYWHERE) is None
 
 
-def write(path: Path, position: FloatArray, **header: object) -> Path:
-    """Write a noisy room with the names of Cycles."""
-    random = np.random.default_rng(0)
-    light = random.gamma(2.0, 0.5, (*SIZE, 1)) * (1.5 + NORMAL)
-    images = {"Combined": (light, "RGB"), "Position": (position, "XYZ"), "Normal": (NORMAL, "XYZ")}
-    images["Roughness"] = (np.full((*SIZE, 1), 0.3), "X")
-    images["Depth"] = (np.linalg.norm(POSITION - EYE, axis=-1, keepdims=True), "Z")
+def write_passes(path: Path, images: dict[str, tuple[FloatArray, str]], **header: object) -> Path:
+    """Write images and the letters of their channels as passes of Cycles."""
     planes = {
         f"ViewLayer.{name}.{letter}": np.ascontiguousarray(image[..., k], np.float32)
         for name, (image, letters) in images.items()
@@ -96,6 +92,16 @@ def write(path: Path, position: FloatArray, **header: object) -> Path:
     }
     OpenEXR.File({"cycles.ViewLayer.samples": "4", **header}, planes).write(str(path))
     return path
+
+
+def write(path: Path, position: FloatArray, **header: object) -> Path:
+    """Write a noisy room with the names of Cycles."""
+    random = np.random.default_rng(0)
+    light = random.gamma(2.0, 0.5, (*SIZE, 1)) * (1.5 + NORMAL)
+    images = {"Combined": (light, "RGB"), "Position": (position, "XYZ"), "Normal": (NORMAL, "XYZ")}
+    images["Roughness"] = (np.full((*SIZE, 1), 0.3), "X")
+    images["Depth"] = (np.linalg.norm(POSITION - EYE, axis=-1, keepdims=True), "Z")
+    return write_passes(path, images, **header)
 
 
 def test_positions_tell_a_panorama(tmp_path: Path) -> None:
@@ -125,13 +131,8 @@ def write_split(path: Path, turn: int) -> Path:
     images |= dict.fromkeys(("DiffDir", "DiffInd"), (0.5 * light, "RGB"))
     images |= {"DiffCol": (np.full((*SIZE, 3), 0.4), "RGB")}
     images |= {name: (np.zeros((*SIZE, 3)), "RGB") for name in ("GlossDir", "GlossInd", "GlossCol")}
-    planes = {
-        f"ViewLayer.{name}.{letter}": np.ascontiguousarray(np.roll(image[..., k], turn, axis=1), np.float32)
-        for name, (image, letters) in images.items()
-        for k, letter in enumerate(letters)
-    }
-    OpenEXR.File({"cycles.ViewLayer.samples": "4"}, planes).write(str(path))
-    return path
+    turned = {name: (np.roll(image, turn, axis=1), letters) for name, (image, letters) in images.items()}
+    return write_passes(path, turned)
 
 
 def test_silhouettes_go_on_across_the_border(tmp_path: Path) -> None:
@@ -209,13 +210,8 @@ def test_nothing_projects_by_the_camera_of_a_panorama(tmp_path: Path) -> None:
 
 def test_a_window_takes_the_motion_of_the_file(tmp_path: Path) -> None:
     frame = import_file(write(tmp_path / "a.exr", POSITION)).frame
-    still = frame.with_changes(gbuffer=_add_motion(frame))
+    still = frame.with_changes(gbuffer=replace(frame.gbuffer, motion=np.zeros((*SIZE, 2), np.float32)))
     random = np.random.default_rng(5)
     other = still.with_changes(radiance=Radiance(frame.radiance.color * random.gamma(4.0, 0.25, (*SIZE, 1))))
     result = lobewise.WindowFilter(1, quality="fast").denoise([other, still], 1)
     assert result.settings["joined"] == (-1,)
-
-
-def _add_motion(frame: Frame) -> lobewise.GBuffer:
-    guides = {name: getattr(frame.gbuffer, name) for name in frame.gbuffer.names}
-    return lobewise.GBuffer(**guides, motion=np.zeros((*SIZE, 2), np.float32))

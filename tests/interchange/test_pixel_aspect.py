@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pytest
-from renderers import CAMERA, HEIGHT, WIDTH, WRITERS, make_scene, name
+from renderers import CAMERA, HEIGHT, WIDTH, WRITERS, make_scene, name, read_channels
 
 from lobewise.interchange.cameras.files import read_camera_file
 from lobewise.interchange.reading import import_file
@@ -72,11 +72,8 @@ def write(path: Path) -> None:
 
     guides = GBuffer(normal=make_scene().normal, depth=DEPTH)
     write_frame(path, Frame(Radiance(make_scene().color), guides, CAMERA))
-    file = OpenEXR.File(str(path))
-    header = {**file.header(), "pixelAspectRatio": ASPECT}
-    OpenEXR.File(header, {key: one.pixels for key, one in OpenEXR.File(str(path), True).channels().items()}).write(
-        str(path)
-    )
+    header = {**OpenEXR.File(str(path)).header(), "pixelAspectRatio": ASPECT}
+    OpenEXR.File(header, read_channels(path)).write(str(path))
 
 
 @pytest.mark.parametrize("aspect", [1e-5, 1e5])

@@ -3,7 +3,7 @@
 import json
 import shlex
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -35,15 +35,6 @@ def ask(capsys: pytest.CaptureFixture[str], *words: str | Path, code: int = 0) -
     return capsys.readouterr().out
 
 
-def write_some(path: Path, renderer: str, *, without: Sequence[str]) -> None:
-    """Write the scene by a renderer's names, without channels whose names begin with some words."""
-    written = WRITERS[renderer](make_scene())
-    for key in list(written.channels):
-        if any(f".{word}" in f".{key}" for word in without):
-            del written.channels[key]
-    write(path, written)
-
-
 @pytest.mark.parametrize("width", WIDTHS)
 def test_the_summary_of_a_blender_file_fits_a_screen(
     width: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
@@ -73,7 +64,7 @@ def test_the_method_is_that_of_the_result(renderer: str, tmp_path: Path, capsys:
         guides = replace(frame.gbuffer, normal=flat, denoiser_normal=None)
         write_frame(path, frame.with_changes(gbuffer=guides))
     else:
-        write_some(path, renderer, without=())
+        write(path, WRITERS[renderer](make_scene()))
     method = denoise(read_frame(path)).method
     assert json.loads(ask(capsys, "inspect", "--json", path))["method"] == method
     assert method in " ".join(ask(capsys, "inspect", path).split())
@@ -151,7 +142,7 @@ def test_quality_is_told_from_what_is_there(
     without: tuple[str, ...], quality: str, missing: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "a.exr"
-    write_some(path, "cycles", without=without)
+    write(path, WRITERS["cycles"](make_scene()).leave_out(*without))
     told = " ".join(ask(capsys, "inspect", path).split())
     assert f"Expected quality: {quality}." in told
     assert missing in told
@@ -194,7 +185,7 @@ def test_a_result_gets_no_command(renderer: str, tmp_path: Path, capsys: pytest.
     if renderer == "lobewise":
         write_frame(noisy, read_frame(FOREIGN / "blender_5.2_multipart.exr"))
     else:
-        write_some(noisy, renderer, without=())
+        write(noisy, WRITERS[renderer](make_scene()))
     assert run(["denoise", str(noisy), "-o", str(clean), "--quality", "fast"]) == 0
     capsys.readouterr()
     told = ask(capsys, "inspect", clean, code=2)
@@ -207,7 +198,7 @@ def test_a_result_gets_no_command(renderer: str, tmp_path: Path, capsys: pytest.
 
 def test_whoever_names_the_noisy_image_is_believed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     noisy, clean = tmp_path / "a.exr", tmp_path / "b.exr"
-    write_some(noisy, "cycles", without=())
+    write(noisy, WRITERS["cycles"](make_scene()))
     assert run(["denoise", str(noisy), "-o", str(clean), "--quality", "fast"]) == 0
     capsys.readouterr()
     told = ask(capsys, "inspect", clean, "--map", "color=Combined")
@@ -227,7 +218,7 @@ def test_denoised_passes_of_light_are_not_called_switched_off(tmp_path: Path) ->
 
 def test_a_pass_that_cannot_be_used_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "a.exr"
-    write_some(path, "cycles", without=("Normal.Z", "Denoising Normal"))
+    write(path, WRITERS["cycles"](make_scene()).leave_out("Normal.Z", "Denoising Normal"))
     told = " ".join(ask(capsys, "inspect", path).split())
     assert "Unusable View Layer.001.Normal.X/Y is not used as normal: X, Y and Z are needed." in told
     assert told.count("is not used as normal") == 1
@@ -249,7 +240,7 @@ def test_an_image_alone_is_called_weak_once(tmp_path: Path, capsys: pytest.Captu
 
 def test_a_known_camera_is_not_called_missing(tmp_path: Path) -> None:
     path = tmp_path / "a.exr"
-    write_some(path, "arnold", without=("P", "Z"))
+    write(path, WRITERS["arnold"](make_scene()).leave_out("P", "Z"))
     (lack,) = [lack for lack in describe_file(path).lacks if lack.role == "camera"]
     assert lack.told.startswith("No positions:")
     assert lack.remedy == "the AOV P"

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pytest
-from renderers import WRITERS, make_scene
+from renderers import WRITERS, make_scene, read_channels
 
 import lobewise
 from lobewise.cli.main import run
@@ -13,8 +13,6 @@ from lobewise.errors import InputError
 from lobewise.interchange import describe_file
 from lobewise.interchange.reading import list_selections
 from lobewise.interchange.selections import Selection
-from lobewise.io.exr.parsing import read_container
-from lobewise.io.exr.pixels import decode_part
 
 LAYERS = ("Back", "Front", "Front.001")
 OWN = "View Layer.001"
@@ -33,10 +31,8 @@ def make_layer(number: int) -> dict[str, np.ndarray]:
 
 def write_layers(path: Path, *, without: tuple[str, ...] = (), views: bool = False) -> None:
     """Write three view layers, without some channels; with ``views`` each twice, as the eyes of a stereo pair."""
-    channels = {name: plane for k in range(len(LAYERS)) for name, plane in make_layer(k).items()}
-    channels = (
-        {name: plane for name, plane in channels.items() if not name.startswith(without)} if without else channels
-    )
+    layers = [make_layer(k) for k in range(len(LAYERS))]
+    channels = {name: plane for each in layers for name, plane in each.items() if not name.startswith(without)}
     if views:
         heads = {name: name.rpartition(".") for name in channels}
         channels = {f"{heads[name][0]}.{eye}.{heads[name][2]}": channels[name] for name in channels for eye in "ab"}
@@ -44,17 +40,12 @@ def write_layers(path: Path, *, without: tuple[str, ...] = (), views: bool = Fal
     OpenEXR.File({**header, "cycles.Back.samples": "16"}, channels).write(str(path))
 
 
-def read(path: Path) -> dict[str, np.ndarray]:
-    container = read_container(path)
-    return decode_part(container, container.parts[0])
-
-
 def denoise(*words: str | Path) -> int:
     return run(["denoise", *map(str, words), "--quality", "fast"])
 
 
 def list_changed(source: Path, output: Path) -> set[str]:
-    before, after = read(source), read(output)
+    before, after = read_channels(source), read_channels(output)
     assert before.keys() == after.keys()
     return {name.rpartition(".")[0] for name, plane in before.items() if plane.tobytes() != after[name].tobytes()}
 
@@ -75,10 +66,10 @@ def test_all_layers_are_denoised_each_with_its_own_passes(tmp_path: Path, capsys
         np.testing.assert_allclose(frame.gbuffer.normal[surface][:, 0], expected[surface], atol=1e-5)
         result = lobewise.denoise(frame, quality="fast")
         np.testing.assert_array_equal(
-            np.stack([read(output)[f"{layer}.Combined.{letter}"] for letter in "RGB"], axis=-1), result.image
+            np.stack([read_channels(output)[f"{layer}.Combined.{letter}"] for letter in "RGB"], axis=-1), result.image
         )
         lobewise.write_result(own, result, source=own if number else source, layer=layer)
-    assert all(plane.tobytes() == read(own)[name].tobytes() for name, plane in read(output).items())
+    assert all(plane.tobytes() == read_channels(own)[name].tobytes() for name, plane in read_channels(output).items())
 
 
 def test_one_layer_is_denoised_without_the_option(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -130,13 +121,13 @@ def test_layers_in_views(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert list_selections(source, all_layers=True) == tuple(Selection(*each) for each in chosen)
     assert denoise(source, "-o", output, "--all-layers", "--confidence") == 0
     assert "2 view layers in 2 views, " in capsys.readouterr().out
-    added = read(output).keys() - read(source).keys()
+    added = read_channels(output).keys() - read_channels(source).keys()
     assert {name for name in added if name.endswith("weight_sum")} == {
         f"{layer}.lobewise.{view}.weight_sum" for view, layer in chosen
     }
     for view, layer in chosen:
         result = lobewise.denoise(lobewise.read_frame(source, view=view, layer=layer), quality="fast")
-        np.testing.assert_array_equal(read(output)[f"{layer}.Combined.{view}.G"], result.image[..., 1])
+        np.testing.assert_array_equal(read_channels(output)[f"{layer}.Combined.{view}.G"], result.image[..., 1])
 
 
 def test_further_passes_that_only_one_layer_has(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,31 +13,11 @@ from lobewise.errors import FileError, InputError, MissingChannelError
 from lobewise.interchange import describe_file, read_image, write_result
 from lobewise.io import read_frame, write_frame, write_image
 from lobewise.records.frame import Frame, GBuffer, Radiance, Result
+from tests.streaming.frames import assert_same_images
 
-OWNERS = ("radiance", "gbuffer", "half_a", "half_b", "variance")
 COMPRESSIONS = sorted(name for name in vars(OpenEXR) if name.endswith("_COMPRESSION"))
 LOSSLESS = {"NO_COMPRESSION", "RLE_COMPRESSION", "ZIPS_COMPRESSION", "ZIP_COMPRESSION", "PIZ_COMPRESSION",
             "ZSTD_COMPRESSION"}  # fmt: skip
-
-
-def list_images(frame):
-    """Return every image of a frame by owner and field; missing ones are None."""
-    out = {}
-    for owner in OWNERS:
-        part = getattr(frame, owner)
-        if part is not None:
-            out |= {(owner, item.name): getattr(part, item.name) for item in dataclasses.fields(part)}
-    return out
-
-
-def assert_same_images(a, b):
-    one, two = list_images(a), list_images(b)
-    assert one.keys() == two.keys()
-    for key in one:
-        if one[key] is None:
-            assert two[key] is None, key
-        else:
-            np.testing.assert_array_equal(one[key], two[key], err_msg=str(key))
 
 
 def make_result(rng, height, width, **parts):
@@ -71,7 +51,8 @@ class TestRoundTrip:
         write_frame(tmp_path / "a.exr", full_frame, half=False)
         back = read_frame(tmp_path / "a.exr")
         assert_same_images(back, full_frame)
-        assert all(image is not None for image in list_images(back).values())
+        for owner in ("radiance", "gbuffer", "half_a", "half_b", "variance"):
+            assert all(image is not None for image in vars(getattr(back, owner)).values())
         assert back.spp == 4
         for name in ("position", "forward", "up"):
             np.testing.assert_allclose(getattr(back.camera, name), getattr(full_frame.camera, name), rtol=1e-15)

@@ -110,16 +110,11 @@ def test_versions_of_blender_follow_each_other() -> None:
     assert [each.end for each in RELEASES] == [*(each.first for each in RELEASES[1:]), ""]
 
 
-def test_blender_is_asked_for_where_it_is_absent(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_blender_on_the_path_builds_and_is_asked_for_where_it_is_absent(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("LOBEWISE_BPY_PYTHON", raising=False)
-    monkeypatch.setattr(blender.shutil, "which", lambda name: None)
     monkeypatch.setattr(blender.subprocess, "run", lambda *_, **__: SimpleNamespace(stdout="\n"))
+    monkeypatch.setattr(blender.shutil, "which", lambda name: None)
     with pytest.raises(SystemExit, match="put blender on the PATH, or set LOBEWISE_BPY_PYTHON"):
         list_tool()
-
-
-def test_blender_on_the_path_builds(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("LOBEWISE_BPY_PYTHON", raising=False)
-    monkeypatch.setattr(blender.subprocess, "run", lambda *_, **__: SimpleNamespace(stdout="\n"))
     monkeypatch.setattr(blender.shutil, "which", lambda name: f"/usr/bin/{name}")
     assert list_tool() == ["/usr/bin/blender", "--command", "extension"]

@@ -105,6 +105,18 @@ def change_radiance(frame: Frame, rows: slice | list[int], columns: slice | int,
     return frame.with_changes(**changed)
 
 
+def assert_same_images(got: Frame, expected: Frame, rows: slice = slice(None)) -> None:
+    """Raise AssertionError unless a frame is another, or some rows of it, image by image."""
+    for owner in (*_OWNERS, "gbuffer", "variance"):
+        one, other = getattr(got, owner), getattr(expected, owner)
+        assert (one is None) == (other is None), owner
+        for field in [] if one is None else one.__dataclass_fields__:
+            image, whole = getattr(one, field), getattr(other, field)
+            assert (image is None) == (whole is None), field
+            if image is not None:
+                np.testing.assert_array_equal(image, whole[rows], err_msg=f"{owner} {field}")
+
+
 def compare_bands(source: Path, heights: tuple[int, ...], **settings: Any) -> tuple[lobewise.Result, set[Any]]:
     """Raise AssertionError unless bands give the file of the whole frame; return its result, and the notes of bands."""
     whole, banded = source.with_name("whole.exr"), source.with_name("bands.exr")

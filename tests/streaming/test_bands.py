@@ -17,6 +17,7 @@ from lobewise.io.exr.bands import BandReader, BandWriter
 from lobewise.io.files import open_spool
 from lobewise.recipes.streaming.plan import cut_bands, widen_band
 from lobewise.records.frame import Frame, Result
+from tests.streaming.frames import assert_same_images
 
 SHAPE = (75, 21)
 COMPRESSIONS = sorted(name for name in vars(OpenEXR) if name.endswith("_COMPRESSION"))
@@ -116,27 +117,15 @@ def file(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     return path
 
 
-def assert_same_frames(got: Frame, expected: Frame, rows: slice) -> None:
-    """Raise AssertionError unless a frame is the rows of another, image by image."""
-    for owner in ("radiance", "gbuffer", "half_a", "half_b", "variance"):
-        one, other = getattr(got, owner), getattr(expected, owner)
-        assert (one is None) == (other is None)
-        for field in [] if one is None else one.__dataclass_fields__:
-            image, whole = getattr(one, field), getattr(other, field)
-            assert (image is None) == (whole is None)
-            if image is not None:
-                np.testing.assert_array_equal(image, whole[rows])
-
-
 def test_rows_are_those_of_the_whole_file(file: Path) -> None:
     whole = read_frame(file)
     reader = BandReader(file)
     assert reader.shape == SHAPE
     for first, stop in ((0, 1), (13, 40), (40, 75), (3, 74), (0, 75)):
-        assert_same_frames(reader.read_frame(first, stop), whole, slice(first, stop))
+        assert_same_images(reader.read_frame(first, stop), whole, slice(first, stop))
     # What was let go is read again.
     reader.forget(75)
-    assert_same_frames(reader.read_frame(0, 75), whole, slice(None))
+    assert_same_images(reader.read_frame(0, 75), whole)
 
 
 def test_a_copy_has_the_bytes_of_one_written_at_once(file: Path, tmp_path: Path) -> None:
@@ -162,7 +151,7 @@ def test_cameras_tables_and_counts_come_along(full_frame: Frame, tmp_path: Path)
     write_frame(path, full_frame, half=False)
     whole, reader = read_frame(path), BandReader(path)
     band = reader.read_frame(2, 7)
-    assert_same_frames(band, whole, slice(2, 7))
+    assert_same_images(band, whole, slice(2, 7))
     assert band.spp == whole.spp == 4
     assert [table.name for table in band.lobe_tables] == [table.name for table in whole.lobe_tables]
     np.testing.assert_array_equal(band.camera.make_ray_directions(13, 5), whole.camera.make_ray_directions(13, 9)[2:7])
