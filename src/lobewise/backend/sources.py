@@ -14,6 +14,7 @@ from __future__ import annotations
 import ast
 import hashlib
 import json
+import sys
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
@@ -177,11 +178,12 @@ def _locate_file(name: str) -> Path | None:
 
 
 class _Kept:
-    """Modules taken apart, by the digest of their bytes and of the code that takes them apart, remembered on disk."""
+    """Modules taken apart, by the digest of their bytes, of this code and of Python's version, remembered on disk."""
 
     def __init__(self, folder: Path | None) -> None:
         self._path = None if folder is None else folder / _KEPT
-        self._own_code = Path(__file__).read_bytes()
+        # Versions of Python write syntax trees in different ways.
+        self._maker = Path(__file__).read_bytes() + repr(sys.version_info[:2]).encode()
         self._known: dict[str, Source] = {}
         self._changed = False
         if self._path is not None:
@@ -193,7 +195,7 @@ class _Kept:
     def fetch(self, path: Path) -> Source:
         """Return the module of a file."""
         content = path.read_bytes()
-        key = hashlib.sha256(self._own_code + content).hexdigest()
+        key = hashlib.sha256(self._maker + content).hexdigest()
         if key not in self._known:
             self._known[key] = take_apart(content.decode())
             self._changed = True
