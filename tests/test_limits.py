@@ -151,7 +151,7 @@ print(read_status("VmHWM") / 2**30)
         command = [sys.executable, "-c", program, str(limit)]
         return float(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
 
-    assert measure_peak(1.5) < min(1.5, measure_peak(100.0))
+    assert measure_peak(1.5) < min(1.5, 0.97 * measure_peak(100.0))
 
 
 def test_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

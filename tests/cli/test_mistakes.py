@@ -57,7 +57,7 @@ MISTAKES = {
     f"denoise gone.exr {TO} --with-oidn --quality fast": "--quality: expected 'balanced' or 'high' with Open Image ",
     f"denoise gone.exr {TO} --with-oidn --form atrous": "--form: expected 'full' with quality 'balanced', got 'atrous'",
     f"denoise gone.exr {TO} --bands odd": "--bands: expected auto, off or a number of rows, got 'odd'; leave it out.",
-    f"denoise gone.exr {TO} --bands 0": "--bands: expected auto, off or a number of rows, got '0'; leave it out.",
+    f"denoise gone.exr {TO} --bands 0": "--bands: expected auto, off or a number of rows, got 0; leave it out.",
     f"denoise gone.exr {TO} --bands -4": "--bands: expected auto, off or a number of rows, got '-4'; leave it out.",
     f"denoise gone.exr {TO} --bands 9 --with-oidn": "--bands: expected auto or off with --with-oidn, which takes ",
     f"denoise gone.exr {TO} --bands 9 --adaptive 5% --scene showroom": "--bands: expected …--adaptive, which ",

@@ -8,8 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from lobewise.cli.options.bands import Bands, parse_bands
-from lobewise.cli.options.bounding import Bounds
+from lobewise.cli.options.bounding import Bands, Bounds
 from lobewise.cli.options.common import OverTime, Source, Telling, parse_place, require_device
 from lobewise.cli.options.farming import Farm
 from lobewise.cli.options.frames import Frames, choose_numbers
@@ -83,7 +82,7 @@ def denoise(
     request = FileRequest(
         settings=DenoiseSettings(**settings),
         shading=reshading.make_shading(),
-        bands=parse_bands(bands),
+        bands=int(bands) if bands.isdecimal() else bands,
         materials=tuple(material or ()),
         **reading.list_fields(),
         **window.list_fields(),

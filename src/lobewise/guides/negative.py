@@ -75,7 +75,7 @@ def mark_damaged(image: FloatArray) -> NDArray[np.bool_]:
     damaged = np.zeros(image.shape[:2], np.bool_)
     if not (image < 0.0).any():
         return damaged
-    # Channel by channel: NumPy is ten times slower over a last axis of three.
+    # Channel by channel: NumPy is several times slower over a last axis of three.
     channels = [np.where(np.isfinite(one), one, np.float32(0.0)) for one in np.moveaxis(image, -1, 0)]
     below, above = -reduce(np.minimum, channels), reduce(np.maximum, channels)
     doubtful = below > np.float32(MAX_RATIO_BELOW) * np.maximum(above, np.float32(0.0))

@@ -1,4 +1,4 @@
-"""The options ``--max-memory`` and ``--max-seconds``: what filtering may take."""
+"""The options ``--max-memory``, ``--max-seconds`` and ``--bands``: what filtering may take."""
 
 from __future__ import annotations
 
@@ -12,6 +12,15 @@ from lobewise.errors import InputError
 from lobewise.work.limits import GIB, MIN_MEMORY_GIB, limit_call
 
 UNITS = {"MB": 1e6, "MIB": 2.0**20, "GB": 1e9, "GIB": GIB, "TB": 1e12, "TIB": 2.0**40}
+
+Bands = Annotated[
+    str,
+    file_detail(
+        metavar="auto|off|ROWS",
+        help="Filter this many rows at a time: less memory, the same bits. auto does so with a file that would take "
+        "more than 4 GiB.",
+    ),
+]
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, cast
 
 from lobewise.cli.terminal.help import shading_option
-from lobewise.errors import InputError, require_choice
-from lobewise.scenes import require_scene
+from lobewise.errors import InputError
 
 if TYPE_CHECKING:
     from lobewise.recipes.adaptive.shading import Light, Shading
@@ -76,6 +75,7 @@ class Reshading:
         share = self.share
         if share == 0.0 or self.scene is None:
             return None
-        require_scene(self.scene)
-        require_choice("light", self.light, ("all", "indirect"))
-        return Shading(scene=self.scene, share=share, spp=self.choose_spp(), light=cast("Light", self.light))
+        light = cast("Light", self.light)
+        shading = Shading(scene=self.scene, share=share, spp=self.choose_spp(), light=light)
+        shading.check()
+        return shading

@@ -45,13 +45,13 @@ class OpenedFile:
         The file.
     selections : sequence of Selection
         Its views and view layers; none where it is denoised in bands.
-    first : Imported or None
-        The first of them. The others are read one by one, when they are filtered.
+    only : Imported or None
+        The only view. Of several, each is read when it is filtered, so that one is in memory at a time.
     """
 
     path: Path
     selections: Sequence[Selection] = ()
-    first: Imported | None = None
+    only: Imported | None = None
 
 
 class FileDenoiser:
@@ -74,14 +74,15 @@ class FileDenoiser:
         self._windows: dict[Selection, _Window] = {}
 
     def read(self, path: Path) -> OpenedFile:
-        """Return a file with its first view, unless it is denoised in bands."""
+        """Return a file, with its view if it has only one, unless it is denoised in bands."""
         if choose_bands(path, self._request):
             return OpenedFile(path)
         request = self._request
         selections = list_selections(
             path, preset=request.preset, mapping=request.mapping, all_layers=request.all_layers
         )
-        return OpenedFile(path, selections, self._read_view(path, selections[0], selections))
+        only = self._read_view(path, selections[0], selections) if len(selections) == 1 else None
+        return OpenedFile(path, selections, only)
 
     def _read_view(self, path: Path, selection: Selection, selections: Sequence[Selection]) -> Imported:
         read = partial(self._import, selection=selection, selections=selections)
@@ -108,18 +109,17 @@ class FileDenoiser:
 
     def _filter(self, file: OpenedFile) -> FileResult:
         request = self._request
-        if file.first is None:
+        if not file.selections:
             target = locate_counterpart(file.path, self._source, self._output)
             rows = request.bands if isinstance(request.bands, int) else None
             return FileResult((denoise_file(file.path, target, request.settings, lobe_tables=self._tables, rows=rows),))
         done, planned = [], []
         for selection in file.selections:
-            is_first = selection == file.selections[0]
-            imported = file.first if is_first else self._read_view(file.path, selection, file.selections)
+            imported = file.only or self._read_view(file.path, selection, file.selections)
             result = self._filter_view(selection, imported)
             done.append(result)
             planned.append(self._plan(result, imported))
-        return FileResult(done, file.selections, file.first.container, planned)
+        return FileResult(done, file.selections, imported.container, planned)
 
     def _filter_view(self, selection: Selection, imported: Imported) -> Result:
         settings = self._request.settings

@@ -33,7 +33,6 @@ WHOLE_FIELDS = (
 )
 """Fields that need whole frames where they differ from their defaults."""
 
-
 KINDS: Mapping[str, tuple[type, ...]] = {
     "settings": (DenoiseSettings,),
     "mapping": (Mapping,),
@@ -50,7 +49,7 @@ KINDS: Mapping[str, tuple[type, ...]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class FileRequest:
-    """How files are denoised, as plain data. Another process, and a run that goes on after a stop, read the same of it.
+    """How files are denoised, as plain data. A worker, and a run that goes on after a stop, do what it says.
 
     Parameters
     ----------
@@ -59,7 +58,8 @@ class FileRequest:
     preset, mapping, wraps, also, light_groups
         As of `lobewise.interchange.import_file`.
     camera : path, optional
-        File with the camera, which replaces that of the files; see docs/cameras.md.
+        File with a camera that replaces the camera of every file; see
+        `lobewise.interchange.cameras.files.read_camera_file`.
     half : path, optional
         The same frame rendered again with another seed; for a sequence another sequence.
     materials : sequence of path
@@ -136,7 +136,7 @@ class FileRequest:
         return next((name for name in WHOLE_FIELDS if name in given), "")
 
     def read_tables(self) -> list[LobeTable] | None:
-        """The lobe tables of ``materials``; None for none."""
+        """Return the lobe tables of ``materials``; None for none."""
         return [read_lobe_table(path) for path in self.materials] or None
 
     def make_read_options(self) -> dict[str, Any]:
