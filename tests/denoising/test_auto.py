@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lobewise import peers
-from lobewise.denoising import combining, denoise
+from lobewise.denoising import also, combining, denoise
 from lobewise.denoising.automatic import ask, choose_quality
 from lobewise.denoising.recipe import FEATURES_SOFTENED
 from lobewise.errors import InputError
@@ -60,6 +60,49 @@ def test_parts_near_the_largest_number_do_not_overflow(make_frame: Callable[...,
     image = denoise(frame.with_changes(radiance=Radiance(**light)), **CHEAP).image
     assert np.isfinite(image).all()
     assert image.min() >= 0.0
+
+
+def share_out_black(surface: np.ndarray | None) -> combining.Shares:
+    """Share a mixture out over two parts, which have light in the left half of the image alone."""
+    parts = [np.zeros((20, 60, 3), np.float32) for _ in range(2)]
+    parts[0][:, ::2], parts[1][:, ::2] = 0.75, 0.25
+    for part in parts:
+        part[:, 30:] = 0.0
+    return combining.share_out(np.full((20, 60, 3), 0.5, np.float32), sum(parts), parts, surface)
+
+
+def test_black_pixels_keep_the_mixture_and_their_parts_share_it_as_around() -> None:
+    shares = share_out_black(None)
+    reach = 28 + combining.NEAR_RADIUS
+    np.testing.assert_allclose(shares.image[:, : reach + 1], 0.5)
+    np.testing.assert_allclose(sum(shares.parts), shares.image, rtol=1e-6)
+    np.testing.assert_allclose(shares.parts[0][:, : reach + 1], 0.375, rtol=1e-6)
+    assert not shares.image[:, reach + 1 :].any()
+
+
+def test_light_of_surfaces_does_not_reach_the_background() -> None:
+    surface = np.zeros((20, 60), np.bool_)
+    surface[:, :29] = True
+    shares = share_out_black(surface)
+    np.testing.assert_allclose(shares.image[:, :29], 0.5)
+    assert not shares.image[:, 29:].any()
+    # Between the samples of fog, the light of the fog around is there although nothing solid is.
+    np.testing.assert_allclose(share_out_black(np.zeros_like(surface)).image[:, :30], 0.5)
+
+
+def test_parts_of_a_layer_sum_to_light_that_the_mixture_adds() -> None:
+    parts = [np.zeros((9, 9, 3), np.float32) for _ in range(2)]
+    parts[0][4, 4], parts[1][4, 4] = 3.0, 1.0
+    clean = np.full((9, 9, 3), 2.0, np.float32)
+    brought = also.bring_parts(("direct", "indirect"), parts, clean)
+    np.testing.assert_allclose(brought["direct"], 1.5, rtol=1e-6)
+    np.testing.assert_allclose(brought["indirect"], 0.5, rtol=1e-6)
+
+
+def test_images_of_a_sum_take_light_where_all_are_black() -> None:
+    black, image = np.zeros((7, 7, 3), np.float32), np.full((7, 7, 3), 0.6, np.float32)
+    shared = combining.share_by_noise(image, [black, black], [black, black])
+    np.testing.assert_allclose(shared, 0.3, rtol=1e-6)
 
 
 @pytest.mark.usefixtures("present")

@@ -242,16 +242,16 @@ class TestPeer:
         assert np.isfinite(mixed).all()
 
     def test_parts_are_shared_out_by_what_they_had(self):
-        # Both kinds; exact light alone; both, and darker than the exact light alone; neither.
+        # Both kinds; exact light alone; both, and darker than the exact light alone; neither, between such pixels.
         diffuse, specular = np.full((1, 4, 3), 0.6, np.float32), np.full((1, 4, 3), 0.2, np.float32)
         diffuse[0, [1, 3]], specular[0, [1, 3]] = 0.0, 0.0
         specular[0, 0] = np.nan
         before = np.float32([[[0.7] * 3, [0.5] * 3, [1.8] * 3, [0.0] * 3]])
         mixed = np.float32([[[1.3] * 3, [0.9] * 3, [0.4] * 3, [0.2] * 3]])
         image, (scattered, reflected), gain = share_out(mixed, before, [diffuse, specular])
-        np.testing.assert_allclose(image[0, :, 0], [1.3, 0.9, 0.4, 0.0], rtol=1e-5)
-        np.testing.assert_allclose(scattered[0, :, 0], [1.2, 0.0, 0.6 / 9.0, 0.0], rtol=1e-5)
-        np.testing.assert_allclose(reflected[0, :, 0], [0.0, 0.0, 0.2 / 9.0, 0.0], atol=1e-6)
+        np.testing.assert_allclose(image[0, :, 0], [1.3, 0.9, 0.4, 0.2], rtol=1e-5)
+        np.testing.assert_allclose(scattered[0, :, 0], [1.2, 0.0, 0.6 / 9.0, 0.2 * 1.2 / 1.4], rtol=1e-5)
+        np.testing.assert_allclose(reflected[0, :, 0], [0.0, 0.0, 0.2 / 9.0, 0.2 * 0.2 / 1.4], atol=1e-6)
         np.testing.assert_allclose(gain[0, :, 0], [1.0, 1.8, 0.4 - 0.8 / 9.0, 1.0], rtol=1e-5)
         rest = before - np.nan_to_num(diffuse) - np.nan_to_num(specular)
         np.testing.assert_allclose(scattered + reflected + rest * gain, image, rtol=1e-5, atol=1e-6)

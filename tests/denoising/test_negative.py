@@ -9,7 +9,7 @@ import pytest
 
 from lobewise import TemporalFilter, WindowFilter, make_sparse, read_frame, upsample, write_result
 from lobewise.denoising import denoise
-from lobewise.guides.negative import mark_damaged, split_negative
+from lobewise.guides.negative import MAX_DIM_SHARE, is_dim, mark_damaged, split_negative
 from lobewise.peers import has_oidn
 from lobewise.records.frame import FloatArray, Frame, Radiance
 from lobewise.records.radiance import RadianceLayer
@@ -45,6 +45,28 @@ def test_colours_outside_of_the_gamut_are_filtered(quality: str, field_folder: P
     write_result(tmp_path / "out.exr", result, source=source)
     written = read_frame(tmp_path / "out.exr").radiance.color
     np.testing.assert_allclose(written, result.image, rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.real_exr
+@pytest.mark.parametrize("quality", [each for each in QUALITIES if each != "fast"])
+def test_lamps_that_take_light_away_are_filtered_as_lamps(quality: str, field_folder: Path) -> None:
+    frame, truths = read_frame(field_folder / "negative_light.exr"), np.load(field_folder / "negative_light_ref.npz")
+    result = denoise(frame, quality=quality)
+    groups = {name.removeprefix("ViewLayer.Combined"): name for name in frame.also}
+    assert set(groups) | {""} == set(truths)
+    for name, truth in truths.items():
+        clean, noisy = (
+            (result.also[groups[name]], frame.also[groups[name]]) if name else (result.image, frame.radiance.color)
+        )
+        assert measure(clean, truth) < 0.6 * measure(noisy, truth), name
+    np.testing.assert_allclose(sum(result.also[name] for name in groups.values()), result.image, atol=1e-4)
+
+
+def test_light_below_0_is_dim_up_to_a_share_of_the_light() -> None:
+    light = Frame(Radiance(np.full((*SHAPE, 3), 2.0, np.float32)))
+    shares = [0.0, 0.9 * MAX_DIM_SHARE, 1.1 * MAX_DIM_SHARE]
+    frames = [Frame(Radiance(np.full((*SHAPE, 3), 2.0 * share, np.float32))) for share in shares]
+    assert [is_dim(below, light) for below in frames] == [True, True, False]
 
 
 RECIPES: dict[str, Callable[[Frame], FloatArray]] = {

@@ -19,7 +19,7 @@ import numpy as np
 
 from lobewise.backend.buffers import device_scope
 from lobewise.denoising.bad_pixels import blacken_bad
-from lobewise.denoising.combining import share_by_noise
+from lobewise.denoising.combining import MAX_BLACK_RADIANCE, compute_shares_near, share_by_noise
 from lobewise.denoising.evidence import mix_noisy
 from lobewise.denoising.layers import Layer, compute_whole_albedo, filter_layer, make_layers
 from lobewise.denoising.noisy import NoisyLayer, join_halves, make_noisy_layers
@@ -263,8 +263,13 @@ def refine_parts(filtered: Sequence[FilteredOther], layer: Passed, *, are_parts:
 
 def bring_parts(names: Collection[str], refined: Sequence[FloatArray], clean: FloatArray) -> dict[str, FloatArray]:
     """Return images of a layer by the names of its parts, brought to the layer's result ``clean``."""
-    ratio = _divide(clean, _sum_whole(refined, len(refined) == len(names)))
-    return {name: np.asarray(each * ratio) for name, each in zip(names, refined, strict=False)}
+    whole = _sum_whole(refined, are_parts := len(refined) == len(names))
+    brought = [each * _divide(clean, whole) for each in refined]
+    light = np.where(whole > MAX_BLACK_RADIANCE, np.float32(0.0), clean)
+    # The mixture lights black pixels as well.
+    if are_parts and light.any():
+        brought = [each + light * share for each, share in zip(brought, compute_shares_near(refined), strict=True)]
+    return {name: np.asarray(each) for name, each in zip(names, brought, strict=False)}
 
 
 def _sum_whole(images: Sequence[FloatArray], are_parts: bool) -> FloatArray:
@@ -273,7 +278,7 @@ def _sum_whole(images: Sequence[FloatArray], are_parts: bool) -> FloatArray:
 
 
 def _divide(image: FloatArray, by: FloatArray) -> FloatArray:
-    return np.divide(image, by, out=np.ones_like(by), where=(by > 0.0) & np.isfinite(image))
+    return np.divide(image, by, out=np.ones_like(by), where=(by > MAX_BLACK_RADIANCE) & np.isfinite(image))
 
 
 def _is_sum(image: FloatArray, parts: Sequence[FloatArray]) -> bool:

@@ -66,6 +66,7 @@ from lobewise.filters.fireflies import count_light, cut_samples
 from lobewise.filters.forms import describe_form
 from lobewise.filters.glue import define_checked, define_support
 from lobewise.filters.specks import Sharing, choose_sharing
+from lobewise.guides.surfaces import mark_surface_pixels
 from lobewise.records.frame import FloatArray, Frame, GBuffer
 from lobewise.settings import ResolvedSettings
 from lobewise.settings.choices import get_quality
@@ -303,11 +304,12 @@ def clean_frame(
             raise_cost(MIX_UNGUIDED, sum(SECONDS_PER_MEGAPIXEL[each] for each in (FILTER_HALVES, REFINE, TAKE_BACK)))
     before, filtered = filter_whole(frame, settings, features, bad, outside=outside)
     gains = compute_gains(filtered)
+    surface = mark_surface_pixels(seen or frame.gbuffer, frame.shape)
     if unguided is not None:
-        filtered, further_gains = mix_unguided(frame, settings, filtered, unguided, outside)
+        filtered, further_gains = mix_unguided(frame, settings, filtered, unguided, surface, outside)
         gains += further_gains
     if settings.with_oidn:
-        filtered, further_gains = mix_peer(frame, filtered, seen)
+        filtered, further_gains = mix_peer(frame, filtered, surface, seen)
         gains += further_gains
     also = filter_passes(frame, settings, features, filtered) if has_passes(frame) else {}
     return Clean(before=before, filtered=filtered, gains=gains, also=also)
@@ -458,6 +460,7 @@ def mix_unguided(
     settings: ResolvedSettings,
     filtered: Filtered,
     share: FloatArray,
+    surface: NDArray[np.bool_],
     outside: NDArray[np.bool_] | None,
 ) -> tuple[Filtered, list[FloatArray]]:
     """Mix in the image of the color alone, and scale the parts so that they sum to the image.
@@ -475,11 +478,13 @@ def mix_unguided(
     with plan_stages({step: SECONDS_PER_MEGAPIXEL[step] for step in (FILTER_HALVES, REFINE, TAKE_BACK)}):
         _, alone = filter_whole(bare, by_color, (), mark_bad_pixels(bare), outside=outside)
     mixed = mix_noisy(filtered.image, alone.image, share)
-    image, parts, gain = share_out(mixed, filtered.image, filtered.parts)
+    image, parts, gain = share_out(mixed, filtered.image, filtered.parts, surface)
     return replace(filtered, image=image, parts=parts), [gain]
 
 
-def mix_peer(frame: Frame, filtered: Filtered, seen: GBuffer | None) -> tuple[Filtered, list[FloatArray]]:
+def mix_peer(
+    frame: Frame, filtered: Filtered, surface: NDArray[np.bool_], seen: GBuffer | None
+) -> tuple[Filtered, list[FloatArray]]:
     """Mix in the image of Open Image Denoise and the noisy one, and scale the parts so that they sum to the image."""
     enter_stage(MIX_PEER)
     samples = bound_samples(frame, filtered)
@@ -496,9 +501,9 @@ def mix_peer(frame: Frame, filtered: Filtered, seen: GBuffer | None) -> tuple[Fi
         )
     blurred = share_with_blurred(frame, filtered, mixed)
     if blurred is None:
-        image, parts, gain = share_out(mixed, filtered.image, filtered.parts)
+        image, parts, gain = share_out(mixed, filtered.image, filtered.parts, surface)
         return replace(filtered, image=image, parts=parts), [gain]
-    image, parts, gain = share_out(mixed, blurred.image, filtered.parts)
+    image, parts, gain = share_out(mixed, blurred.image, filtered.parts, surface)
     return replace(filtered, image=image, parts=parts, rest_added=blurred.added * gain), [blurred.gain, gain]
 
 

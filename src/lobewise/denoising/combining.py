@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lobewise.backend.prebuilt import has_kernels
 from lobewise.denoising.automatic import explain_ours
@@ -36,6 +37,10 @@ CHOOSE = "choose the shares of the images"
 """The stage after the calls of Open Image Denoise."""
 MAX_BLACK_RADIANCE = 1e-30
 """Radiance up to which light counts as black, so that no part has a share of it."""
+NEAR_RADIUS = 8
+"""Pixels around a black pixel whose light tells which parts take light there. Filters reach as far."""
+MAX_NEAR = 1e30
+"""Largest sum of light around a pixel that counts: sums of several do not overflow."""
 MAX_RATIO_TO_IMAGE = 2.0
 """Largest change of the scattered light over that of the whole image, and the other way round."""
 TRUST_WITHOUT_HALVES = 0.75
@@ -239,14 +244,18 @@ class Shares(NamedTuple):
     gain: FloatArray
 
 
-def share_out(image: FloatArray, before: FloatArray, parts: Sequence[FloatArray]) -> Shares:
+def share_out(
+    image: FloatArray, before: FloatArray, parts: Sequence[FloatArray], surface: NDArray[np.bool_] | None = None
+) -> Shares:
     """Return the parts of ``before``, scaled so that they and the exact light sum to ``image``.
 
     The exact light is the light of ``before`` that is in no part. It stays, and each part keeps its share of the rest,
     as long as that changes the parts by at most `MAX_RATIO_TO_IMAGE` times more or less than the image. Beyond, exact
     light is scaled as well: at a lamp a small error of the mixture would otherwise become many times the light that the
-    lamp's surface scatters, and out of focus the exact light is noisy. Where there is no light at all, the image stays
-    0.
+    lamp's surface scatters, and out of focus the exact light is noisy.
+
+    Where ``before`` is black, as between the few samples of a volume, the parts take the light of ``image`` as they
+    share the light around. Where they have none around, as in a transparent background, the pixel stays black.
 
     Parameters
     ----------
@@ -254,13 +263,15 @@ def share_out(image: FloatArray, before: FloatArray, parts: Sequence[FloatArray]
         The mixture, and our image that it was mixed from.
     parts : sequence of (height, width, 3)
         Parts of ``before``; bad pixels count as 0.
+    surface : (height, width), bool, optional
+        Pixels that see a surface; by default all.
     """
     good = [make_finite(part) for part in parts]
     filtered = sum_finite(good)
     rest = np.maximum(before - filtered, np.float32(0.0))
     scattered, exact = filtered > MAX_BLACK_RADIANCE, rest > MAX_BLACK_RADIANCE
-    image = np.where(scattered | exact, image, before)
 
+    # Scale the parts: alone, or together with the exact light.
     alone = _divide(image - rest, filtered, scattered)
     change, most = _divide(image, before, scattered & exact), np.float32(MAX_RATIO_TO_IMAGE)
     bounded = np.minimum(np.clip(alone, change / most, change * most), _divide(image, filtered, scattered))
@@ -272,7 +283,32 @@ def share_out(image: FloatArray, before: FloatArray, parts: Sequence[FloatArray]
         out=np.ones_like(rest),
         where=exact & (~scattered | (factor != alone)),
     )
-    return Shares(image, [part * factor for part in good], gain)
+    scaled = [part * factor for part in good]
+
+    # Black pixels: give the light to the parts that have light around.
+    black = ~(scattered | exact)
+    if (image[black] > 0.0).any():
+        shares = compute_shares_near(good, surface)
+        lit = black & (sum_finite(shares) > 0.0)
+        image = np.where(black & ~lit, before, image)
+        light: FloatArray = np.where(lit, image, np.float32(0.0))
+        scaled = [part + light * share for part, share in zip(scaled, shares, strict=True)]
+    return Shares(image, scaled, gain)
+
+
+def compute_shares_near(parts: Sequence[FloatArray], surface: NDArray[np.bool_] | None = None) -> list[FloatArray]:
+    """Return the shares that parts have of the light within `NEAR_RADIUS` of each pixel; 0 where they have no light.
+
+    Pixels that see a surface count for such pixels alone, and the others for the others: the light of an object does
+    not reach the background beside it. Parameters as of `share_out`.
+    """
+    kinds = [np.True_] if surface is None else [surface[..., None], ~surface[..., None]]
+    near = []
+    for part in parts:
+        sums = (np.where(kind, sum_square(np.where(kind, part, np.float32(0.0)), NEAR_RADIUS), 0.0) for kind in kinds)
+        near.append(np.minimum(sum(sums), np.float32(MAX_NEAR), dtype=np.float32))
+    total = sum_finite(near)
+    return [_divide(light, total, total > MAX_BLACK_RADIANCE) for light in near]
 
 
 def make_finite(light: FloatArray) -> FloatArray:
@@ -290,7 +326,7 @@ def share_by_noise(image: FloatArray, parts: Sequence[FloatArray], noisy: Sequen
 
     Where the difference is larger than the noise explains, all parts keep their shares of the image. So a dim part
     without noise does not take the errors of a bright one. Where a part is below 0, it takes its share of the whole
-    difference. A pixel that no part lights stays black.
+    difference, and so it does where no part has light.
 
     Parameters
     ----------
@@ -313,7 +349,7 @@ def share_by_noise(image: FloatArray, parts: Sequence[FloatArray], noisy: Sequen
         added.append(part + apart * share)
     together = sum_finite(shared)
     ratio = np.divide(image, together, out=np.ones_like(together), where=together > MAX_BLACK_RADIANCE)
-    below = np.minimum(image, np.min(good, axis=0)) < 0.0
+    below = (np.minimum(image, np.min(good, axis=0)) < 0.0) | (together <= MAX_BLACK_RADIANCE)
     return [np.where(below, other, one * ratio) for one, other in zip(shared, added, strict=True)]
 
 

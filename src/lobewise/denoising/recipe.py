@@ -34,7 +34,7 @@ from lobewise.denoising.plan import bound_memory, compute_costs
 from lobewise.errors import UnusedGuideWarning, require_kind
 from lobewise.features import Feature
 from lobewise.filters.fireflies import compute_energy_lost
-from lobewise.guides.negative import split_negative
+from lobewise.guides.negative import is_dim, split_negative
 from lobewise.guides.squares import compute_square_maximum, sum_square
 from lobewise.guides.survey import ALBEDOS
 from lobewise.guides.usable import CheckedGuides, check_guides
@@ -271,7 +271,7 @@ def _denoise_light(checked: CheckedGuides[Frame], named: DenoiseSettings, featur
         clean = clean_frame(frame, chosen, features, bad_pixels, seen, outside if margin else None)
         enter_stage(NEGATIVE)
         # The neighbours across the border stand beside it already.
-        negative = None if below is None else filter_below(below.with_changes(wraps=False), named, features)
+        negative = None if below is None else filter_below(below.with_changes(wraps=False), frame, named, features)
     filtered = clean.filtered
     diffuse, specular = join_parts(filtered.layers, filtered.parts)
     weight_sum, effective_samples = filtered.compute_support()
@@ -301,7 +301,7 @@ def _denoise_light(checked: CheckedGuides[Frame], named: DenoiseSettings, featur
 
 
 def leave_to_peer(checked: CheckedGuides[Frame]) -> Result:
-    """Denoise a frame by Open Image Denoise alone, without any kernel; light below 0 stays as it is."""
+    """Denoise a frame by Open Image Denoise alone, without any kernel; dim light below 0 stays as it is."""
     start, noisy, width = time.perf_counter(), ref(checked.frame.radiance.color), checked.frame.width
     frame, below = split_negative(checked.frame.surround())
     samples = frame.radiance.color
@@ -310,9 +310,12 @@ def leave_to_peer(checked: CheckedGuides[Frame]) -> Result:
     require_some_good(count, bad.size, "pixel")
     with bound_memory(frame, "", with_oidn=True), plan_stages(list_peer_costs(frame)):
         image = denoise_with_peer(frame, samples, blacken_bad(samples))
+        if below is not None:
+            light = below.radiance.color
+            image = image - (light if is_dim(below, frame) else denoise_with_peer(below, light, light))
     unfiltered = np.zeros(frame.shape, np.float32)
     result = Result(
-        image=image if below is None else image - below.radiance.color,
+        image=image,
         weight_sum=unfiltered,
         effective_samples=unfiltered.copy(),
         bad_pixels=bad,
@@ -325,15 +328,16 @@ def leave_to_peer(checked: CheckedGuides[Frame]) -> Result:
     return result.crop_columns(width)
 
 
-def filter_below(below: Frame, named: DenoiseSettings, features: Sequence[Feature]) -> Result:
-    """Return the light below 0 of a frame, see `split_negative`, filtered by the guides alone.
+def filter_below(below: Frame, above: Frame, named: DenoiseSettings, features: Sequence[Feature]) -> Result:
+    """Return the light below 0 of a frame, see `split_negative`, filtered: by the guides alone where it is dim.
 
-    Layers and further images without light below 0 are left out.
+    Layers and further images without light below 0 are left out. ``above`` is the frame without light below 0.
     """
     layers = [layer for layer in below.layers if any(map(np.any, (layer.radiance, *layer.parts.values())))]
     also = {name: image for name, image in below.also.items() if image.any()}
+    settings = replace(named, quality="fast", with_oidn=False) if is_dim(below, above) else named
     below = below.with_changes(layers=layers or below.layers, also=also)
-    return denoise_checked(CheckedGuides(below), replace(named, quality="fast", with_oidn=False), features)
+    return denoise_checked(CheckedGuides(below), settings, features)
 
 
 def scale_unscattered(frame: Frame, filtered: Filtered, gains: Sequence[FloatArray]) -> dict[str, FloatArray]:

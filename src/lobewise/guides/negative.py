@@ -3,7 +3,8 @@
 Colours outside of the gamut have a negative channel. Pixel filters with negative lobes (Lanczos, Mitchell, Blackman)
 ring below 0 beside lamps. Both is light: without it edges get brighter and colours paler. Estimates of noise, networks
 and Open Image Denoise know no light below 0. So a frame is the difference of two frames that are nowhere negative. The
-second is smooth and dim, and is filtered by the guides alone (docs/developers/decisions.md).
+second is mostly smooth and dim, and is then filtered by the guides alone (docs/developers/decisions.md). Lamps that
+take light away make it bright. Then it has highlights and noise, and is filtered as other light is.
 
 A pixel far below everything around it is no light but damage, as of an overflow. It stays negative, and filters leave
 it out.
@@ -28,6 +29,8 @@ NEGATIVE_REACH = 2
 MAX_RATIO_BELOW = 4.0
 """Largest negative light of a pixel, over the second largest light around it and over its own light, that is no damage.
 The largest light around is ignored, because damaged pixels may come in pairs."""
+MAX_DIM_SHARE = 0.01
+"""Largest light below 0, as a share of the light of a frame, that is dim."""
 _PARTS = ("diffuse", "specular", "direct", "indirect")
 
 Split = tuple[FloatArray, FloatArray]
@@ -68,6 +71,14 @@ def split_negative(frame: AnyFrame) -> tuple[Any, Any]:
         also=also[1],
     )
     return first, second
+
+
+def is_dim(below: Frame, above: Frame) -> bool:
+    """Return whether the light below 0 of a frame is dim beside its other light; see `split_negative`."""
+    light = (
+        np.sum(one.radiance.color, where=np.isfinite(one.radiance.color), dtype=np.float64) for one in (below, above)
+    )
+    return bool(next(light) <= MAX_DIM_SHARE * next(light))
 
 
 def mark_damaged(image: FloatArray) -> NDArray[np.bool_]:

@@ -234,9 +234,12 @@ class TemporalFilter:
         self._is_sparse = isinstance(frame, SparseFrame)
         self._past = Past(guides, chosen.similarity, sums, reprojection.validation, reprojection.allowance)
         if below is not None:
-            # Light below 0 is dim and needs no history.
-            named, sparse = self._ask(frame), isinstance(below, SparseFrame)
-            result_below = upsample(below, named, features=features) if sparse else filter_below(below, named, features)
+            # Light below 0 is dim in most frames, and has no history.
+            named = self._ask(frame)
+            if isinstance(frame, SparseFrame):
+                result_below = upsample(below, named, features=features)
+            else:
+                result_below = filter_below(below, frame, named, features)
             result = result.subtract(result_below)
         return replace(result, notes=(*notes, *describe_bad(int(np.count_nonzero(bad)), bad.size)))
 

@@ -153,8 +153,8 @@ class WindowFilter:
         others = [(shown, windowed[index + step]) for step, shown in prepared.shown.items()]
         result, below = average_denoised(windowed[index], others), prepared.below
         if below is not None:
-            # Light below 0 is dim: other frames would lower its noise by little.
-            result = result.subtract(filter_below(below, self._settings, ()))
+            # Light below 0 is dim in most frames: other frames would lower its noise by little.
+            result = result.subtract(filter_below(below, prepared.checked, self._settings, ()))
         return replace(
             result,
             also=unpack_planes(result.also),
