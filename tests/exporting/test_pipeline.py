@@ -11,8 +11,8 @@ import pytest
 from benchmarks.performance.pipelines import Library, pack_frame
 from lobewise.cli.main import run
 from lobewise.denoising.automatic import choose_beta, choose_screen_sigma, choose_tau
-from lobewise.engine.graph import Graph
-from lobewise.engine.memory import list_spans, plan_memory
+from lobewise.engine.graph import Graph, group_bands
+from lobewise.engine.memory import check_places, list_spans, plan_memory
 from lobewise.engine.numbers import Number, choose_larger, raise_to, round_single, write_number
 from lobewise.errors import InputError
 from lobewise.exporting.pipeline.constants import Constants
@@ -86,6 +86,26 @@ def test_images_that_are_needed_at_once_lie_apart(history: bool) -> None:
     assert plan.made_bytes < 0.6 * whole
 
 
+@pytest.mark.parametrize("halves", [True, False], ids=["halves", "whole"])
+@pytest.mark.parametrize("layers", ["apart", "color", "named"])
+@pytest.mark.parametrize("plan", ["balanced", "high"])
+def test_what_the_next_band_reads_keeps_its_place(plan: Any, layers: Any, halves: bool) -> None:
+    graph = make_pipeline(PipelineSettings(plan=plan, layers=layers, halves=halves)).graph
+    assert any(operation.in_band for operation in graph.operations)
+    plan_memory(graph, 1.0)
+
+
+def test_a_place_that_is_taken_too_early_is_noticed() -> None:
+    """Without groups of bands, the result of the first band would overwrite what the second one reads."""
+    graph = make_pipeline(PipelineSettings(plan="balanced")).graph
+    plan = plan_memory(graph, 1.0)
+    (group,) = (group for group in group_bands(graph.operations) if group[0].in_band)
+    read, written = group[0].reads[0].memory, group[-1].writes[0].memory
+    assert plan.slots[read.name] != plan.slots[written.name]
+    with pytest.raises(AssertionError, match=f"reads {read.name} from the place of {written.name}"):
+        check_places(graph, {**plan.slots, written.name: plan.slots[read.name]})
+
+
 def test_a_call_must_fit_its_kernel() -> None:
     graph = Graph()
     pipeline = make_pipeline(PipelineSettings())
@@ -120,11 +140,13 @@ SETTINGS: list[dict[str, Any]] = [
     {**BALANCED, "emission": True},
     BALANCED,
     {**BALANCED, "layers": "color", "similarity": "normal"},
+    {**BALANCED, "layers": "color", "halves": False},
     {**BALANCED, "halves": False},
     {**BALANCED, "layers": "named"},
     {**BALANCED, "hit_guides": True, "coverage": True},
     {"plan": "high"},
     {"plan": "high", "halves": False, "layers": "color"},
+    {"plan": "high", "layers": "named"},
     {"upsample": 2},
     {**HISTORY, "upsample": 3, "hit_distance": True},
     {**HISTORY, "layers": "color", "form": "separable", "similarity": "sg"},

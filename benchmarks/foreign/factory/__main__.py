@@ -1,6 +1,6 @@
 """Random shots of Blender Cycles, each from its kind and seed alone. Runs where `bpy` is, without lobewise.
 
-    python benchmarks/foreign/factory FOLDER [--kinds a,b] [--split validation|training] [--seeds 0-3] [--threads 1]
+    python benchmarks/foreign/factory FOLDER [--kinds a,b] [--split validation|training] [--seeds 0-3] [--spp 1] [--threads 1]
 
 A shot is the folder ``FOLDER/KIND_SEED``: ``shot.json``, ``SPP.exr`` for each number of samples, and three references
 of seeds of their own. It is complete when the last, ``reference_3.exr``, is there. What is there is not rendered
@@ -41,6 +41,7 @@ def main() -> None:
     parser.add_argument("--split", choices=splits, help="all kinds of one purpose, instead of --kinds")
     parser.add_argument("--seeds", type=read_seeds, default=range(4), help="one, or the first and the last, as 0-3")
     parser.add_argument("--threads", type=int, default=0, help="0 for all")
+    parser.add_argument("--spp", type=int, help="samples per pixel of the noisy frame, instead of those that are drawn")
     parser.add_argument("--films", action="store_true", help="films of 12 frames with two references of each")
     parser.add_argument("--groups", action="store_true", help="put lamps and sky into light groups")
     parser.add_argument(
@@ -52,6 +53,8 @@ def main() -> None:
         parser.error(f"unknown kinds: {', '.join(sorted(unknown))}; there are {', '.join(KINDS)}")
     for kind, seed in list_shots(list(kinds), asked.seeds):
         plan, random = plan_shot(kind, seed)
+        if asked.spp:
+            plan = replace(plan, spp=(asked.spp,))
         if asked.width:
             size = asked.width, round(plan.size[1] * asked.width / plan.size[0])
             plan = replace(plan, size=size, spp=(16,), reference_spp=(400,))

@@ -7,9 +7,10 @@ Code that assembles features for the filters of this package therefore works wit
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field, replace
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -329,6 +330,18 @@ class Graph:
                 if isinstance(value, GraphImage):
                     named.setdefault(value.name, value)
         return list(named.values())
+
+
+def group_bands(operations: Iterable[Operation]) -> list[list[Operation]]:
+    """Return steps in the order in which they run: those of a group run for one band of rows after the other.
+
+    Steps in bands that follow each other in one part of the plan are one group. Any other step is a group by itself.
+    """
+    groups: list[list[Operation]] = []
+    for _, steps in groupby(operations, key=lambda each: (each.stage, each.in_band)):
+        group = list(steps)
+        groups += [group] if group[0].in_band else [[step] for step in group]
+    return groups
 
 
 def _write_argument(parameter: Parameter, value: Any) -> str:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import chain
 
-from lobewise.engine.graph import Graph, GraphImage
+from lobewise.engine.graph import Graph, GraphImage, group_bands
 
 
 @dataclass(frozen=True)
@@ -30,8 +32,8 @@ class MemoryPlan:
 def plan_memory(graph: Graph, share: float) -> MemoryPlan:
     """Return the places of the images of a pipeline.
 
-    An image occupies a place from the first step that writes it to the last step that names it. A free place that holds
-    as many bytes, or else the largest free one, is taken first.
+    An image occupies a place as long as `list_spans` says. A free place that holds as many bytes, or else the largest
+    free one, is taken first.
 
     Parameters
     ----------
@@ -58,22 +60,44 @@ def plan_memory(graph: Graph, share: float) -> MemoryPlan:
             free_from.append(0)
         free_from[slot] = last + 1
         slots[image.name] = slot
+    check_places(graph, slots)
     state_bytes = sum(span.count_bytes(share) for pair in graph.state_pairs for span in pair)
     return MemoryPlan(slots, len(sizes), sum(sizes), state_bytes)
 
 
 def list_spans(graph: Graph) -> dict[GraphImage, tuple[int, int]]:
-    """Return the numbers of the first and of the last step that name each image that the pipeline makes."""
+    """Return the numbers of the first and of the last step that need each image that the pipeline makes.
+
+    Steps of a group run again for the next band of rows. So an image that one of them names is needed until the group
+    ends.
+    """
     spans: dict[str, tuple[GraphImage, int, int]] = {}
-    for number, operation in enumerate(graph.operations):
-        for image in (*operation.reads, *operation.writes):
-            memory = image.memory
-            if memory.source != "made":
-                continue
-            if memory.name not in spans:
-                assert image in operation.writes or operation.when, (
-                    f"{operation.function} reads {memory.name} too early"
-                )
-                spans[memory.name] = memory, number, number
-            spans[memory.name] = memory, spans[memory.name][1], number
+    start = 0
+    for group in group_bands(graph.operations):
+        end = start + len(group) - 1
+        for number, operation in enumerate(group, start):
+            for memory in _list_made(operation.reads, operation.writes):
+                if memory.name not in spans:
+                    is_written = any(image.memory.name == memory.name for image in operation.writes)
+                    assert is_written or operation.when, f"{operation.function} reads {memory.name} too early"
+                    spans[memory.name] = memory, number, end
+                spans[memory.name] = memory, spans[memory.name][1], end
+        start = end + 1
     return {image: (first, last) for image, first, last in spans.values()}
+
+
+def check_places(graph: Graph, slots: dict[str, int]) -> None:
+    """Raise AssertionError if a step reads an image whose place another image has taken since it was written."""
+    holders: dict[int, str] = {}
+    for group in group_bands(graph.operations):
+        # Two bands are enough: the second one reads what the first one may have overwritten.
+        for operation in group * 2:
+            for memory in _list_made(operation.reads):
+                holder = holders.setdefault(slots[memory.name], memory.name)
+                assert holder == memory.name, f"{operation.function} reads {memory.name} from the place of {holder}"
+            holders |= {slots[memory.name]: memory.name for memory in _list_made(operation.writes)}
+
+
+def _list_made(*images: Iterable[GraphImage]) -> list[GraphImage]:
+    """Return the memory of those images that the pipeline makes itself."""
+    return [image.memory for image in chain(*images) if image.memory.source == "made"]

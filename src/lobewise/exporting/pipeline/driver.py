@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from itertools import groupby
 from string import Template
 
 import numpy as np
@@ -13,7 +12,7 @@ import lobewise
 from lobewise.backend.devices import VULKAN_BLOCK, VULKAN_MULTIPLE
 from lobewise.denoising import light_loss
 from lobewise.denoising.refining import whole_image
-from lobewise.engine.graph import Graph, GraphImage, Length, Operation
+from lobewise.engine.graph import Graph, GraphImage, Length, Operation, group_bands
 from lobewise.engine.numbers import write_number
 from lobewise.engine.recorder import CompiledKernel
 from lobewise.exporting.folder import fill_template, read_sections, read_template
@@ -194,9 +193,9 @@ def _write_stage(pipeline: Pipeline, number: int, stage: tuple[str, list[Operati
         "    halide_buffer_t *const i = p->images;",
         "    int code = 0;",
     ]
-    for in_band, group in groupby(operations, key=lambda each: each.in_band):
+    for group in group_bands(operations):
         written = [line for operation in group for line in _write_operation(pipeline, operation)]
-        lines += [*BAND_LOOP, *(f"    {line}" for line in written), "    }"] if in_band else written
+        lines += [*BAND_LOOP, *(f"    {line}" for line in written), "    }"] if group[0].in_band else written
     return "\n".join([*lines, "    (void)i;", f"    return code ? {name}_failed : {name}_ok;", "}"])
 
 

@@ -17,7 +17,8 @@ from lobewise.records.frame import FloatArray, Frame, GBuffer, LobeKind, Radianc
 Image = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
-WIDTH, HEIGHT = 96, 64
+WIDTH, HEIGHT = 75, 200
+"""Size of the frames: an odd width, and several bands of rows, of which the last is not full."""
 SPP = 8
 FOV_Y = 0.8
 BALLS = (((-0.7, 0.8, 0.0), 0.8, 0.3), ((0.9, 0.5, 0.6), 0.5, 0.02))
