@@ -136,7 +136,9 @@ def _list_light(channels: ChannelMap, unused: Iterable[Found], read: ImageReader
 
 def _is_picture(channels: ChannelMap, one: Pass) -> bool:
     """Return whether a pass has a name of the picture; a pass without a path has."""
-    return not one.path or any(rule.source and one.matches(rule.source) for rule in channels.preset.roles["color"])
+    return not one.path or any(
+        rule.source and one.matches(rule.source) for rule in channels.preset.roles.get("color", ())
+    )
 
 
 def _name_pictures(channels: ChannelMap, alike: Sequence[Found], read: ImageReader) -> list[str]:

@@ -1,0 +1,50 @@
+"""Small files of users that once came out wrong: the default command does right with each."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lobewise.cli.main import run
+from lobewise.io.exr.parsing import read_container
+from lobewise.io.exr.pixels import decode_part
+
+pytestmark = pytest.mark.real_exr
+Planes = dict[str, np.ndarray]
+
+
+def denoise(source: Path, output: Path, *words: str) -> Planes:
+    """Run the command on a file of one part, and return the planes that it writes."""
+    assert run(["denoise", str(source), "-o", str(output), *words]) == 0
+    return read(output)
+
+
+def read(path: Path) -> Planes:
+    container = read_container(path)
+    (part,) = container.parts
+    return {name: plane.astype("f4") for name, plane in decode_part(container, part).items()}
+
+
+def list_changed(before: Planes, after: Planes) -> set[str]:
+    """Return the passes of which a channel has changed."""
+    assert before.keys() == after.keys()
+    changed = {name for name, plane in before.items() if plane.tobytes() != after[name].tobytes()}
+    return {name.rpartition(".")[0].removeprefix("ViewLayer.") for name in changed}
+
+
+def test_plain_names_are_not_those_of_lobewise_alone(
+    field_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = field_folder / "plain_names.exr"
+    after = denoise(source, tmp_path / "a.exr")
+    assert "only copied" not in capsys.readouterr().err
+    asked = denoise(source, tmp_path / "b.exr", "--preset", "generic")
+    without = denoise(field_folder / "offsets_missing.exr", tmp_path / "c.exr")
+    for other in (asked, without):
+        assert all(plane.tobytes() == other[name].tobytes() for name, plane in after.items())
+
+
+def test_the_file_output_node_of_blender(field_folder: Path, tmp_path: Path) -> None:
+    source = field_folder / "file_output_node.exr"
+    changed = list_changed(read(source), denoise(source, tmp_path / "a.exr"))
+    assert changed == {"Image", "DiffDir", "DiffInd", "GlossDir", "GlossInd"}
