@@ -3,7 +3,9 @@
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import pytest
+from PIL import Image
 
 from lobewise.cli.main import run
 from lobewise.io.exr.parsing import read_container
@@ -48,3 +50,17 @@ def test_the_file_output_node_of_blender(field_folder: Path, tmp_path: Path) -> 
     source = field_folder / "file_output_node.exr"
     changed = list_changed(read(source), denoise(source, tmp_path / "a.exr"))
     assert changed == {"Image", "DiffDir", "DiffInd", "GlossDir", "GlossInd"}
+
+
+def test_the_picture_of_a_file_of_acescg(field_folder: Path, tmp_path: Path) -> None:
+    """It is that of the same file whose primaries stand as numbers."""
+    source, numbers = field_folder / "acescg_interop_id.exr", tmp_path / "numbers.exr"
+    with OpenEXR.File(str(source), separate_channels=True) as file:
+        header = {key: value for key, value in file.header().items() if key not in ("channels", "colorInteropID")}
+        planes = {name: np.ascontiguousarray(channel.pixels) for name, channel in file.channels().items()}
+    header["chromaticities"] = (0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767)
+    OpenEXR.File(header, planes).write(str(numbers))
+    denoise(source, tmp_path / "a.exr", "--png")
+    denoise(numbers, tmp_path / "b.exr", "--png")
+    pictures = [np.asarray(Image.open(tmp_path / f"{each}.png")) for each in "ab"]
+    np.testing.assert_array_equal(*pictures)
