@@ -29,8 +29,7 @@ PRIMARIES_OF_SPACES: dict[str, Chromaticities] = {
     **dict.fromkeys(("lin_adobergb_scene", "lin_adobergb", "linear adobergb"), _ADOBE),
 }
 """Primaries of spaces of linear light, by their names in lower case. Sources: the names of the Color Interop Forum and
-those of
-OpenColorIO's configurations; Academy S-2014-004, ITU-R BT.2020-2, SMPTE EG 432-1, Adobe RGB (1998)."""
+those of OpenColorIO's configurations; Academy S-2014-004, ITU-R BT.2020-2, SMPTE EG 432-1, Adobe RGB (1998)."""
 MIN_PRIMARIES_AREA = 1e-4
 """Least area, twice, of the triangle of plausible primaries."""
 MAX_CHROMATICITY_ROUNDING = 1e-3
