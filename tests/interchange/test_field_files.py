@@ -52,6 +52,23 @@ def test_the_file_output_node_of_blender(field_folder: Path, tmp_path: Path) -> 
     assert changed == {"Image", "DiffDir", "DiffInd", "GlossDir", "GlossInd"}
 
 
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("noisy_ao", "Left noisy: passes 'AO', 'soft_ao' (--also NAME denoises one)."),
+        ("volume_emission", "Left noisy: passes of light 'Emit', 'Env'."),
+    ],
+)
+def test_noisy_passes_that_stay_are_named(
+    name: str, told: str, field_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = field_folder / f"{name}.exr"
+    changed = list_changed(read(source), denoise(source, tmp_path / "a.exr"))
+    assert told in " ".join(capsys.readouterr().err.split())
+    assert "Combined" in changed
+    assert not changed.intersection({"AO", "soft_ao"})
+
+
 def test_the_picture_of_a_file_of_acescg(field_folder: Path, tmp_path: Path) -> None:
     """It is that of the same file whose primaries stand as numbers."""
     source, numbers = field_folder / "acescg_interop_id.exr", tmp_path / "numbers.exr"
