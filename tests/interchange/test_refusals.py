@@ -81,6 +81,17 @@ class TestNormals:
         OpenEXR.File([OpenEXR.Part(fields, dict(COLOR), "rgb"), moved]).write(str(tmp_path / "a.exr"))
         assert any("it covers other pixels than the image" in note for note in list_told(tmp_path / "a.exr"))
 
+    def test_passes_that_are_there_are_not_to_be_switched_on(self, tmp_path: Path) -> None:
+        parts = ("normal", halve(SCENE.normal)), ("albedo", halve(SCENE.diffuse_albedo))
+        path = save(tmp_path / "a.exr", ("rgb", COLOR), *parts, generatedBy="Mitsuba version 3.6.0")
+        (told,) = (note for note in import_file(path).notes if note.startswith("Of a color image alone"))
+        assert (
+            ": give normal and albedo the channels and the pixels of the image, and switch on in Mitsuba 3: aovs"
+            in told
+        )
+        assert "sh_normal" not in told
+        assert "albedo:albedo" not in told
+
     def test_two_components(self, tmp_path: Path) -> None:
         path = save(tmp_path / "a.exr", ("", COLOR | name("N", SCENE.normal[..., :2], "XY")))
         assert "N.X/Y is not used as normal: X, Y and Z are needed." in list_told(path)
