@@ -51,6 +51,12 @@ class TestNoImage:
         with pytest.raises(MissingChannelError, match="got B with less than one value for each pixel"):
             import_file(path)
 
+    def test_a_part_for_each_color(self, tmp_path: Path) -> None:
+        """No option is advised, because none joins parts."""
+        parts = [(f"rgba.{key}", {key: plane}) for key, plane in COLOR.items()]
+        with pytest.raises(MissingChannelError, match=r"each of them in a part of its own \(R, G, B\); save the file"):
+            import_file(save(tmp_path / "a.exr", *parts))
+
     def test_gray(self, tmp_path: Path) -> None:
         """The option that is advised is taken."""
         path = save(tmp_path / "a.exr", ("", {"Y": COLOR["R"]}))

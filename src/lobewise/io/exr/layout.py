@@ -170,6 +170,13 @@ def refuse_missing_image(
     if set(odd).intersection(BEAUTY.channels):
         got = f"{', '.join(map(show_name, odd[:MAX_NAMES]))} with less than one value for each pixel"
         return MissingChannelError(what, expected=expected, got=got, action="save it without subsampling")
+    if not passes and set(names).issuperset(BEAUTY.channels):
+        return MissingChannelError(
+            what,
+            expected="channels R, G and B in one part",
+            got=f"each of them in a part of its own ({shown})",
+            action="save the file with one part for the picture",
+        )
     got = f"only the passes {shown}" if passes else f"only {shown}"
     return MissingChannelError(what, expected=expected, got=got, action=action)
 
