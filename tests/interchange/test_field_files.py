@@ -10,6 +10,7 @@ from PIL import Image
 from lobewise.cli.main import run
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.pixels import decode_part
+from lobewise.metrics import rel_mse
 
 pytestmark = pytest.mark.real_exr
 Planes = dict[str, np.ndarray]
@@ -81,3 +82,31 @@ def test_the_picture_of_a_file_of_acescg(field_folder: Path, tmp_path: Path) -> 
     denoise(numbers, tmp_path / "b.exr", "--png")
     pictures = [np.asarray(Image.open(tmp_path / f"{each}.png")) for each in "ab"]
     np.testing.assert_array_equal(*pictures)
+
+
+def test_a_pass_keeps_no_share_of_the_highlight_of_another(field_folder: Path, tmp_path: Path) -> None:
+    source, place = field_folder / "passes_leak.exr", (17, 39)
+    before, after = read(source), denoise(source, tmp_path / "a.exr")
+    for letter in "RGB":
+        name = f"ViewLayer.GlossInd.{letter}"
+        assert before[name][place] == 0.0
+        # It was 32.5, the highlight of GlossDir.
+        assert after[name][place] < 0.01
+
+
+def test_negative_channels_of_another_gamut_are_light(
+    field_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source, reference = field_folder / "gamut_negative.exr", np.load(field_folder / "gamut_negative_ref.npy")
+    before, after = read(source), denoise(source, tmp_path / "a.exr")
+    assert "bad pixel" not in capsys.readouterr().err
+    noisy, clean = (np.stack([planes[letter] for letter in "RGB"], axis=-1) for planes in (before, after))
+    assert (noisy < 0.0).any(axis=-1).mean() > 0.2
+    reference = reference.astype(np.float32)
+    assert rel_mse(clean, reference) < 0.2 * rel_mse(noisy, reference)
+
+
+def test_both_eyes_of_blender(field_folder: Path, tmp_path: Path) -> None:
+    source = field_folder / "blender_stereo.exr"
+    changed = list_changed(read(source), denoise(source, tmp_path / "a.exr"))
+    assert {f"{head}.{eye}" for head in ("Combined", "DiffDir", "DiffInd") for eye in ("left", "right")} == changed
