@@ -1,5 +1,6 @@
-"""The command prints one sentence about damaged pixels, and nothing of what OpenEXR prints about them."""
+"""Of damaged pixels the command prints one sentence, and nothing of what OpenEXR prints; the library prints nothing."""
 
+import platform
 import subprocess
 import sys
 from pathlib import Path
@@ -53,21 +54,60 @@ def test_workers_of_a_farm_are_silent_too(damaged: Path) -> None:
     assert "EXR_ERR" not in err
 
 
-PROGRAM = """
-import os, sys
-from lobewise.display.hushing import hide_lines, hush_libraries
-if sys.argv[1] == "hushed":
-    hush_libraries()
-with hide_lines("noise"):
-    print("noise out")
-    print("other out")
-    os.write(2, b"noise err\\nother err\\n")
-    print("seen err", file=sys.stderr)
+LIBRARY = """
+import sys, lobewise
+try:
+    lobewise.read_frame(sys.argv[1])
+except lobewise.LobewiseError as problem:
+    sys.exit("damaged pixels" in str(problem) and 7)
 """
 
 
-@pytest.mark.parametrize(("word", "lines"), [("hushed", 0), ("not", 1)])
-def test_lines_without_a_mark_are_printed(word: str, lines: int) -> None:
-    done = subprocess.run([sys.executable, "-c", PROGRAM, word], capture_output=True, text=True, check=True)
-    assert done.stdout == "noise out\n" * lines + "other out\n"
-    assert sorted(done.stderr.splitlines()) == ["noise err"] * lines + ["other err", "seen err"]
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only the C library of Linux lets its stderr be replaced")
+def test_the_library_prints_nothing(damaged: Path) -> None:
+    done = subprocess.run([sys.executable, "-c", LIBRARY, str(damaged)], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (7, "", "")
+
+
+PROGRAM = """
+import ctypes, os, subprocess, sys, threading
+from lobewise.display import hushing
+if sys.argv[1] == "redirected":
+    hushing.hush_libraries()
+    hushing._find_c_stderr = lambda: None
+library = ctypes.CDLL(None)
+own = sys.stdout
+
+def print_from_c(text):
+    library.fputs(text, ctypes.c_void_p.in_dll(library, "stderr"))
+    library.fflush(None)
+
+def print_beside():
+    print("noise of another thread")
+    own.flush()
+    os.write(1, b"at once\\n")
+    if sys.argv[1] == "caught":
+        os.write(2, b"noise of a descriptor\\n")
+        subprocess.run(["sh", "-c", "echo noise of a child >&2"], check=True)
+
+with hushing.hide_lines("noise"):
+    print("noise out")
+    print("other out")
+    print_from_c(b"noise err\\nother err\\n")
+    print("seen err", file=sys.stderr, flush=True)
+    thread = threading.Thread(target=print_beside)
+    thread.start()
+    thread.join()
+assert sys.stdout is own
+print("noise after")
+print_from_c(b"noise after err\\n")
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only the C library of Linux has a variable stderr")
+@pytest.mark.parametrize("way", ["caught", "redirected"])
+def test_lines_of_others_are_printed(way: str) -> None:
+    done = subprocess.run([sys.executable, "-c", PROGRAM, way], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == ["noise of another thread", "at once", "other out", "noise after"]
+    others = ["noise of a child", "noise of a descriptor"] if way == "caught" else []
+    assert sorted(done.stderr.splitlines()) == sorted(["noise after err", *others, "other err", "seen err"])

@@ -14,6 +14,8 @@ from PIL import Image
 from lobewise.cli.main import run
 from lobewise.display.colors import REC709, Chromaticities, are_plausible, convert_light
 from lobewise.interchange import read_image, read_light
+from lobewise.io.exr.header import read_chromaticities
+from lobewise.io.exr.parsing import read_container
 from lobewise.records.frame import FloatArray
 from lobewise.settings import DenoiseSettings
 from lobewise.viewer.frame_target import FrameTarget
@@ -22,11 +24,11 @@ ACESCG: Chromaticities = (0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33
 REC2020: Chromaticities = (0.708, 0.292, 0.17, 0.797, 0.131, 0.046, 0.3127, 0.329)
 
 
-def write(path: Path, image: FloatArray, chromaticities: Chromaticities | None) -> Path:
+def write(path: Path, image: FloatArray, chromaticities: Chromaticities | None, **header: Any) -> Path:
     """Write an EXR file of float channels, with primaries or without."""
     import OpenEXR
 
-    header: dict[str, Any] = {} if chromaticities is None else {"chromaticities": chromaticities}
+    header |= {} if chromaticities is None else {"chromaticities": chromaticities}
     channels = {name: np.ascontiguousarray(image[..., k], np.float32) for k, name in enumerate("RGB")}
     with OpenEXR.File({**header, "type": OpenEXR.scanlineimage}, channels) as file:
         file.write(str(path))
@@ -69,6 +71,36 @@ def test_implausible_primaries_are_ignored(wrong: Chromaticities, image: FloatAr
     assert not are_plausible(wrong)
     path = write(tmp_path / "a.exr", image, wrong)
     np.testing.assert_array_equal(read_light(path), read_image(path))
+
+
+@pytest.mark.parametrize(
+    ("header", "numbers", "primaries"),
+    [
+        ({"colorInteropID": "lin_ap1_scene"}, None, ACESCG),
+        ({"oiio:ColorSpace": "ACEScg"}, None, ACESCG),
+        ({"oiio:ColorSpace": "lin_rec2020"}, None, REC2020),
+        # The identifier is worth more than the numbers, these more than OpenImageIO's note.
+        ({"colorInteropID": "lin_rec2020_scene"}, ACESCG, REC2020),
+        ({"oiio:ColorSpace": "lin_rec709"}, ACESCG, ACESCG),
+        # Names that say nothing of primaries, or are not known.
+        ({"colorInteropID": "unknown", "oiio:ColorSpace": "Linear"}, ACESCG, ACESCG),
+        ({"colorInteropID": "mine", "oiio:ColorSpace": "scene_linear"}, None, None),
+    ],
+)
+def test_the_name_of_the_space_tells_primaries(
+    header: dict[str, str],
+    numbers: Chromaticities | None,
+    primaries: Chromaticities | None,
+    image: FloatArray,
+    tmp_path: Path,
+) -> None:
+    named = write(tmp_path / "named.exr", image, numbers, **header)
+    told = read_chromaticities(read_container(named))
+    assert (told is None) == (primaries is None)
+    if told is not None and primaries is not None:
+        np.testing.assert_allclose(told, primaries, atol=1e-6)
+        light = read_light(write(tmp_path / "numbers.exr", image, primaries))
+        np.testing.assert_allclose(read_light(named), light, atol=1e-5)
 
 
 def test_two_files_of_one_light_look_alike_everywhere(image: FloatArray, tmp_path: Path, capsys: Any) -> None:

@@ -13,7 +13,7 @@ from PIL import Image
 
 from lobewise.cli.main import run
 from lobewise.display import views
-from lobewise.display.colors import REC709, convert_light
+from lobewise.display.colors import AP0, REC709, convert_light
 from lobewise.display.views import View, open_view, paint_picture
 from lobewise.errors import FileError, InputError, MissingDependencyError
 from lobewise.records.frame import FloatArray
@@ -61,7 +61,7 @@ colorspaces:
 @pytest.fixture
 def config(tmp_path: Path) -> Path:
     matrix = np.eye(4)
-    matrix[:3, :3] = convert_light(np.eye(3, dtype=np.float32)[None], REC709, views.AP0)[0].T
+    matrix[:3, :3] = convert_light(np.eye(3, dtype=np.float32)[None], REC709, AP0)[0].T
     path = tmp_path / "config.ocio"
     path.write_text(CONFIG.replace("MATRIX", ", ".join(f"{number:.8f}" for number in matrix.ravel())))
     return path

@@ -11,6 +11,7 @@ import lobewise
 from lobewise.cli.main import run
 from lobewise.denoising.plan import foretell
 from lobewise.interchange import siblings
+from lobewise.interchange.lighting import is_grainy
 from lobewise.interchange.reading import import_file
 from lobewise.io import write_frame
 from lobewise.recipes.temporal.recipe import ALSO_STAYS
@@ -153,6 +154,53 @@ def test_the_pass_of_a_shadow_catcher_is_denoised(rng: np.random.Generator, tmp_
     assert run(["denoise", str(tmp_path / "a.exr"), "-o", str(tmp_path / "b.exr"), "--quality", "fast"]) == 0
     after = read_channels(tmp_path / "b.exr")[f"{LAYER}.Shadow Catcher.R"]
     assert np.std(after) < 0.8 * np.std(shadow[..., 0])
+
+
+def test_noise_of_pixels_is_no_texture(rng: np.random.Generator) -> None:
+    rows, columns = np.mgrid[0:48, 0:64] / 8.0
+    texture = np.repeat((1.5 + np.sin(3.0 * rows) * np.cos(2.0 * columns))[..., None], 3, axis=-1).astype("f4")
+    steps = np.where(np.indices((48, 64)).sum(0) // 20 % 2, 4.0, 1.0)[..., None].repeat(3, -1).astype("f4")
+    lamps = np.zeros_like(texture)
+    lamps[5:8, 9:14], lamps[30:31, 40:55] = 20.0, 3.0
+    noise = rng.gamma(16.0, 1.0 / 16.0, texture.shape).astype("f4")
+    assert not any(map(is_grainy, (texture, steps, lamps, np.zeros_like(texture), texture[:3, :3])))
+    assert all(map(is_grainy, (texture * noise, steps * noise, noise, noise[..., 0])))
+    # Noise of half a percent is none that anyone sees. Bad pixels and black ones tell nothing.
+    assert not is_grainy(1.0 + 0.005 * (noise - 1.0))
+    noise[::9, ::9] = np.nan
+    assert is_grainy(noise)
+
+
+def test_other_noisy_passes_are_named(rng: np.random.Generator, tmp_path: Path) -> None:
+    shape, told = make_scene().color.shape, "Left noisy: passes 'AO', 'soft' (--also NAME denoises one)."
+    occlusion = rng.binomial(4, 0.7, shape[:2]).astype("f4")[..., None] / 4.0
+    clean = np.full(shape, 0.7, np.float32)
+
+    def add(written: Written, image: np.ndarray) -> None:
+        written.channels |= name(f"{LAYER}.AO", np.broadcast_to(image, shape))
+        written.channels |= {f"{LAYER}.soft.X": image[..., 0], f"{LAYER}.Denoising Depth.Z": occlusion[..., 0]}
+
+    write_frame_of(tmp_path / "a.exr", lambda written: add(written, occlusion))
+    assert list_left(tmp_path / "a.exr") == [told]
+    write_frame_of(tmp_path / "b.exr", lambda written: add(written, clean))
+    assert list_left(tmp_path / "b.exr") == []
+    assert import_file(tmp_path / "a.exr", also=["AO", "soft"]).frame.notes == ()
+
+
+def test_noisy_emission_is_named(rng: np.random.Generator, tmp_path: Path) -> None:
+    def light(written: Written, noise: np.ndarray) -> None:
+        fire = 0.2 * noise.astype("f4")
+        for k, letter in enumerate("RGB"):
+            written.channels[f"{LAYER}.Emit.{letter}"] = fire[..., k]
+            written.channels[f"{LAYER}.Combined.{letter}"] = (
+                written.channels[f"{LAYER}.Combined.{letter}"] + fire[..., k]
+            )
+
+    noise = rng.gamma(16.0, 1.0 / 16.0, make_scene().color.shape)
+    write_frame_of(tmp_path / "a.exr", lambda written: light(written, noise))
+    assert list_left(tmp_path / "a.exr") == ["Left noisy: pass of light 'Emit'."]
+    write_frame_of(tmp_path / "b.exr", lambda written: light(written, np.ones_like(noise)))
+    assert list_left(tmp_path / "b.exr") == []
 
 
 @pytest.mark.parametrize(("renderer", "start"), [("arnold", "RGBA"), ("renderman", "Ci"), ("karma", "C")])

@@ -51,6 +51,12 @@ class TestNoImage:
         with pytest.raises(MissingChannelError, match="got B with less than one value for each pixel"):
             import_file(path)
 
+    def test_a_part_for_each_color(self, tmp_path: Path) -> None:
+        """No option is advised, because none joins parts."""
+        parts = [(f"rgba.{key}", {key: plane}) for key, plane in COLOR.items()]
+        with pytest.raises(MissingChannelError, match=r"each of them in a part of its own \(R, G, B\); save the file"):
+            import_file(save(tmp_path / "a.exr", *parts))
+
     def test_gray(self, tmp_path: Path) -> None:
         """The option that is advised is taken."""
         path = save(tmp_path / "a.exr", ("", {"Y": COLOR["R"]}))
@@ -80,6 +86,17 @@ class TestNormals:
         moved = OpenEXR.Part({**fields, "dataWindow": window}, name("", SCENE.normal, "XYZ"), "normal")
         OpenEXR.File([OpenEXR.Part(fields, dict(COLOR), "rgb"), moved]).write(str(tmp_path / "a.exr"))
         assert any("it covers other pixels than the image" in note for note in list_told(tmp_path / "a.exr"))
+
+    def test_passes_that_are_there_are_not_to_be_switched_on(self, tmp_path: Path) -> None:
+        parts = ("normal", halve(SCENE.normal)), ("albedo", halve(SCENE.diffuse_albedo))
+        path = save(tmp_path / "a.exr", ("rgb", COLOR), *parts, generatedBy="Mitsuba version 3.6.0")
+        (told,) = (note for note in import_file(path).notes if note.startswith("Of a color image alone"))
+        assert (
+            ": give normal and albedo the channels and the pixels of the image, and switch on in Mitsuba 3: aovs"
+            in told
+        )
+        assert "sh_normal" not in told
+        assert "albedo:albedo" not in told
 
     def test_two_components(self, tmp_path: Path) -> None:
         path = save(tmp_path / "a.exr", ("", COLOR | name("N", SCENE.normal[..., :2], "XY")))

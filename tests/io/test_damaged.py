@@ -53,8 +53,12 @@ def test_truncation_is_named(whole):
 
 def test_an_unfinished_file_is_named(whole):
     data, path = whole
-    start = read_attributes(data)[1]
-    path.write_bytes(data[:start] + bytes(16) + data[start + 16 :])
+    start, table = locate_table(data, 9)
+    # A renderer that was ended has written seven rows and no table.
+    path.write_bytes(data[:start] + bytes(72) + data[start + 72 : table[7]])
+    with pytest.raises(FileError, match="an unfinished file: 2 of 9 chunks of pixels are missing"):
+        read_frame(path)
+    path.write_bytes(data[:start] + bytes(72) + data[start + 72 : table[7] + 20])
     with pytest.raises(FileError, match="an unfinished file: 2 of 9 chunks of pixels are missing"):
         read_frame(path)
 
@@ -65,6 +69,7 @@ def test_an_unfinished_file_is_named(whole):
         (b"", "an empty file of 0 bytes"),
         (b"\x89PNG\r\n\x1a\n" + bytes(100), "an OpenEXR file, got a PNG picture; save the render as OpenEXR, with"),
         (b"II*\0" + bytes(100), "an OpenEXR file, got a TIFF picture; save it as OpenEXR"),
+        (b"PF\n8 8\n-1.0\n" + bytes(768), "an OpenEXR file, got a PFM picture; save it as OpenEXR"),
         (b"# text" + bytes(100), "a file that does not begin like one; render or copy it again"),
         (b"v/1", "too short"),
         (b"v/1\x01\x09\0\0\0" + bytes(100), "an unknown file version"),
@@ -229,6 +234,42 @@ def test_chunks_must_be_where_the_table_says(whole, change, words):
     with pytest.raises(FileError, match=words) as caught:
         read_frame(path)
     assert_one_sentence(caught.value)
+
+
+@pytest.mark.parametrize("kept", [0, 1])
+@pytest.mark.parametrize("form", ["rows", "tiles", "parts", "deep"])
+def test_missing_tables_of_chunks_are_filled_in(form, kept, rng, tmp_path):
+    whole, holed = tmp_path / "a.exr", tmp_path / "b.exr"
+    planes = {name: rng.random((40, 70)).astype("f4") for name in "RGB"}
+    header = {"compression": OpenEXR.ZIPS_COMPRESSION, "type": OpenEXR.scanlineimage}
+    if form == "rows":
+        header["lineOrder"] = OpenEXR.DECREASING_Y
+    if form == "tiles":
+        header |= {"type": OpenEXR.tiledimage, "tiles": OpenEXR.TileDescription()}
+        header["tiles"].xSize = header["tiles"].ySize = 16
+    if form == "deep":
+        samples = np.empty((40, 70), object)
+        for place in np.ndindex(samples.shape):
+            samples[place] = rng.random(1 + sum(place) % 3).astype("f4")
+        header["type"], planes = OpenEXR.deepscanline, {"Z": samples}
+    parts = [OpenEXR.Part(dict(header), dict(planes), name) for name in ("one", "two")[: 1 + (form == "parts")]]
+    (OpenEXR.File(parts) if form == "parts" else OpenEXR.File(header, dict(planes))).write(str(whole))
+    data, before = whole.read_bytes(), read_container(whole).parts
+    table = b"".join(struct.pack("<Q", each.offset - 4 * (form == "parts")) for part in before for each in part.chunks)
+    assert data.count(table) == 1
+    holed.write_bytes(data.replace(table, table[: 8 * kept] + bytes(len(table) - 8 * kept)))
+    assert read_container(holed).parts == before
+    if form != "deep":
+        for name, plane in decode_part(read_container(holed), before[-1]).items():
+            np.testing.assert_array_equal(plane, planes[name])
+
+
+def test_an_unknown_order_of_lines_is_damage(whole):
+    data, path = whole
+    at = data.index(b"lineOrder\0lineOrder\0") + len(b"lineOrder\0lineOrder\0") + 4
+    path.write_bytes(data[:at] + bytes([3]) + data[at + 1 :])
+    with pytest.raises(FileError, match="a whole OpenEXR file, got an unknown order of lines 3; render or copy it"):
+        read_frame(path)
 
 
 def test_chunks_lie_apart(whole):

@@ -53,7 +53,8 @@ def compare(
 ) -> None:
     """Measure how far images are from a reference: mse, rel_mse, smape, psnr and flip.
 
-    Images of other primaries (chromaticities in the file) are converted to those of Rec. 709 first.
+    Images of other primaries (as the file names them, or has them as chromaticities) are converted to those of Rec. 709
+    first.
 
     Of sequences the means over the frames are shown, and beside them flicker, how unlike the changes from frame to
     frame are, and ghosting, the rel_mse of what has just come into view.

@@ -14,6 +14,22 @@ Chromaticities = tuple[float, ...]
 
 REC709: Chromaticities = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
 """Source: ITU-R BT.709-6, item 1.3 and 1.4. Files without ``chromaticities`` have them, says OpenEXR."""
+AP0: Chromaticities = (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.077, 0.32168, 0.33767)
+"""Source: SMPTE ST 2065-1, the primaries of ACES2065-1, by which OpenColorIO names the light of other primaries."""
+_AP1 = (0.713, 0.293, 0.165, 0.83, 0.128, 0.044, 0.32168, 0.33767)
+_REC2020 = (0.708, 0.292, 0.17, 0.797, 0.131, 0.046, 0.3127, 0.329)
+_P3 = (0.68, 0.32, 0.265, 0.69, 0.15, 0.06, 0.3127, 0.329)
+_ADOBE = (0.64, 0.33, 0.21, 0.71, 0.15, 0.06, 0.3127, 0.329)
+PRIMARIES_OF_SPACES: dict[str, Chromaticities] = {
+    **dict.fromkeys(("lin_rec709_scene", "lin_rec709", "lin_srgb", "linear rec.709 (srgb)", "linear rec.709"), REC709),
+    **dict.fromkeys(("lin_ap0_scene", "lin_ap0", "aces2065-1", "aces - aces2065-1"), AP0),
+    **dict.fromkeys(("lin_ap1_scene", "lin_ap1", "acescg", "aces - acescg"), _AP1),
+    **dict.fromkeys(("lin_rec2020_scene", "lin_rec2020", "linear rec.2020"), _REC2020),
+    **dict.fromkeys(("lin_p3d65_scene", "lin_p3d65", "linear p3-d65"), _P3),
+    **dict.fromkeys(("lin_adobergb_scene", "lin_adobergb", "linear adobergb"), _ADOBE),
+}
+"""Primaries of spaces of linear light, by their names in lower case. Sources: the names of the Color Interop Forum and
+those of OpenColorIO's configurations; Academy S-2014-004, ITU-R BT.2020-2, SMPTE EG 432-1, Adobe RGB (1998)."""
 MIN_PRIMARIES_AREA = 1e-4
 """Least area, twice, of the triangle of plausible primaries."""
 MAX_CHROMATICITY_ROUNDING = 1e-3

@@ -11,13 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.display.colors import Chromaticities, convert_light
+from lobewise.display.colors import AP0, Chromaticities, convert_light
 from lobewise.display.tones import map_tones, round_codes
 from lobewise.errors import FileError, InputError, MissingDependencyError, make_printable, require_choice
 from lobewise.work.arrays import FloatArray
 
-AP0: Chromaticities = (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.077, 0.32168, 0.33767)
-"""Source: SMPTE ST 2065-1, the primaries of ACES2065-1, by which OpenColorIO names the light of other primaries."""
 MAX_SHOWN_LIGHT = 1e9
 """Light that infinite light counts as."""
 _INTERCHANGE, _SCENE = "aces_interchange", "scene_linear"

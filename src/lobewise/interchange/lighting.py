@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.guides.lamps import lift_albedo
+from lobewise.guides.squares import compute_square_maximum
 from lobewise.interchange.mapping import Found, FoundLayer
 from lobewise.records.frame import FloatArray, Radiance, RadianceLayer
 from lobewise.records.images import MAX_HALF_ROUNDING, make_read_only
@@ -32,6 +33,13 @@ mirror, light divided by the plain albedo would be far brighter than its surroun
 share, 0.0096 with it.)"""
 BACKGROUND = "environment"
 """Name of the light of the background in presets."""
+MIN_GRAIN = 0.01
+"""Smallest median second difference over one pixel of an image with noise, as a share of the pixel."""
+MIN_GRAIN_RATIO = 0.7
+"""Smallest ratio of the second differences over one pixel to those over two in an image with noise. (Measured:
+occlusion at 16 samples 1.04, fire at 16 samples 0.77 and at 256 samples 0.25, textures 0.02 to 0.55.)"""
+MIN_PIXELS_AMID_LIGHT = 64
+"""Fewest pixels by which noise is told from what a scene shows."""
 REST = "rest"
 """Name of the layer of light that is in no pass."""
 
@@ -228,6 +236,33 @@ def is_smooth(image: FloatArray) -> bool:
     grainy = 2.0 * _sum_blocks(apart >= MAX_SMOOTH_DIFFERENCE) >= np.maximum(_sum_blocks(lit), SMOOTH_BLOCK**2 / 2)
     light = _sum_blocks(np.where(lit, inner, np.float32(0.0)))
     return float(light[grainy].sum()) <= MAX_GRAINY_LIGHT_SHARE * float(light.sum())
+
+
+def is_grainy(image: FloatArray) -> bool:
+    """Return whether most pixels of an image, (height, width, 3) or (height, width), differ from others by noise.
+
+    Noise of each pixel by itself makes second differences over one pixel as large as those over two. What a scene shows
+    makes smaller ones. Only pixels amid light count: the edge of a lamp tells nothing.
+
+    Source: Immerkaer 1996, "Fast Noise Variance Estimation": the second difference in x of that in y.
+    """
+    gray = image.mean(axis=-1) if image.ndim == 3 else image
+    with np.errstate(invalid="ignore", over="ignore"):
+        differences = [_take_second_difference(_take_second_difference(gray, step).T, step).T for step in (1, 2)]
+        is_dark = ~(gray > 0.0) | ~np.isfinite(gray)
+        inside = (slice(2, -2), slice(2, -2))
+        amid = compute_square_maximum(is_dark.astype(np.float32), 2)[inside] == 0.0
+        if np.count_nonzero(amid) < MIN_PIXELS_AMID_LIGHT:
+            return False
+        light = gray[inside][amid]
+        fine, coarse = (float(np.median(np.abs(each[inside][amid]) / light)) for each in differences)
+    return fine > MIN_GRAIN and fine > MIN_GRAIN_RATIO * coarse
+
+
+def _take_second_difference(plane: FloatArray, step: int) -> FloatArray:
+    """Return the second difference of rows ``step`` apart, scaled to the noise of a pixel; rows at the border wrap."""
+    above, below = (np.roll(plane, sign * step, axis=0) for sign in (1, -1))
+    return np.asarray((2.0 * plane - above - below) / np.float32(6.0**0.5))
 
 
 def _sum_blocks(plane: NDArray[Any]) -> FloatArray:

@@ -30,9 +30,16 @@ from lobewise.interchange.preset import (
     look_up_preset,
     require_conversion,
 )
-from lobewise.interchange.selections import Selection, choose_view, keep_layer, list_images, list_selections
+from lobewise.interchange.selections import (
+    Selection,
+    choose_view,
+    keep_layer,
+    lend_generic_pictures,
+    list_images,
+    list_selections,
+)
 from lobewise.io.exr.container import Container, Part, show_name
-from lobewise.io.exr.layout import look_up_beauty, plan_reading, refuse_missing_image, require_beauty
+from lobewise.io.exr.layout import plan_reading, refuse_missing_image, require_beauty
 from lobewise.io.exr.schema import SCHEMA
 from lobewise.io.files import PathLike
 
@@ -160,16 +167,8 @@ def choose_preset(container: Container, passes: Iterable[Pass], asked: PathLike 
 
 
 def is_own(container: Container) -> bool:
-    """Return whether a file uses lobewise's own channel names.
-
-    It does if its header says so, or if it has lobewise's guides and no known renderer is recognised.
-    """
-    if any(part.get(SCHEMA) is not None for part in container.parts):
-        return True
-    beauty = look_up_beauty(container.parts)
-    if beauty is None or choose_preset(container, list_passes(container))[0].name != "generic":
-        return False
-    return any(slot.owner != "radiance" for _, slots in plan_reading(container, beauty) for slot in slots)
+    """Return whether lobewise wrote a file: its header says so. Others use the same plain names, such as ``normal``."""
+    return any(part.get(SCHEMA) is not None for part in container.parts)
 
 
 def map_file(
@@ -243,6 +242,7 @@ def map_channels(
     view = choose_view(list_views(container), everything, mapping or {}, view)
     passes, unread = ([one for one in each if one.view == view] for each in (everything, unread))
     own = {role: parse_mapping(role, text, passes, unread) for role, text in (mapping or {}).items()}
+    chosen = lend_generic_pictures(chosen, passes)
     images = list_images(chosen, passes)
     color, prefix = _choose_color(container, images, passes, own.get("color"), layer)
     for role, mapped in own.items():
@@ -363,11 +363,12 @@ def _choose_color(
     for prefix, (one, rule) in images.items():
         if layer in (None, prefix.removesuffix(".")):
             return own or Found(one, one.pick(COLOR) or (), rule.convert), prefix
-    has_image = any(one.pick(COLOR) for one in passes)
+    pictures = [one.written_path or one.path for one in passes if one.pick(COLOR[:1])]
     raise refuse_missing_image(
         container,
         expected="channels R, G and B, or an image by one of the names that renderers use",
-        action=f"name the image with --map color={'PASS' if has_image else 'RED,GREEN,BLUE'}",
+        action=f"name the image with --map color={'PASS' if pictures else 'RED,GREEN,BLUE'}",
+        passes=pictures,
     )
 
 

@@ -20,7 +20,7 @@ from lobewise.interchange.importing.surfaces import WRAPS_AROUND
 from lobewise.interchange.joining import add_also, add_further, add_light_groups, add_noisy_alpha, join_halves
 from lobewise.interchange.mapping import Found, map_channels, map_file
 from lobewise.interchange.selections import Selection, look_up_mapped_view
-from lobewise.interchange.siblings import look_up_family
+from lobewise.interchange.siblings import describe_family, look_up_family
 from lobewise.io.exr.container import Channel, Container, Part, Window
 from lobewise.io.exr.header import wraps_around
 from lobewise.io.exr.layout import name_file, require_shaded
@@ -201,9 +201,10 @@ def import_file(
         As `read_frame`; also if no pass matches a pattern of ``also``.
     """
     container = read_container(path)
-    told = (WRAPS_AROUND.format("its header says (envmap)"),) if wraps is None and wraps_around(container) else ()
-    wraps = True if told else wraps
+    wrapping = (WRAPS_AROUND.format("its header says (envmap)"),) if wraps is None and wraps_around(container) else ()
+    wraps = True if wrapping else wraps
     family = look_up_family(container)
+    told = (*wrapping, *describe_family(family))
     read = ImageReader(family.decode)
     with name_file(path):
         channels = map_file(family.container, preset=preset, mapping=mapping, view=view, layer=layer)

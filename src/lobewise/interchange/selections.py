@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 
 from lobewise.errors import hide_numbers, require_choice
 from lobewise.interchange.channels import COLOR, Pass, list_views
-from lobewise.interchange.preset import Preset, Rule
+from lobewise.interchange.preset import Preset, Rule, load_presets
 from lobewise.io.exr.container import Container, show_name
 
 
@@ -78,6 +78,18 @@ def look_up_mapped_view(passes: Iterable[Pass], mapping: Mapping[str, str]) -> s
         if own & names:
             return one.view
     return ""
+
+
+def lend_generic_pictures(preset: Preset, passes: Sequence[Pass]) -> Preset:
+    """Return a preset with the names that any renderer gives to the picture, if none of its own names is there.
+
+    An attribute tells which program wrote a file, but users choose the names: Blender's File Output node calls the
+    picture ``Image``.
+    """
+    own = preset.roles.get("color", ())
+    if any(one.matches(rule.source) and one.pick(COLOR) for rule in own for one in passes):
+        return preset
+    return replace(preset, roles={**preset.roles, "color": (*own, *load_presets()["generic"].roles["color"])})
 
 
 def list_images(preset: Preset, passes: Sequence[Pass]) -> dict[str, tuple[Pass, Rule]]:

@@ -9,13 +9,17 @@ from pathlib import Path
 
 from lobewise.errors import LobewiseError
 from lobewise.interchange.preset import Preset, load_presets
-from lobewise.io.exr.container import MULTIPART, Attribute, Container, Part
+from lobewise.io.exr.container import MULTIPART, Attribute, Container, Part, show_name
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.pixels import Pixels, decode_part
 from lobewise.io.exr.schema import SCHEMA
 
 FIRST_SIBLING_INDEX = 1 << 16
 """Smallest part index that stands for a part of another file."""
+
+
+MIN_NAME_LETTERS = 3
+"""Fewest letters of a pass by which a file's name shows that the file holds this pass."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +66,31 @@ def look_up_family(container: Container) -> Family:
     return Family(container)
 
 
+def describe_family(family: Family) -> tuple[str, ...]:
+    """Return sentences on the files whose passes are read with a file, and on the picture that a file is a pass of."""
+    path = family.container.path
+    if family.homes:
+        names = ", ".join(show_name(other.path.name) for other, _ in family.homes.values())
+        return (f"Passes are read from the files beside it: {names}.",)
+    picture = _look_up_picture(path)
+    if picture is None:
+        return ()
+    return (f"By its name this file is a pass of {show_name(picture.name)}, and no picture.",)
+
+
+def _look_up_picture(path: Path) -> Path | None:
+    """Return the picture of which a file holds a pass: ``beach_RGB.exr`` for ``beach_ALBEDO.exr``."""
+    for preset in load_presets().values():
+        for name in dict.fromkeys(_list_passes(preset) if preset.files else ()):
+            head, found, tail = path.stem.rpartition(name)
+            # Names of one or two letters are in many words.
+            for word in preset.files if found and len(name) >= MIN_NAME_LETTERS else ():
+                picture = path.with_name(f"{head}{word}{tail}{path.suffix}")
+                if picture != path and picture.is_file() and path in list_family(picture):
+                    return picture
+    return None
+
+
 def list_family(path: Path) -> list[Path]:
     """Return the paths of a file and of the files read with it; the file alone if it cannot be read."""
     container = _read(path)
@@ -90,8 +119,9 @@ def _read(path: Path) -> Container | None:
 
 
 def _list_passes(preset: Preset) -> Iterator[str]:
-    for rules in preset.roles.values():
-        yield from (rule.source for rule in rules if rule.source)
+    """Yield the names of passes beside the picture. Other files may hold the picture again by another of its names."""
+    for role, rules in preset.roles.items():
+        yield from (rule.source for rule in rules if rule.source and rule.component is None and role != "color")
     for layer in preset.layers:
         yield from (*layer.light, *([layer.albedo] if layer.albedo else []))
 

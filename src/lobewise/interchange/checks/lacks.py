@@ -69,10 +69,13 @@ def describe_alone(channels: ChannelMap, frame: Frame) -> list[str]:
     known = (guides.position, guides.depth, guides.diffuse_albedo, guides.specular_albedo, guides.alpha_u)
     if "normal" in channels.roles or frame.radiance.parts is not None or any(image is not None for image in known):
         return []
-    advice = [
-        text for role in ADVISED_ROLES if (text := preset.advice.get(role, "none")) and not text.startswith("none")
-    ]
+    # Passes that are there are switched on already: only their pixels are others than those of the image.
+    there = [role for role in ADVISED_ROLES if role in channels.refused]
+    texts = [preset.advice.get(role, "none") for role in ADVISED_ROLES if role not in there]
+    advice = [text for text in dict.fromkeys(texts) if not text.startswith("none")]
     lead = "render with" if preset.name == "generic" else f"switch on in {preset.title}:"
+    if there:
+        lead = f"give {' and '.join(there)} the channels and the pixels of the image, and {lead}"
     peer = "which is used unless --offline or a quality is given" if has_oidn() else f"but {explain_no_oidn()}"
     # Mitsuba's pixel filter spreads samples. Files of an unknown renderer may be of Mitsuba.
     spread = " Where a pixel filter spreads samples over several pixels Open Image Denoise leaves their noise."

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
+from contextlib import suppress
 
 import numpy as np
 
+from lobewise.errors import FileError
 from lobewise.guides.squares import compute_square_maximum
 from lobewise.interchange.channels import COLOR, Pass
 from lobewise.interchange.imported import ImageReader, Imported
-from lobewise.interchange.lighting import is_smooth, name_pass
+from lobewise.interchange.lighting import is_grainy, is_smooth, name_pass
 from lobewise.interchange.mapping import ChannelMap, Found, Key
 from lobewise.interchange.preset import load_presets
 from lobewise.interchange.selections import Selection
 from lobewise.interchange.siblings import FIRST_SIBLING_INDEX
-from lobewise.io.exr.container import show_name
+from lobewise.io.exr.container import crop_part, show_name
 from lobewise.io.exr.header import read_replaced
+from lobewise.io.exr.layout import join_planes
+from lobewise.io.exr.pixels import decode_part
 from lobewise.records.frame import FloatArray
 from lobewise.records.images import is_band
 
@@ -27,6 +31,12 @@ MIN_FRACTION_SHARE = 0.002
 """Share of the pixels that are fractions of opacity among others, above which an image of opacity is denoised."""
 FRACTIONS = (0.01, 0.99)
 """Alpha between these values is a share of the samples, and as noisy as the picture."""
+ALSO = "--also NAME denoises one"
+"""How to denoise a pass that is none of the picture."""
+MAX_JUDGED_ROWS = 256
+"""Most rows in which further passes are searched for noise; an image has dozens of such passes."""
+FOR_DENOISERS = "denois"
+"""What the names of passes for denoisers have in common, which need not be clean."""
 OWN_PARTS = ("direct", "indirect")
 """Light of files in lobewise's own channel names that no filter writes."""
 
@@ -49,16 +59,18 @@ def describe_left_noisy(
     """
     channels = imported.map
     unused = list(_list_unused(imported, channels))
+    exact = _keep_grainy(imported, _list_exact(imported))
+    others = _keep_grainy(imported, _list_others(imported, channels))
     views, layers = ({getattr(each, what): None for each in channels.selections} for what in ("view", "layer"))
     words = [
         *list_names("view", [each for each in views if each not in {one.view for one in denoised}]),
         *list_names("view layer", [each for each in layers if each not in {one.layer for one in denoised}]),
         *list_names("light group", [name for name, _ in _pick_groups(channels, unused)]),
-        *list_names("pass", [name_pass(found.source.path) for found in list_further(imported)], many="passes"),
-        *list_names("pass of light", _list_light(channels, unused, read), many="passes of light"),
+        *list_names("pass of light", [*_list_light(channels, unused, read), *exact], many="passes of light"),
         *_name_pictures(channels, [one for one in unused if _is_picture(channels, one.source)], read),
         *(["alpha"] if alpha_stays else []),
         *_count_bands(imported, channels),
+        *(f"{names} ({ALSO})" for names in list_names("pass", others, many="passes")),
     ]
     return (f"Left noisy: {', '.join(words)}.",) if words else ()
 
@@ -74,8 +86,11 @@ def list_names(what: str, names: Iterable[str], many: str = "") -> list[str]:
     return [f"{noun} {names_shown}{f' and {left_out} more' if left_out > 0 else ''}"]
 
 
-def _list_unused(imported: Imported, channels: ChannelMap) -> Iterator[Found]:
-    """Yield the images of three channels that no result is written to, that are no guides, and not denoised before."""
+def _list_unused(imported: Imported, channels: ChannelMap, *, with_planes: bool = False) -> Iterator[Found]:
+    """Yield the images that no result is written to, that are no guides, and not denoised before.
+
+    These are images of three channels; ``with_planes`` adds those of a single one.
+    """
     before = read_replaced(imported.container) or {}
     # A noisy image whose result goes into another pass stays on purpose.
     used = [*(one.target for one in imported.outputs.values()), *channels.roles.values()]
@@ -83,7 +98,7 @@ def _list_unused(imported: Imported, channels: ChannelMap) -> Iterator[Found]:
     taken = {(one.source.part.index, name) for one in used for name in one.channels}
     guides = [rule.source for role, rules in channels.preset.roles.items() if role != "color" for rule in rules]
     for one in channels.beside:
-        names = one.pick(COLOR[:1])
+        names = one.pick(COLOR[:1]) or (tuple(one.channels.values()) if with_planes and len(one.channels) == 1 else ())
         index = one.part.index
         if not names or index >= FIRST_SIBLING_INDEX or any(source and one.matches(source) for source in guides):
             continue
@@ -116,6 +131,46 @@ def list_further(imported: Imported) -> list[Found]:
     return [found for found in unused if any(found.source.matches(pattern) for pattern in patterns)]
 
 
+def _list_exact(imported: Imported) -> list[Found]:
+    """Return the passes of light that no surface scattered. They stay: a fire's light has noise, that of lamps none."""
+    return [imported.outputs[name].target for name in imported.frame.unscattered if name in imported.outputs]
+
+
+def _list_others(imported: Imported, channels: ChannelMap) -> list[Found]:
+    """Return further images of a file that are neither light of the picture nor made for denoising."""
+    presets = load_presets().values() if channels.preset.name == "generic" else (channels.preset,)
+    known = [rule.albedo for each in presets for rule in each.layers if rule.albedo]
+    known += [pattern for each in presets for pattern in (*each.light_groups, *(f"{one}*" for one in each.cryptomatte))]
+    return [
+        found
+        for found in _list_unused(imported, channels, with_planes=True)
+        for one in (found.source,)
+        if not _is_picture(channels, one) and not _is_light(channels, one) and not any(map(one.matches, known))
+        if FOR_DENOISERS not in one.path.lower() and not is_band(found.channels[0])
+    ]
+
+
+def _keep_grainy(imported: Imported, listed: Sequence[Found]) -> list[str]:
+    """Return the names of the images that have noise in the middle rows of the file."""
+    container, grainy = imported.container, []
+    for part in {found.source.part.index: found.source.part for found in listed}.values():
+        if not all(channel.is_whole for channel in part.channels):
+            continue
+        own = [found for found in listed if found.source.part.index == part.index]
+        rows = part.rows_per_chunk
+        count = rows * -(-MAX_JUDGED_ROWS // rows)
+        first = max((part.data_window.height - count) // 2, 0) // rows * rows
+        strip = crop_part(part, first, min(first + count, part.data_window.height))
+        with suppress(FileError):
+            pixels = decode_part(container, strip, {name for found in own for name in found.channels})
+            grainy += [
+                name_pass(found.source.path)
+                for found in own
+                if is_grainy(join_planes([pixels[name] for name in found.channels]))
+            ]
+    return grainy
+
+
 def _pick_groups(channels: ChannelMap, unused: Sequence[Found]) -> list[tuple[str, Found]]:
     groups: dict[Key, tuple[str, Found]] = {}
     for pattern in channels.preset.light_groups:
@@ -136,7 +191,9 @@ def _list_light(channels: ChannelMap, unused: Iterable[Found], read: ImageReader
 
 def _is_picture(channels: ChannelMap, one: Pass) -> bool:
     """Return whether a pass has a name of the picture; a pass without a path has."""
-    return not one.path or any(rule.source and one.matches(rule.source) for rule in channels.preset.roles["color"])
+    return not one.path or any(
+        rule.source and one.matches(rule.source) for rule in channels.preset.roles.get("color", ())
+    )
 
 
 def _name_pictures(channels: ChannelMap, alike: Sequence[Found], read: ImageReader) -> list[str]:

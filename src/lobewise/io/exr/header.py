@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from lobewise.display.colors import Chromaticities, are_plausible
+from lobewise.display.colors import PRIMARIES_OF_SPACES, Chromaticities, are_plausible
 from lobewise.errors import FileError, InputError
 from lobewise.io.documents import parse_json
 from lobewise.io.exr.container import Attribute, Container, Part
@@ -115,7 +115,25 @@ def wraps_around(container: Container) -> bool:
 
 
 def read_chromaticities(container: Container) -> Chromaticities | None:
-    """Return the primaries and the white of a file's light; None if no part has plausible ones."""
+    """Return the primaries and the white of a file's light; None if no part has plausible ones.
+
+    The name of the color space in ``colorInteropID`` counts more than the numbers of ``chromaticities``, as OpenEXR
+    says. What OpenImageIO notes (``oiio:ColorSpace``) counts less: programs write it unasked.
+    """
+    return (
+        _read_space(container, "colorInteropID")
+        or _read_primaries(container)
+        or _read_space(container, "oiio:ColorSpace")
+    )
+
+
+def _read_space(container: Container, name: str) -> Chromaticities | None:
+    """Return the primaries of the color space that an attribute names; None if none is known by this name."""
+    known = (PRIMARIES_OF_SPACES.get(part.get_text(name).casefold()) for part in container.parts)
+    return next(filter(None, known), None)
+
+
+def _read_primaries(container: Container) -> Chromaticities | None:
     for part in container.parts:
         item = part.get("chromaticities")
         if item is not None and item.type == "chromaticities":

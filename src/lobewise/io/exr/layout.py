@@ -133,15 +133,23 @@ def require_beauty(container: Container) -> Part:
     raise refuse_missing_image(container, expected="channels R, G and B", action=action)
 
 
-def refuse_missing_image(container: Container, *, expected: str, action: str) -> MissingChannelError:
+MAX_NAMES = 12
+"""Most passes or channels that are named in place of a missing image."""
+
+
+def refuse_missing_image(
+    container: Container, *, expected: str, action: str, passes: Sequence[str] = ()
+) -> MissingChannelError:
     """Return the error for a file without a readable image.
 
     The error names an unsupported form of the image (deep, luminance and chroma, subsampled). For a file with other
-    channels it has the given ``expected`` and ``action``.
+    channels it has the given ``expected`` and ``action``, and names ``passes``, those that could be the image. Without
+    them it names the channels.
     """
     what = f"input {str(container.path)!r}"
-    names = [channel.name for part in container.parts for channel in part.channels]
-    shown = ", ".join(map(show_name, names[:8])) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
+    names = passes or [channel.name for part in container.parts for channel in part.channels]
+    more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
+    shown = f"{', '.join(map(show_name, names[:MAX_NAMES]))}{more}"
     if all(part.deep for part in container.parts):
         return MissingChannelError(
             what,
@@ -160,9 +168,17 @@ def refuse_missing_image(container: Container, *, expected: str, action: str) ->
         channel.name for part in container.parts for channel in part.channels if not part.deep and not channel.is_whole
     ]
     if set(odd).intersection(BEAUTY.channels):
-        got = f"{', '.join(map(show_name, odd[:8]))} with less than one value for each pixel"
+        got = f"{', '.join(map(show_name, odd[:MAX_NAMES]))} with less than one value for each pixel"
         return MissingChannelError(what, expected=expected, got=got, action="save it without subsampling")
-    return MissingChannelError(what, expected=expected, got=f"only {shown}", action=action)
+    if not passes and set(names).issuperset(BEAUTY.channels):
+        return MissingChannelError(
+            what,
+            expected="channels R, G and B in one part",
+            got=f"each of them in a part of its own ({shown})",
+            action="save the file with one part for the picture",
+        )
+    got = f"only the passes {shown}" if passes else f"only {shown}"
+    return MissingChannelError(what, expected=expected, got=got, action=action)
 
 
 def _list_readable(container: Container, beauty: Part) -> Iterable[Part]:

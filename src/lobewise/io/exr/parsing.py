@@ -13,7 +13,7 @@ import io
 import math
 import os
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
@@ -47,6 +47,8 @@ OTHER_FORMATS = {
     b"II*\0": "TIFF",
     b"MM\0*": "TIFF",
     b"#?": "Radiance HDR",
+    b"PF": "PFM",
+    b"Pf": "PFM",
     b"8BPS": "Photoshop",
     b"DDS ": "DDS",
 }
@@ -59,6 +61,8 @@ MAX_TILE_PIXELS = 2**22
 """Most pixels of a tile, unless the image is large too."""
 MAX_ATTRIBUTES = 65536
 """Most attributes of a header. With a damaged length the parser must not read gigabytes."""
+MAX_LINE_ORDER = 2
+"""Largest value of the attribute ``lineOrder``; see `Part.line_order`."""
 MAX_NAME_BYTES = 255
 """Longest name of an attribute, type or channel."""
 
@@ -167,13 +171,16 @@ def _parse(path: Path, stream: BinaryIO) -> Container:
         parts.append(_interpret_header(index, attributes, version))
     tables = []
     for _, count in parts:
-        tables.append(struct.unpack(f"<{count}Q", reader.take(8 * count, "the table of chunks")))
+        tables.append(list(struct.unpack(f"<{count}Q", reader.take(8 * count, "the table of chunks"))))
     first = reader.stream.tell()
+    multipart = bool(version & MULTIPART)
+    if any(0 in table for table in tables):
+        tables = _fill_tables(reader, [part for part, _ in parts], tables, multipart=multipart)
     done = tuple(
-        replace(part, chunks=_locate_chunks(reader, part, table, multipart=bool(version & MULTIPART)))
+        replace(part, chunks=_locate_chunks(reader, part, table, multipart=multipart))
         for (part, _), table in zip(parts, tables, strict=True)
     )
-    _require_apart(done, first, multipart=bool(version & MULTIPART))
+    _require_apart(done, first, multipart=multipart)
     return Container(path=path, version=version, parts=done)
 
 
@@ -215,10 +222,12 @@ def _interpret_header(index: int, attributes: tuple[Attribute, ...], version: in
     if number not in COMPRESSIONS:
         raise _Damaged(f"an unknown compression {number}")
     for name, kind, size in (
-        ("lineOrder", "lineOrder", 1), ("pixelAspectRatio", "float", 4), ("screenWindowCenter", "v2f", 8),
+        ("pixelAspectRatio", "float", 4), ("screenWindowCenter", "v2f", 8),
         ("screenWindowWidth", "float", 4),
     ):  # fmt: skip
         value(name, kind, size)
+    if (order := value("lineOrder", "lineOrder", 1)[0]) > MAX_LINE_ORDER:
+        raise _Damaged(f"an unknown order of lines {order}")
 
     tiled, deep = bool(version & TILED), bool(version & DEEP)
     if version & (MULTIPART | DEEP):
@@ -277,28 +286,63 @@ def _parse_channels(data: bytes, window: Window) -> tuple[Channel, ...]:
     return tuple(channels)
 
 
-def _locate_chunks(reader: _Reader, part: Part, table: tuple[int, ...], *, multipart: bool) -> tuple[Chunk, ...]:
+def _fill_tables(
+    reader: _Reader, parts: Sequence[Part], tables: Sequence[Sequence[int]], *, multipart: bool
+) -> list[list[int]]:
+    """Return the tables of chunks with the offsets that are 0 filled in, as far as their chunks are in the file.
+
+    Some programs never fill in the table, or ended before. The reader is behind the tables, where the chunks begin.
+    They follow each other in any order.
+    """
+    places = [{place.coordinates: number for number, place in enumerate(_list_places(part))} for part in parts]
+    filled = [list(table) for table in tables]
+    while reader.stream.tell() < reader.size:
+        offset = reader.stream.tell()
+        index = int.from_bytes(reader.stream.read(4), "little") if multipart else 0
+        head = reader.stream.read(_count_leader_bytes(parts[index])) if index < len(parts) else b""
+        if index >= len(parts) or len(head) < _count_leader_bytes(parts[index]):
+            break
+        coordinates, size = _unpack_leader(parts[index], head)
+        end = reader.stream.tell() + size
+        if coordinates not in places[index] or size < 0 or end > reader.size:
+            break
+        number = places[index][coordinates]
+        filled[index][number] = filled[index][number] or offset
+        reader.stream.seek(end)
+    return filled
+
+
+def _count_leader_bytes(part: Part) -> int:
+    """Return the size of what precedes the pixels of a chunk, without the number of the part."""
+    return (16 if part.tiled else 4) + (24 if part.deep else 4)
+
+
+def _unpack_leader(part: Part, head: bytes) -> tuple[tuple[int, ...], int]:
+    """Return the coordinates of a chunk, and the number of its bytes behind ``head``, which ends with its leader."""
+    coordinates = struct.unpack_from("<4i" if part.tiled else "<i", head, len(head) - _count_leader_bytes(part))
+    if part.deep:
+        return coordinates, sum(struct.unpack_from("<QQ", head, len(head) - 24))
+    return coordinates, struct.unpack_from("<i", head, len(head) - 4)[0]
+
+
+def _locate_chunks(reader: _Reader, part: Part, table: Sequence[int], *, multipart: bool) -> tuple[Chunk, ...]:
     missing = sum(1 for offset in table if offset == 0)
     if missing:
         raise _Damaged(f"an unfinished file: {missing} of {len(table)} chunks of pixels are missing")
     chunks = []
-    coordinates = "<4i" if part.tiled else "<i"
     for place, (index, offset) in zip(_list_places(part), enumerate(table), strict=True):
         start, which = offset + (4 if multipart else 0), f"chunk {index + 1} of {len(table)}"
-        leader = struct.calcsize(coordinates) + (24 if part.deep else 4)
+        leader = _count_leader_bytes(part)
         if offset < 8 or start + leader > reader.size:
             raise _Damaged(f"a truncated file of {reader.size} bytes: {which} is outside")
         reader.stream.seek(offset)
         head = reader.stream.read(start + leader - offset)
         if multipart and struct.unpack_from("<i", head)[0] != part.index:
             raise _Damaged(f"a damaged {which}")
-        if part.deep:
-            size = sum(struct.unpack_from("<QQ", head, len(head) - 24))
-        else:
-            size = struct.unpack_from("<i", head, len(head) - 4)[0]
+        coordinates, size = _unpack_leader(part, head)
         if size < 0 or start + leader + size > reader.size:
             raise _Damaged(f"a truncated file of {reader.size} bytes: {which} is cut off")
-        if struct.unpack_from(coordinates, head, start - offset) != place.coordinates:
+        if coordinates != place.coordinates:
             raise _Damaged(f"a damaged {which}: it is that of another place in the image")
         # The codecs allocate memory for all pixels before they read the bytes.
         least = 0 if part.deep else place.count_bytes(part.channels)

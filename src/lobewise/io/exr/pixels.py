@@ -272,8 +272,8 @@ def _enter_library(kept_bytes: int, pixel_bytes: int) -> Iterator[None]:
     The call keeps ``kept_bytes`` in memory and works on ``pixel_bytes`` of pixels. Raises MemoryError without the call
     if the system would not hand out its memory, and after a call that failed while memory was short.
 
-    On damaged pixels the library prints, by Python's print and to file descriptor 2, and cannot be told to be silent.
-    The command hides these lines.
+    On damaged pixels the library prints, by Python's print and from C, and cannot be told to be silent. These lines are
+    hidden.
     """
     check_limits()
     needed = kept_bytes + SCRATCH_COPIES * pixel_bytes + FIXED_BYTES
