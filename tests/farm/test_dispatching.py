@@ -1,8 +1,10 @@
 """Handing out tasks: with workers that are lost, refused, slow to show their files, or wrong; without Dask."""
 
+import os
 import platform
 import pydoc
 from collections.abc import Callable, Iterator
+from concurrent.futures import BrokenExecutor, Future
 from dataclasses import dataclass, field
 from itertools import count, pairwise
 from pathlib import Path
@@ -11,8 +13,8 @@ from typing import Any, cast
 import pytest
 
 from lobewise.errors import LobewiseError
-from lobewise.farm import dispatching
-from lobewise.farm.calls import CallFailedError, CallLostError, Connection, ConnectionLostError
+from lobewise.farm import dispatching, processes
+from lobewise.farm.calls import CallFailedError, CallLostError, Connection, ConnectionLostError, WorkerLostError
 from lobewise.farm.dispatching import Callbacks, Dispatcher, Failure, Requirements
 from lobewise.farm.tasks import Assignment, Task, TaskLog, TaskResult, cut_frames, cut_shots
 from lobewise.farm.worker import describe_worker
@@ -415,3 +417,33 @@ def test_shots_end_where_numbers_are_missing() -> None:
     frames = [(number, Path(str(number))) for number in (1, 2, 3, 7, 9, 10)]
     assert [task.numbers for task in cut_shots(frames)] == [(1, 2, 3), (7,), (9, 10)]
     assert [task.numbers for task in cut_frames(frames)] == [(1,), (2,), (3,), (7,), (9,), (10,)]
+
+
+def test_false_starts_count_since_the_last_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Memory is short now and then: processes end while they start, and between these another one answers."""
+    answers: list[Future[int]] = []
+
+    class Pool:
+        def __init__(self, *_: object, **__: object) -> None:
+            pass
+
+        def submit(self, *_: object) -> Future[int]:
+            answers.append(Future())
+            return answers[-1]
+
+        def shutdown(self, **_: object) -> None:
+            pass
+
+    monkeypatch.setattr(processes, "ProcessPoolExecutor", Pool)
+    found = processes.Processes(2)
+    first, _ = found.list_workers()
+    for _ in range(2):
+        for _ in range(processes.MAX_FALSE_STARTS - 1):
+            other = next(name for name in found.list_workers() if name != first)
+            call = found.call(other, os.getpid)
+            answers[-1].set_exception(BrokenExecutor())
+            with pytest.raises(WorkerLostError):
+                call.fetch()
+        found.call(first, os.getpid)
+        answers[-1].set_result(1)
+    assert len(found.list_workers()) == 2

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -121,6 +122,27 @@ def test_removing_leaves_files_of_others(sequence: Sequence) -> None:
     other.unlink()
     sequence.ledger.remove()
     assert not sequence.ledger.folder.exists()
+
+
+@pytest.mark.parametrize("name", ["token", "lock", "2.json"])
+def test_links_in_the_folder_change_no_other_file(name: str, sequence: Sequence) -> None:
+    victim, link = sequence.folder / "victim", sequence.ledger.folder / name
+    victim.write_text("mine")
+    link.unlink()
+    link.symlink_to(victim)
+    with suppress(FileError), sequence.ledger.lock():
+        sequence.ledger.put_token("other")
+        sequence.ledger.record(2, "proof", [])
+    assert victim.read_text() == "mine"
+    # The lock of a run that cannot begin is the only file that stays a link.
+    assert link.is_symlink() == (name == "lock")
+
+
+def test_a_folder_that_is_a_link_is_refused(sequence: Sequence) -> None:
+    link = sequence.folder / "other.lobewise-farm"
+    link.symlink_to(sequence.ledger.folder)
+    with pytest.raises(FileError, match="expected a folder, got a link"), Ledger(folder=link, identity="").lock():
+        pass
 
 
 HOLD = """

@@ -14,6 +14,7 @@ from lobewise.farm.environment import describe_environment
 from lobewise.farm.ledger import Ledger, name_ledger
 from lobewise.farm.running import FarmJob, FarmReport, filter_on_farm
 from lobewise.farm.tasks import Task
+from lobewise.io import locks
 from lobewise.io.sequence import FramePattern
 from lobewise.recipes.sequence import name_checkpoint
 from tests.farm.test_dispatching import FakeFarm
@@ -62,7 +63,7 @@ def run_job(job: FarmJob, farm: FakeFarm) -> FarmReport:
 
 
 def test_the_earlier_run_ends_with_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ledger, "try_lock", lambda _: True)
+    monkeypatch.setattr(locks, "try_lock", lambda _: True)
     job = make_job(tmp_path)
     later = Ledger(folder=name_ledger(job.output), identity="later")
 

@@ -18,9 +18,8 @@ from typing import Any
 
 from lobewise.errors import FileError, LobewiseError
 from lobewise.io.documents import parse_json, read_document
-from lobewise.io.files import make_folder, refusing, write_text
-from lobewise.io.locks import try_lock
-from lobewise.io.replacing import name_temporary
+from lobewise.io.files import make_folder, open_record, refusing
+from lobewise.io.locks import lock_file
 from lobewise.io.sequence import FramePattern
 from lobewise.recipes.sequence import name_beside
 
@@ -52,7 +51,8 @@ class Ledger:
 
         Raises FileError if the folder cannot be written to.
         """
-        write_text(self.folder / TOKEN, token, what="records of frames")
+        with open_record(self.folder / TOKEN, what="record") as stream:
+            stream.write(token.encode())
 
     def has_token(self, token: str) -> bool:
         """Return whether the folder holds this token, and not that of a later run."""
@@ -65,21 +65,26 @@ class Ledger:
     def lock(self) -> Iterator[None]:
         """Make the folder, and keep other clients from it during the ``with`` block, where the disk has locks.
 
-        Raises FileError if another client has it, or it cannot be written to.
+        Raises FileError if another client has it, or it cannot be written to. A link is not followed: records never
+        replace a file elsewhere.
         """
+        name = f"records {str(self.folder)!r}"
+        if self.folder.is_symlink():
+            raise FileError(name, expected="a folder", got="a link to another place", action="remove the link")
         make_folder(self.folder, what="records of frames")
-        path = self.folder / LOCK
-        with refusing(f"records {str(self.folder)!r}", "a folder that can be written to", "check its permissions"):
-            stream = path.open("w")
-        with stream:
-            if not try_lock(stream.fileno()):
-                raise FileError(
-                    f"records {str(self.folder)!r}",
-                    expected="no other run that writes this sequence",
-                    got="one that is at work",
-                    action="wait for it, or stop it",
-                )
+        with refusing(name, "a folder that can be written to", "check its permissions, and remove its links"):
+            descriptor = lock_file(self.folder / LOCK)
+        if descriptor is None:
+            raise FileError(
+                name,
+                expected="no other run that writes this sequence",
+                got="one that is at work",
+                action="wait for it, or stop it",
+            )
+        try:
             yield
+        finally:
+            os.close(descriptor)
 
     def prove(
         self, frames: Sequence[tuple[int, Path]], list_sources: Callable[[int, Path], Iterable[Path]]
@@ -102,16 +107,8 @@ class Ledger:
     def record(self, number: int, proof: str, outputs: Iterable[Path]) -> None:
         """Record that a frame is done. Raises FileError if the record cannot be written."""
         files = [_measure(path) for path in outputs]
-        path = self._name(number)
-        # Do not wait for the disk: after a power cut a record that is not whole only costs its frame.
-        made = name_temporary(path)
-        with refusing(f"record {str(path)!r}", "a folder that can be written to", "check its permissions and room"):
-            try:
-                with made.open("x") as stream:
-                    stream.write(json.dumps({"proof": proof, "files": files}))
-                os.replace(made, path)
-            finally:
-                made.unlink(missing_ok=True)
+        with open_record(self._name(number), what="record") as stream:
+            stream.write(json.dumps({"proof": proof, "files": files}).encode())
 
     def list_recorded(self) -> set[int]:
         """Return the frames that have a record, of whichever sources and settings."""

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 import lobewise
 from lobewise.errors import CancelledError, InputError, LobewiseError
 from lobewise.io.exr.layout import name_file
-from lobewise.io.files import PathLike, open_atomic, require_other_files, require_writable
+from lobewise.io.files import PathLike, open_record, require_other_files, require_writable
 from lobewise.io.sequence import FramePattern
 from lobewise.work.progress import WRITE, Watcher, enter_stage, follow_frame, watched
 
@@ -253,7 +253,7 @@ class _Run:
             raise InputError(
                 "state of the filter", expected="plain arrays", got="Python objects", action="give numbers or text"
             )
-        with open_atomic(path, what="checkpoint") as stream:
+        with open_record(path, what="checkpoint") as stream:
             np.savez(stream, done=np.int64(self._done), proof=np.array(self._proof.hexdigest()), **arrays)
 
     def resume(
