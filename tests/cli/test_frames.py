@@ -8,8 +8,8 @@ import pytest
 from lobewise.cli.main import run
 from lobewise.cli.options.frames import parse_frames
 from lobewise.errors import InputError
-from lobewise.farm.ledger import name_ledger
 from lobewise.io import write_frame
+from lobewise.recipes.ledger import name_ledger
 from tests.streaming.frames import make_scene
 
 CHEAP = ("--quality", "fast", "--similarity", "normal")
@@ -84,5 +84,6 @@ def test_records_of_other_runs_are_kept(folder: Path) -> None:
     assert denoise("--frames", "1-2") == 0
     assert [(records / "1.json").exists() for records in others] == [True, True]
     assert not own.exists()
+    # Records of another program are none of this one.
     assert denoise() == 0
     assert [records.exists() for records in others] == [False, True]

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from lobewise.errors import FileError
-from lobewise.farm.ledger import MAX_RECORD_BYTES, Ledger
+from lobewise.recipes.ledger import MAX_RECORD_BYTES, Ledger
 
 FRAMES = (1, 2, 3)
 
@@ -148,7 +148,7 @@ def test_a_folder_that_is_a_link_is_refused(sequence: Sequence) -> None:
 HOLD = """
 import sys
 from pathlib import Path
-from lobewise.farm.ledger import Ledger
+from lobewise.recipes.ledger import Ledger
 with Ledger(folder=Path(sys.argv[1]), identity="").lock():
     print("locked", flush=True)
     sys.stdin.read()

@@ -12,7 +12,7 @@ from lobewise import write_sparse_frame
 from lobewise.errors import LobewiseError
 from lobewise.farm import processes
 from lobewise.farm.calls import WorkerLostError
-from lobewise.farm.ledger import TOKEN
+from lobewise.recipes.ledger import TOKEN
 from lobewise.records.sparse_frame import list_places, make_sparse
 from tests.farm.conftest import NUMBERS, read_outputs, require_frame_3_failed, require_only_frame_3_is_filtered
 from tests.farm.processes import MAX_SECONDS, PROGRAM, Farm, count_outputs, run_program, start_program, wait_until

@@ -15,10 +15,11 @@ import pytest
 import lobewise
 from lobewise.errors import InputError
 from lobewise.farm import worker as module
-from lobewise.farm.environment import compare_environments, describe_environment
-from lobewise.farm.ledger import TOKEN, Ledger
-from lobewise.farm.tasks import Assignment, TaskLog, TaskResult, cut_frames
+from lobewise.farm.tasks import Assignment, TaskLog, TaskResult, cut_tasks
 from lobewise.farm.worker import GIB, describe_worker, run_assignment
+from lobewise.recipes.environment import compare_environments, describe_environment
+from lobewise.recipes.ledger import TOKEN, Ledger
+from lobewise.recipes.sequence import FilterAlone, filter_sequence
 
 
 @dataclass
@@ -35,15 +36,24 @@ class Work:
     def list_outputs(self, number: int) -> Sequence[Path]:
         return [self.folder / f"out.{number}"]
 
-    def filter_frames(
-        self, numbers: Sequence[int], *, first: int, memory: float | None, checkpoint: Path, done: Callable[[int], None]
-    ) -> TaskLog:
+    def filter_frames(self, numbers: Sequence[int], *, first: int, memory: float | None, ledger: Ledger) -> TaskLog:
         self.given = first, memory
-        for number in numbers:
-            self.act(number)
-            (self.folder / f"out.{number}").write_text("clean")
-            done(number)
-        return TaskLog(last="the last")
+
+        def read(path: Path) -> Path:
+            self.act(int(path.suffix[1:]))
+            return path
+
+        report = filter_sequence(
+            self.folder / "in.#",
+            self.folder / "out.#",
+            lambda: FilterAlone(str),
+            read=read,
+            write=lambda target, *_: (target.write_text("clean"), None)[1],
+            ledger=ledger,
+            numbers=numbers,
+        )
+        report.require_all()
+        return TaskLog(last="the last" if report.written else "")
 
 
 @pytest.fixture(autouse=True)
@@ -65,7 +75,7 @@ def make_assignment(folder: Path, act: Callable[[int], None] = lambda number: No
     ledger = Ledger(folder=folder / "ledger", identity="")
     with ledger.lock():
         ledger.put_token("token")
-    task = cut_frames([(1, folder / "in.1")])[0]
+    task = cut_tasks([(1, folder / "in.1")], by_shot=False)[0]
     return Assignment(work=Work(folder, act), task=task, ledger=ledger, first=1, memory=options.get("memory"))
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from lobewise.cli.options.common import Telling
 from lobewise.cli.options.frames import choose_numbers
 from lobewise.cli.options.writing import Picture, name_first_output
-from lobewise.cli.terminal.outcome import make_remarks, tell_picture, tell_settings
+from lobewise.cli.terminal.outcome import make_remarks, tell_failures, tell_picture, tell_settings
 from lobewise.cli.terminal.steps import Steps
 
 if TYPE_CHECKING:
@@ -63,7 +63,6 @@ def run_files(job: Job, request: Request, context: str) -> None:
     ``context`` is what the outputs depend on beside the files and the request.
     """
     from lobewise.cli.output import describe_result, print_line
-    from lobewise.farm.ledger import remove_records
     from lobewise.io.sequence import is_pattern
     from lobewise.recipes.files.running import run_files as run
 
@@ -75,21 +74,31 @@ def run_files(job: Job, request: Request, context: str) -> None:
             job.remarks,
             context=context,
             numbers=job.numbers,
+            list_outputs=partial(list_outputs, job.output, job.pictures is not None),
             after=None if job.pictures is None else partial(write_picture, job.pictures),
             progress=steps.follow,
-            remark=job.remarks.add,
         )
     last = report.last
     counted = "" if last is None else describe_result(last)
     if is_pattern(job.source):
-        # Every frame was made: what a stopped farm has recorded is of no use any more.
-        remove_records(job.output, job.numbers)
         counted = f"{report.written} of {report.frames} frames{'; the last: ' if counted else ''}{counted}"
     facts = {} if last is None else last.describe()
     job.steps.finish(output=str(job.output), frames=report.frames, written=report.written, **facts)
     print_line(f"Wrote {job.output}: {counted}.")
     tell_picture(job.output, job.pictures)
     tell_settings(last, job.verbose)
+    if is_pattern(job.source) and report.failures:
+        sentences = [f"Frame {failure.number}: {failure.problem}" for failure in report.failures]
+        raise tell_failures(sentences, [failure.number for failure in report.failures], report.frames)
+
+
+def list_outputs(output: Path, has_pictures: bool, number: int) -> list[Path]:
+    """Return every file that is written for a frame of a sequence."""
+    from lobewise.io.sequence import name_frame
+    from lobewise.reporting.picture import name_picture
+
+    target = name_frame(output, number)
+    return [target, name_picture(target)] if has_pictures else [target]
 
 
 def write_picture(pictures: Pictures, target: Path, result: FileResult) -> None:
