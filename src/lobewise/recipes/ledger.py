@@ -122,7 +122,7 @@ class Ledger:
 
     def list_recorded(self) -> set[int]:
         """Return the frames that have a record, of whichever sources and settings."""
-        return {int(path.stem) for path in self.folder.glob("*.json") if path.stem.isdecimal()}
+        return {int(path.stem) for path in self.folder.glob("*.json") if path.stem.removeprefix("-").isdecimal()}
 
     def is_done(self, number: int, proof: str, outputs: Iterable[Path]) -> bool:
         """Return whether a frame is recorded with this proof and its files are as they were."""
