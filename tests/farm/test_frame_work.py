@@ -52,7 +52,7 @@ def do(job: Any, *numbers: int, memory: float | None = None) -> TaskLog:
     """Let a worker filter frames; return what it told."""
     sent = pickle.loads(pickle.dumps(job.work))
     with job.ledger.lock():
-        told: TaskLog = sent.filter_frames(numbers, first=1, memory=memory, ledger=job.ledger)
+        told: TaskLog = sent.filter_frames(numbers, memory=memory, ledger=job.ledger)
     return told
 
 
@@ -121,27 +121,17 @@ def test_paths_are_absolute(folder: Path, monkeypatch: pytest.MonkeyPatch) -> No
     assert all(path.is_absolute() for path in paths)
 
 
-@pytest.mark.parametrize(
-    ("options", "follows"), [((), False), (("--png",), True), (("--png", "--exposure", "1"), False)]
-)
-def test_which_frames_depend_on_others(
-    options: tuple[str, ...], follows: bool, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    job = catch_job(*options, monkeypatch=monkeypatch)
-    assert (job.follows_first, job.by_shot) == (follows, False)
-
-
 def test_a_shot_over_time_is_one_task(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert catch_job("--temporal", monkeypatch=monkeypatch, verb=["upsample"]).by_shot
     assert not catch_job(monkeypatch=monkeypatch, verb=["upsample"]).by_shot
+    assert not catch_job(monkeypatch=monkeypatch).by_shot
 
 
-def test_pictures_are_outputs_and_have_the_exposure_of_the_first(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pictures_are_outputs_and_have_one_exposure(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert run(["denoise", "in.#.exr", "-o", "near.#.exr", *CHEAP, "--png"]) == 0
     job = catch_job("--png", monkeypatch=monkeypatch)
     assert job.work.list_outputs(2) == [folder / "far.2.exr", folder / "far.2.png"]
     do(job, 1)
-    # Another worker knows the exposure from the picture alone.
     farming._open_filter.cache_clear()
     do(job, 2)
     for number in (1, 2):

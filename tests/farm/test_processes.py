@@ -74,7 +74,7 @@ def test_shots_over_time_have_the_bits_of_one_process(tmp_path: Path) -> None:
 def test_frames_that_hang_on_others_have_the_bits_of_one_process(
     options: tuple[str, ...], files: int, sources: Path, folder: Path, tmp_path: Path
 ) -> None:
-    """A window has neighbours, and pictures the exposure of the first frame."""
+    """A window has neighbours, and all pictures have one exposure."""
     alone = tmp_path / "alone"
     alone.mkdir()
     assert run_program(sources, alone, *options).returncode == 0

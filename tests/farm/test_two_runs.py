@@ -48,7 +48,6 @@ def make_job(folder: Path, numbers: Sequence[int] | None = None) -> FarmJob:
         work=cast(Any, Work(folder)),
         ledger=Ledger(folder=name_ledger(folder / "out.#.exr", numbers), identity=""),
         by_shot=False,
-        follows_first=False,
         by_runs=False,
         with_oidn=False,
         memory=None,

@@ -15,11 +15,10 @@ from lobewise.cli.output import describe_result, describe_settings, print_line, 
 from lobewise.cli.running import Job, list_outputs, write_picture
 from lobewise.cli.running import run_files as run_files_here
 from lobewise.cli.terminal.outcome import tell_failures, tell_picture
-from lobewise.display.views import View
 from lobewise.farm.running import FarmJob, FarmReport, filter_on_farm
 from lobewise.farm.tasks import TaskLog
 from lobewise.io.files import require_exr_name
-from lobewise.io.sequence import FramePattern, name_frames
+from lobewise.io.sequence import FramePattern, is_pattern, name_frames
 from lobewise.recipes.files.remarks import Remarks
 from lobewise.recipes.files.running import FileFilter, Request, add_gaps, open_filter, open_records, run_files
 from lobewise.recipes.ledger import Ledger
@@ -34,11 +33,8 @@ class FrameWork:
     request: Request
     source: Path
     output: Path
-    has_pictures: bool
-    stops: float | None
-    """Exposure of the pictures, None where the first picture decides it."""
-    view: View | None = None
-    """What turns the light of the pictures into display values."""
+    pictures: Pictures | None
+    """Writes a picture beside each output, where pictures are asked for."""
 
     def list_sources(self, number: int, path: Path) -> Sequence[Path]:
         """Return every file that the result of a frame depends on."""
@@ -46,11 +42,11 @@ class FrameWork:
 
     def list_outputs(self, number: int) -> Sequence[Path]:
         """Return every file that is written for a frame."""
-        return list_outputs(self.output, self.has_pictures, number)
+        return list_outputs(self.output, self.pictures is not None, number)
 
-    def filter_frames(self, numbers: Sequence[int], *, first: int, memory: float | None, ledger: Ledger) -> TaskLog:
+    def filter_frames(self, numbers: Sequence[int], *, memory: float | None, ledger: Ledger) -> TaskLog:
         """Filter frames into their files; see `lobewise.farm.tasks.Work`."""
-        files, remarks, pictures = _open_filter(pickle.dumps((self, first)))
+        files, remarks = _open_filter(pickle.dumps(self))
         before = set(remarks.sentences)
         with limit_call(max_memory=memory):
             report = run_files(
@@ -60,7 +56,7 @@ class FrameWork:
                 remarks,
                 numbers=numbers,
                 list_outputs=self.list_outputs,
-                after=None if pictures is None else partial(write_picture, pictures),
+                after=None if self.pictures is None else partial(write_picture, self.pictures),
                 files=files,
                 ledger=ledger,
             )
@@ -72,19 +68,16 @@ class FrameWork:
             settings="" if last is None else describe_settings(last),
         )
 
-    def open_filter(self, first: int) -> tuple[FileFilter[Any], Remarks, Pictures | None]:
-        """Return what filters frames, the remarks that it collects, and what writes pictures; see `filter_frames`."""
+    def open_filter(self) -> tuple[FileFilter[Any], Remarks]:
+        """Return what filters frames, and the remarks that it collects; see `filter_frames`."""
         remarks = Remarks()
-        pictures = Pictures(stops=self.stops, first=FramePattern.parse(self.output).name(first), view=self.view)
-        files = open_filter(self.request, self.source, self.output, remarks)
-        return files, remarks, pictures if self.has_pictures else None
+        return open_filter(self.request, self.source, self.output, remarks), remarks
 
 
 @lru_cache(maxsize=1)
-def _open_filter(pickled: bytes) -> tuple[FileFilter[Any], Remarks, Pictures | None]:
+def _open_filter(pickled: bytes) -> tuple[FileFilter[Any], Remarks]:
     """Return what filters the frames of a run. A worker keeps it for the next frame: opening it may load a scene."""
-    work, first = pickle.loads(pickled)
-    opened: tuple[FileFilter[Any], Remarks, Pictures | None] = work.open_filter(first)
+    opened: tuple[FileFilter[Any], Remarks] = pickle.loads(pickled).open_filter()
     return opened
 
 
@@ -100,6 +93,8 @@ def run_request(job: Job, request: Request, context: str, farm: Farm, bounds: Bo
     """
     require_exr_name(job.output)
     with bounds.limit():
+        if is_pattern(job.source):
+            job.expose(request)
         if farm.is_wanted:
             _run_on_farm(job, request, context, farm)
         else:
@@ -113,9 +108,7 @@ def _run_on_farm(job: Job, request: Request, context: str, farm: Farm) -> None:
         request=request,
         source=source,
         output=output,
-        has_pictures=job.pictures is not None,
-        stops=None if job.pictures is None else job.pictures.stops,
-        view=None if job.pictures is None else job.pictures.view,
+        pictures=job.pictures,
     )
     farm_job = FarmJob(
         source=FramePattern.parse(source),
@@ -123,7 +116,6 @@ def _run_on_farm(job: Job, request: Request, context: str, farm: Farm) -> None:
         work=work,
         ledger=open_records(source, output, request, context=context, numbers=job.numbers),
         by_shot=request.remembers,
-        follows_first=work.has_pictures and work.stops is None,
         by_runs=request.reads_neighbours,
         with_oidn=request.asks_for_oidn,
         memory=farm.memory,

@@ -56,6 +56,25 @@ class Job:
             numbers=numbers,
         )
 
+    def expose(self, request: Request) -> None:
+        """Choose the exposure of the pictures of a sequence once, or read it from one that a stopped run wrote."""
+        from lobewise.io.sequence import FramePattern
+        from lobewise.recipes.files import FileRequest
+        from lobewise.recipes.ledger import Ledger, name_ledger
+        from lobewise.reporting.picture import measure_exposure, name_picture, read_exposure
+
+        if self.pictures is None or self.pictures.exposure is not None:
+            return
+        done = Ledger(folder=name_ledger(self.output, self.numbers), identity="").list_recorded()
+        known = read_exposure(name_picture(FramePattern.parse(self.output).name(min(done)))) if done else None
+        if known is None:
+            paths = [path for _, path in FramePattern.parse(self.source).find()]
+            if isinstance(request, FileRequest):
+                known = measure_exposure(paths, preset=request.preset, mapping=request.mapping)
+            else:
+                known = measure_exposure(paths, sparse=True)
+        self.pictures.exposure = known
+
 
 def run_files(job: Job, request: Request, context: str) -> None:
     """Filter one file, or every file of a pattern, in this process, and print what was done.

@@ -36,8 +36,6 @@ class FarmJob:
         The records of what is done.
     by_shot : bool
         Whether a frame uses the frames before it, so that one worker filters a whole shot.
-    follows_first : bool
-        Whether all frames take something from the first one, which is then filtered alone.
     by_runs : bool
         Whether a frame reads the sources of its neighbours, so that workers get consecutive frames where they can.
     with_oidn : bool
@@ -53,7 +51,6 @@ class FarmJob:
     work: Work
     ledger: Ledger
     by_shot: bool
-    follows_first: bool
     by_runs: bool
     with_oidn: bool
     memory: float | None
@@ -163,7 +160,6 @@ class _Run:
         self._environment = describe_environment(with_oidn=job.with_oidn)
         self.ledger = job.ledger
         self.tasks = cut_tasks(frames, by_shot=job.by_shot)
-        self._first = frames[0][0]
         self.token = uuid.uuid4().hex
         self.done: set[int] = set()
         self._begun: set[int] = set()
@@ -214,15 +210,6 @@ class _Run:
             by_runs=self._job.by_runs,
         )
         todo = [task for task in self.tasks if not self.done.issuperset(task.numbers)]
-        if self.done:
-            self._first = min(self.done)
-        elif self._job.follows_first:
-            while todo:
-                task = todo.pop(0)
-                self._first = task.numbers[0]
-                dispatcher.run([task])
-                if self._first in self.done:
-                    break
         dispatcher.run(todo)
 
     @property
@@ -241,9 +228,7 @@ class _Run:
 
     def _make_assignment(self, task: Task) -> Assignment:
         self._begun.update(task.numbers)
-        return Assignment(
-            work=self._job.work, task=task, ledger=self.ledger, first=self._first, memory=self._job.memory
-        )
+        return Assignment(work=self._job.work, task=task, ledger=self.ledger, memory=self._job.memory)
 
     def _log_task(self, log: TaskLog) -> None:
         for key, text in log.remarks:

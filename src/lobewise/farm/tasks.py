@@ -55,15 +55,13 @@ class Work(Protocol):
     def list_outputs(self, number: int) -> Sequence[Path]:
         """Return every file that is written for a frame."""
 
-    def filter_frames(self, numbers: Sequence[int], *, first: int, memory: float | None, ledger: Ledger) -> TaskLog:
+    def filter_frames(self, numbers: Sequence[int], *, memory: float | None, ledger: Ledger) -> TaskLog:
         """Filter those of the frames that are not done into their files, and record them.
 
         Parameters
         ----------
         numbers : sequence of int
             Frames, in order.
-        first : int
-            The frame whose picture decides the exposure of every picture.
         memory : float or None
             GiB that this process may take; None for no limit.
         ledger : Ledger
@@ -88,8 +86,6 @@ class Assignment:
         What to filter.
     ledger : Ledger
         Where finished frames are recorded.
-    first : int
-        See `Work.filter_frames`.
     memory : float or None
         GiB that a worker may take; None for the limit that the worker was started with.
     """
@@ -97,7 +93,6 @@ class Assignment:
     work: Work
     task: Task
     ledger: Ledger
-    first: int
     memory: float | None
 
 

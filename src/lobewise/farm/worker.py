@@ -95,7 +95,6 @@ def _run(assignment: Assignment) -> TaskResult:
         try:
             log = assignment.work.filter_frames(
                 assignment.task.numbers,
-                first=assignment.first,
                 memory=_look_up_memory(assignment.memory),
                 ledger=assignment.ledger,
             )
