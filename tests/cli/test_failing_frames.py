@@ -77,6 +77,16 @@ def test_a_frame_without_its_second_half(
     assert denoise("out", *options, "--half", "b.####.exr") == 0
 
 
+def test_what_every_frame_lacks_is_one_sentence(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for path in folder.glob("b.*.exr"):
+        path.rename(path.with_name(f"b.9{path.name[3:]}"))
+    assert denoise("out", "--half", "b.####.exr") == 2
+    told = capsys.readouterr()
+    assert " ".join(told.err.split()).startswith("lobewise: input 'b.0001.exr': expected an existing file")
+    assert "b.0002.exr" not in told.err
+    assert told.out == ""
+
+
 def test_only_what_failed_is_made_again(folder: Path) -> None:
     whole = (folder / "in.0003.exr").read_bytes()
     cut_off(folder / "in.0003.exr")

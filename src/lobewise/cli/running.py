@@ -40,18 +40,33 @@ class Job:
     """The frames to filter; None for all."""
 
     @classmethod
-    def plan(cls, source: Path, output: Path, frames: str | None, picture: Picture, telling: Telling) -> Job:
-        """Return the job that the options ask for.
+    def plan(
+        cls,
+        source: Path,
+        output: Path,
+        frames: str | None,
+        picture: Picture,
+        telling: Telling,
+        remarks: Remarks | None = None,
+    ) -> Job:
+        """Return the job that the options ask for, and make the folder of a sequence's outputs.
+
+        ``remarks`` are those of the files before, whose notes are not told again.
 
         See `lobewise.cli.options.frames.choose_numbers` and `lobewise.cli.options.writing.Picture.plan` for the errors.
         """
+        from lobewise.io.files import make_folder
+        from lobewise.io.sequence import is_pattern
+
         numbers = choose_numbers(frames, source, picture)
+        if is_pattern(source) and is_pattern(output):
+            make_folder(output.parent)
         return cls(
             source=source,
             output=output,
             pictures=picture.plan(name_first_output(source, output, numbers)),
             steps=Steps(telling.progress),
-            remarks=make_remarks(),
+            remarks=remarks or make_remarks(),
             verbose=telling.verbose,
             numbers=numbers,
         )
@@ -102,6 +117,8 @@ def run_files(job: Job, request: Request, context: str) -> None:
     if is_pattern(job.source):
         counted = f"{report.written} of {report.frames} frames{'; the last: ' if counted else ''}{counted}"
     facts = {} if last is None else last.describe()
+    if problem := report.common_problem:
+        raise problem
     job.steps.finish(output=str(job.output), frames=report.frames, written=report.written, **facts)
     print_line(f"Wrote {job.output}: {counted}.")
     tell_picture(job.output, job.pictures)

@@ -158,6 +158,12 @@ class FramePattern:
         return str(self.folder / patterns[near]) if near is not None else None
 
 
+def name_pattern(path: Path) -> Path | None:
+    """Return the pattern of a numbered file and its neighbours: its last run of digits is the number; None without."""
+    name = re.sub(r"[0-9]+(?!.*[0-9])", lambda run: "#" * len(run[0]), path.stem)
+    return path.with_name(name + path.suffix) if "#" in name and name != path.stem else None
+
+
 def name_frame(source: Path, number: int) -> Path:
     """Return the file of a sequence with a number."""
     return FramePattern.parse(source).name(number)

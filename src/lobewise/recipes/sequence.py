@@ -17,9 +17,10 @@ from lobewise.errors import (
     LobewiseError,
     MissingDependencyError,
     TimeLimitError,
+    hide_numbers,
 )
 from lobewise.io.exr.layout import name_file
-from lobewise.io.files import PathLike, require_other_files, require_writable
+from lobewise.io.files import PathLike, make_folder, require_other_files, require_writable
 from lobewise.io.sequence import FramePattern, name_frames
 from lobewise.recipes.ledger import Ledger, Numbered
 from lobewise.recipes.states import State, load_state, save_state
@@ -103,12 +104,18 @@ class SequenceReport(Generic[ResultT]):
     last: ResultT | None = None
 
     def require_all(self) -> None:
-        """Raise LobewiseError if a frame could not be filtered; where it is the only frame, its own error."""
-        if self.failures and self.frames == 1:
-            raise self.failures[0].problem
+        """Raise LobewiseError if a frame could not be filtered; where all fail alike, the error of the first."""
+        if problem := self.common_problem:
+            raise problem
         if self.failures:
             numbers = [failure.number for failure in self.failures]
             raise LobewiseError(describe_failures(numbers, self.frames, str(self.failures[0].problem)))
+
+    @property
+    def common_problem(self) -> LobewiseError | None:
+        """The problem of the first frame, where every frame has it; None where frames differ."""
+        kinds = {hide_numbers(str(failure.problem)) for failure in self.failures}
+        return self.failures[0].problem if len(self.failures) == self.frames and len(kinds) == 1 else None
 
 
 def describe_failures(numbers: Sequence[int], frames: int, first: str = "") -> str:
@@ -219,7 +226,11 @@ def _keep(make_filter: Callable[[], SequenceFilter[FrameT, ResultT]]) -> Callabl
 
 
 def require_frames(frames: Sequence[Numbered], output: FramePattern) -> None:
-    """Raise FileError or InputError if the outputs of frames cannot be written, or would replace one of them."""
+    """Make the folder of the outputs of frames.
+
+    Raises FileError or InputError if the outputs cannot be written, or would replace one of the frames.
+    """
+    make_folder(output.folder)
     require_writable(output.name(frames[0][0]))
     require_other_files((output.name(number) for number, _ in frames), (path for _, path in frames))
 
