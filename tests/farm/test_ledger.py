@@ -33,7 +33,7 @@ class Sequence:
             self.ledger.record(number, proof, [self.name_output(number)])
 
     def make_ledger(self, identity: str = "beta 1") -> Ledger:
-        return Ledger(folder=self.folder / "out.lobewise-farm", identity=identity)
+        return Ledger(folder=self.folder / "out.lobewise-done", identity=identity)
 
     def name_output(self, number: int) -> Path:
         return self.folder / f"out.{number}"
@@ -139,7 +139,7 @@ def test_links_in_the_folder_change_no_other_file(name: str, sequence: Sequence)
 
 
 def test_a_folder_that_is_a_link_is_refused(sequence: Sequence) -> None:
-    link = sequence.folder / "other.lobewise-farm"
+    link = sequence.folder / "other.lobewise-done"
     link.symlink_to(sequence.ledger.folder)
     with pytest.raises(FileError, match="expected a folder, got a link"), Ledger(folder=link, identity="").lock():
         pass

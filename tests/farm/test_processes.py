@@ -111,7 +111,7 @@ def test_an_interrupt_leaves_whole_files_and_the_same_command_goes_on(
 def test_an_interrupt_while_workers_start_leaves_nothing(sources: Path, folder: Path) -> None:
     program = start_program(sources, folder, "--workers", "2")
     # The folder of records is there, and workers are about to start.
-    wait_until((folder / "out.lobewise-farm" / TOKEN).exists)
+    wait_until((folder / "out.lobewise-done" / TOKEN).exists)
     interrupt(program)
     assert list(folder.iterdir()) == []
 
