@@ -41,7 +41,18 @@ ROOMS = [
 INNER_ROOMS = {
     "work": ["chunks", "progress", "limits", "arrays"],
     "records": ["images", "radiance", "lobe_table", "camera", "result", "frame", "sparse_frame"],
-    "recipes": ["upsampling", "adaptive", "temporal", "windows", "streaming", "sequence", "files"],
+    "recipes": [
+        "upsampling",
+        "adaptive",
+        "temporal",
+        "windows",
+        "streaming",
+        "environment",
+        "states",
+        "ledger",
+        "sequence",
+        "files",
+    ],
     "render": [
         "bridge",
         "variant",

@@ -324,7 +324,7 @@ FRONTENDS = (
     ),
     Mutation(
         "a farm takes a frame of other settings for done",
-        "farm/ledger.py",
+        "recipes/ledger.py",
         'and record.get("proof") == proof',
         'and isinstance(record.get("proof"), str)',
         ("farm/test_ledger.py",),

@@ -8,13 +8,23 @@ import zipfile
 import numpy as np
 import pytest
 
-import lobewise
-from lobewise.errors import FileError, InputError
+from lobewise.errors import (
+    CancelledError,
+    DeviceError,
+    FileError,
+    InputError,
+    LobewiseError,
+    MissingDependencyError,
+    TimeLimitError,
+)
 from lobewise.io.sequence import FramePattern
-from lobewise.recipes.sequence import filter_sequence, name_checkpoint
+from lobewise.recipes.ledger import name_ledger, open_ledger
+from lobewise.recipes.sequence import FilterAlone, filter_sequence
 
 NUMBERS = (1, 2, 3, 4, 7, 8, 9)
-PATTERN, OUTPUT, KEPT = "in.####.npy", "out.####.npy", "out.lobewise-history.npz"
+PATTERN, OUTPUT, KEPT = "in.####.npy", "out.####.npy", "out.lobewise-done"
+STATE = "shot-7.npz"
+"""The record of what the filter remembers in the shot that begins with frame 7."""
 
 
 class Running:
@@ -53,16 +63,21 @@ def folder(rng, tmp_path, monkeypatch):
     return tmp_path
 
 
-def run(make=Running, *, fail_at=None, fingerprint="beta 1", seconds=0.0, **options):
-    """Run over the folder; reading fails at the number ``fail_at``."""
+def run(make=Running, *, stop_at=None, settings="beta 1", seconds=0.0, source=PATTERN, output=OUTPUT, **options):
+    """Run over the folder; an interrupt comes while the number ``stop_at`` is read."""
 
     def read(path):
-        if fail_at is not None and path.name == f"in.{fail_at:04d}.npy":
-            raise FileError("the disk is full")
+        if stop_at is not None and path.name == f"in.{stop_at:04d}.npy":
+            raise KeyboardInterrupt
         return np.load(path)
 
-    options = {"read": read, "write": save, **options}
-    return filter_sequence(PATTERN, OUTPUT, make, fingerprint=fingerprint, checkpoint_seconds=seconds, **options)
+    options = {"read": read, "write": save, "checkpoint_seconds": seconds, **options}
+    ledger = open_ledger(FramePattern.parse(source), FramePattern.parse(output), options.get("numbers"), settings)
+    with ledger.hold():
+        report = filter_sequence(source, output, make, ledger=ledger, **options)
+        if not report.failures:
+            ledger.remove()
+    return report
 
 
 def list_outputs(folder):
@@ -80,15 +95,15 @@ def whole(folder):
 
 
 def stop(at, **options):
-    with pytest.raises(FileError, match="the disk is full"):
-        run(fail_at=at, **options)
+    with pytest.raises(KeyboardInterrupt):
+        run(stop_at=at, **options)
 
 
 class TestEveryFrame:
     def test_in_order_neither_first_nor_last_is_dropped(self, folder):
         running, told = Running(), []
         done = run(lambda: running, progress=told.append)
-        assert (done.frames, done.written, done.resumed_after, done.note) == (7, 7, None, "")
+        assert (done.frames, done.written, done.failures) == (7, 7, ())
         assert [number for number, _ in running.seen] == list(NUMBERS)
         assert [number for number, cut in running.seen if cut] == [1, 7]
         assert list(list_outputs(folder)) == [f"out.{number:04d}.npy" for number in NUMBERS]
@@ -114,7 +129,9 @@ class TestEveryFrame:
 
     def test_patterns_may_be_parsed_already(self, folder):
         patterns = FramePattern.parse(PATTERN), FramePattern.parse("b%d.npy")
-        done = filter_sequence(*patterns, Running, read=np.load, write=save, fingerprint="")
+        ledger = open_ledger(*patterns, None, "")
+        with ledger.hold():
+            done = filter_sequence(*patterns, Running, read=np.load, write=save, ledger=ledger)
         assert done.frames == 7
         assert (folder / "b9.npy").exists()
 
@@ -139,13 +156,12 @@ class TestGoingOn:
     @pytest.mark.parametrize("at", NUMBERS[1:])
     def test_the_files_are_those_of_an_unbroken_run(self, at, whole, folder):
         stop(at)
-        assert (folder / KEPT).exists()
-        assert len(list_outputs(folder)) == NUMBERS.index(at)
+        count = NUMBERS.index(at)
+        assert len(list_outputs(folder)) == count
         told = []
         done = run(remark=told.append)
-        before = NUMBERS[NUMBERS.index(at) - 1]
-        assert (done.resumed_after, done.written) == (before, 7 - NUMBERS.index(at))
-        assert told == [f"Going on after frame {before}, as the checkpoint '{KEPT}' says."]
+        assert (done.frames, done.written) == (7, 7 - count)
+        assert told == [f"Going on: {count} of 7 frames are done, as '{KEPT}' says."]
         assert list_outputs(folder) == whole
         assert not (folder / KEPT).exists()
 
@@ -171,8 +187,7 @@ class TestGoingOn:
 
         with pytest.raises(KeyboardInterrupt):
             run(Interrupted, seconds=1e9, read=read, write=write)
-        done = run(seconds=1e9)
-        assert (done.resumed_after, done.written) == (NUMBERS[2], 4)
+        assert run(seconds=1e9).written == 4
         assert list_outputs(folder) == whole
 
     def test_stopped_again_and_again(self, whole, folder):
@@ -181,101 +196,113 @@ class TestGoingOn:
         assert run().written == 1
         assert list_outputs(folder) == whole
 
-    def test_what_the_checkpoint_does_not_know_is_written_again(self, whole, folder, monkeypatch):
-        # The clock advances with every call, so that a checkpoint is due after the fourth frame.
-        clock = iter(range(1000))
-        monkeypatch.setattr("lobewise.recipes.sequence.time.monotonic", lambda: float(next(clock)))
-        stop(8, seconds=4.0)
-        assert list(list_outputs(folder)) == [f"out.{number:04d}.npy" for number in NUMBERS[:5]]
-        (folder / "out.0007.npy").write_bytes(b"half of it")
-        done = run()
-        assert done.resumed_after == 4
+    def test_frames_behind_the_last_state_are_made_again(self, whole, folder, monkeypatch):
+        # The clock advances with every call, so that a state is due after the third frame alone.
+        clock = iter([0.0, 1.0, 1.0, 4.0, 4.0, *[4.0] * 20])
+        monkeypatch.setattr("lobewise.recipes.sequence.time.monotonic", lambda: next(clock))
+
+        def write(target, *words):
+            if target.name == "out.0007.npy":
+                raise FileError("the disk is full")
+            save(target, *words)
+
+        with pytest.raises(FileError, match="the disk is full"):
+            run(seconds=4.0, write=write)
+        os.remove("out.0004.npy")
+        (folder / KEPT / "2.json").unlink()
+        # Frame 2 is not done, and the history of frame 3 needs it.
+        assert run().written == 7
         assert list_outputs(folder) == whole
 
-    def test_no_checkpoint_before_its_time(self, folder):
-        stop(9, seconds=3600.0)
-        assert not (folder / KEPT).exists()
-        assert run().resumed_after is None
-
-    def test_the_first_frame_fails(self, whole, folder):
+    def test_the_first_frame_is_stopped(self, whole, folder):
         stop(1)
+        assert not (folder / KEPT).exists()
         assert run().written == 7
         assert list_outputs(folder) == whole
 
     def test_a_folder_that_was_moved(self, whole, folder, monkeypatch):
-        stop(7)
+        stop(9)
         moved = folder.with_name("moved")
         folder.rename(moved)
-        done = filter_sequence(moved / PATTERN, moved / OUTPUT, Running, read=np.load, write=save, fingerprint="beta 1")
-        assert done.resumed_after == 4
+        assert run(source=moved / PATTERN, output=moved / OUTPUT).written == 1
         assert list_outputs(moved) == whole
 
     def test_frames_that_were_added_at_the_end(self, folder):
         stop(9)
         np.save("in.0010.npy", np.ones((2, 3)))
-        assert (run().resumed_after, len(list_outputs(folder))) == (8, 8)
+        assert (run().written, len(list_outputs(folder))) == (2, 8)
+
+    def test_a_filter_without_memory_makes_only_what_is_missing(self, folder):
+        def run_alone(**options):
+            return run(lambda: FilterAlone(np.sqrt), remembers=False, **options)
+
+        stop(9, make=lambda: FilterAlone(np.sqrt), remembers=False)
+        os.remove("out.0003.npy")
+        assert run_alone().written == 2
+        assert len(list_outputs(folder)) == 7
 
 
 class TestNotGoingOn:
-    """With any damage to the checkpoint, the run begins with the first frame."""
+    """What was made of other files or with other settings, or is damaged, is made again."""
 
     @pytest.fixture(autouse=True)
     def _stopped(self, whole, folder):
         self.whole, self.folder = whole, folder
-        stop(8)
+        stop(9)
 
-    def check(self, reason, **options):
-        told = []
-        done = run(remark=told.append, **options)
-        assert (done.resumed_after, done.written) == (None, done.frames)
-        assert done.note == f"The checkpoint '{KEPT}' is not used: {reason}."
-        assert told == [done.note]
+    def check(self, written, **options):
+        assert run(**options).written == written
         assert not (self.folder / KEPT).exists()
 
     def check_files(self):
         assert list_outputs(self.folder) == self.whole
 
     def test_other_settings(self):
-        self.check("it is of other settings or files", fingerprint="beta 2")
+        told = []
+        self.check(7, settings="beta 2", remark=told.append)
+        assert told == [f"Other settings or files than those of '{KEPT}': every frame is made again."]
         self.check_files()
 
     @pytest.mark.parametrize(
-        "change",
+        ("change", "written"),
         [
-            lambda patch: patch.setattr(lobewise, "__version__", "99"),
-            lambda _: os.utime("in.0002.npy", (os.stat("in.0002.npy").st_mtime + 1.0,) * 2),
-            lambda _: np.save("in.0005.npy", np.ones((2, 3))),
-            lambda _: [os.remove(f"in.{number:04d}.npy") for number in NUMBERS[3:]],
+            (lambda: os.utime("in.0002.npy", (os.stat("in.0002.npy").st_mtime + 1.0,) * 2), 5),
+            (lambda: np.save("in.0005.npy", np.ones((2, 3))), 3),
+            (lambda: np.save("in.0006.npy", np.ones((2, 3))), 4),
+            (lambda: [os.remove(f"in.{number:04d}.npy") for number in NUMBERS[3:]], 0),
         ],
-        ids=["another version", "a source that changed", "a source that came between", "sources that went"],
+        ids=["a source that changed", "a source behind a shot", "a source before a shot", "sources that went"],
     )
-    def test_other_files(self, change, monkeypatch):
-        change(monkeypatch)
-        self.check("it is of other settings or files")
+    def test_other_files(self, change, written):
+        change()
+        self.check(written)
 
     def test_an_output_that_went(self):
         os.remove("out.0003.npy")
-        self.check("not all of its outputs are there")
+        # What the filter remembers is of frame 3, so its shot is made again.
+        self.check(5)
+        self.check_files()
+
+    def damage(self, data):
+        """Replace the state by ``data``: frames 7 to 9 are made again."""
+        (self.folder / KEPT / STATE).write_bytes(data)
+        self.check(3)
         self.check_files()
 
     @pytest.mark.parametrize("at", [0.1, 0.3, 0.5, 0.9, 0.999])
     def test_truncated(self, at):
-        data = (self.folder / KEPT).read_bytes()
-        (self.folder / KEPT).write_bytes(data[: int(at * len(data))])
-        self.check("it is damaged")
-        self.check_files()
+        data = (self.folder / KEPT / STATE).read_bytes()
+        self.damage(data[: int(at * len(data))])
 
     def test_a_flipped_bit_of_the_state(self):
-        data = bytearray((self.folder / KEPT).read_bytes())
-        data[data.index(np.load("out.0007.npy").tobytes())] ^= 1
-        (self.folder / KEPT).write_bytes(data)
-        self.check("it is damaged")
-        self.check_files()
+        data = bytearray((self.folder / KEPT / STATE).read_bytes())
+        total = np.load("in.0007.npy") * 0.9 + np.load("in.0008.npy")
+        data[data.index(total.tobytes())] ^= 1
+        self.damage(data)
 
     @pytest.mark.parametrize("data", [b"", b"PK", b"\x93NUMPY", b"nonsense"])
     def test_another_file(self, data):
-        (self.folder / KEPT).write_bytes(data)
-        self.check("it is damaged")
+        self.damage(data)
 
     def test_objects_are_never_unpickled(self):
         """Frames, settings and sizes are right: only the kind of an array is not."""
@@ -287,23 +314,24 @@ class TestNotGoingOn:
         pickled = pickle.dumps(Attack())
         pickled += b"." * (-len(pickled) % 8)
         header = {"descr": "|O", "fortran_order": False, "shape": (len(pickled) // 8,)}
-        with zipfile.ZipFile(KEPT) as file:
+        kept = self.folder / KEPT / STATE
+        with zipfile.ZipFile(kept) as file:
             members = {name: file.read(name) for name in file.namelist()}
-        with zipfile.ZipFile(KEPT, "w") as file:
+        with zipfile.ZipFile(kept, "w") as file:
             for name, data in members.items():
                 with file.open(name, "w") as stream:
                     if name == "state/total.npy":
                         np.lib.format.write_array_header_1_0(stream, header)
                     stream.write(pickled if name == "state/total.npy" else data)
-        self.check("it is damaged")
+        self.check(3)
         assert not os.path.exists("unpickled")
 
     def test_arrays_that_are_packed(self):
-        """Megabytes of compressed arrays may unpack to terabytes; checkpoints are never compressed."""
-        with np.load(KEPT) as file:
+        """Megabytes of compressed arrays may unpack to terabytes; states are never compressed."""
+        with np.load(self.folder / KEPT / STATE) as file:
             arrays = dict(file)
-        np.savez_compressed(KEPT, **arrays)
-        self.check("it is damaged")
+        np.savez_compressed(self.folder / KEPT / STATE, **arrays)
+        self.check(3)
         self.check_files()
 
     def test_a_state_that_the_filter_refuses(self):
@@ -311,53 +339,110 @@ class TestNotGoingOn:
             def set_state(self, state):
                 raise InputError("total: expected shape (9, 9), got (2, 3); start anew.")
 
-        self.check("it is damaged", make=Other)
+        self.check(3, make=Other)
+        self.check_files()
+
+    @pytest.mark.parametrize("name", ["token", STATE, "9.json"])
+    def test_links_that_somebody_put_there_change_no_other_file(self, name):
+        victim, link = self.folder / "victim", self.folder / KEPT / name
+        victim.write_text("mine")
+        link.unlink(missing_ok=True)
+        link.symlink_to(victim)
+        np.save("in.0010.npy", np.ones((2, 3)))
+        stop(10)
+        assert victim.read_text() == "mine"
+
+    def test_a_second_run_is_refused(self):
+        ledger = open_ledger(FramePattern.parse(PATTERN), FramePattern.parse(OUTPUT), None, "beta 1")
+        with ledger.hold(), pytest.raises(FileError, match="expected no other run that writes this sequence"):
+            run()
+
+
+class TestFailures:
+    """A frame that fails does not stop the others."""
+
+    def run(self, *broken, **options):
+        def read(path):
+            if int(path.name[3:7]) in broken:
+                raise FileError(f"{path.name}: damaged.")
+            return np.load(path)
+
+        return run(read=read, **options)
+
+    def test_the_frame_behind_it_begins_anew(self, whole, folder):
+        running = Running()
+        report = self.run(3, make=lambda: running)
+        assert [(each.number, str(each.problem)) for each in report.failures] == [(3, "in.0003.npy: damaged.")]
+        assert report.written == 6
+        assert [number for number, cut in running.seen if cut] == [1, 4, 7]
+        assert "out.0003.npy" not in list_outputs(folder)
+        with pytest.raises(
+            LobewiseError, match=r"^1 of 7 frames could not be filtered \(frame 3\): in.0003.npy: damaged"
+        ):
+            report.require_all()
+
+    def test_the_next_run_tries_it_again(self, whole, folder):
+        self.run(3)
+        assert self.run(3).written == 0
+        assert (folder / KEPT).exists()
+        # The frame behind it uses its history, and the last shot does not.
+        assert self.run().written == 2
+        assert list_outputs(folder) == whole
+        assert not (folder / KEPT).exists()
+
+    def test_the_filter_refuses_a_frame(self, folder):
+        class Refusing(Running):
+            def add(self, frame, *, cut=False):
+                if frame[0, 0] == 7:
+                    raise InputError("frame: expected a smaller one.")
+                return super().add(frame, cut=cut)
+
+        (failure,) = run(Refusing).failures
+        assert str(failure.problem) == "input 'in.0007.npy': frame: expected a smaller one."
+
+    @pytest.mark.parametrize("kind", [CancelledError, DeviceError, MissingDependencyError, TimeLimitError])
+    def test_what_all_frames_have_in_common_ends_the_run(self, kind, folder):
+        def read(_path):
+            raise kind("no card")
+
+        with pytest.raises(kind):
+            run(read=read)
+
+    def test_the_only_frame_has_its_own_error(self, folder):
+        report = self.run(3, numbers=[3])
+        with pytest.raises(FileError, match=r"^in.0003.npy: damaged.$"):
+            report.require_all()
 
 
 class TestMistakes:
     def test_outputs_that_would_replace_sources(self, folder):
         np.save("in.12.npy", np.ones((2, 3)))
-        for source, output in ((PATTERN, "in.%04d.npy"), (PATTERN, "../" + folder.name + "/in.####.npy")):
+        for output in ("in.%04d.npy", "../" + folder.name + "/in.####.npy"):
             with pytest.raises(InputError, match="expected a file that is not read"):
-                filter_sequence(source, output, Running, read=np.load, write=save, fingerprint="")
+                run(output=output)
         np.save("in.2.npy", np.ones((2, 3)))
         # The file of frame 2 would have the name of source 12.
         with pytest.raises(InputError, match="expected a file that is not read"):
-            filter_sequence("in.#.npy", "in.1#.npy", Running, read=np.load, write=save, fingerprint="")
+            run(source="in.#.npy", output="in.1#.npy")
 
     @pytest.mark.parametrize("seconds", [-1.0, float("nan")])
     def test_times(self, seconds, folder):
         with pytest.raises(InputError, match="checkpoint_seconds: expected a time >= 0"):
             run(seconds=seconds)
 
-    def test_the_filter_refuses_a_frame(self, folder):
-        class Refusing(Running):
-            def add(self, frame, *, cut=False):
-                raise InputError("frame: expected a smaller one.")
-
-        with pytest.raises(InputError, match=r"^input 'in\.0001\.npy': frame: expected a smaller one"):
-            run(Refusing)
-
-    def test_names_of_checkpoints(self, folder):
-        with pytest.raises(InputError, match=r"checkpoint: expected a name that ends in \.npz, got 'clean.exr'"):
-            run(checkpoint="clean.exr")
-        stop(7, checkpoint="elsewhere.npz")
-        assert (folder / "elsewhere.npz").exists()
-        assert run(checkpoint="elsewhere.npz").resumed_after == 4
+    def test_names_of_records(self, folder):
         names = {"d/a.####.exr": "d/a", "a_%d_b.exr": "a__b", "#.exr": "sequence", "a##": "a", "a#_b.c.exr": "a_b.c"}
         for pattern, stem in names.items():
-            assert name_checkpoint(pattern).as_posix() == f"{stem}.lobewise-history.npz"
+            assert name_ledger(pattern).as_posix() == f"{stem}.lobewise-done"
 
     def test_before_anything_is_read(self, folder):
         def read(_path):
             pytest.fail("read first")
 
-        with pytest.raises(FileError, match="no folder"):
-            filter_sequence(PATTERN, "no/out.#.npy", Running, read=read, write=save, fingerprint="")
         with pytest.raises(FileError, match="expected files such as"):
-            filter_sequence("zzz.##.npy", OUTPUT, Running, read=read, write=save, fingerprint="")
-        (folder / KEPT).mkdir()
-        with pytest.raises(FileError, match=r"checkpoint .* got a directory"):
+            run(source="zzz.##.npy", read=read)
+        (folder / KEPT).write_text("no folder")
+        with pytest.raises(FileError, match="records"):
             run(read=read)
 
     def test_a_state_of_objects(self, folder):
@@ -367,8 +452,8 @@ class TestMistakes:
 
         with pytest.raises(InputError, match="state of the filter: expected plain arrays"):
             run(Odd)
-        assert not list(folder.glob("*.npz"))
-        assert not list(folder.glob(".*"))
+        assert not list(folder.rglob("*.npz"))
+        assert not list(folder.rglob(".*"))
 
 
 class TestSomeNumbers:
@@ -388,10 +473,10 @@ class TestSomeNumbers:
         ):
             run(numbers=(4, 5, 6, 10), read=read)
 
-    def test_runs_of_other_numbers_keep_their_checkpoints(self, whole, folder):
+    def test_runs_of_other_numbers_keep_their_records(self, whole, folder):
         stop(8, numbers=(7, 8, 9))
-        assert (folder / "out.7-9.lobewise-history.npz").exists()
-        assert run(numbers=(1, 2, 3, 4)).resumed_after is None
-        assert run(numbers=(7, 8, 9)).resumed_after == 7
+        assert (folder / "out.7-9.lobewise-done").is_dir()
+        assert run(numbers=(1, 2, 3, 4)).written == 4
+        assert run(numbers=(7, 8, 9)).written == 2
         assert list_outputs(folder) == whole
-        assert not list(folder.glob("*.npz"))
+        assert not list(folder.glob("*.lobewise-done"))

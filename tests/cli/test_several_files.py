@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lobewise.cli.main import run
-from lobewise.cli.options.naming import name_clean
+from lobewise.cli.options.naming import expand_names, name_clean
 from lobewise.interchange import read_image
 from lobewise.io import write_frame
 from tests.streaming.frames import make_scene
@@ -41,6 +41,9 @@ def list_files(folder: Path) -> list[str]:
         (["in", "-o", "out"], ["out/a.exr", "out/b.exr"]),
         (["in/a.exr", "-o", "out/"], ["out/a.exr"]),
         (["in/a.exr", "in/b.exr", "-o", "out"], ["out/a.exr", "out/b.exr"]),
+        # Some shells replace no stars.
+        (["in/*.exr", "-o", "out"], ["out/a.exr", "out/b.exr"]),
+        (["in/?.EXR"], ["in/a_clean.exr", "in/b_clean.exr"]),
     ],
 )
 def test_where_results_go(folder: Path, words: list[str], made: list[str]) -> None:
@@ -64,6 +67,38 @@ def test_names_of_sequences() -> None:
     assert name_clean(Path("x/shot.####.exr")) == Path("x/shot_clean.####.exr")
     assert name_clean(Path("shot-%04d.exr")) == Path("shot_clean-%04d.exr")
     assert name_clean(Path("####.exr")) == Path("clean.####.exr")
+
+
+def test_names_with_stars_are_those_of_files_of_any_letters(folder: Path) -> None:
+    (folder / "B.EXR").touch()
+    (folder / "c.exr").mkdir()
+    assert expand_names(["*.exr", "in/a.exr", "*.png"]) == ["B.EXR", "in/a.exr", "*.png"]
+    assert expand_names(["gone/*.exr"]) == ["gone/*.exr"]
+
+
+def test_a_folder_of_an_animation_is_named_once_with_the_option_for_it(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for number in (1, 2, 3):
+        write_frame(f"anim_{number:04d}.exr", make_scene((83, 19), seed=number))
+    assert run(["denoise", "anim_*.exr", "-o", "out/", *CHEAP]) == 0
+    told = " ".join(capsys.readouterr().err.split())
+    assert told.count("If they are an animation, 'anim_####.exr' with --window 2 has less flicker.") == 1
+    # What is the same for every file is told for the first.
+    assert told.count("Used: ") == told.count("anim_0001.exr: Used: ") == 1
+    assert run(["denoise", "in", "-o", "out/", *CHEAP]) == 0
+    assert "animation" not in capsys.readouterr().err
+    assert run(["denoise", ".", "-o", "out/", *CHEAP, "--window", "2"]) == 2
+    told = " ".join(capsys.readouterr().err.split())
+    assert "got 'anim_0001.exr'; name the sequence 'anim_####.exr', in quotes" in told
+
+
+def test_the_folder_of_a_sequences_results_is_made(folder: Path) -> None:
+    write_frame("anim_0001.exr", make_scene((83, 19), seed=1))
+    for more in ((), ("--workers", "1"), ("--png",)):
+        output = f"new{len(more)}{more[:1]}"
+        assert run(["denoise", "anim_####.exr", "-o", f"{output}/below/clean_####.exr", *CHEAP, *more]) == 0
+        assert (folder / output / "below" / "clean_0001.exr").exists()
 
 
 def test_a_file_that_fails_does_not_stop_the_others(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,7 +11,9 @@ from lobewise import TemporalFilter, WindowFilter, read_frame, read_sparse_frame
 from lobewise.cli.main import run
 from lobewise.denoising import denoise
 from lobewise.interchange import read_image, write_result
-from lobewise.recipes.sequence import filter_sequence, name_checkpoint
+from lobewise.io.sequence import FramePattern
+from lobewise.recipes.ledger import name_ledger, open_ledger
+from lobewise.recipes.sequence import filter_sequence
 from lobewise.records.frame import Frame
 from lobewise.records.sparse_frame import list_places, make_sparse
 from tests.temporal.scenes import make_camera, make_frame
@@ -100,8 +102,12 @@ def test_a_run_that_was_stopped_goes_on_with_the_same_bits(folder: Path, tmp_pat
                 raise KeyboardInterrupt
             write_result(target, result, source=source)
 
-        names, options = (folder / "d.####.exr", where / "o.####.exr"), {"fingerprint": "x", "checkpoint_seconds": 0.0}
-        filter_sequence(*names, TemporalFilter, read=read_frame, write=write, **options)
+        names = [FramePattern.parse(folder / "d.####.exr"), FramePattern.parse(where / "o.####.exr")]
+        ledger = open_ledger(*names, None, "x")
+        with ledger.hold():
+            options = {"ledger": ledger, "checkpoint_seconds": 0.0}
+            filter_sequence(*names, TemporalFilter, read=read_frame, write=write, **options)
+            ledger.remove()
 
     whole, stopped = tmp_path / "whole", tmp_path / "stopped"
     whole.mkdir()
@@ -109,12 +115,12 @@ def test_a_run_that_was_stopped_goes_on_with_the_same_bits(folder: Path, tmp_pat
     filter_into(whole, None)
     with pytest.raises(KeyboardInterrupt):
         filter_into(stopped, 4)
-    assert name_checkpoint(stopped / "o.####.exr").exists()
+    assert name_ledger(stopped / "o.####.exr").exists()
     filter_into(stopped, None)
     for k in range(1, COUNT + 1):
         name = f"o.{k:04d}.exr"
         assert (whole / name).read_bytes() == (stopped / name).read_bytes()
-    assert not name_checkpoint(stopped / "o.####.exr").exists()
+    assert not name_ledger(stopped / "o.####.exr").exists()
 
 
 def test_a_missing_frame_is_named_and_notes_name_their_frame(

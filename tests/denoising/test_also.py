@@ -176,6 +176,16 @@ def test_planes_are_filtered_by_the_weights_of_the_light(quality: str) -> None:
     assert result.also["AO"].std() < 0.5 * frame.also["AO"].std()
 
 
+@pytest.mark.parametrize("quality", ["balanced", "high"])
+def test_a_band_that_is_not_finite_at_a_pixel_is_finite_afterwards(quality: str) -> None:
+    frame, _ = make_planes()
+    color, band = frame.radiance.color.copy(), frame.also["S0.400,00nm"].copy()
+    color[11, 13] = band[11, 13] = np.inf
+    also = {**frame.also, "S0.400,00nm": band, "RGBA_key": color}
+    result = denoise(frame.with_changes(radiance=Radiance(color), also=also), quality=quality)
+    assert all(np.isfinite(image).all() for image in result.also.values())
+
+
 def test_bands_of_gray_light_are_as_the_image() -> None:
     frame, _ = make_planes()
     gray = replace(frame.gbuffer, diffuse_albedo=None, specular_albedo=None)

@@ -1,8 +1,10 @@
 """Handing out tasks: with workers that are lost, refused, slow to show their files, or wrong; without Dask."""
 
+import os
 import platform
 import pydoc
 from collections.abc import Callable, Iterator
+from concurrent.futures import BrokenExecutor, Future
 from dataclasses import dataclass, field
 from itertools import count, pairwise
 from pathlib import Path
@@ -11,10 +13,10 @@ from typing import Any, cast
 import pytest
 
 from lobewise.errors import LobewiseError
-from lobewise.farm import dispatching
-from lobewise.farm.calls import CallFailedError, CallLostError, Connection, ConnectionLostError
+from lobewise.farm import dispatching, processes
+from lobewise.farm.calls import CallFailedError, CallLostError, Connection, ConnectionLostError, WorkerLostError
 from lobewise.farm.dispatching import Callbacks, Dispatcher, Failure, Requirements
-from lobewise.farm.tasks import Assignment, Task, TaskLog, TaskResult, cut_frames, cut_shots
+from lobewise.farm.tasks import Assignment, Task, TaskLog, TaskResult, cut_tasks
 from lobewise.farm.worker import describe_worker
 
 ENVIRONMENT = {"lobewise": "1.0", "Python": ".".join(platform.python_version_tuple()[:2]), "NumPy": "2.0"}
@@ -168,7 +170,7 @@ class _Assignment:
 
 
 def make_tasks(*numbers: int) -> list[Task]:
-    return cut_frames([(number, Path(f"in.{number}")) for number in numbers])
+    return cut_tasks([(number, Path(f"in.{number}")) for number in numbers], by_shot=False)
 
 
 def test_every_frame_is_filtered_once_by_both_workers() -> None:
@@ -218,7 +220,7 @@ def test_a_frame_that_fails_is_tried_twice_more_and_then_told() -> None:
 
 def test_a_shot_that_fails_names_the_frames_that_are_not_done() -> None:
     farm = make_farm(problems={1: ["no"] * 3}, done={1, 2})
-    task = cut_shots((number, Path(str(number))) for number in (1, 2, 3, 4))
+    task = cut_tasks([(number, Path(str(number))) for number in (1, 2, 3, 4)], by_shot=True)
     failures, _ = run(farm, task)
     assert failures[0].numbers == (3, 4)
 
@@ -413,5 +415,35 @@ class _Forgetful(set[int]):
 
 def test_shots_end_where_numbers_are_missing() -> None:
     frames = [(number, Path(str(number))) for number in (1, 2, 3, 7, 9, 10)]
-    assert [task.numbers for task in cut_shots(frames)] == [(1, 2, 3), (7,), (9, 10)]
-    assert [task.numbers for task in cut_frames(frames)] == [(1,), (2,), (3,), (7,), (9,), (10,)]
+    assert [task.numbers for task in cut_tasks(frames, by_shot=True)] == [(1, 2, 3), (7,), (9, 10)]
+    assert [task.numbers for task in cut_tasks(frames, by_shot=False)] == [(1,), (2,), (3,), (7,), (9,), (10,)]
+
+
+def test_false_starts_count_since_the_last_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Memory is short now and then: processes end while they start, and between these another one answers."""
+    answers: list[Future[int]] = []
+
+    class Pool:
+        def __init__(self, *_: object, **__: object) -> None:
+            pass
+
+        def submit(self, *_: object) -> Future[int]:
+            answers.append(Future())
+            return answers[-1]
+
+        def shutdown(self, **_: object) -> None:
+            pass
+
+    monkeypatch.setattr(processes, "ProcessPoolExecutor", Pool)
+    found = processes.Processes(2)
+    first, _ = found.list_workers()
+    for _ in range(2):
+        for _ in range(processes.MAX_FALSE_STARTS - 1):
+            other = next(name for name in found.list_workers() if name != first)
+            call = found.call(other, os.getpid)
+            answers[-1].set_exception(BrokenExecutor())
+            with pytest.raises(WorkerLostError):
+                call.fetch()
+        found.call(first, os.getpid)
+        answers[-1].set_result(1)
+    assert len(found.list_workers()) == 2

@@ -8,9 +8,7 @@ from typing import Any
 import pytest
 
 from lobewise.cli import farming
-from lobewise.cli.farming import FrameWork
 from lobewise.cli.main import run
-from lobewise.farm.ledger import name_ledger
 from lobewise.farm.tasks import TaskLog
 from lobewise.interchange import read_image
 from lobewise.io import write_frame
@@ -50,12 +48,12 @@ def catch_job(*options: str, monkeypatch: pytest.MonkeyPatch, verb: Sequence[str
     return found[0]
 
 
-def do(work: FrameWork, *numbers: int, memory: float | None = None) -> tuple[TaskLog, list[int]]:
-    """Let a worker filter frames; return what it told, and the frames that it called done."""
-    done: list[int] = []
-    sent = pickle.loads(pickle.dumps(work))
-    told = sent.filter_frames(numbers, first=1, memory=memory, checkpoint=Path("kept.npz"), done=done.append)
-    return told, done
+def do(job: Any, *numbers: int, memory: float | None = None) -> TaskLog:
+    """Let a worker filter frames; return what it told."""
+    sent = pickle.loads(pickle.dumps(job.work))
+    with job.ledger.lock():
+        told: TaskLog = sent.filter_frames(numbers, memory=memory, ledger=job.ledger)
+    return told
 
 
 def test_frames_are_those_of_the_verb_and_remarks_are_told_once(
@@ -64,9 +62,8 @@ def test_frames_are_those_of_the_verb_and_remarks_are_told_once(
     assert run(["denoise", "in.#.exr", "-o", "near.#.exr", *CHEAP]) == 0
     capsys.readouterr()
     job = catch_job(monkeypatch=monkeypatch)
-    first, done = do(job.work, 1)
-    second, _ = do(job.work, 2)
-    assert done == [1]
+    first, second = do(job, 1), do(job, 2)
+    assert job.ledger.list_recorded() == {1, 2}
     for number in (1, 2):
         assert (folder / f"far.{number}.exr").read_bytes() == (folder / f"near.{number}.exr").read_bytes()
     assert any("Used: " in text for _, text in first.remarks)
@@ -84,9 +81,10 @@ def test_a_frame_that_is_too_large_for_the_worker_is_filtered_in_bands(
     monkeypatch.setattr(limits, "PROGRAM_GIB", 100.0)
     # The smallest band would still be refused.
     monkeypatch.setattr(plan, "require_memory", lambda needed: None)
-    work = catch_job(monkeypatch=monkeypatch).work
-    assert "bands" not in do(work, 1)[0].last
-    told, _ = do(work, 1, memory=1.0)
+    job = catch_job(monkeypatch=monkeypatch)
+    assert "bands" not in do(job, 1).last
+    (folder / "far.1.exr").unlink()
+    told = do(job, 1, memory=1.0)
     assert "19x83 pixels in 3 bands" in told.last
     assert (folder / "far.1.exr").read_bytes() == (folder / "near.1.exr").read_bytes()
 
@@ -105,9 +103,9 @@ def test_everything_that_changes_a_frame_is_among_its_sources(folder: Path, monk
     assert past.list_sources(1, job.source.name(1)) == [folder / "in.1.exr"]
     (folder / "camera.json").write_text(f"{CAMERA} ")
     other = catch_job("--half", "half.#.exr", "--camera", "camera.json", monkeypatch=monkeypatch)
-    assert other.fingerprint != job.fingerprint
+    assert other.ledger.identity != job.ledger.identity
     changes = ((), ("--progress", "off"), ("--beta", "2"))
-    plain, silent, wide = (catch_job(*words, monkeypatch=monkeypatch).fingerprint for words in changes)
+    plain, silent, wide = (catch_job(*words, monkeypatch=monkeypatch).ledger.identity for words in changes)
     assert plain == silent != wide
 
 
@@ -123,37 +121,32 @@ def test_paths_are_absolute(folder: Path, monkeypatch: pytest.MonkeyPatch) -> No
     assert all(path.is_absolute() for path in paths)
 
 
-@pytest.mark.parametrize(
-    ("options", "follows"), [((), False), (("--png",), True), (("--png", "--exposure", "1"), False)]
-)
-def test_which_frames_depend_on_others(
-    options: tuple[str, ...], follows: bool, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    job = catch_job(*options, monkeypatch=monkeypatch)
-    assert (job.follows_first, job.by_shot) == (follows, False)
-
-
 def test_a_shot_over_time_is_one_task(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert catch_job("--temporal", monkeypatch=monkeypatch, verb=["upsample"]).by_shot
     assert not catch_job(monkeypatch=monkeypatch, verb=["upsample"]).by_shot
+    assert not catch_job(monkeypatch=monkeypatch).by_shot
 
 
-def test_pictures_are_outputs_and_have_the_exposure_of_the_first(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pictures_are_outputs_and_have_one_exposure(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert run(["denoise", "in.#.exr", "-o", "near.#.exr", *CHEAP, "--png"]) == 0
-    work = catch_job("--png", monkeypatch=monkeypatch).work
-    assert work.list_outputs(2) == [folder / "far.2.exr", folder / "far.2.png"]
-    do(work, 1)
-    # Another worker knows the exposure from the picture alone.
+    job = catch_job("--png", monkeypatch=monkeypatch)
+    assert job.work.list_outputs(2) == [folder / "far.2.exr", folder / "far.2.png"]
+    do(job, 1)
     farming._open_filter.cache_clear()
-    do(work, 2)
+    do(job, 2)
     for number in (1, 2):
         assert (folder / f"far.{number}.png").read_bytes() == (folder / f"near.{number}.png").read_bytes()
 
 
-def test_a_single_process_that_ends_removes_what_a_farm_recorded(folder: Path) -> None:
-    records = name_ledger(folder / "out.#.exr")
-    records.mkdir()
-    (records / "1.json").write_text("{}")
-    assert run(["denoise", "in.#.exr", "-o", "out.#.exr", *CHEAP]) == 0
-    assert not records.exists()
-    assert read_image("out.2.exr").shape == (83, 19, 3)
+def test_a_single_process_goes_on_where_workers_were_stopped(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    job = catch_job(monkeypatch=monkeypatch)
+    do(job, 1)
+    before = (folder / "far.1.exr").stat().st_mtime_ns
+    with job.ledger.lock():
+        # A second command beside a running one.
+        assert run(["denoise", "in.#.exr", "-o", "far.#.exr", *CHEAP]) == 2
+        assert not (folder / "far.2.exr").exists()
+    assert run(["denoise", "in.#.exr", "-o", "far.#.exr", *CHEAP]) == 0
+    assert (folder / "far.1.exr").stat().st_mtime_ns == before
+    assert read_image("far.2.exr").shape == (83, 19, 3)
+    assert not job.ledger.folder.exists()

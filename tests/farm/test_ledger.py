@@ -6,12 +6,13 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from lobewise.errors import FileError
-from lobewise.farm.ledger import MAX_RECORD_BYTES, Ledger
+from lobewise.recipes.ledger import MAX_RECORD_BYTES, Ledger
 
 FRAMES = (1, 2, 3)
 
@@ -32,7 +33,7 @@ class Sequence:
             self.ledger.record(number, proof, [self.name_output(number)])
 
     def make_ledger(self, identity: str = "beta 1") -> Ledger:
-        return Ledger(folder=self.folder / "out.lobewise-farm", identity=identity)
+        return Ledger(folder=self.folder / "out.lobewise-done", identity=identity)
 
     def name_output(self, number: int) -> Path:
         return self.folder / f"out.{number}"
@@ -123,10 +124,31 @@ def test_removing_leaves_files_of_others(sequence: Sequence) -> None:
     assert not sequence.ledger.folder.exists()
 
 
+@pytest.mark.parametrize("name", ["token", "lock", "2.json"])
+def test_links_in_the_folder_change_no_other_file(name: str, sequence: Sequence) -> None:
+    victim, link = sequence.folder / "victim", sequence.ledger.folder / name
+    victim.write_text("mine")
+    link.unlink()
+    link.symlink_to(victim)
+    with suppress(FileError), sequence.ledger.lock():
+        sequence.ledger.put_token("other")
+        sequence.ledger.record(2, "proof", [])
+    assert victim.read_text() == "mine"
+    # The lock of a run that cannot begin is the only file that stays a link.
+    assert link.is_symlink() == (name == "lock")
+
+
+def test_a_folder_that_is_a_link_is_refused(sequence: Sequence) -> None:
+    link = sequence.folder / "other.lobewise-done"
+    link.symlink_to(sequence.ledger.folder)
+    with pytest.raises(FileError, match="expected a folder, got a link"), Ledger(folder=link, identity="").lock():
+        pass
+
+
 HOLD = """
 import sys
 from pathlib import Path
-from lobewise.farm.ledger import Ledger
+from lobewise.recipes.ledger import Ledger
 with Ledger(folder=Path(sys.argv[1]), identity="").lock():
     print("locked", flush=True)
     sys.stdin.read()

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from lobewise.errors import LobewiseError
-from lobewise.farm.environment import describe_environment
 from lobewise.farm.tasks import Task
+from lobewise.recipes.environment import describe_environment
 from tests.farm.conftest import NUMBERS, read_outputs
 from tests.farm.processes import MAX_SECONDS, Farm, count_outputs, run_program, start_program, wait_until
 from tests.farm.test_dispatching import FakeFarm

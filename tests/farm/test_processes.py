@@ -12,7 +12,7 @@ from lobewise import write_sparse_frame
 from lobewise.errors import LobewiseError
 from lobewise.farm import processes
 from lobewise.farm.calls import WorkerLostError
-from lobewise.farm.ledger import TOKEN
+from lobewise.recipes.ledger import TOKEN
 from lobewise.records.sparse_frame import list_places, make_sparse
 from tests.farm.conftest import NUMBERS, read_outputs, require_frame_3_failed, require_only_frame_3_is_filtered
 from tests.farm.processes import MAX_SECONDS, PROGRAM, Farm, count_outputs, run_program, start_program, wait_until
@@ -74,7 +74,7 @@ def test_shots_over_time_have_the_bits_of_one_process(tmp_path: Path) -> None:
 def test_frames_that_hang_on_others_have_the_bits_of_one_process(
     options: tuple[str, ...], files: int, sources: Path, folder: Path, tmp_path: Path
 ) -> None:
-    """A window has neighbours, and pictures the exposure of the first frame."""
+    """A window has neighbours, and all pictures have one exposure."""
     alone = tmp_path / "alone"
     alone.mkdir()
     assert run_program(sources, alone, *options).returncode == 0
@@ -111,7 +111,7 @@ def test_an_interrupt_leaves_whole_files_and_the_same_command_goes_on(
 def test_an_interrupt_while_workers_start_leaves_nothing(sources: Path, folder: Path) -> None:
     program = start_program(sources, folder, "--workers", "2")
     # The folder of records is there, and workers are about to start.
-    wait_until((folder / "out.lobewise-farm" / TOKEN).exists)
+    wait_until((folder / "out.lobewise-done" / TOKEN).exists)
     interrupt(program)
     assert list(folder.iterdir()) == []
 

@@ -9,13 +9,13 @@ from typing import Any, cast
 import pytest
 
 from lobewise.errors import FileError
-from lobewise.farm import dispatching, ledger
-from lobewise.farm.environment import describe_environment
-from lobewise.farm.ledger import Ledger, name_ledger
+from lobewise.farm import dispatching
 from lobewise.farm.running import FarmJob, FarmReport, filter_on_farm
 from lobewise.farm.tasks import Task
+from lobewise.io import locks
 from lobewise.io.sequence import FramePattern
-from lobewise.recipes.sequence import name_checkpoint
+from lobewise.recipes.environment import describe_environment
+from lobewise.recipes.ledger import Ledger, name_ledger
 from tests.farm.test_dispatching import FakeFarm
 
 
@@ -46,9 +46,8 @@ def make_job(folder: Path, numbers: Sequence[int] | None = None) -> FarmJob:
         source=FramePattern.parse(folder / "in.#.exr"),
         output=FramePattern.parse(folder / "out.#.exr"),
         work=cast(Any, Work(folder)),
-        fingerprint="",
+        ledger=Ledger(folder=name_ledger(folder / "out.#.exr", numbers), identity=""),
         by_shot=False,
-        follows_first=False,
         by_runs=False,
         with_oidn=False,
         memory=None,
@@ -62,9 +61,9 @@ def run_job(job: FarmJob, farm: FakeFarm) -> FarmReport:
 
 
 def test_the_earlier_run_ends_with_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ledger, "try_lock", lambda _: True)
+    monkeypatch.setattr(locks, "try_lock", lambda _: True)
     job = make_job(tmp_path)
-    later = Ledger(folder=name_ledger(job.output), identity="later")
+    later = Ledger(folder=job.ledger.folder, identity="later")
 
     def begin_later_run(worker: str, task: Task) -> bool:
         later.put_token("later")
@@ -91,16 +90,3 @@ def test_runs_of_other_frames_work_at_the_same_time(tmp_path: Path) -> None:
     assert run_job(make_job(tmp_path, [1]), farm).frames == 1
     assert {numbers for _, numbers in farm.ran} == {(1,)}
     assert {numbers for _, numbers in other.ran} == {(2,)}
-
-
-def test_a_run_of_some_frames_leaves_the_checkpoint_of_the_others(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(ledger.Ledger, "is_done", lambda *_: True)
-    job, kept = make_job(tmp_path, [1]), name_checkpoint(tmp_path / "out.#.exr")
-    own = name_checkpoint(job.output, job.numbers)
-    for path in (kept, own):
-        path.touch()
-    assert not run_job(job, FakeFarm({"a": describe_environment(with_oidn=False)})).failures
-    assert kept.exists()
-    assert not own.exists()

@@ -15,10 +15,11 @@ import pytest
 import lobewise
 from lobewise.errors import InputError
 from lobewise.farm import worker as module
-from lobewise.farm.environment import compare_environments, describe_environment
-from lobewise.farm.ledger import TOKEN, Ledger
-from lobewise.farm.tasks import Assignment, TaskLog, TaskResult, cut_frames
+from lobewise.farm.tasks import Assignment, TaskLog, TaskResult, cut_tasks
 from lobewise.farm.worker import GIB, describe_worker, run_assignment
+from lobewise.recipes.environment import compare_environments, describe_environment
+from lobewise.recipes.ledger import TOKEN, Ledger
+from lobewise.recipes.sequence import FilterAlone, filter_sequence
 
 
 @dataclass
@@ -27,7 +28,7 @@ class Work:
 
     folder: Path
     act: Callable[[int], None] = lambda number: None
-    given: tuple[int, float | None] | None = None
+    given: float | None = None
 
     def list_sources(self, number: int, path: Path) -> Sequence[Path]:
         return [path]
@@ -35,15 +36,24 @@ class Work:
     def list_outputs(self, number: int) -> Sequence[Path]:
         return [self.folder / f"out.{number}"]
 
-    def filter_frames(
-        self, numbers: Sequence[int], *, first: int, memory: float | None, checkpoint: Path, done: Callable[[int], None]
-    ) -> TaskLog:
-        self.given = first, memory
-        for number in numbers:
-            self.act(number)
-            (self.folder / f"out.{number}").write_text("clean")
-            done(number)
-        return TaskLog(last="the last")
+    def filter_frames(self, numbers: Sequence[int], *, memory: float | None, ledger: Ledger) -> TaskLog:
+        self.given = memory
+
+        def read(path: Path) -> Path:
+            self.act(int(path.suffix[1:]))
+            return path
+
+        report = filter_sequence(
+            self.folder / "in.#",
+            self.folder / "out.#",
+            lambda: FilterAlone(str),
+            read=read,
+            write=lambda target, *_: (target.write_text("clean"), None)[1],
+            ledger=ledger,
+            numbers=numbers,
+        )
+        report.require_all()
+        return TaskLog(last="the last" if report.written else "")
 
 
 @pytest.fixture(autouse=True)
@@ -65,8 +75,8 @@ def make_assignment(folder: Path, act: Callable[[int], None] = lambda number: No
     ledger = Ledger(folder=folder / "ledger", identity="")
     with ledger.lock():
         ledger.put_token("token")
-    task = cut_frames([(1, folder / "in.1")])[0]
-    return Assignment(work=Work(folder, act), task=task, ledger=ledger, first=1, memory=options.get("memory"))
+    task = cut_tasks([(1, folder / "in.1")], by_shot=False)[0]
+    return Assignment(work=Work(folder, act), task=task, ledger=ledger, memory=options.get("memory"))
 
 
 def do(assignment: Assignment) -> TaskResult:
@@ -131,7 +141,7 @@ def test_a_source_that_changes_meanwhile_is_not_done(tmp_path: Path) -> None:
 def test_threads_and_memory_are_those_of_the_worker(tmp_path: Path) -> None:
     assignment = make_assignment(tmp_path)
     do(assignment)
-    assert assignment.work.given == (1, 6.0)  # type: ignore[attr-defined]
+    assert assignment.work.given == 6.0  # type: ignore[attr-defined]
     assert (os.environ["HL_NUM_THREADS"], os.environ["OIDN_NUM_THREADS"]) == ("3", "3")
 
 
@@ -141,13 +151,13 @@ def test_what_the_user_sets_counts_more(
     monkeypatch.setenv("HL_NUM_THREADS", "2")
     assignment = make_assignment(tmp_path, memory=4.0)
     do(assignment)
-    assert assignment.work.given == (1, 4.0)  # type: ignore[attr-defined]
+    assert assignment.work.given == 4.0  # type: ignore[attr-defined]
     assert os.environ["HL_NUM_THREADS"] == "2"
     dask_worker.memory_manager.memory_limit = 0
     (tmp_path / "out.1").unlink()
     assignment = make_assignment(tmp_path)
     do(assignment)
-    assert assignment.work.given == (1, None)  # type: ignore[attr-defined]
+    assert assignment.work.given is None  # type: ignore[attr-defined]
 
 
 def test_one_frame_at_a_time(tmp_path: Path) -> None:

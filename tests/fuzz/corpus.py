@@ -1,10 +1,8 @@
 """The seeds of the fuzzing: small files of every kind in ``corpus/``, all made here, none of anybody else's.
 
-``python -m tests.fuzz.corpus`` writes the checkpoint anew, whose content is that of the filter's state.
+``python -m tests.fuzz.corpus`` writes the state of a filter over time anew.
 """
 
-import shutil
-import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +12,7 @@ from lobewise.records.frame import Frame, GBuffer, Radiance
 
 CORPUS = Path(__file__).parent / "corpus"
 WIDTH, HEIGHT = 5, 4
+PROOF = "of a frame"
 
 
 def make_small_frame() -> Frame:
@@ -30,14 +29,13 @@ def make_small_frame() -> Frame:
 
 
 def main() -> None:
-    """Write what a sequence that was interrupted after its first frame leaves."""
-    from tests.fuzz.readers import go_on
+    """Write what a filter remembers of a frame."""
+    from lobewise.recipes.states import save_state
+    from tests.fuzz.readers import Remembering
 
-    with tempfile.TemporaryDirectory() as work:
-        try:
-            go_on(Path(work) / "state.npz", stop=True)
-        except KeyboardInterrupt:
-            shutil.copy(Path(work) / "state.npz", CORPUS / "checkpoint" / "state.npz")
+    active = Remembering()
+    active.add(make_small_frame())
+    save_state(CORPUS / "checkpoint" / "state.npz", PROOF, active.get_state())
 
 
 if __name__ == "__main__":

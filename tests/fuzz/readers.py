@@ -5,14 +5,12 @@ A reader returns the sentence of a `LobewiseError`, or an empty text. Any other 
 
 import importlib.util
 import json
-import os
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
 
@@ -300,44 +298,20 @@ class Remembering:
         self._filter.set_state(state)
 
 
-def read_checkpoint(path: Path, _: Answer) -> None:
-    """Go on with a sequence after its first frame; a checkpoint that is not used is refused."""
-    note = go_on(path)
-    if note:
-        raise LobewiseError(note)
+def read_state(path: Path, _: Answer) -> None:
+    """Go on with what a filter remembers; a state that is not used is refused."""
+    from lobewise.recipes.states import load_state
+    from tests.fuzz.corpus import PROOF, make_small_frame
 
-
-def go_on(path: Path, *, stop: bool = False) -> str:
-    """Filter a sequence of two frames with a checkpoint; return why it was not used. ``stop`` leaves one behind.
-
-    Names, times and version are always the same, so that a checkpoint of another day and machine fits.
-    """
-    from lobewise.recipes.sequence import filter_sequence
-    from tests.fuzz.corpus import make_small_frame
-
-    folder = path.parent
-    for number in (1, 2):
-        (folder / f"in.{number:04d}.txt").write_text("a")
-        os.utime(folder / f"in.{number:04d}.txt", ns=(10**18, 10**18))
-    if not stop:
-        (folder / "out.0001.txt").write_text("b")
-
-    def read(source: Path) -> Any:
-        if stop and source.name == "in.0002.txt":
-            raise KeyboardInterrupt
-        return make_small_frame()
-
-    with patch("lobewise.__version__", "0"):
-        report = filter_sequence(
-            folder / "in.####.txt",
-            folder / "out.####.txt",
-            Remembering,
-            read=read,
-            write=lambda out, *_: (out.write_text("b"), None)[1],
-            fingerprint="",
-            checkpoint=path,
-        )
-    return report.note
+    kept = load_state(path, [PROOF])
+    if kept is None:
+        raise LobewiseError("not used")
+    active = Remembering()
+    try:
+        active.set_state(kept[1])
+    except Exception as problem:
+        raise LobewiseError("refused by the filter") from problem
+    active.add(make_small_frame())
 
 
 def read_viewer(path: Path, _: Answer) -> None:
@@ -378,7 +352,7 @@ READERS = {
     "preset": Reader(".toml", read_preset, "preset/house.toml"),
     "map": Reader(".txt", read_map, "map/words.txt"),
     "definitions": Reader(".txt", read_definitions, "definitions/words.txt"),
-    "checkpoint": Reader(".npz", read_checkpoint, "checkpoint/state.npz"),
+    "checkpoint": Reader(".npz", read_state, "checkpoint/state.npz"),
     "viewer": Reader(".msgpack", read_viewer, "viewer/camera.msgpack"),
 }
 NEEDS = {

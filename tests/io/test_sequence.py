@@ -69,15 +69,32 @@ def test_other_names_are_refused(text):
 
 
 def test_found_files_are_in_the_order_of_their_numbers(tmp_path):
-    names = ["a.0002.exr", "a.0010.exr", "a.0000.exr", "a.9999.exr", "a.10000.exr", "a.100001.exr"]
-    others = ["a.002.exr", "a.00003.exr", "a.0004.exr.bak", "b.0005.exr", "axx.0006.exr", "a.-007.exr", "a.000٣.exr"]
+    names = ["a.0002.exr", "a.0010.exr", "a.0000.exr", "a.9999.exr", "a.10000.exr", "a.100001.exr", "a.-007.exr"]
+    others = [
+        "a.002.exr",
+        "a.00003.exr",
+        "a.0004.exr.bak",
+        "b.0005.exr",
+        "axx.0006.exr",
+        "a.-0007.exr",
+        "a.-07.exr",
+        "a.-000.exr",
+        "a.000٣.exr",
+    ]
     for name in names + others:
         (tmp_path / name).write_bytes(b"x")
     (tmp_path / "a.0008.exr").mkdir()
     found = FramePattern.parse(tmp_path / "a.####.exr").find()
-    assert [number for number, _ in found] == [0, 2, 10, 9999, 10000, 100001]
+    assert [number for number, _ in found] == [-7, 0, 2, 10, 9999, 10000, 100001]
     assert [path for _, path in found] == [FramePattern.parse(tmp_path / "a.####.exr").name(n) for n, _ in found]
     assert sorted(path.name for _, path in found) == sorted(names)
+
+
+def test_a_hyphen_before_every_number_is_no_sign(tmp_path):
+    for name in ("a-001.exr", "a-002.exr"):
+        (tmp_path / name).write_bytes(b"x")
+    with pytest.raises(FileError, match=r"did you mean '.*a-###\.exr'"):
+        FramePattern.parse(tmp_path / "a####.exr").find()
 
 
 @pytest.mark.parametrize(

@@ -15,10 +15,10 @@ import pytest
 from lobewise.cli.main import run
 from lobewise.errors import FileError
 from lobewise.exporting.folder import open_folder
-from lobewise.farm.ledger import Ledger
 from lobewise.io import write_frame
 from lobewise.io.files import open_atomic, require_writable, write_text
 from lobewise.io.replacing import TargetWarning, begin_temporary, name_temporary, remove_leftovers
+from lobewise.recipes.ledger import Ledger
 from lobewise.records.frame import Frame, Radiance
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="modes, owners and links of POSIX")

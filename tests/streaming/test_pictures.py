@@ -13,8 +13,9 @@ from lobewise.display.tones import choose_exposure, map_tones
 from lobewise.interchange import read_image
 from lobewise.io import write_frame
 from lobewise.io.png import encode_png, read_png_text
+from lobewise.records.frame import Frame, GBuffer, Radiance
 from lobewise.reporting import picture as pictures
-from lobewise.reporting.picture import EXPOSURE, Pictures, name_picture
+from lobewise.reporting.picture import EXPOSURE, Pictures, measure_exposure, name_picture
 from tests.streaming.frames import make_scene
 
 FOREIGN = Path(__file__).parents[1] / "data" / "foreign"
@@ -96,7 +97,7 @@ def test_a_sequence_has_one_exposure_also_where_it_goes_on(
     assert denoise(folder, "--png", **sequence) == 0
     assert f"Wrote {folder / 'out.####.png'}." in capsys.readouterr().out
     names = [f"out.{number:04d}" for number in (1, 2, 3)]
-    exposure = choose_exposure(read_image(folder / "out.0001.exr"))
+    exposure = float(read_png_text(folder / "out.0001.png", EXPOSURE) or 0.0)
     for name in names:
         np.testing.assert_array_equal(load(folder / f"{name}.png"), paint(folder / f"{name}.exr", exposure))
     whole = {name: (folder / f"{name}.png").read_bytes() for name in names}
@@ -109,8 +110,33 @@ def test_a_sequence_has_one_exposure_also_where_it_goes_on(
     (folder / "out.0003.png").unlink()
     capsys.readouterr()
     assert denoise(folder, "--png", **sequence) == 0
-    assert "Going on after frame 2" in capsys.readouterr().err
+    assert "Going on: 2 of 3 frames are done" in capsys.readouterr().err
     assert {name: (folder / f"{name}.png").read_bytes() for name in names} == whole
+
+
+@pytest.mark.parametrize(
+    ("light", "level"),
+    [((0.0, 0.25, 0.5, 0.75, 1.0), 0.8125), ((1.0, 1.0, 1.0, 100.0, 1.0), 1.0), ((0.0, 0.0, 0.0, 0.01, 0.01), 0.01)],
+    ids=["fade-in", "flash", "black and dim"],
+)
+def test_the_exposure_is_that_of_the_shot(light: tuple[float, ...], level: float, tmp_path: Path) -> None:
+    """The first frame of a fade-in is black, and would burn all others to white."""
+    paths = [tmp_path / f"in.{number}.exr" for number in range(len(light))]
+    for path, factor in zip(paths, light, strict=True):
+        rng = np.random.default_rng(len(path.name))
+        samples = 2.0 * factor * rng.gamma(4.0, 0.25, (64, 64, 1)) * np.ones(3)
+        write_frame(path, Frame(Radiance(np.float32(samples)), GBuffer()))
+    (tmp_path / "in.99.exr").write_bytes(b"damaged")
+    # Light of 2, whose noise has a standard deviation of a half, is shown as 0.8, but for the noise of its means.
+    assert measure_exposure([*paths, tmp_path / "in.99.exr"]) == pytest.approx(0.4 / level, rel=0.2)
+    assert measure_exposure([tmp_path / "in.99.exr"]) == 1.0
+
+
+def test_pixels_that_were_not_shaded_do_not_count(tmp_path: Path) -> None:
+    samples = np.zeros((64, 64, 3), np.float32)
+    samples[::8, ::8] = 2.0
+    write_frame(tmp_path / "in.exr", Frame(Radiance(samples), GBuffer()))
+    assert measure_exposure([tmp_path / "in.exr"], sparse=True) == pytest.approx(0.4, rel=1e-3)
 
 
 def test_the_exposure_can_be_given(folder: Path) -> None:

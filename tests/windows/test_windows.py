@@ -355,6 +355,13 @@ class TestNotes:
         assert any("no motion vectors" in note for note in result.notes)
         assert not any("no motion vectors" in note for note in WindowFilter(1).denoise(make_still(3), 1).notes)
 
+    def test_the_first_frame_alone_may_lack_its_motion(self):
+        first, *others = make_still(3)
+        frames = [first.with_changes(gbuffer=replace(first.gbuffer, motion=None)), *others]
+        result = WindowFilter(1, quality="fast").denoise(frames, 0)
+        assert result.settings["joined"] == (1,)
+        assert not any("no motion vectors" in note for note in result.notes)
+
     def test_unusable_guides_are_named_as_without_a_window(self):
         frames = []
         for frame in make_still(3):
@@ -380,6 +387,14 @@ class TestNotes:
 
 
 class TestRobustness:
+    def test_a_frame_beside_black_ones_is_joined_without_warnings(self):
+        """A fade-in begins with black: pilots of other frames are then infinitely far from its noise."""
+        frames = make_still(3)
+        black = np.zeros_like(frames[0].radiance.color)
+        frames[0] = frames[0].with_changes(radiance=Radiance(black, diffuse=black, specular=black))
+        joined = join(frames, 0)
+        assert joined.frame.radiance.color.max() < 1e-30
+
     def test_light_without_albedo_at_the_centre_is_not_blown_up(self):
         """At an edge of a texture the albedo of the centre may be 0 beside light of the pixel's other part."""
         frames = make_still()

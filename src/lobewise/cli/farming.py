@@ -3,32 +3,27 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
 from lobewise.cli.options.bounding import Bounds
 from lobewise.cli.options.farming import Farm
 from lobewise.cli.output import describe_result, describe_settings, print_line, print_note
-from lobewise.cli.running import Job, write_picture
+from lobewise.cli.running import Job, list_outputs, write_picture
 from lobewise.cli.running import run_files as run_files_here
-from lobewise.cli.terminal.outcome import tell_picture
-from lobewise.display.views import View
-from lobewise.errors import LobewiseError
+from lobewise.cli.terminal.outcome import tell_failures, tell_picture
 from lobewise.farm.running import FarmJob, FarmReport, filter_on_farm
 from lobewise.farm.tasks import TaskLog
 from lobewise.io.files import require_exr_name
-from lobewise.io.sequence import FramePattern, name_frames
-from lobewise.recipes.files import FileResult
+from lobewise.io.sequence import FramePattern, is_pattern, name_frames
 from lobewise.recipes.files.remarks import Remarks
-from lobewise.recipes.files.running import FileFilter, Request, add_gaps, open_filter, run_files
-from lobewise.reporting.picture import Pictures, name_picture
+from lobewise.recipes.files.running import FileFilter, Request, add_gaps, open_filter, open_records, run_files
+from lobewise.recipes.ledger import Ledger
+from lobewise.reporting.picture import Pictures
 from lobewise.work.limits import limit_call
-
-MAX_FAILURES_NAMED = 20
-"""Most failures that are told one by one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,13 +33,8 @@ class FrameWork:
     request: Request
     source: Path
     output: Path
-    context: str
-    """What the outputs depend on beside the files and the request."""
-    has_pictures: bool
-    stops: float | None
-    """Exposure of the pictures, None where the first picture decides it."""
-    view: View | None = None
-    """What turns the light of the pictures into display values."""
+    pictures: Pictures | None
+    """Writes a picture beside each output, where pictures are asked for."""
 
     def list_sources(self, number: int, path: Path) -> Sequence[Path]:
         """Return every file that the result of a frame depends on."""
@@ -52,35 +42,25 @@ class FrameWork:
 
     def list_outputs(self, number: int) -> Sequence[Path]:
         """Return every file that is written for a frame."""
-        target = FramePattern.parse(self.output).name(number)
-        return [target, name_picture(target)] if self.has_pictures else [target]
+        return list_outputs(self.output, self.pictures is not None, number)
 
-    def filter_frames(
-        self, numbers: Sequence[int], *, first: int, memory: float | None, checkpoint: Path, done: Callable[[int], None]
-    ) -> TaskLog:
+    def filter_frames(self, numbers: Sequence[int], *, memory: float | None, ledger: Ledger) -> TaskLog:
         """Filter frames into their files; see `lobewise.farm.tasks.Work`."""
-        target = FramePattern.parse(self.output)
-        files, remarks, pictures = _open_filter(pickle.dumps((self, first)))
+        files, remarks = _open_filter(pickle.dumps(self))
         before = set(remarks.sentences)
-        by_name = {target.name(number): number for number in numbers}
-
-        def finish(path: Path, result: FileResult) -> None:
-            if pictures is not None:
-                write_picture(pictures, path, result)
-            done(by_name[path])
-
         with limit_call(max_memory=memory):
             report = run_files(
                 self.source,
                 self.output,
                 self.request,
                 remarks,
-                context=self.context,
                 numbers=numbers,
-                after=finish,
+                list_outputs=self.list_outputs,
+                after=None if self.pictures is None else partial(write_picture, self.pictures),
                 files=files,
-                checkpoint=checkpoint,
+                ledger=ledger,
             )
+        report.require_all()
         last = report.last
         return TaskLog(
             remarks=tuple(remark for remark in remarks.sentences.items() if remark[0] not in before),
@@ -88,19 +68,16 @@ class FrameWork:
             settings="" if last is None else describe_settings(last),
         )
 
-    def open_filter(self, first: int) -> tuple[FileFilter[Any], Remarks, Pictures | None]:
-        """Return what filters frames, the remarks that it collects, and what writes pictures; see `filter_frames`."""
+    def open_filter(self) -> tuple[FileFilter[Any], Remarks]:
+        """Return what filters frames, and the remarks that it collects; see `filter_frames`."""
         remarks = Remarks()
-        pictures = Pictures(stops=self.stops, first=FramePattern.parse(self.output).name(first), view=self.view)
-        files = open_filter(self.request, self.source, self.output, remarks)
-        return files, remarks, pictures if self.has_pictures else None
+        return open_filter(self.request, self.source, self.output, remarks), remarks
 
 
 @lru_cache(maxsize=1)
-def _open_filter(pickled: bytes) -> tuple[FileFilter[Any], Remarks, Pictures | None]:
+def _open_filter(pickled: bytes) -> tuple[FileFilter[Any], Remarks]:
     """Return what filters the frames of a run. A worker keeps it for the next frame: opening it may load a scene."""
-    work, first = pickle.loads(pickled)
-    opened: tuple[FileFilter[Any], Remarks, Pictures | None] = work.open_filter(first)
+    opened: tuple[FileFilter[Any], Remarks] = pickle.loads(pickled).open_filter()
     return opened
 
 
@@ -116,6 +93,8 @@ def run_request(job: Job, request: Request, context: str, farm: Farm, bounds: Bo
     """
     require_exr_name(job.output)
     with bounds.limit():
+        if is_pattern(job.source):
+            job.expose(request)
         if farm.is_wanted:
             _run_on_farm(job, request, context, farm)
         else:
@@ -125,23 +104,18 @@ def run_request(job: Job, request: Request, context: str, farm: Farm, bounds: Bo
 def _run_on_farm(job: Job, request: Request, context: str, farm: Farm) -> None:
     source, output = job.source.absolute(), job.output.absolute()
     request = request.anchor()
-    shared = [(path.stat().st_size, path.stat().st_mtime_ns) for path in request.list_shared_sources()]
     work = FrameWork(
         request=request,
         source=source,
         output=output,
-        context=context,
-        has_pictures=job.pictures is not None,
-        stops=None if job.pictures is None else job.pictures.stops,
-        view=None if job.pictures is None else job.pictures.view,
+        pictures=job.pictures,
     )
     farm_job = FarmJob(
         source=FramePattern.parse(source),
         output=FramePattern.parse(output),
         work=work,
-        fingerprint=repr([request.fingerprint, context, shared]),
+        ledger=open_records(source, output, request, context=context, numbers=job.numbers),
         by_shot=request.remembers,
-        follows_first=work.has_pictures and work.stops is None,
         by_runs=request.reads_neighbours,
         with_oidn=request.asks_for_oidn,
         memory=farm.memory,
@@ -179,13 +153,11 @@ def _tell_failures(report: FarmReport) -> None:
     """
     if not report.failures:
         return
-    for failure in sorted(report.failures, key=lambda failed: failed.numbers)[:MAX_FAILURES_NAMED]:
-        print_note(f"{name_frames(failure.numbers)}, worker {failure.worker}: {failure.problem}")
-    numbers = sorted(number for failure in report.failures for number in failure.numbers)
-    sentence = f"{len(numbers)} of {report.frames} frames could not be filtered ({name_frames(numbers).lower()})"
+    failures = sorted(report.failures, key=lambda failed: failed.numbers)
+    sentences = [f"{name_frames(each.numbers)}, worker {each.worker}: {each.problem}" for each in failures]
+    numbers = sorted(number for failure in failures for number in failure.numbers)
+    problem = tell_failures(sentences, numbers, report.frames)
     traces = [failure.trace for failure in report.failures if failure.trace]
     if traces:
-        raise RuntimeError(sentence) from RuntimeError(f"on a worker:\n{traces[0]}")
-    raise LobewiseError(
-        f"{sentence}; mend what is said above and give the same command again, which filters only these."
-    )
+        raise RuntimeError(str(problem)) from RuntimeError(f"on a worker:\n{traces[0]}")
+    raise problem

@@ -30,6 +30,7 @@ from lobewise.cli.options.windows import Window
 from lobewise.cli.options.writing import Output, Overwrite, Picture, Writing, protect_inputs
 from lobewise.cli.running import Job
 from lobewise.cli.terminal.help import FILTER_DETAILS
+from lobewise.cli.terminal.outcome import make_remarks
 from lobewise.settings import DenoiseSettings, TemporalSettings
 
 OPTIONS = {
@@ -97,8 +98,10 @@ def denoise(
     def run(path: Path, target: Path) -> None:
         from lobewise.cli.farming import run_request
 
-        run_request(Job.plan(path, target, frames, picture, telling), request, repr(picture), farm, bounds)
+        remarks.file = path.name if len(pairs) > 1 else ""
+        run_request(Job.plan(path, target, frames, picture, telling, remarks), request, repr(picture), farm, bounds)
 
+    remarks = make_remarks()
     show = prepare_tev(tev)
     require_files(sources, output, "--tev" if tev else "--png" if picture.png else "")
     with open_streams(sources, output) as (paths, target):

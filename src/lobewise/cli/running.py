@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from lobewise.cli.options.common import Telling
 from lobewise.cli.options.frames import choose_numbers
 from lobewise.cli.options.writing import Picture, name_first_output
-from lobewise.cli.terminal.outcome import make_remarks, tell_picture, tell_settings
+from lobewise.cli.terminal.outcome import make_remarks, tell_failures, tell_picture, tell_settings
 from lobewise.cli.terminal.steps import Steps
 
 if TYPE_CHECKING:
@@ -40,21 +40,55 @@ class Job:
     """The frames to filter; None for all."""
 
     @classmethod
-    def plan(cls, source: Path, output: Path, frames: str | None, picture: Picture, telling: Telling) -> Job:
-        """Return the job that the options ask for.
+    def plan(
+        cls,
+        source: Path,
+        output: Path,
+        frames: str | None,
+        picture: Picture,
+        telling: Telling,
+        remarks: Remarks | None = None,
+    ) -> Job:
+        """Return the job that the options ask for, and make the folder of a sequence's outputs.
+
+        ``remarks`` are those of the files before, whose notes are not told again.
 
         See `lobewise.cli.options.frames.choose_numbers` and `lobewise.cli.options.writing.Picture.plan` for the errors.
         """
+        from lobewise.io.files import make_folder
+        from lobewise.io.sequence import is_pattern
+
         numbers = choose_numbers(frames, source, picture)
+        if is_pattern(source) and is_pattern(output):
+            make_folder(output.parent)
         return cls(
             source=source,
             output=output,
             pictures=picture.plan(name_first_output(source, output, numbers)),
             steps=Steps(telling.progress),
-            remarks=make_remarks(),
+            remarks=remarks or make_remarks(),
             verbose=telling.verbose,
             numbers=numbers,
         )
+
+    def expose(self, request: Request) -> None:
+        """Choose the exposure of the pictures of a sequence once, or read it from one that a stopped run wrote."""
+        from lobewise.io.sequence import FramePattern
+        from lobewise.recipes.files import FileRequest
+        from lobewise.recipes.ledger import Ledger, name_ledger
+        from lobewise.reporting.picture import measure_exposure, name_picture, read_exposure
+
+        if self.pictures is None or self.pictures.exposure is not None:
+            return
+        done = Ledger(folder=name_ledger(self.output, self.numbers), identity="").list_recorded()
+        known = read_exposure(name_picture(FramePattern.parse(self.output).name(min(done)))) if done else None
+        if known is None:
+            paths = [path for _, path in FramePattern.parse(self.source).find()]
+            if isinstance(request, FileRequest):
+                known = measure_exposure(paths, preset=request.preset, mapping=request.mapping)
+            else:
+                known = measure_exposure(paths, sparse=True)
+        self.pictures.exposure = known
 
 
 def run_files(job: Job, request: Request, context: str) -> None:
@@ -63,7 +97,6 @@ def run_files(job: Job, request: Request, context: str) -> None:
     ``context`` is what the outputs depend on beside the files and the request.
     """
     from lobewise.cli.output import describe_result, print_line
-    from lobewise.farm.ledger import remove_records
     from lobewise.io.sequence import is_pattern
     from lobewise.recipes.files.running import run_files as run
 
@@ -75,21 +108,33 @@ def run_files(job: Job, request: Request, context: str) -> None:
             job.remarks,
             context=context,
             numbers=job.numbers,
+            list_outputs=partial(list_outputs, job.output, job.pictures is not None),
             after=None if job.pictures is None else partial(write_picture, job.pictures),
             progress=steps.follow,
-            remark=job.remarks.add,
         )
     last = report.last
     counted = "" if last is None else describe_result(last)
     if is_pattern(job.source):
-        # Every frame was made: what a stopped farm has recorded is of no use any more.
-        remove_records(job.output, job.numbers)
         counted = f"{report.written} of {report.frames} frames{'; the last: ' if counted else ''}{counted}"
     facts = {} if last is None else last.describe()
+    if problem := report.common_problem:
+        raise problem
     job.steps.finish(output=str(job.output), frames=report.frames, written=report.written, **facts)
     print_line(f"Wrote {job.output}: {counted}.")
     tell_picture(job.output, job.pictures)
     tell_settings(last, job.verbose)
+    if is_pattern(job.source) and report.failures:
+        sentences = [f"Frame {failure.number}: {failure.problem}" for failure in report.failures]
+        raise tell_failures(sentences, [failure.number for failure in report.failures], report.frames)
+
+
+def list_outputs(output: Path, has_pictures: bool, number: int) -> list[Path]:
+    """Return every file that is written for a frame of a sequence."""
+    from lobewise.io.sequence import name_frame
+    from lobewise.reporting.picture import name_picture
+
+    target = name_frame(output, number)
+    return [target, name_picture(target)] if has_pictures else [target]
 
 
 def write_picture(pictures: Pictures, target: Path, result: FileResult) -> None:

@@ -202,14 +202,15 @@ def _bound_planes(
     Planes of light have other units than the layer. They lose the share of light that the layer's fireflies lost, and
     keep the share that its highlights hold. Planes of values have neither.
     """
-    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        kept = compute_image_luminance(joined) / compute_image_luminance(noisy.layer.radiance)
-    kept = np.where(np.isnan(kept), np.float32(1.0), np.minimum(kept, np.float32(1.0)))[..., None]
     share = None if noisy.highlights is None else _compute_part_share(noisy.highlights, joined)
     others = []
-    for image in (light * kept for light in lights):
-        highlights = None if share is None else image * share
-        others.append(OtherImage(image, mark_bad(image if highlights is None else image - highlights), highlights))
+    # A pixel that is not finite stays so, and is marked as bad.
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+        kept = compute_image_luminance(joined) / compute_image_luminance(noisy.layer.radiance)
+        kept = np.where(np.isnan(kept), np.float32(1.0), np.minimum(kept, np.float32(1.0)))[..., None]
+        for image in (light * kept for light in lights):
+            highlights = None if share is None else image * share
+            others.append(OtherImage(image, mark_bad(image if highlights is None else image - highlights), highlights))
     return [*others, *(OtherImage(image, mark_bad(image)) for image in values)]
 
 

@@ -23,10 +23,10 @@ from lobewise.farm.calls import (
     ConnectionLostError,
     WorkerLostError,
 )
-from lobewise.farm.environment import compare_environments, shorten_version
 from lobewise.farm.tasks import Assignment, Task, TaskLog, TaskResult
 from lobewise.farm.worker import describe_worker, run_assignment
 from lobewise.io.sequence import name_frames
+from lobewise.recipes.environment import compare_environments, shorten_version
 from lobewise.work.limits import check_limits
 
 WAITING = "Waiting for workers"

@@ -21,7 +21,7 @@ from lobewise.farm.worker import limit_threads
 from lobewise.work.chunks import count_cores
 
 MAX_FALSE_STARTS = 3
-"""Processes that may end before they have answered anything; then no process can start here."""
+"""Processes that may end, before they have answered anything, since the last answer; then no process can start here."""
 
 
 class ProcessCall:
@@ -106,6 +106,7 @@ class Processes:
         def end(done: Future[Any]) -> None:
             if not done.cancelled() and done.exception() is None:
                 self._answered.add(worker)
+                self._false_starts = 0
             self._finished.put(key)
 
         future.add_done_callback(end)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import os
 import uuid
 from collections.abc import Callable, Collection, Iterable
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
@@ -14,13 +13,12 @@ from pathlib import Path
 from lobewise.errors import FileError, InputError
 from lobewise.farm.calls import Connection
 from lobewise.farm.dispatching import WAITING, Callbacks, Dispatcher, Failure, Requirements
-from lobewise.farm.environment import describe_environment
-from lobewise.farm.ledger import Ledger, name_ledger, refresh_folders
-from lobewise.farm.tasks import Assignment, Numbered, Task, TaskLog, Work, cut_frames, cut_shots
-from lobewise.io.files import require_other_files, require_writable
+from lobewise.farm.tasks import Assignment, Task, TaskLog, Work, cut_tasks
 from lobewise.io.replacing import remove_leftovers
 from lobewise.io.sequence import FramePattern
-from lobewise.recipes.sequence import name_checkpoint
+from lobewise.recipes.environment import describe_environment
+from lobewise.recipes.ledger import Ledger, Numbered, refresh_folders
+from lobewise.recipes.sequence import require_frames
 from lobewise.work.progress import FILTER, Watcher, tell_frames, watched
 
 
@@ -34,12 +32,10 @@ class FarmJob:
         Two patterns. Workers must see both folders by these paths.
     work : Work
         How frames are filtered.
-    fingerprint : str
-        The settings, as text: everything but the sources that the results depend on.
+    ledger : Ledger
+        The records of what is done.
     by_shot : bool
         Whether a frame uses the frames before it, so that one worker filters a whole shot.
-    follows_first : bool
-        Whether all frames take something from the first one, which is then filtered alone.
     by_runs : bool
         Whether a frame reads the sources of its neighbours, so that workers get consecutive frames where they can.
     with_oidn : bool
@@ -53,9 +49,8 @@ class FarmJob:
     source: FramePattern
     output: FramePattern
     work: Work
-    fingerprint: str
+    ledger: Ledger
     by_shot: bool
-    follows_first: bool
     by_runs: bool
     with_oidn: bool
     memory: float | None
@@ -129,8 +124,8 @@ def filter_on_farm(
         try:
             run.ledger.put_token(run.token)
             done = run.list_done()
-            if done:
-                tell(f"Going on: {len(done)} of {len(frames)} frames are done, as {str(run.ledger.folder)!r} says.")
+            if note := run.ledger.describe_done(len(done), len(frames)):
+                tell(note)
             if job.by_shot and len(run.tasks) == 1:
                 tell("The sequence is one shot, and one worker filters a shot, because frames use those before them.")
             if len(done) < len(frames):
@@ -140,10 +135,6 @@ def filter_on_farm(
         finally:
             # By now the workers of a local farm have ended.
             run.clean_up()
-    if not run.failures:
-        # The checkpoint of a single process that was stopped earlier.
-        with suppress(OSError):
-            name_checkpoint(job.output, job.numbers).unlink()
     written = len(run.done) - len(done)
     return FarmReport(frames=len(frames), written=written, failures=run.failures, last=run.last)
 
@@ -155,8 +146,7 @@ def _list_frames(job: FarmJob) -> list[Numbered]:
             "source and output", expected="absolute paths", got="relative ones", action="pass Path.absolute()"
         )
     frames = job.source.find(job.numbers)
-    require_writable(job.output.name(frames[0][0]))
-    require_other_files((job.output.name(number) for number, _ in frames), (path for _, path in frames))
+    require_frames(frames, job.output)
     return frames
 
 
@@ -168,11 +158,8 @@ class _Run:
         self._frames = frames
         self._remark = remark
         self._environment = describe_environment(with_oidn=job.with_oidn)
-        names = [Path(str(pattern)).name for pattern in (job.source, job.output)]
-        identity = json.dumps([job.fingerprint, *names, self._environment])
-        self.ledger = Ledger(folder=name_ledger(job.output, job.numbers), identity=identity)
-        self.tasks: list[Task] = (cut_shots if job.by_shot else cut_frames)(frames)
-        self._first = frames[0][0]
+        self.ledger = job.ledger
+        self.tasks = cut_tasks(frames, by_shot=job.by_shot)
         self.token = uuid.uuid4().hex
         self.done: set[int] = set()
         self._begun: set[int] = set()
@@ -223,15 +210,6 @@ class _Run:
             by_runs=self._job.by_runs,
         )
         todo = [task for task in self.tasks if not self.done.issuperset(task.numbers)]
-        if self.done:
-            self._first = min(self.done)
-        elif self._job.follows_first:
-            while todo:
-                task = todo.pop(0)
-                self._first = task.numbers[0]
-                dispatcher.run([task])
-                if self._first in self.done:
-                    break
         dispatcher.run(todo)
 
     @property
@@ -250,9 +228,7 @@ class _Run:
 
     def _make_assignment(self, task: Task) -> Assignment:
         self._begun.update(task.numbers)
-        return Assignment(
-            work=self._job.work, task=task, ledger=self.ledger, first=self._first, memory=self._job.memory
-        )
+        return Assignment(work=self._job.work, task=task, ledger=self.ledger, memory=self._job.memory)
 
     def _log_task(self, log: TaskLog) -> None:
         for key, text in log.remarks:

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Protocol
 
-from lobewise.farm.ledger import Ledger
-
-Numbered = tuple[int, Path]
-"""Number and source of a frame."""
+from lobewise.recipes.ledger import Ledger, Numbered
+from lobewise.recipes.sequence import cut_frames, cut_shots
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,23 +55,22 @@ class Work(Protocol):
     def list_outputs(self, number: int) -> Sequence[Path]:
         """Return every file that is written for a frame."""
 
-    def filter_frames(
-        self, numbers: Sequence[int], *, first: int, memory: float | None, checkpoint: Path, done: Callable[[int], None]
-    ) -> TaskLog:
-        """Filter frames into their files.
+    def filter_frames(self, numbers: Sequence[int], *, memory: float | None, ledger: Ledger) -> TaskLog:
+        """Filter those of the frames that are not done into their files, and record them.
 
         Parameters
         ----------
         numbers : sequence of int
             Frames, in order.
-        first : int
-            The frame whose picture decides the exposure of every picture.
         memory : float or None
             GiB that this process may take; None for no limit.
-        checkpoint : Path
-            Where the memory of a filter over time is kept, so that another worker can go on.
-        done : callable
-            Called with the number of each frame after its files are written.
+        ledger : Ledger
+            The records, by which another worker can go on.
+
+        Raises
+        ------
+        LobewiseError
+            If a frame could not be filtered.
         """
 
 
@@ -90,8 +86,6 @@ class Assignment:
         What to filter.
     ledger : Ledger
         Where finished frames are recorded.
-    first : int
-        See `Work.filter_frames`.
     memory : float or None
         GiB that a worker may take; None for the limit that the worker was started with.
     """
@@ -99,7 +93,6 @@ class Assignment:
     work: Work
     task: Task
     ledger: Ledger
-    first: int
     memory: float | None
 
 
@@ -125,13 +118,6 @@ class TaskResult:
     is_lost: bool = False
 
 
-def cut_shots(frames: Iterable[Numbered]) -> list[Task]:
-    """Return a task for every run of consecutive numbers: a missing number is a cut."""
-    listed = list(frames)
-    starts = [0, *(k + 1 for k, (a, b) in enumerate(pairwise(listed)) if b[0] != a[0] + 1), len(listed)]
-    return [Task(frames=tuple(listed[start:stop])) for start, stop in pairwise(starts)]
-
-
-def cut_frames(frames: Iterable[Numbered]) -> list[Task]:
-    """Return a task for every frame."""
-    return [Task(frames=(frame,)) for frame in frames]
+def cut_tasks(frames: Sequence[Numbered], *, by_shot: bool) -> list[Task]:
+    """Return a task for every frame, or for every run of consecutive numbers."""
+    return [Task(frames=tuple(each)) for each in (cut_shots if by_shot else cut_frames)(frames)]

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from lobewise.errors import LobewiseError, make_printable
-from lobewise.farm.environment import describe_environment
-from lobewise.farm.ledger import TOKEN, refresh_folders
 from lobewise.farm.tasks import Assignment, TaskLog, TaskResult
+from lobewise.recipes.environment import describe_environment
+from lobewise.recipes.ledger import TOKEN, refresh_folders
 
 PROCESS = uuid.uuid4().hex
 """Name of this process. A worker that is started again may have the address of the one that ended."""
@@ -72,7 +72,9 @@ def _describe_fault(folder: Path, token: str, source: Path, size: int) -> str:
 
 
 def run_assignment(assignment: Assignment, process: str) -> TaskResult:
-    """Filter the frames of an assignment, unless they are done already; record each that is done.
+    """Filter the frames of an assignment that are not done, and record them.
+
+    After a lost connection the client may hand out what another worker was still at.
 
     Dask gives the assignments of a process that ended to the next one at the same address, which would end in the same
     way: so a process does only assignments that name it.
@@ -88,21 +90,13 @@ def run_assignment(assignment: Assignment, process: str) -> TaskResult:
 
 
 def _run(assignment: Assignment) -> TaskResult:
-    work, ledger, task = assignment.work, assignment.ledger, assignment.task
-    # Take sizes and times before reading: a source that changes meanwhile voids the record.
-    proofs = ledger.prove(task.frames, work.list_sources)
-    # After a lost connection the client may hand out what another worker was still at.
-    if all(ledger.is_done(number, proofs[number], work.list_outputs(number)) for number in task.numbers):
-        return TaskResult()
     log, problem, trace = TaskLog(), "", ""
     with warnings.catch_warnings(record=True) as caught:
         try:
-            log = work.filter_frames(
-                task.numbers,
-                first=assignment.first,
+            log = assignment.work.filter_frames(
+                assignment.task.numbers,
                 memory=_look_up_memory(assignment.memory),
-                checkpoint=ledger.name_checkpoint(task.numbers[0]),
-                done=lambda number: ledger.record(number, proofs[number], work.list_outputs(number)),
+                ledger=assignment.ledger,
             )
         except LobewiseError as error:
             problem = str(error)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from lobewise.errors import FileError, InputError
-from lobewise.io.replacing import Replacement, begin_temporary
+from lobewise.io.replacing import Replacement, begin_temporary, name_temporary
 
 PathLike = str | os.PathLike[str]
 
@@ -218,6 +218,25 @@ def open_atomic(path: PathLike, *, what: str = "output") -> Iterator[BinaryIO]:
     ):
         yield replacement.stream
         replacement.finish()
+
+
+@contextmanager
+def open_record(path: PathLike, *, what: str) -> Iterator[BinaryIO]:
+    """Open a new file that takes the place of ``path`` in one step on success; on failure it is removed.
+
+    For files that the program keeps for itself: a link that somebody put at ``path`` is replaced, not followed. Nothing
+    waits for the disk, as a record that a power cut damaged only costs its frame.
+
+    Raises FileError if the file cannot be written.
+    """
+    made = name_temporary(Path(path))
+    with refusing(f"{what} {str(path)!r}", "a folder that can be written to", "check its permissions and room"):
+        try:
+            with made.open("xb") as stream:
+                yield stream
+            os.replace(made, path)
+        finally:
+            made.unlink(missing_ok=True)
 
 
 @contextmanager

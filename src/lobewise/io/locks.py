@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from contextlib import suppress
+from pathlib import Path
 
 try:
     import fcntl
@@ -16,6 +17,20 @@ except ImportError:
 
 _LOCKED_BYTE = 1 << 40
 """Place of the byte that is locked on Windows, far beyond the end: there nobody may write or read a locked byte."""
+
+
+def lock_file(path: Path) -> int | None:
+    """Return the descriptor of a file that is locked until it is closed; None if another process has locked it.
+
+    The file is made where there is none, and no file is changed. On file systems without locks nothing is locked.
+
+    Raises OSError if it cannot be opened, as where it is a link.
+    """
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
+    if try_lock(descriptor):
+        return descriptor
+    os.close(descriptor)
+    return None
 
 
 def try_lock(descriptor: int) -> bool:

@@ -66,7 +66,7 @@ class FramePattern:
     before: str
     """Text before the number."""
     width: int
-    """Fewest digits of a number. Smaller numbers begin with zeros, larger ones have more digits."""
+    """Fewest digits of a number, a sign included. Smaller numbers begin with zeros, larger ones have more digits."""
     after: str
     """Text after the number, with the ending."""
 
@@ -93,7 +93,7 @@ class FramePattern:
         return str(self.folder / f"{self.before}{'#' * self.width}{self.after}")
 
     def name(self, number: int) -> Path:
-        """Return the file of a frame, ``number`` >= 0."""
+        """Return the file of a frame; the sign of a number below 0 counts as a digit, as in ``-007``."""
         return self.folder / f"{self.before}{number:0{self.width}d}{self.after}"
 
     def read_number(self, path: Path) -> int:
@@ -116,11 +116,13 @@ class FramePattern:
                 got=say_reason(problem),
                 action="check the path",
             ) from None
-        # A number with more digits than the pattern must not begin with a zero.
-        digits = rf"[0-9]{{{self.width}}}|[1-9][0-9]{{{self.width},}}"
-        name = re.compile(f"{re.escape(self.before)}({digits}){re.escape(self.after)}")
-        numbered = sorted((int(match[1]), self.folder / match[0]) for match in map(name.fullmatch, names) if match)
-        if numbered:
+        name = re.compile(f"{re.escape(self.before)}(-?[0-9]+){re.escape(self.after)}")
+        numbers_found = [int(match[1]) for match in map(name.fullmatch, names) if match]
+        # Other texts of a number are not its name: 00007 and -0007 stand for nothing in a pattern of four digits.
+        there = set(names)
+        numbered = sorted((each, self.name(each)) for each in set(numbers_found) if self.name(each).name in there)
+        # Names such as a-001 and a-002 alone have a hyphen before their numbers, and no number below 0.
+        if numbered and numbered[-1][0] >= 0:
             return numbered if numbers is None else self._choose(numbered, set(numbers))
         near = self._choose_near(names)
         raise FileError(
@@ -154,6 +156,12 @@ class FramePattern:
                 patterns.setdefault(_take_letters(other), other)
         near = choose_nearest(_take_letters(own.name), patterns)
         return str(self.folder / patterns[near]) if near is not None else None
+
+
+def name_pattern(path: Path) -> Path | None:
+    """Return the pattern of a numbered file and its neighbours: its last run of digits is the number; None without."""
+    name = re.sub(r"[0-9]+(?!.*[0-9])", lambda run: "#" * len(run[0]), path.stem)
+    return path.with_name(name + path.suffix) if "#" in name and name != path.stem else None
 
 
 def name_frame(source: Path, number: int) -> Path:

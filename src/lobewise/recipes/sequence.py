@@ -1,43 +1,38 @@
-"""Filter a sequence of numbered files frame by frame; a run that was stopped goes on after its last frame."""
+"""Filter a sequence of numbered files frame by frame; what is done already is not made again."""
 
 from __future__ import annotations
 
-import hashlib
-import json
-import math
 import time
-import zipfile
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
-import lobewise
-from lobewise.errors import CancelledError, InputError, LobewiseError
+from lobewise.errors import (
+    CancelledError,
+    DeviceError,
+    InputError,
+    LobewiseError,
+    MissingDependencyError,
+    TimeLimitError,
+    hide_numbers,
+)
 from lobewise.io.exr.layout import name_file
-from lobewise.io.files import PathLike, open_atomic, require_other_files, require_writable
-from lobewise.io.sequence import FramePattern
+from lobewise.io.files import PathLike, make_folder, require_other_files, require_writable
+from lobewise.io.sequence import FramePattern, name_frames
+from lobewise.recipes.ledger import Ledger, Numbered
+from lobewise.recipes.states import State, load_state, save_state
 from lobewise.work.progress import WRITE, Watcher, enter_stage, follow_frame, watched
-
-State = dict[str, NDArray[Any]]
-"""The memory of a filter: arrays by name."""
 
 FrameT = TypeVar("FrameT")
 ResultT = TypeVar("ResultT")
 _FrameIn = TypeVar("_FrameIn", contravariant=True)
 _ResultOut = TypeVar("_ResultOut", covariant=True)
 
-CHECKPOINT_ENDING = ".lobewise-history.npz"
-"""Ending of a checkpoint's name."""
-
-_STATE_PREFIX = "state/"
-"""Beginning of the names, in a checkpoint, of the arrays that a filter remembers."""
-_MAX_HEAD_BYTES = 4096
-"""Size limit of each of the two arrays that identify the run; all others are read only if the run is this one."""
+OF_ALL_FRAMES = (CancelledError, DeviceError, MissingDependencyError, TimeLimitError)
+"""Errors that the next frame would have as well."""
 
 
 class SequenceFilter(Protocol[_FrameIn, _ResultOut]):
@@ -71,29 +66,63 @@ class FilterAlone(Generic[FrameT, ResultT]):
         """Do nothing."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
+class FrameFailure:
+    """A frame that could not be filtered.
+
+    Parameters
+    ----------
+    number : int
+        Its number.
+    problem : LobewiseError
+        Why.
+    """
+
+    number: int
+    problem: LobewiseError
+
+
+@dataclass(frozen=True, kw_only=True)
 class SequenceReport(Generic[ResultT]):
     """What `filter_sequence` did.
 
     Parameters
     ----------
     frames : int
-        Frames of the sequence; now all of them have an output file.
+        Frames of the sequence.
     written : int
         Frames that this run wrote.
-    resumed_after : int or None
-        Number of the last frame that an earlier run had finished; None if this run began with the first frame.
-    note : str
-        Why an existing checkpoint was not used, in one sentence; else empty.
+    failures : tuple of FrameFailure
+        Frames that could not be filtered. All others have an output file now.
     last : object or None
         The result of the last frame, if this run made it.
     """
 
     frames: int
     written: int
-    resumed_after: int | None
-    note: str
-    last: ResultT | None
+    failures: tuple[FrameFailure, ...] = ()
+    last: ResultT | None = None
+
+    def require_all(self) -> None:
+        """Raise LobewiseError if a frame could not be filtered; where all fail alike, the error of the first."""
+        if problem := self.common_problem:
+            raise problem
+        if self.failures:
+            numbers = [failure.number for failure in self.failures]
+            raise LobewiseError(describe_failures(numbers, self.frames, str(self.failures[0].problem)))
+
+    @property
+    def common_problem(self) -> LobewiseError | None:
+        """The problem of the first frame, where every frame has it; None where frames differ."""
+        kinds = {hide_numbers(str(failure.problem)) for failure in self.failures}
+        return self.failures[0].problem if len(self.failures) == self.frames and len(kinds) == 1 else None
+
+
+def describe_failures(numbers: Sequence[int], frames: int, first: str = "") -> str:
+    """Return the sentence that ends a run in which frames failed; ``first`` is the reason of the first of them."""
+    why = f": {first.removesuffix('.')}; then" if first else "; mend what is said above and"
+    counted = f"{len(numbers)} of {frames} frames could not be filtered ({name_frames(numbers).lower()})"
+    return f"{counted}{why} give the same command again, which filters only these."
 
 
 @watched
@@ -104,22 +133,22 @@ def filter_sequence(
     *,
     read: Callable[[Path], FrameT],
     write: Callable[[Path, ResultT, FrameT, Path], None],
-    fingerprint: str,
+    ledger: Ledger,
+    remembers: bool = True,
+    list_sources: Callable[[int, Path], Iterable[Path]] = lambda _, path: [path],
+    list_outputs: Callable[[int], Iterable[Path]] | None = None,
     progress: Watcher | None = None,
-    remark: Callable[[str], None] | None = None,
-    checkpoint: PathLike | None = None,
+    remark: Callable[[str], object] | None = None,
     checkpoint_seconds: float = 20.0,
     numbers: Collection[int] | None = None,
 ) -> SequenceReport[ResultT]:
     """Filter every file of ``source``, in the order of the numbers, into the file of ``output`` with its number.
 
     One frame is in memory at a time, beside the memory of the filter. The first frame, and every frame after a missing
-    number, is a cut.
+    number or a frame that cannot be filtered, is a cut. A frame that cannot be filtered does not stop the others.
 
-    From time to time, and on an interrupt, the memory of the filter is saved in a checkpoint beside the outputs. The
-    next run with the same sources, outputs, fingerprint and version of the library goes on after the checkpoint's last
-    frame, and writes the same files as a run that was not stopped. A checkpoint that is damaged, or belongs to another
-    run, is not used. The checkpoint is removed at the end.
+    A frame that is recorded as done is not made again. The memory of the filter is recorded from time to time, and on
+    an interrupt, so that the next run goes on, and writes the same files as a run that was not stopped.
 
     Parameters
     ----------
@@ -131,199 +160,186 @@ def filter_sequence(
         Returns the frame of a file.
     write : callable
         Called with output path, result, frame and source path. Writes the result whole or not at all.
-    fingerprint : str
-        The settings, as text: everything but the files that the results depend on.
+    ledger : Ledger
+        The records of what is done, whose lock is held.
+    remembers : bool
+        Whether the filter uses the frames before a frame.
+    list_sources : callable
+        Returns every file that a frame depends on, from its number and source.
+    list_outputs : callable, optional
+        Returns every file that is written for a number; by default that of ``output``.
     progress : callable, optional
         Called with the `lobewise.Progress` of the sequence; False cancels it, and the next run goes on.
     remark : callable, optional
-        Called before the first frame with a sentence that a checkpoint is used, or why it is not.
-    checkpoint : path, optional
-        The file of the checkpoint, ending in ``.npz``; by default see `name_beside`.
+        Called before the first frame with a sentence on what is done already, if anything is.
     checkpoint_seconds : float
-        Shortest time between checkpoints, seconds >= 0; with 0 every frame is followed by one.
+        Shortest time between two records of the filter's memory, seconds >= 0; with 0 every frame is followed by one.
     numbers : collection of int, optional
         Filter only the frames with these numbers; by default all.
 
     Raises
     ------
     FileError
-        If there is no source, a number has none, one cannot be read, or an output cannot be written.
+        If there is no source, a number has none, or an output cannot be written.
     InputError
-        If a path is no pattern, an output would replace a source, the checkpoint has another ending, the time is
-        negative, or the filter refuses a frame: the message names its file.
+        If a path is no pattern, an output would replace a source, or the time is negative.
+    DeviceError, MissingDependencyError, TimeLimitError
+        If all frames would fail alike.
     CancelledError
         If ``progress`` has returned False.
     """
     source, output = _parse(source), _parse(output)
-    checkpoint_path = name_checkpoint(output, numbers) if checkpoint is None else Path(checkpoint)
     frames = source.find(numbers)
-    _check(frames, output, checkpoint_path, checkpoint_seconds)
-    # Leave the folders out: a project may be moved. Sources are identified by size and time.
-    names = [Path(str(pattern)).name for pattern in (source, output)]
-    run = _Run(frames, output, json.dumps([fingerprint, *names, lobewise.__version__]))
-    active, start, note = run.resume(checkpoint_path, make_filter)
-    resumed_after = frames[start - 1][0] if start else None
-    if remark is not None and (start or note):
-        remark(note or f"Going on after frame {resumed_after}, as the checkpoint {str(checkpoint_path)!r} says.")
-    last: ResultT | None = None
-    saved = time.monotonic()
-    for index in range(start, len(frames)):
-        number, path = frames[index]
-        before = active.get_state() if index else {}
-        try:
-            with follow_frame(path.name, index, len(frames)):
-                frame = read(path)
-                enter_stage("")
-                with name_file(path):
-                    last = active.add(frame, cut=index == 0 or number != frames[index - 1][0] + 1)
-                enter_stage(WRITE)
-                write(output.name(number), last, frame, path)
-        except (KeyboardInterrupt, CancelledError):
-            if index:
-                with suppress(LobewiseError):
-                    run.save(checkpoint_path, before)
-            raise
-        # Frames can be large: free this one before the next is read.
-        del frame
-        run.mark_done()
-        if index + 1 < len(frames) and time.monotonic() - saved >= checkpoint_seconds:
-            run.save(checkpoint_path, active.get_state())
-            saved = time.monotonic()
-    with suppress(OSError):
-        checkpoint_path.unlink()
-    return SequenceReport(len(frames), len(frames) - start, resumed_after, note, last)
+    if not checkpoint_seconds >= 0.0:
+        raise InputError("checkpoint_seconds", expected="a time >= 0", got=str(checkpoint_seconds), action="pass 20")
+    require_frames(frames, output)
+    run = _Run(
+        frames=frames,
+        output=output,
+        read=read,
+        write=write,
+        ledger=ledger,
+        list_sources=list_sources,
+        list_outputs=list_outputs or (lambda number: [output.name(number)]),
+        seconds=checkpoint_seconds,
+    )
+    shots = (cut_shots if remembers else cut_frames)(frames)
+    done = sum(run.count_done(shot, run.prove(shot)) for shot in shots) if ledger.list_recorded() else 0
+    if remark is not None and (note := ledger.describe_done(done, len(frames))):
+        remark(note)
+    make = make_filter if remembers else _keep(make_filter)
+    for shot in shots:
+        run.filter_shot(shot, make)
+    return SequenceReport(frames=len(frames), written=run.written, failures=tuple(run.failures), last=run.last)
 
 
-def _check(frames: list[tuple[int, Path]], output: FramePattern, checkpoint_path: Path, seconds: float) -> None:
-    """Raise the errors of `filter_sequence` that are known before the first frame."""
-    if not seconds >= 0.0:
-        raise InputError("checkpoint_seconds", expected="a time >= 0", got=str(seconds), action="20 is usual")
-    if checkpoint_path.suffix != ".npz":
-        raise InputError(
-            "checkpoint", expected="a name that ends in .npz", got=repr(str(checkpoint_path)), action="add the ending"
-        )
+def _keep(make_filter: Callable[[], SequenceFilter[FrameT, ResultT]]) -> Callable[[], SequenceFilter[FrameT, ResultT]]:
+    """Return a function that makes one filter, and returns it again and again."""
+    made: list[SequenceFilter[FrameT, ResultT]] = []
+
+    def make() -> SequenceFilter[FrameT, ResultT]:
+        if not made:
+            made.append(make_filter())
+        return made[0]
+
+    return make
+
+
+def require_frames(frames: Sequence[Numbered], output: FramePattern) -> None:
+    """Make the folder of the outputs of frames.
+
+    Raises FileError or InputError if the outputs cannot be written, or would replace one of the frames.
+    """
+    make_folder(output.folder)
     require_writable(output.name(frames[0][0]))
-    require_writable(checkpoint_path, what="checkpoint")
     require_other_files((output.name(number) for number, _ in frames), (path for _, path in frames))
 
 
-def name_checkpoint(output: FramePattern | PathLike, numbers: Collection[int] | None = None) -> Path:
-    """Return the default checkpoint of an output: ``clean.lobewise-history.npz`` beside ``clean.####.exr``."""
-    return name_beside(output, CHECKPOINT_ENDING, numbers)
+def cut_shots(frames: Sequence[Numbered]) -> list[Sequence[Numbered]]:
+    """Return every run of consecutive numbers: a missing number is a cut."""
+    starts = [0, *(k + 1 for k, (a, b) in enumerate(pairwise(frames)) if b[0] != a[0] + 1), len(frames)]
+    return [frames[start:stop] for start, stop in pairwise(starts)]
 
 
-def name_beside(output: FramePattern | PathLike, ending: str, numbers: Collection[int] | None = None) -> Path:
-    """Return a path beside the files of ``output``: their name without number and ending, then ``ending``.
-
-    For some frames alone it also has the first and the last of ``numbers``, as in ``clean.1001-1050``: runs without a
-    common frame never share it.
-    """
-    pattern = _parse(output)
-    stem = pattern.before + pattern.after.removesuffix(Path(f"a{pattern.after}").suffix)
-    part = f".{min(numbers)}-{max(numbers)}" if numbers else ""
-    return pattern.folder / f"{stem.strip('._- ') or 'sequence'}{part}{ending}"
+def cut_frames(frames: Sequence[Numbered]) -> list[Sequence[Numbered]]:
+    """Return every frame by itself."""
+    return [[frame] for frame in frames]
 
 
 def _parse(pattern: FramePattern | PathLike) -> FramePattern:
     return pattern if isinstance(pattern, FramePattern) else FramePattern.parse(pattern)
 
 
-class _Run:
-    """The frames of a run, how many are done, and a hash that proves that a checkpoint belongs to them."""
+@dataclass(kw_only=True)
+class _Run(Generic[FrameT, ResultT]):
+    """A run over the frames of a sequence; see `filter_sequence`."""
 
-    def __init__(self, frames: list[tuple[int, Path]], output: FramePattern, identity: str) -> None:
-        self._frames = frames
-        self._output = output
-        self._done = 0
-        self._proof = hashlib.sha256(identity.encode("utf-8", "surrogateescape"))
+    frames: Sequence[Numbered]
+    output: FramePattern
+    read: Callable[[Path], FrameT]
+    write: Callable[[Path, ResultT, FrameT, Path], None]
+    ledger: Ledger
+    list_sources: Callable[[int, Path], Iterable[Path]]
+    list_outputs: Callable[[int], Iterable[Path]]
+    seconds: float
 
-    def mark_done(self) -> None:
-        """Count the next frame, and hash size and time of its file: a changed source voids the checkpoint."""
-        number, path = self._frames[self._done]
-        self._done += 1
-        # A source that was deleted meanwhile voids the checkpoint as well: the next run will not find it.
-        with suppress(OSError):
-            state = path.stat()
-            self._proof.update(f"{number} {state.st_size} {state.st_mtime_ns}\n".encode())
+    def __post_init__(self) -> None:
+        self.written = self._seen = 0
+        self.failures: list[FrameFailure] = []
+        self.last: ResultT | None = None
+        self._saved = time.monotonic()
 
-    def save(self, path: Path, state: State) -> None:
-        """Write a checkpoint after the frames that are done, whole or not at all."""
-        arrays: dict[str, Any] = {_STATE_PREFIX + name: np.asarray(value) for name, value in state.items()}
-        if any(array.dtype.hasobject for array in arrays.values()):
-            raise InputError(
-                "state of the filter", expected="plain arrays", got="Python objects", action="give numbers or text"
-            )
-        with open_atomic(path, what="checkpoint") as stream:
-            np.savez(stream, done=np.int64(self._done), proof=np.array(self._proof.hexdigest()), **arrays)
+    def prove(self, shot: Sequence[Numbered]) -> dict[int, str]:
+        """Return what proves of each frame of a shot that it is done; see `Ledger.prove`."""
+        return self.ledger.prove(shot, self.list_sources)
 
-    def resume(
-        self, path: Path, make_filter: Callable[[], SequenceFilter[FrameT, ResultT]]
-    ) -> tuple[SequenceFilter[FrameT, ResultT], int, str]:
-        """Return a filter, the number of frames it has seen, and why an existing checkpoint was not used."""
-        if not path.exists():
-            return make_filter(), 0, ""
-        fresh = self._proof.copy()
-        reason = "it is damaged"
-        # NumPy raises many kinds of errors on a damaged file, and a filter on the memory of another filter.
-        with suppress(Exception), zipfile.ZipFile(path) as file:
-            state = _Checkpoint(file, path.stat().st_size)
-            done, proof = (
-                int(state.load("done", max_bytes=_MAX_HEAD_BYTES)),
-                str(state.load("proof", max_bytes=_MAX_HEAD_BYTES)),
-            )
-            while self._done < min(done, len(self._frames)):
-                self.mark_done()
-            if not 0 < self._done == done or proof != self._proof.hexdigest():
-                reason = "it is of other settings or files"
-            elif not all(self._output.name(number).is_file() for number, _ in self._frames[:done]):
-                reason = "not all of its outputs are there"
-            else:
-                active = make_filter()
-                active.set_state(state.load_state())
-                return active, done, ""
-        self._proof, self._done = fresh, 0
-        return make_filter(), 0, f"The checkpoint {str(path)!r} is not used: {reason}."
+    def count_done(self, frames: Sequence[Numbered], proofs: dict[int, str]) -> int:
+        """Return how many frames are done before the first that is not."""
+        missing = (k for k, (n, _) in enumerate(frames) if not self.ledger.is_done(n, proofs[n], self.list_outputs(n)))
+        return next(missing, len(frames))
 
+    def filter_shot(self, shot: Sequence[Numbered], make: Callable[[], SequenceFilter[FrameT, ResultT]]) -> None:
+        """Filter the frames of a shot that are not done. Behind a frame that fails the history begins anew."""
+        # Take sizes and times before reading: a source that changes meanwhile voids the record.
+        proofs, rest = self.prove(shot), shot
+        while rest:
+            rest = rest[self._filter_run(rest, proofs, make) :]
 
-class _Checkpoint:
-    """A checkpoint that may be damaged or malicious: reading it never takes more memory than the file has bytes.
+    def _filter_run(
+        self, frames: Sequence[Numbered], proofs: dict[int, str], make: Callable[[], SequenceFilter[FrameT, ResultT]]
+    ) -> int:
+        """Filter frames up to the first that fails; return how many were seen."""
+        done, begun = self.count_done(frames, proofs), self._seen
+        self._seen += len(frames)
+        if done == len(frames):
+            return done
+        path = self.ledger.name_state(frames[0][0])
+        active, start = make(), 0
+        if len(frames) > 1 and (kept := load_state(path, [proofs[number] for number, _ in frames[:done]])):
+            # A filter may refuse the memory of another one.
+            try:
+                active.set_state(kept[1])
+                start = kept[0] + 1
+            except Exception:
+                active = make()
+        for index in range(start, len(frames)):
+            number, source = frames[index]
+            before = active.get_state() if index and len(frames) > 1 else {}
+            try:
+                with follow_frame(source.name, begun + index, len(self.frames)):
+                    problem = self._filter(number, source, active, cut=index == 0)
+            except (KeyboardInterrupt, CancelledError):
+                if index:
+                    with suppress(LobewiseError):
+                        save_state(path, proofs[frames[index - 1][0]], before)
+                raise
+            if problem is not None:
+                self.failures.append(FrameFailure(number=number, problem=problem))
+                self._seen = begun + index + 1
+                return index + 1
+            self.written += 1
+            self.ledger.record(number, proofs[number], self.list_outputs(number))
+            if index + 1 < len(frames) and time.monotonic() - self._saved >= self.seconds:
+                save_state(path, proofs[number], active.get_state())
+                self._saved = time.monotonic()
+        return len(frames)
 
-    Raises ValueError unless the arrays are stored as `_Run.save` writes them: without compression (a megabyte may
-    unpack to terabytes), each name once, and with the sizes that their headers say.
-    """
+    def _filter(
+        self, number: int, path: Path, active: SequenceFilter[FrameT, ResultT], *, cut: bool
+    ) -> LobewiseError | None:
+        """Filter a frame into its file; return why it cannot be read or filtered, if it cannot.
 
-    def __init__(self, file: zipfile.ZipFile, size: int) -> None:
-        self._file = file
-        self._members = {item.filename.removesuffix(".npy"): item for item in file.infolist()}
-        stored = all(
-            item.compress_type == zipfile.ZIP_STORED and item.compress_size == item.file_size
-            for item in file.infolist()
-        )
-        total = sum(item.file_size for item in file.infolist())
-        if not stored or total > size or len(self._members) < len(file.infolist()):
-            raise ValueError("arrays that are not stored as they are")
-
-    def load(self, name: str, *, max_bytes: int | None = None) -> NDArray[Any]:
-        """Return an array; raise ValueError if it has more than ``max_bytes``."""
-        item = self._members[name]
-        if max_bytes is not None and item.file_size > max_bytes:
-            raise ValueError(f"{name} of {item.file_size} bytes")
-        with self._file.open(item) as stream:
-            version = np.lib.format.read_magic(stream)
-            if version != (1, 0):
-                raise ValueError(f"version {version}")
-            shape, _, kind = np.lib.format.read_array_header_1_0(stream)
-            # Check before reading: NumPy allocates the size in the header at once.
-            if kind.kind not in "biufU" or math.prod(shape) * kind.itemsize != item.file_size - stream.tell():
-                raise ValueError(f"{name} of another size than it says")
-        with self._file.open(item) as stream:
-            array: NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)
-            return array
-
-    def load_state(self) -> State:
-        """Return the memory of the filter."""
-        return {
-            name.removeprefix(_STATE_PREFIX): self.load(name)
-            for name in self._members
-            if name.startswith(_STATE_PREFIX)
-        }
+        Raises what all frames have in common: the errors of `OF_ALL_FRAMES`, and those of writing.
+        """
+        try:
+            frame = self.read(path)
+            enter_stage("")
+            with name_file(path):
+                self.last = active.add(frame, cut=cut)
+        except OF_ALL_FRAMES:
+            raise
+        except LobewiseError as problem:
+            return problem
+        enter_stage(WRITE)
+        self.write(self.output.name(number), self.last, frame, path)
+        return None

@@ -151,5 +151,6 @@ def measure_excess(color: FloatArray, known: FloatArray) -> float:
     """Return the light of ``known`` above the image, as a share of the image's light."""
     good = np.isfinite(color) & np.isfinite(known)
     total = float(np.sum(color, where=good, dtype=np.float64))
-    excess = float(np.sum(np.maximum(known - color, np.float32(0.0)), where=good, dtype=np.float64))
+    above = np.subtract(known, color, out=np.zeros_like(color), where=good)
+    excess = float(np.sum(np.maximum(above, np.float32(0.0)), dtype=np.float64))
     return excess / total if total > 0.0 else 0.0

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +14,7 @@ from numpy.typing import NDArray
 from lobewise.display.colors import Chromaticities, convert_light
 from lobewise.display.tones import choose_exposure
 from lobewise.display.views import View, paint_picture
+from lobewise.errors import LobewiseError
 from lobewise.interchange.mapping import Found, map_file
 from lobewise.io.exr.bands import SLAB_ROWS, read_slabs
 from lobewise.io.exr.container import Container
@@ -26,6 +29,13 @@ EXPOSURE = "lobewise exposure"
 """Name of the text chunk in a picture that holds the factor from radiance to display values."""
 MAX_EXPOSURE_PIXELS = 1 << 22
 """Most pixels that the exposure is measured on; of a larger image every n-th row and column is taken."""
+MAX_EXPOSURE_FRAMES = 9
+"""Most frames of a sequence that its exposure is measured on."""
+SHOT_PERCENTILE = 75.0
+"""Percentile of the brightness of a sequence's frames, by which they are exposed: a fade-in is not burnt to white, and
+one flash does not darken the sequence."""
+AVERAGED_PIXELS = 4
+"""Sides of the squares over which noisy light is averaged before it is measured, pixels."""
 EXR_ENDINGS = (".exr", ".sxr", ".mxr")
 
 
@@ -39,18 +49,14 @@ class Pictures:
 
     Parameters
     ----------
-    stops : float, optional
-        Base-2 logarithm of the exposure; by default it is measured on the first image (see `choose_exposure`).
-    first : path, optional
-        The first EXR file of a sequence. If an earlier run wrote its picture, the exposure of this picture is used.
+    exposure : float, optional
+        Factor from radiance to display values; by default it is measured on the first image (see `choose_exposure`).
     view : View, optional
         What turns light into display values; by default `lobewise.display.tones.map_tones`.
     """
 
-    def __init__(self, *, stops: float | None = None, first: Path | None = None, view: View | None = None) -> None:
-        self.stops, self.view = stops, view
-        self._exposure = None if stops is None else 2.0**stops
-        self._first = first
+    def __init__(self, *, exposure: float | None = None, view: View | None = None) -> None:
+        self.exposure, self._view = exposure, view
 
     name = staticmethod(name_picture)
 
@@ -61,7 +67,7 @@ class Pictures:
         """
         step = _choose_step(image.shape[0], image.shape[1])
         primaries = read_chromaticities(read_container(path))
-        exposure = self._choose(path, primaries, lambda: image[::step, ::step])
+        exposure = self._choose(primaries, lambda: image[::step, ::step])
         rows = ((top, image[top : top + SLAB_ROWS]) for top in range(0, image.shape[0], SLAB_ROWS))
         return _write(path, self._paint((image.shape[0], image.shape[1]), rows, primaries, exposure), exposure)
 
@@ -75,20 +81,17 @@ class Pictures:
         window, primaries = shown.source.part.data_window, read_chromaticities(container)
         step = _choose_step(window.height, window.width)
         exposure = self._choose(
-            path,
             primaries,
             lambda: np.concatenate([rows[-top % step :: step, ::step] for top, rows in _read_rows(container, shown)]),
         )
         rows = _read_rows(container, shown)
         return _write(path, self._paint((window.height, window.width), rows, primaries, exposure), exposure)
 
-    def _choose(self, path: Path, primaries: Chromaticities | None, measure: Callable[[], FloatArray]) -> float:
-        """Return the exposure of all pictures, which the first picture decides; ``measure`` returns its image."""
-        if self._exposure is None and self._first is not None and self._first != path:
-            self._exposure = _read_exposure(name_picture(self._first))
-        if self._exposure is None:
-            self._exposure = choose_exposure(convert_light(_round_to_half(measure()), primaries))
-        return self._exposure
+    def _choose(self, primaries: Chromaticities | None, measure: Callable[[], FloatArray]) -> float:
+        """Return the exposure of all pictures; ``measure`` returns the image that decides where none is given."""
+        if self.exposure is None:
+            self.exposure = choose_exposure(convert_light(_round_to_half(measure()), primaries))
+        return self.exposure
 
     def _paint(
         self,
@@ -100,8 +103,51 @@ class Pictures:
         """Return the picture of an image; painting some rows at a time saves several times the image's memory."""
         picture = np.empty((*shape, 3), np.uint8)
         for top, some in rows:
-            picture[top : top + len(some)] = paint_picture(_round_to_half(some), primaries, exposure, self.view)
+            picture[top : top + len(some)] = paint_picture(_round_to_half(some), primaries, exposure, self._view)
         return picture
+
+
+def measure_exposure(
+    paths: Sequence[Path], *, preset: Any = None, mapping: Mapping[str, str] | None = None, sparse: bool = False
+) -> float:
+    """Return the exposure of a sequence, measured once on some of its noisy files; 1 where none has light.
+
+    Parameters
+    ----------
+    paths : sequence of path
+        The files, in their order.
+    preset, mapping
+        As of `lobewise.interchange.import_file`.
+    sparse : bool
+        Whether most pixels are 0, because they were not shaded.
+    """
+    count = min(len(paths), MAX_EXPOSURE_FRAMES)
+    levels = []
+    for place in np.linspace(0, len(paths) - 1, count).round().astype(int):
+        # A frame that cannot be read does not decide; filtering it will say why.
+        with suppress(LobewiseError):
+            container = read_container(paths[place])
+            shown = map_file(container, preset=preset, mapping=mapping).target
+            light = np.concatenate([rows for _, rows in _read_rows(container, shown)]).astype(np.float32)
+            even = convert_light(_average_squares(light, sparse=sparse), read_chromaticities(container))
+            # A black frame has no exposure.
+            if (even > 0.0).any():
+                levels.append(1.0 / choose_exposure(even))
+    return 1.0 / float(np.percentile(levels, SHOT_PERCENTILE)) if levels else 1.0
+
+
+def _average_squares(light: FloatArray, *, sparse: bool) -> FloatArray:
+    """Return the means of squares of pixels: noise would make the brightest of an image brighter than it is."""
+    height, width = (size - size % AVERAGED_PIXELS if size > AVERAGED_PIXELS else size for size in light.shape[:2])
+    side = 1 if min(height, width) < AVERAGED_PIXELS else AVERAGED_PIXELS
+    squares = light[:height, :width].reshape(height // side, side, width // side, side, -1)
+    counts = np.isfinite(squares).all(axis=-1, keepdims=True)
+    if sparse:
+        counts &= (squares != 0.0).any(axis=-1, keepdims=True)
+    total = np.sum(squares, axis=(1, 3), where=counts, dtype=np.float64)
+    number = np.sum(counts, axis=(1, 3))
+    mean = np.divide(total, number, out=np.full_like(total, np.nan), where=number > 0)
+    return np.asarray(mean, np.float32)
 
 
 def _choose_step(height: int, width: int) -> int:
@@ -120,7 +166,7 @@ def _read_rows(container: Container, shown: Found) -> Iterator[tuple[int, FloatA
         yield top, join_planes([pixels[name] for name in shown.channels])
 
 
-def _read_exposure(path: Path) -> float | None:
+def read_exposure(path: Path) -> float | None:
     """Return the exposure that a picture was made with, None where it holds no positive finite number."""
     try:
         exposure = float(read_png_text(path, EXPOSURE) or "nan")

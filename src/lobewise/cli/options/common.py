@@ -70,14 +70,16 @@ class Telling:
 
 def require_pattern(option: str, source: Path) -> None:
     """Raise InputError if ``source`` is a single file: the option is for sequences."""
-    from lobewise.io.sequence import is_pattern
+    from lobewise.io.sequence import is_pattern, name_pattern
 
     if not is_pattern(source):
+        near = name_pattern(source)
+        action = "put # in place of the digits of the number, and quote the name"
         raise InputError(
             option,
             expected="a sequence such as 'in.####.exr'",
             got=repr(str(source)),
-            action="put # in place of the digits of the number, and quote the name",
+            action=f"name the sequence {str(near)!r}, in quotes" if near else action,
         )
 
 

@@ -8,7 +8,8 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext, redirect_stdout
+from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Annotated
 
@@ -18,6 +19,8 @@ from lobewise.cli.options.writing import list_files
 from lobewise.cli.terminal.help import file_detail
 from lobewise.errors import InputError, LobewiseError
 
+MIN_FRAMES_OF_SEQUENCE = 3
+"""Fewest files, named by one pattern, that may be an animation."""
 STREAM = "-"
 """Stands for standard input and output."""
 
@@ -53,6 +56,36 @@ def name_clean(source: Path) -> Path:
     before = pattern.before.rstrip("._- ")
     start = f"{before}_clean{pattern.before[len(before) :]}" if before else "clean."
     return source.with_name(start + source.name[len(pattern.before) :])
+
+
+def expand_names(sources: Sequence[str]) -> list[str]:
+    """Return inputs, with the files for a name such as ``*.exr``: some shells replace none.
+
+    Capital and small letters are the same, as in shells that leave this to programs. A name without a file stays.
+    """
+    return [name for source in sources for name in _expand(Path(source)) or [source]]
+
+
+def _expand(source: Path) -> list[str]:
+    if not set(source.name) & set("*?") or os.path.exists(source):
+        return []
+    with suppress(OSError, ValueError):
+        there = sorted(entry.name for entry in os.scandir(source.parent) if entry.is_file())
+        return [str(source.parent / name) for name in there if fnmatchcase(name.lower(), source.name.lower())]
+    return []
+
+
+def describe_sequence(inputs: Sequence[Path]) -> str:
+    """Return a sentence on several files that are frames of one sequence; empty where they are none."""
+    from lobewise.io.sequence import name_pattern
+
+    patterns = {name_pattern(path) for path in inputs}
+    pattern = patterns.pop()
+    if len(inputs) < MIN_FRAMES_OF_SEQUENCE or patterns or pattern is None:
+        return ""
+    return (
+        f"Each file is denoised by itself. If they are an animation, {str(pattern)!r} with --window 2 has less flicker."
+    )
 
 
 def pair_files(sources: Sequence[str], target: str | None) -> tuple[list[tuple[Path, Path]], list[Path]]:
@@ -138,6 +171,8 @@ def run_each(pairs: Sequence[tuple[Path, Path]], folders: Sequence[Path], run: C
         make_folder(folder)
     if len(pairs) == 1:
         return run(*pairs[0])
+    if note := describe_sequence([source for source, _ in pairs]):
+        print_note(note)
     failed = []
     for source, output in pairs:
         try:
@@ -155,12 +190,14 @@ def run_each(pairs: Sequence[tuple[Path, Path]], folders: Sequence[Path], run: C
 
 @contextmanager
 def open_streams(sources: Sequence[str], target: str | None) -> Iterator[tuple[list[str], str | None]]:
-    """Put files in place of standard input and output; the bytes of the output file go to standard output at the end.
+    """Put files in place of names with stars, and of standard input and output.
+
+    The bytes of the output file go to standard output at the end.
 
     Raises InputError if one of several inputs is standard input, or several are to be written to standard output.
     """
     if STREAM not in sources and target != STREAM:
-        yield list(sources), target
+        yield expand_names(sources), target
         return
     if len(sources) > 1:
         action = "give one input, and name its output with -o"

@@ -47,7 +47,7 @@ class Picture:
         bool,
         result_option(
             "--png",
-            help="Write a tone mapped picture (.png) as well. A sequence has the exposure of its first frame.",
+            help="Write a tone mapped picture (.png) as well. A sequence has one exposure.",
         ),
     ] = False
     exposure: Annotated[
@@ -115,7 +115,7 @@ class Picture:
         from lobewise.reporting.picture import Pictures, name_picture
 
         require_writable(name_picture(first), what="picture")
-        return Pictures(stops=stops, first=first, view=self.open_view())
+        return Pictures(exposure=None if stops is None else 2.0**stops, view=self.open_view())
 
 
 def name_first_output(source: Path, output: Path, numbers: Collection[int] | None) -> Path:

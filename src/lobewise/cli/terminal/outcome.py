@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from lobewise.errors import LobewiseError
 
 if TYPE_CHECKING:
     from lobewise.recipes.files import FileResult
     from lobewise.recipes.files.remarks import Remarks
     from lobewise.reporting.picture import Pictures
+
+MAX_FAILURES_NAMED = 20
+"""Most failures that are told one by one."""
 
 
 def make_remarks() -> Remarks:
@@ -25,6 +31,26 @@ def tell_picture(output: Path, pictures: Pictures | None) -> None:
 
     if pictures is not None:
         print_line(f"Wrote {pictures.name(output)}.")
+
+
+def tell_failures(sentences: Sequence[str], numbers: Sequence[int], frames: int) -> LobewiseError:
+    """Print why frames of a sequence could not be filtered, and return the error that ends the run.
+
+    Parameters
+    ----------
+    sentences : sequence of str
+        A sentence for each failure.
+    numbers : sequence of int
+        The frames that failed.
+    frames : int
+        Frames of the sequence.
+    """
+    from lobewise.cli.output import print_note
+    from lobewise.recipes.sequence import describe_failures
+
+    for sentence in sentences[:MAX_FAILURES_NAMED]:
+        print_note(sentence)
+    return LobewiseError(describe_failures(numbers, frames))
 
 
 def tell_settings(result: FileResult | None, verbose: bool) -> None:

@@ -26,7 +26,7 @@ from lobewise.recipes.adaptive import find_unsupported
 from lobewise.recipes.files.remarks import Remarks
 from lobewise.recipes.files.request import FileRequest
 from lobewise.recipes.files.result import FileResult
-from lobewise.recipes.sequence import FilterAlone
+from lobewise.recipes.sequence import OF_ALL_FRAMES, FilterAlone
 from lobewise.recipes.streaming import denoise_file, list_images, needs_bands
 from lobewise.recipes.streaming.checks import open_bands
 from lobewise.recipes.windows import WindowFilter
@@ -89,7 +89,7 @@ class FileDenoiser:
         if not self._request.window:
             return read(path)
         if selection not in self._windows:
-            self._windows[selection] = _Window(self._request, self._source)
+            self._windows[selection] = _Window(self._request, self._source, self._remarks)
         return self._windows[selection].read(path, read)
 
     def _import(self, path: Path, selection: Selection, selections: Sequence[Selection]) -> Imported:
@@ -152,25 +152,48 @@ class FileDenoiser:
 class _Window:
     """Reads each file of a sequence with the files around it, and keeps files as long as windows need them."""
 
-    def __init__(self, request: FileRequest, source: Path) -> None:
-        self._request, self._source = request, source
+    def __init__(self, request: FileRequest, source: Path, remarks: Remarks) -> None:
+        self._request, self._source, self._remarks = request, source, remarks
         self._filter = WindowFilter(request.window, request.settings, past_only=request.past_only)
-        self._kept: dict[Path, Imported] = {}
+        self._kept: dict[Path, Imported | None] = {}
+        """The frames of the files of a window; None for a file that cannot be read."""
+        self._frames: list[Frame] = []
         self._index = 0
 
     def read(self, path: Path, read: Callable[[Path], Imported]) -> Imported:
-        """Return a file, and read the files around it. A missing number, or a frame of another size, ends a window."""
+        """Return a file, and read the files around it.
+
+        A missing number, or a frame that cannot be read or has another size, ends a window.
+        """
         middle = FramePattern.parse(self._source).read_number(path)
         files = self._request.list_window(self._source, middle)
-        self._index = middle - files[0][0]
         known, self._kept = self._kept, {}
-        for _, each in files:
-            self._kept[each] = known.pop(each) if each in known else read(each)
-        return self._kept[path]
+        own = known.get(path) or read(path)
+        for number, each in files:
+            if each == path:
+                self._kept[each] = own
+            else:
+                self._kept[each] = known[each] if each in known else self._read_other(number, each, read)
+        images = [self._kept[each] for _, each in files]
+        self._index = middle - files[0][0]
+        first = max((k + 1 for k in range(self._index) if images[k] is None), default=0)
+        past = next((k for k in range(self._index, len(images)) if images[k] is None), len(images))
+        self._frames = [image.frame for image in images[first:past] if image is not None]
+        self._index -= first
+        return own
+
+    def _read_other(self, number: int, path: Path, read: Callable[[Path], Imported]) -> Imported | None:
+        try:
+            return read(path)
+        except OF_ALL_FRAMES:
+            raise
+        except LobewiseError as problem:
+            self._remarks.add(f"Frame {number} ends the windows of the frames around it: {problem}")
+            return None
 
     def denoise(self) -> Result:
         """Return the result of the file that was read last."""
-        return self._filter.denoise([each.frame for each in self._kept.values()], self._index)
+        return self._filter.denoise(self._frames, self._index)
 
 
 def read_view(

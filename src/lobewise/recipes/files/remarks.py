@@ -26,6 +26,8 @@ class Remarks:
         self.sentences: dict[str, str] = {}
         """Remarks by key."""
         self._kinds: set[str] = set()
+        self.file = ""
+        """Name of the file that is filtered, where several are; each note begins with it."""
 
     def add(self, note: str, key: str = "", frame: int | None = None) -> None:
         """Tell a note, unless a note with its key was told before; by default the note is its own key.
@@ -34,7 +36,8 @@ class Remarks:
         """
         if (key or note) in self.sentences:
             return
-        sentence = note if frame is None else f"Frame {frame}: {note}"
+        where = self.file if frame is None else f"Frame {frame}"
+        sentence = f"{where}: {note}" if where else note
         self.sentences[key or note] = sentence
         if self._tell is not None:
             self._tell(sentence)

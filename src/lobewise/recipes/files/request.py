@@ -194,7 +194,7 @@ class FileRequest:
         pattern = FramePattern.parse(source)
         most = 2 * self.window + 1 if self.window else 0
         first = last = number
-        while number - first < most and first > 0 and pattern.name(first - 1).is_file():
+        while number - first < most and pattern.name(first - 1).is_file():
             first -= 1
         while not self.past_only and last - number < most and pattern.name(last + 1).is_file():
             last += 1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
@@ -12,12 +12,14 @@ from lobewise.errors import InputError, require_choice, require_kind
 from lobewise.io.exr.layout import name_file
 from lobewise.io.files import PathLike, as_path, require_exr_name, require_other_files, require_writable
 from lobewise.io.sequence import FramePattern, describe_gaps, is_pattern, look_up_number
+from lobewise.recipes.environment import describe_environment
 from lobewise.recipes.files.denoiser import FileDenoiser
 from lobewise.recipes.files.remarks import Remarks
 from lobewise.recipes.files.request import FileRequest
 from lobewise.recipes.files.result import FileResult
 from lobewise.recipes.files.upsampler import FileUpsampler, UpsampleRequest
-from lobewise.recipes.sequence import SequenceFilter, SequenceReport, filter_sequence
+from lobewise.recipes.ledger import Ledger, measure_all, open_ledger
+from lobewise.recipes.sequence import SequenceFilter, SequenceReport, filter_sequence, require_frames
 from lobewise.settings import DenoiseSettings
 from lobewise.work.progress import FILTER, WRITE, Watcher, enter_stage, follow_file, watch_call
 
@@ -58,8 +60,8 @@ def denoise_files(
     """Denoise an EXR file, or every file of a sequence, as the command ``lobewise denoise`` does.
 
     The files that come out have the same bytes: all views, passes, light groups and opacity are denoised, every other
-    part, channel and attribute is kept, and large files are filtered in bands. A sequence that was stopped goes on
-    after its last frame.
+    part, channel and attribute is kept, and large files are filtered in bands. A frame of a sequence that cannot be
+    denoised does not stop the others. A sequence that was stopped goes on with what is missing.
 
     Parameters
     ----------
@@ -85,6 +87,8 @@ def denoise_files(
     ------
     FileError, MissingChannelError
         As of `lobewise.read_frame` and `lobewise.write_result`; the files that are finished stay.
+    LobewiseError
+        After all other frames of a sequence, if some could not be denoised.
     InputError
         Also if a parameter is unknown or out of range, or an output would replace an input.
     CancelledError
@@ -108,7 +112,9 @@ def denoise_files(
             raise InputError(what, expected=expected, got=repr(str(source)), action="leave it out")
         require_other_files([output], [source])
     remarks = Remarks(remark)
-    return run_files(source, output, asked, remarks, numbers=numbers, progress=progress, remark=remarks.add)
+    report = run_files(source, output, asked, remarks, numbers=numbers, progress=progress)
+    report.require_all()
+    return report
 
 
 def change_request(request: FileRequest, changes: dict[str, Any]) -> FileRequest:
@@ -130,6 +136,20 @@ def add_gaps(remarks: Remarks, source: FramePattern) -> None:
         remarks.add(gaps)
 
 
+def open_records(
+    source: Path, output: Path, request: Request, *, context: str = "", numbers: Collection[int] | None = None
+) -> Ledger:
+    """Return the records of a run over a sequence; see `run_files`."""
+    environment = describe_environment(with_oidn=request.asks_for_oidn)
+    settings = [
+        request.anchor().fingerprint,
+        context,
+        measure_all(request.list_shared_sources()),
+        environment,
+    ]
+    return open_ledger(FramePattern.parse(source), FramePattern.parse(output), numbers, settings)
+
+
 def run_files(
     source: Path,
     output: Path,
@@ -138,10 +158,11 @@ def run_files(
     *,
     context: str = "",
     numbers: Collection[int] | None = None,
+    list_outputs: Callable[[int], Sequence[Path]] | None = None,
     after: Callable[[Path, FileResult], object] | None = None,
     progress: Watcher | None = None,
     files: FileFilter[Any] | None = None,
-    **options: Any,
+    ledger: Ledger | None = None,
 ) -> SequenceReport[FileResult]:
     """Filter one file, or every file of a pattern.
 
@@ -151,12 +172,14 @@ def run_files(
         As of `denoise_files` and `open_filter`.
     context : str
         What the outputs depend on beside the files and the request.
+    list_outputs : callable, optional
+        Returns every file that is written for a frame of a sequence; by default the one of ``output``.
     after : callable, optional
         Is called with every output and its result, after it is written.
     files : FileFilter, optional
         The filter, if it was opened before.
-    **options
-        Options of `lobewise.recipes.sequence.filter_sequence`.
+    ledger : Ledger, optional
+        The records of a sequence, if somebody holds their lock; by default this run holds and at last removes them.
     """
     files = files or open_filter(request, source, output, remarks)
 
@@ -166,20 +189,34 @@ def run_files(
         if after is not None:
             after(target, result)
 
-    if is_pattern(source):
-        if numbers is None:
-            add_gaps(remarks, FramePattern.parse(source))
+    def run(ledger: Ledger, remark: Callable[[str], object] | None = None) -> SequenceReport[FileResult]:
         return filter_sequence(
             source,
             output,
             files.make_filter,
             read=files.read,
             write=write,
-            fingerprint=repr([request.fingerprint, context]),
+            ledger=ledger,
+            remembers=request.remembers,
+            list_sources=lambda number, _: request.list_sources(number, source),
+            list_outputs=list_outputs,
             progress=progress,
+            remark=remark,
             numbers=numbers,
-            **options,
         )
+
+    if is_pattern(source):
+        if ledger is not None:
+            return run(ledger)
+        if numbers is None:
+            add_gaps(remarks, FramePattern.parse(source))
+        require_frames(FramePattern.parse(source).find(numbers), FramePattern.parse(output))
+        ledger = open_records(source, output, request, context=context, numbers=numbers)
+        with ledger.hold():
+            report = run(ledger, remarks.add)
+            if not report.failures:
+                ledger.remove()
+        return report
     require_writable(output)
     with watch_call(progress), follow_file(source.name):
         file = files.read(source)
@@ -188,4 +225,4 @@ def run_files(
             result = files.make_filter().add(file)
         enter_stage(WRITE)
         write(output, result, file, source)
-    return SequenceReport(1, 1, None, "", result)
+    return SequenceReport(frames=1, written=1, last=result)

@@ -26,7 +26,8 @@ from lobewise.recipes.files.denoiser import read_view
 from lobewise.recipes.files.remarks import Remarks
 from lobewise.recipes.files.request import FileRequest
 from lobewise.recipes.files.result import FileResult
-from lobewise.recipes.sequence import FilterAlone, SequenceFilter, State
+from lobewise.recipes.sequence import FilterAlone, SequenceFilter
+from lobewise.recipes.states import State
 from lobewise.recipes.temporal import TemporalFilter
 from lobewise.recipes.upsampling import upsample
 from lobewise.records.frame import Frame, Radiance, Result

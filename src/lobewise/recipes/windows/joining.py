@@ -187,10 +187,12 @@ def _join_layer(
         images, agreement = near[number].gather_layer(other, slots)
         images = _bound(images, noise)
         bias = estimate_relative_bias(own[RADIANCE], images[RADIANCE], np.where(good, agreement, np.float32(0.0)))
-        seen = compare_pilots(own[PILOT], images[PILOT], agreement) / noise - np.float32(PILOT_NOISE)
-        # At edges pilots differ by the noise of their albedos.
-        bias = np.where(edge, bias, np.maximum(bias, seen))
-        weight_there = weights[number] = agreement / (np.float32(1.0) + np.float32(BIAS_FACTOR) * bias)
+        # Beside a black frame another one has an infinite bias, and no weight.
+        with np.errstate(over="ignore"):
+            seen = compare_pilots(own[PILOT], images[PILOT], agreement) / noise - np.float32(PILOT_NOISE)
+            # At edges pilots differ by the noise of their albedos.
+            bias = np.where(edge, bias, np.maximum(bias, seen))
+            weight_there = weights[number] = agreement / (np.float32(1.0) + np.float32(BIAS_FACTOR) * bias)
         totals = {slot: total + images[slot] * weight_there[..., None] for slot, total in totals.items()}
         squares = squares + weight_there * weight_there
     total = good + sum(weights.values(), np.zeros_like(weight))

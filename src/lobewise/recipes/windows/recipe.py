@@ -221,10 +221,12 @@ class WindowFilter:
             notes += (REPEATED,)
         if any(other.shape != frame.shape for other in near):
             notes += (OTHER_SIZE,)
-        if frame.gbuffer.motion is None and joined.shown:
+        # The first frame of a render has no frame before it, and no motion.
+        has_motion = any(each.gbuffer.motion is not None for each in near)
+        if not has_motion and joined.shown:
             notes += (STILL,)
         if not joined.shown and not joined.repeated and len(near) > 1:
-            knows_motion = frame.gbuffer.motion is not None or frame.is_placed
+            knows_motion = has_motion or frame.is_placed
             notes += (NOTHING_FOUND if knows_motion else NO_MOTION + NO_MOTION_ADVICE[frame.gbuffer.is_placed],)
         return notes
 

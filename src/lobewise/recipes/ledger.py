@@ -2,7 +2,8 @@
 
 A record stands in a folder beside the outputs. It says from which sources, with which settings and by which version a
 frame was made, and size and time of its files afterwards. A frame is done if all of this is still as the record says.
-Workers write records, each by itself, so the folder must be shared as the outputs are.
+Beside the records stands what filters over time remember. A run in one process and the workers of a farm write the
+same records, so that each goes on where the other was stopped. The folder must be shared as the outputs are.
 """
 
 from __future__ import annotations
@@ -18,13 +19,13 @@ from typing import Any
 
 from lobewise.errors import FileError, LobewiseError
 from lobewise.io.documents import parse_json, read_document
-from lobewise.io.files import make_folder, refusing, write_text
-from lobewise.io.locks import try_lock
-from lobewise.io.replacing import name_temporary
+from lobewise.io.files import make_folder, open_record, refusing
+from lobewise.io.locks import lock_file
 from lobewise.io.sequence import FramePattern
-from lobewise.recipes.sequence import name_beside
 
-LEDGER_ENDING = ".lobewise-farm"
+Numbered = tuple[int, Path]
+"""Number and source of a frame."""
+LEDGER_ENDING = ".lobewise-done"
 """Ending of the folder's name."""
 TOKEN, LOCK = "token", "lock"
 MAX_RECORD_BYTES = 1 << 16
@@ -52,7 +53,8 @@ class Ledger:
 
         Raises FileError if the folder cannot be written to.
         """
-        write_text(self.folder / TOKEN, token, what="records of frames")
+        with open_record(self.folder / TOKEN, what="record") as stream:
+            stream.write(token.encode())
 
     def has_token(self, token: str) -> bool:
         """Return whether the folder holds this token, and not that of a later run."""
@@ -62,28 +64,41 @@ class Ledger:
             return False
 
     @contextmanager
+    def hold(self) -> Iterator[None]:
+        """Lock the records during the ``with`` block; afterwards remove their folder if nothing is recorded."""
+        with self.lock():
+            try:
+                yield
+            finally:
+                if not self.list_recorded():
+                    self.remove()
+
+    @contextmanager
     def lock(self) -> Iterator[None]:
         """Make the folder, and keep other clients from it during the ``with`` block, where the disk has locks.
 
-        Raises FileError if another client has it, or it cannot be written to.
+        Raises FileError if another client has it, or it cannot be written to. A link is not followed: records never
+        replace a file elsewhere.
         """
+        name = f"records {str(self.folder)!r}"
+        if self.folder.is_symlink():
+            raise FileError(name, expected="a folder", got="a link to another place", action="remove the link")
         make_folder(self.folder, what="records of frames")
-        path = self.folder / LOCK
-        with refusing(f"records {str(self.folder)!r}", "a folder that can be written to", "check its permissions"):
-            stream = path.open("w")
-        with stream:
-            if not try_lock(stream.fileno()):
-                raise FileError(
-                    f"records {str(self.folder)!r}",
-                    expected="no other run that writes this sequence",
-                    got="one that is at work",
-                    action="wait for it, or stop it",
-                )
+        with refusing(name, "a folder that can be written to", "check its permissions, and remove its links"):
+            descriptor = lock_file(self.folder / LOCK)
+        if descriptor is None:
+            raise FileError(
+                name,
+                expected="no other run that writes this sequence",
+                got="one that is at work",
+                action="wait for it, or stop it",
+            )
+        try:
             yield
+        finally:
+            os.close(descriptor)
 
-    def prove(
-        self, frames: Sequence[tuple[int, Path]], list_sources: Callable[[int, Path], Iterable[Path]]
-    ) -> dict[int, str]:
+    def prove(self, frames: Sequence[Numbered], list_sources: Callable[[int, Path], Iterable[Path]]) -> dict[int, str]:
         """Return a hash for each frame of a task: of the run, and of all sources up to the frame.
 
         Frames of one task may use the frames before them, so the hash covers their sources as well. A source counts by
@@ -102,20 +117,12 @@ class Ledger:
     def record(self, number: int, proof: str, outputs: Iterable[Path]) -> None:
         """Record that a frame is done. Raises FileError if the record cannot be written."""
         files = [_measure(path) for path in outputs]
-        path = self._name(number)
-        # Do not wait for the disk: after a power cut a record that is not whole only costs its frame.
-        made = name_temporary(path)
-        with refusing(f"record {str(path)!r}", "a folder that can be written to", "check its permissions and room"):
-            try:
-                with made.open("x") as stream:
-                    stream.write(json.dumps({"proof": proof, "files": files}))
-                os.replace(made, path)
-            finally:
-                made.unlink(missing_ok=True)
+        with open_record(self._name(number), what="record") as stream:
+            stream.write(json.dumps({"proof": proof, "files": files}).encode())
 
     def list_recorded(self) -> set[int]:
         """Return the frames that have a record, of whichever sources and settings."""
-        return {int(path.stem) for path in self.folder.glob("*.json") if path.stem.isdecimal()}
+        return {int(path.stem) for path in self.folder.glob("*.json") if path.stem.removeprefix("-").isdecimal()}
 
     def is_done(self, number: int, proof: str, outputs: Iterable[Path]) -> bool:
         """Return whether a frame is recorded with this proof and its files are as they were."""
@@ -132,8 +139,16 @@ class Ledger:
             )
         return False
 
-    def name_checkpoint(self, number: int) -> Path:
-        """Return the checkpoint of the shot that begins with a frame."""
+    def describe_done(self, done: int, frames: int) -> str:
+        """Return a sentence on frames that are done already, or are recorded and made again; empty where none is."""
+        if done:
+            return f"Going on: {done} of {frames} frames are done, as {str(self.folder)!r} says."
+        if self.list_recorded():
+            return f"Other settings or files than those of {str(self.folder)!r}: every frame is made again."
+        return ""
+
+    def name_state(self, number: int) -> Path:
+        """Return the file of what a filter remembers in the shot that begins with a frame."""
         return self.folder / f"shot-{number}.npz"
 
     def remove(self) -> None:
@@ -151,16 +166,30 @@ def refresh_folders(*folders: Path) -> None:
             next(entries, None)
 
 
+def open_ledger(
+    source: FramePattern, output: FramePattern, numbers: Collection[int] | None, settings: object
+) -> Ledger:
+    """Return the records of a run; ``settings`` is all but the sources that results depend on, as plain data."""
+    # Leave the folders out: a project may be moved.
+    names = [Path(str(pattern)).name for pattern in (source, output)]
+    return Ledger(folder=name_ledger(output, numbers), identity=json.dumps([settings, *names]))
+
+
+def measure_all(paths: Iterable[Path]) -> list[tuple[int, int] | None]:
+    """Return size and time of files, None for those that do not exist."""
+    return [_measure(path) for path in paths]
+
+
 def name_ledger(output: FramePattern | Path, numbers: Collection[int] | None = None) -> Path:
-    """Return the folder of records of an output: ``clean.lobewise-farm`` beside ``clean.####.exr``."""
-    return name_beside(output, LEDGER_ENDING, numbers)
+    """Return the folder of records of an output: ``clean.lobewise-done`` beside ``clean.####.exr``.
 
-
-def remove_records(output: FramePattern | Path, numbers: Collection[int] | None) -> None:
-    """Remove the records of an output, or those of a run over some of its frames, where there are any."""
-    folder = name_ledger(output, numbers)
-    if folder.is_dir() and not folder.is_symlink():
-        _remove_known(folder)
+    It is named as the files of the output, without number and ending. For some frames alone the name also has the first
+    and the last of ``numbers``, as in ``clean.1001-1050``: runs without a common frame never share it.
+    """
+    pattern = output if isinstance(output, FramePattern) else FramePattern.parse(output)
+    stem = pattern.before + pattern.after.removesuffix(Path(f"a{pattern.after}").suffix)
+    part = f".{min(numbers)}-{max(numbers)}" if numbers else ""
+    return pattern.folder / f"{stem.strip('._- ') or 'sequence'}{part}{LEDGER_ENDING}"
 
 
 def _remove_known(folder: Path) -> None:
