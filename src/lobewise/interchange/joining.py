@@ -10,16 +10,21 @@ import numpy as np
 
 from lobewise.errors import InputError, require_choice
 from lobewise.interchange.channels import COLOR, Pass, list_passes
+from lobewise.interchange.checks.renders import compare_noise, measure_moved
 from lobewise.interchange.imported import ImageReader, Imported
 from lobewise.interchange.importing.leftovers import list_further, list_light_groups, list_names, take_noisy_alpha
 from lobewise.interchange.lighting import PartOutput, is_smooth, name_pass
 from lobewise.interchange.mapping import ChannelMap, Found
-from lobewise.records.frame import FloatArray, Radiance
+from lobewise.records.frame import FloatArray, Frame, Radiance
 from lobewise.records.radiance import MAX_EXCESS_SHARE, measure_excess
 
 MAX_ALPHA_SPP = 64
 """Most samples per pixel with which the opacity of a file is denoised. Renderers spread the samples of a pixel evenly,
 so that its opacity has less noise than its light, and fine leaves lose more than they gain."""
+
+MAX_ALIKE = 2.0
+"""Largest ratio of the samples of two renders that count alike. The mean of 1 and 2 samples has 9/8 of the noise that
+weights by samples leave, and both halves of the samples are worth more than that."""
 
 
 def add_also(imported: Imported, patterns: Sequence[str], read: ImageReader) -> Imported:
@@ -166,16 +171,80 @@ def _look_up_owner(imported: Imported, one: Pass) -> tuple[str | None, Found | N
 
 
 def join_halves(first: Imported, second: Imported) -> Imported:
-    """Return the mean of two renders with different seeds. Each render becomes one half of the samples.
+    """Return the mean of two renders with different seeds.
+
+    Renders with about as much noise count alike, and each becomes one half of the samples. Otherwise each counts by its
+    samples, or by its noise where the files do not tell their samples. The halves are then those that both files have,
+    if any, and the guides are those of the render with less noise.
 
     Passes that only one of them has are left out, and stay noisy in the file.
 
     Raises
     ------
     InputError
-        If the renders differ in size, passes, samples or preset, or are the same image.
+        If the renders differ in size, passes, preset or in the surfaces that they show, or are the same image.
     """
     a, b = first.frame, second.frame
+    _require_one_frame(a, b)
+    require_choice("--half, preset", second.preset, [first.preset])
+    ratio, told = _measure_samples(a, b)
+    is_alike = 1.0 / MAX_ALIKE <= ratio <= MAX_ALIKE
+    share = 0.5 if is_alike else ratio / (1.0 + ratio)
+    note = "Two renders were joined as halves of the samples."
+    if not is_alike:
+        note = f"The second render has {told}, and counts for {100.0 * share:.2g} % of the light."
+
+    def mix(one: FloatArray | None, other: FloatArray | None) -> FloatArray | None:
+        if one is None or other is None:
+            return None
+        return (
+            np.float32(0.5) * (one + other) if is_alike else np.float32(1.0 - share) * one + np.float32(share) * other
+        )
+
+    def mix_all(images: Mapping[str, FloatArray], others: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+        return {name: mix(images[name], others[name]) for name in images if name in others}  # type: ignore[misc]
+
+    def mix_light(one: Radiance | None, other: Radiance | None) -> Radiance | None:
+        if one is None or other is None or one.names != other.names:
+            return None
+        return Radiance(**{name: mix(getattr(one, name), getattr(other, name)) for name in one.names})  # type: ignore[arg-type]
+
+    layers = []
+    for one, other in zip(a.layers, b.layers, strict=True):
+        halves = (one.radiance, other.radiance)
+        if not is_alike:
+            halves = mix(one.half_a, other.half_a), mix(one.half_b, other.half_b)  # type: ignore[assignment]
+        albedo = one.albedo if other.albedo is None else mix(one.albedo, other.albedo)
+        light, parts = mix(one.radiance, other.radiance), mix_all(one.parts, other.parts)
+        layers.append(type(one)(one.name, one.lobe, light, albedo, *halves, parts))  # type: ignore[arg-type]
+    frame = (b if share > 0.5 else a).with_changes(
+        radiance=mix_light(a.radiance, b.radiance),
+        half_a=a.radiance if is_alike else mix_light(a.half_a, b.half_a),
+        half_b=b.radiance if is_alike else mix_light(a.half_b, b.half_b),
+        variance=None,
+        layers=tuple(layers),
+        unscattered=mix_all(a.unscattered, b.unscattered),
+        also=mix_all(a.also, b.also),
+        alpha=mix(a.alpha, b.alpha),
+        spp=None if a.spp is None or b.spp is None else a.spp + b.spp,
+        notes=a.notes,
+    )
+    known = {one.what for one in first.findings}
+    further = tuple(one for one in second.findings if one.what not in known)
+    notes = [f"The second render: {one.sentence}" for one in further]
+    return Imported(
+        frame,
+        first.container,
+        first.map,
+        (*first.notes, note, *notes),
+        first.outputs,
+        (*first.findings, *further),
+        first.shown,
+    )
+
+
+def _require_one_frame(a: Frame, b: Frame) -> None:
+    """Raise InputError unless two renders show the same frame with other noise."""
     names = ([layer.name for layer in a.layers], [layer.name for layer in b.layers])
     if a.shape != b.shape:
         size, got = (f"{one.width}x{one.height} pixels" for one in (a, b))
@@ -195,42 +264,19 @@ def join_halves(first: Imported, second: Imported) -> Imported:
             got="the same image",
             action="render it with another seed",
         )
-    if a.spp is not None and b.spp is not None and a.spp != b.spp:
-        raise InputError("--half", expected=f"{a.spp} samples per pixel", got=str(b.spp), action="render both alike")
-    require_choice("--half, preset", second.preset, [first.preset])
+    moved, guides = measure_moved(a.gbuffer, b.gbuffer)
+    if moved:
+        raise InputError(
+            "--half",
+            expected="the same frame rendered again, with another seed",
+            got=f"other surfaces in {100.0 * moved:.2g} % of the pixels, by the {guides}",
+            action="give the file of the same frame and camera",
+        )
 
-    def mix(one: FloatArray | None, other: FloatArray | None) -> FloatArray | None:
-        return None if one is None or other is None else np.float32(0.5) * (one + other)
 
-    def mix_all(images: Mapping[str, FloatArray], others: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-        return {name: np.float32(0.5) * (images[name] + others[name]) for name in images if name in others}
-
-    layers = []
-    for one, other in zip(a.layers, b.layers, strict=True):
-        parts = mix_all(one.parts, other.parts)
-        albedo = one.albedo if other.albedo is None else mix(one.albedo, other.albedo)
-        radiance = np.float32(0.5) * (one.radiance + other.radiance)
-        layers.append(type(one)(one.name, one.lobe, radiance, albedo, one.radiance, other.radiance, parts))
-    whole = {name: mix(getattr(a.radiance, name), getattr(b.radiance, name)) for name in a.radiance.names}
-    frame = a.with_changes(
-        radiance=Radiance(**whole),  # type: ignore[arg-type]
-        half_a=a.radiance,
-        half_b=b.radiance,
-        layers=tuple(layers),
-        unscattered=mix_all(a.unscattered, b.unscattered),
-        also=mix_all(a.also, b.also),
-        alpha=mix(a.alpha, b.alpha),
-        spp=None if a.spp is None else 2 * a.spp,
-    )
-    known = {one.what for one in first.findings}
-    further = tuple(one for one in second.findings if one.what not in known)
-    notes = [f"The second render: {one.sentence}" for one in further]
-    return Imported(
-        frame,
-        first.container,
-        first.map,
-        (*first.notes, "Two renders were joined as halves of the samples.", *notes),
-        first.outputs,
-        (*first.findings, *further),
-        first.shown,
-    )
+def _measure_samples(a: Frame, b: Frame) -> tuple[float, str]:
+    """Return the samples of the second render over those of the first, by their noise if not told, and how in words."""
+    if a.spp is not None and b.spp is not None:
+        return b.spp / a.spp, f"{b.spp:g} samples per pixel beside {a.spp:g}"
+    ratio = compare_noise(a, b)
+    return ratio, f"{1.0 / ratio:.2g} times the noise of the first (variance)"

@@ -48,7 +48,7 @@ Read = Callable[[Found], FloatArray]
 
 @dataclass(frozen=True)
 class PartOutput:
-    """The channels that receive a part of a layer, and the albedo that divides it before writing."""
+    """The channels that receive an image, and what divides it before writing: a layer's albedo, the alpha of a bake."""
 
     target: Found
     divided_by: FloatArray | None = None

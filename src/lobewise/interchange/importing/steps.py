@@ -47,6 +47,7 @@ from lobewise.interchange.importing.surfaces import (
     take_normals,
     take_positions,
 )
+from lobewise.interchange.importing.unsampled import continue_into_gutters, mark_left_out
 from lobewise.interchange.mapping import ChannelMap
 from lobewise.io.exr.container import Container
 from lobewise.records.camera import Camera
@@ -56,6 +57,7 @@ STEPS = (
     # Images as they stand in the file
     Step(tell_channels, section=Section.CHANNELS),
     Step(correct_compressed_light),
+    Step(mark_left_out),
     Step(check_own_result),
     Step(read_images),
     Step(fill_missing_values),
@@ -89,6 +91,7 @@ STEPS = (
     Step(tell_missing, section=Section.MISSING),
     Step(take_out_lamps, section=Section.MISSING),
     Step(list_outputs, section=Section.MISSING),
+    Step(continue_into_gutters),
 )
 """Each step reads, converts or checks one thing. Later steps rely on what earlier ones corrected."""
 
