@@ -6,6 +6,7 @@ import http.client
 import io
 import json
 import signal
+import socket
 import sys
 import time
 from collections.abc import Iterator
@@ -23,7 +24,8 @@ from lobewise.errors import InputError
 from lobewise.interchange import read_image
 from lobewise.io import read_frame, write_frame
 from lobewise.records.frame import Frame, Radiance
-from lobewise.viewer import FrameViewer
+from lobewise.viewer import FrameViewer, frame_viewer
+from lobewise.viewer.frame_viewer import MAX_WAITING
 from lobewise.viewer.http.browser_messages import MAX_MESSAGE_BYTES
 from tests.interrupts import start_program
 from tests.viewer.conftest import ask
@@ -123,6 +125,46 @@ class TestDoor:
     def test_a_setting_that_the_page_does_not_have_is_refused_at_once(self, floor_file):
         with pytest.raises(InputError, match="radius"):
             FrameViewer(str(floor_file), changes={"radius": -1})
+
+
+class TestStrangers:
+    """Connections without the token leave the page to its owner."""
+
+    @pytest.fixture
+    def connect(self, viewer) -> Iterator[Any]:
+        with contextlib.ExitStack() as stack:
+
+            def connect() -> socket.socket:
+                place = urlsplit(viewer.url)
+                made = stack.enter_context(socket.create_connection((place.hostname, place.port), PATIENCE))
+                made.sendall(b"GET / HTTP/1.1\r\nHost: ")
+                return made
+
+            yield connect
+
+    def test_a_request_in_single_bytes_is_ended(self, monkeypatch, connect):
+        monkeypatch.setattr(frame_viewer, "MAX_REQUEST_SECONDS", 1.0)
+        stranger = connect()
+        stranger.settimeout(0.05)
+        end = time.monotonic() + PATIENCE
+        with contextlib.suppress(ConnectionError):
+            while time.monotonic() < end:
+                stranger.sendall(b"a")
+                with contextlib.suppress(TimeoutError):
+                    if not stranger.recv(1):
+                        break
+        assert time.monotonic() < end
+
+    def test_the_oldest_of_many_connections_are_ended(self, monkeypatch, viewer, connect):
+        # The deadline must not end them here.
+        monkeypatch.setattr(frame_viewer, "MAX_REQUEST_SECONDS", 2 * PATIENCE)
+        strangers = [connect() for _ in range(2 * MAX_WAITING)]
+        assert ask(viewer, f"/?{get_token(viewer)}")[0] == 200
+        with contextlib.suppress(ConnectionError):
+            assert strangers[0].recv(1) == b""
+        strangers[-1].settimeout(0.1)
+        with pytest.raises(TimeoutError):
+            strangers[-1].recv(1)
 
 
 class TestAnswers:
