@@ -19,14 +19,16 @@ import pytest
 from PIL import Image
 
 from lobewise.denoising import denoise
+from lobewise.denoising.recipe import denoise_quietly
 from lobewise.display.tones import map_tones
 from lobewise.errors import InputError
 from lobewise.interchange import read_image
 from lobewise.io import read_frame, write_frame
 from lobewise.records.frame import Frame, Radiance
-from lobewise.viewer import FrameViewer, frame_viewer
+from lobewise.viewer import FrameViewer, frame_target, frame_viewer
 from lobewise.viewer.frame_viewer import MAX_WAITING
 from lobewise.viewer.http.browser_messages import MAX_MESSAGE_BYTES
+from lobewise.work.progress import enter_stage, plan_stages
 from tests.interrupts import start_program
 from tests.viewer.conftest import ask
 
@@ -181,6 +183,21 @@ class TestAnswers:
         rows = dict(json.loads(post(viewer, "/values", x=3, y=2, settings=FAST)[1]))
         assert rows["reference"] == "0.5  0.5  0.5"
         assert rows["noisy"] == "  ".join(f"{value:.4g}" for value in floor_frame.radiance.color[2, 3])
+
+    def test_the_share_is_told_while_it_filters(self, viewer, monkeypatch):
+        told = []
+
+        def filter_and_ask(frame, settings):
+            with plan_stages({"first": 1.0, "second": 3.0}):
+                for stage in ("first", "second"):
+                    enter_stage(stage)
+                    told.append(json.loads(post(viewer, "/share")[1])["share"])
+            return denoise_quietly(frame, settings)
+
+        monkeypatch.setattr(frame_target, "denoise_quietly", filter_and_ask)
+        assert post(viewer, "/picture", name="image", settings={**FAST, "beta": 3.0})[0] == 200
+        told.append(json.loads(post(viewer, "/share")[1])["share"])
+        assert told == [0.0, 0.25, 1.0]
 
     def test_the_file_is_that_of_denoise(self, viewer, floor_file, tmp_path):
         saved = tmp_path / "saved.exr"

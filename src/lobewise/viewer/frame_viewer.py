@@ -135,6 +135,8 @@ class FrameViewer(Site):
             factor = 2.0 ** (_read_number(request, "stops", -64.0, 64.0) - self._target.stops)
             with np.errstate(invalid="ignore"):
                 return map_tones(np.arange(65536, dtype=np.uint16).view(np.float16), factor).tobytes()
+        if path == "/share":
+            return json.dumps({"share": self._target.share}).encode()
         values = request.get("settings")
         if not isinstance(values, dict):
             raise InputError("settings", expected="an object", got=type(values).__name__, action="load the page again")
