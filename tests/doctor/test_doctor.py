@@ -61,7 +61,7 @@ class TestVerb:
         ],
     )
     def test_a_package_that_does_not_load(self, module: str, told: str) -> None:
-        code = f"import sys; sys.modules[{module!r}] = None; from lobewise.cli.program import run; sys.exit(run(['doctor']))"
+        code = f"import sys; sys.modules[{module!r}] = None; from lobewise.cli import main; main(['doctor'])"
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
         assert done.stderr == ""
         works = module == "halide" and (has_oidn() or not re.search(r"in the package +none", done.stdout))
