@@ -247,3 +247,11 @@ def test_gray_images_stay_gray(rng: np.random.Generator) -> None:
     np.testing.assert_array_equal(image[..., 0], image[..., 2])
     tinted, _ = denoise_oidn(Frame(Radiance(color * [1.0, 1.0, 0.9]), GBuffer(diffuse_albedo=albedo)))
     assert (tinted[..., 0] != tinted[..., 2]).any()
+
+
+def test_gray_light_on_colored_surfaces_may_have_color(rng: np.random.Generator) -> None:
+    """The colour of the surfaces is no reason for the light to lose what the library makes of it."""
+    color = np.repeat(rng.gamma(2.0, 0.5, (40, 50, 1)), 3, axis=-1)
+    albedo = rng.uniform(0.3, 0.6, (40, 50, 1)) * np.array([1.0, 0.7, 0.3])
+    image, _ = denoise_oidn(Frame(Radiance(color), GBuffer(diffuse_albedo=albedo)))
+    assert (image[..., 0] != image[..., 2]).any()

@@ -2,12 +2,14 @@
 
 import threading
 from collections.abc import Callable
+from queue import SimpleQueue
 from typing import Any
 
 import numpy as np
 import pytest
 
 import lobewise
+from lobewise import peers
 from lobewise.denoising.automatic import resolve_all
 from lobewise.denoising.plan import list_frame_steps
 from lobewise.denoising.recipe import NEGATIVE, OPACITY
@@ -16,7 +18,7 @@ from lobewise.peers import has_oidn, name_call
 from lobewise.settings import DenoiseSettings
 from lobewise.work import progress
 from lobewise.work.limits import check_limits
-from lobewise.work.progress import Progress, enter_stage, plan_stages, raise_cost, watch_call
+from lobewise.work.progress import Progress, enter_stage, follow_stage, plan_stages, raise_cost, watch_call
 from tests.streaming.frames import make_scene
 
 
@@ -188,6 +190,42 @@ def test_the_library_is_cancelled_while_it_works(monkeypatch: pytest.MonkeyPatch
     with pytest.raises(CancelledError), watch_call(stop), plan_stages({name_call(["color", "albedo", "normal"]): 1.0}):
         lobewise.denoise_oidn(frame, guides="centre")
     assert 0.5 <= shares[-1] < 0.9
+
+
+def test_the_library_does_not_work_on_after_a_cancel(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("pyoidn")
+    monkeypatch.setattr(progress, "MIN_SECONDS_BETWEEN", 0.0)
+    cancelled, shares = threading.Event(), list[float]()
+
+    class Shares(SimpleQueue):
+        """Takes the shares that the library tells, and keeps it waiting for the cancel."""
+
+        def put(self, share: float | None) -> None:
+            super().put(share)
+            if share is not None:
+                shares.append(share)
+                assert share < 0.3 or cancelled.wait(60.0)
+
+    monkeypatch.setattr(peers, "SimpleQueue", Shares)
+    monkeypatch.setattr(peers, "Event", lambda: cancelled)
+    stage = {name_call(["color", "albedo", "normal"]): 1.0}
+    with pytest.raises(CancelledError), watch_call(lambda each: each.share < 0.3), plan_stages(stage):
+        lobewise.denoise_oidn(make_scene((200, 160)), guides="centre")
+    assert max(shares) < 0.9
+
+
+def test_shares_never_fall(clock: Clock) -> None:
+    told: list[Progress] = []
+    with watch_call(told.append), plan_stages({"first": 1.0, "second": 1.0}):
+        enter_stage("first")
+        follow = follow_stage()
+        assert follow is not None
+        for share in (0.9, 0.2):
+            clock.now += 1.0
+            follow(share)
+        enter_stage("first", (0.5, 1.0))
+    require_growing(told)
+    assert [each.share for each in told] == [0.0, 0.45, 0.45, 0.45, 1.0]
 
 
 def test_an_inner_call_without_a_function_tells_the_outer_one() -> None:

@@ -1,9 +1,9 @@
-"""Break the product in forty ways, and see which test notices: what a smaller set of tests must not cost.
+"""Break the product in 47 ways, and see which test notices: what a smaller set of tests must not cost.
 
 ``python -m benchmarks.mutations`` copies the tree for every fault of `benchmarks.mutations.faults`, breaks the copy and
 runs the tests that should notice first, then the whole quick tier, then all others, until one fails. The unbroken tree
 runs first: it must pass, or failures tell nothing. The result is ``benchmarks/results/mutations.json``. It is written
-after every fault, and the next run goes on from there. All forty take hours.
+after every fault, and the next run goes on from there. All of them take hours.
 """
 
 import argparse

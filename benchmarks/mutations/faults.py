@@ -1,4 +1,4 @@
-"""The faults that the tests must see: forty ways to break the product that users would suffer from.
+"""The faults that the tests must see: 47 ways to break the product that users would suffer from.
 
 Each fault replaces one text of one file. None breaks an import, and each changes what a user gets.
 """
@@ -154,6 +154,41 @@ DENOISING = (
         "*(scattered if own.is_diffuse else reflected),",
         ("denoising/test_quality_modes.py",),
     ),
+    Mutation(
+        "a pixel whose blue is no number counts as good",
+        "denoising/bad_pixels.py",
+        "& good_channels[..., 1] & good_channels[..., 2]",
+        "& good_channels[..., 1]",
+        ("denoising/test_unusable.py",),
+    ),
+    Mutation(
+        "holes are filled with a mean that counts bad pixels",
+        "denoising/bad_pixels.py",
+        "np.count_nonzero(good, axis=1)[:, None]]",
+        "np.full((len(good), 1), good.shape[1])]",
+        ("denoising/test_unusable.py",),
+    ),
+    Mutation(
+        "gray light on coloured surfaces becomes gray",
+        "peers.py",
+        "_is_gray(color) and (albedo is None or _is_gray(albedo))",
+        "_is_gray(color)",
+        ("test_peers.py",),
+    ),
+    Mutation(
+        "Open Image Denoise works on after a cancel",
+        "peers.py",
+        "return not is_cancelled.is_set()",
+        "return True",
+        ("test_progress.py",),
+    ),
+    Mutation(
+        "the share of a call falls",
+        "work/progress/__init__.py",
+        "self.share = max(self.share, span.locate(inside[0]))",
+        "self.share = span.locate(inside[0])",
+        ("test_progress.py",),
+    ),
 )
 
 GUIDES = (
@@ -233,6 +268,13 @@ FILES = (
         "cut=index == 0)",
         ("cli/test_sequence.py", "io/test_sequence.py"),
     ),
+    Mutation(
+        "a file has its name before its content is on the disk",
+        "io/replacing.py",
+        "        os.fsync(self.stream.fileno())\n",
+        "",
+        ("io/test_targets.py",),
+    ),
 )
 
 OVER_TIME = (
@@ -263,6 +305,13 @@ OVER_TIME = (
         "max(band[0] - reach, 0) // MULTIPLE * MULTIPLE",
         "max(band[0] - reach, 0)",
         ("streaming/test_bands.py", "streaming/test_recipe.py"),
+    ),
+    Mutation(
+        "a cut keeps what is left of the history",
+        "recipes/temporal/past.py",
+        'engine.compare(self.share, ">=", temporal.cut_share)',
+        'engine.compare(self.share, ">=", 0.0)',
+        ("temporal/test_recipe.py",),
     ),
 )
 

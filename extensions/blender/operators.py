@@ -36,6 +36,8 @@ def multilayer_output(scene):
     """Let renders be saved as multilayer EXR with all bits, and restore the user's format at the end."""
     settings = scene.render.image_settings
     wanted = {**({"media_type": "MULTI_LAYER_IMAGE"} if hasattr(settings, "media_type") else {}), **MULTILAYER}
+    if scene.render.use_multiview:
+        wanted["views_format"] = "MULTIVIEW"
     # The format decides which of the others are allowed, so that it is restored first.
     before = {name: getattr(settings, name) for name in (*wanted, "color_mode")}
     try:
@@ -52,12 +54,23 @@ def save_render(scene):
     path = Path(bpy.app.tempdir, "lobewise", f"{bpy.path.clean_name(scene.name)}.exr")
     path.parent.mkdir(exist_ok=True)
     result = bpy.data.images.get("Render Result")
+    if result is None:
+        raise ValueError("There is no render yet: render an image first.")
     try:
         with multilayer_output(scene):
-            result.save_render(str(path), scene=scene)
-    except (AttributeError, RuntimeError) as problem:
-        # Without a render there is no such image, or it has no data.
-        raise ValueError("There is no render yet: render an image first.") from problem
+            try:
+                result.save_render(str(path), scene=scene)
+            except RuntimeError:
+                # Blender 4.5 notices views only after a first try, which leaves a file for each.
+                if not scene.render.use_multiview:
+                    raise
+                for view in scene.render.views:
+                    if view.file_suffix:
+                        path.with_stem(path.stem + view.file_suffix).unlink(missing_ok=True)
+                result.save_render(str(path), scene=scene)
+    except RuntimeError as problem:
+        words = str(problem).removeprefix("Error: ").strip()
+        raise ValueError(f"Blender cannot save the render: {words}; render an image first.") from problem
     return path
 
 
@@ -67,6 +80,11 @@ def locate_animation(scene):
     if render.image_settings.file_format != MULTILAYER["file_format"]:
         raise ValueError(
             "The output is no multilayer EXR: choose that in the tab Output, and render the animation again."
+        )
+    if render.use_multiview and render.image_settings.views_format != "MULTIVIEW":
+        raise ValueError(
+            "The output has a file for each eye: choose Multi-View as Views Format in the tab Output, "
+            "and render the animation again."
         )
     pattern = Path(name_pattern(render.frame_path(frame=1), render.frame_path(frame=999999)))
     if not list_frames(pattern):

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 import lobewise
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.errors import CancelledError, FileError, InputError
 from tests.streaming.frames import make_scene
 
@@ -88,3 +88,16 @@ def test_mistakes(source: str, output: str, changes: dict[str, Any], sentence: s
     with pytest.raises((InputError, FileError), match=f"^{sentence}"):
         lobewise.denoise_files(source, output, **changes)
     assert sorted(folder.iterdir()) == before
+
+
+def test_images_that_no_setting_would_use_are_not_named(folder: Path) -> None:
+    told: dict[str, str] = {}
+    for similarity in ("ggx", "normal"):
+        remarks: list[str] = []
+        changes = {"quality": "fast", "similarity": similarity}
+        report = lobewise.denoise_files("shot.exr", f"{similarity}.exr", remark=remarks.append, **changes)
+        assert {"motion", "object_share"} < set(report.last.results[0].unused)
+        told[similarity] = " ".join(note for note in remarks if note.startswith("Not used"))
+    assert "alpha_u" in told["normal"]
+    assert "alpha_u" not in told["ggx"]
+    assert not any(name in told["normal"] for name in ("motion", "object_share"))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.interchange import read_image
 from lobewise.io import write_frame
 from tests.streaming.frames import make_scene

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.io import write_frame, write_image
 from tests.streaming.frames import change_radiance, make_scene
 
@@ -20,9 +20,9 @@ LONG = "x" * 300 + ".exr"
 
 MISTAKES = {
     # Verbs and names of options.
-    "denois a.exr": "lobewise: expected one of demo, render, view, denoise, …; did you mean 'denoise'?",
-    "help": "lobewise: expected one of demo, …; choose one of them.",
-    "a.exr": "lobewise: expected a verb before the file, got 'a.exr'; such as lobewise denoise a.exr.",
+    "denois a.exr": "verb: expected one of demo, render, view, denoise, …; did you mean 'denoise'?",
+    "help": "verb: expected one of demo, …; choose one of them.",
+    "a.exr": "verb: expected one before the file, got 'a.exr'; such as lobewise denoise a.exr.",
     "--radius 3 a.exr": "--radius: expected an option of lobewise, got none of that name; write it behind a verb.",
     "export": "lobewise export: expected one of pipeline, filter, functions, passes, got none; see lobewise export --",
     "export web": "lobewise export: expected one of pipeline, filter, functions, passes, got 'web'; ",
@@ -54,6 +54,7 @@ MISTAKES = {
     f"denoise gone.exr {TO} --form ful": "--form: expected one of …, got 'ful'; did you mean 'full'?",
     f"denoise gone.exr {TO} --form atrous --quality high": "--form: expected 'full' with quality 'high', got ",
     f"denoise gone.exr {TO} --device gpu": "--device: expected one of auto, cpu, vulkan, cuda, metal, got 'gpu'; ",
+    f"denoise gone.exr {TO} --device metal": "--device: expected one that runs here, got metal; ",
     f"denoise gone.exr {TO} --with-oidn --quality fast": "--quality: expected 'balanced' or 'high' with Open Image ",
     f"denoise gone.exr {TO} --with-oidn --form atrous": "--form: expected 'full' with quality 'balanced', got 'atrous'",
     f"denoise gone.exr {TO} --bands odd": "--bands: expected auto, off or a number of rows, got 'odd'; leave it out.",
@@ -81,6 +82,8 @@ MISTAKES = {
     f"denoise gone.exr {TO} --map nomral=N": "--map: expected one of color, …, got 'nomral'; did you mean 'normal'?",
     "inspect gone.exr --map normal=N:cube": "--map normal, conversion: expected one of camera_space, …, got 'cube'; ",
     f"denoise cycles.exr {TO} --map normal=N.X,N.Y,N.Z": "--map normal: expected channels or a pass ",
+    f"denoise cycles.exr {TO} --map normal=Foo": "--map normal: expected …, got 'Foo'; `lobewise inspect --all` lists",
+    f"denoise cycles.exr {TO} --map normal=Normall": "--map normal: …, got 'Normall'; the nearest are 'ViewLayer.Norm",
     f"denoise cycles.exr {TO} --map normal=ViewLayer.Normal.X": "--map normal: expected 3 channels, ",
     f"denoise cycles.exr {TO} --also AO": "--also AO: expected passes …, got no such pass; see ",
     f"denoise a.exr {TO} --also AO": "--also: expected a file of another renderer, got a file with ",
@@ -102,6 +105,9 @@ MISTAKES = {
     "denoise '\"gone.exr\"'": "input '\"gone.exr\"': expected an existing file, …; leave the quotation marks out.",
     "denoise hollow": "input 'hollow': expected EXR files in the folder, got none; name files.",
     "inspect hollow": "input 'hollow': expected a file, got a directory; name a file in it.",
+    f"render shot.blend {TO}": "scene: expected a Mitsuba XML file, got the Blender file 'shot.blend'; render it in ",
+    f"denoise notes.exr {TO}": "input 'notes.exr': expected a whole …, got a file that …; name an image that a render",
+    "denoise a.exr -o clean": "--output: expected a name that ends in .exr, …, got 'clean'; name it 'clean.exr'.",
     f"denoise picture.png {TO}": "input 'picture.png': expected an OpenEXR file, got a PNG picture; save the render ",
     "denoise picture.jpg": "input 'picture.jpg': expected an OpenEXR file, got a JPEG picture; save the render as ",
     f"denoise empty.exr {TO}": "input 'empty.exr': expected an image, got an empty file of 0 bytes; write it again.",
@@ -223,6 +229,7 @@ MISTAKES = {
     "view showroom --size big": "--size: expected columns x rows from 8 to 8192, such as 512x512, got 'big'; ",
     "view showroom --reference a.exr": "--reference: expected a finished frame beside it, got a scene; leave it out.",
     "view showroom --preset cycles": "--preset: expected a finished frame beside it, got a scene; leave it out.",
+    "view shot.blend": "scene: expected a Mitsuba XML file, got the Blender file 'shot.blend'; render it in Blender",
     "view showroom --port 99999": "--port: expected a number …, got '99999'; see lobewise ",
     "view brushed --moving-objects": "scene: expected one whose objects move: showroom or parlour, got 'brushed'; ",
     "view showroom --moving-objects gone.json": "--moving-objects 'gone.json': expected an existing file, got no such ",
@@ -312,6 +319,8 @@ def full_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "picture.jpg").write_bytes(b"\xff\xd8\xff\xe0" + bytes(16))
     (folder / "broken.json").write_text("{")
     (folder / "notes.txt").write_text("notes")
+    (folder / "notes.exr").write_text("notes of a scene")
+    (folder / "shot.blend").write_bytes(b"BLENDER-v405")
     (folder / "raw.ocio").write_text(PyOpenColorIO.Config.CreateRaw().serialize())
     return folder
 

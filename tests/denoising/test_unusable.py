@@ -1,4 +1,4 @@
-"""Guides that no surface can have are counted and do no harm; what is not used is named."""
+"""Guides that no surface can have and radiance that is no number do no harm; what is not used is named."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import lobewise
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.denoising import recipe
+from lobewise.denoising.bad_pixels import fill_holes, mark_good
 from lobewise.errors import InputError
 from lobewise.interchange import read_image
 from lobewise.io import write_frame
@@ -59,6 +60,37 @@ def test_no_albedo_makes_bright_pixels(quality: str, value: float, scene: Frame,
         assert np.isfinite(result.image).all()
         assert result.image.max() < 2.5 * honest.image.max(), name
         assert result.notes == (f"{name} is above 1 at {spots.sum()} pixels: it counts as 1 there.",)
+
+
+BAD = (np.nan, np.inf, -np.inf, -1.0)
+
+
+@pytest.mark.parametrize("channel", range(3))
+@pytest.mark.parametrize("value", BAD)
+def test_one_channel_makes_a_pixel_bad(value: float, channel: int) -> None:
+    image = np.ones((4, 5, 3), np.float32)
+    image[2, 3, channel] = value
+    assert np.argwhere(~mark_good(image)).tolist() == [[2, 3]]
+
+
+@pytest.mark.parametrize("channel", range(3))
+@pytest.mark.parametrize("quality", ["fast", "balanced", "high", "auto"])
+def test_one_channel_that_is_no_number_does_not_reach_the_image(
+    quality: str, channel: int, scene: Frame, spots: np.ndarray
+) -> None:
+    images = {name: getattr(scene.radiance, name).copy() for name in ("color", "diffuse", "specular")}
+    for image in images.values():
+        image[spots, channel] = np.nan
+    result = lobewise.denoise(scene.with_changes(radiance=replace(scene.radiance, **images)), quality=quality)
+    assert np.isfinite(result.image).all()
+
+
+def test_holes_without_neighbours_take_the_mean_of_the_good_pixels(scene: Frame, spots: np.ndarray) -> None:
+    color = scene.radiance.color.copy()
+    color[spots, 1] = np.nan
+    frame = Frame(Radiance(color))
+    filled = fill_holes(np.zeros_like(color), np.ones(scene.shape, np.bool_), frame)
+    np.testing.assert_allclose(filled, np.broadcast_to(color[~spots].mean(axis=0), color.shape), rtol=1e-5)
 
 
 def test_layers_have_albedos_too(scene: Frame, spots: np.ndarray) -> None:

@@ -14,7 +14,7 @@ import pytest
 
 from lobewise.cli.doctor import folders, machine, packages
 from lobewise.cli.doctor.report import Problem, Report, Section, name_path
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.errors import MissingDependencyError
 from lobewise.peers import has_oidn
 
@@ -61,9 +61,7 @@ class TestVerb:
         ],
     )
     def test_a_package_that_does_not_load(self, module: str, told: str) -> None:
-        code = (
-            f"import sys; sys.modules[{module!r}] = None; from lobewise.cli.main import run; sys.exit(run(['doctor']))"
-        )
+        code = f"import sys; sys.modules[{module!r}] = None; from lobewise.cli import main; main(['doctor'])"
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
         assert done.stderr == ""
         works = module == "halide" and (has_oidn() or not re.search(r"in the package +none", done.stdout))

@@ -17,7 +17,7 @@ import OpenEXR
 import pytest
 
 import lobewise
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.interchange import import_file
 from releasing.blender import RELEASES, build_extension, list_systems
 from tests.pythons import choose_python, run_without_paths
@@ -232,6 +232,7 @@ told["render"] = denoise()
 told["output after"] = describe_output()
 (clean,) = (image for image in bpy.data.images if image.filepath)
 shutil.copy(clean.filepath, folder / "clean_render.exr")
+clean_folder = Path(clean.filepath).parent
 told["left of the render"] = [path.name for path in Path(clean.filepath).parents[1].iterdir()]
 told["without multilayer"] = denoise(animation=True)
 choose_multilayer()
@@ -249,6 +250,14 @@ for each in scene.view_layers:
 told["vector"] = layer.use_pass_vector
 bpy.ops.render.render(animation=True)
 told["animation"] = denoise(animation=True)
+scene.render.use_multiview = True
+told["eyes"] = [output.views_format, denoise(animation=True)]
+bpy.ops.render.render()
+told["stereo"] = denoise()
+told["views after"] = output.views_format
+(stereo,) = (image for image in bpy.data.images if image.filepath and Path(image.filepath).parent == clean_folder)
+shutil.copy(stereo.filepath, folder / "clean_stereo.exr")
+told["left of the eyes"] = [path.name for path in clean_folder.parent.iterdir()]
 told["images"] = {Path(image.filepath).name: image.source for image in bpy.data.images if image.filepath}
 (folder / "told.json").write_text(json.dumps(told))
 """
@@ -317,10 +326,21 @@ def test_an_animation_is_denoised_as_by_the_command(used: tuple[Path, dict[str, 
     assert {"ViewLayer.Combined_clean.R", "Second.Combined_clean.R"} <= read_channels(tmp_path / "ours_0001.exr").keys()
 
 
+def test_both_eyes_of_a_stereo_render_are_denoised(used: tuple[Path, dict[str, Any]]) -> None:
+    folder, told = used
+    assert told["eyes"][0] == told["views after"] == "INDIVIDUAL"
+    assert "a file for each eye: choose Multi-View as Views Format" in told["eyes"][1]
+    assert told["stereo"] == ["FINISHED"]
+    assert told["left of the eyes"] == ["clean"]
+    names = {name.replace("right", "left") for name in read_channels(folder / "clean_stereo.exr") if "right" in name}
+    assert names
+    assert names <= read_channels(folder / "clean_stereo.exr").keys()
+
+
 def test_operators_say_what_is_missing(used: tuple[Path, dict[str, Any]]) -> None:
     _, told = used
     for what, words in {
-        "without render": "There is no render yet: render an image first.",
+        "without render": "; render an image first.",
         "without multilayer": "The output is no multilayer EXR: choose that in the tab Output",
         "without frames": "shot_####.exr: render the animation first.",
         "no file": "none.exr",

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from lobewise.cli import farming
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.farm.tasks import TaskLog
 from lobewise.interchange import read_image
 from lobewise.io import write_frame

@@ -7,7 +7,7 @@ import OpenEXR
 import pytest
 from PIL import Image
 
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.pixels import decode_part
 from lobewise.metrics import rel_mse

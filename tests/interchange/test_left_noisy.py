@@ -8,7 +8,7 @@ import pytest
 from renderers import WRITERS, Written, make_scene, name, read_channels, write
 
 import lobewise
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.denoising.plan import foretell
 from lobewise.interchange import siblings
 from lobewise.interchange.lighting import is_grainy
@@ -119,6 +119,7 @@ def test_what_is_filtered_is_not_named(tmp_path: Path, capsys: pytest.CaptureFix
         assert run([*command, *options]) == 0
         told = " ".join(capsys.readouterr().err.split())
         assert ("Left noisy: light groups 'lamp', 'sky'." in told) != is_filtered
+        assert ("Light groups 'lamp', 'sky': each denoised by itself." in told) == is_filtered
         after = read_channels(tmp_path / "b.exr")
         assert all(np.array_equal(after[key], written.channels[key]) != is_filtered for key in groups)
 

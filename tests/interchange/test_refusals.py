@@ -9,6 +9,7 @@ import pytest
 from renderers import HEIGHT, WIDTH, WRITERS, make_scene, name, write
 
 from lobewise.errors import FileError, InputError, MissingChannelError
+from lobewise.interchange.importing.draft import Draft, Outcome, Step
 from lobewise.interchange.preset import CONVERSIONS, CONVERSIONS_OF, ROLES, look_up_preset
 from lobewise.interchange.reading import import_file
 
@@ -183,3 +184,13 @@ class TestConversions:
     def test_every_conversion_is_one_of_a_role(self) -> None:
         assert {word for words in CONVERSIONS_OF.values() for word in words} == set(CONVERSIONS)
         assert set(CONVERSIONS_OF) <= set(ROLES)
+
+
+@pytest.mark.parametrize("need", ["nromal", "run", ""])
+def test_a_step_that_could_never_run_is_refused(need: str) -> None:
+    def take_normals(draft: Draft) -> Outcome:
+        return Outcome(draft)
+
+    assert Step(take_normals, needs=("normal", "albedos")).needs == ("normal", "albedos")
+    with pytest.raises(ValueError, match=rf"take_normals.*{need}"):
+        Step(take_normals, needs=("normal", need))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from renderers import Written, make_scene, name, read_channels, write
 
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.interchange.reading import import_file
 
 SCENE = make_scene()

@@ -8,7 +8,7 @@ import pytest
 from renderers import WRITERS, Written, make_scene, write
 
 import lobewise
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.errors import InputError
 from lobewise.interchange import import_file
 from lobewise.interchange.checks.renders import compare_noise, measure_moved

@@ -8,7 +8,7 @@ import pytest
 from renderers import WRITERS, Written, make_scene, write
 
 import lobewise
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.guides.squares import compute_square_maximum
 from lobewise.interchange import import_file
 from lobewise.interchange.checks.unsampled import fill_gutters, mark_gutters, mark_pattern

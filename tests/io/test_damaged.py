@@ -70,7 +70,7 @@ def test_an_unfinished_file_is_named(whole):
         (b"\x89PNG\r\n\x1a\n" + bytes(100), "an OpenEXR file, got a PNG picture; save the render as OpenEXR, with"),
         (b"II*\0" + bytes(100), "an OpenEXR file, got a TIFF picture; save it as OpenEXR"),
         (b"PF\n8 8\n-1.0\n" + bytes(768), "an OpenEXR file, got a PFM picture; save it as OpenEXR"),
-        (b"# text" + bytes(100), "a file that does not begin like one; render or copy it again"),
+        (b"# text" + bytes(100), "a file that does not begin like one; name an image that a renderer wrote"),
         (b"v/1", "too short"),
         (b"v/1\x01\x09\0\0\0" + bytes(100), "an unknown file version"),
         (b"v/1\x01\x02\0\0\0\0" + bytes(100), "a file without any part"),

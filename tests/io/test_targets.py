@@ -1,6 +1,7 @@
 """What becomes of the file that an output replaces, and of what a killed process left."""
 
 import os
+import stat
 import subprocess
 import sys
 import time
@@ -12,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.errors import FileError
 from lobewise.exporting.folder import open_folder
 from lobewise.io import write_frame
@@ -40,6 +41,27 @@ def list_names(folder: Path) -> list[str]:
 
 
 class TestTarget:
+    def test_content_is_on_the_disk_before_it_has_the_name(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        done: list[str] = []
+        sync, replace = os.fsync, os.replace
+
+        def record_sync(descriptor: int) -> None:
+            seen = os.fstat(descriptor)
+            done.append("folder" if stat.S_ISDIR(seen.st_mode) else f"{seen.st_size} bytes")
+            sync(descriptor)
+
+        def record_replace(source: Path, target: Path) -> None:
+            done.append("name")
+            replace(source, target)
+
+        monkeypatch.setattr(os, "fsync", record_sync)
+        monkeypatch.setattr(os, "replace", record_replace)
+        with open_atomic(tmp_path / "a.txt") as stream:
+            stream.write(b"content")
+        assert done == ["7 bytes", "name", "folder"]
+
     def test_a_read_only_file_is_refused(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         target = tmp_path / "a.exr"
         target.write_text("old")
@@ -252,7 +274,7 @@ def test_any_name_is_read_written_and_shown(name: bytes, encoding: str, tmp_path
     path = tmp_path / os.fsdecode(name)
     path.write_bytes(source.read_bytes())
     program = (
-        "import sys; from lobewise.cli.main import run\n"
+        "import sys; from lobewise.cli.program import run\n"
         "path, folder = sys.argv[1:]\n"
         "code = run(['inspect', path])\n"
         "code = code or run(['compare', path, '--reference', path, '--json', folder + '/a.json'])\n"

@@ -81,7 +81,7 @@ def test_tensors_arrays_and_bitmaps_give_the_same_pixels(mi: Any, scene: Any, mu
     layers = get_layers(multichannel)
     denoiser = Denoiser(multichannel.size(), albedo=True, normals=True)
     bitmap = denoiser(multichannel, albedo_ch="albedo", normals_ch="normals", to_sensor=to_sensor)
-    assert "Not used: integrator." in denoiser.notes
+    assert "AOVs that lobewise does not use: integrator." in denoiser.notes
     tensors = [mi.TensorXf(layers[name]) for name in ("<root>", "albedo", "normals")]
     tensor = denoiser(tensors[0], albedo=tensors[1], normals=tensors[2], to_sensor=to_sensor)
     matrix = np.array(to_sensor.matrix).reshape(4, 4)
@@ -120,7 +120,10 @@ def test_further_layers_are_found_and_used(mi: Any, scene: Any, monkeypatch: pyt
     denoiser = Denoiser(bitmap.size(), albedo=True)
     denoiser(bitmap)
     denoiser(bitmap, normals_ch="sh_normal", to_sensor=to_sensor)
-    assert any(note.startswith("Not used: ") and "uv" in note and "shape" in note for note in denoiser.notes)
+    assert any(
+        note.startswith("AOVs that lobewise does not use: ") and "uv" in note and "shape" in note
+        for note in denoiser.notes
+    )
     camera = get_camera(scene)
     for frame in seen:
         np.testing.assert_allclose(frame.camera.position, camera.position, atol=0.02)

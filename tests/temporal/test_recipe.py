@@ -369,6 +369,16 @@ class TestCuts:
         for frame in frames:
             assert_same(active.add(frame), fresh.add(frame))
 
+    @pytest.mark.parametrize(("share", "is_cut"), [(0.3, True), (0.6, False)])
+    def test_little_that_goes_on_is_not_remembered_over_a_cut(self, share, is_cut):
+        before, after = make_still(2)
+        position = after.gbuffer.position.copy()
+        position[:, round(share * position.shape[1]) :] += np.float32(50.0)
+        after = after.with_changes(gbuffer=replace(after.gbuffer, position=position))
+        result, fresh = start([before]).add(after), TemporalFilter().add(after)
+        assert result.settings["history_share"] == pytest.approx(0.0 if is_cut else share, abs=0.1)
+        assert np.array_equal(result.image, fresh.image) is is_cut
+
     def test_another_size_is_one_too(self):
         active = start(make_still(1))
         small = make_sparse(make_still(1)[0], 2)

@@ -6,6 +6,7 @@ import http.client
 import io
 import json
 import signal
+import socket
 import sys
 import time
 from collections.abc import Iterator
@@ -18,13 +19,16 @@ import pytest
 from PIL import Image
 
 from lobewise.denoising import denoise
+from lobewise.denoising.recipe import denoise_quietly
 from lobewise.display.tones import map_tones
 from lobewise.errors import InputError
 from lobewise.interchange import read_image
 from lobewise.io import read_frame, write_frame
 from lobewise.records.frame import Frame, Radiance
-from lobewise.viewer import FrameViewer
+from lobewise.viewer import FrameViewer, frame_target, frame_viewer
+from lobewise.viewer.frame_viewer import MAX_WAITING
 from lobewise.viewer.http.browser_messages import MAX_MESSAGE_BYTES
+from lobewise.work.progress import enter_stage, plan_stages
 from tests.interrupts import start_program
 from tests.viewer.conftest import ask
 
@@ -125,6 +129,46 @@ class TestDoor:
             FrameViewer(str(floor_file), changes={"radius": -1})
 
 
+class TestStrangers:
+    """Connections without the token leave the page to its owner."""
+
+    @pytest.fixture
+    def connect(self, viewer) -> Iterator[Any]:
+        with contextlib.ExitStack() as stack:
+
+            def connect() -> socket.socket:
+                place = urlsplit(viewer.url)
+                made = stack.enter_context(socket.create_connection((place.hostname, place.port), PATIENCE))
+                made.sendall(b"GET / HTTP/1.1\r\nHost: ")
+                return made
+
+            yield connect
+
+    def test_a_request_in_single_bytes_is_ended(self, monkeypatch, connect):
+        monkeypatch.setattr(frame_viewer, "MAX_REQUEST_SECONDS", 1.0)
+        stranger = connect()
+        stranger.settimeout(0.05)
+        end = time.monotonic() + PATIENCE
+        with contextlib.suppress(ConnectionError):
+            while time.monotonic() < end:
+                stranger.sendall(b"a")
+                with contextlib.suppress(TimeoutError):
+                    if not stranger.recv(1):
+                        break
+        assert time.monotonic() < end
+
+    def test_the_oldest_of_many_connections_are_ended(self, monkeypatch, viewer, connect):
+        # The deadline must not end them here.
+        monkeypatch.setattr(frame_viewer, "MAX_REQUEST_SECONDS", 2 * PATIENCE)
+        strangers = [connect() for _ in range(2 * MAX_WAITING)]
+        assert ask(viewer, f"/?{get_token(viewer)}")[0] == 200
+        with contextlib.suppress(ConnectionError):
+            assert strangers[0].recv(1) == b""
+        strangers[-1].settimeout(0.1)
+        with pytest.raises(TimeoutError):
+            strangers[-1].recv(1)
+
+
 class TestAnswers:
     def test_pictures_and_their_tones_are_those_of_lobewise(self, viewer, floor_frame):
         status, data = post(viewer, "/picture", name="noisy", settings={})
@@ -139,6 +183,21 @@ class TestAnswers:
         rows = dict(json.loads(post(viewer, "/values", x=3, y=2, settings=FAST)[1]))
         assert rows["reference"] == "0.5  0.5  0.5"
         assert rows["noisy"] == "  ".join(f"{value:.4g}" for value in floor_frame.radiance.color[2, 3])
+
+    def test_the_share_is_told_while_it_filters(self, viewer, monkeypatch):
+        told = []
+
+        def filter_and_ask(frame, settings):
+            with plan_stages({"first": 1.0, "second": 3.0}):
+                for stage in ("first", "second"):
+                    enter_stage(stage)
+                    told.append(json.loads(post(viewer, "/share")[1])["share"])
+            return denoise_quietly(frame, settings)
+
+        monkeypatch.setattr(frame_target, "denoise_quietly", filter_and_ask)
+        assert post(viewer, "/picture", name="image", settings={**FAST, "beta": 3.0})[0] == 200
+        told.append(json.loads(post(viewer, "/share")[1])["share"])
+        assert told == [0.0, 0.25, 1.0]
 
     def test_the_file_is_that_of_denoise(self, viewer, floor_file, tmp_path):
         saved = tmp_path / "saved.exr"

@@ -1,6 +1,6 @@
 """Random shots of Blender Cycles, each from its kind and seed alone. Runs where `bpy` is, without lobewise.
 
-    python benchmarks/foreign/factory FOLDER [--kinds a,b] [--split validation|training] [--seeds 0-3] [--spp 1] [--threads 1]
+    python benchmarks/foreign/factory FOLDER [--kinds a,b] [--split validation|training] [--seeds 0-3] [--spp 1]
 
 A shot is the folder ``FOLDER/KIND_SEED``: ``shot.json``, ``SPP.exr`` for each number of samples, and three references
 of seeds of their own. It is complete when the last, ``reference_3.exr``, is there. What is there is not rendered

@@ -89,7 +89,7 @@ def denoise(
         **window.list_fields(),
         **asdict(writing),
     )
-    require_device(settings["device"])
+    require_device(settings["device"], is_here=farm.farm is None)
     request.check(name=lambda field: OPTIONS.get(field, f"--{field.replace('_', '-')}"))
     besides = [reading.half, reading.camera, reading.preset, reshading.scene, *(material or ())]
     picture.check()
@@ -150,7 +150,7 @@ def upsample(
     where = None if place is None else parse_place(place)
     DenoiseSettings(**settings)
     TemporalSettings(memory=over_time.memory)
-    require_device(settings["device"])
+    require_device(settings["device"], is_here=farm.farm is None)
     if scale is not None:
         require_place(scale, where or (0, 0))
     picture.check()

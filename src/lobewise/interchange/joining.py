@@ -95,7 +95,8 @@ def add_light_groups(imported: Imported, read: ImageReader) -> Imported:
         if is_noisy and measure_excess(whole, np.sum(images, axis=0, dtype=np.float32)) <= MAX_EXCESS_SHARE:
             imported = added
             (words,) = list_names("light group", [name for name, _ in groups])
-            notes.append(f"{words.capitalize()}: {_describe_filter(owner)}.")
+            each = "each " if len(groups) > 1 else ""
+            notes.append(f"{words.capitalize()}: {each}{_describe_filter(owner)}.")
     return replace(imported, notes=tuple(notes))
 
 

@@ -282,6 +282,8 @@ def map_channels(
     )
 
 
+MIN_LIKENESS = 0.4
+"""Share of common letters (`difflib`) from which a name is proposed: a name without its view layer has more."""
 MAX_NEAREST = 3
 """Channels that are named where one is not in the file."""
 
@@ -315,12 +317,14 @@ def parse_mapping(role: str, text: str, passes: Sequence[Pass], unread: Sequence
                 action="save the channel with one value for each pixel",
             )
         if name not in known:
-            near = difflib.get_close_matches(name, known, n=MAX_NEAREST, cutoff=0.0)
+            candidates = [*known, *(one.written_path for one in passes)]
+            near = difflib.get_close_matches(name, candidates, n=MAX_NEAREST, cutoff=MIN_LIKENESS)
+            nearest = f"the nearest are {', '.join(map(repr, near))}; " if near else ""
             raise InputError(
                 f"--map {role}",
                 expected="channels or a pass of the file",
                 got=repr(name),
-                action=f"the nearest are {', '.join(map(repr, near))}; `lobewise inspect --all` lists them",
+                action=f"{nearest}`lobewise inspect --all` lists them",
             )
     if len(names) != count:
         raise InputError(

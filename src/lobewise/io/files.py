@@ -171,9 +171,11 @@ EXR_NAMES = (".exr", ".sxr", ".mxr", "")
 
 
 def require_exr_name(path: PathLike) -> None:
-    """Raise InputError if an output's name has the ending of another format than EXR."""
+    """Raise InputError if an output's name has no ending, or that of another format than EXR."""
     kind = as_path(path, "output").suffix
-    if kind.lower() not in EXR_NAMES and not kind[1:].isdecimal():
+    # What exists without an ending is a folder, device or pipe, or a file that the user named so before.
+    is_new = not kind and not os.path.lexists(path)
+    if is_new or (kind.lower() not in EXR_NAMES and not kind[1:].isdecimal()):
         raise InputError(
             "output",
             expected="a name that ends in .exr, as EXR is what is written",

@@ -75,7 +75,7 @@ def make_frame(passed: Given) -> tuple[Frame, list[str]]:
     idle = list(dict.fromkeys(name.rpartition(".")[0] or name for name in passed.others if name not in used))
     notes = [note.replace("given.", "") for note in imported.notes if "There are images of the same kind" not in note]
     if idle:
-        notes.append(f"Not used: {', '.join(idle)}.")
+        notes.append(f"AOVs that lobewise does not use: {', '.join(idle)}.")
     return imported.frame, notes
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lobewise.errors import FileError, InputError, choose_nearest, require_choice, require_integer
 from lobewise.render.variant import load_mitsuba
-from lobewise.scenes import describe_movers, describe_scene, list_moving_scenes, list_scenes
+from lobewise.scenes import describe_movers, describe_scene, list_moving_scenes, list_scenes, refuse_blender
 from lobewise.scenes.limits import MAX_SIDE, require_shallow, require_size
 
 __all__ = ["MovingScene", "build_scene", "list_moving_scenes", "list_scenes", "load_scene"]
@@ -92,6 +92,7 @@ def load_scene(
         size = width or height or DEFAULT_SIZE, height or width or DEFAULT_SIZE
         return build_scene(describe_scene(text, *size, time))
     path = Path(text)
+    refuse_blender(path)
     if path.suffix.lower() != ".xml" and path.name == text and not path.exists():
         require_choice("scene", text, list_scenes())
     return _load_file(path, width, height, parameters or {}, merge)

@@ -6,7 +6,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from lobewise.errors import require_choice
+from lobewise.errors import InputError, require_choice
 
 BUILT_IN = ("showroom", "brushed", "parlour", "sparks", "stilllife", "corridor", "kitchen", "street")
 
@@ -29,9 +29,17 @@ def require_scene(scene: str) -> None:
     path = Path(scene)
     if scene in BUILT_IN:
         return
+    refuse_blender(path)
     if path.suffix.lower() != ".xml" and path.name == scene and not path.exists():
         require_choice("scene", scene, BUILT_IN)
     require_readable(path, what="scene")
+
+
+def refuse_blender(path: Path) -> None:
+    """Raise InputError for the name of a Blender file: Mitsuba cannot read it."""
+    if path.suffix.lower() == ".blend":
+        action = "render it in Blender to multilayer EXR, and pass that to lobewise denoise or view"
+        raise InputError("scene", expected="a Mitsuba XML file", got=f"the Blender file {str(path)!r}", action=action)
 
 
 def list_moving_scenes() -> tuple[str, ...]:

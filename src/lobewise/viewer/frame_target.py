@@ -32,6 +32,7 @@ from lobewise.settings import FORM_NAMES, QUALITY_NAMES, SIMILARITY_NAMES, Denoi
 from lobewise.settings.choices import QUALITIES, SIMILARITIES
 from lobewise.viewer.messages import FrameReading
 from lobewise.viewer.pictures import LEGENDS, MAX_STOPS, RADIANCE, choose_stops, paint
+from lobewise.work.progress import Progress, watch_call
 
 _MAX_RESULTS = 8
 """Filtered images that are kept in memory, of all browsers."""
@@ -89,6 +90,8 @@ class FrameTarget:
         """First exposure, base-2 logarithm."""
         self._results: OrderedDict[DenoiseSettings, Result] = OrderedDict()
         self._lock = threading.Lock()
+        self.share = 1.0
+        """Share that is done of the image that is filtered now; 1 where none is."""
 
     def describe(self) -> dict[str, Any]:
         """Return what the page is built from: the size, the exposure, the names of pictures, and the controls."""
@@ -248,13 +251,19 @@ class FrameTarget:
         with self._lock:
             if settings not in self._results:
                 frame = self._frame
-                self._results[settings] = (
-                    upsample(frame, settings) if isinstance(frame, SparseFrame) else denoise_quietly(frame, settings)
-                )
+                with watch_call(self._follow):
+                    self._results[settings] = (
+                        upsample(frame, settings)
+                        if isinstance(frame, SparseFrame)
+                        else denoise_quietly(frame, settings)
+                    )
                 while len(self._results) > _MAX_RESULTS:
                     self._results.popitem(last=False)
             self._results.move_to_end(settings)
             return self._results[settings]
+
+    def _follow(self, progress: Progress) -> None:
+        self.share = progress.share
 
     def _get_light(self, name: str, settings: DenoiseSettings) -> FloatArray:
         if name == "reference" and self._reference is not None:

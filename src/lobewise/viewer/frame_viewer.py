@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import json
 import logging
 import re
 import socket
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 from socketserver import ThreadingTCPServer
@@ -26,8 +29,10 @@ from lobewise.viewer.http.browser_messages import MAX_MESSAGE_BYTES
 from lobewise.viewer.http.site import HEADERS, LOOPBACK, REFUSED, Site, Tell, choose_port
 from lobewise.viewer.messages import FrameReading, describe_failure
 
-_PATIENCE = 20.0
-"""Seconds that a browser may be silent in the middle of a request."""
+MAX_REQUEST_SECONDS = 20.0
+"""Longest time that a browser may take to send a request, and again to take the answer."""
+MAX_WAITING = 16
+"""Most connections that have not shown the token yet. A browser opens about six at once."""
 _POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self'; img-src data:"
 
 
@@ -130,6 +135,8 @@ class FrameViewer(Site):
             factor = 2.0 ** (_read_number(request, "stops", -64.0, 64.0) - self._target.stops)
             with np.errstate(invalid="ignore"):
                 return map_tones(np.arange(65536, dtype=np.uint16).view(np.float16), factor).tobytes()
+        if path == "/share":
+            return json.dumps({"share": self._target.share}).encode()
         values = request.get("settings")
         if not isinstance(values, dict):
             raise InputError("settings", expected="an object", got=type(values).__name__, action="load the page again")
@@ -147,21 +154,73 @@ class FrameViewer(Site):
 
 class _Server(ThreadingTCPServer):
     allow_reuse_address = daemon_threads = True
+    request_queue_size = MAX_WAITING
 
     def __init__(self, address: tuple[str, int], viewer: FrameViewer) -> None:
         self.address_family = socket.getaddrinfo(*address, type=socket.SOCK_STREAM)[0][0]
         self.viewer = viewer
+        # Connections that have not shown the token yet, the oldest first.
+        self._waiting: dict[Any, None] = {}
+        self._waiting_lock = threading.Lock()
         super().__init__(address, _Handler)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Answer a connection in a thread of its own; end the oldest one where too many wait."""
+        with self._waiting_lock:
+            if len(self._waiting) >= MAX_WAITING:
+                oldest = next(iter(self._waiting))
+                del self._waiting[oldest]
+                # Its thread reads the end of the request, and closes it.
+                with suppress(OSError):
+                    oldest.shutdown(socket.SHUT_RDWR)
+            self._waiting[request] = None
+        super().process_request(request, client_address)
+
+    def end_waiting(self, request: Any) -> None:
+        """Count a connection no more: it has shown the token, or ends."""
+        with self._waiting_lock:
+            self._waiting.pop(request, None)
+
+    def shutdown_request(self, request: Any) -> None:
+        """Close a connection."""
+        self.end_waiting(request)
+        super().shutdown_request(request)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Say nothing of a browser that has left or was silent: the others go on."""
         logging.getLogger(__name__).debug("in the server of the page", exc_info=True)
 
 
+class _RequestReader(io.RawIOBase):
+    """Bytes of one connection, all of which must arrive within `MAX_REQUEST_SECONDS`.
+
+    The timeout of a socket alone begins anew with every byte.
+    """
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._connection = connection
+        self._end = time.monotonic() + MAX_REQUEST_SECONDS
+
+    def readable(self) -> bool:
+        """Return True."""
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        """Return the number of bytes read into ``buffer``, 0 at the end. Raises TimeoutError after the deadline."""
+        # A timeout of 0 would not wait for a byte, and raise another error.
+        self._connection.settimeout(max(self._end - time.monotonic(), 1e-3))
+        return self._connection.recv_into(buffer)
+
+
 class _Handler(BaseHTTPRequestHandler):
     server: _Server
-    timeout = _PATIENCE
     server_version, sys_version = "lobewise", ""
+
+    def setup(self) -> None:
+        """Limit the time in which the request must arrive."""
+        super().setup()
+        self.rfile.close()
+        self.rfile = io.BufferedReader(_RequestReader(self.connection))
 
     def log_message(self, format: str, *args: Any) -> None:
         """Print no line for a request."""
@@ -187,6 +246,7 @@ class _Handler(BaseHTTPRequestHandler):
         if refusal:
             self._send(REFUSED, f"{refusal}\n".encode())
             return
+        self.server.end_waiting(self.connection)
         try:
             data, status = make(), 200
         except LobewiseError as problem:
@@ -204,6 +264,8 @@ class _Handler(BaseHTTPRequestHandler):
         headers["Content-Security-Policy"] = f"{_POLICY}; {HEADERS['Content-Security-Policy']}"
         for name, value in {**headers, **({"Set-Cookie": cookie} if cookie else {})}.items():
             self.send_header(name, value)
+        # Reading the request has shortened it.
+        self.connection.settimeout(MAX_REQUEST_SECONDS)
         self.end_headers()
         self.wfile.write(data)
 

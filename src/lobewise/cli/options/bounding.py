@@ -17,8 +17,8 @@ Bands = Annotated[
     str,
     file_detail(
         metavar="auto|off|ROWS",
-        help="Filter this many rows at a time: less memory, the same bits. auto does so with a file that would take "
-        "more than 4 GiB.",
+        help="Filter this many rows at a time: less memory, and quality auto is high alone. auto does so with a file "
+        "that would take more than 4 GiB.",
     ),
 ]
 

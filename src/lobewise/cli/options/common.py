@@ -83,11 +83,14 @@ def require_pattern(option: str, source: Path) -> None:
         )
 
 
-def require_device(name: str) -> None:
-    """Raise InputError unless a device has this name. Another machine of a farm may have it."""
-    from lobewise.backend.devices import DEVICES
+def require_device(name: str, *, is_here: bool = True) -> None:
+    """Raise LobewiseError unless a device has this name and, if filters run on this machine, can be used."""
+    from lobewise.backend.devices import DEVICES, choose_device
 
     require_choice("device", name, ("auto", *DEVICES))
+    # What "auto" stands for takes long to ask for.
+    if is_here and name != "auto":
+        choose_device(name)
 
 
 def parse_place(text: str) -> tuple[int, int]:

@@ -94,12 +94,14 @@ class Group(_Helpful, TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Return the verb that a command line names."""
         name, path = args[0], ctx.command_path
+        # The program's name stands before every sentence.
+        what = path if ctx.parent else "verb"
         if name not in self.commands and not name.startswith("-"):
             if name.lower().endswith(".exr"):
                 raise InputError(
-                    path, expected="a verb before the file", got=repr(name), action=f"such as {path} denoise {name}"
+                    what, expected="one before the file", got=repr(name), action=f"such as {path} denoise {name}"
                 )
-            require_choice(path, name, self.commands)
+            require_choice(what, name, self.commands)
         return super().resolve_command(ctx, args)
 
 

@@ -134,8 +134,7 @@ def _describe_light(description: FileDescription) -> Iterator[str]:
         sentence = f"{list_names(description.layers)} {verb} filtered by itself"
         if description.exact:
             stay = "stays as it is" if len(description.exact) == 1 else "stay as they are"
-            sentence += f"; {list_names(description.exact)} {stay}"
-            sentence += ", but for dots of lights out of focus" if "silhouettes" in description.uses else ""
+            sentence += f"; {list_names(description.exact)} {stay}, but at the edges of lamps and out of focus"
         yield sentence
     if "albedo" in description.uses:
         yield "textures are taken out by the surface colors, so they stay sharp"

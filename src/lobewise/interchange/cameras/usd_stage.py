@@ -18,7 +18,9 @@ from lobewise.errors import FileError, InputError, LobewiseError
 from lobewise.io.files import say_reason
 
 MAX_SECONDS = 20
-"""Longest time to read a stage, seconds."""
+"""Most processor time to read a stage, seconds. It does not depend on what else the machine does."""
+MAX_WALL_SECONDS = 180
+"""Longest time to wait for a stage, seconds: a layer that is a pipe takes no processor time."""
 MAX_BYTES = 2 << 30
 """Most memory of the process that reads a stage, bytes of address space."""
 
@@ -123,10 +125,12 @@ def _limit_process() -> None:
         import resource
 
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        resource.setrlimit(resource.RLIMIT_CPU, (MAX_SECONDS, MAX_SECONDS))
+        # Not every system has this limit, so it comes last.
         resource.setrlimit(resource.RLIMIT_AS, (MAX_BYTES, MAX_BYTES))
     # End this process also where its parent was killed. The parent ends it a little earlier.
     if hasattr(signal, "alarm"):
-        signal.alarm(MAX_SECONDS + 5)
+        signal.alarm(MAX_WALL_SECONDS + 5)
 
 
 def _main(folder: str, path: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum
 
 from lobewise.interchange.cameras.header import Located
@@ -11,6 +11,7 @@ from lobewise.interchange.checks.finding import Finding
 from lobewise.interchange.imported import ImageReader
 from lobewise.interchange.lighting import Light, PartOutput
 from lobewise.interchange.mapping import ChannelMap, Found
+from lobewise.interchange.preset import ROLES
 from lobewise.interchange.silhouettes import Silhouettes
 from lobewise.io.exr.container import Container, Part
 from lobewise.io.exr.describe import Lack
@@ -186,6 +187,12 @@ class Step:
     run: Callable[[Draft], Outcome]
     needs: tuple[str, ...] = ()
     section: Section = Section.FINDINGS
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for a need that no draft can meet: the step would always be skipped."""
+        unknown = set(self.needs) - {*ROLES, *(each.name for each in fields(Draft))}
+        if unknown:
+            raise ValueError(f"step {self.run.__name__}: no role or field of a draft is named {sorted(unknown)}")
 
 
 def run_steps(draft: Draft, steps: Sequence[Step]) -> Draft:

@@ -131,7 +131,7 @@ class FileDescription:
         What denoising will use, of `USES`.
     layers, exact : tuple of str
         Layers of light that are filtered each by itself, and passes of light that no surface scattered: they stay as
-        they were rendered, but for lights out of focus.
+        they were rendered, but at the edges of lamps and out of focus.
     lacks : tuple of Lack
         What is missing, and how to have it.
     outputs : tuple of str

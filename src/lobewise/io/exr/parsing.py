@@ -68,7 +68,11 @@ MAX_NAME_BYTES = 255
 
 
 class _Damaged(Exception):
-    """The reason why a file counts as damaged. The public functions add its name."""
+    """The reason why a file counts as damaged, and what to do. The public functions add the file's name."""
+
+    def __init__(self, reason: str, action: str = "render or copy it again") -> None:
+        super().__init__(reason)
+        self.action = action
 
 
 def _require_exr(file: Path) -> None:
@@ -106,7 +110,7 @@ def read_container(path: PathLike) -> Container:
             f"input {str(path)!r}",
             expected="a whole OpenEXR file",
             got=str(problem),
-            action="render or copy it again",
+            action=problem.action,
         ) from None
     except OSError as problem:
         raise FileError(
@@ -152,7 +156,7 @@ def _parse(path: Path, stream: BinaryIO) -> Container:
     if reader.size < 8:
         raise _Damaged(f"a file of {reader.size} bytes, too short to be one")
     if reader.take(4, "the magic number") != MAGIC:
-        raise _Damaged("a file that does not begin like one")
+        raise _Damaged("a file that does not begin like one", "name an image that a renderer wrote")
     version = struct.unpack("<I", reader.take(4, "the version"))[0]
     if version & 0xFF != 2 or version & ~(0xFF | TILED | LONG_NAMES | DEEP | MULTIPART):
         raise _Damaged(f"an unknown file version {version:#x}")

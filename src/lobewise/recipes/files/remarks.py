@@ -11,6 +11,11 @@ from lobewise.interchange.selections import Selection
 if TYPE_CHECKING:
     from lobewise.recipes.files.result import FileResult
 
+NO_SETTING_USES = frozenset(
+    {"motion", "object_share", "blur_radius", "variance", "radiance.direct", "radiance.indirect"}
+)
+"""Images that are not used where other images are missing or there is one frame alone: no setting would change it."""
+
 
 class Remarks:
     """Collects remarks, and tells each once, with its frame.
@@ -55,9 +60,10 @@ class Remarks:
         self._kinds.add(kind)
 
     def add_result(self, result: FileResult, frame: int | None = None) -> None:
-        """Tell the method, what is wrong with the guides, and which images of the frame were not used."""
+        """Tell the method, what is wrong with the guides, and which images of the frame other settings would use."""
         for selection, one in zip(result.selections, result.results, strict=True):
-            unused = f"Not used with these settings: {', '.join(one.unused)}."
+            names = [name for name in one.unused if name not in NO_SETTING_USES]
+            unused = [f"Not used with these settings: {', '.join(names)}."] if names else []
             used = [f"Used: {one.method}."] if one.method else []
-            for note in (*used, *one.notes, *([unused] if one.unused else [])):
+            for note in (*used, *one.notes, *unused):
                 self.add_of(selection, result.selections[0], note, hide_numbers(note), frame)

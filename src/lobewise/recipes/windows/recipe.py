@@ -39,7 +39,7 @@ NO_MOTION = (
 )
 NO_MOTION_ADVICE = {True: ", or give the camera (--camera).", False: ", or positions and the camera."}
 """The end of `NO_MOTION`, by whether the frame has positions or depths."""
-USED_BETWEEN_FRAMES = ("motion", "hit_distance", "position", "depth", "normal")
+USED_BETWEEN_FRAMES = ("motion", "hit_distance", "position", "depth", "normal", "object_share")
 """Guides that frames are compared by, whatever the denoiser reads."""
 FEW_FRAMES, MANY_FRAMES = 1.25, 2.5
 """Effective frames up to which a pixel is taken from the frame that was denoised by itself, and from which on it is
