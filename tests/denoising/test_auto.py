@@ -86,8 +86,15 @@ def test_light_of_surfaces_does_not_reach_the_background() -> None:
     shares = share_out_black(surface)
     np.testing.assert_allclose(shares.image[:, :29], 0.5)
     assert not shares.image[:, 29:].any()
-    # Between the samples of fog, the light of the fog around is there although nothing solid is.
-    np.testing.assert_allclose(share_out_black(np.zeros_like(surface)).image[:, :30], 0.5)
+
+
+def test_fog_has_light_between_its_samples() -> None:
+    """Nothing solid is there, and most pixels around have light."""
+    before = np.ones((11, 11, 3), np.float32)
+    before[5, 5:7] = 0.0
+    shares = combining.share_out(np.full_like(before, 0.5), before, [before], np.zeros((11, 11), np.bool_))
+    np.testing.assert_allclose(shares.image, 0.5)
+    np.testing.assert_allclose(shares.parts[0], 0.5, rtol=1e-6)
 
 
 def test_parts_of_a_layer_sum_to_light_that_the_mixture_adds() -> None:

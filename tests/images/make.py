@@ -2,6 +2,7 @@
 
     python -m benchmarks.users.render RENDERS --group own
     python benchmarks/foreign/render_luxcore.py RENDERS/luxcore --scenes room,sparks --size 192x144
+    python benchmarks/foreign/factory RENDERS/factory --kinds fog --seeds 11 --spp 1
     python -m tests.images.make RENDERS
 
 The frames in ``RENDERS/blender`` and ``RENDERS/mitsuba`` are those of ``benchmarks/foreign`` and of
@@ -123,6 +124,14 @@ SMALL_CYCLES: Mapping[str, tuple[str, tuple[int, int]]] = {
 }
 
 
+def cut_haze(folder: Path) -> None:
+    """Cut a shot of fog at one sample per pixel."""
+    size, name = (48, 48), "haze"
+    cut_file(folder / "1.exr", DATA / f"{name}.exr", size, keep=keeps_pass())
+    references = [read_total(folder / f"reference_{part}.exr", size) for part in (1, 2, 3)]
+    write_image(REFERENCES / f"{name}.exr", np.mean(references, axis=0, dtype=np.float32), half=True)
+
+
 def is_image(name: str) -> bool:
     """Return whether a channel of Cycles belongs to the image."""
     return ".Combined." in name
@@ -240,6 +249,7 @@ def main() -> None:
     """Cut all."""
     renders = Path(sys.argv[1])
     cut_cycles(renders / "blender")
+    cut_haze(renders / "factory" / "fog_11")
     cut_luxcore(renders / "luxcore")
     cut_own(renders / "own")
     cut_mitsuba(renders / "mitsuba")

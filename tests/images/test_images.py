@@ -5,8 +5,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.images.frames import CASES, QUALITIES
-from tests.images.measuring import MAX_MEAN_CHANGE, compare_figures, measure_case, read_figures, widen_bound
+from lobewise.peers import denoise_oidn
+from lobewise.records.frame import Frame
+from tests.images.frames import CASES, QUALITIES, denoise_view, read_views
+from tests.images.measuring import (
+    MAX_MEAN_CHANGE,
+    compare_figures,
+    measure_case,
+    measure_image,
+    read_figures,
+    widen_bound,
+)
 from tests.images.pictures import locate_baseline, write_comparison
 
 ADVICE = "if it was meant, commit what `python -m tests.images.write` writes"
@@ -44,3 +53,29 @@ def test_mean_error_of_all_frames_is_the_committed_one(quality: str) -> None:
     ]
     change, bound = float(np.exp(np.mean(logs))), widen_bound(MAX_MEAN_CHANGE, quality)
     assert abs(change - 1.0) < bound, f"errors are {change:.4f} times the committed ones; {ADVICE}"
+
+
+def test_no_pixel_of_a_volume_is_black_where_the_peer_has_light() -> None:
+    """Fog at one sample: between the samples our own filters have no light, but the mixture has."""
+    skip_without_oidn("auto")
+    (view,) = read_views("haze")
+    noisy, result, (peer, _) = view.noisy, denoise_view(view.noisy, "auto"), denoise_oidn(view.noisy)
+    assert isinstance(noisy, Frame)
+    assert (noisy.radiance.color <= 0.0).all(axis=-1).mean() > 0.05
+    assert not ((result.image <= 0.0).all(axis=-1) & (peer > 0.0).any(axis=-1)).any()
+    parts = [*result.layers.values(), *(result.also.get(name, noisy.unscattered[name]) for name in noisy.unscattered)]
+    np.testing.assert_allclose(sum(parts), result.image, atol=0.1)
+
+
+@pytest.mark.parametrize("name", ["halves", "brushed", "broken"])
+def test_halves_of_the_samples_make_no_mixture_worse(name: str) -> None:
+    skip_without_oidn("auto")
+    (view,) = read_views(name)
+    frame = view.noisy
+    assert isinstance(frame, Frame)
+    assert frame.half_a is not None
+    errors = [
+        measure_image(denoise_view(each, "auto").image, view.reference.radiance.color)["trimmed"]
+        for each in (frame, frame.with_changes(half_a=None, half_b=None))
+    ]
+    assert errors[0] < errors[1]

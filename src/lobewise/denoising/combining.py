@@ -25,7 +25,7 @@ from lobewise.filters.noise.agreement import compute_agreement
 from lobewise.filters.noise.albedo import clean_albedo
 from lobewise.filters.noise.detail import compute_detail
 from lobewise.filters.specks import MIN_BLUR_RADIUS
-from lobewise.guides.squares import sum_square
+from lobewise.guides.squares import count_neighbours, sum_square
 from lobewise.lobes.vectors import compute_image_luminance
 from lobewise.peers import denoise_oidn, has_clean_guides, keep_library_memory, name_call, name_oidn_guides
 from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance
@@ -39,6 +39,9 @@ MAX_BLACK_RADIANCE = 1e-30
 """Radiance up to which light counts as black, so that no part has a share of it."""
 NEAR_RADIUS = 8
 """Pixels around a black pixel whose light tells which parts take light there. Filters reach as far."""
+MIN_SHARE_LIT = 0.4
+"""Share of the pixels around a pixel, all without a surface, that have light where it lies in fog. At one sample per
+pixel fog has more; a transparent background has less beside its objects."""
 MAX_NEAR = 1e30
 """Largest sum of light around a pixel that counts: sums of several do not overflow."""
 MAX_RATIO_TO_IMAGE = 2.0
@@ -99,14 +102,8 @@ def choose_between(frame: Frame, samples: FloatArray, ours: FloatArray, peer: Fl
     if not name_oidn_guides(frame):
         return Mixture(peer, np.zeros(frame.shape, np.float32))
     halves = get_image_halves(frame)
-    shares = compute_mixture(
-        samples,
-        ours,
-        peer,
-        load_networks()["peer"],
-        halves=halves,
-        shared=frame.noise_is_shared,
-    )
+    # The network does not see halves: it trusts our image too much then, where textures are in no guide.
+    shares = compute_mixture(samples, ours, peer, load_networks()["peer"], halves=None, shared=frame.noise_is_shared)
     if halves is None and not frame.noise_is_shared:
         shares = shares * np.float32(TRUST_WITHOUT_HALVES)
     noisy = np.where(mark_good(noisy)[..., None], noisy, ours)
@@ -255,7 +252,8 @@ def share_out(
     lamp's surface scatters, and out of focus the exact light is noisy.
 
     Where ``before`` is black, as between the few samples of a volume, the parts take the light of ``image`` as they
-    share the light around. Where they have none around, as in a transparent background, the pixel stays black.
+    share the light around. Where they have none around, and in a transparent background, the pixel stays
+    black.
 
     Parameters
     ----------
@@ -288,25 +286,36 @@ def share_out(
     # Black pixels: give the light to the parts that have light around.
     black = ~(scattered | exact)
     if (image[black] > 0.0).any():
-        shares = compute_shares_near(good, surface)
-        lit = black & (sum_finite(shares) > 0.0)
+        shares = compute_shares_near(good)
+        may_be_lit = mark_lit_beside((before > MAX_BLACK_RADIANCE).any(axis=-1), surface)
+        lit = black & (sum_finite(shares) > 0.0) & may_be_lit[..., None]
         image = np.where(black & ~lit, before, image)
         light: FloatArray = np.where(lit, image, np.float32(0.0))
         scaled = [part + light * share for part, share in zip(scaled, shares, strict=True)]
     return Shares(image, scaled, gain)
 
 
-def compute_shares_near(parts: Sequence[FloatArray], surface: NDArray[np.bool_] | None = None) -> list[FloatArray]:
-    """Return the shares that parts have of the light within `NEAR_RADIUS` of each pixel; 0 where they have no light.
+def mark_lit_beside(lit: NDArray[np.bool_], surface: NDArray[np.bool_] | None) -> NDArray[np.bool_] | np.bool_:
+    """Return the pixels that may have light, (height, width): surfaces, and what lies in fog.
 
-    Pixels that see a surface count for such pixels alone, and the others for the others: the light of an object does
-    not reach the background beside it. Parameters as of `share_out`.
+    Where no surface is, fog has light in most pixels around. A transparent background has some beside objects alone.
+
+    Parameters
+    ----------
+    lit : (height, width), bool
+        Pixels with light.
+    surface : (height, width), bool, optional
+        Pixels that see a surface; by default all.
     """
-    kinds = [np.True_] if surface is None else [surface[..., None], ~surface[..., None]]
-    near = []
-    for part in parts:
-        sums = (np.where(kind, sum_square(np.where(kind, part, np.float32(0.0)), NEAR_RADIUS), 0.0) for kind in kinds)
-        near.append(np.minimum(sum(sums), np.float32(MAX_NEAR), dtype=np.float32))
+    if surface is None:
+        return np.True_
+    around, lit_around = (count_neighbours(mask, NEAR_RADIUS) for mask in (~surface, lit & ~surface))
+    return surface | (lit_around > MIN_SHARE_LIT * around)
+
+
+def compute_shares_near(parts: Sequence[FloatArray]) -> list[FloatArray]:
+    """Return the shares that parts have of the light within `NEAR_RADIUS` of each pixel; 0 where they have no light."""
+    near = [np.minimum(sum_square(part, NEAR_RADIUS), np.float32(MAX_NEAR)) for part in parts]
     total = sum_finite(near)
     return [_divide(light, total, total > MAX_BLACK_RADIANCE) for light in near]
 
