@@ -180,6 +180,7 @@ def test_other_noisy_passes_are_named(rng: np.random.Generator, tmp_path: Path) 
     def add(written: Written, image: np.ndarray) -> None:
         written.channels |= name(f"{LAYER}.AO", np.broadcast_to(image, shape))
         written.channels |= {f"{LAYER}.soft.X": image[..., 0], f"{LAYER}.Denoising Depth.Z": occlusion[..., 0]}
+        written.channels |= name(f"{LAYER}.AO_variance", np.broadcast_to(image, shape))
 
     write_frame_of(tmp_path / "a.exr", lambda written: add(written, occlusion))
     assert list_left(tmp_path / "a.exr") == [told]

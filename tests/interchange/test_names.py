@@ -75,3 +75,10 @@ def test_the_passes_that_could_be_the_picture_are_listed(tmp_path: Path) -> None
     ):
         import_file(tmp_path / "a.exr")
     assert import_file(tmp_path / "a.exr", mapping={"color": "mine"}).frame.layers
+
+
+def test_light_by_names_of_ones_own_is_named_as_noisy(tmp_path: Path) -> None:
+    written = rename(rename(WRITERS["cycles"](SCENE), ".Combined", ".rgba"), ".DiffDir", ".direct")
+    write(tmp_path / "a.exr", written)
+    (line,) = import_file(tmp_path / "a.exr", light_passes=True).frame.notes
+    assert line == "Left noisy: pass of light 'DiffInd', pass 'direct' (--also NAME denoises one)."

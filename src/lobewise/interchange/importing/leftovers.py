@@ -35,8 +35,8 @@ ALSO = "--also NAME denoises one"
 """How to denoise a pass that is none of the picture."""
 MAX_JUDGED_ROWS = 256
 """Most rows in which further passes are searched for noise; an image has dozens of such passes."""
-FOR_DENOISERS = "denois"
-"""What the names of passes for denoisers have in common, which need not be clean."""
+FOR_DENOISERS = ("denois", "variance", "_var", "_mse", "m2_")
+"""What is in the names of passes for denoisers, such as the variance of another pass. They need not be clean."""
 OWN_PARTS = ("direct", "indirect")
 """Light of files in lobewise's own channel names that no filter writes."""
 
@@ -146,7 +146,7 @@ def _list_others(imported: Imported, channels: ChannelMap) -> list[Found]:
         for found in _list_unused(imported, channels, with_planes=True)
         for one in (found.source,)
         if not _is_picture(channels, one) and not _is_light(channels, one) and not any(map(one.matches, known))
-        if FOR_DENOISERS not in one.path.lower() and not is_band(found.channels[0])
+        if not any(word in one.path.lower() for word in FOR_DENOISERS) and not is_band(found.channels[0])
     ]
 
 
