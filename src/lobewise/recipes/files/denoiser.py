@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -21,7 +22,7 @@ from lobewise.interchange.reading import import_file, list_selections
 from lobewise.interchange.replacing import PlannedResult, plan_result, require_target, write_planned
 from lobewise.interchange.selections import Selection
 from lobewise.io.exr.parsing import read_container
-from lobewise.io.sequence import FramePattern, is_pattern, locate_counterpart, look_up_number
+from lobewise.io.sequence import FramePattern, is_pattern, locate_counterpart, look_up_number, name_frame
 from lobewise.recipes.adaptive import find_unsupported
 from lobewise.recipes.files.remarks import Remarks
 from lobewise.recipes.files.request import FileRequest
@@ -168,7 +169,7 @@ class _Window:
         middle = FramePattern.parse(self._source).read_number(path)
         files = self._request.list_window(self._source, middle)
         known, self._kept = self._kept, {}
-        own = known.get(path) or read(path)
+        own = known.get(path) or self._read(middle, path, read)
         for number, each in files:
             if each == path:
                 self._kept[each] = own
@@ -182,9 +183,15 @@ class _Window:
         self._index -= first
         return own
 
+    def _read(self, number: int, path: Path, read: Callable[[Path], Imported]) -> Imported:
+        imported = read(path)
+        with suppress(LobewiseError):
+            return imported.follow_window(read_container(name_frame(self._source, number - 1)))
+        return imported
+
     def _read_other(self, number: int, path: Path, read: Callable[[Path], Imported]) -> Imported | None:
         try:
-            return read(path)
+            return self._read(number, path, read)
         except OF_ALL_FRAMES:
             raise
         except LobewiseError as problem:
