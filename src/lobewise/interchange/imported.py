@@ -42,6 +42,8 @@ class Imported:
         The image that viewers show, if the renderer denoised it and kept the noisy image in another pass.
     lacks : tuple of Lack
         Missing images that denoising could use. The notes contain their messages.
+    flips : mapping of str to str
+        The orientations of the guides that lay upside down or mirrored, and were turned over, by role.
     """
 
     frame: Frame
@@ -52,6 +54,7 @@ class Imported:
     findings: tuple[Finding, ...] = ()
     shown: FloatArray | None = None
     lacks: tuple[Lack, ...] = ()
+    flips: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def preset(self) -> str:

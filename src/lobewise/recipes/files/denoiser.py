@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -73,6 +73,7 @@ class FileDenoiser:
         self._tables = request.read_tables()
         self._improve = None if request.shading is None else request.shading.make_improver()
         self._windows: dict[Selection, _Window] = {}
+        self._flips: dict[Selection, Mapping[str, str]] = {}
 
     def read(self, path: Path) -> OpenedFile:
         """Return a file, with its view if it has only one, unless it is denoised in bands."""
@@ -102,7 +103,26 @@ class FileDenoiser:
             selection=selection,
             denoised=selections,
             tables=self._tables,
+            choose_flips=partial(self._choose_flips, selection) if is_pattern(self._source) else None,
         )
+
+    def _choose_flips(self, selection: Selection) -> Mapping[str, str]:
+        """Return the `Imported.flips` of the sequence: those of most of three of its frames.
+
+        In a frame of noise a guide may by chance explain the image better when it is turned over.
+        """
+        if selection not in self._flips:
+            frames = FramePattern.parse(self._source).find()
+            votes: list[Mapping[str, str]] = []
+            for _, path in dict.fromkeys((frames[0], frames[len(frames) // 2], frames[-1])):
+                with suppress(LobewiseError):
+                    quiet = Remarks()
+                    image = read_view(
+                        self._request, path, self._source, quiet, selection=selection, tables=self._tables
+                    )
+                    votes.append(image.flips)
+            self._flips[selection] = next((each for each in votes if 2 * votes.count(each) > len(votes)), {})
+        return self._flips[selection]
 
     def make_filter(self) -> FilterAlone[OpenedFile, FileResult]:
         """Return the filter of the files. It remembers no file: a window is read anew."""
@@ -212,6 +232,7 @@ def read_view(
     selection: Selection,
     denoised: Collection[Selection] = (),
     tables: Sequence[LobeTable] | None = None,
+    choose_flips: Callable[[], Mapping[str, str]] | None = None,
 ) -> Imported:
     """Return the frame of a view and view layer of a file, with its light by passes.
 
@@ -231,9 +252,12 @@ def read_view(
         All that is filtered of the file. After the first one, only notes of a new kind are told.
     tables : sequence of LobeTable, optional
         Fitted materials that replace the materials in the file.
+    choose_flips : callable, optional
+        Returns the `Imported.flips` of the sequence. It is asked where the file alone seems to have any.
     """
     options = request.make_read_options()
-    imported = import_file(
+    read = partial(
+        import_file,
         path,
         **options,
         half=_locate_half(request, path, source),
@@ -245,6 +269,9 @@ def read_view(
         layer=selection.layer or None,
         denoised=denoised,
     )
+    imported = read()
+    if imported.flips and choose_flips is not None and (flips := choose_flips()) != imported.flips:
+        imported = read(flips=flips)
     if "color" not in options["mapping"]:
         refuse_results(path, imported.findings)
     require_target(imported)
