@@ -2,13 +2,17 @@
 
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+import OpenEXR
 import pytest
 
 from lobewise.cli.program import run
 from lobewise.interchange import read_image
 from lobewise.io import write_frame
+from lobewise.metrics import rel_mse
 from tests.streaming.frames import make_scene
 from tests.temporal.scenes import make_camera, make_frame
 
@@ -105,6 +109,31 @@ def test_frames_of_another_size_and_below_0_are_filtered(folder: Path) -> None:
         assert denoise("out", *options) == 0
         assert len(read_files("out")) == 6
         assert read_image("out.0003.exr").shape == (20, 30, 3)
+
+
+def test_a_data_window_that_moves_is_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A render region, or a crop that follows an object: pixels are counted from another corner in every frame."""
+    monkeypatch.chdir(tmp_path)
+    cameras = [make_camera(0.01 * k, 0.03 * k) for k in range(3)]
+    for k, left in enumerate((0, 9, 3)):
+        frame = make_frame(cameras[k], cameras[k - 1] if k else None, noise=0.3, seed=k)
+        bare = replace(frame.gbuffer, position=None, depth=None)
+        write_frame("whole.exr", frame.with_changes(camera=None, gbuffer=bare))
+        (part,) = OpenEXR.File("whole.exr").parts
+        rows, columns = slice(2, 47), slice(left, left + 50)
+        planes = {name: np.ascontiguousarray(one.pixels[rows, columns]) for name, one in part.channels.items()}
+        header = {
+            **part.header,
+            "dataWindow": (np.array([left, 2], np.int32), np.array([left + 49, 46], np.int32)),
+            "displayWindow": (np.zeros(2, np.int32), np.array([63, 47], np.int32)),
+        }
+        OpenEXR.File(header, planes).write(f"in.{k + 1:04d}.exr")
+    truth = make_frame(cameras[1]).radiance.color[2:47, 9:59]
+    errors = []
+    for output, options in (("alone", ()), ("joined", ("--window", "1"))):
+        assert denoise(output, *options) == 0
+        errors.append(rel_mse(read_image(f"{output}.0002.exr"), truth))
+    assert errors[1] < 0.8 * errors[0]
 
 
 @pytest.mark.parametrize("changed", ["mine.toml", "camera.json", "b.0001.exr"])

@@ -80,6 +80,24 @@ def test_a_data_window_off_the_display_window(tmp_path: Path) -> None:
     np.testing.assert_allclose(camera.make_ray_directions(31, 26), expected, atol=1e-5)
 
 
+@pytest.mark.parametrize("left", [0, 9, 17])
+def test_the_camera_of_a_part_of_an_image_is_off_its_axis(left: int, tmp_path: Path) -> None:
+    """A render region, or a window that follows an object: the camera is that of the display window."""
+    written = WRITERS["mitsuba"](make_scene())
+    rows, columns = slice(4, 34), slice(left, left + 31)
+    channels = {name: np.ascontiguousarray(plane[rows, columns]) for name, plane in written.channels.items()}
+    window = {
+        "dataWindow": (np.array([left, 4], np.int32), np.array([left + 30, 33], np.int32)),
+        "displayWindow": (np.array([0, 0], np.int32), np.array([WIDTH - 1, HEIGHT - 1], np.int32)),
+    }
+    header = {**written.attributes, **window, "compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, channels).write(str(tmp_path / "part.exr"))
+    imported = import_file(tmp_path / "part.exr")
+    expected = CAMERA.make_ray_directions(WIDTH, HEIGHT)[rows, columns]
+    np.testing.assert_allclose(imported.frame.camera.make_ray_directions(31, 30), expected, atol=2e-3)
+    assert not any("unit" in note or "no distance" in note for note in imported.notes), imported.notes
+
+
 @pytest.mark.parametrize("aspect", [1.0, 2.0])
 @pytest.mark.parametrize("left_handed", [False, True])
 def test_an_orthographic_camera_is_found_from_the_positions(left_handed: bool, aspect: float) -> None:

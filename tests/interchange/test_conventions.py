@@ -256,6 +256,22 @@ def test_a_mistake_is_found_and_mended(
     assert compute_error(found) <= 1.05 * right_errors(made.leave)
 
 
+@pytest.mark.parametrize(("turned", "is_told"), [((2,), False), ((1, 2, 3), True)], ids=["one frame", "all frames"])
+def test_a_sequence_decides_once_how_its_guides_lie(
+    turned: tuple[int, ...], is_told: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In one noisy frame a guide may explain the image better by chance when it is turned over."""
+    monkeypatch.chdir(tmp_path)
+    for number in (1, 2, 3):
+        made = MISTAKES["albedo upside down"].make if number in turned else dict
+        import_channels(made(write_showroom()), tmp_path)
+        (tmp_path / "frame.exr").rename(f"in.{number}.exr")
+    assert import_file("in.2.exr").flips == {"diffuse_albedo": "upside down"}
+    remarks: list[str] = []
+    lobewise.denoise_files("in.#.exr", "out.#.exr", quality="fast", remark=remarks.append)
+    assert any("upside down" in remark for remark in remarks) == is_told
+
+
 def move(channels: Channels, far: float) -> Channels:
     """Return a frame whose world lies elsewhere, positions in 16 bits."""
     moved = get(channels, "P") + np.float32([far, far, 0.0])

@@ -183,6 +183,15 @@ class TestTemporary:
         assert target.read_text() == "new"
         assert list_names(tmp_path) == sorted([name, "b.txt"])
 
+    def test_the_next_export_removes_the_folder_that_a_killed_one_left(self, tmp_path: Path) -> None:
+        target = tmp_path / "export"
+        left = make_leftover(target)
+        left.unlink()
+        left.mkdir()
+        (left / "half.c").write_text("half")
+        write_folder(target, "new")
+        assert list_names(tmp_path) == ["export"]
+
     def test_what_somebody_may_be_writing_stays(self, tmp_path: Path) -> None:
         """A process that runs here, and one on another machine that wrote in the last day."""
         target = tmp_path / "a.txt"
@@ -194,7 +203,7 @@ class TestTemporary:
         foreign = [left.with_name(name) for name in (".a.txt.part", ".a.txt.b.part", "a.txt.bak")]
         for path in foreign:
             path.write_text("of somebody else")
-        folder = left.with_name(left.name.replace(process, "9999999999"))
+        folder = near.with_name(f"{near.name[: -len('12345678.part')]}12345678.part")
         folder.mkdir()
         write_text(target, "new")
         assert set(tmp_path.iterdir()) == {target, far, near, folder, *foreign}

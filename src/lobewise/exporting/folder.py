@@ -13,7 +13,7 @@ from string import Template
 
 from lobewise.errors import FileError
 from lobewise.io.files import PathLike, refusing
-from lobewise.io.replacing import name_temporary
+from lobewise.io.replacing import name_temporary, remove_leftovers
 
 DOCS = "https://github.com/lobewise/lobewise/blob/main/docs/export.md"
 MARK = "lobewise-export.json"
@@ -72,6 +72,7 @@ def open_folder(path: PathLike, *, force: bool = False) -> Iterator[Callable[[st
     made: list[Path] = []
     try:
         with refusing(f"output {str(path)!r}", "a folder that can be written", "choose another or make room"):
+            remove_leftovers(target)
             temporary = name_temporary(target)
             temporary.mkdir()
             made.append(temporary)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -42,6 +42,8 @@ class Imported:
         The image that viewers show, if the renderer denoised it and kept the noisy image in another pass.
     lacks : tuple of Lack
         Missing images that denoising could use. The notes contain their messages.
+    flips : mapping of str to str
+        The orientations of the guides that lay upside down or mirrored, and were turned over, by role.
     """
 
     frame: Frame
@@ -52,6 +54,7 @@ class Imported:
     findings: tuple[Finding, ...] = ()
     shown: FloatArray | None = None
     lacks: tuple[Lack, ...] = ()
+    flips: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def preset(self) -> str:
@@ -64,6 +67,19 @@ class Imported:
         if self.map.is_own:
             return ()
         return (f"Read as {self.map.preset.title}, because {self.map.reason}.", *self.notes)
+
+    def follow_window(self, before: Container) -> Imported:
+        """Return this frame with its motion to the pixels of the frame before it, whose data window may lie elsewhere.
+
+        Renderers measure motion in the whole image, and pixels are counted from the corner of the data window.
+        """
+        motion, part = self.frame.gbuffer.motion, self.map.target.source.part
+        there = next((one for one in before.parts if one.index == part.index), part).data_window
+        aside, below = part.data_window.x_min - there.x_min, part.data_window.y_min - there.y_min
+        if motion is None or not (aside or below):
+            return self
+        moved = motion + np.array([aside, below], np.float32)
+        return replace(self, frame=self.frame.with_changes(gbuffer=replace(self.frame.gbuffer, motion=moved)))
 
 
 Decode = Callable[[Part, frozenset[str]], Mapping[str, Pixels]]

@@ -176,6 +176,7 @@ def import_file(
     denoised: Collection[Selection] = (),
     wraps: bool | None = None,
     header_only: bool = False,
+    flips: Mapping[str, str] | None = None,
 ) -> Imported:
     """Return the frame of an EXR file, with notes, findings and the channels that receive results.
 
@@ -194,6 +195,8 @@ def import_file(
         Further views and view layers that are denoised, so that no note says that they stay noisy.
     header_only : bool
         Whether one black pixel stands for the image of a file in lobewise's own names, whose header tells the rest.
+    flips : mapping of str to str, optional
+        The `Imported.flips` that the file's sequence has; by default they are measured.
 
     Raises
     ------
@@ -214,7 +217,9 @@ def import_file(
             read = read.with_images({one.key: _make_black_pixel(one) for one in channels.roles.values()})
         else:
             require_shaded(container)
-        imported, read = import_mapped(container, read, channels, camera, wraps=wraps, lobe_tables=lobe_tables)
+        imported, read = import_mapped(
+            container, read, channels, camera, wraps=wraps, lobe_tables=lobe_tables, flips=flips
+        )
     if not light_passes:
         layers = tuple(replace(layer, parts={}) for layer in imported.frame.layers)
         imported = replace(imported, frame=imported.frame.with_changes(layers=layers))
@@ -233,7 +238,7 @@ def import_file(
         return imported
     options: dict[str, Any] = {"preset": preset, "mapping": mapping, "camera": camera, "lobe_tables": lobe_tables}
     options |= {"also": also, "light_passes": light_passes, "light_groups": light_groups}
-    options |= {"view": view, "layer": layer, "wraps": wraps}
+    options |= {"view": view, "layer": layer, "wraps": wraps, "flips": imported.flips}
     other = import_file(half, **options)
     with name_file(half):
         return join_halves(imported, other)

@@ -6,6 +6,7 @@ import hashlib
 import os
 import re
 import secrets
+import shutil
 import socket
 import stat
 import time
@@ -63,7 +64,7 @@ def _name_machine() -> str:
 
 
 def remove_leftovers(target: Path) -> None:
-    """Remove the temporary files that killed processes left for a target; keep those that are being written."""
+    """Remove the temporary files and folders that killed processes left for a target; keep those in use."""
     begin, machine = _begin_any(target), _name_machine()
     with suppress(OSError), os.scandir(target.parent) as entries:
         for entry in entries:
@@ -71,16 +72,18 @@ def remove_leftovers(target: Path) -> None:
             if tail is not None:
                 with suppress(OSError):
                     if _is_left(entry.stat(follow_symlinks=False), tail[1] == machine, int(tail[2])):
-                        os.unlink(entry.path)
+                        shutil.rmtree(entry.path) if entry.is_dir(follow_symlinks=False) else os.unlink(entry.path)
 
 
 def _is_left(status: os.stat_result, is_here: bool, process: int) -> bool:
-    """Return whether nobody writes a temporary file of this user any more, as far as can be known."""
-    if not stat.S_ISREG(status.st_mode) or (hasattr(os, "geteuid") and status.st_uid != os.geteuid()):
+    """Return whether nobody writes a temporary file or folder of this user any more, as far as can be known."""
+    is_plain = stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)
+    if not is_plain or (hasattr(os, "geteuid") and status.st_uid != os.geteuid()):
         return False
     age = time.time() - status.st_mtime
     if not _is_posix:
-        return age > MIN_SECONDS_ON_WINDOWS
+        # A folder that is being written can be removed.
+        return age > (MIN_SECONDS_OF_LEFTOVERS if stat.S_ISDIR(status.st_mode) else MIN_SECONDS_ON_WINDOWS)
     return age > MIN_SECONDS_OF_LEFTOVERS or (is_here and not _is_running(process))
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.interchange.cameras.places import Place
 from lobewise.records.camera import PINHOLE_DISTANCE_OVER_VIEW, Camera, project_points
 from lobewise.records.frame import FloatArray
 
@@ -68,6 +69,7 @@ def fit_camera(
     position: FloatArray,
     mask: NDArray[np.bool_],
     pixel_aspect: float = 1.0,
+    place: Place | None = None,
     *,
     blurred: bool = False,
 ) -> CameraFit | None:
@@ -86,11 +88,14 @@ def fit_camera(
         Pixels that have a position.
     pixel_aspect : float
         Width of a pixel over its height.
+    place : Place, optional
+        Where the pixels lie in the image of the camera; by default they are the whole of it.
     blurred : bool
         Whether a lens may blur the image, so that the positions of most pixels may lie off these pixels.
     """
     max_error = MAX_BLURRED_FIT_ERROR * mask.shape[0] if blurred else MAX_FIT_ERROR
-    points = _gather(position, mask, pixel_aspect)
+    place = place or Place(*mask.shape)
+    points = _gather(position, mask, pixel_aspect, place)
     if points is None:
         return None
     world, x, y = points
@@ -98,7 +103,7 @@ def fit_camera(
     for mirrored in (False, True):
         turn = np.array([-1.0, 1.0, 1.0]) if mirrored else np.ones(3)
         scaled = turn * (world - center) / spread
-        tolerance = 2.0 * MAX_FIT_ERROR / mask.shape[0]
+        tolerance = 2.0 * MAX_FIT_ERROR / place.height
         start = _estimate_start(scaled, x, y, tolerance) if blurred else _solve_projective(scaled, x, y)
         if start is None:
             return None
@@ -110,14 +115,18 @@ def fit_camera(
             return None
         rotation, eye, focal = state
         camera = Camera(turn * center + spread * eye, rotation[2], rotation[1], float(2.0 * np.arctan(1.0 / focal)))
-        camera = camera.with_pixel_aspect(mask.shape[1], mask.shape[0], pixel_aspect)
+        camera = place.crop(camera.with_pixel_aspect(place.width, place.height, pixel_aspect), *mask.shape)
         error = measure_fit(camera, (turn * position).astype(np.float32), mask)
         return CameraFit(camera, error, mirrored) if error < max_error else None
     return None
 
 
 def fit_orthographic(
-    position: FloatArray, mask: NDArray[np.bool_], depth: FloatArray | None = None, pixel_aspect: float = 1.0
+    position: FloatArray,
+    mask: NDArray[np.bool_],
+    depth: FloatArray | None = None,
+    pixel_aspect: float = 1.0,
+    place: Place | None = None,
 ) -> CameraFit | None:
     """Return a far pinhole camera that sees given points at given pixels as an orthographic one, None if none does.
 
@@ -127,12 +136,13 @@ def fit_orthographic(
 
     Parameters
     ----------
-    position, mask, pixel_aspect
+    position, mask, pixel_aspect, place
         As in `fit_camera`.
     depth : array, shape (height, width), optional
         Distances along the camera's axis, growing away from it.
     """
-    points = _gather(position, mask, pixel_aspect)
+    place = place or Place(*mask.shape)
+    points = _gather(position, mask, pixel_aspect, place)
     if points is None:
         return None
     world, x, y = points
@@ -166,27 +176,33 @@ def fit_orthographic(
     distance = PINHOLE_DISTANCE_OVER_VIEW * size
     eye = middle - distance * forward
     camera = Camera(turn * eye, turn * forward, turn * up, float(2.0 * np.arctan(half_height / distance)))
-    camera = camera.with_pixel_aspect(mask.shape[1], mask.shape[0], pixel_aspect)
+    camera = place.crop(camera.with_pixel_aspect(place.width, place.height, pixel_aspect), *mask.shape)
     shown = measure_fit(camera, (turn * position).astype(np.float32), mask)
     return CameraFit(camera, shown, mirrored, orthographic=True) if shown < MAX_FIT_ERROR else None
 
 
 def fit_any_camera(
-    position: FloatArray, mask: NDArray[np.bool_], depth: FloatArray | None, pixel_aspect: float = 1.0
+    position: FloatArray,
+    mask: NDArray[np.bool_],
+    depth: FloatArray | None,
+    pixel_aspect: float = 1.0,
+    place: Place | None = None,
 ) -> CameraFit | None:
     """Return the camera that sees given points at given pixels: a pinhole, unless an orthographic camera fits better.
 
     Parameters are those of `fit_orthographic`.
     """
-    pinhole = fit_camera(position, mask, pixel_aspect)
-    parallel = fit_orthographic(position, mask, depth, pixel_aspect)
+    pinhole = fit_camera(position, mask, pixel_aspect, place)
+    parallel = fit_orthographic(position, mask, depth, pixel_aspect, place)
     if pinhole is None or parallel is None:
         return pinhole or parallel
     # A far pinhole sees nearly what an orthographic camera sees, so the errors must differ clearly.
     return parallel if parallel.error < 0.5 * pinhole.error else pinhole
 
 
-def _gather(position: FloatArray, mask: NDArray[np.bool_], pixel_aspect: float) -> tuple[Matrix, Matrix, Matrix] | None:
+def _gather(
+    position: FloatArray, mask: NDArray[np.bool_], pixel_aspect: float, place: Place
+) -> tuple[Matrix, Matrix, Matrix] | None:
     """Return some points and their image coordinates, to the right and upwards, in units of half the image's height.
 
     Return None if the points are too few or not finite.
@@ -195,9 +211,10 @@ def _gather(position: FloatArray, mask: NDArray[np.bool_], pixel_aspect: float) 
     points = position[rows, columns].astype(np.float64)
     if len(rows) < MIN_POINTS or not np.isfinite(points).all() or not points.std() > 0.0:
         return None
-    height, width = mask.shape
-    x = (columns + 0.5 - 0.5 * width) / (0.5 * height) * pixel_aspect
-    return points, x, (0.5 * height - rows - 0.5) / (0.5 * height)
+    half = 0.5 * place.height
+    x = (columns + place.left + 0.5 - 0.5 * place.width) / half * pixel_aspect
+    y = (half - rows - place.top - 0.5) / half
+    return points, np.asarray(x, np.float64), np.asarray(y, np.float64)
 
 
 def choose_pixels(mask: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.interchange.cameras.fitting import mirror
+from lobewise.interchange.cameras.places import Place
 from lobewise.interchange.preset import Preset
 from lobewise.io.exr.container import Attribute, Part, Window
 from lobewise.io.exr.header import read_pixel_aspect
@@ -46,7 +47,10 @@ def read_camera_attributes(parts: Iterable[Part], part: Part) -> Located | None:
         located = _read_matrices(attributes, size, aspect)
     elif "cameraTransform" in attributes and "cameraFov" in attributes:
         located = _read_vray(attributes, size, aspect)
-    return None if located is None else replace(located, camera=_crop(located.camera, size, part.data_window))
+    if located is None:
+        return None
+    window = part.data_window
+    return replace(located, camera=Place.of(part).crop(located.camera, window.height, window.width))
 
 
 def _read(item: Attribute | None, kinds: str) -> tuple[float, ...]:
@@ -119,22 +123,6 @@ def _read_vray(attributes: dict[str, Attribute], size: Window, aspect: float) ->
     rows = matrix[:3, :3] / np.linalg.norm(matrix[:3, :3], axis=1, keepdims=True)
     camera = _aim(matrix[3, :3], -rows[2], rows[1], float(np.tan(np.deg2rad(angle[0]) / 2.0)), size, aspect)
     return Located(camera, "cameraTransform and cameraFov")
-
-
-def _crop(camera: Camera, whole: Window, part: Window) -> Camera:
-    """Return the camera of the window ``part`` of an image with the window ``whole``."""
-    if whole == part:
-        return camera
-    half_width, half_height = camera.get_half_extent(whole.width, whole.height)
-    across, down = half_width / whole.width, half_height / whole.height
-    x = (part.x_min + part.x_max - whole.x_min - whole.x_max) * across
-    y = -(part.y_min + part.y_max - whole.y_min - whole.y_max) * down
-    return replace(
-        camera,
-        fov_y=float(2.0 * np.arctan(part.height * down)),
-        fov_x=float(2.0 * np.arctan(part.width * across)),
-        shift=(camera.shift[0] + x, camera.shift[1] + y),
-    )
 
 
 def read_sample_count(parts: Iterable[Part], preset: Preset) -> int | None:

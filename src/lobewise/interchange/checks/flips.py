@@ -83,9 +83,12 @@ class Fit:
 
 
 def check_flips(
-    color: FloatArray, images: Mapping[str, FloatArray], labels: Mapping[str, str]
-) -> tuple[dict[str, FloatArray], list[Finding]]:
-    """Return the guides that were turned over because their orientation was wrong, and findings.
+    color: FloatArray,
+    images: Mapping[str, FloatArray],
+    labels: Mapping[str, str],
+    known: Mapping[str, str] | None = None,
+) -> tuple[dict[str, str], list[Finding]]:
+    """Return the flips of the guides that lie in a wrong orientation, by role, and findings.
 
     A guide is fitted to the image in small blocks, linearly. In the right orientation it explains more of the image
     than flipped, whatever the light is. Guides have no noise, so they are first compared with each other, and then
@@ -99,25 +102,35 @@ def check_flips(
         Guides of the file by role.
     labels : mapping of str to str
         Channels of the guides by role.
+    known : mapping of str to str, optional
+        The flips, where the sequence of the frame has told them.
     """
-    height, width = color.shape[:2]
-    if min(height, width) < 3 * BLOCK or not images:
-        return {}, []
-    step = max(1, round(max(height, width) / MAX_SIDE))
-    whole = {role: _make_feature(role, _thin(image, step)) for role, image in images.items()}
-    whole = {role: feature for role, feature in whole.items() if _cut_blocks(feature).std() > MIN_DEVIATION}
-    light = _cut_flipped(_compress(color, step))
-    if not whole or not light[LIES].std() > 0.0:
-        return {}, []
-    flips = _choose_flips(whole, light)
-    flipped = {role: flip for role, flip in flips.items() if flip != LIES}
+    flips = _measure_flips(color, images) if known is None else known
+    flipped = {role: flip for role, flip in flips.items() if flip != LIES and role in images}
     findings = []
     for flip in dict.fromkeys(flipped.values()):
         names = [labels[role] for role, its_flip in flipped.items() if its_flip == flip]
         verb, fate = ("lie", "they were") if len(names) > 1 else ("lies", "it was")
         note = f"{list_names(names)} {verb} {flip} under the image, so {fate} turned over."
         findings.append(Finding("guides flipped", note, mended=True))
-    return {role: np.ascontiguousarray(images[role][FLIPS[flip]]) for role, flip in flipped.items()}, findings
+    return flipped, findings
+
+
+def turn_over(image: FloatArray, flip: str) -> FloatArray:
+    """Return an image in another orientation."""
+    return np.ascontiguousarray(image[FLIPS[flip]])
+
+
+def _measure_flips(color: FloatArray, images: Mapping[str, FloatArray]) -> dict[str, str]:
+    """Return the orientation of each guide that shows anything."""
+    height, width = color.shape[:2]
+    if min(height, width) < 3 * BLOCK or not images:
+        return {}
+    step = max(1, round(max(height, width) / MAX_SIDE))
+    whole = {role: _make_feature(role, _thin(image, step)) for role, image in images.items()}
+    whole = {role: feature for role, feature in whole.items() if _cut_blocks(feature).std() > MIN_DEVIATION}
+    light = _cut_flipped(_compress(color, step))
+    return _choose_flips(whole, light) if whole and light[LIES].std() > 0.0 else {}
 
 
 def _choose_flips(whole: Mapping[str, Numbers], light: Mapping[str, Numbers]) -> dict[str, str]:

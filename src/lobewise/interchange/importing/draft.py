@@ -52,6 +52,8 @@ class Draft:
         The user's lobe tables, for a file in lobewise's own names.
     images : mapping of str to array
         Images by role, as in the file; the checks replace those that they correct.
+    flips : mapping of str to str, or None
+        The orientations of the guides that lie upside down or mirrored, by role; None before they are measured.
     roles : mapping of str to Found
         The channels of each role, with the conversions that its image still needs.
     light : Light
@@ -101,6 +103,7 @@ class Draft:
     wraps: bool | None = None
     lobe_tables: Sequence[LobeTable] | None = None
     images: Mapping[str, FloatArray] = field(default_factory=dict)
+    flips: Mapping[str, str] | None = None
     roles: Mapping[str, Found] = field(default_factory=dict)
     light: Light = field(default_factory=Light)
     header_camera: Located | None = None

@@ -7,7 +7,7 @@ from dataclasses import replace
 from lobewise.guides import survey
 from lobewise.interchange.checks.compression import check_compression
 from lobewise.interchange.checks.denoised import check_mark
-from lobewise.interchange.checks.flips import check_flips
+from lobewise.interchange.checks.flips import check_flips, turn_over
 from lobewise.interchange.checks.guides import check_albedos, check_encoding, check_values
 from lobewise.interchange.importing.draft import Draft, Outcome
 from lobewise.records.frame import FloatArray
@@ -61,8 +61,10 @@ def fill_missing_values(draft: Draft) -> Outcome:
 
 def turn_over_guides(draft: Draft) -> Outcome:
     """Turn over guides that lie upside down or mirrored under the image."""
-    changed, findings = check_flips(draft.images["color"], list_guides(draft), draft.labels)
-    return Outcome(draft.with_images(changed), findings)
+    images = list_guides(draft)
+    flips, findings = check_flips(draft.images["color"], images, draft.labels, draft.flips)
+    turned = draft.with_images({role: turn_over(images[role], flip) for role, flip in flips.items()})
+    return Outcome(replace(turned, flips=flips), findings)
 
 
 def decode_normals(draft: Draft) -> Outcome:

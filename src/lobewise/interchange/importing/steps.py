@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from lobewise.interchange.checks.denoised import leave_out_denoised_light
 from lobewise.interchange.checks.guides import leave_out_empty
@@ -133,6 +133,7 @@ def import_mapped(
     *,
     wraps: bool | None = None,
     lobe_tables: Sequence[LobeTable] | None = None,
+    flips: Mapping[str, str] | None = None,
 ) -> tuple[Imported, ImageReader]:
     """Return the frame of a file whose channels are mapped, and a reader of its images that has the corrected light.
 
@@ -150,6 +151,8 @@ def import_mapped(
         As of `lobewise.Frame`; None if positions may tell.
     lobe_tables : sequence of LobeTable, or None
         The user's lobe tables, in place of those in the header.
+    flips : mapping of str to str, or None
+        As of `lobewise.interchange.import_file`.
     """
     read.expect(channels)
     used = channels
@@ -164,6 +167,7 @@ def import_mapped(
         given_camera=camera,
         wraps=wraps,
         lobe_tables=lobe_tables,
+        flips=flips,
     )
     draft = run_steps(start, OWN_STEPS if channels.is_own else STEPS)
     assert draft.frame is not None
@@ -176,5 +180,6 @@ def import_mapped(
         findings=draft.findings,
         shown=None if used.shown is None else draft.read(used.shown),
         lacks=draft.lacks,
+        flips=draft.flips or {},
     )
     return imported, draft.read

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from lobewise.interchange.cameras.fitting import MAX_FIT_ERROR, CameraFit, fit_any_camera, fit_camera, measure_fit
 from lobewise.interchange.cameras.header import Located, read_camera_attributes
 from lobewise.interchange.cameras.panorama import fit_panorama
+from lobewise.interchange.cameras.places import Place
 from lobewise.interchange.checks.precision import measure_grain
 from lobewise.interchange.importing.blur import estimate_blur_radius
 from lobewise.interchange.importing.draft import Draft, Outcome
@@ -52,7 +53,8 @@ def estimate_blur(draft: Draft) -> Outcome:
     mask: Mask = (position != 0.0).any(axis=-1)
     pixel_aspect = read_pixel_aspect(draft.image_part) or 1.0
     is_coarse = measure_grain(position).is_coarse
-    fit = None if is_coarse or draft.wraps else fit_camera(position, mask, pixel_aspect, blurred=True)
+    place = Place.of(draft.image_part)
+    fit = None if is_coarse or draft.wraps else fit_camera(position, mask, pixel_aspect, place, blurred=True)
     if fit is None:
         return Outcome(draft)
     seen = measure_offsets(fit.camera, _mirror(position) if fit.mirrored else position, draft.shape)
@@ -103,7 +105,7 @@ def _choose_camera(draft: Draft, header: Located | None, pixel_aspect: float) ->
         moved = _mirror(position) if header.mirrored else position
         if measure_fit(header.camera, moved, mask) < MAX_FIT_ERROR:
             return _use_header(draft, header, moved, "; positions agree with it.")
-    fit = fit_any_camera(position, mask, draft.images.get("depth"), pixel_aspect)
+    fit = fit_any_camera(position, mask, draft.images.get("depth"), pixel_aspect, Place.of(draft.image_part))
     if fit is not None:
         return _use_fit(draft, fit, position, header)
     panorama = _use_panorama(draft) if draft.wraps is None else None

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -21,7 +22,7 @@ from lobewise.interchange.reading import import_file, list_selections
 from lobewise.interchange.replacing import PlannedResult, plan_result, require_target, write_planned
 from lobewise.interchange.selections import Selection
 from lobewise.io.exr.parsing import read_container
-from lobewise.io.sequence import FramePattern, is_pattern, locate_counterpart, look_up_number
+from lobewise.io.sequence import FramePattern, is_pattern, locate_counterpart, look_up_number, name_frame
 from lobewise.recipes.adaptive import find_unsupported
 from lobewise.recipes.files.remarks import Remarks
 from lobewise.recipes.files.request import FileRequest
@@ -72,6 +73,7 @@ class FileDenoiser:
         self._tables = request.read_tables()
         self._improve = None if request.shading is None else request.shading.make_improver()
         self._windows: dict[Selection, _Window] = {}
+        self._flips: dict[Selection, Mapping[str, str]] = {}
 
     def read(self, path: Path) -> OpenedFile:
         """Return a file, with its view if it has only one, unless it is denoised in bands."""
@@ -101,7 +103,26 @@ class FileDenoiser:
             selection=selection,
             denoised=selections,
             tables=self._tables,
+            choose_flips=partial(self._choose_flips, selection) if is_pattern(self._source) else None,
         )
+
+    def _choose_flips(self, selection: Selection) -> Mapping[str, str]:
+        """Return the `Imported.flips` of the sequence: those of most of three of its frames.
+
+        In a frame of noise a guide may by chance explain the image better when it is turned over.
+        """
+        if selection not in self._flips:
+            frames = FramePattern.parse(self._source).find()
+            votes: list[Mapping[str, str]] = []
+            for _, path in dict.fromkeys((frames[0], frames[len(frames) // 2], frames[-1])):
+                with suppress(LobewiseError):
+                    quiet = Remarks()
+                    image = read_view(
+                        self._request, path, self._source, quiet, selection=selection, tables=self._tables
+                    )
+                    votes.append(image.flips)
+            self._flips[selection] = next((each for each in votes if 2 * votes.count(each) > len(votes)), {})
+        return self._flips[selection]
 
     def make_filter(self) -> FilterAlone[OpenedFile, FileResult]:
         """Return the filter of the files. It remembers no file: a window is read anew."""
@@ -168,7 +189,7 @@ class _Window:
         middle = FramePattern.parse(self._source).read_number(path)
         files = self._request.list_window(self._source, middle)
         known, self._kept = self._kept, {}
-        own = known.get(path) or read(path)
+        own = known.get(path) or self._read(middle, path, read)
         for number, each in files:
             if each == path:
                 self._kept[each] = own
@@ -182,9 +203,15 @@ class _Window:
         self._index -= first
         return own
 
+    def _read(self, number: int, path: Path, read: Callable[[Path], Imported]) -> Imported:
+        imported = read(path)
+        with suppress(LobewiseError):
+            return imported.follow_window(read_container(name_frame(self._source, number - 1)))
+        return imported
+
     def _read_other(self, number: int, path: Path, read: Callable[[Path], Imported]) -> Imported | None:
         try:
-            return read(path)
+            return self._read(number, path, read)
         except OF_ALL_FRAMES:
             raise
         except LobewiseError as problem:
@@ -205,6 +232,7 @@ def read_view(
     selection: Selection,
     denoised: Collection[Selection] = (),
     tables: Sequence[LobeTable] | None = None,
+    choose_flips: Callable[[], Mapping[str, str]] | None = None,
 ) -> Imported:
     """Return the frame of a view and view layer of a file, with its light by passes.
 
@@ -224,9 +252,12 @@ def read_view(
         All that is filtered of the file. After the first one, only notes of a new kind are told.
     tables : sequence of LobeTable, optional
         Fitted materials that replace the materials in the file.
+    choose_flips : callable, optional
+        Returns the `Imported.flips` of the sequence. It is asked where the file alone seems to have any.
     """
     options = request.make_read_options()
-    imported = import_file(
+    read = partial(
+        import_file,
         path,
         **options,
         half=_locate_half(request, path, source),
@@ -238,6 +269,9 @@ def read_view(
         layer=selection.layer or None,
         denoised=denoised,
     )
+    imported = read()
+    if imported.flips and choose_flips is not None and (flips := choose_flips()) != imported.flips:
+        imported = read(flips=flips)
     if "color" not in options["mapping"]:
         refuse_results(path, imported.findings)
     require_target(imported)
