@@ -221,6 +221,8 @@ class WindowFilter:
             notes += (REPEATED,)
         if any(other.shape != frame.shape for other in near):
             notes += (OTHER_SIZE,)
+        shot = self._prepared[id(frame)].shot
+        notes += () if shot is None else shot.notes
         if frame.gbuffer.motion is None and joined.shown:
             notes += (STILL,)
         if not joined.shown and not joined.repeated and len(near) > 1:
