@@ -1,11 +1,13 @@
 """The upsampling recipe: edges stay where the guides have them, everything else as in denoising."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import lobewise
 from lobewise.errors import InputError
 from lobewise.metrics import rel_mse
 from lobewise.recipes.temporal import TemporalFilter
@@ -245,3 +247,38 @@ def test_the_first_places_cover_the_block_evenly(scale: int) -> None:
     for start in range(0, scale**2, 4):
         quarters = {(row // half, column // half) for row, column in list_places(scale)[start : start + 4]}
         assert len(quarters) == 4
+
+
+def test_silhouettes_of_mean_guides_get_no_light_that_no_surface_has() -> None:
+    """As in the files of other renderers: a dark metal before a bright wall, and pixels of half of each.
+
+    Their albedo is brighter than the metal's, and their normal is that of no surface.
+    """
+    height, width = 32, 48
+    left, edge = np.arange(width) < 22, np.arange(width) == 22
+    metal, wall = np.array([0.8, 0.0, 0.6]), np.array([-0.8, 0.0, 0.6])
+    normal = np.where(left[:, None], metal, wall) * np.ones((height, 1, 1))
+    albedo = np.where(left[:, None], 0.1, 0.8) * np.ones((height, 1, 3))
+    # Light of the metal is bright beside its albedo.
+    light = np.where(left[:, None], 0.5, 0.2) * np.ones((height, 1, 3))
+    normal[:, edge], albedo[:, edge], light[:, edge] = 0.5 * (metal + wall), 0.45, 0.35
+    unit = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+    frame = Frame(
+        Radiance(light),
+        GBuffer(normal=unit, diffuse_albedo=albedo, specular_albedo=0.0 * albedo, denoiser_normal=normal),
+    )
+    for place in ((0, 0), (1, 1), (2, 3)):
+        result = upsample(make_sparse(frame, 4, place), similarity="normal")
+        assert result.image.max() < 0.55, place
+        own = make_sparse(frame.with_changes(gbuffer=replace(frame.gbuffer, denoiser_normal=None)), 4, place)
+        clean = np.delete(result.image, 22, axis=1)
+        np.testing.assert_array_equal(clean, np.delete(upsample(own, similarity="normal").image, 22, axis=1))
+
+
+def test_metals_of_another_renderer_have_no_white_dots(field_folder: Path) -> None:
+    truth = np.load(field_folder / "half_ref.npy")
+    frame = lobewise.read_frame(field_folder / "half_64spp.exr")
+    image = upsample(make_sparse(frame, 4, (1, 1))).image
+    error = (image - truth) ** 2 / (truth**2 + 0.01)
+    assert error.mean() < 0.06
+    assert error.mean(axis=-1).max() < 20.0

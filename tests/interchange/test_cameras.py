@@ -21,6 +21,7 @@ from lobewise.interchange.cameras.fitting import fit_any_camera, fit_orthographi
 from lobewise.interchange.reading import import_file
 from lobewise.io.exr.frames import write_frame
 from lobewise.records.camera import Camera, project_points
+from lobewise.records.frame import Frame, GBuffer, Radiance
 
 SHIFTED = Camera(CAMERA.position, CAMERA.forward, CAMERA.up, CAMERA.fov_y, shift=(0.1, -0.05))
 
@@ -438,3 +439,16 @@ def test_a_given_camera_turns_normals_of_camera_space(tmp_path: Path) -> None:
     without = import_file(tmp_path / "a.exr", preset="vray").frame.gbuffer.normal
     axes = to_camera(scene.normal, back=True)
     np.testing.assert_allclose(without[scene.surface], axes[scene.surface], atol=2e-3)
+
+
+def test_a_given_camera_of_another_frame_is_refused(tmp_path: Path) -> None:
+    """The positions of a file in lobewise's own names tell where its camera is. Depth alone does not."""
+    position = show(CAMERA).astype(np.float32)
+    depth = np.linalg.norm(position - CAMERA.position, axis=-1)
+    light = Radiance(np.ones((HEIGHT, WIDTH, 3)))
+    write_frame(tmp_path / "placed.exr", Frame(light, GBuffer(position=position), CAMERA), half=False)
+    write_frame(tmp_path / "depth.exr", Frame(light, GBuffer(depth=depth), CAMERA), half=False)
+    with pytest.raises(InputError, match=r"--camera: expected the camera that sees the positions .* pixels away"):
+        import_file(tmp_path / "placed.exr", camera=SHIFTED)
+    assert import_file(tmp_path / "placed.exr", camera=CAMERA).frame.camera is CAMERA
+    assert import_file(tmp_path / "depth.exr", camera=SHIFTED).frame.camera is SHIFTED

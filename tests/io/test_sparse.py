@@ -59,3 +59,11 @@ def test_senseless_headers(full_frame, tmp_path, text):
     write_frame(tmp_path / "f.exr", full_frame, attributes={"lobewise/sparse": text})
     with pytest.raises(InputError, match=r"f\.exr"):
         read_sparse_frame(tmp_path / "f.exr")
+
+
+@pytest.mark.parametrize(("scale", "place"), [(2, (1, 1)), (4, (0, 0)), (6, (1, 3))])
+def test_pixels_that_were_not_shaded_are_refused(scale, place, sparse, tmp_path):
+    write_sparse_frame(tmp_path / "s.exr", sparse)
+    with pytest.raises(InputError, match=r"every 4 from row 1, column 3 on, got every"):
+        read_sparse_frame(tmp_path / "s.exr", scale=scale, place=place)
+    assert read_sparse_frame(tmp_path / "s.exr", scale=8, place=(5, 3)).place == (5, 3)

@@ -417,3 +417,37 @@ class TestRobustness:
         frames[1] = frames[1].with_changes(radiance=Radiance(**images))
         joined = join(frames).frame.radiance.color[20, 30]
         assert joined.max() < 5.0
+
+
+MEANINGS = {
+    "negated: --map motion=PASS:negate": (-1.0, -1.0),
+    "with y upwards: --map motion=PASS:y_up": (1.0, -1.0),
+    "shares of the image's size: multiply x by {width} and y by {height}": (1.0 / SIZE[1], 1.0 / SIZE[0]),
+    "shares of half the image's size: multiply x by -{half} and": (-2.0 / SIZE[1], 2.0 / SIZE[0]),
+}
+
+
+@pytest.mark.parametrize("meaning", MEANINGS)
+def test_motion_vectors_that_contradict_the_cameras_are_named(meaning: str) -> None:
+    still, step = make_camera(), np.array([0.06, 0.06, 0.0])
+    cameras = [replace(still, position=still.position + k * step) for k in range(3)]
+    frames = [make_frame(camera, cameras[max(k - 1, 0)], noise=NOISE, seed=k) for k, camera in enumerate(cameras)]
+    assert not any("contradict" in note for note in WindowFilter(1, quality="fast").denoise(frames, 1).notes)
+    scale = np.array(MEANINGS[meaning], np.float32)
+    wrong = [f.with_changes(gbuffer=replace(f.gbuffer, motion=f.gbuffer.motion * scale)) for f in frames]
+    told = [note for note in WindowFilter(1, quality="fast").denoise(wrong, 1).notes if "contradict" in note]
+    words = meaning.format(width=SIZE[1], height=SIZE[0], half=SIZE[1] // 2)
+    assert len(told) == 1
+    assert words in told[0]
+
+
+def test_motion_of_things_themselves_contradicts_no_camera() -> None:
+    """Nor does the motion of a camera that stands still, which says nothing."""
+    cameras = [make_camera(0.01 * k, 0.03 * k) for k in range(3)]
+    at = [-0.3 + 0.3 * k for k in range(3)]
+    moving = [
+        make_frame(c, cameras[max(k - 1, 0)], card=at[k], card_before=at[max(k - 1, 0)], noise=NOISE, seed=k)
+        for k, c in enumerate(cameras)
+    ]
+    for frames in (moving, make_still(3)):
+        assert not any("contradict" in note for note in WindowFilter(1, quality="fast").denoise(frames, 1).notes)

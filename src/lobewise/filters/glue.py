@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import reduce
-from operator import and_, or_
+from operator import add, and_, or_
 
 from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import is_good
@@ -15,6 +15,13 @@ from lobewise.filters.cross_pass import ALBEDO_FLOOR, COLORS
 def define_bad(grid: Grid) -> list[Vector]:
     """Return where a pixel of any image is NaN, infinite or negative; see `mark_bad_pixels`."""
     return [[hl.u8(~reduce(and_, (is_good(grid.read(name)) for name in grid.images)))]]
+
+
+def define_unmatched(grid: Grid, longest: float, least: float) -> list[Vector]:
+    """Return the holes, and pixels of several surfaces that no sample matches; see `mark_unmatched`."""
+    square = reduce(add, (value * value for value in grid.read("mean_normal")))
+    is_mixed = (square > hl.f32(0.0)) & (square < hl.f32(longest**2))
+    return [[hl.u8((grid.read_one("holes") != 0) | (is_mixed & (grid.read_one("weight") < hl.f32(least))))]]
 
 
 def define_common_mask(grid: Grid) -> list[Vector]:

@@ -25,7 +25,7 @@ from lobewise.errors import require_kind
 from lobewise.features import Feature, TentFeature
 from lobewise.filters.compositing import composite_parts
 from lobewise.filters.cross_filter import FilterOutput
-from lobewise.filters.glue import define_tinted
+from lobewise.filters.glue import define_tinted, define_unmatched
 from lobewise.filters.history.accumulation import run_upsampling
 from lobewise.filters.history.joining import JoinedLayers, join_layers
 from lobewise.guides.negative import split_negative
@@ -207,7 +207,7 @@ def join_sparse(
         images[: len(AREAS)] = composite_areas(frame, outputs[: len(AREAS)])
     # Nothing is scattered where nothing reflects.
     is_black_beside = frame.radiance.parts is not None and not any(layer.name == "background" for layer in layers)
-    return join_layers(
+    joined = join_layers(
         images,
         [(layer.mask, layer.albedo) for layer in lobes],
         variances=variances,
@@ -215,6 +215,29 @@ def join_sparse(
         is_black_beside=is_black_beside,
         names=[layer.name for layer in lobes],
     )
+    return replace(joined, holes=mark_unmatched(frame.gbuffer, joined.weight_sum, joined.holes))
+
+
+MAX_MIXED_LENGTH = 0.9
+"""Length of a mean normal below which a pixel shows several surfaces."""
+MIN_MATCHED = 1.0
+"""Weight sum from which on samples match a pixel of several surfaces: that of one sample of the same surface."""
+
+
+def mark_unmatched(guides: GBuffer, weight_sum: FloatArray, holes: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the holes of a sparse frame, and the pixels that must be filled like them.
+
+    The guides of other renderers are means over a pixel. At silhouettes they are those of no surface: light that was
+    divided by the dark albedo of a metal would be multiplied by the mean of it and of what is behind, as white dots.
+    """
+    if guides.denoiser_normal is None:
+        return holes
+    images = {"holes": holes, "mean_normal": guides.denoiser_normal, "weight": weight_sum}
+    text = "pixels of several surfaces that no sample matches"
+    (marked,) = engine.pixels(
+        define_unmatched, images, {}, MAX_MIXED_LENGTH, MIN_MATCHED, names=["unmatched"], text=text
+    )
+    return marked
 
 
 def knows_areas(radiance: Radiance, guides: GBuffer) -> bool:

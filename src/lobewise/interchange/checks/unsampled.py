@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 from lobewise.guides.squares import sum_square
 from lobewise.records.frame import FloatArray
 
+NOT_RENDERED = "pixels not rendered"
+"""Name of the finding of a pattern of pixels that were left out."""
 PERIOD = 4
 """Pixels after which a pattern of pixels that were left out repeats: rows, a checkerboard, one of 2x2 or of 4x4."""
 MIN_LIT = 64

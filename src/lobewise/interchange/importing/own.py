@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
+from lobewise.errors import InputError
+from lobewise.interchange.cameras.fitting import MAX_FIT_ERROR, measure_fit
 from lobewise.interchange.checks.lacks import list_uses
 from lobewise.interchange.importing.draft import Draft, Outcome
 from lobewise.io.exr.container import show_name
@@ -11,7 +15,8 @@ from lobewise.io.exr.describe import COSTS, Lack
 from lobewise.io.exr.header import read_camera, read_lobe_tables, read_spp
 from lobewise.io.exr.layout import build_frame
 from lobewise.io.exr.schema import CAMERA, SLOTS, SPP
-from lobewise.records.frame import Frame
+from lobewise.records.camera import Camera
+from lobewise.records.frame import Frame, GBuffer
 
 REMEDY = "lobewise render, which writes every guide in one pass"
 """Remedy for images that a file in lobewise's names lacks."""
@@ -27,7 +32,27 @@ def make_own_frame(draft: Draft) -> Outcome:
         read_spp(part),
         read_lobe_tables(part) if tables is None else tuple(tables),
     )
+    if draft.given_camera is not None and not draft.wraps:
+        _require_fit(draft.given_camera, frame.gbuffer)
     return Outcome(replace(draft, frame=frame.with_changes(wraps=bool(draft.wraps))))
+
+
+def _require_fit(camera: Camera, guides: GBuffer) -> None:
+    """Raise InputError if the user's camera does not see the positions of the file at their pixels."""
+    position = guides.position
+    if position is None:
+        return
+    there = np.isfinite(position).all(axis=-1) & (position != 0.0).any(axis=-1)
+    if guides.depth is not None:
+        there &= guides.depth > 0.0
+    error = measure_fit(camera, position, there) if there.any() else 0.0
+    if error >= MAX_FIT_ERROR:
+        raise InputError(
+            "--camera",
+            expected="the camera that sees the positions of the file where they are",
+            got=f"one that sees half of them more than {error:.1f} pixels away",
+            action="leave --camera out, or give that of this frame",
+        )
 
 
 def tell_own_lacks(draft: Draft) -> Outcome:

@@ -8,7 +8,7 @@ import numpy as np
 
 from lobewise.interchange.channels import COLOR
 from lobewise.interchange.checks.finding import Finding
-from lobewise.interchange.checks.unsampled import fill_gutters, mark_gutters, mark_pattern, repeat
+from lobewise.interchange.checks.unsampled import NOT_RENDERED, fill_gutters, mark_gutters, mark_pattern, repeat
 from lobewise.interchange.importing.draft import Draft, Outcome
 from lobewise.interchange.mapping import Found
 from lobewise.records.frame import Radiance
@@ -50,7 +50,7 @@ def mark_left_out(draft: Draft) -> Outcome:
         f"{100.0 * left_out.mean():.2g} % of the pixels hold no light, in a pattern that repeats, like a checkerboard: "
         "they were not rendered, and are filled from their neighbours."
     )
-    pattern = Finding("pixels not rendered", note, mended=True)
+    pattern = Finding(NOT_RENDERED, note, mended=True)
     return Outcome(replace(draft, read=read.with_images(filled)), [pattern])
 
 

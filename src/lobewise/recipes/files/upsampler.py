@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lobewise.errors import InputError
+from lobewise.interchange.checks.unsampled import NOT_RENDERED
 from lobewise.interchange.imported import Imported
 from lobewise.interchange.importing.leftovers import list_names
 from lobewise.interchange.lighting import name_pass
@@ -118,6 +119,10 @@ class FileUpsampler:
             )
         first = list_selections(path)[0]
         imported = read_view(FileRequest(), path, self._source, self._remarks, selection=first)
+        if not any(one.what == NOT_RENDERED for one in imported.findings):
+            self._remarks.add(
+                f"The light beside the pixels of --scale {scale} is not used; `lobewise denoise` uses all of it."
+            )
         left = [name_pass(one.target.source.path) for name, one in imported.outputs.items() if name != "color"]
         for words in list_names("pass", left, many="passes"):
             self._remarks.add(f"Only the image is upsampled. Left as rendered: {words}.")

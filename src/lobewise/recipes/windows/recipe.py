@@ -221,6 +221,8 @@ class WindowFilter:
             notes += (REPEATED,)
         if any(other.shape != frame.shape for other in near):
             notes += (OTHER_SIZE,)
+        shot = self._prepared[id(frame)].shot
+        notes += () if shot is None else shot.notes
         # The first frame of a render has no frame before it, and no motion.
         has_motion = any(each.gbuffer.motion is not None for each in near)
         if not has_motion and joined.shown:

@@ -17,6 +17,7 @@ from lobewise.guides.squares import compute_square_maximum
 from lobewise.guides.usable import CheckedGuides
 from lobewise.recipes.temporal.validation import Guides, ValidationFeatures, make_validation_features
 from lobewise.recipes.windows.layers import LayerImages, list_layers
+from lobewise.recipes.windows.motion import describe_motion
 from lobewise.records.camera import Camera
 from lobewise.records.frame import FloatArray, Frame, Result
 from lobewise.settings import DenoiseSettings, SimilarityName, TemporalSettings
@@ -81,6 +82,14 @@ class Shot:
         edge, _, _ = self.edges
         inside = compute_square_maximum(np.where(edge, np.float32(-1.0), distance), EDGE_REACH_PIXELS)
         return np.where(edge & (inside >= 0.0), inside, distance)
+
+    @cached_property
+    def notes(self) -> tuple[str, ...]:
+        """What a user should know of the motion vectors."""
+        motion = self.frame.gbuffer.motion
+        if motion is None or self._previous is None or not self.is_placed:
+            return ()
+        return describe_motion(motion, self.guides, self._previous)
 
     @cached_property
     def moves(self) -> NDArray[np.bool_]:
