@@ -10,9 +10,12 @@ import pytest
 from lobewise import TemporalFilter, WindowFilter, make_sparse, read_frame, upsample, write_result
 from lobewise.denoising import denoise
 from lobewise.guides.negative import MAX_DIM_SHARE, is_dim, mark_damaged, split_negative
+from lobewise.io import write_frame
 from lobewise.peers import has_oidn
+from lobewise.recipes.streaming import denoise_file
 from lobewise.records.frame import FloatArray, Frame, Radiance
 from lobewise.records.radiance import RadianceLayer
+from lobewise.settings import DenoiseSettings
 from tests.denoising.test_denoising import make_frame
 
 QUALITIES = ("fast", "balanced", "high", *(("auto",) if has_oidn() else ()))
@@ -67,6 +70,14 @@ def test_light_below_0_is_dim_up_to_a_share_of_the_light() -> None:
     shares = [0.0, 0.9 * MAX_DIM_SHARE, 1.1 * MAX_DIM_SHARE]
     frames = [Frame(Radiance(np.full((*SHAPE, 3), 2.0 * share, np.float32))) for share in shares]
     assert [is_dim(below, light) for below in frames] == [True, True, False]
+
+
+@pytest.mark.parametrize(("quality", "count"), [("balanced", 1), ("fast", 0)])
+def test_bands_name_bright_light_below_0(quality: str, count: int, tmp_path: Path) -> None:
+    write_frame(tmp_path / "in.exr", make_saturated())
+    settings = DenoiseSettings(quality=quality, with_oidn=False)
+    result = denoise_file(tmp_path / "in.exr", tmp_path / "out.exr", settings, rows=16)
+    assert sum(note.startswith("Light below 0 is 20 % of the light.") for note in result.notes) == count
 
 
 RECIPES: dict[str, Callable[[Frame], FloatArray]] = {

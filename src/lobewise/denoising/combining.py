@@ -287,7 +287,7 @@ def share_out(
     black = ~(scattered | exact)
     if (image[black] > 0.0).any():
         shares = compute_shares_near(good)
-        may_be_lit = mark_lit_beside((before > MAX_BLACK_RADIANCE).any(axis=-1), surface)
+        may_be_lit = mark_lit_beside(np.any(before > MAX_BLACK_RADIANCE, axis=-1), surface)
         lit = black & (sum_finite(shares) > 0.0) & may_be_lit[..., None]
         image = np.where(black & ~lit, before, image)
         light: FloatArray = np.where(lit, image, np.float32(0.0))
@@ -295,7 +295,7 @@ def share_out(
     return Shares(image, scaled, gain)
 
 
-def mark_lit_beside(lit: NDArray[np.bool_], surface: NDArray[np.bool_] | None) -> NDArray[np.bool_] | np.bool_:
+def mark_lit_beside(lit: NDArray[np.bool_], surface: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
     """Return the pixels that may have light, (height, width): surfaces, and what lies in fog.
 
     Where no surface is, fog has light in most pixels around. A transparent background has some beside objects alone.
@@ -308,9 +308,9 @@ def mark_lit_beside(lit: NDArray[np.bool_], surface: NDArray[np.bool_] | None) -
         Pixels that see a surface; by default all.
     """
     if surface is None:
-        return np.True_
+        return np.ones_like(lit)
     around, lit_around = (count_neighbours(mask, NEAR_RADIUS) for mask in (~surface, lit & ~surface))
-    return surface | (lit_around > MIN_SHARE_LIT * around)
+    return np.asarray(surface | (lit_around > MIN_SHARE_LIT * around))
 
 
 def compute_shares_near(parts: Sequence[FloatArray]) -> list[FloatArray]:

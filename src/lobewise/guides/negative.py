@@ -75,10 +75,24 @@ def split_negative(frame: AnyFrame) -> tuple[Any, Any]:
 
 def is_dim(below: Frame, above: Frame) -> bool:
     """Return whether the light below 0 of a frame is dim beside its other light; see `split_negative`."""
-    light = (
-        np.sum(one.radiance.color, where=np.isfinite(one.radiance.color), dtype=np.float64) for one in (below, above)
+    return not describe_bright([sum_below(below, above)])
+
+
+def sum_below(below: Frame | None, above: Frame, rows: slice = slice(None)) -> NDArray[np.float64]:
+    """Return the light of some rows that is below 0, and the light that is not, (2,)."""
+    colors = [np.zeros(1) if frame is None else frame.radiance.color[rows] for frame in (below, above)]
+    return np.array([np.sum(color, where=np.isfinite(color), dtype=np.float64) for color in colors])
+
+
+def describe_bright(sums: Sequence[NDArray[np.float64]]) -> tuple[str, ...]:
+    """Return what a user should know where bands filter bright light below 0; ``sums`` are those of `sum_below`."""
+    dark, bright = np.sum([np.zeros(2), *sums], axis=0)
+    if dark <= MAX_DIM_SHARE * bright:
+        return ()
+    share = 100.0 * dark / bright
+    return (
+        f"Light below 0 is {share:.2g} % of the light. Bands filter it by the guides alone: --bands off is better.",
     )
-    return bool(next(light) <= MAX_DIM_SHARE * next(light))
 
 
 def mark_damaged(image: FloatArray) -> NDArray[np.bool_]:

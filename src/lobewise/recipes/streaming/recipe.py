@@ -50,7 +50,7 @@ from lobewise.denoising.refining.whole_image import WholeImage, join_measured, m
 from lobewise.errors import InputError
 from lobewise.filters.fireflies import FIREFLY_REACH, compute_energy_lost
 from lobewise.filters.noise_guides import compute_mean_light
-from lobewise.guides.negative import split_negative
+from lobewise.guides.negative import describe_bright, split_negative, sum_below
 from lobewise.guides.stand_ins import stand_in_surfaces
 from lobewise.guides.survey import GuideSurvey
 from lobewise.guides.usable import Unusable, bound_guides, join_unusable, list_unusable
@@ -248,6 +248,8 @@ class _Seen:
     """Whether the network refines the layers."""
     light: list[RowSums] = field(default_factory=list)
     blurred: list[RowSums] = field(default_factory=list)
+    below: list[NDArray[np.float64]] = field(default_factory=list)
+    """Result of `sum_below` for each band."""
     missing: list[list[RowSums]] = field(default_factory=list)
     """Results of `sum_missing` for the layers of each band."""
     unusable: list[Unusable] = field(default_factory=list)
@@ -262,6 +264,7 @@ class _Seen:
             *map(str, join_unusable(self.unusable)),
             *lacks,
             *describe_loss(light, share_bounded),
+            *describe_bright(self.below),
             *describe_blurred(np.concatenate(self.blurred) if self.blurred else np.zeros((0, 2))),
         )
 
@@ -354,6 +357,8 @@ def _filter_band(
     seen.unusable += list_unusable(frame, core)
     frame, _ = stand_in_surfaces(bound_guides(frame))
     frame, below = split_negative(frame)
+    if get_quality(settings.above.quality).reads_halves:
+        seen.below.append(sum_below(below, frame, core))
     if forgets(settings.above):
         reader.forget(reader.shape[0])
     bad = mark_bad_pixels(frame)
