@@ -28,9 +28,11 @@ class Place:
     left: int = 0
 
     @classmethod
-    def of(cls, part: Part) -> Place:
-        """Return the place of the pixels of a part."""
+    def of(cls, part: Part, shape: tuple[int, int] | None = None) -> Place:
+        """Return the place of the pixels of a part; images of another ``shape`` show some of its pixels, from all."""
         whole, window = part.display_window, part.data_window
+        if shape not in (None, (window.height, window.width)):
+            return cls(*shape)
         return cls(whole.height, whole.width, window.y_min - whole.y_min, window.x_min - whole.x_min)
 
     def crop(self, camera: Camera, height: int, width: int) -> Camera:

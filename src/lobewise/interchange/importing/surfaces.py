@@ -53,7 +53,7 @@ def estimate_blur(draft: Draft) -> Outcome:
     mask: Mask = (position != 0.0).any(axis=-1)
     pixel_aspect = read_pixel_aspect(draft.image_part) or 1.0
     is_coarse = measure_grain(position).is_coarse
-    place = Place.of(draft.image_part)
+    place = Place.of(draft.image_part, draft.shape)
     fit = None if is_coarse or draft.wraps else fit_camera(position, mask, pixel_aspect, place, blurred=True)
     if fit is None:
         return Outcome(draft)
@@ -105,7 +105,9 @@ def _choose_camera(draft: Draft, header: Located | None, pixel_aspect: float) ->
         moved = _mirror(position) if header.mirrored else position
         if measure_fit(header.camera, moved, mask) < MAX_FIT_ERROR:
             return _use_header(draft, header, moved, "; positions agree with it.")
-    fit = fit_any_camera(position, mask, draft.images.get("depth"), pixel_aspect, Place.of(draft.image_part))
+    fit = fit_any_camera(
+        position, mask, draft.images.get("depth"), pixel_aspect, Place.of(draft.image_part, draft.shape)
+    )
     if fit is not None:
         return _use_fit(draft, fit, position, header)
     panorama = _use_panorama(draft) if draft.wraps is None else None
