@@ -74,7 +74,7 @@ import ctypes, os, subprocess, sys, threading
 from lobewise.display import hushing
 if sys.argv[1] == "redirected":
     hushing.hush_libraries()
-    hushing._find_c_stderr = lambda: None
+    hushing._open_c_stderr = lambda: None
 library = ctypes.CDLL(None)
 own = sys.stdout
 

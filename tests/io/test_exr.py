@@ -169,7 +169,7 @@ class TestReading:
 
     def test_missing_beauty_among_many_channels_is_still_one_line(self, tmp_path):
         self.write(tmp_path / "a.exr", {f"crypto{i:02}": np.ones((2, 2), "f") for i in range(40)})
-        with pytest.raises(MissingChannelError, match="and 32 more"):
+        with pytest.raises(MissingChannelError, match="and 28 more"):
             read_image(tmp_path / "a.exr")
 
     @pytest.mark.parametrize(

@@ -112,7 +112,7 @@ _UNBUFFERED = 2
 
 
 @cache
-def _find_c_stderr() -> _Caught | None:
+def _open_c_stderr() -> _Caught | None:
     """Return the ``stderr`` of C, if it is a variable that may be set: that of glibc is, that of musl is not."""
     if platform.libc_ver()[0] != "glibc":
         return None
@@ -124,13 +124,13 @@ def _find_c_stderr() -> _Caught | None:
 
 if hasattr(os, "register_at_fork"):
     # A child has a file of its own.
-    os.register_at_fork(after_in_child=_find_c_stderr.cache_clear)
+    os.register_at_fork(after_in_child=_open_c_stderr.cache_clear)
 
 
 @contextmanager
 def _catch_c(marks: tuple[str, ...]) -> Iterator[None]:
     """Hide lines that a library prints from C."""
-    caught = _find_c_stderr()
+    caught = _open_c_stderr()
     if caught is None:
         with _redirect(marks):
             yield
