@@ -94,7 +94,7 @@ def run_request(job: Job, request: Request, context: str, farm: Farm, bounds: Bo
     require_exr_name(job.output)
     with bounds.limit():
         if is_pattern(job.source):
-            job.expose(request)
+            job.expose(request, context)
         if farm.is_wanted:
             _run_on_farm(job, request, context, farm)
         else:

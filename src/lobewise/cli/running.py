@@ -71,17 +71,26 @@ class Job:
             numbers=numbers,
         )
 
-    def expose(self, request: Request) -> None:
-        """Choose the exposure of the pictures of a sequence once, or read it from one that a stopped run wrote."""
+    def expose(self, request: Request, context: str) -> None:
+        """Choose the exposure of the pictures of a sequence once, or read it from one that a stopped run wrote.
+
+        ``context`` is that of `run_files`.
+        """
         from lobewise.io.sequence import FramePattern
         from lobewise.recipes.files import FileRequest
-        from lobewise.recipes.ledger import Ledger, name_ledger
-        from lobewise.reporting.picture import measure_exposure, name_picture, read_exposure
+        from lobewise.recipes.files.running import open_records
+        from lobewise.reporting.picture import measure_exposure, read_exposure
 
         if self.pictures is None or self.pictures.exposure is not None:
             return
-        done = Ledger(folder=name_ledger(self.output, self.numbers), identity="").list_recorded()
-        known = read_exposure(name_picture(FramePattern.parse(self.output).name(min(done)))) if done else None
+        known = None
+        ledger = open_records(self.source, self.output, request, context=context, numbers=self.numbers)
+        for number in sorted(ledger.list_recorded()):
+            outputs = list_outputs(self.output, True, number)
+            proof = ledger.prove([(number, self.source)], lambda each, _: request.list_sources(each, self.source))
+            if ledger.is_done(number, proof[number], outputs):
+                known = read_exposure(outputs[-1])
+                break
         if known is None:
             paths = [path for _, path in FramePattern.parse(self.source).find()]
             if isinstance(request, FileRequest):

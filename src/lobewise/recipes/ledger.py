@@ -97,6 +97,9 @@ class Ledger:
             yield
         finally:
             os.close(descriptor)
+            # Windows removes no file that is open, so the folder may still be there.
+            if os.name == "nt" and not self.list_recorded():
+                self.remove()
 
     def prove(self, frames: Sequence[Numbered], list_sources: Callable[[int, Path], Iterable[Path]]) -> dict[int, str]:
         """Return a hash for each frame of a task: of the run, and of all sources up to the frame.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from os import PathLike
 from pathlib import Path
 from types import NoneType
@@ -45,6 +46,21 @@ KINDS: Mapping[str, tuple[type, ...]] = {
     **dict.fromkeys(("light_groups", "all_layers", "past_only", "only", "confidence"), (bool,)),
 }
 """Types of the fields of a request."""
+
+
+def _list_files(path: Path) -> Sequence[Path]:
+    """Return a file and those that are read with it; see `list_family`."""
+    try:
+        state = path.stat()
+    except OSError:
+        return [path]
+    return _list_family(path, state.st_size, state.st_mtime_ns)
+
+
+@lru_cache(maxsize=64)
+def _list_family(path: Path, size: int, time: int) -> Sequence[Path]:
+    """Return what `list_family` says of a file with this size and time. Windows ask for each file many times."""
+    return list_family(path)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,7 +194,7 @@ class FileRequest:
     def list_sources(self, number: int, source: Path) -> list[Path]:
         """Return every file that the result of a frame of a pattern depends on."""
         frames = self.list_window(source, number)
-        return [file for each, path in frames for file in (*list_family(path), *self._list_halves(each))]
+        return [file for each, path in frames for file in (*_list_files(path), *self._list_halves(each))]
 
     def _list_halves(self, number: int) -> list[Path]:
         """Return the file of the second render of a frame, if there is a second render."""
