@@ -11,7 +11,7 @@ import lobewise
 from lobewise.cli.program import run
 from lobewise.errors import InputError
 from lobewise.interchange import import_file
-from lobewise.interchange.checks.renders import compare_noise, measure_moved
+from lobewise.interchange.checks.renders import compare_noise, measure_moved, measure_relit
 from lobewise.interchange.joining import join_halves
 from lobewise.metrics import rel_mse
 from lobewise.records.frame import GBuffer
@@ -115,3 +115,36 @@ def test_refusal_says_by_what(rng: np.random.Generator) -> None:
     moved = change_guides(other.frame.gbuffer, lambda name, image: np.roll(image, 6, axis=1))
     with pytest.raises(InputError, match=r"by the (positions|normals|albedos)"):
         join_halves(one, replace(other, frame=other.frame.with_changes(gbuffer=moved)))
+
+
+def render(truth: np.ndarray, samples: int, rng: np.random.Generator, *, chance: float) -> np.ndarray:
+    """Return light of which each sample finds all or nothing."""
+    hits = rng.binomial(samples, chance, truth.shape[:2]) / (samples * chance)
+    return (truth * hits[..., None]).astype(np.float32)
+
+
+@pytest.mark.parametrize("chance", [0.5, 0.1, 0.02])
+@pytest.mark.parametrize("samples", [(1, 1), (1, 1024), (4, 64)])
+def test_noise_is_no_other_light(
+    chance: float, samples: tuple[int, int], rng: np.random.Generator, field_folder: Path
+) -> None:
+    truth = np.load(field_folder / "half_ref.npy")
+    one, other = (render(truth, count, rng, chance=chance) for count in samples)
+    assert measure_relit(one, other) == 0.0
+
+
+def test_light_of_another_time_is_refused_without_any_guide(field_folder: Path) -> None:
+    many, few = (import_file(field_folder / f"half_{count}spp.exr") for count in (64, 4))
+    bare = [replace(one, frame=one.frame.with_changes(gbuffer=GBuffer())) for one in (many, few)]
+    assert join_halves(*bare).frame.half_a is None
+    moved = bare[1].frame.radiance
+    for color in (np.roll(moved.color, 12, axis=1), 2.0 * moved.color):
+        frame = bare[1].frame.with_changes(radiance=replace(moved, color=color))
+        with pytest.raises(InputError, match="other light than noise explains, in"):
+            join_halves(bare[0], replace(bare[1], frame=frame))
+
+
+def test_seeds_of_real_renders_have_the_same_light() -> None:
+    one, other = (import_file(path).frame.radiance.color for path in SEEDS)
+    assert measure_relit(one, other) == 0.0
+    assert measure_relit(one, np.roll(other, 20, axis=1)) > 0.0

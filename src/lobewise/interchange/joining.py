@@ -10,7 +10,7 @@ import numpy as np
 
 from lobewise.errors import InputError, require_choice
 from lobewise.interchange.channels import COLOR, Pass, list_passes
-from lobewise.interchange.checks.renders import compare_noise, measure_moved
+from lobewise.interchange.checks.renders import compare_noise, measure_moved, measure_relit
 from lobewise.interchange.imported import ImageReader, Imported
 from lobewise.interchange.importing.leftovers import list_further, list_light_groups, list_names, take_noisy_alpha
 from lobewise.interchange.lighting import PartOutput, is_smooth, name_pass
@@ -272,6 +272,14 @@ def _require_one_frame(a: Frame, b: Frame) -> None:
             expected="the same frame rendered again, with another seed",
             got=f"other surfaces in {100.0 * moved:.2g} % of the pixels, by the {guides}",
             action="give the file of the same frame and camera",
+        )
+    relit = measure_relit(a.radiance.color, b.radiance.color)
+    if relit:
+        raise InputError(
+            "--half",
+            expected="the same frame rendered again, with another seed",
+            got=f"other light than noise explains, in {100.0 * relit:.2g} % of the pixels",
+            action="give the file of the same frame and settings",
         )
 
 

@@ -17,6 +17,15 @@ MAX_STEP = 0.2
 MAX_SHARE_MOVED, MIN_MOVED = 0.005, 8
 """Share of the pixels, and their number, up to which two renders show the same surfaces. Measured
 (docs/developers/checks.md): other seeds and other sample counts up to 0.0017, a pan by three pixels 0.03 to 0.2."""
+MAX_DOUBT = 0.15
+"""Noise of a mean over 7x7 pixels, relative to it, up to which it is compared with that of another render."""
+MANY_DEVIATIONS, MIN_CONTRAST = 5.0, 0.04
+"""Least difference of two such means that no noise explains: in standard deviations of independent pixels, which a wide
+pixel filter makes too small, and as a share of their sum."""
+MAX_SHARE_RELIT, MIN_RELIT = 0.01, 32
+"""Share and number of the compared pixels up to which the light of two renders is the same."""
+MEAN_REACH = 2
+"""Pixels around a pixel in which the other render may have the mean light of its surroundings."""
 REACH = 1
 """Pixels around a pixel in which the other render may have its surface."""
 NOISE_REACH = 3
@@ -72,6 +81,31 @@ def _count_apart(one: FloatArray, other: FloatArray, step: float) -> int:
 
     run_chunks(compare, height, width)
     return int(np.count_nonzero(apart))
+
+
+def measure_relit(one: FloatArray, other: FloatArray) -> float:
+    """Return the share of the pixels whose light differs by more than noise between two renders, (height, width, 3).
+
+    Means over 7x7 pixels are compared where their noise leaves no doubt. A mean counts that lies outside of what those
+    around it are in the other render, for both. The share is of the pixels compared, and 0 where it is as small as
+    between two seeds.
+    """
+    grays = [_take_gray(color) for color in (one, other)]
+    means = [average_square(gray, NOISE_REACH) for gray in grays]
+    known, deviations = np.ones(grays[0].shape, np.bool_), []
+    for gray, mean in zip(grays, means, strict=True):
+        # The largest variance nearby: where rare bright samples were missed there is none.
+        variance = average_square(np.square(gray - mean), NOISE_REACH)
+        noise = np.sqrt(compute_square_maximum(variance, NOISE_REACH)) / np.float32(2 * NOISE_REACH + 1)
+        known &= (mean > 0.0) & (noise < MAX_DOUBT * mean)
+        deviations.append(noise)
+    doubt = np.float32(MANY_DEVIATIONS) * np.hypot(*deviations) + np.float32(MIN_CONTRAST) * (means[0] + means[1])
+    apart = known
+    for mean, its in (means, means[::-1]):
+        high, low = compute_square_maximum(its, MEAN_REACH), -compute_square_maximum(-its, MEAN_REACH)
+        apart = apart & ((mean > high + doubt) | (mean < low - doubt))
+    count, compared = int(np.count_nonzero(apart)), int(np.count_nonzero(known))
+    return count / compared if count > MAX_SHARE_RELIT * compared and count >= MIN_RELIT else 0.0
 
 
 def compare_noise(one: Frame, other: Frame) -> float:
