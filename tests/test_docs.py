@@ -189,7 +189,7 @@ def test_commands_and_their_options_exist(path: Path) -> None:
 def test_commands_of_troubleshooting_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import OpenEXR
 
-    from lobewise.cli.main import run
+    from lobewise.cli.program import run
 
     shots = ROOT / "tests" / "data" / "foreign"
     for name in ("shot.exr", "shot.0001.exr", "panorama.exr"):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import lobewise
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.denoising.plan import count_bytes, estimate_work_bytes
 from lobewise.errors import InputError, LimitError
 from lobewise.peers import MIN_LIBRARY_BYTES, bound_library_memory, denoise_oidn, has_oidn

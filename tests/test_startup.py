@@ -31,7 +31,7 @@ ASK_FOR_HELP = f"""
 import json, sys
 import typer
 from lobewise.cli.commands import app
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 
 def list_verbs(command, before):
     yield before

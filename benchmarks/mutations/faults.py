@@ -352,7 +352,7 @@ RENDERING = (
 FRONTENDS = (
     Mutation(
         "a mistake of the user ends the command with the exit code of a bug",
-        "cli/main.py",
+        "cli/program.py",
         "return _fail(name_option(str(problem), arguments), EXIT_USER_ERROR, debug)",
         "return _fail(name_option(str(problem), arguments), EXIT_INTERNAL_ERROR, debug)",
         ("cli/test_overwriting.py", "cli/test_mistakes.py"),

@@ -8,7 +8,7 @@ import pytest
 
 from lobewise.cli.bench.interactive import list_render_devices, measure_devices
 from lobewise.cli.bench.machine import describe_machine
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.errors import InputError
 from lobewise.interactive.settings import InteractiveSettings
 from lobewise.interactive.views import STAGES

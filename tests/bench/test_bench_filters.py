@@ -12,7 +12,7 @@ from lobewise.cli.bench.filters import FULL_SIZE, OIDN, PARTS, QUICK_SIZE, add_h
 from lobewise.cli.bench.machine import describe_machine
 from lobewise.cli.bench.plane import SIMILARITIES, make_features, make_frame, make_mixture
 from lobewise.cli.bench.timing import time_best
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.errors import DeviceError, InputError
 from lobewise.features import Feature
 from lobewise.filters.cross_filter import run_filter

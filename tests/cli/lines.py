@@ -2,7 +2,7 @@
 
 import pytest
 
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 
 
 def fail(capsys: pytest.CaptureFixture[str], *words: object) -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.interchange import describe_file, read_image
 from lobewise.io import read_frame, write_frame, write_image
 from lobewise.io.materials import read_lobe_table, write_lobe_table
@@ -443,3 +443,9 @@ class TestFitMitsuba:
         before = sorted(tmp_path.iterdir())
         assert words in fail(capsys, "fit", "--mitsuba", reference.format(scene), "-o", tmp_path / "a.lobes")
         assert sorted(tmp_path.iterdir()) == before
+
+
+def test_the_program_can_be_called_again_and_again() -> None:
+    code = "from lobewise.cli import main\nfor _ in 'ab':\n    try: main(['devices'])\n    except SystemExit: pass\n"
+    code += "import lobewise.cli\nassert lobewise.cli.main is main"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True).returncode == 0

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lobewise.cli.comparing import _compare_sequences
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.io import write_frame, write_image, write_sparse_frame
 from lobewise.metrics import METRICS, evaluate, flicker, rel_mse
 from lobewise.records.camera import Camera

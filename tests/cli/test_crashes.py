@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from tests.interrupts import start_program
 
 SCENE = """<scene version="3.0.0">

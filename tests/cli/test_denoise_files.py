@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 import lobewise
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.errors import CancelledError, FileError, InputError
 from tests.streaming.frames import make_scene
 

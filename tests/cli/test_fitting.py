@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lobewise.cli.fitting import choose_plot
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.fitting.fit import fit_lobes
 from lobewise.fitting.ggx import ggx_brdf
 from lobewise.fitting.merl import FILE_BYTES

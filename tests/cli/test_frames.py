@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from lobewise.cli.main import run
 from lobewise.cli.options.frames import parse_frames
+from lobewise.cli.program import run
 from lobewise.errors import InputError
 from lobewise.farm.ledger import name_ledger
 from lobewise.io import write_frame

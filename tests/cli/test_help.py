@@ -11,8 +11,8 @@ import pytest
 import typer
 
 from lobewise.cli.commands import app
-from lobewise.cli.main import run
 from lobewise.cli.options.spreading import with_groups
+from lobewise.cli.program import run
 from lobewise.cli.terminal.help import EXAMPLES, RARE, RESULT
 
 MAX_LINES_OF_PLAIN_HELP = 60

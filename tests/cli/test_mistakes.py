@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.io import write_frame, write_image
 from tests.streaming.frames import change_radiance, make_scene
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.io import read_frame, write_frame, write_sparse_frame
 from lobewise.records.frame import Frame, GBuffer, Radiance
 from lobewise.records.sparse_frame import SparseFrame

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 import lobewise
-from lobewise.cli.main import run as run_program
+from lobewise.cli.program import run as run_program
 from lobewise.interchange import describe_file
 from lobewise.io import write_image
 from tests.streaming.frames import make_scene

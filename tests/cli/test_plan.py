@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.io import write_frame
 from lobewise.recipes.streaming import plan
 from lobewise.records.frame import Frame

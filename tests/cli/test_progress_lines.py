@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 import lobewise
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from tests.streaming.frames import make_scene
 
 FOREIGN = Path(__file__).parents[1] / "data" / "foreign" / "blender_4.5_seed1.exr"

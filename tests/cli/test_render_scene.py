@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import lobewise
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 
 pytestmark = pytest.mark.mitsuba
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.io import read_frame, read_sparse_frame
 from lobewise.records.sparse_frame import list_places
 from tests.cli import lines

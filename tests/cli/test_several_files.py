@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lobewise.cli.main import run
 from lobewise.cli.options.naming import name_clean
+from lobewise.cli.program import run
 from lobewise.interchange import read_image
 from lobewise.io import write_frame
 from tests.streaming.frames import make_scene

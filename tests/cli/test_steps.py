@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from lobewise.backend.watching import tell_compiling
-from lobewise.cli.main import run
 from lobewise.cli.output import print_line, print_note
+from lobewise.cli.program import run
 from lobewise.cli.terminal import steps as steps_module
 from lobewise.cli.terminal.steps import COMPILING, Steps
 from lobewise.work import progress

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lobewise import TemporalFilter, WindowFilter, read_frame, read_sparse_frame, write_frame, write_sparse_frame
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.denoising import denoise
 from lobewise.interchange import read_image, write_result
 from lobewise.recipes.sequence import filter_sequence, name_checkpoint

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.denoising import denoise, light_loss
 from lobewise.denoising.layers import Layer
 from lobewise.denoising.light_loss import (

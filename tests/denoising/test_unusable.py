@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lobewise
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.denoising import recipe
 from lobewise.denoising.bad_pixels import fill_holes, mark_good
 from lobewise.errors import InputError

@@ -8,7 +8,7 @@ import OpenEXR
 import pytest
 
 import lobewise
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.denoising.plan import foretell
 from lobewise.errors import InputError
 from lobewise.guides.usable import check_guides

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.display.colors import REC709, Chromaticities, are_plausible, convert_light
 from lobewise.interchange import read_image, read_light
 from lobewise.records.frame import FloatArray

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.display import views
 from lobewise.display.colors import REC709, convert_light
 from lobewise.display.views import View, open_view, paint_picture

@@ -14,7 +14,7 @@ import pytest
 
 from lobewise.cli.doctor import folders, machine, packages
 from lobewise.cli.doctor.report import Problem, Report, Section, name_path
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.errors import MissingDependencyError
 from lobewise.peers import has_oidn
 

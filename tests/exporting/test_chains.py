@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 import lobewise
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.denoising.automatic import resolve_settings
 from lobewise.denoising.layers import make_layers
 from lobewise.exporting.names import CHAINS, SHADER_LANGUAGES

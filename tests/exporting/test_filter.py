@@ -12,7 +12,7 @@ import pytest
 
 from benchmarks.performance.pipelines import Library, pack_frame
 from lobewise.backend.devices import list_devices
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.denoising import resolve_settings
 from lobewise.errors import DeviceError, FileError, InputError
 from lobewise.exporting.names import TARGETS

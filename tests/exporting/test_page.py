@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from lobewise.cli.exporting import KNOBS
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.exporting.names import TARGETS
 from lobewise.exporting.pipeline.writing import MAX_DEVICE_DIFFERENCE, MAX_DIFFERENCE, MAX_PLAIN_DIFFERENCE
 from lobewise.exporting.shaders.writing import make_shader

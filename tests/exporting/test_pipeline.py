@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.performance.pipelines import Library, pack_frame
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.denoising.automatic import choose_beta, choose_screen_sigma, choose_tau
 from lobewise.engine.graph import Graph
 from lobewise.engine.memory import list_spans, plan_memory

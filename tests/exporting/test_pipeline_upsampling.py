@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.errors import InputError
 from lobewise.exporting.pipeline.sample import FRAMES, get_place, make_sparse, prepare_frame
 from lobewise.exporting.pipeline.scene import make_frame

@@ -17,7 +17,7 @@ import OpenEXR
 import pytest
 
 import lobewise
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.interchange import import_file
 from releasing.blender import RELEASES, build_extension, list_systems
 from tests.pythons import choose_python, run_without_paths

@@ -9,7 +9,7 @@ import pytest
 
 from lobewise.cli import farming
 from lobewise.cli.farming import FrameWork
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.farm.ledger import name_ledger
 from lobewise.farm.tasks import TaskLog
 from lobewise.interchange import read_image

@@ -10,7 +10,7 @@ import OpenEXR
 import pytest
 
 import lobewise
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.errors import MissingChannelError, UnusedGuideWarning
 from lobewise.guides.survey import GuideSurvey
 from lobewise.interchange import read_image

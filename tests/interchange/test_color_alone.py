@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from renderers import WRITERS, Written, make_scene, write
 
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.interchange import import_file
 from lobewise.interchange.checks import lacks
 from lobewise.interchange.preset import load_presets

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from renderers import WRITERS, Written, make_scene, write
 
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.denoising.automatic import ask, resolve_all
 from lobewise.denoising.inputs import list_unused
 from lobewise.denoising.plan import foretell_method

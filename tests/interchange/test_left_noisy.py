@@ -8,7 +8,7 @@ import pytest
 from renderers import WRITERS, Written, make_scene, name, read_channels, write
 
 import lobewise
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.denoising.plan import foretell
 from lobewise.interchange import siblings
 from lobewise.interchange.reading import import_file

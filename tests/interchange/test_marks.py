@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from renderers import WRITERS, make_scene, write, write_denoised
 
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.denoising import denoise
 from lobewise.interchange import describe_file, import_file, read_frame, write_result
 from lobewise.interchange.checks import MARKED

@@ -7,7 +7,7 @@ import pytest
 from renderers import WRITERS, Written, make_scene, read_channels, write
 
 import lobewise
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.errors import InputError
 from lobewise.interchange import import_file, write_result
 from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance

@@ -8,7 +8,7 @@ import pytest
 from renderers import WRITERS, make_scene, name, write
 
 import lobewise
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.interchange.reading import import_file
 from lobewise.metrics import rel_mse
 

@@ -8,7 +8,7 @@ import OpenEXR
 import pytest
 
 import lobewise
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.guides.lamps import keep_lamps
 from lobewise.interchange.cameras.panorama import fit_panorama
 from lobewise.interchange.reading import import_file

@@ -9,7 +9,7 @@ import pytest
 from renderers import REAL, WRITERS, make_scene, write, write_denoised
 
 import lobewise
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.interchange import import_file, write_result
 from lobewise.interchange.reading import list_selections
 from lobewise.io.exr.header import DENOISED

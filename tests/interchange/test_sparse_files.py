@@ -7,7 +7,7 @@ import OpenEXR
 import pytest
 
 import lobewise
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.interchange.channels import list_passes
 from lobewise.io.exr.parsing import read_container
 from tests.interchange import renderers

@@ -12,7 +12,7 @@ import OpenEXR
 import pytest
 from renderers import WRITERS, make_scene, write, write_denoised
 
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.cli.terminal.summary import describe_quality
 from lobewise.denoising import denoise
 from lobewise.errors import InputError

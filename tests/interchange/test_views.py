@@ -9,7 +9,7 @@ import pytest
 from renderers import WRITERS, make_scene
 
 import lobewise
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.errors import InputError
 from lobewise.interchange import describe_file, import_file
 from lobewise.interchange.reading import list_selections

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.errors import FileError
 from lobewise.exporting.folder import open_folder
 from lobewise.farm.ledger import Ledger
@@ -274,7 +274,7 @@ def test_any_name_is_read_written_and_shown(name: bytes, encoding: str, tmp_path
     path = tmp_path / os.fsdecode(name)
     path.write_bytes(source.read_bytes())
     program = (
-        "import sys; from lobewise.cli.main import run\n"
+        "import sys; from lobewise.cli.program import run\n"
         "path, folder = sys.argv[1:]\n"
         "code = run(['inspect', path])\n"
         "code = code or run(['compare', path, '--reference', path, '--json', folder + '/a.json'])\n"

@@ -14,7 +14,7 @@ import pytest
 import lobewise
 from lobewise.backend import jit
 from lobewise.cli.doctor.machine import examine_kernels
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.filters.cross_pass import PassKey
 from lobewise.settings.choices import FORM_NAMES, QUALITIES, SIMILARITIES
 from releasing.catalogue import follow, list_kernels

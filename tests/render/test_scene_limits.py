@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.errors import InputError
 from lobewise.interactive import Session
 from lobewise.render import load_scene, render_frame, render_reference

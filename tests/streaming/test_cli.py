@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.cli.main import run
 from lobewise.cli.output import describe_result, describe_settings
+from lobewise.cli.program import run
 from lobewise.io import write_frame
 from lobewise.recipes.files import FileResult
 from lobewise.recipes.streaming import DenoisedFile, plan

@@ -9,7 +9,7 @@ import OpenEXR
 import pytest
 
 import lobewise
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.errors import InputError
 from lobewise.interchange import import_file
 from lobewise.interchange.importing import bands

@@ -8,7 +8,7 @@ import OpenEXR
 import pytest
 from PIL import Image
 
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.display.tones import choose_exposure, map_tones
 from lobewise.interchange import read_image
 from lobewise.io import write_frame

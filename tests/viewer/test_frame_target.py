@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.denoising import denoise
 from lobewise.errors import FileError, InputError
 from lobewise.interchange import read_frame as read_any

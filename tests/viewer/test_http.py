@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.cli.viewing import Page
 from lobewise.errors import InputError, MissingDependencyError
 from lobewise.viewer import Viewer, worker_process

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from lobewise.cli.main import run
+from lobewise.cli.program import run
 from lobewise.errors import InputError, LobewiseError, MissingDependencyError
 from lobewise.interactive.settings import InteractiveSettings
 from lobewise.viewer import FrameViewer, Viewer, worker_process

@@ -31,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     is_ignored = signal.getsignal(signal.SIGINT) == signal.SIG_IGN
     if not is_ignored:
         _set_handler(_leave)
-    from lobewise.cli.main import run
+    from lobewise.cli.program import run
     from lobewise.cli.terminal.children import allow_children
     from lobewise.display.hushing import hush_libraries
 
