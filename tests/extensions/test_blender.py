@@ -340,7 +340,7 @@ def test_both_eyes_of_a_stereo_render_are_denoised(used: tuple[Path, dict[str, A
 def test_operators_say_what_is_missing(used: tuple[Path, dict[str, Any]]) -> None:
     _, told = used
     for what, words in {
-        "without render": "; render an image first.",
+        "without render": "render an image first.",
         "without multilayer": "The output is no multilayer EXR: choose that in the tab Output",
         "without frames": "shot_####.exr: render the animation first.",
         "no file": "none.exr",
