@@ -62,8 +62,8 @@ def test_only_what_was_clearly_lost_is_told(spots: int, total: float, told: bool
     kept = result.image.mean(dtype=np.float64) / frame.radiance.color.mean(dtype=np.float64)
     assert result.energy_lost == pytest.approx(1.0 - kept, abs=1e-4)
     if spots == 1:
-        # One pixel tells nothing of the mean: a hundredth of the light is shared out at most.
-        assert kept == pytest.approx(1.0 - (0.04 / 1.04 - 0.01), abs=2e-3)
+        # One pixel tells nothing of the mean: none of its light is shared out.
+        assert kept == pytest.approx(1.0 - 0.04 / 1.04, abs=2e-3)
     else:
         assert kept == pytest.approx(1.0, abs=0.005)
     found = list_losses(frame)
@@ -97,12 +97,12 @@ def test_the_light_of_every_layer_is_kept(quality: str, apart: bool, rng: np.ran
 def test_so_much_is_shared_out_as_the_noise_leaves_sure(fireflies: int, lost: float) -> None:
     """A layer of light 3000 and some fireflies that lost as much each; all take part."""
     whole, missing = 3000.0, lost * fireflies
-    rows = np.array([[whole + missing, missing, fireflies * lost**2, whole, whole]])
-    shared = max(missing * (1.0 - fireflies**-2.0), min(missing, 0.01 * whole))
+    rows = np.array([[whole + missing, missing, fireflies * lost**2, whole, whole, lost]])
+    shared = max(missing * (1.0 - fireflies**-2.0), min(missing - lost, 0.01 * whole))
     assert compute_gain(rows).sum_light(rows) == pytest.approx(shared)
     assert compute_share_missing([compute_loss(rows)]) == pytest.approx((missing - shared) / (whole + missing))
     # In two parts the same.
-    halves = np.repeat(0.5 * rows, 2, axis=0)
+    halves = np.repeat(rows * [0.5, 0.5, 0.5, 0.5, 0.5, 1.0], 2, axis=0)
     assert compute_gain(halves) == compute_gain(rows)
 
 
@@ -132,26 +132,33 @@ def test_what_is_no_part_of_a_layer_stays_as_it_is(rng: np.random.Generator) -> 
 
 
 def test_light_that_was_added_is_taken_away() -> None:
-    rows = np.array([[1000.0, -100.0, 10.0, 700.0, 1100.0]])
+    rows = np.array([[1000.0, -100.0, 10.0, 700.0, 1100.0, 0.0]])
     assert compute_gain(rows) == (0.0, pytest.approx(-100.0 / 1100.0, rel=1e-5))
     assert compute_share_missing([compute_loss(rows)]) == 0.0
 
 
 def test_nothing_is_shared_out_over_nothing() -> None:
-    for sums in ([0.0] * 5, [10.0, 10.0, 5.0, 0.0, 0.0], [np.inf, np.inf, np.inf, 1.0, 1.0]):
+    for sums in ([0.0] * 6, [10.0, 10.0, 5.0, 0.0, 0.0, 5.0], [np.inf, np.inf, np.inf, 1.0, 1.0, np.inf]):
         assert not any(compute_gain(np.array([sums])))
+
+
+def test_one_firefly_changes_no_light() -> None:
+    """A hundredth of the light would else be shared out in this frame, and none in the next one."""
+    firefly, noise, whole = 1e4, 0.4, 800.0
+    rows = np.array([[1000.0, firefly + noise, firefly**2 + noise**2, 400.0, whole, firefly]])
+    assert compute_gain(rows).sum_light(rows) < 0.0025 * whole
 
 
 def test_what_takes_more_than_its_part_takes_the_rest_in_proportion() -> None:
     """Where little light takes part: it doubles, and all light takes what is left."""
-    rows = np.array([[1000.0, 400.0, 100.0, 50.0, 600.0]])
+    rows = np.array([[1000.0, 400.0, 100.0, 50.0, 600.0, 1.0]])
     gain = compute_gain(rows)
     assert gain.takers == 1.0
     assert gain.all == pytest.approx(350.0 / 600.0, rel=1e-3)
 
 
 def test_all_light_of_a_refined_layer_takes_part_up_to_a_twentieth() -> None:
-    little, much = (np.array([[1000.0, missing, missing**2 / 100.0, 400.0, 800.0]]) for missing in (30.0, 100.0))
+    little, much = (np.array([[1000.0, missing, missing**2 / 100.0, 400.0, 800.0, 1.0]]) for missing in (30.0, 100.0))
     assert compute_gain(little, refined=True) == (0.0, pytest.approx(30.0 / 800.0, rel=1e-3))
     gain = compute_gain(much, refined=True)
     assert gain == (pytest.approx(60.0 / 400.0, rel=1e-3), pytest.approx(0.05))

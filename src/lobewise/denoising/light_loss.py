@@ -92,15 +92,15 @@ def sum_missing(
     *,
     uncounted: NDArray[np.bool_] | None = None,
 ) -> RowSums:
-    """Return sums over the good pixels of each row, (rows, 5), from which `compute_gain` computes the gain of a layer.
+    """Return sums over the good pixels of each row, (rows, 6), from which `compute_gain` computes the gain of a layer.
 
     The images are the layer's noisy and filtered light, (height, width, 3), and the result of `compute_takers`. The
     sums are: the noisy light; the noisy minus the filtered light; the square of this difference; the light that takes
-    part in sharing; all light of the pixels that take part. Light is the sum of the three channels. Pixels in
+    part in sharing; all light of the pixels that take part; the largest difference, which is no sum. Light is the sum of the three channels. Pixels in
     ``uncounted``, (height, width), are left out.
     """
     first, stop, _ = rows.indices(len(part))
-    row_sums, height = [np.zeros((0, 5))], max(MISSING_PIXELS_AT_ONCE // part.shape[1], 1)
+    row_sums, height = [np.zeros((0, 6))], max(MISSING_PIXELS_AT_ONCE // part.shape[1], 1)
     for top in range(first, stop, height):
         block = slice(top, min(top + height, stop))
         noisy, done, share = radiance[block], part[block], taker[block]
@@ -111,7 +111,7 @@ def sum_missing(
         missing = before - after
         sums = before, missing, missing * missing, after * share, np.where(share > 0.0, after, 0.0)
         # Sum each row alone: bands of any height then give the same bits.
-        row_sums.append(np.stack([one.sum(axis=1) for one in sums], axis=1))
+        row_sums.append(np.stack([*(one.sum(axis=1) for one in sums), missing.max(axis=1)], axis=1))
     return np.concatenate(row_sums)
 
 
@@ -123,7 +123,7 @@ class Gain(NamedTuple):
 
     def sum_light(self, rows: RowSums) -> float:
         """Return the light that is shared out, summed over pixels and channels; ``rows`` are of `sum_missing`."""
-        taking, whole = rows[:, 3:].sum(axis=0)
+        taking, whole = rows[:, 3:5].sum(axis=0)
         return float(self.takers * taking + self.all * whole)
 
 
@@ -134,12 +134,14 @@ def compute_gain(rows: RowSums, *, refined: bool = False) -> Gain:
     is missing, the share ``1 - 1/k^2`` of it is shared out. Pixels grow by at most `MAX_GAIN_PER_FIREFLY` for each
     firefly, however much light the fireflies hold.
     """
-    _, missing, squared, taking, whole = (float(each) for each in rows.sum(axis=0))
+    _, missing, squared, taking, whole = (float(each) for each in rows[:, :5].sum(axis=0))
+    # One firefly, which the next frame has not, must not change the light of the image.
+    sure = abs(missing) if missing < 0.0 else max(missing - float(rows[:, 5].max(initial=0.0)), 0.0)
     if not (taking > 0.0 and squared > 0.0 and math.isfinite(squared)) or missing == 0.0:
         return Gain()
     fireflies = max(missing * missing / squared, 1.0)
     known = (1.0 - fireflies**-2.0) * abs(missing)
-    shared = max(known, min(abs(missing), MAX_SHARED_AS_NOISE * whole))
+    shared = max(known, min(sure, MAX_SHARED_AS_NOISE * whole))
     most = MAX_GAIN_PER_FIREFLY * fireflies
     if missing < 0.0:
         return Gain(all=-min(shared / whole, most, MAX_FALL))

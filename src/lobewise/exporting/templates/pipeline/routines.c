@@ -219,7 +219,7 @@ static void share_missing(
     const size_t pixels = (size_t)p->width * (size_t)p->height;
     const float *before = (const float *)noisy->host, *after = (const float *)filtered->host;
     const float *share = (const float *)taker->host;
-    double light = 0.0, missing = 0.0, squared = 0.0, taking = 0.0, whole = 0.0;
+    double light = 0.0, missing = 0.0, squared = 0.0, taking = 0.0, whole = 0.0, largest = 0.0;
     size_t k;
     gain[0] = gain[1] = 0.0;
     for (k = 0; k < pixels; k++, before += 3, after += 3) {
@@ -229,6 +229,7 @@ static void share_missing(
             light += sum;
             missing += lost;
             squared += lost * lost;
+            largest = fmax(largest, lost);
             taking += left * share[k];
             whole += share[k] > 0.0f ? left : 0.0;
         }
@@ -236,7 +237,9 @@ static void share_missing(
     if (taking > 0.0 && squared > 0.0 && squared <= DBL_MAX && missing != 0.0) {
         const double fireflies = fmax(missing * missing / squared, 1.0);
         const double known = (1.0 - 1.0 / (fireflies * fireflies)) * fabs(missing);
-        double shared = fmax(known, fmin(fabs(missing), ${MAX_SHARED_AS_NOISE} * whole));
+        /* One firefly, which the next frame has not, must not change the light of the image. */
+        const double sure = missing < 0.0 ? -missing : fmax(missing - largest, 0.0);
+        double shared = fmax(known, fmin(sure, ${MAX_SHARED_AS_NOISE} * whole));
         double most = ${MAX_GAIN_PER_FIREFLY} * fireflies;
         if (missing < 0.0) {
             gain[1] = -fmin(fmin(shared / whole, most), ${MAX_FALL});
