@@ -69,7 +69,8 @@ def read_frame(
     camera : Camera, optional
         Replaces the camera of the file.
     half : path, optional
-        The same frame rendered again with another seed. Each render becomes one half of the samples.
+        The same frame rendered again with another seed. Each render becomes one half of the samples; with unequal noise
+        each counts by its samples instead.
     lobe_tables : sequence of LobeTable, optional
         Tables that the channel ``material.I`` of a file in lobewise's names indexes. They replace those in its header.
     light_passes : bool

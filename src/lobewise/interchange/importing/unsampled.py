@@ -56,10 +56,10 @@ def mark_left_out(draft: Draft) -> Outcome:
 
 def continue_into_gutters(draft: Draft) -> Outcome:
     """Continue the light of a bake, which has no guides, into its gutters. What is written there is 0."""
-    frame, target = draft.frame, draft.outputs["color"]
+    frame, target = draft.frame, draft.outputs.get("color")
     assert frame is not None
     chosen = draft.channels.roles["color"].source.pick(("a",))
-    if chosen is None or frame.gbuffer.names or frame.layers or frame.radiance.parts is not None:
+    if target is None or chosen is None or frame.gbuffer.names or frame.layers or frame.radiance.parts is not None:
         return Outcome(draft)
     color = frame.radiance.color
     alpha = draft.read(Found(draft.channels.roles["color"].source, chosen))
