@@ -96,8 +96,8 @@ def sum_missing(
 
     The images are the layer's noisy and filtered light, (height, width, 3), and the result of `compute_takers`. The
     sums are: the noisy light; the noisy minus the filtered light; the square of this difference; the light that takes
-    part in sharing; all light of the pixels that take part; the largest difference, which is no sum. Light is the sum of the three channels. Pixels in
-    ``uncounted``, (height, width), are left out.
+    part in sharing; all light of the pixels that take part. The last number is the largest difference, and no sum.
+    Light is the sum of the three channels. Pixels in ``uncounted``, (height, width), are left out.
     """
     first, stop, _ = rows.indices(len(part))
     row_sums, height = [np.zeros((0, 6))], max(MISSING_PIXELS_AT_ONCE // part.shape[1], 1)
