@@ -1,16 +1,54 @@
 """What messages say: a suggestion only where one is near, numbers as people write them."""
 
+import copy
+import pickle
 from typing import Any
 
 import numpy as np
 import pytest
 
-from lobewise.errors import InputError, choose_nearest, name_value, require_choice, require_integer
+from lobewise.errors import (
+    FileError,
+    InputError,
+    LobewiseError,
+    choose_nearest,
+    name_value,
+    require_choice,
+    require_integer,
+)
 from lobewise.interchange.preset import look_up_preset
 from lobewise.records.camera import Camera
 from lobewise.settings import DenoiseSettings
 
 QUALITIES = ("auto", "fast", "balanced", "high")
+
+
+@pytest.mark.parametrize(
+    ("problem", "sentence"),
+    [
+        (
+            InputError("radius", expected="an integer", got="-3", action="pass 8", holder="input 'a.exr'"),
+            "input 'a.exr': radius: expected an integer, got -3; pass 8.",
+        ),
+        (
+            FileError("device", expected="cpu", got="'cup'", action="mean 'cpu'?"),
+            "device: expected cpu, got 'cup'; mean 'cpu'?",
+        ),
+        (LobewiseError("Dask is absent", action="pip install dask"), "Dask is absent; pip install dask."),
+        (LobewiseError("Nothing goes on."), "Nothing goes on."),
+    ],
+)
+def test_an_error_keeps_its_fields_through_pickles_and_copies(problem: LobewiseError, sentence: str) -> None:
+    for same in (problem, copy.copy(problem), copy.deepcopy(problem), pickle.loads(pickle.dumps(problem))):
+        assert (type(same), str(same), same.fields) == (type(problem), sentence, problem.fields)
+    assert [problem.change().fields, type(problem.change())] == [problem.fields, type(problem)]
+
+
+def test_an_error_in_a_file_names_the_outermost_first() -> None:
+    found = InputError("up", expected="a direction", got="0", action="pass another").place_in("camera", FileError)
+    assert isinstance(found, FileError)
+    assert str(found.place_in("input 'a'")) == "input 'a': camera: up: expected a direction, got 0; pass another."
+    assert found.fault == "camera: up: expected a direction, got 0"
 
 
 def test_programs_are_names_of_presets() -> None:

@@ -130,7 +130,8 @@ class TestDenoise:
         from lobewise import peers
         from lobewise.denoising import recipe
 
-        monkeypatch.setattr(peers, "_try_to_load", lambda: "Open Image Denoise is not here; install it")
+        fault = peers.OidnFault("Open Image Denoise is not here", "install it")
+        monkeypatch.setattr(peers, "look_up_oidn_fault", lambda: fault)
         monkeypatch.setattr(recipe, "clean_frame", lambda *_: pytest.fail("filtered first"))
         err = fail(capsys, "denoise", frame_file, "-o", tmp_path / "out.exr", "--with-oidn")
         assert err.endswith("Open Image Denoise is not here; install it.\n")

@@ -128,7 +128,7 @@ def peer(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         return told["image"], 0.1
 
     monkeypatch.setattr(combining, "denoise_oidn", run)
-    monkeypatch.setattr(peers, "_try_to_load", lambda: "")
+    monkeypatch.setattr(peers, "look_up_oidn_fault", lambda: None)
     return told
 
 
@@ -314,7 +314,8 @@ class TestPeer:
         assert json.loads(attributes["lobewise/denoised"])["with_oidn"] is True
 
     def test_one_that_is_not_installed_is_told_before_anything_is_filtered(self, monkeypatch):
-        monkeypatch.setattr(peers, "_try_to_load", lambda: "It is not installed; pip install 'lobewise[best]'")
+        fault = peers.OidnFault("It is not installed", "pip install 'lobewise[best]'", is_installed=False)
+        monkeypatch.setattr(peers, "look_up_oidn_fault", lambda: fault)
         monkeypatch.setattr(chain, "filter_halves", lambda *_: pytest.fail("filtered first"))
         for quality in ("auto", "high"):
             with pytest.raises(MissingDependencyError, match=r"not installed; pip install 'lobewise\[best\]'\.$"):

@@ -53,7 +53,7 @@ def start_worker(monkeypatch):
     def start(name: str = "thing") -> tuple[WorkerProcess, list[Any], list[Any]]:
         reports: list[Any] = []
         remarks: list[Any] = []
-        workers.append(WorkerProcess(Target(name), reports.append, lambda text, again: remarks.append((text, again))))
+        workers.append(WorkerProcess(Target(name), reports.append, lambda *told: remarks.append(told)))
         workers[-1].start()
         wait_until(lambda: reports)
         return workers[-1], reports, remarks
@@ -131,20 +131,20 @@ class TestDeath:
         os.kill(before, signal.SIGKILL)
         wait_until(lambda: get_numbers(reports, 1) == [5, 5])
         assert one.process_id != before
-        assert remarks == [("The renderer was killed by signal 9 and was started again.", True)]
+        assert remarks == [("The renderer was killed by signal 9 and was started again.", None)]
         # A new process has nothing to show anew.
         assert reports[-1].accumulated == 1
 
     def test_not_for_ever(self, start_worker):
         one, _, remarks = start_worker()
         one.submit(ask(1, 666))
-        wait_until(lambda: remarks and not remarks[-1][1])
+        wait_until(lambda: remarks and remarks[-1][1])
         assert len(remarks) == MAX_RESTARTS + 1
         assert "exit code 7" in remarks[-1][0]
 
     def test_what_cannot_be_opened_is_told(self, start_worker):
         _, reports, remarks = start_worker("missing")
-        assert reports == [Problem("there is no such thing; look elsewhere.")]
+        assert [str(report.error) for report in reports] == ["there is no such thing; look elsewhere."]
         time.sleep(0.2)
         assert remarks == []
 

@@ -187,5 +187,5 @@ def _tell_failures(report: FarmReport) -> None:
     if traces:
         raise RuntimeError(sentence) from RuntimeError(f"on a worker:\n{traces[0]}")
     raise LobewiseError(
-        f"{sentence}; mend what is said above and give the same command again, which filters only these."
+        sentence, action="mend what is said above and give the same command again, which filters only these"
     )
