@@ -1,6 +1,7 @@
 """Asks errors for their type and fields, and holds their sentences in one table, `TABLE`.
 
-``pytest --write-sentences FILES`` makes the table anew for the test files that it runs.
+``pytest --write-sentences FILES`` makes the table anew for the test files that it runs. In the table, # stands for a
+number and … for any words: write it where the words of another library differ from version to version. It stays.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from lobewise.errors import LobewiseError, hide_numbers
 
 TABLE = Path(__file__).with_name("sentences.txt")
 HEAD = "# Sentences of the errors that each test file asks for. Made by: pytest --write-sentences FILES\n"
-_FOLDERS = re.compile(r"(?<![\w:/\\.~])(?:[A-Za-z]:)?[/\\](?:[^\s'\"/\\]*[/\\])+(?=[^/\\])")
+_FOLDERS = re.compile(r"(?<![\w:/\\.~])(?:[A-Za-z]:)?[/\\](?:[^\s'\"/\\]*[/\\])+(?=[^\s'\"/\\])")
 """The folders of a path from the root."""
 _LONG_RUN = re.compile(r"(\w)\1{9,}")
 _seen: dict[str, set[str]] = defaultdict(set)
@@ -137,7 +138,10 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     if session.config.option.write_sentences:
         picked = {each.partition("::")[0] for each in session.config.args if "::" in each}
         for file, sentences in _seen.items():
-            table[file] = sentences | (table.get(file, set()) if file in _incomplete | picked else set())
+            known = table.get(file, set())
+            table[file] = {_find_line(one, known) or one for one in sentences}
+            if file in _incomplete | picked:
+                table[file] |= known
         write_table(table)
     elif _list_new(table) and session.exitstatus == pytest.ExitCode.OK:
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
@@ -154,4 +158,17 @@ def pytest_terminal_summary(terminalreporter: Any) -> None:
 
 
 def _list_new(table: dict[str, set[str]]) -> list[str]:
-    return sorted(f"{file}: {one}" for file, all_ in _seen.items() for one in all_ - table.get(file, set()))
+    return sorted(
+        f"{file}: {one}"
+        for file, sentences in _seen.items()
+        for one in sentences
+        if not _find_line(one, table.get(file, set()))
+    )
+
+
+def _find_line(sentence: str, lines: set[str]) -> str | None:
+    """Return the line that is a sentence, or that stands for it with …."""
+    if sentence in lines:
+        return sentence
+    patterns = {line: ".*".join(map(re.escape, line.split("…"))) for line in lines if "…" in line}
+    return next((line for line, pattern in patterns.items() if re.fullmatch(pattern, sentence)), None)

@@ -19,6 +19,7 @@ from lobewise.errors import (
 from lobewise.interchange.preset import look_up_preset
 from lobewise.records.camera import Camera
 from lobewise.settings import DenoiseSettings
+from tests.mistakes import refuses
 
 QUALITIES = ("auto", "fast", "balanced", "high")
 
@@ -86,21 +87,21 @@ def test_numbers_of_numpy_are_shown_as_numbers(value: Any, shown: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    ("changes", "refused"),
     [
-        ({"position": (np.float64(0.0), np.nan, 1.0)}, r"position: .* got \(0\.0, nan, 1\.0\)"),
-        ({"shift": (np.float64(0.0), np.float64(np.nan))}, r"shift: .* got \(0\.0, nan\)"),
-        ({"fov_y": np.float64(40.0)}, r"got 40\.0; 40 degrees are 0\.6981 radians"),
-        ({"fov_y": np.float64(0.0)}, r"radians, got 0\.0; pass another"),
-        ({"forward": (0, 0, 0)}, "camera forward: expected a direction, got a vector of length 0"),
-        ({"up": (0, 0, 0)}, "camera up: expected a direction, got a vector of length 0"),
-        ({"up": (0, 0, 2)}, "not parallel to forward"),
+        ({"position": (np.float64(0.0), np.nan, 1.0)}, ("camera position", "(0.0, nan, 1.0)")),
+        ({"shift": (np.float64(0.0), np.float64(np.nan))}, ("camera shift", "(0.0, nan)")),
+        ({"fov_y": np.float64(40.0)}, ("camera fov_y", "40.0")),
+        ({"fov_y": np.float64(0.0)}, ("camera fov_y", "0.0")),
+        ({"forward": (0, 0, 0)}, ("camera forward",)),
+        ({"up": (0, 0, 0)}, ("camera up", "a vector of length 0")),
+        ({"up": (0, 0, 2)}, ("camera up", "(0.0, 0.0, 2.0)")),
     ],
 )
-def test_a_camera_names_what_is_wrong(changes: dict[str, Any], words: str) -> None:
+def test_a_camera_names_what_is_wrong(changes: dict[str, Any], refused: tuple[str, ...]) -> None:
     good = {"position": (0, 0, 0), "forward": (0, 0, 1), "up": (0, 1, 0), "fov_y": 0.7}
     Camera(**good)
-    with pytest.raises(InputError, match=words):
+    with refuses(InputError, *refused):
         Camera(**(good | changes))
 
 

@@ -13,6 +13,7 @@ import lobewise.interchange
 import lobewise.io
 import lobewise.metrics
 from lobewise.errors import LobewiseError
+from tests.mistakes import refuses
 from tests.streaming.frames import make_scene
 
 SHAPE = (6, 7)
@@ -109,7 +110,7 @@ def test_wrong_arguments_get_a_sentence(tmp_path: Path, monkeypatch: pytest.Monk
         try:
             function(**arguments)
         except LobewiseError as problem:
-            if "\n" in str(problem) or "expected" not in str(problem):
+            if "\n" in str(problem) or not problem.expected:
                 failed.append(f"{told}: {problem}")
         except Exception as problem:
             failed.append(f"{told}: {type(problem).__name__}: {problem}")
@@ -120,7 +121,7 @@ def test_wrong_arguments_get_a_sentence(tmp_path: Path, monkeypatch: pytest.Monk
 def test_methods_of_a_filter_with_history(method: str) -> None:
     for value in WRONG.values():
         filtering = lobewise.TemporalFilter()
-        with pytest.raises(LobewiseError, match="expected"):
+        with refuses(LobewiseError):
             getattr(filtering, method)(value)
         assert filtering.history_length is None
 
@@ -130,7 +131,7 @@ def test_methods_of_a_filter_of_windows(method: str, tmp_path: Path) -> None:
     frame = make_arguments(tmp_path)[lobewise.denoise]["frame"]
     for value in WRONG.values():
         for arguments in ((value, 0), ([value], 0), ([frame], value)):
-            with pytest.raises(LobewiseError, match="expected"):
+            with refuses(LobewiseError):
                 getattr(lobewise.WindowFilter(1), method)(*arguments)
 
 

@@ -21,6 +21,7 @@ from lobewise.recipes.streaming import denoise_file
 from lobewise.recipes.temporal import TemporalFilter
 from lobewise.records.frame import Frame, GBuffer, Radiance
 from lobewise.settings import DenoiseSettings
+from tests.mistakes import refuses
 
 MISSING = "Open Image Denoise is not installed; pip install 'lobewise[best]'"
 CHEAP: dict[str, Any] = {"similarity": "normal"}
@@ -100,7 +101,7 @@ def test_it_is_taken_where_it_is_left_open_or_asked_for(
 ) -> None:
     request.getfixturevalue("present" if is_here else "absent")
     if with_oidn is True and quality == "fast":
-        with pytest.raises(InputError, match="'balanced' or 'high' with Open Image Denoise"):
+        with refuses(InputError, "quality"):
             DenoiseSettings(quality=quality, with_oidn=True)
         return
     chosen = ask(DenoiseSettings(quality=quality, with_oidn=with_oidn), {})

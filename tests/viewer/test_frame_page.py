@@ -26,6 +26,7 @@ from lobewise.records.frame import Frame, Radiance
 from lobewise.viewer import FrameViewer
 from lobewise.viewer.http.browser_messages import MAX_MESSAGE_BYTES
 from tests.interrupts import start_program
+from tests.mistakes import refuses
 from tests.viewer.conftest import ask
 
 PATIENCE = 60.0
@@ -121,7 +122,7 @@ class TestDoor:
         assert text.count(b"\n") == 0
 
     def test_a_setting_that_the_page_does_not_have_is_refused_at_once(self, floor_file):
-        with pytest.raises(InputError, match="radius"):
+        with refuses(InputError, "radius"):
             FrameViewer(str(floor_file), changes={"radius": -1})
 
 

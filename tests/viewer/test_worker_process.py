@@ -20,6 +20,7 @@ from lobewise.viewer.http.site import choose_port
 from lobewise.viewer.messages import Opened, Picture, Problem, Request, SavedFile, Target, Window
 from lobewise.viewer.worker_process import MAX_RESTARTS, WorkerProcess
 from tests.interrupts import start_program
+from tests.mistakes import refuses
 from tests.viewer.slow_worker import CAMERA, SECONDS, run_slow_worker
 
 PATIENCE = 120.0
@@ -203,7 +204,7 @@ class TestViewer:
         pytest.importorskip("viser", reason="pip install 'lobewise[viewer]'")
         path = tmp_path / "broken.xml"
         path.write_bytes(b"no scene")
-        with Viewer(str(path), port=0) as viewer, pytest.raises(LobewiseError, match=r"broken\.xml"):
+        with Viewer(str(path), port=0) as viewer, refuses(LobewiseError, "broken.xml"):
             viewer.wait()
 
     @pytest.mark.parametrize("options", [[], ["--map", "normal=N.X,N.Y,N.Z"]], ids=["damaged", "no such channel"])
@@ -218,7 +219,7 @@ class TestViewer:
 
     def test_without_viser_it_says_what_to_install(self, monkeypatch):
         monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-        with pytest.raises(MissingDependencyError, match=r"pip install 'lobewise\[viewer\]'"):
+        with refuses(MissingDependencyError, action="pip install 'lobewise[viewer]'"):
             Viewer("thing").start()
 
     def test_mistakes_of_ours_are_told_apart(self, slow):
@@ -230,7 +231,7 @@ class TestViewer:
         with Viewer("thing", port=0) as viewer:
             viewer.wait_until_open()
             viewer._browsers.worker.submit(ask(1, 666))
-            with pytest.raises(LobewiseError, match=r"'thing'.* by exit code 7; "):
+            with refuses(LobewiseError, "scene 'thing'", "the end of Mitsuba's process by exit code 7"):
                 viewer.wait()
 
     def test_it_leaves_the_process_to_others(self, slow, monkeypatch, capfd):
@@ -276,7 +277,7 @@ class TestViewer:
             assert port < choose_port("127.0.0.1", port) <= port + 100
 
     def test_an_address_of_another_machine(self):
-        with pytest.raises(InputError, match="--host and --port: expected an address of this machine"):
+        with refuses(InputError, "--host and --port"):
             choose_port("192.0.2.1", 8080)
 
     @pytest.mark.parametrize(
