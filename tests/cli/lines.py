@@ -2,17 +2,10 @@
 
 import pytest
 
-from lobewise.cli.main import run
+from lobewise.errors import LobewiseError
+from tests.mistakes import refuse_command
 
 
-def fail(capsys: pytest.CaptureFixture[str], *words: object) -> str:
-    """Run a line that must fail with the user's exit code; return its one sentence."""
-    capsys.readouterr()
-    assert run([str(word) for word in words]) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert "Traceback" not in err
-    assert err.startswith("lobewise: ")
-    assert err.count("\n") == 1
-    assert err.rstrip().endswith((".", "?"))
-    return err
+def fail(capsys: pytest.CaptureFixture[str], *words: object, **fields: str) -> LobewiseError:
+    """Run a line that must fail with an error of these fields, which is all that it prints; return the error."""
+    return refuse_command(capsys, words, **fields)
