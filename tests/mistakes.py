@@ -6,11 +6,10 @@ number and … for any words: write it where the words of another library differ
 
 from __future__ import annotations
 
-import importlib
 import os
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -42,28 +41,6 @@ def refuses(
     with pytest.raises(kind) as caught:
         yield caught
     check_fields(caught.value, what, got, expected, **fields)
-
-
-def refuse_command(
-    capsys: pytest.CaptureFixture[str],
-    arguments: Iterable[object],
-    what: str | None = None,
-    got: str | None = None,
-    expected: str | None = None,
-    **fields: str,
-) -> LobewiseError:
-    """Return the error that ends a command line; fail unless it has these fields and is all that is printed."""
-    main = importlib.import_module("lobewise.cli.main")
-    told: list[Any] = []
-    fail = main._fail
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(main, "_fail", lambda problem, *rest: (told.append(problem), fail(problem, *rest))[1])
-        capsys.readouterr()
-        assert main.run([str(word) for word in arguments]) == 2
-    (problem,) = told
-    assert capsys.readouterr() == ("", f"lobewise: {problem}\n")
-    check_fields(problem, what, got, expected, **fields)
-    return problem
 
 
 def check_fields(

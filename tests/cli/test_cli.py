@@ -248,7 +248,7 @@ class TestMistakes:
         line = ["compare", tmp_path / "good.exr", tmp_path / "bad.exr", "-r", tmp_path / "good.exr"]
         fail(capsys, *line, what="image", holder="input 'bad.exr'")
         line = ["compare", tmp_path / "good.exr", "-r", tmp_path / "bad.exr"]
-        fail(capsys, *line, what="reference", holder="input 'bad.exr'")
+        fail(capsys, *line, what="reference", holder="--reference 'bad.exr'")
 
 
 class TestCompare:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lobewise.io import write_frame, write_image
-from tests.mistakes import refuse_command
+from tests.cli.lines import fail
 from tests.streaming.frames import change_radiance, make_scene
 
 FOREIGN = Path(__file__).parents[1] / "data" / "foreign"
@@ -350,6 +350,7 @@ def test_a_mistake_gets_one_sentence(
     monkeypatch.setenv("PATH", str(full_folder))
     monkeypatch.delenv("OCIO", raising=False)
     before = list_content(full_folder)
-    problem = refuse_command(capsys, shlex.split(command), *MISTAKES[command])
+    fields = dict(zip(("what", "got", "expected"), MISTAKES[command], strict=False))
+    problem = fail(capsys, *shlex.split(command), **fields)
     assert all((problem.expected, problem.got, problem.action))
     assert list_content(full_folder) == before
