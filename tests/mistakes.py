@@ -116,7 +116,7 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
         picked = {each.partition("::")[0] for each in session.config.args if "::" in each}
         for file, sentences in _seen.items():
             known = table.get(file, set())
-            table[file] = {_find_line(one, known) or one for one in sentences}
+            table[file] = {find_line(one, known) or one for one in sentences}
             if file in _incomplete | picked:
                 table[file] |= known
         write_table(table)
@@ -139,11 +139,11 @@ def _list_new(table: dict[str, set[str]]) -> list[str]:
         f"{file}: {one}"
         for file, sentences in _seen.items()
         for one in sentences
-        if not _find_line(one, table.get(file, set()))
+        if not find_line(one, table.get(file, set()))
     )
 
 
-def _find_line(sentence: str, lines: set[str]) -> str | None:
+def find_line(sentence: str, lines: set[str]) -> str | None:
     """Return the line that is a sentence, or that stands for it with …."""
     if sentence in lines:
         return sentence

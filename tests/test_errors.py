@@ -19,7 +19,7 @@ from lobewise.errors import (
 from lobewise.interchange.preset import look_up_preset
 from lobewise.records.camera import Camera
 from lobewise.settings import DenoiseSettings
-from tests.mistakes import refuses
+from tests.mistakes import cut_folders, find_line, refuses
 
 QUALITIES = ("auto", "fast", "balanced", "high")
 
@@ -113,3 +113,29 @@ def test_no_message_of_a_setting_has_a_type_of_numpy() -> None:
         with pytest.raises(InputError) as caught:
             call()
         assert "np." not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "fields", [{"what": "beta"}, {"got": "5"}, {"expected": "an int"}, {"holder": "input 'a.exr'"}]
+)
+def test_a_test_that_asks_for_other_fields_fails(fields: dict[str, str]) -> None:
+    with pytest.raises(AssertionError), refuses(InputError, **fields):
+        raise InputError("radius", expected="an integer", got="4", action="pass 8")
+
+
+@pytest.mark.parametrize(
+    ("text", "short"),
+    [
+        ("input '/tmp/x/a.exr': no 'b/c.exr'", "input 'a.exr': no 'b/c.exr'"),
+        ("output '/tmp/x/a.exr/'", "output 'a.exr/'"),
+        ("tls://host:1 ./a/b ~/a/b", "tls://host:1 ./a/b ~/a/b"),
+    ],
+)
+def test_folders_of_this_machine_are_cut(text: str, short: str) -> None:
+    assert cut_folders(text) == short
+
+
+def test_dots_in_the_table_stand_for_any_words() -> None:
+    lines = {"a: expected b, got …; c.", "a: expected b, got 1; d."}
+    assert find_line("a: expected b, got (2); c.", lines) == "a: expected b, got …; c."
+    assert find_line("a: expected b, got 2; d.", lines) is None
