@@ -22,6 +22,7 @@ TABLE = Path(__file__).with_name("sentences.txt")
 HEAD = "# Sentences of the errors that each test file asks for. Made by: pytest --write-sentences FILES\n"
 _FOLDERS = re.compile(r"(?<![\w:/\\.~])(?:[A-Za-z]:)?[/\\](?:[^\s'\"/\\]*[/\\])+(?=[^\s'\"/\\])")
 """The folders of a path from the root."""
+_POWER_OF_TEN = re.compile(r"#e[-+]?#")
 _LONG_RUN = re.compile(r"(\w)\1{9,}")
 _seen: dict[str, set[str]] = defaultdict(set)
 """Sentences that the tests of this process asked for, by test file."""
@@ -56,7 +57,8 @@ def check_fields(
     assert {name: cut_folders(getattr(problem, name)) for name in wanted} == wanted
     assert str(problem).isprintable()
     file = os.environ["PYTEST_CURRENT_TEST"].partition("::")[0]
-    _seen[file].add(_LONG_RUN.sub(r"\1…", hide_numbers(cut_folders(str(problem)))))
+    plain = _POWER_OF_TEN.sub("#", hide_numbers(cut_folders(str(problem))))
+    _seen[file].add(_LONG_RUN.sub(r"\1…", plain))
 
 
 def cut_folders(text: str) -> str:

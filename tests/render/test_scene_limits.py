@@ -11,6 +11,7 @@ from lobewise.interactive import Session
 from lobewise.render import load_scene, render_frame, render_reference
 from lobewise.scenes.limits import MAX_DEPTH, require_memory, require_shallow
 from lobewise.work.limits import measure_machine_memory
+from tests.cli.lines import fail
 from tests.mistakes import refuses
 
 pytestmark = pytest.mark.mitsuba
@@ -61,8 +62,8 @@ def test_deep_elements_are_refused(where: str, mi: Any, tmp_path: Path, capsys: 
     deep.write_text(nest(MAX_DEPTH))
     require_shallow(path)
     deep.write_text(nest(100_000))
-    assert run(["render", str(path), "-o", str(tmp_path / "a.exr")]) == 2
-    assert f"expected elements at most {MAX_DEPTH} deep, got deeper ones in '{deep}'" in capsys.readouterr().err
+    got = f"deeper ones in {str(deep)!r}"
+    fail(capsys, "render", path, "-o", tmp_path / "a.exr", got=got, expected=f"elements at most {MAX_DEPTH} deep")
 
 
 @pytest.mark.parametrize("changes", [{"sensor": "perspective"}, {}, {"integrator": "volpath", "sensor": "perspective"}])
