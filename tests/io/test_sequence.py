@@ -98,8 +98,7 @@ def test_nothing_found_is_said_with_what_is_near(there, near, tmp_path):
         (tmp_path / name).write_bytes(b"x")
     with refuses(FileError, "sequence 'a.####.exr'", expected="files such as 'a.0001.exr'") as problem:
         FramePattern.parse(tmp_path / "a.####.exr").find()
-    wanted = "check the path." if near is None else f"did you mean {str(tmp_path / near)!r}?"
-    assert str(problem.value).endswith(wanted)
+    assert (repr(str(tmp_path / near)) if near else "the path") in problem.value.action
 
 
 def test_a_folder_that_is_not_there(tmp_path):

@@ -100,7 +100,7 @@ def test_objects_begin_where_they_stand_and_move_on(mi: Any, name: str) -> None:
         ("", "No document element"),
         ("<scene version='3.0.0'><shape", "Error parsing"),
         ("<scene version='3.0.0'><shape type='teapott'/></scene>", "teapott"),
-        ("<bsdf version='3.0.0' type='diffuse'/>", "expected a <scene>"),
+        ("<bsdf version='3.0.0' type='diffuse'/>", "a BSDF"),
     ],
 )
 def test_bad_xml_is_one_sentence(mi: Any, tmp_path: Path, text: str, message: str) -> None:
