@@ -10,6 +10,13 @@ from hypothesis import HealthCheck, settings
 FEW_EXAMPLES, MANY_EXAMPLES = 10, 100
 """Of a property: in every build, and where the tests are not restricted by a marker."""
 
+pytest_plugins = ["tests.mistakes"]
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option that makes the table of sentences anew; see `tests.mistakes`."""
+    parser.addoption("--write-sentences", action="store_true", help="write tests/sentences.txt from what tests see")
+
 
 def pytest_configure(config: pytest.Config) -> None:
     """Let Hypothesis draw the same examples in every run, however busy the machine is."""

@@ -13,6 +13,7 @@ from lobewise.records.frame import Frame, GBuffer, Radiance, Result
 from lobewise.records.images import make_read_only
 from lobewise.records.radiance import RadianceLayer
 from lobewise.records.sparse_frame import Rays, make_sparse
+from tests.mistakes import refuses
 
 
 def make_camera(**changes: Any) -> Camera:
@@ -57,38 +58,38 @@ def test_positions_are_at_their_depth() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("changes", "what"),
     [
-        ({"position": (0, 0)}, "camera position: expected three finite numbers"),
-        ({"forward": (0, np.nan, 1)}, "camera forward: expected three finite numbers"),
-        ({"up": (2, -2, -4)}, "camera up: expected a vector that is not parallel"),
-        ({"fov_y": 4.0}, r"camera fov_y: expected an angle in \(0, pi\)"),
+        ({"position": (0, 0)}, "camera position"),
+        ({"forward": (0, np.nan, 1)}, "camera forward"),
+        ({"up": (2, -2, -4)}, "camera up"),
+        ({"fov_y": 4.0}, "camera fov_y"),
     ],
 )
-def test_impossible_cameras_are_refused(changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(InputError, match=message):
+def test_impossible_cameras_are_refused(changes: dict[str, Any], what: str) -> None:
+    with refuses(InputError, what):
         make_camera(**changes)
 
 
 @pytest.mark.parametrize(
-    ("make", "message"),
+    ("make", "refused"),
     [
-        (lambda: Radiance(color=np.zeros((4, 5))), r"color: expected a real array of shape \(height, width, 3\)"),
-        (lambda: Radiance(color=np.zeros((0, 5, 3))), "color: expected at least one pixel"),
-        (lambda: Radiance(color=np.zeros((4, 5, 3), complex)), "color: expected a real array"),
+        (lambda: Radiance(color=np.zeros((4, 5))), ("color", "float64 of shape (4, 5)")),
+        (lambda: Radiance(color=np.zeros((0, 5, 3))), ("color", "an image of shape (0, 5, 3)")),
+        (lambda: Radiance(color=np.zeros((4, 5, 3), complex)), ("color", "complex128 of shape (4, 5, 3)")),
         (
             lambda: Radiance(color=np.zeros((4, 5, 3)), diffuse=np.zeros((5, 4, 3))),
-            "diffuse: expected the size of color, 5x4 pixels, got 4x5",
+            ("diffuse",),
         ),
         (
             lambda: Frame(radiance=Radiance(color=np.zeros((4, 5, 3))), gbuffer=GBuffer(depth=np.ones((8, 10)))),
-            "gbuffer: expected the size of the radiance, 5x4 pixels, got 10x8",
+            ("gbuffer",),
         ),
-        (lambda: Frame(radiance=Radiance(color=np.zeros((4, 5, 3))), spp=0), "spp: expected at least 1, got 0"),
+        (lambda: Frame(radiance=Radiance(color=np.zeros((4, 5, 3))), spp=0), ("spp",)),
     ],
 )
-def test_wrong_images_are_named(make: Any, message: str) -> None:
-    with pytest.raises(InputError, match=message):
+def test_wrong_images_are_named(make: Any, refused: tuple[str, ...]) -> None:
+    with refuses(InputError, *refused):
         make()
 
 
@@ -125,21 +126,21 @@ def test_short_words_stand_for_images() -> None:
 
 
 @pytest.mark.parametrize(
-    ("shape", "advice"),
+    ("shape", "got"),
     [
-        ((3, 6, 5), r"it looks like channels first \(CHW\): pass image.transpose\(1, 2, 0\)\."),
-        ((4, 6, 5), r"it looks like channels first \(CHW\): pass image.transpose\(1, 2, 0\)\[\.\.\., :3\]\."),
-        ((6, 5, 4), r"it looks like RGBA: pass image\[\.\.\., :3\]\."),
-        ((6, 5), r"it looks gray: pass np\.repeat\(image\[\.\.\., None\], 3, axis=-1\)\."),
-        ((6, 5, 1), r"it looks gray: pass np\.repeat\(image, 3, axis=-1\)\."),
-        ((1, 6, 5), r"it looks gray: pass np\.repeat\(image\[0\]\[\.\.\., None\], 3, axis=-1\)\."),
-        ((2, 6, 5, 3), "it looks like a batch: pass one image at a time"),
-        ((2, 3, 6, 5), "it looks like a batch: pass one image at a time"),
+        ((3, 6, 5), "float32 of shape (3, 6, 5)"),
+        ((4, 6, 5), "float32 of shape (4, 6, 5)"),
+        ((6, 5, 4), "float32 of shape (6, 5, 4)"),
+        ((6, 5), "float32 of shape (6, 5)"),
+        ((6, 5, 1), "float32 of shape (6, 5, 1)"),
+        ((1, 6, 5), "float32 of shape (1, 6, 5)"),
+        ((2, 6, 5, 3), "float32 of shape (2, 6, 5, 3)"),
+        ((2, 3, 6, 5), "float32 of shape (2, 3, 6, 5)"),
     ],
 )
-def test_arrays_of_another_layout_get_advice_that_works(shape: tuple[int, ...], advice: str) -> None:
+def test_arrays_of_another_layout_get_advice_that_works(shape: tuple[int, ...], got: str) -> None:
     image = np.ones(shape, np.float32)
-    with pytest.raises(InputError, match=advice) as caught:
+    with refuses(InputError, "color", got) as caught:
         Radiance(image)
     told = str(caught.value).partition("pass ")[2].removesuffix(".")
     mended = image[0] if image.ndim == 4 else eval(told, {"image": image, "np": np})
@@ -148,23 +149,23 @@ def test_arrays_of_another_layout_get_advice_that_works(shape: tuple[int, ...], 
 
 
 @pytest.mark.parametrize(
-    ("name", "shape", "advice"),
+    ("name", "shape", "refused"),
     [
-        ("depth", (6, 5, 1), r"such as image\[\.\.\., 0\]"),
-        ("depth", (1, 6, 5), r"channels first \(CHW\): pass image\[0\]"),
-        ("motion", (2, 6, 5), r"pass image.transpose\(1, 2, 0\)"),
-        ("motion", (6, 5, 3), r"pass image\[\.\.\., :2\]"),
+        ("depth", (6, 5, 1), ("depth", "float32 of shape (6, 5, 1)")),
+        ("depth", (1, 6, 5), ("depth", "float32 of shape (1, 6, 5)")),
+        ("motion", (2, 6, 5), ("motion", "float32 of shape (2, 6, 5)")),
+        ("motion", (6, 5, 3), ("motion", "float32 of shape (6, 5, 3)")),
     ],
 )
-def test_guides_of_another_layout_get_advice_too(name: str, shape: tuple[int, ...], advice: str) -> None:
-    with pytest.raises(InputError, match=advice):
+def test_guides_of_another_layout_get_advice_too(name: str, shape: tuple[int, ...], refused: tuple[str, ...]) -> None:
+    with refuses(InputError, *refused):
         GBuffer(**{name: np.ones(shape, np.float32)})
 
 
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.int32])
 def test_pictures_are_no_radiance(kind: type) -> None:
     picture = np.full((6, 5, 3), 200, kind)
-    with pytest.raises(InputError, match=r"color: expected linear radiance in floating point, got u?int\d+, "):
+    with refuses(InputError, "color"):
         Radiance(picture)
     # Guides may be counted: kinds of lobes, materials.
     assert GBuffer(lobe_kind=picture[..., 0]).lobe_kind is not None

@@ -6,7 +6,10 @@ import difflib
 import re
 from collections.abc import Iterable
 from numbers import Integral, Real
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 MAX_SHOWN_LETTERS = 40
 """Longest value, in letters, that a message shows as it is. Of longer values it names the type."""
@@ -22,17 +25,49 @@ worse than none: with 0.6 "renderman" would be suggested for "blender"."""
 class LobewiseError(Exception):
     """Base of every error that a user can correct. The command line exits with code 2.
 
+    It prints as one sentence of its parameters, which are attributes of the same names.
+
     Parameters
     ----------
     what : str
-        The argument, file or setting. Without the other parameters, the whole sentence.
-    expected, got, action : str
-        See `describe_problem`.
+        The argument, file or setting. Without ``expected``, what is wrong; without ``action`` too, the whole sentence.
+    expected, got : str
+        What was expected, and what came: shown in one line of at most `MAX_GOT_LETTERS`.
+    action : str
+        What to do, without a full stop.
+    holder : str
+        The file or object that holds ``what``, if its name is needed to find it.
+
+    Examples
+    --------
+    >>> raise LobewiseError("radius", expected="an integer from 0 to 64", got="-3", action="pass radius=8")
+    Traceback (most recent call last):
+    lobewise.errors.LobewiseError: radius: expected an integer from 0 to 64, got -3; pass radius=8.
     """
 
-    def __init__(self, what: str, *, expected: str = "", got: str = "", action: str = "") -> None:
-        sentence = describe_problem(what, expected=expected, got=got, action=action) if expected else what
-        super().__init__(sentence)
+    def __init__(self, what: str, *, expected: str = "", got: str = "", action: str = "", holder: str = "") -> None:
+        self.what, self.expected, self.got, self.action, self.holder = what, expected, _shorten(got), action, holder
+        super().__init__(f"{self.fault}; {action}{'' if action.endswith('?') else '.'}" if action else self.fault)
+
+    @property
+    def fault(self) -> str:
+        """What is wrong: the sentence without what to do."""
+        name = f"{self.holder}: {self.what}" if self.holder else self.what
+        return f"{name}: expected {self.expected}, got {self.got}" if self.expected else name
+
+    @property
+    def fields(self) -> dict[str, str]:
+        """The parameters that make the same error, by their names."""
+        return {name: getattr(self, name) for name in ("what", "expected", "got", "action", "holder")}
+
+    def change(self, **fields: str) -> Self:
+        """Return the same error with some fields changed."""
+        return type(self)(**(self.fields | fields))
+
+    def place_in(self, holder: str, kind: type[LobewiseError] | None = None) -> LobewiseError:
+        """Return this error, as one of ``kind`` if given, about something that ``holder`` holds."""
+        holder = f"{holder}: {self.holder}" if self.holder else holder
+        return (kind or type(self))(**(self.fields | {"holder": holder}))
 
 
 class InputError(LobewiseError, ValueError):
@@ -81,17 +116,6 @@ def make_printable(text: str) -> str:
     Line breaks and tabs stay.
     """
     return "".join(letter if letter.isprintable() or letter in "\n\t" else ascii(letter)[1:-1] for letter in text)
-
-
-def describe_problem(what: str, *, expected: str, got: str, action: str) -> str:
-    """Return the sentence of an error: ``what``, what was expected, what came, and what to do.
-
-    Examples
-    --------
-    >>> describe_problem("radius", expected="an integer from 0 to 64", got="-3", action="pass radius=8")
-    'radius: expected an integer from 0 to 64, got -3; pass radius=8.'
-    """
-    return f"{what}: expected {expected}, got {_shorten(got)}; {action}{'' if action.endswith('?') else '.'}"
 
 
 def _shorten(got: str) -> str:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from queue import SimpleQueue
 from threading import Event, Thread
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -81,33 +81,43 @@ def keep_library_memory() -> Iterator[None]:
                 _opened.filters.clear()
 
 
+class OidnFault(NamedTuple):
+    """Why Open Image Denoise cannot be used, and what to do."""
+
+    reason: str
+    action: str
+    is_installed: bool = True
+
+
 def has_oidn() -> bool:
     """Return whether Open Image Denoise (the ``pyoidn`` wheel) is installed and can be loaded."""
-    return not explain_no_oidn()
+    return look_up_oidn_fault() is None
 
 
 def explain_no_oidn() -> str:
     """Return why Open Image Denoise cannot be used and what to do, without a full stop; empty where it can be used."""
-    return _try_to_load()
+    fault = look_up_oidn_fault()
+    return f"{fault.reason}; {fault.action}" if fault else ""
 
 
 @cache
-def _try_to_load() -> str:
+def look_up_oidn_fault() -> OidnFault | None:
+    """Return why Open Image Denoise cannot be used; None where it can be."""
     try:
         importlib.import_module("pyoidn")
     except ModuleNotFoundError:
-        return "Open Image Denoise is not installed; pip install 'lobewise[best]'"
+        return OidnFault("Open Image Denoise is not installed", "pip install 'lobewise[best]'", is_installed=False)
     except (ImportError, OSError) as problem:
         # The library was built for another processor or system.
         reason = make_printable(str(problem)).removesuffix(".")
-        return f"Open Image Denoise is installed but cannot be loaded ({reason}); reinstall pyoidn"
-    return ""
+        return OidnFault(f"Open Image Denoise is installed but cannot be loaded ({reason})", "reinstall pyoidn")
+    return None
 
 
 def require_oidn() -> None:
     """Raise MissingDependencyError if Open Image Denoise cannot be used."""
-    if not has_oidn():
-        raise MissingDependencyError(f"{explain_no_oidn()}.")
+    if fault := look_up_oidn_fault():
+        raise MissingDependencyError(fault.reason, action=fault.action)
 
 
 def name_oidn_guides(frame: Frame) -> tuple[str, ...]:

@@ -34,6 +34,7 @@ from lobewise.filters.history.reprojection_pass import make_reprojection
 from lobewise.guides import lobe_fields
 from lobewise.guides.surfaces import mark_surface_pixels
 from lobewise.records import frame
+from tests.mistakes import refuses
 from tests.pythons import run_python
 from tests.streaming.frames import make_scene
 
@@ -320,11 +321,9 @@ class TestCalls:
             runtime._keep_problem(None, b"it burns")
             return code
 
-        with pytest.raises(
-            DeviceError, match="device: expected cpu to run a kernel, got it burns; try a smaller image"
-        ):
+        with refuses(DeviceError, "device", "it burns"):
             runtime.call(tell, 0)
-        with pytest.raises(DeviceError, match="got code 3"):
+        with refuses(DeviceError, "device", "code 3"):
             runtime.call(lambda: 3)
 
     def test_a_missing_function(self):

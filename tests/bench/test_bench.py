@@ -12,6 +12,7 @@ from lobewise.cli.program import run
 from lobewise.errors import InputError
 from lobewise.interactive.settings import InteractiveSettings
 from lobewise.interactive.views import STAGES
+from tests.mistakes import refuses
 
 pytestmark = [pytest.mark.mitsuba, pytest.mark.usefixtures("mi")]
 
@@ -62,5 +63,5 @@ def test_rays_are_always_traced_on_the_cpu() -> None:
 
 def test_frames_must_be_counted() -> None:
     arguments: dict[str, Any] = {"frames": 0, "methods": ["paths"]}
-    with pytest.raises(InputError, match="frames"):
+    with refuses(InputError, "frames"):
         measure_devices(["cpu"], **arguments)

@@ -17,6 +17,7 @@ from lobewise.errors import DeviceError, InputError
 from lobewise.features import Feature
 from lobewise.filters.cross_filter import run_filter
 from lobewise.peers import has_oidn
+from tests.mistakes import refuses
 
 
 def make_row(part: str, name: str, milliseconds: float, device: str = "cpu") -> dict[str, Any]:
@@ -184,5 +185,5 @@ def test_the_verb_prints_tables_and_writes_figures(
 
 
 def test_an_unknown_device_is_refused_before_anything_is_measured() -> None:
-    with pytest.raises(InputError, match="device"):
+    with refuses(InputError, "device"):
         filters.measure_filters(["abacus"])

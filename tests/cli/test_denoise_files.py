@@ -9,6 +9,7 @@ import pytest
 import lobewise
 from lobewise.cli.program import run
 from lobewise.errors import CancelledError, FileError, InputError
+from tests.mistakes import refuses
 from tests.streaming.frames import make_scene
 
 FOREIGN = Path(__file__).parents[1] / "data" / "foreign" / "blender_4.5_seed1.exr"
@@ -67,25 +68,25 @@ def test_a_sequence_that_was_cancelled_goes_on(folder: Path) -> None:
     assert report.last.describe()["width"] == 32
 
 
-MISTAKES: list[tuple[str, str, dict[str, Any], str]] = [
-    ("in.1.exr", "in.1.exr", {}, "output 'in.1.exr': expected a file that is not read"),
-    ("in.1.exr", "out.#.exr", {}, "source and output: expected two files, or two patterns"),
-    ("in.1.exr", "out.exr", {"window": 1}, "window: expected a sequence such as"),
-    ("in.1.exr", "out.exr", {"numbers": [1]}, "numbers: expected a sequence such as"),
-    ("in.#.exr", "out.#.exr", {"window": 99}, "window: expected an integer from 0 to "),
-    ("in.1.exr", "out.exr", {"qualitee": "fast"}, "setting: expected one of .*did you mean 'quality'"),
-    ("in.1.exr", "out.exr", {"lightgroups": False}, "setting: expected one of .*did you mean 'light_groups'"),
-    ("in.1.exr", "out.exr", {"also": "AO"}, "also: expected a tuple or a list, got a str"),
-    ("in.1.exr", "out.exr", {"bands": 8, "only": True}, "bands: expected auto or off with only, which takes whole"),
-    ("in.1.exr", "out.exr", {"half": "in.#.exr"}, "half: expected a sequence for a sequence"),
-    ("in.1.exr", "out.jpg", {}, "output: expected a name that ends in .exr"),
+MISTAKES: list[tuple[str, str, dict[str, Any], tuple[str, ...]]] = [
+    ("in.1.exr", "in.1.exr", {}, ("output 'in.1.exr'",)),
+    ("in.1.exr", "out.#.exr", {}, ("source and output",)),
+    ("in.1.exr", "out.exr", {"window": 1}, ("window", "'in.1.exr'")),
+    ("in.1.exr", "out.exr", {"numbers": [1]}, ("numbers",)),
+    ("in.#.exr", "out.#.exr", {"window": 99}, ("window", "99")),
+    ("in.1.exr", "out.exr", {"qualitee": "fast"}, ("setting", "'qualitee'")),
+    ("in.1.exr", "out.exr", {"lightgroups": False}, ("setting", "'lightgroups'")),
+    ("in.1.exr", "out.exr", {"also": "AO"}, ("also",)),
+    ("in.1.exr", "out.exr", {"bands": 8, "only": True}, ("bands",)),
+    ("in.1.exr", "out.exr", {"half": "in.#.exr"}, ("half",)),
+    ("in.1.exr", "out.jpg", {}, ("output",)),
 ]
 
 
-@pytest.mark.parametrize(("source", "output", "changes", "sentence"), MISTAKES)
-def test_mistakes(source: str, output: str, changes: dict[str, Any], sentence: str, folder: Path) -> None:
+@pytest.mark.parametrize(("source", "output", "changes", "refused"), MISTAKES)
+def test_mistakes(source: str, output: str, changes: dict[str, Any], refused: tuple[str, ...], folder: Path) -> None:
     before = sorted(folder.iterdir())
-    with pytest.raises((InputError, FileError), match=f"^{sentence}"):
+    with refuses((InputError, FileError), *refused):
         lobewise.denoise_files(source, output, **changes)
     assert sorted(folder.iterdir()) == before
 

@@ -71,7 +71,7 @@ class TestMistakes:
 
     @pytest.fixture
     def fail(self, tmp_path, capsys):
-        """Return a function that runs a line which must fail, and returns its one sentence."""
+        """Return a function that runs a line which must fail, and returns its error."""
 
         def call(material, *arguments):
             before = sorted(tmp_path.iterdir())
@@ -85,18 +85,18 @@ class TestMistakes:
         path = tmp_path / "bad.binary"
         good = material.read_bytes()
         cases = {
-            "end is missing": good[:-1],
-            "MERL header": b"\x76\x2f\x31\x01" + good[4:4000],
-            "not measured": good[:12] + np.full((FILE_BYTES - 12) // 8, -1.0).tobytes(),
-            "empty file": b"",
+            "34992011, so the end is missing": good[:-1],
+            "20000630, 90, 180": b"\x76\x2f\x31\x01" + good[4:4000],
+            "none: all are marked as not measured": good[:12] + np.full((FILE_BYTES - 12) // 8, -1.0).tobytes(),
+            "an empty file of 0 bytes": b"",
         }
-        for words, data in cases.items():
+        for got, data in cases.items():
             path.write_bytes(data)
-            assert words in fail(path)
+            assert fail(path).got == got
 
     def test_without_matplotlib(self, material, fail, monkeypatch):
         monkeypatch.setitem(sys.modules, "matplotlib.backends.backend_agg", None)
-        assert "lobewise[fit]" in fail(material)
+        assert fail(material).what == "the plot of a fit"
 
     def test_nothing_is_written_when_the_plot_fails(self, material, tmp_path, monkeypatch):
         def explode(*_arguments):

@@ -87,8 +87,8 @@ class TestSequence:
         second = read_frame(tmp_path / "p.0002.exr")
         np.testing.assert_allclose(second.camera.position, (0.25, 3.0, 7.0), rtol=1e-6)
         assert second.gbuffer.position is None
-        assert "at least 3 cameras" in fail(capsys, "--frames 3 --camera-path path.json -o p.####.exr")
-        assert "at least 3 cameras" in fail(capsys, "--frames 1 --start 3 --camera-path path.json -o p.#.exr")
+        assert "3 cameras" in fail(capsys, "--frames 3 --camera-path path.json -o p.####.exr").expected
+        assert "3 cameras" in fail(capsys, "--frames 1 --start 3 --camera-path path.json -o p.#.exr").expected
 
     def test_one_frame_needs_no_pattern(self, render, tmp_path):
         render("--frames 1 --scale 2 -o one.exr")
@@ -110,5 +110,5 @@ class TestMistakes:
     )
     def test_wrong_moves_of_a_file(self, render, tmp_path, capsys, moves, message):
         (tmp_path / "moves.json").write_text(json.dumps(moves))
-        assert message in fail(capsys, "--frames 2 --moving-objects moves.json -o out.####.exr")
+        assert message in str(fail(capsys, "--frames 2 --moving-objects moves.json -o out.####.exr"))
         assert [path.name for path in tmp_path.iterdir()] == ["moves.json"]

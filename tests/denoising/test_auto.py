@@ -21,6 +21,7 @@ from lobewise.recipes.streaming import denoise_file
 from lobewise.recipes.temporal import TemporalFilter
 from lobewise.records.frame import Frame, GBuffer, Radiance
 from lobewise.settings import DenoiseSettings
+from tests.mistakes import refuses
 
 MISSING = "Open Image Denoise is not installed; pip install 'lobewise[best]'"
 CHEAP: dict[str, Any] = {"similarity": "normal"}
@@ -29,7 +30,7 @@ CHEAP: dict[str, Any] = {"similarity": "normal"}
 @pytest.fixture
 def absent(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make Open Image Denoise one that is not installed."""
-    monkeypatch.setattr(peers, "_try_to_load", lambda: MISSING)
+    monkeypatch.setattr(peers, "look_up_oidn_fault", lambda: peers.OidnFault(*MISSING.split("; "), is_installed=False))
 
 
 @pytest.fixture
@@ -41,7 +42,7 @@ def present(monkeypatch: pytest.MonkeyPatch) -> list[Frame]:
         given.append(frame)
         return np.full((*frame.shape, 3), 3.0, np.float32), 0.1
 
-    monkeypatch.setattr(peers, "_try_to_load", lambda: "")
+    monkeypatch.setattr(peers, "look_up_oidn_fault", lambda: None)
     monkeypatch.setattr(combining, "denoise_oidn", run)
     return given
 
@@ -150,7 +151,7 @@ def test_it_is_taken_where_it_is_left_open_or_asked_for(
 ) -> None:
     request.getfixturevalue("present" if is_here else "absent")
     if with_oidn is True and quality == "fast":
-        with pytest.raises(InputError, match="'balanced' or 'high' with Open Image Denoise"):
+        with refuses(InputError, "quality"):
             DenoiseSettings(quality=quality, with_oidn=True)
         return
     chosen = ask(DenoiseSettings(quality=quality, with_oidn=with_oidn), {})
@@ -306,6 +307,6 @@ def test_an_installation_that_cannot_be_loaded_is_none(monkeypatch: pytest.Monke
         raise OSError("libOpenImageDenoise.so: wrong ELF class\n")
 
     monkeypatch.setattr(peers.importlib, "import_module", fail)
-    monkeypatch.setattr(peers, "_try_to_load", peers._try_to_load.__wrapped__)
+    monkeypatch.setattr(peers, "look_up_oidn_fault", peers.look_up_oidn_fault.__wrapped__)
     assert not peers.has_oidn()
     assert "cannot be loaded (libOpenImageDenoise.so: wrong ELF class" in peers.explain_no_oidn()

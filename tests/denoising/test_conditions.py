@@ -14,6 +14,7 @@ from lobewise.backend.devices import list_devices
 from lobewise.errors import InputError
 from lobewise.io import write_frame
 from lobewise.records.frame import Frame, GBuffer, Radiance
+from tests.mistakes import refuses
 from tests.streaming.frames import make_scene
 
 QUALITIES = ("fast", "balanced", "high")
@@ -87,7 +88,7 @@ def test_odd_values_everywhere(what: str, quality: str, device: str) -> None:
     for value in VALUES:
         spoiled = spoil(frame, what, value, ...)
         if what == "color" and not 0.0 <= value < np.inf:
-            with pytest.raises(InputError, match="at least one pixel that is finite and not negative"):
+            with refuses(InputError, "radiance"):
                 lobewise.denoise(spoiled, quality=quality, device=device)
         else:
             require_clean(lobewise.denoise(spoiled, quality=quality, device=device))
@@ -104,7 +105,7 @@ def test_sizes(quality: str, device: str) -> None:
 
 @pytest.mark.parametrize("shape", [(0, 0, 3), (0, 5, 3), (5, 0, 3)])
 def test_no_pixels(shape: tuple[int, ...]) -> None:
-    with pytest.raises(InputError, match="at least one pixel"):
+    with refuses(InputError, "color"):
         Radiance(np.zeros(shape))
 
 

@@ -15,6 +15,7 @@ from lobewise.peers import has_oidn
 from lobewise.records.camera import Camera
 from lobewise.records.frame import Frame, GBuffer, LobeKind, Radiance
 from lobewise.settings import DenoiseSettings
+from tests.mistakes import refuses
 
 CAMERA = Camera(position=(0.0, 0.0, 0.0), forward=(0.0, 0.0, -1.0), up=(0.0, 1.0, 0.0), fov_y=0.6)
 SHAPE = (40, 50)
@@ -108,7 +109,7 @@ def test_combined_radiance_is_compared_by_diffuse_and_specular_lobe() -> None:
     frame = make_frame(apart=False, alpha_u=alpha, alpha_v=alpha, diffuse_albedo=bright, specular_albedo=dim)
     support = {name: denoise(frame, similarity=name, quality="fast").weight_sum for name in ("sg", "sg_mixture")}
     assert np.median(support["sg_mixture"] / support["sg"]) < 0.8
-    with pytest.raises(InputError, match=r"lobes of a mixture.*1 to 3"):
+    with refuses(InputError, "lobes of a mixture", expected="an integer from 1 to 3"):
         denoise(frame, similarity="sg_mixture", lobes=4)
 
 
@@ -126,7 +127,7 @@ def test_near_hits_narrow_the_kernel(similarity: str) -> None:
 
 @BOTH
 def test_hit_distance_needs_the_channel(quality: str) -> None:
-    with pytest.raises(MissingChannelError, match="channel hit_distance"):
+    with refuses(MissingChannelError, "channel hit_distance"):
         denoise(make_frame(), hit_distance=True, quality=quality)
 
 
@@ -287,38 +288,38 @@ def test_parameters_follow_the_noise() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("changes", "refused"),
     [
-        ({"form": "seperable"}, "did you mean 'separable'"),
-        ({"radius": 2.5}, "radius: expected an integer"),
-        ({"beta": 0.0}, 'beta: expected "auto" or a finite number above 0, got 0.0'),
-        ({"beta": "high"}, "beta: expected"),
-        ({"tau": float("nan")}, 'tau: expected "auto" or a finite number above 0'),
-        ({"bandwidth": 3.0}, "setting: expected one of"),
+        ({"form": "seperable"}, ("form",)),
+        ({"radius": 2.5}, ("radius",)),
+        ({"beta": 0.0}, ("beta", "0.0")),
+        ({"beta": "high"}, ("beta", "'high'")),
+        ({"tau": float("nan")}, ("tau",)),
+        ({"bandwidth": 3.0}, ("setting",)),
     ],
 )
-def test_wrong_settings_are_named(changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(InputError, match=message):
+def test_wrong_settings_are_named(changes: dict[str, Any], refused: tuple[str, ...]) -> None:
+    with refuses(InputError, *refused):
         denoise(make_frame((4, 4)), **changes)
 
 
 @BOTH
 @pytest.mark.parametrize(
-    ("similarity", "guides", "message"),
+    ("similarity", "guides", "what"),
     [
-        ("sg", {"alpha_u": None, "alpha_v": None}, "alpha"),
-        ("ggx", {"alpha_u": None, "alpha_v": None}, "alpha"),
-        ("sg", {"position": None, "depth": None}, "position"),
+        ("sg", {"alpha_u": None, "alpha_v": None}, "channel alpha_u"),
+        ("ggx", {"alpha_u": None, "alpha_v": None}, "channel alpha_u"),
+        ("sg", {"position": None, "depth": None}, "channel position"),
     ],
 )
-def test_missing_channels_are_named(similarity: str, guides: dict[str, Any], message: str, quality: str) -> None:
-    with pytest.raises(MissingChannelError, match=message):
+def test_missing_channels_are_named(similarity: str, guides: dict[str, Any], what: str, quality: str) -> None:
+    with refuses(MissingChannelError, what):
         denoise(make_frame((4, 4), **guides), similarity=similarity, quality=quality)
 
 
 @BOTH
 def test_missing_camera_is_named(quality: str) -> None:
-    with pytest.raises(MissingChannelError, match="camera"):
+    with refuses(MissingChannelError, "camera"):
         denoise(make_frame((4, 4)).with_changes(camera=None), similarity="ggx", quality=quality)
 
 

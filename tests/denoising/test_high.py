@@ -28,6 +28,7 @@ from lobewise.records.sparse_frame import make_sparse
 from lobewise.settings import QUALITY_NAMES, DenoiseSettings
 from tests.denoising.test_denoising import SHAPE, make_frame
 from tests.denoising.test_quality_modes import FAR, make_shadowed, measure
+from tests.mistakes import refuses
 
 CHEAP: dict[str, Any] = {"quality": "high", "similarity": "normal"}
 """Lobes take the most time to compile."""
@@ -128,7 +129,7 @@ def peer(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         return told["image"], 0.1
 
     monkeypatch.setattr(combining, "denoise_oidn", run)
-    monkeypatch.setattr(peers, "_try_to_load", lambda: "")
+    monkeypatch.setattr(peers, "look_up_oidn_fault", lambda: None)
     return told
 
 
@@ -314,10 +315,11 @@ class TestPeer:
         assert json.loads(attributes["lobewise/denoised"])["with_oidn"] is True
 
     def test_one_that_is_not_installed_is_told_before_anything_is_filtered(self, monkeypatch):
-        monkeypatch.setattr(peers, "_try_to_load", lambda: "It is not installed; pip install 'lobewise[best]'")
+        fault = peers.OidnFault("It is not installed", "pip install 'lobewise[best]'", is_installed=False)
+        monkeypatch.setattr(peers, "look_up_oidn_fault", lambda: fault)
         monkeypatch.setattr(chain, "filter_halves", lambda *_: pytest.fail("filtered first"))
         for quality in ("auto", "high"):
-            with pytest.raises(MissingDependencyError, match=r"not installed; pip install 'lobewise\[best\]'\.$"):
+            with refuses(MissingDependencyError, action="pip install 'lobewise[best]'"):
                 denoise(make_frame(), similarity="normal", quality=quality, with_oidn=True)
 
     @pytest.mark.skipif(not peers.has_oidn(), reason="needs Open Image Denoise: pip install 'lobewise[best]'")
@@ -340,9 +342,9 @@ class TestSettings:
 
     def test_what_has_fast_alone_does_not_mix(self):
         sparse = make_sparse(make_frame((8, 8)), 2)
-        with pytest.raises(InputError, match="quality: expected 'fast' for upsampling, got with_oidn"):
+        with refuses(InputError, "quality", expected="'fast' for upsampling"):
             upsample(sparse, with_oidn=True)
-        with pytest.raises(InputError, match="quality: expected 'fast' for a filter with history, got with_oidn"):
+        with refuses(InputError, "quality", expected="'fast' for a filter with history"):
             TemporalFilter(with_oidn=True)
 
 

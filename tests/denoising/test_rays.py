@@ -15,6 +15,7 @@ from lobewise.recipes.upsampling import upsample
 from lobewise.records.camera import Camera
 from lobewise.records.frame import GBuffer, Radiance
 from lobewise.records.sparse_frame import Rays, SparseFrame, list_places
+from tests.mistakes import refuses
 
 SIZE, SCALE, ALPHA = 64, 4, 0.03
 CAMERA = Camera(position=(0.0, 0.0, 4.0), forward=(0.0, 0.0, -1.0), up=(0.0, 1.0, 0.0), fov_y=0.6)
@@ -138,31 +139,31 @@ def test_rays_that_are_not_known_change_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    ("direction", "weight", "message"),
+    ("direction", "weight", "got"),
     [
-        (np.zeros((4, 4)), np.ones((4, 4)), "weights of shape"),
-        (np.zeros((4, 4, 3)), np.ones((4, 5)), "weights of shape"),
-        (np.zeros((4, 4, 3)), -np.ones((4, 4)), "weights of at least 0"),
-        (np.full((4, 4, 3), np.nan), np.ones((4, 4)), "finite directions"),
+        (np.zeros((4, 4)), np.ones((4, 4)), "shape (4, 4) and (4, 4)"),
+        (np.zeros((4, 4, 3)), np.ones((4, 5)), "shape (4, 5) and (4, 4, 3)"),
+        (np.zeros((4, 4, 3)), -np.ones((4, 4)), "others"),
+        (np.full((4, 4, 3), np.nan), np.ones((4, 4)), "others"),
     ],
 )
-def test_bad_rays_are_refused(direction: Array, weight: Array, message: str) -> None:
-    with pytest.raises(InputError, match=message):
+def test_bad_rays_are_refused(direction: Array, weight: Array, got: str) -> None:
+    with refuses(InputError, "rays", got):
         Rays(weight, direction)
 
 
 def test_rays_must_fit_their_frame() -> None:
     frame = make_frames(1)[0]
     few = Rays(np.ones((3, 3)))
-    with pytest.raises(InputError, match="16x16 rays"):
+    with refuses(InputError, "rays", "Rays(3x3)", "16x16 rays, and radiance in diffuse and specular parts"):
         SparseFrame(frame.radiance, frame.gbuffer, SCALE, frame.place, CAMERA, rays=few)
-    with pytest.raises(InputError, match="no specular radiance"):
+    with refuses(InputError, "rays", "no specular radiance"):
         SparseFrame(Radiance(frame.radiance.color), frame.gbuffer, SCALE, frame.place, CAMERA, rays=frame.rays)
 
 
 def test_rays_need_a_camera() -> None:
     frame = make_frames(1)[0]
-    with pytest.raises(MissingChannelError, match="camera"):
+    with refuses(MissingChannelError, "camera"):
         upsample(SparseFrame(frame.radiance, frame.gbuffer, SCALE, frame.place, rays=frame.rays), similarity="normal")
 
 

@@ -17,6 +17,7 @@ from lobewise.io import write_frame
 from lobewise.recipes.streaming import denoise_file
 from lobewise.recipes.streaming import recipe as streaming
 from lobewise.records.frame import Frame, GBuffer, Radiance, RadianceLayer
+from tests.mistakes import refuses
 from tests.streaming.frames import make_scene
 
 QUALITIES = ("fast", "balanced", "high")
@@ -240,7 +241,7 @@ class Traced:
 
 
 def test_gradients_are_not_lost_in_silence() -> None:
-    with pytest.raises(InputError, match="color: expected an array without gradients"):
+    with refuses(InputError, "color"):
         Radiance(Traced())
 
 
@@ -251,9 +252,9 @@ def test_neither_are_those_of_dr_jit(mi: Any) -> None:
     image = mi.TensorXf(np.ones((4, 5, 3), np.float32))
     assert Radiance(image).color.shape == (4, 5, 3)
     dr.enable_grad(image)
-    with pytest.raises(InputError, match="color: expected an array without gradients"):
+    with refuses(InputError, "color"):
         Radiance(image)
-    with pytest.raises(InputError, match="normal: expected an array without gradients"):
+    with refuses(InputError, "normal"):
         GBuffer(normal=image)
 
 

@@ -16,6 +16,7 @@ from lobewise.records.camera import Camera
 from lobewise.records.frame import Frame, GBuffer, Radiance
 from lobewise.records.sparse_frame import SparseFrame, list_places, make_sparse
 from tests.denoising.test_denoising import SHAPE, make_frame
+from tests.mistakes import refuses
 
 SLOW = pytest.mark.nightly  # kernels are compiled
 
@@ -213,24 +214,24 @@ def test_bad_samples_are_counted_at_their_pixels() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "refused"),
     [
-        ({"scale": 0}, "scale: expected an integer from 1 to 16, got 0"),
-        ({"scale": 2.0}, "scale"),
-        ({"place": (0, 4)}, r"place: expected row and column from 0 to 3"),
-        ({"scale": 3, "place": (0, 0)}, r"radiance: expected 17x14 samples"),
-        ({"gbuffer": GBuffer()}, "gbuffer: expected the guides"),
+        ({"scale": 0}, ("scale", "0")),
+        ({"scale": 2.0}, ("scale", "2.0")),
+        ({"place": (0, 4)}, ("place",)),
+        ({"scale": 3, "place": (0, 0)}, ("radiance",)),
+        ({"gbuffer": GBuffer()}, ("gbuffer",)),
     ],
 )
-def test_what_does_not_fit_is_refused(change: dict[str, Any], words: str) -> None:
+def test_what_does_not_fit_is_refused(change: dict[str, Any], refused: tuple[str, ...]) -> None:
     sparse = make_sparse(make_frame(), 4, (1, 1))
     values = {"radiance": sparse.radiance, "gbuffer": sparse.gbuffer, "scale": 4, "place": (1, 1), **change}
-    with pytest.raises(InputError, match=words):
+    with refuses(InputError, *refused):
         SparseFrame(**values)
 
 
 def test_other_forms_are_refused() -> None:
-    with pytest.raises(InputError, match="form: expected 'full'"):
+    with refuses(InputError, "form"):
         upsample(make_sparse(make_frame(), 2), form="atrous")
 
 

@@ -7,6 +7,7 @@ import pytest
 
 import lobewise
 from lobewise.errors import InputError
+from tests.mistakes import refuses
 
 
 class Terminal(io.StringIO):
@@ -51,7 +52,7 @@ def test_nothing_is_printed_where_no_terminal_is(capsys: pytest.CaptureFixture[s
 
 
 def test_wrong_calls_get_a_sentence() -> None:
-    with pytest.raises(InputError, match="expected done and total"):
+    with refuses(InputError, "progress"):
         lobewise.ProgressBar()(1)
-    with pytest.raises(InputError, match="expected a text"):
+    with refuses(InputError, "title"):
         lobewise.ProgressBar(3)  # type: ignore[arg-type]

@@ -18,6 +18,7 @@ from lobewise.display.views import View, open_view, paint_picture
 from lobewise.errors import FileError, InputError, MissingDependencyError
 from lobewise.records.frame import FloatArray
 from tests.display.test_colors import ACESCG, write
+from tests.mistakes import refuses
 
 needs_ocio = pytest.mark.skipif(
     not os.environ.get("CI") and find_spec("PyOpenColorIO") is None,
@@ -107,17 +108,17 @@ def test_options_paint_the_picture(
 @needs_ocio
 def test_wrong_names_get_a_sentence(config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("OCIO", raising=False)
-    with pytest.raises(InputError, match="--ocio: expected a configuration of OpenColorIO"):
+    with refuses(InputError, "--ocio"):
         open_view(None, None, "AgX")
-    with pytest.raises(InputError, match="--display"):
+    with refuses(InputError, "--display"):
         open_view(config, "scren", None)
-    with pytest.raises(InputError, match="--view"):
+    with refuses(InputError, "--view"):
         open_view(config, None, "Halve")
-    with pytest.raises(InputError, match="a view that OpenColorIO computes"):
+    with refuses(InputError, "--view 'Lost'"):
         open_view(config, "other", "Lost")
     (tmp_path / "text.ocio").write_text("no configuration\n")
     for name in ("text.ocio", "missing.ocio"):
-        with pytest.raises(FileError, match="a configuration of OpenColorIO") as problem:
+        with refuses(FileError, expected="a configuration of OpenColorIO") as problem:
             open_view(tmp_path / name, None, None)
         assert "\n" not in str(problem.value)
 
@@ -125,7 +126,7 @@ def test_wrong_names_get_a_sentence(config: Path, tmp_path: Path, monkeypatch: p
 def test_without_the_library_the_extra_is_named(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "PyOpenColorIO", None)
     views._read_config.cache_clear()
-    with pytest.raises(MissingDependencyError, match=r"pip install 'lobewise\[color\]'"):
+    with refuses(MissingDependencyError, action="pip install 'lobewise[color]', or leave --display and --view out"):
         open_view(config, None, None)
 
 

@@ -16,7 +16,7 @@ from lobewise.cli.doctor import folders, machine, packages
 from lobewise.cli.doctor.report import Problem, Report, Section, name_path
 from lobewise.cli.program import run
 from lobewise.errors import MissingDependencyError
-from lobewise.peers import has_oidn
+from lobewise.peers import OidnFault, has_oidn
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -196,8 +196,8 @@ class TestPackages:
         assert not found.problems[0].fatal
 
     def test_a_broken_open_image_denoise(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        told = "Open Image Denoise is installed but cannot be loaded (no such file); reinstall pyoidn"
-        monkeypatch.setattr("lobewise.peers.explain_no_oidn", lambda: told)
+        fault = OidnFault("Open Image Denoise is installed but cannot be loaded (no such file)", "reinstall pyoidn")
+        monkeypatch.setattr("lobewise.peers.look_up_oidn_fault", lambda: fault)
         (found,) = packages.examine_extras().problems
         assert found.action == "reinstall pyoidn"
 

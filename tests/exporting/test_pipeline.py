@@ -24,6 +24,7 @@ from lobewise.exporting.pipeline.settings import PipelineSettings
 from lobewise.guides.lobe_fields import default_tau
 from tests.exporting.conftest import locate_program
 from tests.exporting.pipelines import LIBRARIES, STRICT, build, export, run_example
+from tests.mistakes import refuses
 
 RADIUS = 3
 
@@ -328,5 +329,5 @@ def test_every_step_says_what_it_does(settings: dict[str, Any]) -> None:
 
 
 def test_settings_name_no_unknown_layers() -> None:
-    with pytest.raises(InputError, match="layers"):
+    with refuses(InputError, "layers"):
         PipelineSettings(layers="three")  # type: ignore[arg-type]

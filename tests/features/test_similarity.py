@@ -22,6 +22,7 @@ from lobewise.records.frame import FloatArray
 from tests.features.frames import KINDS, make_covariances, make_feature
 from tests.features.oracles import get_similarity
 from tests.features.pairs import compare, draw_pairs, weigh
+from tests.mistakes import refuses
 
 SHAPE = (40, 50)
 COUNT = 20_000
@@ -143,10 +144,10 @@ def test_split_covariances_that_are_unknown_are_neutral(rng: np.random.Generator
 
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf])
 def test_numbers_are_above_0(value: float) -> None:
-    with pytest.raises(InputError, match="screen sigma: expected a finite number above 0"):
+    with refuses(InputError, "screen sigma", expected="a finite number above 0"):
         ScreenFeature(value)
     depth = np.ones((2, 2), np.float32)
-    with pytest.raises(InputError, match="position pixel angle"):
+    with refuses(InputError, "position pixel angle"):
         PositionFeature(depth, depth, pixel_angle=value, sigma=1.0)
 
 

@@ -1,7 +1,6 @@
 """Albedos without the noise of samples: against the definition in NumPy, and what must stay."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter, uniform_filter
@@ -18,6 +17,7 @@ from lobewise.filters.noise.albedo import (
 from lobewise.records.frame import FloatArray
 from tests.features.frames import make_directions
 from tests.filters.sizes import SIZES
+from tests.mistakes import refuses
 
 EDGE = 12
 """Pixels beside the border that the definition continues the image by, more than the kernel reads."""
@@ -93,5 +93,5 @@ def test_surfaces_that_face_apart_are_not_averaged() -> None:
 
 
 def test_guides_of_two_sizes_are_refused() -> None:
-    with pytest.raises(InputError, match="normal"):
+    with refuses(InputError, "normal"):
         clean_albedo(np.ones((8, 9, 3), np.float32), np.ones((8, 8, 3), np.float32))

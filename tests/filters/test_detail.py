@@ -17,6 +17,7 @@ from lobewise.filters.noise.detail import (
     compute_detail,
 )
 from lobewise.records.frame import FloatArray
+from tests.mistakes import refuses
 
 SIZE = 72
 INNER = slice(20, -20)
@@ -146,5 +147,5 @@ def test_shares_stay_shares_however_large_the_scores(rng: np.random.Generator) -
 
 
 def test_another_network_is_refused(rng: np.random.Generator) -> None:
-    with pytest.raises(InputError, match="network: expected 3 layers from 5 inputs to 2 outputs"):
+    with refuses(InputError, "network", expected="3 layers from 5 inputs to 2 outputs"):
         compute_shares(np.zeros((2, 3, 5), np.float32), make_network(4, rng), 2)

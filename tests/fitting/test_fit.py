@@ -17,6 +17,7 @@ from lobewise.lobes.gaussian import GGX_MIXTURES
 from tests.fitting.merl_tables import make_merl
 from tests.lobes.oracles.brdf import beckmann_brdf, lambert_brdf, oren_nayar_brdf
 from tests.lobes.oracles.sg import sg_integral
+from tests.mistakes import refuses
 
 MIN_COSINE_L2 = 0.993
 """What three anisotropic lobes must reach for tabulated GGX at n.v >= 0.3."""
@@ -198,7 +199,7 @@ class TestRecovery:
         table = fit_lobes(brdf, cosines=[0.2, 0.5])
         assert table.cosine_l2[0, 0] == 0.0
         np.testing.assert_array_equal(table.amplitude[0], table.amplitude[1])
-        with pytest.raises(InputError, match=r"n\.v = 0\.2: expected values above 0"):
+        with refuses(InputError, "reflection at n.v = 0.2", expected="values above 0"):
             fit_lobes(brdf, cosines=[0.1, 0.2])
 
     def test_a_view_that_shows_only_the_tail_of_a_lobe_takes_its_neighbours(self):
@@ -221,30 +222,30 @@ class TestArguments:
         assert [done for done, _ in calls] == sorted(done for done, _ in calls)
 
     @pytest.mark.parametrize(
-        ("change", "words"),
+        ("change", "refused"),
         [
-            ({"lobes": 0}, "lobes: expected an integer from 1 to 4"),
-            ({"lobes": 5}, "lobes"),
-            ({"lobes": True}, "lobes"),
-            ({"lobes": 2.0}, "lobes"),
-            ({"kind": "gauss"}, "one of sg, asg"),
-            ({"cosines": []}, "cosines: expected ascending numbers above 0"),
-            ({"cosines": [0.0, 0.5]}, "cosines"),
-            ({"cosines": [0.5, 0.4]}, "cosines"),
-            ({"cosines": [0.5, math.nan]}, "cosines"),
-            ({"cosines": "many"}, "cosines"),
-            ({"azimuths": [0.0, 7.0]}, "azimuths: expected ascending angles"),
+            ({"lobes": 0}, ("lobes", "0")),
+            ({"lobes": 5}, ("lobes", "5")),
+            ({"lobes": True}, ("lobes", "True")),
+            ({"lobes": 2.0}, ("lobes", "2.0")),
+            ({"kind": "gauss"}, ("kind",)),
+            ({"cosines": []}, ("cosines", "[]")),
+            ({"cosines": [0.0, 0.5]}, ("cosines", "[0.0, 0.5]")),
+            ({"cosines": [0.5, 0.4]}, ("cosines", "[0.5, 0.4]")),
+            ({"cosines": [0.5, math.nan]}, ("cosines", "[0.5, nan]")),
+            ({"cosines": "many"}, ("cosines", "'many'")),
+            ({"azimuths": [0.0, 7.0]}, ("azimuths",)),
         ],
     )
-    def test_wrong_ones_are_refused(self, change, words):
-        with pytest.raises(InputError, match=words):
+    def test_wrong_ones_are_refused(self, change, refused):
+        with refuses(InputError, *refused):
             fit_lobes(lambert_brdf, **change)
 
     def test_wrong_shapes_are_refused(self):
-        with pytest.raises(InputError, match="evaluate: expected an array of shape"):
+        with refuses(InputError, "evaluate"):
             fit_lobes(lambda v, l: np.ones((len(l), 2)), cosines=[0.5])
 
     def test_without_scipy(self, monkeypatch):
         monkeypatch.setitem(sys.modules, "scipy.optimize", None)
-        with pytest.raises(MissingDependencyError, match=r"lobewise\[fit\]"):
+        with refuses(MissingDependencyError, "fitting lobes"):
             fit_lobes(lambert_brdf, cosines=[0.5])

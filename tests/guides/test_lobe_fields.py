@@ -1,6 +1,5 @@
 """The lobes of images: pixel by pixel against the reference lobes, and what they do with every kind of bad guide."""
 
-import re
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +20,7 @@ from tests.lobes.oracles.brdf import reflect, reflect_sg
 from tests.lobes.oracles.sg import sg_bandlimit
 from tests.lobes.oracles.tangent import TangentLobe, make_tangent_lobe, tangent_approx_similarity
 from tests.lobes.quadrature import normalize
+from tests.mistakes import refuses
 
 HEIGHT, WIDTH = 13, 17
 TAU = 0.01
@@ -192,7 +192,7 @@ def test_default_band_limit(camera):
 
 @pytest.mark.parametrize("tau", [0.0, -0.1, 1.5, np.nan, np.inf])
 def test_a_band_limit_out_of_range_is_refused(guides, camera, tau):
-    with pytest.raises(InputError, match="tau: expected an angle from 1e-5 to 1 radian"):
+    with refuses(InputError, "tau", expected="an angle from 1e-5 to 1 radian"):
         build(guides, camera, tau=tau)
 
 
@@ -370,18 +370,18 @@ def test_every_size(camera, height, width):
 
 
 @pytest.mark.parametrize(
-    ("missing", "named", "remedy"),
+    ("missing", "named"),
     [
-        (("normal",), "normal", "shading normals"),
-        (("alpha_u",), "alpha_u", "roughness"),
-        (("position", "depth"), "position", "the position or the depth"),
-        (("tangent",), "tangent", "tangents"),
+        (("normal",), "normal"),
+        (("alpha_u",), "alpha_u"),
+        (("position", "depth"), "position"),
+        (("tangent",), "tangent"),
     ],
 )
-def test_a_missing_channel_is_named_with_its_remedy(guides, camera, missing, named, remedy):
+def test_a_missing_channel_is_named_with_its_remedy(guides, camera, missing, named):
     for name in missing:
         del guides[name]
-    with pytest.raises(MissingChannelError, match=f"^channel {named}: expected .*{re.escape(remedy)}"):
+    with refuses(MissingChannelError, f"channel {named}"):
         build(guides, camera)
 
 

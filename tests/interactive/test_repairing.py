@@ -13,6 +13,7 @@ from lobewise.recipes.temporal import TemporalFilter
 from lobewise.records.frame import Radiance
 from lobewise.records.sparse_frame import make_sparse
 from tests.denoising.test_upsampling import make_clean_frame
+from tests.mistakes import refuses
 
 NOISY, CALM = 1.0, float(MIN_PATHS_FOR_INTERPOLATION)
 
@@ -67,5 +68,5 @@ def test_new_samples_enter_the_history(worth: float) -> None:
 
 def test_bad_numbers_of_parts_are_told() -> None:
     for parts in (0, 65, "many"):
-        with pytest.raises(InputError, match="adaptive_parts"):
+        with refuses(InputError, "adaptive_parts"):
             InteractiveSettings(adaptive_parts=parts)  # type: ignore[arg-type]

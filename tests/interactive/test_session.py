@@ -16,6 +16,7 @@ from lobewise.recipes.temporal import TemporalFilter
 from lobewise.records.camera import Camera
 from lobewise.records.frame import Radiance
 from lobewise.render import load_scene, make_orbit
+from tests.mistakes import refuses
 
 pytestmark = [pytest.mark.mitsuba, pytest.mark.nightly]
 
@@ -242,7 +243,7 @@ def test_direct_light_gets_better_while_the_camera_rests(session: Session, path:
 
 
 def test_options_are_for_methods_that_exist(scene: Any) -> None:
-    with pytest.raises(InputError, match="method"):
+    with refuses(InputError, "method"):
         Session(scene, options={"voxels": {"resolution": 64}})
 
 
@@ -263,7 +264,7 @@ def test_views_show_what_they_say(session: Session, path: list[Camera]) -> None:
     assert views["recomputed"].sum() == frame.recomputed
     # A frame later most of the picture goes on.
     assert np.median(views["history"]) > 1.5 / 40.0
-    with pytest.raises(InputError, match="view"):
+    with refuses(InputError, "view"):
         frame.get_view("colour")
 
 
@@ -317,28 +318,28 @@ def test_frame_and_result_can_be_written(session: Session, tmp_path: Any) -> Non
 
 
 @pytest.mark.parametrize(
-    ("changes", "says"),
+    ("changes", "refused"),
     [
-        ({"method": "radiosity"}, "method"),
-        ({"similarity": "cosine"}, "similarity"),
-        ({"scale": 0}, "scale"),
-        ({"scale": 17}, "scale"),
-        ({"spp": 0}, "spp"),
-        ({"adaptive": 1.5}, "adaptive"),
-        ({"radius": -1}, "radius"),
-        ({"beta": 0.0}, "beta"),
+        ({"method": "radiosity"}, ("method",)),
+        ({"similarity": "cosine"}, ("similarity",)),
+        ({"scale": 0}, ("scale", "0")),
+        ({"scale": 17}, ("scale", "17")),
+        ({"spp": 0}, ("spp",)),
+        ({"adaptive": 1.5}, ("adaptive",)),
+        ({"radius": -1}, ("radius",)),
+        ({"beta": 0.0}, ("beta",)),
     ],
     ids=str,
 )
-def test_bad_settings_are_told(changes: dict[str, Any], says: str) -> None:
-    with pytest.raises(InputError, match=says):
+def test_bad_settings_are_told(changes: dict[str, Any], refused: tuple[str, ...]) -> None:
+    with refuses(InputError, *refused):
         InteractiveSettings(**changes)
 
 
 def test_bad_sizes_and_scenes_are_told(session: Session, make_furnace: Callable[..., Any]) -> None:
-    with pytest.raises(InputError, match="width"):
+    with refuses(InputError, "width"):
         session.resize(0, 8)
-    with pytest.raises(InputError, match="scene"):
+    with refuses(InputError, "scene"):
         Session("showrom")
 
 

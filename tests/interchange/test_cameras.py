@@ -22,6 +22,7 @@ from lobewise.interchange.reading import import_file
 from lobewise.io.exr.frames import write_frame
 from lobewise.records.camera import Camera, project_points
 from lobewise.records.frame import Frame, GBuffer, Radiance
+from tests.mistakes import refuses
 
 SHIFTED = Camera(CAMERA.position, CAMERA.forward, CAMERA.up, CAMERA.fov_y, shift=(0.1, -0.05))
 
@@ -220,10 +221,10 @@ def needs_usd() -> None:
 def test_camera_of_usd(tmp_path: Path) -> None:
     require_same_view(read_camera_file(write_usd(tmp_path)), SHIFTED)
     (tmp_path / "empty.usda").write_text("#usda 1.0\n")
-    with pytest.raises(InputError, match="expected a camera"):
+    with refuses(InputError, "camera 'empty.usda'"):
         read_camera_file(tmp_path / "empty.usda")
     (tmp_path / "broken.usda").write_text("#usda 1.0\ndef {")
-    with pytest.raises(FileError, match="USD stage"):
+    with refuses(FileError, "camera 'broken.usda'"):
         read_camera_file(tmp_path / "broken.usda")
 
 
@@ -261,7 +262,7 @@ def test_a_layer_of_usd_outside_the_folder_is_refused(arc: str, tmp_path: Path) 
     elif arc == "layer of a layer":
         path.rename(folder / "lower.usda")
         write_stage(path, "lower.usda")
-    with pytest.raises(InputError, match=r"shot\.usda'.* expected layers that are plain files in the folder .*outside"):
+    with refuses(InputError, "camera 'shot.usda'", "the layer 'camera.usda' outside of it"):
         read_camera_file(path)
 
 
@@ -272,7 +273,7 @@ needs_pipes = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system 
 @needs_pipes
 def test_a_pipe_as_layer_of_usd_is_refused(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.usda")
-    with pytest.raises(InputError, match=r"expected layers that are plain files .*pipe"):
+    with refuses(InputError, "camera 'shot.usda'", "the device, pipe or folder 'pipe.usda'"):
         read_camera_file(write_stage(tmp_path / "shot.usda", "pipe.usda"))
 
 
@@ -285,7 +286,7 @@ def test_a_pipe_as_layer_of_usd_that_no_check_sees_ends_in_time(
     monkeypatch.setattr(usd, "MAX_WALL_SECONDS", 3)
     os.mkfifo(tmp_path / "pipe.usda")
     (tmp_path / "shot.usda").write_text("""#usda 1.0\n(subLayers = [@`'pipe.usda'`@])\n""")
-    with pytest.raises(InputError, match=r"an answer of OpenUSD within 3 s, got none; try again when"):
+    with refuses(InputError, "camera 'shot.usda'", "none", "an answer of OpenUSD within 3 s"):
         read_camera_file(tmp_path / "shot.usda")
 
 
@@ -300,7 +301,7 @@ def test_a_stage_of_a_thousand_million_prims_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "huge.usda"
     path.write_text("#usda 1.0\n" + "".join(levels))
     assert path.stat().st_size < 5600
-    with pytest.raises(InputError, match=r"a stage that OpenUSD reads within 20 s of processor time and 2 GiB"):
+    with refuses(InputError, "camera 'huge.usda'"):
         read_camera_file(path)
 
 
@@ -368,62 +369,100 @@ SENSOR = (
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "words"),
+    ("name", "text", "refused"),
     [
-        ("camera.txt", "", "a name that ends in .json"),
-        ("camera.json", "{", "expected JSON"),
-        ("camera.json", "[]", "expected an object, got a list"),
-        ("camera.json", '{VIEW, "target": [1, 1, 1]}', "either target or forward"),
-        ("camera.json", '{"position": ["0", 0, 0], "forward": [0, 0, 1]}', "position: expected a list of three number"),
-        ("camera.json", '{VIEW, "fov_y": true}', "fov_y: .* got true"),
-        ("camera.json", '{VIEW, "fov_y": 1%s}' % (400 * "0"), "401 digits"),
-        ("camera.json", "[" * 200_000, "more than 64 deep"),
-        ("camera.json", "{VIEW}", "neither fov_y nor fov_x"),
-        ("camera.json", '{VIEW, "fov_x": 40}', "got fov_x alone; add fov_y"),
-        ("camera.json", '{VIEW, "fov_y": 400}', "fov_y: expected an angle between 0 and 180 degrees, got 400;"),
+        ("camera.txt", "", ("camera 'camera.txt'",)),
+        ("camera.json", "{", ("camera 'camera.json'", "text that is no JSON: it ends too soon, in line 1")),
+        ("camera.json", "[]", ("camera 'camera.json'", "a list")),
+        ("camera.json", '{VIEW, "target": [1, 1, 1]}', ("camera 'camera.json'", "position, forward, target")),
+        ("camera.json", '{"position": ["0", 0, 0], "forward": [0, 0, 1]}', ("camera 'camera.json', position",)),
+        ("camera.json", '{VIEW, "fov_y": true}', ("camera 'camera.json', fov_y", "true")),
+        ("camera.json", '{VIEW, "fov_y": 1%s}' % (400 * "0"), ("camera 'camera.json'", "a whole number of 401 digits")),
+        ("camera.json", "[" * 200_000, ("camera 'camera.json'", "lists or objects more than 64 deep")),
+        ("camera.json", "{VIEW}", ("camera 'camera.json'", "neither fov_y nor fov_x")),
+        ("camera.json", '{VIEW, "fov_x": 40}', ("camera 'camera.json'", "fov_x alone")),
+        ("camera.json", '{VIEW, "fov_y": 400}', ("camera 'camera.json', fov_y", "400")),
         (
             "camera.json",
             '{"position": [0, 5, 0], "target": [0, 5, 0], "fov_y": 40}',
-            r"target: expected another point than position, got \[0, 5, 0\] for both",
+            ("camera 'camera.json', target",),
         ),
-        ("camera.json", '{"position": [0, 1 2]}', "got text that is no JSON from line 1, column 20 on; mend"),
-        ("camera.json", '{"position": [0, ', "got text that is no JSON: it ends too soon, in line 1; mend"),
-        ("camera.json", '{VIEW, "look": [0, 0, 1]}', "'look'"),
-        ("camera.gltf", '{"nodes": []}', "a node with a camera"),
-        ("camera.gltf", "[]", "expected an object that has 'nodes', got a list; export"),
-        ("camera.gltf", '{"nodes": [{"camera": 0, "children": [0]}], "cameras": [LENS]}', "node 0 inside itself"),
-        ("camera.gltf", '{"nodes": [{"camera": 0}, {"children": [9]}], "cameras": [LENS]}', "child of node 1"),
-        ("camera.gltf", '{"nodes": [{"camera": -1}], "cameras": [LENS]}', "from 0 to 0, got -1"),
-        ("camera.gltf", '{"nodes": [{"camera": 0, "rotation": [1e300, 1e300, 0, 0]}], "cameras": [LENS]}', "finite"),
-        ("camera.gltf", '{"nodes": [{"camera": 3}], "cameras": []}', "got no cameras at all"),
-        ("camera.gltf", '{"nodes": [1, ', "it ends too soon, in line 1; export it again"),
-        ("camera.glb", "glTF" + 16 * "x", "a .glb that begins with"),
-        ("camera.xml", "<scene/>", "a sensor"),
-        ("camera.xml", "<scene>", "got text that is no XML: it ends too soon, in line 1; mend the file"),
-        ("camera.xml", "<scene><a></scene>", "got text that is no XML from line 1, column 13 on; mend the file"),
-        ("camera.xml", "<!DOCTYPE a [<!ENTITY b 'c'>]><scene/>", "a document type"),
-        ("camera.xml", "<a>" * 1000, "more than 64 deep"),
-        ("camera.xml", f"<scene>{'<a/>' * 2**19}</scene>", "more than 524288 elements"),
-        ("camera.xml", SENSOR.format("<a/>" * 1024), "at most 1024 elements in its sensor"),
-        ("camera.xml", '<?xml version="1.0" encoding="foo"?><scene/>', "unknown encoding"),
-        ("camera.xml", SENSOR.format('<float name="fov" value="180"/>'), "fov: expected a number between 0 and 180"),
-        ("camera.xml", SENSOR.format('<float name="focal_length" value="0mm"/>'), "focal_length: .* above 0"),
-        ("camera.xml", SENSOR.format('<film><integer name="width" value="0"/></film>'), "width: .* above 0"),
-        ("camera.xml", SENSOR.format("<transform><rotate x='0' angle='5'/></transform>"), "finite"),
+        (
+            "camera.json",
+            '{"position": [0, 1 2]}',
+            ("camera 'camera.json'", "text that is no JSON from line 1, column 20 on"),
+        ),
+        (
+            "camera.json",
+            '{"position": [0, ',
+            ("camera 'camera.json'", "text that is no JSON: it ends too soon, in line 1"),
+        ),
+        ("camera.json", '{VIEW, "look": [0, 0, 1]}', ("camera 'camera.json', key",)),
+        ("camera.gltf", '{"nodes": []}', ("camera 'camera.gltf'", "none")),
+        ("camera.gltf", "[]", ("camera 'camera.gltf'", "a list")),
+        (
+            "camera.gltf",
+            '{"nodes": [{"camera": 0, "children": [0]}], "cameras": [LENS]}',
+            ("camera 'camera.gltf'", "node 0 inside itself"),
+        ),
+        (
+            "camera.gltf",
+            '{"nodes": [{"camera": 0}, {"children": [9]}], "cameras": [LENS]}',
+            ("camera 'camera.gltf', child of node 1",),
+        ),
+        ("camera.gltf", '{"nodes": [{"camera": -1}], "cameras": [LENS]}', ("camera 'camera.gltf', camera of node 0",)),
+        (
+            "camera.gltf",
+            '{"nodes": [{"camera": 0, "rotation": [1e300, 1e300, 0, 0]}], "cameras": [LENS]}',
+            ("camera position",),
+        ),
+        ("camera.gltf", '{"nodes": [{"camera": 3}], "cameras": []}', ("camera 'camera.gltf'", "no cameras at all")),
+        ("camera.gltf", '{"nodes": [1, ', ("camera 'camera.gltf'",)),
+        ("camera.glb", "glTF" + 16 * "x", ("camera 'camera.glb'",)),
+        ("camera.xml", "<scene/>", ("camera 'camera.xml'", "none")),
+        ("camera.xml", "<scene>", ("camera 'camera.xml'", "text that is no XML: it ends too soon, in line 1")),
+        ("camera.xml", "<scene><a></scene>", ("camera 'camera.xml'", "text that is no XML from line 1, column 13 on")),
+        ("camera.xml", "<!DOCTYPE a [<!ENTITY b 'c'>]><scene/>", ("camera 'camera.xml'", "a document type")),
+        ("camera.xml", "<a>" * 1000, ("camera 'camera.xml'", "more than 524288 elements, or any more than 64 deep")),
+        (
+            "camera.xml",
+            f"<scene>{'<a/>' * 2**19}</scene>",
+            ("camera 'camera.xml'", "more than 524288 elements, or any more than 64 deep"),
+        ),
+        ("camera.xml", SENSOR.format("<a/>" * 1024), ("camera 'camera.xml'", "1025")),
+        (
+            "camera.xml",
+            '<?xml version="1.0" encoding="foo"?><scene/>',
+            ("camera 'camera.xml'", "unknown encoding: foo"),
+        ),
+        ("camera.xml", SENSOR.format('<float name="fov" value="180"/>'), ("camera 'camera.xml', fov",)),
+        (
+            "camera.xml",
+            SENSOR.format('<float name="focal_length" value="0mm"/>'),
+            ("camera 'camera.xml', focal_length",),
+        ),
+        (
+            "camera.xml",
+            SENSOR.format('<film><integer name="width" value="0"/></film>'),
+            ("camera 'camera.xml', width",),
+        ),
+        ("camera.xml", SENSOR.format("<transform><rotate x='0' angle='5'/></transform>"), ("camera position",)),
         (
             "camera.xml",
             SENSOR.format("<transform><lookat origin='1, 2, 3' target='1, 2, 3'/></transform>"),
-            "<lookat>, target: expected another point than the origin, got the same",
+            ("camera 'camera.xml', <lookat>, target",),
         ),
-        ("camera.xml", SENSOR.format('<float name="fov" value="$p9"/>'), "values of at most 4096 letters"),
-        ("camera.xml", '<scene><sensor type="orthographic"/></scene>', "orthographic"),
+        ("camera.xml", SENSOR.format('<float name="fov" value="$p9"/>'), ("camera 'camera.xml'", "a longer one")),
+        ("camera.xml", '<scene><sensor type="orthographic"/></scene>', ("camera 'camera.xml'", "'orthographic'")),
     ],
 )
-def test_what_is_no_camera_is_refused_in_a_sentence(name: str, text: str, words: str, tmp_path: Path) -> None:
+def test_what_is_no_camera_is_refused_in_a_sentence(
+    name: str, text: str, refused: tuple[str, ...], tmp_path: Path
+) -> None:
     lens = '{"type": "perspective", "perspective": {"yfov": 0.7}}'
     view = '"position": [0, 0, 0], "forward": [0, 0, 1]'
     (tmp_path / name).write_text(text.replace("LENS", lens).replace("VIEW", view))
-    with pytest.raises((FileError, InputError), match=words) as caught:
+    with refuses((FileError, InputError), *refused) as caught:
         read_camera_file(tmp_path / name)
     assert str(tmp_path / name) in str(caught.value)
 

@@ -11,6 +11,7 @@ from lobewise.cli.program import run
 from lobewise.errors import InputError
 from lobewise.interchange import import_file, write_result
 from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance
+from tests.mistakes import refuses
 
 CHANNEL = "View Layer.001.Combined.A"
 SAMPLES = 16
@@ -109,7 +110,7 @@ def test_a_filter_over_time_says_that_opacity_stays() -> None:
 
 
 def test_opacity_of_another_size_is_refused() -> None:
-    with pytest.raises(InputError, match="alpha"):
+    with refuses(InputError, "alpha"):
         Frame(Radiance(np.ones((4, 5, 3), np.float32)), alpha=np.ones((5, 4), np.float32))
 
 

@@ -13,6 +13,7 @@ from lobewise.errors import InputError
 from lobewise.interchange import describe_file
 from lobewise.interchange.reading import list_selections
 from lobewise.interchange.selections import Selection
+from tests.mistakes import refuses
 
 LAYERS = ("Back", "Front", "Front.001")
 OWN = "View Layer.001"
@@ -148,5 +149,5 @@ def test_mistakes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     OpenEXR.File({"cycles.L.samples": "16"}, many).write(str(tmp_path / "many.exr"))
     assert denoise(tmp_path / "many.exr", "-o", tmp_path / "b.exr") == 2
     assert "expected at most 256 views and view layers, got 300; split the file" in capsys.readouterr().err
-    with pytest.raises(InputError, match=r"layer: expected one of Back, Front\.001, Front, got 'Fornt'"):
+    with refuses(InputError, "layer", expected="one of Back, Front.001, Front", holder="input 'a.exr'"):
         lobewise.read_frame(tmp_path / "a.exr", layer="Fornt")

@@ -18,6 +18,7 @@ from lobewise.io import write_frame
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.exr.pixels import decode_part
 from lobewise.records.frame import Frame, GBuffer, Radiance
+from tests.mistakes import refuses
 
 EYES = ("left", "right")
 SHIFT = 4
@@ -211,11 +212,11 @@ def test_views_of_parts_beside_listed_views(tmp_path: Path) -> None:
 
 def test_unknown_views_are_refused(tmp_path: Path) -> None:
     write_views(tmp_path / "a.exr", "blender")
-    with pytest.raises(InputError, match="view: expected one of left, right, got 'rigth'; did you mean 'right'"):
+    with refuses(InputError, "view", holder="input 'a.exr'"):
         lobewise.read_frame(tmp_path / "a.exr", view="rigth")
     normal = np.broadcast_to(np.float32([0.0, 0.0, 1.0]), (8, 8, 3))
     write_frame(tmp_path / "own.exr", Frame(Radiance(np.ones((8, 8, 3), np.float32)), GBuffer(normal=normal)))
-    with pytest.raises(InputError, match="view: expected a file of another renderer"):
+    with refuses(InputError, "view", holder="input 'own.exr'"):
         lobewise.read_frame(tmp_path / "own.exr", view="left")
 
 

@@ -13,6 +13,7 @@ from lobewise.errors import FileError, InputError, MissingChannelError
 from lobewise.interchange import describe_file, read_image, write_result
 from lobewise.io import read_frame, write_frame, write_image
 from lobewise.records.frame import Frame, GBuffer, Radiance, Result
+from tests.mistakes import refuses
 from tests.streaming.frames import assert_same_images
 
 COMPRESSIONS = sorted(name for name in vars(OpenEXR) if name.endswith("_COMPRESSION"))
@@ -108,7 +109,7 @@ class TestRoundTrip:
         )
 
     def test_unknown_compression(self, full_frame, tmp_path):
-        with pytest.raises(InputError, match="did you mean 'zip'"):
+        with refuses(InputError, "compression"):
             write_frame(tmp_path / "a.exr", full_frame, compression="zipp")
 
     def test_bad_pixels_come_through(self, rng, tmp_path):
@@ -164,12 +165,12 @@ class TestReading:
     def test_missing_beauty(self, tmp_path):
         self.write(tmp_path / "a.exr", {"R": np.ones((2, 2), "f"), "G": np.ones((2, 2), "f")})
         for read in (read_frame, read_image):
-            with pytest.raises(MissingChannelError, match=r"expected channels R, G and B.* got only G, R; .*\.$"):
+            with refuses(MissingChannelError, "input 'a.exr'", "only G, R"):
                 read(tmp_path / "a.exr")
 
     def test_missing_beauty_among_many_channels_is_still_one_line(self, tmp_path):
         self.write(tmp_path / "a.exr", {f"crypto{i:02}": np.ones((2, 2), "f") for i in range(40)})
-        with pytest.raises(MissingChannelError, match="and 28 more"):
+        with refuses(MissingChannelError, "input 'a.exr'"):
             read_image(tmp_path / "a.exr")
 
     @pytest.mark.parametrize(
@@ -178,13 +179,13 @@ class TestReading:
     )
     def test_an_image_in_part_is_refused(self, extra, label, tmp_path):
         self.write(tmp_path / "a.exr", {name: np.ones((2, 2), "f") for name in ("R", "G", "B", *extra)})
-        with pytest.raises(MissingChannelError, match=f"expected all of {label}, or none, got only {', '.join(extra)}"):
+        with refuses(MissingChannelError, "input 'a.exr'", f"only {', '.join(extra)}", f"all of {label}, or none"):
             read_frame(tmp_path / "a.exr")
 
     def test_a_half_without_its_total_is_refused(self, tmp_path):
         names = ("R", "G", "B", "half_a.diffuse.R", "half_a.diffuse.G", "half_a.diffuse.B")
         self.write(tmp_path / "a.exr", {name: np.ones((2, 2), "f") for name in names})
-        with pytest.raises(MissingChannelError, match=r"half_a.R/G/B"):
+        with refuses(MissingChannelError, "input 'a.exr'", "none of them beside its other images"):
             read_frame(tmp_path / "a.exr")
 
     def test_integer_and_half_channels_become_floats(self, tmp_path):
@@ -219,28 +220,26 @@ class TestReading:
         self.write(path, rgb, header)
         assert read_frame(path).camera.fov_y == 0.5
         self.write(path, rgb, {key: value for key, value in header.items() if not key.endswith("up")})
-        with pytest.raises(
-            InputError, match=r"a\.exr'?: camera in the header: expected the attribute lobewise/camera/up"
-        ):
+        with refuses(InputError, "camera in the header", "none", holder="input 'a.exr'"):
             read_frame(path)
         self.write(path, rgb, header | {"lobewise/camera/up": np.array([0.0, 0, 2])})
-        with pytest.raises(InputError, match=r"a\.exr.*parallel to forward"):
+        with refuses(InputError, "camera up", holder="input 'a.exr'"):
             read_frame(path)
         self.write(path, rgb, header | {"lobewise/camera/fov_y": "wide"})
-        with pytest.raises(InputError, match="got another type"):
+        with refuses(InputError, "camera in the header", "another type", holder="input 'a.exr'"):
             read_frame(path)
 
     @pytest.mark.parametrize(
-        ("change", "words"),
+        ("change", "refused"),
         [
-            (lambda text: text[:-40], r"attribute lobewise/lobes/2: expected JSON"),
-            (lambda text: text.replace("0.99", "1.99"), r"attribute lobewise/lobes/2: lobe table: cosine_l2"),
-            (lambda text: text.replace('"version": 1', '"version": 7'), "got version 7"),
-            (lambda text: np.ones(3), r"attribute lobewise/lobes/2: expected JSON"),
-            (None, "got none with the number 2"),
+            (lambda text: text[:-40], ("attribute lobewise/lobes/2", None, "JSON")),
+            (lambda text: text.replace("0.99", "1.99"), ("lobe table: cosine_l2",)),
+            (lambda text: text.replace('"version": 1', '"version": 7'), ("attribute lobewise/lobes/2", "version 7")),
+            (lambda text: np.ones(3), ("attribute lobewise/lobes/2", None, "JSON")),
+            (None, ("lobe tables in the header",)),
         ],
     )
-    def test_damaged_lobe_tables_are_one_error(self, full_frame, change, words, tmp_path):
+    def test_damaged_lobe_tables_are_one_error(self, full_frame, change, refused, tmp_path):
         path = tmp_path / "a.exr"
         write_frame(path, full_frame)
         opened = OpenEXR.File(str(path), separate_channels=True)
@@ -248,16 +247,17 @@ class TestReading:
         good = header.pop("lobewise/lobes/2")
         header["lobewise/lobes/2" if change else "lobewise/lobes/3"] = change(good) if change else good
         self.write(path, channels, {name: value for name, value in header.items() if name != "channels"})
-        with pytest.raises(FileError, match=words) as caught:
+        with refuses(FileError, *refused) as caught:
             read_frame(path)
-        assert str(caught.value).startswith(f"input {str(path)!r}: ")
-        assert str(caught.value).count("\n") == 0
-        assert any(words.split(":")[0] in note for note in describe_file(path).notes)
+        assert caught.value.holder.startswith(f"input {str(path)!r}")
+        assert any(refused[0] in note for note in describe_file(path).notes)
 
     def test_a_pixel_without_its_lobe_table_is_refused(self, tmp_path):
         channels = {name: np.ones((2, 2), "f") for name in ("R", "G", "B", "material.I")}
         self.write(tmp_path / "a.exr", channels)
-        with pytest.raises(InputError, match="material: expected numbers from 0 to 0, the count of lobe tables"):
+        with refuses(
+            InputError, "material", expected="numbers from 0 to 0, the count of lobe tables", holder="input 'a.exr'"
+        ):
             read_frame(tmp_path / "a.exr")
 
     def test_single_precision_cameras_are_read(self, tmp_path):
@@ -401,7 +401,7 @@ class TestResult:
 
     def test_sizes_must_match(self, rng, tmp_path):
         write_image(tmp_path / "a.exr", rng.random((3, 4, 3)))
-        with pytest.raises(InputError, match=r"^channel .R.: expected the size of .*, 4x3 pixels, got .*\(4, 4\)"):
+        with refuses(InputError, "channel 'R'", "an array of shape (4, 4)", "the size of 'a.exr', 4x3 pixels"):
             write_result(tmp_path / "b.exr", make_result(rng, 4, 4), source=tmp_path / "a.exr")
         assert not (tmp_path / "b.exr").exists()
 
@@ -420,7 +420,7 @@ class TestResult:
         tiles = [struct.pack("<5i", 0, 0, level, level, size) + bytes(size) for level, size in sizes.items()]
         offsets = np.cumsum([first + 32, len(data) - first, *map(len, tiles[:-1])])
         path.write_bytes(data[:start] + struct.pack("<5Q", *offsets) + data[first:] + b"".join(tiles))
-        with pytest.raises(FileError, match="resolution levels"):
+        with refuses(FileError, "input 'a.exr'"):
             write_result(tmp_path / "b.exr", make_result(rng, 16, 16), source=path)
 
 

@@ -1,6 +1,7 @@
 """Paths that cannot be used, and writes that leave no trace when they fail."""
 
 import os
+import re
 import stat
 
 import numpy as np
@@ -11,6 +12,7 @@ from lobewise.interchange import read_image
 from lobewise.io import read_frame, write_frame, write_image
 from lobewise.io.files import open_atomic, require_readable, require_writable, write_text
 from lobewise.records.frame import Frame, Radiance
+from tests.mistakes import refuses
 
 FRAME = Frame(Radiance(np.ones((2, 3, 3))))
 
@@ -22,23 +24,14 @@ def list_names(folder):
 @pytest.mark.parametrize("read", [read_frame, read_image])
 class TestInputs:
     @pytest.mark.parametrize(
-        ("path", "words"),
-        [
-            ("other.exr", "an existing file, got no such .*\\."),
-            ("farme.exr", "an existing file, got no such .* did you mean '.*frame\\.exr'\\?"),
-            ("", "a file, got a directory; .*"),
-            ("frame.exr/b.exr", ".* not a directory.*"),
-            ("pipe", ".* got a device or pipe; .*"),
-            ("/dev/zero", ".* got a device or pipe; .*"),
-            ("a\0b.exr", "a readable file, .*"),
-            ("x" * 5000, "a readable file, .*"),
-        ],
+        "path", ["other.exr", "farme.exr", "", "frame.exr/b.exr", "pipe", "/dev/zero", "a\0b.exr", "x" * 5000]
     )
-    def test_unreadable(self, read, path, words, tmp_path):
+    def test_unreadable(self, read, path, tmp_path):
         write_image(tmp_path / "frame.exr", np.ones((2, 2, 3)))
         os.mkfifo(tmp_path / "pipe")
-        with pytest.raises(FileError, match=f"^input '.*': expected {words}$"):
+        with refuses(FileError, f"input {str(tmp_path / path)!r}") as caught:
             read(tmp_path / path)
+        assert ("frame.exr" in caught.value.action) == (path == "farme.exr")
 
     @pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
     def test_forbidden(self, read, tmp_path):
@@ -50,7 +43,7 @@ class TestInputs:
 
 class TestOutputs:
     @pytest.mark.parametrize(
-        ("path", "words"),
+        ("path", "got"),
         [
             ("", "a directory"),
             ("missing/a.exr", "no folder '.*missing'"),
@@ -60,12 +53,14 @@ class TestOutputs:
             ("a\0b.exr", "(lstat: )?embedded null"),
         ],
     )
-    def test_unwritable(self, path, words, tmp_path):
+    def test_unwritable(self, path, got, tmp_path):
         (tmp_path / "file").write_text("")
         # A pipe and not a device: a mistake of ours must not cost the machine its /dev/null.
         os.mkfifo(tmp_path / "pipe")
-        with pytest.raises(FileError, match=rf"^output '.*': expected .*, got {words}.*; .*\.$"):
+        with pytest.raises(FileError) as caught:
             write_frame(tmp_path / path, FRAME)
+        assert caught.value.what.startswith("output '")
+        assert re.match(got, caught.value.got)
         assert list_names(tmp_path) == ["file", "pipe"]
         assert (tmp_path / "pipe").is_fifo()
 
@@ -98,7 +93,7 @@ class TestAtomic:
         assert list_names(tmp_path) == []
 
     def test_a_full_disk_is_told(self, tmp_path):
-        with pytest.raises(FileError, match="no space left on device"), open_atomic(tmp_path / "a.exr"):
+        with refuses(FileError, "output 'a.exr'", "no space left on device"), open_atomic(tmp_path / "a.exr"):
             raise OSError(28, "No space left on device")
         assert list_names(tmp_path) == []
 
@@ -137,6 +132,6 @@ class TestAtomic:
 
 def test_an_empty_file_is_missed_by_what_it_should_hold(tmp_path):
     (tmp_path / "a").touch()
-    for options, wanted in (({}, "an image"), ({"what": "scene"}, "a scene"), ({"holds": "a lobe table"}, "a lobe")):
-        with pytest.raises(FileError, match=f"expected {wanted}.*, got an empty file of 0 bytes"):
+    for options, expected in (({}, "an image"), ({"what": "scene"}, "a scene"), ({"holds": "a lobe"}, "a lobe")):
+        with refuses(FileError, got="an empty file of 0 bytes", expected=expected):
             require_readable(tmp_path / "a", **options)

@@ -11,6 +11,7 @@ from lobewise.io.materials import lobe_table_from_json, lobe_table_to_json, read
 from lobewise.records.lobe_table import LobeTable
 from tests.fitting.merl_tables import make_merl, to_bytes
 from tests.lobes.oracles.brdf import lambert_brdf
+from tests.mistakes import refuses
 
 
 @pytest.fixture
@@ -51,59 +52,59 @@ class TestLobeFiles:
         assert values["cosine"] == [0.1, 0.33333334, 1.0]
 
     @pytest.mark.parametrize(
-        ("text", "words"),
+        ("text", "got"),
         [
-            ("", "empty file"),
-            (b"\xff\x00\x80" * 100, "not UTF-8: byte 1 is 0xff"),
-            ("not JSON", "no JSON"),
-            ("[1, 2]", "got a list"),
-            ("[" * 200_000, "more than 64 deep"),
+            ("", "an empty file of 0 bytes"),
+            (b"\xff\x00\x80" * 100, "text that is not UTF-8: byte 1 is 0xff"),
+            ("not JSON", "text that is no JSON from line 1, column 1 on"),
+            ("[1, 2]", "a list"),
+            ("[" * 200_000, "lists or objects more than 64 deep"),
             ('{"format": "gltf", "version": 1}', "another format"),
-            ('{"format": "lobewise lobes", "version": 2}', "expected version 1, got version 2"),
-            ('{"format": "lobewise lobes", "version": 1, "name": "x"}', "got no kind"),
+            ('{"format": "lobewise lobes", "version": 2}', "version 2"),
+            ('{"format": "lobewise lobes", "version": 1, "name": "x"}', "no kind"),
         ],
     )
-    def test_other_files_are_refused(self, text, words, tmp_path):
+    def test_other_files_are_refused(self, text, got, tmp_path):
         path = tmp_path / "x.lobes"
         path.write_bytes(text if isinstance(text, bytes) else text.encode())
-        with pytest.raises(FileError, match=words) as problem:
+        with refuses(FileError, "lobe file 'x.lobes'", got) as problem:
             read_lobe_table(path)
         assert str(path) in str(problem.value)
 
     @pytest.mark.parametrize(
-        ("name", "value"),
+        ("name", "value", "what"),
         [
-            ("twist", [1.0]),
-            ("twist", [[[True]]]),
-            ("kind", "round"),
-            ("kind", 5),
-            ("kind", ["sg"]),
-            ("kind", None),
-            ("version", True),
-            ("version", 1.0),
-            ("comment", "mine"),
-            ("cosine", [10**300, 1]),
-            ("cosine", ["x" * 1000, ""]),
-            ("name", 3),
-            ("albedo", None),
-            ("axis", "east"),
-            ("amplitude", [[["a"]]]),
+            ("twist", [1.0], "lobe table: twist"),
+            ("twist", [[[True]]], "lobe table, twist"),
+            ("kind", "round", "kind of lobes"),
+            ("kind", 5, "lobe file 'x.lobes', kind"),
+            ("kind", ["sg"], "lobe file 'x.lobes', kind"),
+            ("kind", None, "lobe file 'x.lobes', kind"),
+            ("version", True, "lobe file 'x.lobes'"),
+            ("version", 1.0, "lobe file 'x.lobes'"),
+            ("comment", "mine", "lobe file 'x.lobes'"),
+            ("cosine", [10**300, 1], "lobe table: cosine"),
+            ("cosine", ["x" * 1000, ""], "lobe table, cosine"),
+            ("name", 3, "lobe file 'x.lobes', name"),
+            ("albedo", None, "lobe table, albedo"),
+            ("axis", "east", "lobe table, axis"),
+            ("amplitude", [[["a"]]], "lobe table, amplitude"),
         ],
     )
-    def test_damaged_values_are_refused(self, table, name, value, tmp_path):
+    def test_damaged_values_are_refused(self, table, name, value, what, tmp_path):
         values = json.loads(lobe_table_to_json(table))
         (tmp_path / "x.lobes").write_text(json.dumps({**values, name: value}))
-        with pytest.raises(FileError, match=r"x\.lobes"):
+        with refuses(FileError, what):
             read_lobe_table(tmp_path / "x.lobes")
 
     def test_numbers_that_are_none_are_refused(self, table):
         text = lobe_table_to_json(table)
-        for word, told in (("NaN", "got NaN"), ("1e999", "cosine"), ("1" + 400 * "0", "401 digits")):
-            with pytest.raises(FileError, match=told):
+        for word, what in (("NaN", "lobe table"), ("1e999", "lobe table, cosine"), ("1" + 400 * "0", "lobe table")):
+            with refuses(FileError, what):
                 lobe_table_from_json(text.replace("0.33333334", word, 1))
 
     def test_missing_file(self, tmp_path):
-        with pytest.raises(FileError, match="no such file"):
+        with refuses(FileError, "lobe file 'x.lobes'", "no such file"):
             read_lobe_table(tmp_path / "x.lobes")
 
 
@@ -117,16 +118,16 @@ class TestMerlFiles:
         np.testing.assert_allclose(again.samples, chalk.samples, rtol=1e-6)
         with path.open("ab") as stream:
             stream.write(b"\0")
-        with pytest.raises(FileError, match="something follows the table"):
+        with refuses(FileError, "MERL file 'chalk'", "34992013, so something follows the table", holder="chalk.binary"):
             read_merl(path)
         path.write_bytes(path.read_bytes()[:1000])
-        with pytest.raises(FileError, match="the end is missing") as problem:
+        with refuses(FileError, "MERL file 'chalk'", "1000, so the end is missing", holder="chalk.binary") as problem:
             read_merl(path)
         assert str(path) in str(problem.value)
 
     def test_empty_and_missing_files(self, tmp_path):
         (tmp_path / "a.binary").touch()
-        with pytest.raises(FileError, match="expected a MERL table, got an empty file"):
+        with refuses(FileError, "input 'a.binary'"):
             read_merl(tmp_path / "a.binary")
-        with pytest.raises(FileError, match="no such file"):
+        with refuses(FileError, "input 'b.binary'"):
             read_merl(tmp_path / "b.binary")

@@ -6,6 +6,7 @@ import pytest
 
 from lobewise.errors import FileError, InputError
 from lobewise.io.sequence import FramePattern, describe_gaps, is_pattern
+from tests.mistakes import refuses
 
 
 @pytest.mark.parametrize(
@@ -64,7 +65,7 @@ def test_both_ways_of_writing_are_one_pattern():
 
 @pytest.mark.parametrize("text", ["a.exr", "####/a.exr", "a.##.##.exr", "a.%04d.#.exr", "a.%4d.exr", "a@@.$F4.exr"])
 def test_other_names_are_refused(text):
-    with pytest.raises(InputError, match=r"expected a name with one run of #, .*, got (none|2 runs); .*\.$"):
+    with refuses(InputError, expected="a name with one run of #, such as render.####.exr"):
         FramePattern.parse(text)
 
 
@@ -112,14 +113,13 @@ def test_a_hyphen_before_every_number_is_no_sign(tmp_path):
 def test_nothing_found_is_said_with_what_is_near(there, near, tmp_path):
     for name in there:
         (tmp_path / name).write_bytes(b"x")
-    with pytest.raises(FileError, match=r"expected files such as 'a\.0001\.exr', got none; ") as problem:
+    with refuses(FileError, "sequence 'a.####.exr'", expected="files such as 'a.0001.exr'") as problem:
         FramePattern.parse(tmp_path / "a.####.exr").find()
-    wanted = "check the path." if near is None else f"did you mean {str(tmp_path / near)!r}?"
-    assert str(problem.value).endswith(wanted)
+    assert (repr(str(tmp_path / near)) if near else "the path") in problem.value.action
 
 
 def test_a_folder_that_is_not_there(tmp_path):
-    with pytest.raises(FileError, match="expected a folder that can be read, got no such file"):
+    with refuses(FileError, "sequence 'a.#.exr'"):
         FramePattern.parse(tmp_path / "no" / "a.#.exr").find()
 
 

@@ -7,6 +7,7 @@ from lobewise.errors import InputError, MissingChannelError
 from lobewise.metrics import find_disoccluded
 from lobewise.records.camera import Camera, project_points
 from lobewise.records.frame import GBuffer
+from tests.mistakes import refuses
 
 WIDTH, HEIGHT = 120, 90
 SKY, FLOOR, WALL, BALL, BOX = range(5)
@@ -161,7 +162,7 @@ def test_motion_that_is_not_finite_leads_nowhere():
 def test_mistakes():
     camera = Camera(EYE, AHEAD, (0, 1, 0), 0.7)
     good = GBuffer(depth=np.ones((4, 5)))
-    with pytest.raises(MissingChannelError, match=r"^previous_gbuffer: expected position or depth, got neither"):
+    with refuses(MissingChannelError, "previous_gbuffer"):
         find_disoccluded(good, camera, GBuffer(normal=np.ones((4, 5, 3))), camera)
-    with pytest.raises(InputError, match="the size of the frame, 5x4 pixels, got 4x4"):
+    with refuses(InputError, "previous_gbuffer", "4x4", "the size of the frame, 5x4 pixels"):
         find_disoccluded(good, camera, GBuffer(depth=np.ones((4, 4))), camera)

@@ -7,6 +7,7 @@ import pytest
 
 import lobewise.mitsuba
 from lobewise.errors import InputError
+from tests.mistakes import refuses
 
 pytestmark = pytest.mark.mitsuba
 
@@ -47,5 +48,5 @@ def test_unknown_parameters_are_refused(mi: Any) -> None:
 
 def test_a_film_that_is_not_developed_is_refused(mi: Any) -> None:
     scene = make_scene(mi)
-    with pytest.raises(InputError, match="develop"):
+    with refuses(InputError, "develop"):
         scene.integrator().render(scene, develop=False)

@@ -9,6 +9,7 @@ import lobewise.mitsuba
 from lobewise.errors import InputError
 from lobewise.metrics import rel_mse
 from lobewise.mitsuba import Denoiser
+from tests.mistakes import refuses
 from tests.pythons import run_python
 from tests.render.items import make_camera, make_lamp, rgb
 
@@ -86,20 +87,20 @@ def test_any_sensor_of_the_scene(mi: Any, scene: Any, own: bool) -> None:
 def test_mistakes_are_told(mi: Any, scene: Any) -> None:
     import drjit as dr
 
-    for pattern, call in (
-        (r"sensor: expected an integer from 0 to 1, got 2", lambda: lobewise.mitsuba.denoise(scene, spp=1, sensor=2)),
-        (r"spp: expected an integer", lambda: lobewise.mitsuba.denoise(scene, spp=0)),
-        (r"quality: expected one of", lambda: lobewise.mitsuba.denoise(scene, spp=1, quality="best")),
-        (r"integrator: expected one of", lambda: lobewise.mitsuba.denoise(scene, spp=1, integrator="path")),
-        (r"scene: expected a mitsuba.Scene", lambda: lobewise.mitsuba.denoise("scene.xml", spp=1)),
+    for what, call in (
+        ("sensor", lambda: lobewise.mitsuba.denoise(scene, spp=1, sensor=2)),
+        ("spp", lambda: lobewise.mitsuba.denoise(scene, spp=0)),
+        ("quality", lambda: lobewise.mitsuba.denoise(scene, spp=1, quality="best")),
+        ("integrator", lambda: lobewise.mitsuba.denoise(scene, spp=1, integrator="path")),
+        ("scene", lambda: lobewise.mitsuba.denoise("scene.xml", spp=1)),
     ):
-        with pytest.raises(InputError, match=pattern):
+        with refuses(InputError, what):
             call()
     parameters = mi.traverse(scene)
     name = "other.bsdf.reflectance.value"
     dr.enable_grad(parameters[name])
     parameters.update()
-    with pytest.raises(InputError, match=rf"scene parameter '{name}': expected a value without gradients"):
+    with refuses(InputError, f"scene parameter {name!r}"):
         lobewise.mitsuba.denoise(scene, spp=1)
     dr.disable_grad(parameters[name])
     parameters.update()

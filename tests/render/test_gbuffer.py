@@ -8,6 +8,7 @@ import pytest
 from lobewise.errors import InputError
 from lobewise.records.camera import Camera
 from lobewise.records.frame import Frame, LobeKind
+from tests.mistakes import refuses
 from tests.render.items import make_camera, make_square
 from tests.render.tolerances import EXACT
 
@@ -77,7 +78,7 @@ def test_camera_projects_what_it_sees_to_its_pixel(mi: Any, axis: str, width: in
 def test_other_sensors_are_refused(mi: Any) -> None:
     sensor = make_sensor(mi, 1, 1)
     del sensor["fov"], sensor["near_clip"]
-    with pytest.raises(InputError, match=r"perspective.*got 'RadianceMeter'"):
+    with refuses(InputError, "sensor"):
         render(mi, sensor={**sensor, "type": "radiancemeter"}, floor=make_floor(mi, MIRROR))
 
 
@@ -124,16 +125,16 @@ def test_a_crop_window_shows_a_part_of_the_whole_film(mi: Any) -> None:
 
 def test_mirrored_camera_is_refused(mi: Any) -> None:
     flipped = make_sensor(mi)["to_world"] @ mi.ScalarTransform4f().scale([-1, 1, 1])
-    with pytest.raises(InputError, match="mirrored"):
+    with refuses(InputError, "sensor"):
         render(mi, sensor=make_sensor(mi, to_world=flipped), floor=make_floor(mi, MIRROR))
 
 
 def test_scene_without_sensor_or_of_another_variant_is_refused(mi: Any) -> None:
     from lobewise.render import render_frame
 
-    with pytest.raises(InputError, match="sensor"):
+    with refuses(InputError, "scene", "none"):
         render_frame(mi.load_dict({"type": "scene"}), spp=1)
-    with pytest.raises(InputError, match="load_mitsuba"):
+    with refuses(InputError, "scene", "a str under the variant llvm_ad_rgb"):
         render_frame("showroom", spp=1)
 
 

@@ -8,6 +8,7 @@ import pytest
 from lobewise.errors import InputError
 from lobewise.render.integrators import DEPTH, MAX_DEPTH, plan_light, tell_unseen
 from lobewise.render.own_light import make_box_sensor
+from tests.mistakes import refuses
 from tests.render.items import make_camera, make_lamp, make_square
 from tests.render.tolerances import Z_MEAN
 
@@ -215,19 +216,19 @@ def test_mistakes_are_told(mi: Any) -> None:
     traced = make_scene(mi, {"type": "ptracer"})
     depth = make_scene(mi, {"type": "depth"})
     bare = make_scene(mi, {"type": "aov", "aovs": "dd:depth"})
-    cases: list[tuple[str, Any]] = [
-        (r"integrator: expected one of auto, paths, scene", lambda: render_frame(fog, spp=1, integrator="scen")),
-        (r"max_depth: .*'volpath', renders the light, got 4", lambda: render_frame(fog, spp=1, max_depth=4)),
-        (r"light: expected 'all' with the scene's own", lambda: render_frame(fog, spp=1, light="indirect")),
-        (r"light: .* own", lambda: render_sparse_frame(fog, spp=1, scale=2, light="indirect")),
-        (r"integrator: .*for sparse frames, got 'ptracer'", lambda: render_sparse_frame(traced, spp=1, scale=2)),
-        (r"integrator: .*for single pixels, got 'ptracer'", lambda: render_pixels(traced, [0], [0], spp=1)),
-        (r"integrator: expected one that makes an image of light, got 'depth'", lambda: render_frame(depth, spp=1)),
-        (r"integrator: .*got 'aov' without one inside", lambda: render_frame(bare, spp=1)),
-        (r"integrator: expected one in the scene", lambda: plan_light(make_scene(mi, None), "scene")),
+    cases: list[tuple[str, str, Any]] = [
+        ("integrator", "'scen'", lambda: render_frame(fog, spp=1, integrator="scen")),
+        ("max_depth", "4", lambda: render_frame(fog, spp=1, max_depth=4)),
+        ("light", "'indirect'", lambda: render_frame(fog, spp=1, light="indirect")),
+        ("light", "'indirect'", lambda: render_sparse_frame(fog, spp=1, scale=2, light="indirect")),
+        ("integrator", "'ptracer'", lambda: render_sparse_frame(traced, spp=1, scale=2)),
+        ("integrator", "'ptracer'", lambda: render_pixels(traced, [0], [0], spp=1)),
+        ("integrator", "'depth'", lambda: render_frame(depth, spp=1)),
+        ("integrator", "'aov' without one inside", lambda: render_frame(bare, spp=1)),
+        ("integrator", "none", lambda: plan_light(make_scene(mi, None), "scene")),
     ]
-    for pattern, call in cases:
-        with pytest.raises(InputError, match=pattern):
+    for what, got, call in cases:
+        with refuses(InputError, what, got):
             call()
 
 
@@ -280,13 +281,13 @@ def test_what_a_lens_cannot_have_is_told(mi: Any) -> None:
 
     scene = make_scene(mi, {"type": "path"}, **make_lens(mi, 0.3))
     camera = get_camera(make_scene(mi, None))
-    cases: list[tuple[str, Any]] = [
-        (r"integrator: expected 'scene' or 'auto', for a lens", lambda: render_frame(scene, spp=1, integrator="paths")),
-        (r"previous_camera: expected none, as a lens", lambda: render_frame(scene, spp=1, previous_camera=camera)),
-        (r"sensor: .*got 'thinlens'; only whole frames", lambda: get_camera(scene)),
+    cases: list[tuple[str, str, Any]] = [
+        ("integrator", "'paths'", lambda: render_frame(scene, spp=1, integrator="paths")),
+        ("previous_camera", "one", lambda: render_frame(scene, spp=1, previous_camera=camera)),
+        ("sensor", "'thinlens'", lambda: get_camera(scene)),
     ]
-    for pattern, call in cases:
-        with pytest.raises(InputError, match=pattern):
+    for what, got, call in cases:
+        with refuses(InputError, what, got):
             call()
     assert get_camera(make_scene(mi, None, **make_lens(mi, 0.0))).position.shape == (3,)
 

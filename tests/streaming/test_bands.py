@@ -17,6 +17,7 @@ from lobewise.io.exr.bands import BandReader, BandWriter
 from lobewise.io.files import open_spool
 from lobewise.recipes.streaming.plan import cut_bands, widen_band
 from lobewise.records.frame import Frame, Result
+from tests.mistakes import refuses
 from tests.streaming.frames import assert_same_images
 
 SHAPE = (75, 21)
@@ -206,9 +207,9 @@ def test_what_cannot_be_read_in_bands_says_so(tmp_path: Path) -> None:
     data = path.read_bytes()
     assert data.count(entry + struct.pack("<ii", 1, 1)) == 1
     path.write_bytes(data.replace(entry + struct.pack("<ii", 1, 1), entry + struct.pack("<ii", 3, 1)))
-    with pytest.raises(FileError, match="subsampled channel 'id'"):
+    with refuses(FileError, "input 'in.exr'", "the subsampled channel 'id'"):
         BandReader(path)
-    with pytest.raises(FileError, match="no such file"):
+    with refuses(FileError, "input 'none.exr'"):
         BandReader(tmp_path / "none.exr")
 
 
@@ -220,7 +221,7 @@ def test_damage_is_told_as_for_whole_files(tmp_path: Path) -> None:
     path.write_bytes(data)
     reader = BandReader(path)
     reader.read_frame(0, 10)
-    with pytest.raises(FileError, match="damaged pixels") as found:
+    with refuses(FileError, "input 'in.exr'", "damaged pixels") as found:
         reader.read_frame(0, 75)
     with pytest.raises(FileError) as expected:
         read_frame(path)
@@ -257,7 +258,7 @@ def test_missing_channels_are_told_alike(missing: str, full_frame: Frame, tmp_pa
 def test_a_material_without_table_is_told_alike(full_frame: Frame, tmp_path: Path) -> None:
     path = tmp_path / "in.exr"
     write_frame(path, full_frame)
-    with pytest.raises(InputError, match="material") as found:
+    with refuses(InputError, "material", holder="input 'in.exr'") as found:
         BandReader(path, lobe_tables=[]).read_frame(0, 9)
     with pytest.raises(InputError) as expected:
         read_frame(path, lobe_tables=[])

@@ -23,6 +23,7 @@ from lobewise.records.frame import Frame, GBuffer, Radiance
 from lobewise.settings import DenoiseSettings
 from lobewise.settings.choices import QUALITIES
 from lobewise.work.progress import Progress
+from tests.mistakes import refuses
 from tests.streaming.frames import add_bad_pixels, change_radiance, compare_bands, make_scene
 
 pytestmark = pytest.mark.nightly  # every quality and form, whole and in bands
@@ -248,28 +249,28 @@ def test_a_full_disk_is_told_and_leaves_no_trace(tmp_path: Path, monkeypatch: py
     for moment in ("_encode", "_list_chunks"):
         with monkeypatch.context() as patch:
             patch.setattr(BandWriter, moment, fill)
-            with pytest.raises(FileError, match=r"out.exr.*no space left on device.*make room"):
+            with refuses(FileError, "output 'out.exr'", "no space left on device"):
                 denoise_file(tmp_path / "in.exr", tmp_path / "out.exr", quality="fast", similarity="normal", rows=40)
         assert os.listdir(tmp_path) == ["in.exr"]
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "refused"),
     [
-        ({"rows": 0}, "rows"),
-        ({"rows": 2.5}, "rows"),
-        ({"rows": True}, "rows"),
-        ({"memory": 0.0}, "memory"),
-        ({"memory": float("nan")}, "memory"),
-        ({"with_oidn": True}, "with_oidn"),
-        ({"radius": -1}, "radius"),
-        ({"raduis": 1}, "raduis"),
-        ({"similarity": "sg_mixture", "lobes": 9}, "lobes"),
+        ({"rows": 0}, ("rows", "0")),
+        ({"rows": 2.5}, ("rows", "2.5")),
+        ({"rows": True}, ("rows", "True")),
+        ({"memory": 0.0}, ("memory", "0.0")),
+        ({"memory": float("nan")}, ("memory", "nan")),
+        ({"with_oidn": True}, ("with_oidn",)),
+        ({"radius": -1}, ("radius",)),
+        ({"raduis": 1}, ("setting",)),
+        ({"similarity": "sg_mixture", "lobes": 9}, ("lobes",)),
     ],
     ids=str,
 )
-def test_bad_arguments_are_refused(changes: dict[str, Any], told: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=told):
+def test_bad_arguments_are_refused(changes: dict[str, Any], refused: tuple[str, ...], tmp_path: Path) -> None:
+    with refuses(InputError, *refused):
         denoise_file(tmp_path / "none.exr", tmp_path / "out.exr", **changes)
 
 
@@ -289,7 +290,7 @@ def test_what_a_frame_cannot_do_is_told_alike(tmp_path: Path) -> None:
             denoise_file(tmp_path / "in.exr", tmp_path / "out.exr", rows=20, **{"quality": "fast", **settings})
         assert str(found.value) == str(expected.value)
         assert os.listdir(tmp_path) == ["in.exr"]
-    with pytest.raises(FileError, match="no folder"):
+    with refuses(FileError, "output 'out.exr'", "no folder 'none'"):
         denoise_file(tmp_path / "in.exr", tmp_path / "none" / "out.exr")
 
 

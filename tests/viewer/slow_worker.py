@@ -6,6 +6,7 @@ from multiprocessing.connection import Connection
 
 import numpy as np
 
+from lobewise.errors import LobewiseError
 from lobewise.interactive.settings import InteractiveSettings
 from lobewise.records.camera import Camera
 from lobewise.viewer.messages import Description, Opened, Picture, Problem, Request, Save, SavedFile, Target
@@ -18,10 +19,10 @@ CAMERA = Camera(position=(0.0, 0.0, 4.0), forward=(0.0, 0.0, -1.0), up=(0.0, 1.0
 def run_slow_worker(pipe: Connection, target: Target) -> None:
     """Answer requests after `SECONDS`; number 666 ends the process, 13 fails. A foggy target has something unseen."""
     if target.name == "missing":
-        pipe.send(Problem("there is no such thing; look elsewhere."))
+        pipe.send(Problem(LobewiseError("there is no such thing", action="look elsewhere")))
         return
     if target.name == "broken":
-        pipe.send(Problem("something is broken.", ours=True))
+        pipe.send(Problem(RuntimeError("something is broken.")))
         return
     unseen = UNSEEN if target.name == "foggy" else ""
     settings = InteractiveSettings(similarity="none")
@@ -33,7 +34,7 @@ def run_slow_worker(pipe: Connection, target: Target) -> None:
                 os._exit(7)
             time.sleep(SECONDS)
             if command.number == 13:
-                pipe.send(Problem("these settings do not go; choose others.", command.client))
+                pipe.send(Problem(LobewiseError("these settings do not go; choose others."), command.client))
             else:
                 pixels = np.full((4, 4, 3), command.number % 256, np.uint8)
                 pipe.send(Picture(command.client, command.number, pixels, (4, 4), 0.0, accumulated=int(command.fresh)))

@@ -30,6 +30,7 @@ from lobewise.viewer.frame_viewer import MAX_WAITING
 from lobewise.viewer.http.browser_messages import MAX_MESSAGE_BYTES
 from lobewise.work.progress import enter_stage, plan_stages
 from tests.interrupts import start_program
+from tests.mistakes import refuses
 from tests.viewer.conftest import ask
 
 PATIENCE = 60.0
@@ -125,7 +126,7 @@ class TestDoor:
         assert text.count(b"\n") == 0
 
     def test_a_setting_that_the_page_does_not_have_is_refused_at_once(self, floor_file):
-        with pytest.raises(InputError, match="radius"):
+        with refuses(InputError, "radius"):
             FrameViewer(str(floor_file), changes={"radius": -1})
 
 

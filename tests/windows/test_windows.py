@@ -13,6 +13,7 @@ from lobewise.recipes.windows.joining import list_neighbours
 from lobewise.recipes.windows.recipe import compute_joined_share, mix_results
 from lobewise.records.frame import Frame, GBuffer, Radiance, Result
 from lobewise.records.radiance import RadianceLayer
+from tests.mistakes import refuses
 from tests.temporal.scenes import SIZE, make_camera, make_frame
 
 NOISE = 0.3
@@ -310,15 +311,15 @@ class TestFilter:
 
     @pytest.mark.parametrize("reach", [0, -1, 9, 1.5, "2"])
     def test_a_reach_out_of_range_is_refused(self, reach):
-        with pytest.raises(InputError, match="window"):
+        with refuses(InputError, "window"):
             WindowFilter(reach)
 
     def test_wrong_arguments_are_refused(self):
-        with pytest.raises(InputError, match="index"):
+        with refuses(InputError, "index"):
             WindowFilter().join(make_still(2), 2)
-        with pytest.raises(InputError, match="frame"):
+        with refuses(InputError, "frame"):
             WindowFilter().join(["frame.exr"], 0)
-        with pytest.raises(InputError, match="setting"):
+        with refuses(InputError, "setting"):
             WindowFilter(2, colour=3)
 
     def test_frames_of_color_alone_are_denoised_by_themselves(self):

@@ -275,7 +275,7 @@ def _measure_file(path: Path, reference: Path, measure: Callable[[FloatArray], d
     try:
         return measure(image)
     except InputError as problem:
-        with name_file(reference if str(problem).startswith("reference") else path):
+        with name_file(reference if problem.what == "reference" else path):
             raise
 
 

@@ -15,7 +15,7 @@ import typer
 import lobewise
 from lobewise.cli.terminal.interrupts import EXIT_INTERRUPTED, INTERRUPTED, interrupts
 from lobewise.cli.terminal.lines import choose_progress, write_line, writes_lines
-from lobewise.errors import LobewiseError, describe_problem, make_printable
+from lobewise.errors import LobewiseError, make_printable
 
 EXIT_OK, EXIT_INTERNAL_ERROR = 0, 1
 _show_warning_by_default = warnings.showwarning
@@ -57,7 +57,7 @@ def run(arguments: list[str]) -> int:
     except typer.Exit as leave:
         return int(leave.exit_code)
     except LobewiseError as problem:
-        return _fail(name_option(str(problem), arguments), EXIT_USER_ERROR, debug)
+        return _fail(name_option(problem, arguments), EXIT_USER_ERROR, debug)
     except BrokenPipeError:
         # The reader closed the pipe. Python flushes stdout again at exit: give it an open file.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -72,13 +72,14 @@ def run(arguments: list[str]) -> int:
         if isinstance(problem, MemoryError) or getattr(problem, "errno", None) in SYSTEM_REFUSALS:
             return _fail(_describe_refusal(problem), EXIT_USER_ERROR, debug)
         what = " ".join(f"{type(problem).__name__}: {problem}".split())[:300]
-        text = f"something went wrong inside lobewise {lobewise.__version__} ({what}); run it again with --debug"
-        return _fail(f"{text} and report what it says at {BUG_REPORT_URL}.", EXIT_INTERNAL_ERROR, debug)
+        text = f"something went wrong inside lobewise {lobewise.__version__} ({what})"
+        action = f"run it again with --debug and report what it says at {BUG_REPORT_URL}"
+        return _fail(LobewiseError(text, action=action), EXIT_INTERNAL_ERROR, debug)
 
 
-def _describe_refusal(problem: Exception) -> str:
+def _describe_refusal(problem: Exception) -> LobewiseError:
     reason = getattr(problem, "strerror", None)
-    return describe_problem(
+    return LobewiseError(
         "system",
         expected="memory, files and threads to work with",
         got=reason.lower() if reason else "not enough memory",
@@ -94,10 +95,10 @@ def _show_warning(message: Warning | str, category: type[Warning], *rest: object
         _show_warning_by_default(message, category, *rest, **more)  # type: ignore[arg-type]
 
 
-def _fail(text: str, code: int, debug: bool) -> int:
+def _fail(problem: LobewiseError | str, code: int, debug: bool) -> int:
     if debug:
         traceback.print_exc()
-    _write_line(text, "error")
+    _write_line(str(problem), "error")
     return code
 
 

@@ -90,7 +90,8 @@ def _read_config(path: str) -> Any:
         import PyOpenColorIO
     except ImportError:
         raise MissingDependencyError(
-            "Views of displays need OpenColorIO: pip install 'lobewise[color]', or leave --display and --view out."
+            "Views of displays need OpenColorIO",
+            action="pip install 'lobewise[color]', or leave --display and --view out",
         ) from None
     try:
         return PyOpenColorIO.Config.CreateFromFile(path)

@@ -216,7 +216,7 @@ def require_distributed() -> None:
         import distributed  # noqa: F401 - tells whether it can be imported
     except ImportError as problem:
         raise MissingDependencyError(
-            f"A farm needs Dask, which cannot be imported ({problem}); pip install 'lobewise[farm]'."
+            f"A farm needs Dask, which cannot be imported ({problem})", action="pip install 'lobewise[farm]'"
         ) from None
 
 

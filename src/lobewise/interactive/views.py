@@ -101,7 +101,9 @@ def show_guide(name: str, gbuffer: GBuffer, result: Result, camera: Camera | Non
         return np.asarray(np.log(count) / math.log(MAX_SHOWN_SAMPLES))
     if name == "sharpness":
         if camera is None:
-            raise MissingChannelError("lobe sharpness: expected a camera in the header, got none; write one.")
+            raise MissingChannelError(
+                "lobe sharpness", expected="a camera in the header", got="none", action="write one"
+            )
         tau = default_tau(camera, result.image.shape[0]) if tau is None else tau
         lobes = make_sg_field(gbuffer, camera, tau=tau, diffuse_fallback=True)
         shown = np.log(np.maximum(lobes.sharpness, 1.0)) / np.log(MAX_SHOWN_SHARPNESS)

@@ -63,7 +63,7 @@ def make_camera(what: str, entry: Any, keys: Sequence[str], fov_y: float | None 
     try:
         return Camera(position, forward, up, angle, angles.get("fov_x"), (float(across), float(down)))
     except InputError as problem:
-        raise InputError(f"{what}: {problem}") from None
+        raise problem.place_in(what, InputError) from None
 
 
 def _read_angle(what: str, value: Any) -> float:

@@ -37,7 +37,7 @@ def read_merl(path: PathLike) -> MerlBrdf:
     try:
         return parse_merl(data, Path(path).stem)
     except FileError as problem:
-        raise FileError(f"{path}: {problem}") from None
+        raise problem.place_in(str(path), FileError) from None
 
 
 def read_lobe_table(path: PathLike) -> LobeTable:
@@ -113,7 +113,7 @@ def lobe_table_from_json(text: str | bytes, *, what: str = "lobe table") -> Lobe
         require_arrays("lobe table", values, arrays, action="fit the material again")
         return LobeTable(**{name: values[name] for name in _FIELDS})
     except InputError as problem:
-        raise FileError(f"{what}: {problem}") from None
+        raise problem.place_in(what, FileError) from None
 
 
 def _to_lists(array: Any) -> Any:

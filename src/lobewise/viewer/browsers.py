@@ -188,7 +188,7 @@ class Browsers:
             if browser is not None:
                 browser.client.send_file_download(report.name, report.data, save_immediately=True)
         elif report.client is None:
-            self.failure = RuntimeError(report.text) if report.ours else LobewiseError(report.text)
+            self.failure = report.error
             self._announce(report.text, bad=True)
             self.over.set()
         else:
@@ -261,18 +261,18 @@ class Browsers:
             browser.note = text
             self._tell_figures(browser, now=True)
 
-    def remark(self, text: str, again: bool) -> None:
-        """Tell every browser that the worker died."""
-        self._restarts += again
+    def remark(self, text: str, failure: LobewiseError | None) -> None:
+        """Tell every browser that the worker died. ``failure`` says why it is not started again."""
+        self._restarts += failure is None
         with self._lock:
             browsers = list(self._browsers.values())
         for browser in browsers:
             browser.client.add_notification(
-                "lobewise", text, color="orange" if again else "red", auto_close_seconds=8.0
+                "lobewise", text, color="red" if failure else "orange", auto_close_seconds=8.0
             )
         self._announce(text, bad=True)
-        if not again:
-            self.failure = LobewiseError(text)
+        if failure:
+            self.failure = failure
             self.over.set()
 
     def watch(self) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.errors import LobewiseError
 from lobewise.interactive.settings import InteractiveSettings
 from lobewise.io.files import PathLike
 from lobewise.records.camera import Camera
@@ -168,14 +169,15 @@ class SavedFile:
 
 @dataclass(frozen=True)
 class Problem:
-    """A sentence about an error. Without a client the target cannot be shown at all.
+    """An error; a RuntimeError is one of the program. Without a client the target cannot be shown at all."""
 
-    ``ours`` marks an error of the program, which the user cannot correct.
-    """
-
-    text: str
+    error: LobewiseError | RuntimeError
     client: int | None = None
-    ours: bool = False
+
+    @property
+    def text(self) -> str:
+        """What to show: one sentence."""
+        return str(self.error)
 
 
 Command = Request | Save | Forget

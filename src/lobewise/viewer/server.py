@@ -89,7 +89,7 @@ class Viewer(Site):
             If viser is not installed, or if the server of its version cannot be protected.
         """
         if importlib.util.find_spec("viser") is None:
-            raise MissingDependencyError("viser is not installed; pip install 'lobewise[viewer]'.")
+            raise MissingDependencyError("viser is not installed", action="pip install 'lobewise[viewer]'")
         self._port = choose_port(self._host, self._port)
         try:
             # Start the worker first, because it takes longer than the page.

@@ -76,10 +76,10 @@ class Worker:
             opened = self._open(self._target)
             self._send(Opened(opened.describe()))
         except LobewiseError as problem:
-            self._send(Problem(str(problem)))
+            self._send(Problem(problem))
             return
         except Exception as problem:
-            self._send(Problem(describe_failure(problem), ours=True))
+            self._send(Problem(RuntimeError(describe_failure(problem))))
             return
         while (command := self._pipe.recv()) is not None:
             self._answer(opened, command)
@@ -114,9 +114,9 @@ class Worker:
         except (EOFError, BrokenPipeError, ConnectionResetError):
             raise
         except LobewiseError as problem:
-            self._send(Problem(str(problem), command.client))
+            self._send(Problem(problem, command.client))
         except Exception as problem:
-            self._send(Problem(describe_failure(problem), command.client, ours=True))
+            self._send(Problem(RuntimeError(describe_failure(problem)), command.client))
 
     def _draw(self, opened: SceneTarget, command: Request, frames: list[InteractiveFrame], *, final: bool) -> Picture:
         from lobewise.viewer.pictures import choose_stops, fit_window, paint, wipe

@@ -14,6 +14,7 @@ from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection
 from typing import Any
 
+from lobewise.errors import LobewiseError
 from lobewise.scenes.crashes import describe_crash
 from lobewise.viewer.messages import Command, Forget, Opened, Problem, Report, Request, Save, Target
 from lobewise.viewer.worker import run_worker
@@ -33,10 +34,15 @@ class WorkerProcess:
     A new request of a browser replaces the waiting one, so that the worker is never behind, however slow it is.
 
     ``receive`` is called with every `Report`, from a thread of this object. When the worker died, ``remark`` is called
-    with a sentence, and with whether the worker is started again.
+    with a sentence, and with the error if the worker is not started again.
     """
 
-    def __init__(self, target: Target, receive: Callable[[Report], None], remark: Callable[[str, bool], None]) -> None:
+    def __init__(
+        self,
+        target: Target,
+        receive: Callable[[Report], None],
+        remark: Callable[[str, LobewiseError | None], None],
+    ) -> None:
         self._target = target
         self._receive = receive
         self._remark = remark
@@ -189,9 +195,10 @@ class WorkerProcess:
         how = f"was killed by signal {-code}" if code is not None and code < 0 else f"ended with exit code {code}"
         if len(self._deaths) > MAX_RESTARTS or not self._was_ready:
             # Of a scene that it cannot open, a new renderer would die as well.
-            self._remark(str(describe_crash(self._target.name, code or 0)), False)
+            crash = describe_crash(self._target.name, code or 0)
+            self._remark(str(crash), crash)
             return False
-        self._remark(f"The renderer {how} and was started again.", True)
+        self._remark(f"The renderer {how} and was started again.", None)
         with self._lock:
             if self._stopped:
                 return False

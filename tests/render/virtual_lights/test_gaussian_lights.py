@@ -7,6 +7,7 @@ import pytest
 
 from lobewise.errors import InputError
 from lobewise.metrics import rel_mse
+from tests.mistakes import refuses
 from tests.render.virtual_lights.test_virtual_lights import (
     PATHS_NOISE,
     expect_one_light,
@@ -119,17 +120,17 @@ def test_light_that_hits_nothing_is_dark(mi: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "refused"),
     [
-        ({"kind": "spheres"}, "kind"),
-        ({"kind": "gaussians", "radius": 0.1}, 'use kind="points"'),
-        ({"kind": "gaussians", "compensate": True}, 'use kind="points"'),
-        ({"kind": "gaussians", "cluster_size": 0}, "cluster_size"),
-        ({"kind": "gaussians", "cluster_size": 257}, "cluster_size"),
+        ({"kind": "spheres"}, ("kind", "'spheres'")),
+        ({"kind": "gaussians", "radius": 0.1}, ("kind", "radius 0.1")),
+        ({"kind": "gaussians", "compensate": True}, ("kind", "compensate")),
+        ({"kind": "gaussians", "cluster_size": 0}, ("cluster_size", "0")),
+        ({"kind": "gaussians", "cluster_size": 257}, ("cluster_size", "257")),
     ],
 )
-def test_bad_options_are_told(mi: Any, options: dict[str, Any], told: str) -> None:
-    with pytest.raises(InputError, match=told):
+def test_bad_options_are_told(mi: Any, options: dict[str, Any], refused: tuple[str, ...]) -> None:
+    with refuses(InputError, *refused):
         make_lights(make_corner(mi), **options)
 
 
@@ -137,5 +138,5 @@ def test_clusters_need_no_band_limit(mi: Any) -> None:
     scene = make_corner(mi)
     method = make_clusters(scene, count=16)
     assert method.get_band_limit(view(scene), 1) == 0.0
-    with pytest.raises(InputError, match="clusters need no band-limit"):
+    with refuses(InputError, "kind"):
         method.count_lights_seen(view(scene))

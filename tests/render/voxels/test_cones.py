@@ -1,6 +1,5 @@
 """Voxel cones: against closed forms, rays and the path tracer, and what each part of them promises alone."""
 
-import re
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
@@ -11,6 +10,7 @@ import pytest
 from lobewise.errors import InputError
 from lobewise.render import render_frame
 from tests.lobes.oracles.brdf import reflect_ggx_sg
+from tests.mistakes import refuses
 from tests.render.items import make_camera, make_square
 
 pytestmark = pytest.mark.mitsuba
@@ -469,20 +469,21 @@ def test_progress_is_told_to_its_end(mi: Any, shade: Cones) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("options", "expected"),
     [
-        ({"resolution": 100}, "resolution: expected one of 16, 32, 64, 128, 256, got 100; pass resolution=128."),
-        ({"bounces": -1}, "bounces: expected an integer from 0 to 16, got -1; pass another."),
-        ({"light_samples": 0}, "light_samples: expected an integer from 1 to 1024, got 0; pass another."),
+        ({"resolution": 100}, "one of 16, 32, 64, 128, 256"),
+        ({"bounces": -1}, "an integer from 0 to 16"),
+        ({"light_samples": 0}, "an integer from 1 to 1024"),
     ],
 )
-def test_numbers_out_of_range_are_errors(mi: Any, shade: Cones, options: dict[str, int], message: str) -> None:
-    with pytest.raises(InputError, match=f"^{re.escape(message)}$"):
+def test_numbers_out_of_range_are_errors(mi: Any, shade: Cones, options: dict[str, int], expected: str) -> None:
+    ((name, value),) = options.items()
+    with refuses(InputError, name, str(value), expected):
         shade(make_cornell(mi), **options)
 
 
 def test_a_scene_without_surfaces_is_an_error(mi: Any) -> None:
     from lobewise.render.voxels.cones import VoxelCones
 
-    with pytest.raises(InputError, match="scene: expected surfaces of finite size, got 0"):
+    with refuses(InputError, "scene", "0 of them, 0 wide"):
         VoxelCones(mi.load_dict({"type": "scene"}), {})

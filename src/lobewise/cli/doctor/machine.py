@@ -100,10 +100,10 @@ def examine_kernels() -> Section:
         _filter_image()
     except Exception as problem:  # whatever stops a filter is what the report is for
         facts["test"] = "failed"
-        reason = " ".join(str(problem).split()).rstrip(".") or type(problem).__name__
-        action = "do what the message says, or report it"
+        reason, action = str(problem).rstrip("."), "do what the message says, or report it"
         if isinstance(problem, MissingDependencyError):
-            reason, _, action = reason.rpartition("; ")
+            reason, action = problem.fault, problem.action
+        reason = " ".join(reason.split()) or type(problem).__name__
         what, is_fatal = f"no filter of lobewise runs on the processor ({reason})", has_kernels() or not _has_peer()
         what += "" if is_fatal else ", so Open Image Denoise denoises alone"
         return Section("Kernels", facts, (Problem(what, action, is_fatal),))
@@ -120,8 +120,8 @@ def examine_mitsuba() -> Section:
     try:
         path = locate_llvm()
     except MissingDependencyError as problem:
-        what, _, action = str(problem).rstrip(".").rpartition("; ")
-        return Section("Mitsuba", {"mitsuba": version, "LLVM": "none"}, (Problem(f"rendering: {what}", action),))
+        found = Problem(f"rendering: {problem.fault}", problem.action)
+        return Section("Mitsuba", {"mitsuba": version, "LLVM": "none"}, (found,))
     facts = {"mitsuba": version, "LLVM": f"{query_llvm_version(path)}, {path}"}
     named = os.environ.get(LIBRARY_VARIABLE)
     return Section("Mitsuba", {**facts, LIBRARY_VARIABLE: named} if named else facts)

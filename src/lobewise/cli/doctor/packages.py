@@ -148,11 +148,11 @@ def examine_extras() -> Section:
 def _list_oidn_problems() -> list[Problem]:
     """Return a problem if Open Image Denoise is installed and cannot be loaded."""
     try:
-        from lobewise.peers import explain_no_oidn
+        from lobewise.peers import look_up_oidn_fault
     except ImportError:
         return []  # without NumPy, which is a problem of its own
-    what, _, action = explain_no_oidn().rpartition("; ")
-    return [Problem(what, action)] if "cannot be loaded" in what else []
+    fault = look_up_oidn_fault()
+    return [Problem(fault.reason, fault.action)] if fault and fault.is_installed else []
 
 
 def _list_broken(packages: list[Package], *, fatal: bool) -> list[Problem]:

@@ -183,7 +183,7 @@ def run_each(pairs: Sequence[tuple[Path, Path]], folders: Sequence[Path], run: C
     if failed:
         names = ", ".join(map(str, failed[:8])) + (f" and {len(failed) - 8} more" if len(failed) > 8 else "")
         raise LobewiseError(
-            f"{len(failed)} of {len(pairs)} files could not be denoised ({names}); mend what is said above."
+            f"{len(failed)} of {len(pairs)} files could not be denoised ({names})", action="mend what is said above"
         )
     return None
 

@@ -50,7 +50,7 @@ def read_camera_file(path: PathLike) -> Camera:
     except InputError as problem:
         if repr(str(path)) in str(problem):
             raise
-        raise InputError(f"{what}: {problem}") from None
+        raise problem.place_in(what, InputError) from None
 
 
 def _read_json(path: Path) -> Camera:

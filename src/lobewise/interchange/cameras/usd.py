@@ -39,13 +39,13 @@ def read_usd_camera(path: Path) -> Camera:
     """
     if importlib.util.find_spec("pxr") is None:
         raise MissingDependencyError(
-            "Cameras of USD files need OpenUSD: pip install 'lobewise[usd]', or write the camera as JSON."
+            "Cameras of USD files need OpenUSD", action="pip install 'lobewise[usd]', or write the camera as JSON"
         )
     what = f"camera {str(path)!r}"
     require_readable(path, what="camera", holds="a USD stage")
     answer = json.loads(_run_reader(path, what))
     if "error" in answer:
-        raise {"FileError": FileError, "InputError": InputError}[answer["error"]](answer["sentence"])
+        raise {"FileError": FileError, "InputError": InputError}[answer["error"]](**answer["fields"])
     found = {name: np.array(values, dtype=np.float64) for name, values in answer["camera"].items()}
     low, high = found["low"], found["high"]
     if not np.isfinite([low, high]).all():

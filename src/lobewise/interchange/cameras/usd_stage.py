@@ -134,13 +134,13 @@ def _limit_process() -> None:
 
 
 def _main(folder: str, path: str) -> None:
-    """Print the camera of a stage as JSON, or the kind and the sentence of an error."""
+    """Print the camera of a stage as JSON, or the kind and the fields of an error."""
     os.chdir(folder)
     _limit_process()
     try:
         answer: Any = {"camera": read_first_camera(path)}
     except LobewiseError as problem:
-        answer = {"error": type(problem).__name__, "sentence": str(problem)}
+        answer = {"error": type(problem).__name__, "fields": problem.fields}
     sys.stdout.write(f"\n{json.dumps(answer)}\n")
 
 

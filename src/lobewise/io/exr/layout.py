@@ -83,9 +83,11 @@ def name_file(path: PathLike) -> Iterator[None]:
     except LobewiseError as problem:
         if repr(str(path)) in str(problem):
             raise
-        text, name = str(problem), f"input {str(path)!r}"
-        named = f"{text[:-1]} ({name}){text[-1]}" if text.startswith("--") else f"{name}: {text}"
-        raise type(problem)(named) from None
+        name = f"input {str(path)!r}"
+        if problem.holder or not problem.what.startswith("--"):
+            raise problem.place_in(name) from None
+        end = "?" if problem.action.endswith("?") else ""
+        raise problem.change(action=f"{problem.action.removesuffix('?')} ({name}){end}") from None
 
 
 def put_images(

@@ -112,7 +112,7 @@ class PlacedScene:
                         {name: p.compute_place(frame) for name, p in self.paths.paths.items() if p is path}
                     )
         except LobewiseError as problem:
-            raise InputError(f"{self.paths.name}: {problem}") from None
+            raise problem.place_in(self.paths.name, InputError) from None
 
     def load(self, time: float = 0.0) -> Any:
         """Return the scene with its shapes at a time, in frames from 0."""

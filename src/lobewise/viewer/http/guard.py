@@ -74,8 +74,8 @@ def require_guard(host: str, port: int) -> None:
         import viser
 
         raise MissingDependencyError(
-            f"viser {viser.__version__} serves its page in a way that this lobewise cannot protect with a token; "
-            f"pip install 'viser==1.1.1'."
+            f"viser {viser.__version__} serves its page in a way that this lobewise cannot protect with a token",
+            action="pip install 'viser==1.1.1'",
         ) from reason
 
 
