@@ -160,7 +160,7 @@ def test_two_runs_do_not_write_one_sequence(sequence: Sequence) -> None:
     command = [sys.executable, "-c", HOLD, str(sequence.ledger.folder)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
         assert other.stdout.readline() == "locked\n"
-        with refuses(FileError, "records 'out.lobewise-farm'"), sequence.ledger.lock():
+        with refuses(FileError, "records 'out.lobewise-done'"), sequence.ledger.lock():
             pass
         other.communicate()
     with sequence.ledger.lock():

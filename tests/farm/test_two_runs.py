@@ -72,7 +72,7 @@ def test_the_earlier_run_ends_with_a_sentence(tmp_path: Path, monkeypatch: pytes
         return True
 
     farm = FakeFarm({"a": describe_environment(with_oidn=False)}, on_task=begin_later_run)
-    with refuses(FileError, "records 'out.lobewise-farm'"):
+    with refuses(FileError, "records 'out.lobewise-done'"):
         run_job(job, farm)
     assert later.list_recorded() == {1}
     assert later.has_token("later")

@@ -14,6 +14,7 @@ from lobewise.errors import FileError, InputError, LobewiseError, MissingChannel
 from lobewise.interchange import write_result
 from lobewise.io import read_frame, write_frame
 from lobewise.io.exr.bands import BandReader, BandWriter
+from lobewise.io.exr.schema import SCHEMA
 from lobewise.io.files import open_spool
 from lobewise.recipes.streaming.plan import cut_bands, widen_band
 from lobewise.records.frame import Frame, Result
@@ -67,7 +68,7 @@ def make_window(shape: tuple[int, int], corner: tuple[int, int]) -> dict[str, An
 
 def write_file(path: Path, corner: tuple[int, int] = (-3, 5), **header: Any) -> None:
     """Write a file with one part."""
-    header = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION, **header}
+    header = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION, SCHEMA: 1, **header}
     OpenEXR.File({**header, **make_window(SHAPE, corner)}, make_channels(SHAPE)).write(str(path))
 
 
@@ -84,7 +85,7 @@ def write_parts(path: Path) -> None:
     OpenEXR.File(
         [
             part("guides", "depth", compression=OpenEXR.ZIPS_COMPRESSION),
-            part("image", "", compression=OpenEXR.ZIP_COMPRESSION),
+            part("image", "", compression=OpenEXR.ZIP_COMPRESSION, **{SCHEMA: 1}),
             part("one", "diffuse", **make_tiles(8, 10), **other),
             part("two", "specular", lineOrder=OpenEXR.DECREASING_Y, **other),
             part("extra", "extra", **other),

@@ -75,7 +75,8 @@ def describe_family(family: Family) -> tuple[str, ...]:
     picture = _look_up_picture(path)
     if picture is None:
         return ()
-    return (f"By its name this file is a pass of {show_name(picture.name)}, and no picture.",)
+    names = show_name(path.name), show_name(picture.name)
+    return ("By its name, {} is a pass of {}, and no picture.".format(*names),)
 
 
 def _look_up_picture(path: Path) -> Path | None:
