@@ -264,8 +264,8 @@ FILES = (
     Mutation(
         "a sequence goes on over a missing frame as if it were there",
         "recipes/sequence.py",
-        "cut=index == 0 or number != frames[index - 1][0] + 1)",
-        "cut=index == 0)",
+        "shots = (cut_shots if remembers else cut_frames)(frames)",
+        "shots = [frames]",
         ("cli/test_sequence.py", "io/test_sequence.py"),
     ),
     Mutation(
@@ -353,8 +353,8 @@ FRONTENDS = (
     Mutation(
         "a mistake of the user ends the command with the exit code of a bug",
         "cli/program.py",
-        "return _fail(name_option(str(problem), arguments), EXIT_USER_ERROR, debug)",
-        "return _fail(name_option(str(problem), arguments), EXIT_INTERNAL_ERROR, debug)",
+        "return _fail(name_option(problem, arguments), EXIT_USER_ERROR, debug)",
+        "return _fail(name_option(problem, arguments), EXIT_INTERNAL_ERROR, debug)",
         ("cli/test_overwriting.py", "cli/test_mistakes.py"),
     ),
     Mutation(

@@ -14,7 +14,6 @@ from lobewise.interchange import read_frame as read_any
 from lobewise.interchange import read_image
 from lobewise.io import read_frame, read_sparse_frame, write_frame, write_sparse_frame
 from lobewise.recipes.upsampling import DEFAULT_RADIUS, upsample
-from lobewise.records.camera import Camera
 from lobewise.records.frame import Frame, GBuffer, Radiance
 from lobewise.records.sparse_frame import make_sparse
 from lobewise.settings import DenoiseSettings
@@ -180,7 +179,8 @@ class TestFramesOfOtherRenderers:
         reading = FrameReading(preset="generic", mapping={"color": "Combined"})
         found = FrameTarget(str(FOREIGN / RENDERED[0]), reading)
         assert "an unknown renderer" in found.notes[0]
-        camera = Camera((0.0, 1.0, 4.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0), 0.5)
+        own = read_any(floor_file).require_camera("a test")
+        camera = replace(own, fov_y=1.02 * own.fov_y)
         targets = [FrameTarget(str(floor_file), FrameReading(camera=one)) for one in (None, camera)]
         one, other = (target.paint("image", DenoiseSettings(quality="fast")) for target in targets)
         expected = denoise(read_any(floor_file, camera=camera), quality="fast").image
