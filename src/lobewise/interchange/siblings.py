@@ -75,8 +75,7 @@ def describe_family(family: Family) -> tuple[str, ...]:
     picture = _look_up_picture(path)
     if picture is None:
         return ()
-    names = show_name(path.name), show_name(picture.name)
-    return ("By its name, {} is a pass of {}, and no picture.".format(*names),)
+    return (f"By its name, {show_name(path.name)} is a pass of {show_name(picture.name)}, and no picture.",)
 
 
 def _look_up_picture(path: Path) -> Path | None:
