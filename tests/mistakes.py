@@ -19,6 +19,8 @@ import pytest
 from lobewise.errors import LobewiseError, hide_numbers
 
 TABLE = Path(__file__).with_name("sentences.txt")
+FOLDER = "tests/"
+"""Folder of the test files that the table names."""
 HEAD = "# Sentences of the errors that each test file asks for. Made by: pytest --write-sentences FILES\n"
 _FOLDERS = re.compile(r"(?<![\w:/\\.~])(?:[A-Za-z]:)?[/\\](?:[^\s'\"/\\]*[/\\])+(?=[^\s'\"/\\])")
 """The folders of a path from the root."""
@@ -69,18 +71,19 @@ def cut_folders(text: str) -> str:
 def read_table() -> dict[str, set[str]]:
     """Return the sentences of the table by test file."""
     table: dict[str, set[str]] = {}
+    sentences: set[str] = set()
     for line in TABLE.read_text(encoding="utf-8").splitlines() if TABLE.exists() else ():
-        if line.startswith("tests/"):
-            sentences = table[line] = set()
-        elif line.startswith(" "):
+        if line.startswith(" "):
             sentences.add(line.strip())
+        elif line and not line.startswith("#"):
+            sentences = table[f"{FOLDER}{line}"] = set()
     return table
 
 
 def write_table(table: dict[str, set[str]]) -> None:
     """Write the table, sorted."""
     parts = [
-        "".join(f"{line}\n" for line in (file, *(f"  {each}" for each in sorted(table[file]))))
+        "".join(f"{line}\n" for line in (file.removeprefix(FOLDER), *(f"  {each}" for each in sorted(table[file]))))
         for file in sorted(table)
         if table[file]
     ]
