@@ -22,7 +22,6 @@ from lobewise.cli.bench.filters import add_halves, list_jobs
 from lobewise.cli.bench.plane import make_frame as make_plane
 from lobewise.cli.doctor.machine import examine_kernels
 from lobewise.errors import LobewiseError
-from lobewise.filters.noise.albedo import clean_albedo
 from lobewise.interactive import InteractiveSettings, Session
 from lobewise.interactive.settings import METHODS, UNFILTERED
 from lobewise.render import load_scene, make_orbit
@@ -41,7 +40,7 @@ Case = Callable[[], Any]
 
 
 def denoise(frame: Frame, **changes: Any) -> Case:
-    """Return a call of the recipe without Open Image Denoise, which adds the kernels of `list_mixtures`."""
+    """Return a call of the recipe without Open Image Denoise."""
     return lambda: lobewise.denoise(frame, device="cpu", with_oidn=False, **changes)
 
 
@@ -194,12 +193,6 @@ def list_examinations() -> Iterator[Case]:
     yield examine_kernels
 
 
-def list_mixtures() -> Iterator[Case]:
-    """Yield what cleans an albedo for Open Image Denoise."""
-    guide = np.ones((*SIZE, 3), np.float32)
-    yield lambda: clean_albedo(guide, guide)
-
-
 def list_interactive_frames() -> Iterator[Case]:
     """Yield frames of an interactive session by every method and similarity, while camera and light move.
 
@@ -234,7 +227,6 @@ PARTS: dict[str, Callable[[], Iterator[Case]]] = {
     "windows": list_windows,
     "benchmarks": list_benchmarks,
     "examinations": list_examinations,
-    "mixtures": list_mixtures,
     "interactive frames": list_interactive_frames,
 }
 

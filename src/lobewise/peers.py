@@ -146,7 +146,6 @@ def denoise_oidn(
     quality: str = "high",
     guides: str = "prefiltered",
     prefilter: str = "high",
-    clean_albedo: Callable[[FloatArray, FloatArray], FloatArray] | None = None,
 ) -> tuple[FloatArray, float]:
     """Denoise with Intel Open Image Denoise, which takes HDR colour and albedo and normal of the first hit.
 
@@ -172,9 +171,6 @@ def denoise_oidn(
         without ``mean_normal`` has only the normal of the centre.
     prefilter : {"fast", "balanced", "high"}
         Quality of the library's filter for guides.
-    clean_albedo : function, optional
-        Returns an albedo without noise, given the albedo and the prefiltered normal. It stands for the library's filter
-        where "prefiltered" guides have a normal.
 
     Returns
     -------
@@ -210,10 +206,7 @@ def denoise_oidn(
     start = time.perf_counter()
     if guides == "prefiltered":
         normal = None if normal is None else _run_library(prefilter, normal=normal)
-        if albedo is not None and normal is not None and clean_albedo is not None:
-            albedo = clean_albedo(albedo, normal)
-        elif albedo is not None:
-            albedo = _run_library(prefilter, albedo=albedo)
+        albedo = None if albedo is None else _run_library(prefilter, albedo=albedo)
     if albedo is None and normal is not None:
         albedo = np.ones_like(color)
     given = {"albedo": albedo, "normal": normal}

@@ -16,7 +16,6 @@ from lobewise.denoising.refining.unguided import (
     compute_unguided_share,
     count_isolated,
     judge_guides,
-    sees_fog,
 )
 from lobewise.io import write_frame
 from lobewise.metrics import rel_mse
@@ -94,15 +93,6 @@ def test_light_of_no_surface_counts_as_filtered_only_out_of_focus() -> None:
     np.testing.assert_allclose(compute_share_filtered(rest, image, None)[0], in_focus, atol=1e-6)
     blur = np.array([[0.0, 0.0, 0.0, 3.0, np.nan]], np.float32)
     np.testing.assert_allclose(compute_share_filtered(rest, image, blur)[0], [1.0, 0.75, 0.0, 1.0, 1.0], atol=1e-6)
-
-
-@pytest.mark.parametrize("kind", ["noise", "sky"])
-def test_fog_is_light_without_a_surface_that_is_noise(rng: np.random.Generator, kind: str) -> None:
-    normal, color = make_normals(rng, 0.5), make_noise(rng)
-    normal[:32] = 0.0
-    if kind == "sky":
-        color[:32] = 1.0
-    assert sees_fog(count_isolated(color, GBuffer(normal=normal))) == (kind == "noise")
 
 
 def test_bad_pixels_and_normals_are_isolated_from_nothing(rng: np.random.Generator) -> None:

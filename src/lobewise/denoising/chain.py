@@ -309,7 +309,7 @@ def clean_frame(
         filtered, further_gains = mix_unguided(frame, settings, filtered, unguided, surface, outside)
         gains += further_gains
     if settings.with_oidn:
-        filtered, further_gains = mix_peer(frame, filtered, surface, seen)
+        filtered, further_gains = mix_peer(frame, filtered, surface)
         gains += further_gains
     also = filter_passes(frame, settings, features, filtered) if has_passes(frame) else {}
     return Clean(before=before, filtered=filtered, gains=gains, also=also)
@@ -482,15 +482,13 @@ def mix_unguided(
     return replace(filtered, image=image, parts=parts), [gain]
 
 
-def mix_peer(
-    frame: Frame, filtered: Filtered, surface: NDArray[np.bool_], seen: GBuffer | None
-) -> tuple[Filtered, list[FloatArray]]:
+def mix_peer(frame: Frame, filtered: Filtered, surface: NDArray[np.bool_]) -> tuple[Filtered, list[FloatArray]]:
     """Mix in the image of Open Image Denoise and the noisy one, and scale the parts so that they sum to the image."""
     enter_stage(MIX_PEER)
     samples = bound_samples(frame, filtered)
     noisy = compose(filtered.noisy, filtered.noisy_rest)
     with plan_stages(list_peer_costs(frame)):
-        peer = denoise_with_peer(frame, samples, filtered.image, seen)
+        peer = denoise_with_peer(frame, samples, filtered.image)
         enter_stage(CHOOSE)
         mixed, share = choose_between(frame, samples, filtered.image, peer, noisy)
     # Give each part its own noisy light first: else the detail of one part is spread over all.

@@ -15,20 +15,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.backend.prebuilt import has_kernels
 from lobewise.denoising.automatic import explain_ours
 from lobewise.denoising.bad_pixels import mark_good
 from lobewise.denoising.evidence import estimate_share_proved, get_image_halves, load_networks, mix_noisy
-from lobewise.denoising.refining.unguided import count_isolated, sees_fog
 from lobewise.filters.mixing import Perceptron, compute_shares
 from lobewise.filters.noise.agreement import compute_agreement
-from lobewise.filters.noise.albedo import clean_albedo
 from lobewise.filters.noise.detail import compute_detail
-from lobewise.filters.specks import MIN_BLUR_RADIUS
 from lobewise.guides.squares import count_neighbours, sum_square
 from lobewise.lobes.vectors import compute_image_luminance
 from lobewise.peers import denoise_oidn, has_clean_guides, keep_library_memory, name_call, name_oidn_guides
-from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance
+from lobewise.records.frame import FloatArray, Frame, Radiance
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_similarity
 from lobewise.work.chunks import cut_rows
@@ -375,7 +371,7 @@ def list_peer_costs(frame: Frame) -> dict[str, float]:
     if has_clean_guides(frame):
         calls = {("color", "albedo", "normal"): 3.0, ("color",): 0.6}
     else:
-        calls = {("normal",): 1.4, ("color", "albedo", "normal"): 3.0, ("color",): 1.3}
+        calls = {(name,): 1.4 for name in guides} | {("color", "albedo", "normal"): 3.0, ("color",): 1.3}
     # The library takes normals only beside an albedo.
     known = ("color", *guides, *(("albedo",) if "normal" in guides else ()))
     given = {tuple(name for name in images if name in known): cost for images, cost in calls.items()}
@@ -383,14 +379,12 @@ def list_peer_costs(frame: Frame) -> dict[str, float]:
 
 
 @keep_library_memory()
-def denoise_with_peer(frame: Frame, samples: FloatArray, image: FloatArray, seen: GBuffer | None = None) -> FloatArray:
+def denoise_with_peer(frame: Frame, samples: FloatArray, image: FloatArray) -> FloatArray:
     """Return what Open Image Denoise makes of samples, (height, width, 3); finite, >= 0.
 
     It is called with the guides of the frame and without. Both results have errors of their own, so that their mean is
-    better than either. Noisy normals are prefiltered by the library, noisy albedos by `clean_albedo`, which is faster
-    but leaves lamps out of focus grainy, and fog uneven: where a lens blurs, and in fog, the library filters albedos,
-    too. Our ``image`` replaces bad pixels of the samples and of the result. ``seen`` are the guides before any stood in
-    for missing ones.
+    better than either. Noisy guides are prefiltered by the library. Our ``image`` replaces bad pixels of the samples
+    and of the result.
 
     Raises
     ------
@@ -403,11 +397,7 @@ def denoise_with_peer(frame: Frame, samples: FloatArray, image: FloatArray, seen
     if is_clean:
         peer, _ = denoise_oidn(guided, guides="mean")
     else:
-        blur = frame.gbuffer.blur_radius
-        is_sharp = blur is None or not bool((blur >= MIN_BLUR_RADIUS).any())
-        with_ours = is_sharp and has_kernels() and not sees_fog(count_isolated(samples, seen or frame.gbuffer))
-        clean = clean_albedo if with_ours else None
-        peer, _ = denoise_oidn(guided, prefilter=PREFILTER_QUALITY, clean_albedo=clean)
+        peer, _ = denoise_oidn(guided, prefilter=PREFILTER_QUALITY)
     peer = _replace_bad(peer, image)
     if not name_oidn_guides(frame):
         return peer

@@ -103,11 +103,6 @@ def judge_guides(rows: RowSums) -> float:
     return MAX_SHARE * min(max(_count_isolated_shares(rows)) / SHARE_ISOLATED, 1.0)
 
 
-def sees_fog(rows: RowSums) -> bool:
-    """Return whether light without a surface is noise, by the result of `count_isolated`."""
-    return _count_isolated_shares(rows)[1] >= NOISY_FROM
-
-
 def _count_isolated_shares(rows: RowSums) -> tuple[float, float]:
     """Return the share of isolated pixels of surfaces and of those without; 0 where too few pixels tell."""
     surfaces, noisy, others, noisy_others = map(float, rows.sum(axis=0))
