@@ -1,0 +1,270 @@
+"""What each mechanism of the denoiser is worth: it is switched off by itself, and the pictures are measured.
+
+    python benchmarks/foreign/factory SHOTS --split validation --seeds 0-2 --spp 16     (where `bpy` is)
+    python -m benchmarks.quality.switched_off [--shots SHOTS] [--qualities high,auto] [--only "specks,take back"]
+
+A mechanism stands for itself in `SWITCHES`: what is replaced, and what replaces it. The frames are those of
+`tests/images`, which have their references, and the shots of a folder of `benchmarks/foreign/factory`, on which nothing
+was tuned. The table says, by quality and group of frames, the error without the mechanism over the error with it:
+below 1, the picture is better without. Errors are relative mean square errors of all pixels ("error") and without the
+worst thousandth ("trimmed"); "moved" names the frames whose trimmed error changes by 1 % or more. "time" is the
+processor time without over with, of all frames together.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.common import RESULTS, describe_machine, write_json
+from benchmarks.users.measuring import make_reference_judge
+from benchmarks.users.scenes import find_shots
+from lobewise.denoising import (
+    automatic,
+    bad_pixels,
+    chain,
+    combining,
+    evidence,
+    layers,
+    light_loss,
+    noisy,
+    passes,
+    recipe,
+)
+from lobewise.denoising.refining import network
+from lobewise.filters.specks import Sharing
+from lobewise.guides import negative, stand_ins, usable
+from lobewise.records.frame import FloatArray, Frame
+from tests.images.frames import NAMES, SPARSE, denoise_view, join_views, read_views
+from tests.images.measuring import measure_image
+
+RESULT = RESULTS / "switched_off.json"
+QUALITIES = ("balanced", "high", "auto")
+GROUPS = IMAGES, BLENDER = "tests/images", "blender"
+SPP = 16
+NAMED_PERCENT = 1.0
+"""Change of its trimmed error from which a frame is named in the table."""
+
+
+@dataclass(frozen=True)
+class Switch:
+    """What replaces a mechanism: attributes of modules, or a change of the frame.
+
+    Parameters
+    ----------
+    stand_ins : sequence of (module, attribute, value)
+    change : function, optional
+        Returns the frame to filter.
+    """
+
+    stand_ins: Sequence[tuple[Any, str, Any]] = ()
+    change: Callable[[Frame], Frame] = lambda frame: frame
+
+    @contextmanager
+    def off(self) -> Iterator[None]:
+        """Switch the mechanism off inside the context."""
+        with ExitStack() as stack:
+            for module, name, value in self.stand_ins:
+                stack.enter_context(patch.object(module, name, value))
+            yield
+
+
+def replace_one(module: Any, name: str, value: Any) -> Switch:
+    """Return the switch that replaces one attribute of a module."""
+    return Switch([(module, name, value)])
+
+
+def drop_guides(*names: str) -> Switch:
+    """Return the switch that takes guides out of the frame."""
+    changes: Any = dict.fromkeys(names)
+    return Switch(change=lambda frame: frame.with_changes(gbuffer=replace(frame.gbuffer, **changes)))
+
+
+def mark_nothing(image: FloatArray, *_: Any) -> NDArray[np.bool_]:
+    """Return a mask of an image without a pixel."""
+    return np.zeros(image.shape[:2], np.bool_)
+
+
+def make_no_share(image: FloatArray, *_: Any, **__: Any) -> FloatArray:
+    """Return a share of 0 at every pixel of an image."""
+    return np.zeros(image.shape[:2], np.float32)
+
+
+def share_nothing(_rest: FloatArray, blur: FloatArray, _scattered: Any) -> Sharing:
+    """Stand for `choose_sharing`: every pixel keeps its light."""
+    return Sharing(np.zeros(blur.shape, np.int64), np.ones(blur.shape, np.float32))
+
+
+def split_no_highlights(halves: Any, _albedo: Any, mask: FloatArray, **_: Any) -> tuple[Any, Any, FloatArray]:
+    """Stand for `split_highlights`: no light is a highlight."""
+    return (*halves, np.zeros((*mask.shape, 3), np.float32))
+
+
+def keep_edges_counted(*given: Any, refine: Any = chain.refine_light) -> Any:
+    """Stand for `refine_light`: the light of edges of lamps counts as lost like any other."""
+    return refine(*given)._replace(edges=None)
+
+
+def choose_peer(noisy: FloatArray, *_: Any, **__: Any) -> FloatArray:
+    """Stand for `compute_mixture`: the peer's image everywhere."""
+    share = np.zeros((*noisy.shape[:2], 3), np.float32)
+    share[..., 2] = 1.0
+    return share
+
+
+def skip_passes(which: slice, *given: Any, make: Any = passes.make_passes, **named: Any) -> Any:
+    """Stand for `make_passes`: only some of them run."""
+    return make(*given, **named)[which]
+
+
+SWITCHES: dict[str, Switch] = {
+    "covariance of GGX lobes": replace_one(automatic, "DEFAULT_SIMILARITY", "sg"),
+    "pilot pass": replace_one(passes, "make_passes", partial(skip_passes, slice(1, None))),
+    "sparse pass": replace_one(passes, "make_passes", partial(skip_passes, slice(2))),
+    "pilot's own lobe": replace_one(noisy, "get_similarity", lambda _: SimpleNamespace(has_covariance=False)),
+    "spread lobes": replace_one(layers, "spread_lobes", lambda field: field),
+    "hit guides": replace_one(noisy, "make_seen_feature", lambda *_: ()),
+    "highlights": replace_one(noisy, "split_highlights", split_no_highlights),
+    "specks": replace_one(chain, "choose_sharing", share_nothing),
+    "bound of fireflies": replace_one(chain, "cut_samples", lambda color, _: color),
+    "refill in rounds": replace_one(bad_pixels, "SIGMAS", (1.0,)),
+    "small lamps": replace_one(network, "mark_small_lamps", np.zeros_like),
+    "lamps": replace_one(network, "mark_shining", mark_nothing),
+    "edges uncounted": replace_one(chain, "refine_light", keep_edges_counted),
+    "network": replace_one(chain, "refine", lambda _frame, filtered, _whole: filtered),
+    "take back": replace_one(chain, "take_back", lambda _frame, filtered: filtered),
+    "proof by halves, taking back": replace_one(evidence, "estimate_share_proved", lambda *_, **__: None),
+    "proof by halves, mixture": replace_one(combining, "estimate_share_proved", make_no_share),
+    "halves": Switch(change=lambda frame: frame.with_changes(half_a=None, half_b=None)),
+    "keep light": replace_one(chain, "keep_light", lambda filtered: filtered),
+    "gain of refined light": replace_one(light_loss, "MAX_GAIN_REFINED", 0.0),
+    "color alone where guides are noise": replace_one(chain, "compute_unguided_share", make_no_share),
+    "surfaces stand in": replace_one(usable, "stand_in_surfaces", lambda frame: (frame, ())),
+    "lamps without normals kept": replace_one(stand_ins, "keep_lamps", lambda frame: (frame, 0)),
+    "light below 0": replace_one(recipe, "split_negative", lambda frame: (frame, None)),
+    "damage": replace_one(negative, "mark_damaged", mark_nothing),
+    "coverage": drop_guides("coverage"),
+    "mean emission": drop_guides("mean_emission"),
+    "blur of the lens": drop_guides("blur_radius"),
+    "peer without guides": replace_one(combining, "average_alike", lambda guided, *_: guided),
+    "trust without halves": replace_one(combining, "TRUST_WITHOUT_HALVES", 1.0),
+    "light of blurred lamps": replace_one(chain, "share_with_blurred", lambda *_: None),
+    "own image in the mixture": replace_one(combining, "compute_mixture", choose_peer),
+}
+"""Every mechanism by the words of the table. What is added to the denoiser gets its line here."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A frame to measure on.
+
+    Parameters
+    ----------
+    group, name : str
+    frames : sequence of Frame
+        The views.
+    measure : function
+        Returns "error" and "trimmed" of the views' images, side by side.
+    """
+
+    group: str
+    name: str
+    frames: Sequence[Frame]
+    measure: Callable[[FloatArray], dict[str, float]]
+
+
+def list_cases(shots: Path | None) -> Iterator[Case]:
+    """Yield the frames of the image tests, and the complete shots of a folder."""
+    for name in NAMES:
+        views = read_views(name)
+        if name != SPARSE:
+            reference = join_views([view.reference.radiance.color for view in views])
+            frames = [view.noisy for view in views if isinstance(view.noisy, Frame)]
+            yield Case(IMAGES, name, frames, partial(measure_image, reference=reference))
+    for scene in find_shots(shots) if shots else ():
+        judge = make_reference_judge(*scene.reference_images)
+
+        def measure(image: FloatArray, judge: Any = judge) -> dict[str, float]:
+            return dict(zip(("error", "trimmed"), judge.measure(image), strict=True))
+
+        yield Case(BLENDER, scene.name, [scene.read(SPP)], measure)
+
+
+def measure_cases(cases: Sequence[Case], quality: str, switch: Switch) -> dict[str, dict[str, float]]:
+    """Return error, trimmed error and processor seconds of every frame with a mechanism switched off."""
+    found = {}
+    with switch.off(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for case in cases:
+            start = time.process_time()
+            images = [denoise_view(switch.change(frame), quality).image for frame in case.frames]
+            seconds = time.process_time() - start
+            figures = case.measure(join_views(images))
+            found[case.name] = {name: figures[name] for name in ("error", "trimmed")} | {"seconds": seconds}
+    return found
+
+
+def compare(
+    cases: Sequence[Case], without: Mapping[str, Mapping[str, float]], with_it: Mapping[str, Mapping[str, float]]
+) -> dict[str, Any]:
+    """Return the row of a mechanism: by group of frames, its figures without over those with it."""
+    row: dict[str, Any] = {}
+    for group in GROUPS:
+        names = [case.name for case in cases if case.group == group]
+        if not names:
+            continue
+        ratios = {
+            figure: {name: without[name][figure] / with_it[name][figure] for name in names}
+            for figure in ("error", "trimmed")
+        }
+        means = {figure: math.exp(np.mean(np.log(list(each.values())))) for figure, each in ratios.items()}
+        trimmed = ratios["trimmed"]
+        moved = {name: value for name, value in trimmed.items() if abs(value - 1.0) >= NAMED_PERCENT / 100.0}
+        row[group] = {
+            **{figure: round(value, 4) for figure, value in means.items()},
+            "time": round(sum(without[n]["seconds"] for n in names) / sum(with_it[n]["seconds"] for n in names), 2),
+            "frames": len(names),
+            "moved": {name: round(moved[name], 3) for name in sorted(moved, key=moved.__getitem__)},
+        }
+    return row
+
+
+def main() -> None:
+    """Measure what the command line asks for, and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--shots", type=Path, help="folder of benchmarks/foreign/factory; without, tests/images alone")
+    parser.add_argument("--qualities", default=",".join(QUALITIES))
+    parser.add_argument("--only", default="", help="mechanisms, by their names in the table")
+    parser.add_argument("--output", type=Path, default=RESULT)
+    asked = parser.parse_args()
+    wanted = asked.only.split(",") if asked.only else list(SWITCHES)
+    if unknown := set(wanted) - set(SWITCHES):
+        parser.error(f"unknown mechanisms: {', '.join(sorted(unknown))}; there are {', '.join(SWITCHES)}")
+    cases = list(list_cases(asked.shots))
+    rows: dict[str, Any] = {name: {} for name in wanted}
+    for quality in asked.qualities.split(","):
+        # The first run fills caches; its figures are the same.
+        usual = [measure_cases(cases, quality, Switch()) for _ in range(2)][1]
+        for name in wanted:
+            rows[name][quality] = row = compare(cases, measure_cases(cases, quality, SWITCHES[name]), usual)
+            print(quality, name, {group: (each["trimmed"], each["time"]) for group, each in row.items()}, flush=True)
+        what = __doc__.split("\n\n")[2].replace("\n", " ")
+        table = {"what": what, "machine": describe_machine(), "mechanisms": rows}
+        write_json(asked.output, table, one_line=r'\{\s*"error": (?:[^{}]|\{[^{}]*\})*\}')
+
+
+if __name__ == "__main__":
+    main()
