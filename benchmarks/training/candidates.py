@@ -161,8 +161,8 @@ def denoise_all(frame: Frame) -> dict[str, Array]:
     for quality in ("balanced", "high"):
         settings = resolve_all(frame, DenoiseSettings(quality=quality, with_oidn=False))
         checked = check_guides(frame).frame
-        before = filter_rows(checked, settings, (), mark_bad_pixels(checked)).taken_from
-        images[quality] = before.image
+        filtered = filter_rows(checked, settings, (), mark_bad_pixels(checked))
+        images[quality] = (filtered.taken_from or filtered).image
     if frame.half_a is not None and frame.half_b is not None:
         images |= {"half_a": frame.half_a.color, "half_b": frame.half_b.color}
     return images

@@ -125,24 +125,6 @@ def test_a_mixture_with_a_huge_image_is_not_negative(
     assert denoise(full_frame, **CHEAP).image.min() >= 0.0
 
 
-@pytest.mark.parametrize(
-    ("halves", "shared", "share"),
-    [(True, False, 0.4), (False, False, 0.3), (False, True, 0.4)],
-    ids=["halves", "none", "shared noise"],
-)
-def test_without_halves_the_network_is_trusted_less(
-    full_frame: Frame, monkeypatch: pytest.MonkeyPatch, halves: bool, shared: bool, share: float
-) -> None:
-    frame = full_frame.with_changes(noise_is_shared=shared)
-    frame = frame if halves else frame.with_changes(half_a=None, half_b=None)
-    ours, peer, noisy = (np.full((*frame.shape, 3), value, np.float32) for value in (1.0, 3.0, 3.0))
-    shares = np.broadcast_to(np.float32([0.4, 0.2, 0.4]), (*frame.shape, 3))
-    monkeypatch.setattr(combining, "compute_mixture", lambda *images, **told: shares)
-    monkeypatch.setattr(combining, "estimate_share_proved", lambda *images, **told: np.zeros(frame.shape, np.float32))
-    mixed = combining.choose_between(frame, noisy, ours, peer, noisy).image
-    np.testing.assert_allclose(mixed, 3.0 - 2.0 * share, rtol=1e-6)
-
-
 @pytest.mark.parametrize("quality", ["auto", "fast", "balanced", "high"])
 @pytest.mark.parametrize("with_oidn", ["auto", True, False])
 @pytest.mark.parametrize("is_here", [True, False])

@@ -167,7 +167,7 @@ def test_guides_without_noise_are_not_filtered(peer: dict[str, Any], monkeypatch
 def test_two_albedos_of_a_renderer_are_averaged() -> None:
     one = np.ones((*SHAPE, 3), np.float32)
     guides = GBuffer(denoiser_albedo=0.2 * one, mean_diffuse_albedo=0.3 * one, mean_specular_albedo=0.9 * one)
-    np.testing.assert_allclose(average_albedos(guides).denoiser_albedo, 0.6, rtol=1e-6)
+    np.testing.assert_allclose(average_albedos(guides).denoiser_albedo, 0.4, rtol=1e-6)
     alone = replace(guides, mean_specular_albedo=None)
     assert average_albedos(alone) is alone
 
@@ -176,11 +176,6 @@ OURS, NOISY, PEERS = 0, 1, 2
 
 
 class TestPeer:
-    @pytest.fixture(autouse=True)
-    def trusting(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        """Take the network's shares as they are, with halves or without."""
-        monkeypatch.setattr(combining, "TRUST_WITHOUT_HALVES", 1.0)
-
     def combine(self, frame: Frame, ours: FloatArray) -> FloatArray:
         noisy = frame.radiance.color
         return choose_between(frame, noisy, ours, denoise_with_peer(frame, noisy, ours), noisy).image

@@ -7,20 +7,17 @@ import pytest
 
 from lobewise import engine
 from lobewise.denoising.layers import Layer
-from lobewise.denoising.refining.inputs import collect_inputs
 from lobewise.denoising.refining.lamps import (
-    NEAR_PIXELS,
     mark_lamp_edges,
     mark_refined,
     mark_shining,
-    mark_small_lamps,
     widen_mask,
 )
 from lobewise.denoising.refining.network import refine_light
 from lobewise.denoising.refining.whole_image import WholeImage
 from lobewise.filters.glue import define_near_hits
 from lobewise.filters.refinement.steps import define_refined
-from lobewise.records.frame import Frame, Radiance
+from lobewise.records.frame import Frame
 
 
 def make_mask(*places: tuple[slice | int, slice | int]) -> np.ndarray:
@@ -35,21 +32,6 @@ def test_a_pixel_shines_where_most_light_is_scattered_by_no_surface() -> None:
     part, rest = np.full((2, 3, 3), 0.5, np.float32), np.zeros((2, 3, 3), np.float32)
     rest[0, 1], rest[1, 2], part[1, 2] = 2.0, 0.4, np.nan
     assert mark_shining(rest, [part, part]).tolist() == [[False, True, False], [False, False, True]]
-
-
-def test_a_lamp_of_few_pixels_is_small() -> None:
-    small = mark_small_lamps(make_mask((5, 5), (slice(20, 22), slice(20, 22))))
-    assert np.argwhere(small).tolist() == [[5, 5], [20, 20], [20, 21], [21, 20], [21, 21]]
-
-
-def test_single_pixels_near_a_large_lamp_belong_to_it() -> None:
-    lamp = (slice(10, 13), slice(10, 13))
-    small = mark_small_lamps(make_mask(lamp, (11, 12 + NEAR_PIXELS), (11, 14 + NEAR_PIXELS)))
-    assert np.argwhere(small).tolist() == [[11, 14 + NEAR_PIXELS]]
-
-
-def test_a_lamp_at_the_border_of_the_image_is_as_large_as_it_goes_on() -> None:
-    assert not mark_small_lamps(make_mask((slice(0, 2), slice(0, 2)))).any()
 
 
 def test_two_pixels_on_both_sides_of_an_edge_are_refined() -> None:
@@ -74,26 +56,17 @@ def test_a_mask_at_the_border_grows_without_gaps(place: tuple[int, int]) -> None
     assert np.array_equal(widen_mask(make_mask(place), 9), near)
 
 
-def test_the_network_does_not_see_small_lamps() -> None:
-    light, rest = np.full((8, 8, 3), 0.5, np.float32), np.full((8, 8, 3), 2.0, np.float32)
-    small = np.zeros((8, 8), bool)
-    small[3, 4] = True
-    inputs = collect_inputs(Frame(Radiance(light + rest)), [light], [light], rest, small)
-    for image in (inputs.noisy, inputs.filtered):
-        np.testing.assert_array_equal(image, np.where(small[..., None], light, light + rest))
-
-
-def test_lamps_are_scaled_but_for_small_ones_and_their_inside() -> None:
+def test_lamps_are_scaled_but_for_their_inside() -> None:
     shape = (3, 4, 3)
     part, rest, filtered = (np.full(shape, value, np.float32) for value in (0.5, 2.0, 2.5))
-    refined, small = np.ones((3, 4), bool), np.zeros((3, 4), bool)
-    refined[0], small[1], filtered[2, 3] = False, True, 0.0
+    refined = np.ones((3, 4), bool)
+    refined[0], filtered[2, 3] = False, 0.0
     images = {"image": 3.0 * filtered, "filtered": filtered, "refined": refined, "part0": part, "rest": rest}
-    found = engine.pixels(define_refined, {**images, "small": small}, {}, 1e-36)
+    found = engine.pixels(define_refined, images, {}, 1e-36)
     factor = np.where(refined, 3.0, 1.0)
     factor[2, 3] = 0.0
     np.testing.assert_array_equal(found[0], part * factor[..., None])
-    np.testing.assert_array_equal(found[1], rest * np.where(small, 1.0, factor)[..., None])
+    np.testing.assert_array_equal(found[1], rest * factor[..., None])
 
 
 def test_edges_of_lamps_tell_no_loss_of_light(make_frame: Callable[..., Frame]) -> None:

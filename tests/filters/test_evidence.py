@@ -1,5 +1,6 @@
 """How much of the noisy image is taken back: nothing by chance, what a filter blurs, more as samples grow."""
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -7,13 +8,14 @@ import numpy as np
 import pytest
 
 import lobewise
-from lobewise.denoising import chain, evidence
+from lobewise.denoising import chain
+from lobewise.denoising.automatic import ask, resolve_all
 from lobewise.denoising.evidence import (
     NOTED_STRIP_ROWS,
     count_blurred,
     describe_blurred,
-    estimate_share_lost,
     estimate_share_proved,
+    takes_back,
 )
 from lobewise.filters.noise.evidence import estimate_noisy_share
 from lobewise.metrics import rel_mse
@@ -57,19 +59,14 @@ def test_a_right_image_is_left_alone(kind: str, rng: np.random.Generator) -> Non
         assert share.min() >= 0.0
 
 
-def test_a_network_that_sees_nothing_does_not_hide_what_halves_prove(
-    monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
-) -> None:
+def test_halves_prove_what_is_missing_without_a_network(rng: np.random.Generator) -> None:
     truth = make_texture()
     a, b = draw_halves(truth, 1e-3, rng)
     noisy, even = 0.5 * (a + b), np.full_like(truth, truth.mean())
     noisy[10, 20] = np.nan
-    blind = np.zeros((SIZE, SIZE, 2), np.float32)
-    monkeypatch.setattr(evidence, "predict_shares", lambda *images, **told: blind)
     proved = estimate_share_proved(even, noisy, (a, b), level=1.0, shared=False)
     assert proved[8:-8, 8:40].mean() > 0.5
-    np.testing.assert_array_equal(estimate_share_lost(noisy, even, 1.0, halves=(a, b), shared=False), proved)
-    np.testing.assert_array_equal(estimate_share_lost(noisy, even, 1.0, halves=None, shared=False), 0.0)
+    assert proved[10, 20] == 0.0
 
 
 def test_what_a_filter_blurs_is_taken_back(rng: np.random.Generator) -> None:
@@ -191,3 +188,23 @@ def test_error_along_an_edge_counts_there(rng: np.random.Generator) -> None:
     assert errors[1] < 0.7 * errors[0] < rel_mse(blurred, truth)
     assert (shares[1] >= shares[0]).all()
     assert shares[1][:, 48].mean() > shares[0][:, 48].mean() + 0.1
+
+
+@pytest.mark.parametrize(
+    ("quality", "spp", "halves", "with_oidn", "taken"),
+    [
+        ("high", 16, True, False, True),
+        ("high", 16, True, True, False),
+        ("high", 16, False, False, False),
+        ("high", 64, False, False, True),
+        ("balanced", 16, False, False, True),
+        ("balanced", 16, False, True, True),
+    ],
+)
+def test_a_refined_image_of_few_samples_takes_nothing_back(
+    full_frame: Frame, quality: str, spp: int, halves: bool, with_oidn: bool, taken: bool
+) -> None:
+    frame = full_frame.with_changes(spp=spp)
+    frame = frame if halves else frame.with_changes(half_a=None, half_b=None)
+    settings = replace(resolve_all(frame, ask(None, {"quality": quality})), with_oidn=with_oidn)
+    assert takes_back(frame, settings) == taken

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,18 +25,15 @@ from lobewise.denoising.also import (
     has_passes,
     list_layer_parts,
 )
-from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, mark_bad_pixels, mark_good
+from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, mark_bad_pixels
 from lobewise.denoising.combining import (
     CHOOSE,
-    MAX_RATIO_TO_IMAGE,
     choose_between,
     denoise_with_peer,
     list_peer_costs,
-    share_by_noise,
     share_out,
-    sum_finite,
 )
-from lobewise.denoising.evidence import estimate_share_lost, get_image_halves, mix_noisy
+from lobewise.denoising.evidence import estimate_share_lost, get_image_halves, mix_noisy, takes_back
 from lobewise.denoising.layers import Layer, make_layers
 from lobewise.denoising.light_loss import (
     Loss,
@@ -108,8 +105,6 @@ class Filtered:
         The same before the network refined it.
     sharing : Sharing, optional
         How pixels shared this light with their neighbours; None where no lens blurs it.
-    rest_added : (height, width, 3), optional
-        Light of ``image`` that belongs to this light beyond its gains; see `share_with_blurred`.
     noisy : sequence of (height, width, 3)
         Samples of every layer without fireflies, radiance; empty with the quality "fast", which bounds none.
     levels : sequence of float
@@ -139,7 +134,6 @@ class Filtered:
     rest: FloatArray | None = None
     noisy_rest: FloatArray | None = None
     sharing: Sharing | None = None
-    rest_added: FloatArray | None = None
     noisy: Sequence[FloatArray] = ()
     levels: Sequence[float] = ()
     sums: Sequence[tuple[FloatArray, ...]] = ()
@@ -226,8 +220,7 @@ def filter_rows(
     # A radius of 0 asks for no filter.
     if quality.refines and settings.radius > 0:
         filtered = refine(frame, filtered, whole)
-    # With halves the mixture takes back what they prove.
-    if not (settings.with_oidn and get_image_halves(frame) is not None):
+    if takes_back(frame, settings):
         filtered = take_back(frame, filtered)
     return filtered
 
@@ -497,39 +490,8 @@ def mix_peer(frame: Frame, filtered: Filtered, surface: NDArray[np.bool_]) -> tu
         filtered = replace(
             filtered, image=mix_noisy(filtered.image, noisy, share), parts=parts, taken_from=filtered, share_taken=share
         )
-    blurred = share_with_blurred(frame, filtered, mixed)
-    if blurred is None:
-        image, parts, gain = share_out(mixed, filtered.image, filtered.parts, surface)
-        return replace(filtered, image=image, parts=parts), [gain]
-    image, parts, gain = share_out(mixed, blurred.image, filtered.parts, surface)
-    return replace(filtered, image=image, parts=parts, rest_added=blurred.added * gain), [blurred.gain, gain]
-
-
-class _Blurred(NamedTuple):
-    image: FloatArray
-    gain: FloatArray
-    added: FloatArray
-
-
-def share_with_blurred(frame: Frame, filtered: Filtered, mixed: FloatArray) -> _Blurred | None:
-    """Return our image with light of the mixture that belongs to lamps out of focus; None where there are none.
-
-    The light of such lamps is the noisiest of the image, and most pixels of their discs have none of it. So they, not
-    the layers, take the difference of the mixture: as a factor, ``gain``, and beyond it as light, ``added``.
-    """
-    noisy_rest = compute_rest(frame)
-    if filtered.sharing is None or filtered.rest is None or noisy_rest is None:
-        return None
-    with np.errstate(over="ignore", invalid="ignore"):  # light near the largest number stays as it is
-        scattered, noisy = sum_finite(filtered.parts), sum_finite(filtered.noisy)
-        rest = np.maximum(filtered.image - scattered, np.float32(0.0))
-        _, shared = share_by_noise(mixed, [scattered, rest], [noisy, noisy_rest])
-        gain = np.divide(shared, rest, out=np.ones_like(rest), where=rest > 0.0)
-        gain = np.minimum(gain, np.float32(MAX_RATIO_TO_IMAGE))
-        image = scattered + shared
-        good = mark_good(image)[..., None]
-        added = np.where(good, shared - gain * rest, np.float32(0.0))
-    return _Blurred(np.where(good, image, filtered.image), np.where(good, gain, np.float32(1.0)), added)
+    image, parts, gain = share_out(mixed, filtered.image, filtered.parts, surface)
+    return replace(filtered, image=image, parts=parts), [gain]
 
 
 def filter_passes(

@@ -13,9 +13,9 @@ import numpy as np
 from lobewise.denoising.also import has_passes, list_alone
 from lobewise.denoising.automatic import ask, needs_peer_alone, resolve_all
 from lobewise.denoising.combining import describe_peer_alone, list_peer_costs, name_method
-from lobewise.denoising.evidence import get_image_halves
+from lobewise.denoising.evidence import takes_back
 from lobewise.denoising.passes import LayerPass, make_passes
-from lobewise.denoising.refining.lamps import LAMPS_REACH
+from lobewise.denoising.refining.lamps import EDGE_PIXELS
 from lobewise.filters.compositing import COVERAGE_REACH
 from lobewise.filters.fireflies import FIREFLY_REACH
 from lobewise.filters.forms import ATROUS_REACH, count_taps, describe_form
@@ -65,7 +65,7 @@ class Step(NamedTuple):
 
 
 def list_steps(
-    settings: ResolvedSettings, layers: Mapping[str, bool], *, has_seen: bool = False, halves: bool = True
+    settings: ResolvedSettings, layers: Mapping[str, bool], *, has_seen: bool = False, taken_back: bool = True
 ) -> tuple[list[Step], list[Step]]:
     """Return the steps that need only the surroundings of a pixel, and those that need the whole image.
 
@@ -76,8 +76,8 @@ def list_steps(
         The layers by name, and whether each is diffuse.
     has_seen : bool
         Whether the frame tells what surfaces its reflections show.
-    halves : bool
-        Whether the frame has both halves of its samples.
+    taken_back : bool
+        Whether the noisy image is taken back; see `takes_back`.
     """
     quality = get_quality(settings.quality)
     refines = quality.refines and settings.radius > 0
@@ -102,9 +102,8 @@ def list_steps(
             )
         ]
         if refines:
-            reach = REFINEMENT_REACH + LAMPS_REACH
-            near.append(Step(REFINE, reach))
-        if not (settings.with_oidn and halves):
+            near.append(Step(REFINE, REFINEMENT_REACH + EDGE_PIXELS))
+        if taken_back:
             near.append(Step(TAKE_BACK, DETAIL_REACH))
     far = [Step(FILL)]
     if quality.reads_halves:
@@ -218,8 +217,8 @@ def list_frame_steps(frame: Frame, settings: ResolvedSettings) -> tuple[list[Ste
     else:
         layers = MEASURED_LAYERS
     has_seen = frame.gbuffer.hit_albedo is not None and frame.gbuffer.hit_normal is not None
-    halves = get_image_halves(frame) is not None
-    near, far = list_steps(settings, layers, has_seen=has_seen and "color" not in layers, halves=halves)
+    taken_back = takes_back(frame, settings)
+    near, far = list_steps(settings, layers, has_seen=has_seen and "color" not in layers, taken_back=taken_back)
     if has_passes(frame):
         far.append(Step(FILTER_OTHERS))
     far += [Step(describe_alone(name)) for name in list_alone(frame.also)]

@@ -18,7 +18,6 @@ from lobewise.denoising.automatic import ask, change_settings, needs_peer_alone,
 from lobewise.denoising.bad_pixels import blacken_bad, describe_bad, mark_bad_pixels, mark_good, require_some_good
 from lobewise.denoising.chain import Filtered, clean_frame, name_layers
 from lobewise.denoising.combining import (
-    NOISE_RADIUS,
     denoise_with_peer,
     describe_peer_alone,
     list_peer_costs,
@@ -35,7 +34,7 @@ from lobewise.errors import UnusedGuideWarning, require_kind
 from lobewise.features import Feature
 from lobewise.filters.fireflies import compute_energy_lost
 from lobewise.guides.negative import is_dim, split_negative
-from lobewise.guides.squares import compute_square_maximum, sum_square
+from lobewise.guides.squares import compute_square_maximum
 from lobewise.guides.survey import ALBEDOS
 from lobewise.guides.usable import CheckedGuides, check_guides
 from lobewise.peers import require_oidn
@@ -349,13 +348,6 @@ def scale_unscattered(frame: Frame, filtered: Filtered, gains: Sequence[FloatArr
     if sharing is not None:
         unscattered = {name: sharing.apply(blacken_bad(light)) for name, light in unscattered.items()}
     scaled = {name: reduce(np.multiply, gains, light) for name, light in unscattered.items()}
-    if filtered.rest_added is not None:
-        near = {name: sum_square(blacken_bad(light), NOISE_RADIUS) for name, light in scaled.items()}
-        total = reduce(np.add, near.values(), np.zeros_like(filtered.rest_added))
-        even = np.float32(1.0 / max(len(near), 1))
-        for name, light in near.items():
-            share = np.divide(light, total, out=np.full_like(total, even), where=total > 0.0)
-            scaled[name] = np.asarray(scaled[name] + share * filtered.rest_added, np.float32)
     return {name: np.where(np.isfinite(light), light, np.float32(0.0)) for name, light in scaled.items()}
 
 

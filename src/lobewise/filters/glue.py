@@ -271,8 +271,6 @@ def define_share_taken(grid: Grid, most: float) -> list[Vector]:
     """Return the share of the noisy image that is taken back; see `estimate_share_lost`."""
     zero, color = hl.f32(0.0), grid.read("color")
     share = hl.select(is_good(color), grid.read("shares")[0], zero)
-    if grid.has("certain"):
-        share = hl.max(share, grid.read_one("certain"))
     dim = reduce(and_, (value < hl.f32(most) for value in color))
     return [[hl.select(dim, share, zero)]]
 

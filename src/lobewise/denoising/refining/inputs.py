@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lobewise import engine
 from lobewise.backend.pointwise import give_channels
@@ -61,7 +60,6 @@ def collect_inputs(
     noisy: Sequence[FloatArray],
     parts: Sequence[FloatArray],
     rest: FloatArray | None = None,
-    small: NDArray[np.bool_] | None = None,
 ) -> RefinementInputs:
     """Return what the refining network reads.
 
@@ -74,8 +72,6 @@ def collect_inputs(
         of a filtered layer. Where the samples are not finite, the filtered light stands for them.
     rest : array, shape (height, width, 3), optional
         The light that no surface scatters.
-    small : bool array, shape (height, width), optional
-        Pixels of small lamps: their light is not in the inputs.
     """
     guides, a, b = frame.gbuffer, frame.half_a, frame.half_b
     halves = {} if a is None or b is None else {"half_a": a.color, "half_b": b.color}
@@ -83,7 +79,6 @@ def collect_inputs(
         **{f"noisy{number}": image for number, image in enumerate(noisy)},
         **{f"part{number}": image for number, image in enumerate(parts)},
         "rest": rest,
-        "small": small,
         "diffuse": guides.diffuse_albedo if guides.mean_diffuse_albedo is None else guides.mean_diffuse_albedo,
         "specular": guides.specular_albedo if guides.mean_specular_albedo is None else guides.mean_specular_albedo,
         "normal": guides.normal if guides.mean_normal is None else guides.mean_normal,

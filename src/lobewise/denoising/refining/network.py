@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lobewise import engine
 from lobewise.denoising.layers import Layer
 from lobewise.denoising.refining.inputs import collect_inputs, compute_lobes
-from lobewise.denoising.refining.lamps import mark_lamp_edges, mark_refined, mark_shining, mark_small_lamps
+from lobewise.denoising.refining.lamps import mark_lamp_edges, mark_refined, mark_shining
 from lobewise.denoising.refining.whole_image import WholeImage
 from lobewise.filters.refinement.run import pack_weights, refine_image
 from lobewise.filters.refinement.steps import define_refined
@@ -70,8 +70,7 @@ def refine_light(
     whole : WholeImage
     """
     shining = None if rest is None else mark_shining(rest, parts)
-    small = None if shining is None else mark_small_lamps(shining)
-    inputs = collect_inputs(frame, noisy, parts, rest, small)
+    inputs = collect_inputs(frame, noisy, parts, rest)
     axis, sharpness = compute_lobes(frame, whole.tau)
     image = refine_image(
         {**vars(inputs), "lobe_axis": axis, "lobe_sharpness": sharpness},
@@ -86,7 +85,6 @@ def refine_light(
         "refined": mark_refined([layer.mask for layer in layers], shining),
         **{f"part{number}": part for number, part in enumerate(parts)},
         "rest": rest,
-        "small": small,
     }
     names = [*(f"{layer.name}_refined" for layer in layers), *([] if rest is None else ["rest_refined"])]
     text = "light as the network refined it"

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from functools import reduce
-from operator import and_, or_
+from operator import or_
 
 from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import is_good
-from lobewise.backend.pointwise import Grid, Vector, is_finite, select_bits
+from lobewise.backend.pointwise import Grid, Vector, is_finite
 from lobewise.filters.cross_pass import compute_expression_luminance
 from lobewise.filters.glue import add_colors, read_parts
 
@@ -38,10 +37,7 @@ def define_inputs(grid: Grid, least: float) -> list[Vector]:
     zero = hl.f32(0.0)
     noisy, parts = read_parts(grid, "noisy"), read_parts(grid, "part")
     if grid.has("rest"):
-        # The network takes small lamps for fireflies, and does not see them.
-        seen = grid.read_one("small") == 0
-        others = [hl.select(seen, value, zero) for value in grid.read("rest")]
-        noisy, parts = [*noisy, others], [*parts, others]
+        noisy, parts = [*noisy, grid.read("rest")], [*parts, grid.read("rest")]
     filtered, samples = _sum_good(parts), reduce(add_colors, noisy)
     good = is_good(samples)
     pairs = zip(samples, filtered, strict=True)
@@ -78,8 +74,7 @@ def define_known_lobes(grid: Grid, least: float) -> list[Vector]:
 def define_refined(grid: Grid, most: float) -> list[Vector]:
     """Return the parts of a frame and its other light, scaled as the network has refined their sum.
 
-    Light up to ``most`` counts as black and stays so. Pixels outside of the mask ``refined`` are not changed, nor is
-    the other light of those in ``small``.
+    Light up to ``most`` counts as black and stays so. Pixels outside of the mask ``refined`` are not changed.
     """
     changed = grid.read_one("refined") != 0
     factors = []
@@ -91,9 +86,7 @@ def define_refined(grid: Grid, most: float) -> list[Vector]:
         [value * factor for value, factor in zip(part, factors, strict=True)] for part in read_parts(grid, "part")
     ]
     if grid.has("rest"):
-        seen, rest = grid.read_one("small") == 0, grid.read("rest")
-        pairs = zip(rest, factors, strict=True)
-        refined.append([select_bits(seen, value * factor, value) for value, factor in pairs])
+        refined.append([value * factor for value, factor in zip(grid.read("rest"), factors, strict=True)])
     return refined
 
 
@@ -112,21 +105,11 @@ def define_any(grid: Grid) -> list[Vector]:
     return [[hl.u8(there)]]
 
 
-def define_core(grid: Grid) -> list[Vector]:
-    """Return which pixels of a mask have all of their eight neighbours in the mask, as far as the image goes."""
-    return [_gather(grid, 1, and_)]
-
-
 def define_widened(grid: Grid, pixels: int) -> list[Vector]:
     """Return a mask that is so many pixels wider in all eight directions."""
-    return [_gather(grid, pixels, or_)]
-
-
-def _gather(grid: Grid, pixels: int, join: Callable[[hl.Expr, hl.Expr], hl.Expr]) -> Vector:
-    """Return the values of a mask in a square, joined; first along rows, then along columns."""
     steps, (width, height) = range(-pixels, pixels + 1), grid.size
     read = grid.keep(grid.read("mask", *grid.inside))
     # A pixel beyond the border is the nearest one inside, which is in the square anyway.
     row = [read(hl.clamp(grid.x + step, 0, width - 1), grid.y)[0] for step in steps]
-    along = grid.keep([reduce(join, row)])
-    return [reduce(join, [along(grid.x, hl.clamp(grid.y + step, 0, height - 1))[0] for step in steps])]
+    along = grid.keep([reduce(or_, row)])
+    return [[reduce(or_, [along(grid.x, hl.clamp(grid.y + step, 0, height - 1))[0] for step in steps])]]
