@@ -25,14 +25,14 @@ from pictures import draw_picture
 PAGE_ROWS, PAGE_COLUMNS = 192, 144
 
 
-def make_glass(random, name, rough=0.0, tint=(1.0, 1.0, 1.0)):
+def make_clear(random, name, rough=0.0, tint=(1.0, 1.0, 1.0)):
     """Return glass."""
     return make_material(name, tint, Roughness=rough, Transmission_Weight=1.0, IOR=random.uniform(1.45, 1.55))
 
 
 def make_pane(random, is_clear):
     """Return glass of windows; ``is_clear`` lets shadow rays pass, as is usual for houses, so that the sun comes in."""
-    pane = make_glass(random, "pane", tint=pick(random, ((1.0, 1.0, 1.0), (0.9, 0.98, 0.94))))
+    pane = make_clear(random, "pane", tint=pick(random, ((1.0, 1.0, 1.0), (0.9, 0.98, 0.94))))
     if is_clear:
         tree = pane.node_tree
         path, mix = tree.nodes.new("ShaderNodeLightPath"), tree.nodes.new("ShaderNodeMixShader")
@@ -85,7 +85,7 @@ def make_windows(random):
     for side in (-1.0, 1.0):
         add_seat(random, (side * 0.3 * wide, random.uniform(-0.1, 0.3) * deep), side * 1.3, random.uniform(0.45, 1.4))
     for place in spread(random, 5, (-0.4 * wide, -0.25 * deep), (0.4 * wide, 0.4 * deep), 0.7):
-        material = make_glass(random, "vase") if random.random() < 0.3 else make_surface(random)
+        material = make_clear(random, "vase") if random.random() < 0.3 else make_surface(random)
         add_thing(random, material, (*place, 0.001), random.uniform(0.2, 0.45))
     add("plane", make_surface(random, ("stone", "paint")), size=80, location=(0.0, 0.0, -0.5))
     make_sky(
@@ -148,15 +148,15 @@ def make_print(random):
         size = random.uniform(0.26, 0.42)
         if kind == "ball":
             tint = (1.0, 1.0, 1.0) if random.random() < 0.7 else draw_color(random, (0.1, 0.5), (0.8, 1.0))
-            add("uv_sphere", make_glass(random, "ball", tint=tint), radius=0.5 * size,
+            add("uv_sphere", make_clear(random, "ball", tint=tint), radius=0.5 * size,
                 location=(x, y, floor + 0.5 * size), segments=96, ring_count=48)  # fmt: skip
         elif kind == "frosted":
             sides = size * random.uniform((0.7, 0.7, 0.2), (1.3, 1.3, 0.7))
-            frosted = make_glass(random, "frosted", random.uniform(0.1, 0.4))
+            frosted = make_clear(random, "frosted", random.uniform(0.1, 0.4))
             add_block(frosted, sides, (x, y, floor + 0.5 * sides[2]), random.uniform(0.0, 3.0), bevel=0.01)
         elif kind == "tumbler":
             wall = size * refine([(0.0, 0.0), (0.38, 0.0), (0.45, 1.2), (0.42, 1.2), (0.36, 0.12), (0.0, 0.1)])
-            add_turned("tumbler", make_glass(random, "tumbler"), wall, (x, y, floor), 96)
+            add_turned("tumbler", make_clear(random, "tumbler"), wall, (x, y, floor), 96)
         elif kind == "label":
             can = size * refine([(0.0, 0.0), (0.35, 0.0), (0.35, 1.1), (0.0, 1.1)])
             add_turned("can", make_surface(random, ("metal", "plastic")), can, (x, y, floor), 64)
@@ -183,7 +183,7 @@ def make_depth(random):
     ]
     palette += [make_material("metal", pick(random, METALS), Metallic=1.0, Roughness=random.uniform(0.05, 0.3))
                 for _ in range(4)]  # fmt: skip
-    palette += [make_glass(random, "marble", tint=draw_color(random, (0.0, 0.5), (0.8, 1.0)))]
+    palette += [make_clear(random, "marble", tint=draw_color(random, (0.0, 0.5), (0.8, 1.0)))]
     for _ in range(150):
         y = -1.3 + 3.6 * random.uniform() ** 1.3
         place = (random.uniform(-0.5, 0.5) * (y + 2.2), y, 0.0)
