@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import OpenEXR
 import pytest
 
 from benchmarks.foreign.files import read_pass
@@ -15,6 +16,7 @@ from tests.pythons import choose_python, run_without_paths
 
 FACTORY = ROOT / "benchmarks" / "foreign" / "factory"
 kinds: Any = import_module("benchmarks.foreign.factory.kinds")
+halves: Any = import_module("benchmarks.foreign.factory.halves")
 
 TINY_SHOT = """
 import json
@@ -48,7 +50,7 @@ def test_every_kind_has_one_purpose_and_one_maker() -> None:
     validation, training = set(kinds.VALIDATION), set(kinds.TRAINING)
     assert not validation & training
     assert validation | training == set(kinds.KINDS) == set(kinds.ORDER)
-    assert validation >= {"fog", "hair", "street", "jewels"}
+    assert validation >= {"fog", "hair", "street", "jewels", "windows", "depth"}
     made = [
         (path.stem, node.name.removeprefix("make_"))
         for path in FACTORY.glob("*.py")
@@ -56,6 +58,31 @@ def test_every_kind_has_one_purpose_and_one_maker() -> None:
         if isinstance(node, ast.FunctionDef) and node.name.removeprefix("make_") in kinds.KINDS
     ]
     assert sorted(made) == sorted((kind.module, name) for name, kind in kinds.KINDS.items())
+
+
+def test_kinds_keep_their_places_and_so_their_seeds() -> None:
+    places = {"fog": 0, "foliage": 5, "product": 6, "party": 18, "windows": 19, "depth": 24}
+    assert {kind: kinds.ORDER.index(kind) for kind in places} == places
+
+
+@pytest.mark.parametrize("compression", [OpenEXR.ZIP_COMPRESSION, OpenEXR.ZIPS_COMPRESSION])
+@pytest.mark.parametrize("size", [(37, 21), (16, 8)])
+def test_files_become_half_floats_but_names_of_things(compression: Any, size: tuple[int, int], tmp_path: Path) -> None:
+    random, path = np.random.default_rng(3), tmp_path / "frame.exr"
+    names = ("A.Combined.R", "A.CryptoObject00.r", "A.Depth.Z", "A.Position.X")
+    old = {name: random.normal(3.0, 2.0, size).astype(np.float32) for name in names}
+    old["A.Depth.Z"][0] = 1e10
+    old["A.Combined.R"] = np.ones(size, np.float16)
+    OpenEXR.File({"compression": compression, "type": OpenEXR.scanlineimage}, dict(old)).write(str(path))
+    halves.halve_file(path)
+    written = path.read_bytes()
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        new = {name: channel.pixels for name, channel in file.channels().items()}
+    assert {name for name, pixels in new.items() if pixels.dtype == np.float32} == {"A.CryptoObject00.r"}
+    for name, pixels in old.items():
+        np.testing.assert_array_equal(new[name], pixels.clip(-65504, 65504).astype(new[name].dtype), err_msg=name)
+    halves.halve_file(path)
+    assert path.read_bytes() == written
 
 
 @pytest.mark.parametrize("kind", kinds.KINDS)
@@ -110,5 +137,8 @@ def test_a_shot_follows_from_its_seed(kind: str, tmp_path: Path) -> None:
     assert 0.02 < images[0].mean() < 5.0
     assert read_pass(first / "4.exr", "CryptoObject00", "rgba").any()
     assert read_pass(first / "4.exr", "Roughness", "X").any()
+    with OpenEXR.File(str(first / "4.exr"), separate_channels=True) as file:
+        position = file.channels()["ViewLayer.Position.X"].pixels
+    assert position.dtype == (np.float16 if kinds.KINDS[kind].halves else np.float32)
     with pytest.raises(KeyError):
         read_pass(other / "4.exr", "Roughness", "X")

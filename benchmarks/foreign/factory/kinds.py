@@ -6,13 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-VALIDATION = ("fog", "hair", "street", "jewels", "bokeh", "foliage")
+_FIRST = ("fog", "hair", "street", "jewels", "bokeh", "foliage")
+_LATER = ("windows", "print", "fabric", "candle", "helmet", "depth")
+VALIDATION = (*_FIRST, *_LATER)
 """Nothing may ever be tuned or trained on frames of these kinds."""
 TRAINING = (
     "product", "room", "glass", "brushed", "toys", "wax", "archviz", "gallery", "screens", "film",
     "bristles", "steam", "party",
 )  # fmt: skip
-ORDER = (*VALIDATION, *TRAINING)
+ORDER = (*_FIRST, *TRAINING, *_LATER)
 """A kind's place is part of its seeds: a new kind comes last."""
 VALIDATION_SPP = (4, 16, 64)
 REFERENCE_PARTS = 3
@@ -36,6 +38,9 @@ class Kind:
         How many of `SIZES`, from the smallest, a shot may have.
     volume : bool
         Whether the shot has the passes of volumes.
+    halves : bool
+        Whether all passes of the noisy frames are half floats, but Cryptomatte; Blender writes depths, normals and
+        positions as floats.
     """
 
     module: str
@@ -43,6 +48,7 @@ class Kind:
     brightness: tuple[float, float] = (0.22, 0.38)
     sizes: int = len(SIZES)
     volume: bool = False
+    halves: bool = False
 
 
 KINDS = {
@@ -65,6 +71,12 @@ KINDS = {
     "bristles": Kind("trouble", 150),
     "steam": Kind("trouble", 150, (0.15, 0.35), sizes=4, volume=True),
     "party": Kind("trouble", 180, (0.1, 0.28), sizes=4),
+    "windows": Kind("panes", 330, (0.22, 0.36), sizes=3),
+    "print": Kind("panes", 390, (0.2, 0.32), sizes=3),
+    "fabric": Kind("crafts", 300, sizes=3),
+    "candle": Kind("crafts", 330, (0.15, 0.3), sizes=3),
+    "helmet": Kind("crafts", 360, sizes=3),
+    "depth": Kind("panes", 450, (0.15, 0.3), sizes=3, halves=True),
 }
 
 
@@ -82,7 +94,7 @@ class Plan:
 
 
 def list_shots(kinds: list[str], seeds: range) -> list[tuple[str, int]]:
-    """Return kinds and seeds in the order of rendering: one shot of each kind first, validation before training."""
+    """Return kinds and seeds in the order of rendering: one shot of each kind first."""
     return [(kind, seed) for seed in seeds for kind in ORDER if kind in kinds]
 
 

@@ -50,7 +50,7 @@ def draw_picture(random):
     return color.clip(0.0, 1.0)
 
 
-def make_print(random, name="print", **inputs):
+def make_printed(random, name="print", **inputs):
     """Return a material with a picture over its UV map; inputs as those of `make_material`."""
     settings = {"Roughness": random.uniform(0.2, 0.7), "Coat_Weight": float(random.random() < 0.3), **inputs}
     return put_image(make_material(name, **settings), make_image(name, draw_picture(random)))

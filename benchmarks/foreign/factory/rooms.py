@@ -6,7 +6,7 @@ import numpy as np
 from blender_parts import add, add_camera, add_faces, add_glow, make_material, make_sky, set_focus, set_world
 from parts import add_block, add_light, add_lights, add_thing, add_turned, draw_color, make_surface, pick, spread, warm
 
-from pictures import add_framed, add_panel, make_print, make_screen
+from pictures import add_framed, add_panel, make_printed, make_screen
 
 
 def add_wall(material, start, end, tall, holes=(), thick=0.15):
@@ -186,7 +186,7 @@ def furnish(random, wide, deep, tall, windows):
     for number in range(0 if 1 in windows else 2):
         place = (random.uniform(-0.15, 0.15) * wide + 0.6 * (number - 0.5), 0.5 * deep - 0.09, 0.62 * tall)
         add_framed(
-            make_print(random), make_surface(random, ("wood", "metal")), 0.5, random.uniform(0.4, 0.7), place, 0.0
+            make_printed(random), make_surface(random, ("wood", "metal")), 0.5, random.uniform(0.4, 0.7), place, 0.0
         )
     if random.random() < 0.5:
         add_light(
@@ -256,7 +256,7 @@ def make_gallery(random):
     for side in (-1.0, 1.0):
         spots += [((side * (0.5 * wide - 0.12), along * deep), -side * math.pi / 2) for along in (-0.15, 0.1, 0.33)]
     for number, (place, turn) in enumerate(spots):
-        picture = mirror if number == 1 or random.random() < 0.2 else make_print(random)
+        picture = mirror if number == 1 or random.random() < 0.2 else make_printed(random)
         size = random.uniform((0.7, 0.6), (1.2, 1.3))
         add_framed(picture, frame, *size, (*place, 0.5 * tall), turn)
         ahead = np.array([math.sin(turn), -math.cos(turn)])

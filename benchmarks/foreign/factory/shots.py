@@ -13,6 +13,7 @@ from typing import Any
 import bpy
 import numpy as np
 from blender_parts import clear
+from halves import halve_file
 from kinds import KINDS, Plan
 from render_blender import add_roughness_pass, add_volume_passes, render, set_output, set_up
 
@@ -107,7 +108,10 @@ def render_shot(
     scene = bpy.context.scene
     scene.cycles.film_exposure = describe_shot(target / "shot.json", plan)["exposure"]
     for spp in plan.spp:
-        render(target / f"{spp}.exr", spp, 1000 * plan.seed + spp)
+        path = target / f"{spp}.exr"
+        render(path, spp, 1000 * plan.seed + spp)
+        if KINDS[plan.kind].halves:
+            halve_file(path)
     for part, (path, spp) in enumerate(zip(references, plan.reference_spp, strict=True), 1):
         render(path, spp, 7776 + part, depth="32")
     print(f"wrote {target}, {time.process_time() - start:.0f} s of CPU", flush=True)

@@ -31,7 +31,7 @@ from parts import (
     warm,
 )
 
-from pictures import make_print
+from pictures import make_printed
 
 TABLES = ("wood", "stone", "tiles", "cloth", "check", "paint")
 
@@ -94,7 +94,11 @@ def add_bottle(random, place, size, material=None):
         "bottle", body, [(0.0, 0.0), (0.93 * wide, 0.0), (wide, 0.05 * tall), *shoulder, (neck, 0.9 * tall)], place
     )
     ring = [(wide + 0.002, 0.2 * tall), (wide + 0.002, 0.55 * tall)]
-    add_turned("label", make_print(random, "label"), ring, place).rotation_euler = (0.0, 0.0, random.uniform(0.0, 6.0))
+    add_turned("label", make_printed(random, "label"), ring, place).rotation_euler = (
+        0.0,
+        0.0,
+        random.uniform(0.0, 6.0),
+    )
     cap = make_surface(random, ("metal", "plastic"))
     high = 0.88 * tall
     add_turned("cap", cap, [(1.15 * neck, high), (1.15 * neck, high + 0.1 * tall), (0.0, high + 0.1 * tall)], place)
@@ -121,7 +125,7 @@ def add_product(random, place):
     elif choice < 0.5:
         sides = size * random.uniform(0.5, 1.0, 3)
         middle = (*place[:2], place[2] + 0.5 * sides[2])
-        add_block(make_print(random, "box"), sides, middle, random.uniform(0.0, 3.0), bevel=0.004)
+        add_block(make_printed(random, "box"), sides, middle, random.uniform(0.0, 3.0), bevel=0.004)
     else:
         surface = make_lacquer(random, random.random() < 0.5) if random.random() < 0.7 else make_surface(random)
         add_thing(random, surface, place, size)
@@ -218,7 +222,7 @@ def add_toy(random, place):
     if choice == 0:
         for level in range(int(random.integers(1, 4))):
             add_block(
-                make_print(random, "cube"), (size,) * 3, (x, y, size * (level + 0.5)), turn + 0.3 * level, bevel=0.02
+                make_printed(random, "cube"), (size,) * 3, (x, y, size * (level + 0.5)), turn + 0.3 * level, bevel=0.02
             )
     elif choice == 1:
         add_block(plastic[0], (size, 0.5 * size, 0.3 * size), (x, y, 0.15 * size), turn, bevel=0.006)
@@ -242,7 +246,9 @@ def add_toy(random, place):
         add("uv_sphere", plastic[1], radius=0.24 * size, location=(x, y, size), segments=32, ring_count=16)
     else:
         surface = (
-            make_print(random) if random.random() < 0.5 else make_surface(random, ("check", "cloth", "plastic", "wood"))
+            make_printed(random)
+            if random.random() < 0.5
+            else make_surface(random, ("check", "cloth", "plastic", "wood"))
         )
         add_thing(random, surface, (x, y, 0.0), size, ("ball", "monkey", "block", "drum"))
 
