@@ -8,7 +8,9 @@ A mechanism stands for itself in `SWITCHES`: what is replaced, and what replaces
 was tuned. The table says, by quality and group of frames, the error without the mechanism over the error with it:
 below 1, the picture is better without. Errors are relative mean square errors of all pixels ("error") and without the
 worst thousandth ("trimmed"); "moved" names the frames whose trimmed error changes by 1 % or more. "time" is the
-processor time without over with, of all frames together.
+processor time without over with, of all frames together. "shots" has, of every Blender shot, the trimmed errors of the
+noisy image, of Open Image Denoise as people call it and of each quality, over the error of Open Image Denoise at its
+best.
 """
 
 from __future__ import annotations
@@ -30,7 +32,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.common import RESULTS, describe_machine, write_json
+from benchmarks.quality.measure import round_figure
 from benchmarks.users.measuring import make_reference_judge
+from benchmarks.users.methods import METHODS, Shot
 from benchmarks.users.scenes import find_shots
 from lobewise.denoising import (
     automatic,
@@ -53,7 +57,7 @@ from tests.images.measuring import measure_image
 RESULT = RESULTS / "switched_off.json"
 QUALITIES = ("balanced", "high", "auto")
 GROUPS = IMAGES, BLENDER = "tests/images", "blender"
-SPP = 16
+SPP, PEER = 16, "oidn"
 NAMED_PERCENT = 1.0
 """Change of its trimmed error from which a frame is named in the table."""
 
@@ -157,6 +161,7 @@ SWITCHES: dict[str, Switch] = {
     "mean emission": drop_guides("mean_emission"),
     "blur of the lens": drop_guides("blur_radius"),
     "peer without guides": replace_one(combining, "average_alike", lambda guided, *_: guided),
+    "albedos of lobes for the peer": replace_one(combining, "mix_albedos", lambda guides: guides),
     "own image in the mixture": replace_one(combining, "compute_mixture", choose_peer),
 }
 """Every mechanism by the words of the table. What is added to the denoiser gets its line here."""
@@ -173,12 +178,15 @@ class Case:
         The views.
     measure : function
         Returns "error" and "trimmed" of the views' images, side by side.
+    peer : Frame, optional
+        What Open Image Denoise is given of a Blender shot.
     """
 
     group: str
     name: str
     frames: Sequence[Frame]
     measure: Callable[[FloatArray], dict[str, float]]
+    peer: Frame | None = None
 
 
 def list_cases(shots: Path | None) -> Iterator[Case]:
@@ -195,7 +203,8 @@ def list_cases(shots: Path | None) -> Iterator[Case]:
         def measure(image: FloatArray, judge: Any = judge) -> dict[str, float]:
             return dict(zip(("error", "trimmed"), judge.measure(image), strict=True))
 
-        yield Case(BLENDER, scene.name, [scene.read(SPP)], measure)
+        frame = scene.read(SPP)
+        yield Case(BLENDER, scene.name, [frame], measure, scene.read_peer(SPP, frame))
 
 
 def measure_cases(cases: Sequence[Case], quality: str, switch: Switch) -> dict[str, dict[str, float]]:
@@ -210,6 +219,15 @@ def measure_cases(cases: Sequence[Case], quality: str, switch: Switch) -> dict[s
             figures = case.measure(join_views(images))
             found[case.name] = {name: figures[name] for name in ("error", "trimmed")} | {"seconds": seconds}
     return found
+
+
+def compare_with_peer(case: Case) -> dict[str, float]:
+    """Return the trimmed errors of the noisy image and of the peer as called, over that of the peer at its best."""
+    assert case.peer is not None
+    shot = Shot(case.frames[0], case.peer, "all", SPP)
+    best, called = (case.measure(METHODS[name](shot, {}))["trimmed"] for name in (PEER, f"{PEER}, as called"))
+    noisy_error = case.measure(shot.frame.radiance.color)["trimmed"]
+    return {"best": best, "noisy": noisy_error / best, "as called": called / best}
 
 
 def compare(
@@ -249,16 +267,20 @@ def main() -> None:
     if unknown := set(wanted) - set(SWITCHES):
         parser.error(f"unknown mechanisms: {', '.join(sorted(unknown))}; there are {', '.join(SWITCHES)}")
     cases = list(list_cases(asked.shots))
+    shots = {case.name: compare_with_peer(case) for case in cases if case.peer}
     rows: dict[str, Any] = {name: {} for name in wanted}
     for quality in asked.qualities.split(","):
         # The first run fills caches; its figures are the same.
         usual = [measure_cases(cases, quality, Switch()) for _ in range(2)][1]
+        for name, ratios in shots.items():
+            ratios[quality] = usual[name]["trimmed"] / ratios["best"]
         for name in wanted:
             rows[name][quality] = row = compare(cases, measure_cases(cases, quality, SWITCHES[name]), usual)
             print(quality, name, {group: (each["trimmed"], each["time"]) for group, each in row.items()}, flush=True)
-        what = __doc__.split("\n\n")[2].replace("\n", " ")
-        table = {"what": what, "machine": describe_machine(), "mechanisms": rows}
-        write_json(asked.output, table, one_line=r'\{\s*"error": (?:[^{}]|\{[^{}]*\})*\}')
+    what = __doc__.split("\n\n")[2].replace("\n", " ").strip()
+    rounded = {name: {key: round_figure(value) for key, value in ratios.items()} for name, ratios in shots.items()}
+    table = {"what": what, "machine": describe_machine(), "mechanisms": rows, "shots": rounded}
+    write_json(asked.output, table, one_line=r'\{\s*"(?:error|best)": (?:[^{}]|\{[^{}]*\})*\}')
 
 
 if __name__ == "__main__":

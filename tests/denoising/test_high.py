@@ -11,7 +11,7 @@ import pytest
 from lobewise import peers
 from lobewise.denoising import chain, combining, denoise, evidence
 from lobewise.denoising.automatic import choose_quality
-from lobewise.denoising.combining import average_albedos, choose_between, denoise_with_peer, share_out
+from lobewise.denoising.combining import choose_between, denoise_with_peer, mix_albedos, share_out
 from lobewise.denoising.evidence import load_networks, pack_network, unpack_network
 from lobewise.errors import InputError, MissingDependencyError
 from lobewise.filters.mixing import Perceptron
@@ -164,12 +164,12 @@ def test_guides_without_noise_are_not_filtered(peer: dict[str, Any], monkeypatch
         assert calls == [(False, options), (True, {"quality": quality})]
 
 
-def test_two_albedos_of_a_renderer_are_averaged() -> None:
+def test_two_albedos_of_a_renderer_are_mixed() -> None:
     one = np.ones((*SHAPE, 3), np.float32)
     guides = GBuffer(denoiser_albedo=0.2 * one, mean_diffuse_albedo=0.3 * one, mean_specular_albedo=0.9 * one)
-    np.testing.assert_allclose(average_albedos(guides).denoiser_albedo, 0.4, rtol=1e-6)
+    np.testing.assert_allclose(mix_albedos(guides).denoiser_albedo, 0.4, rtol=1e-6)
     alone = replace(guides, mean_specular_albedo=None)
-    assert average_albedos(alone) is alone
+    assert mix_albedos(alone) is alone
 
 
 OURS, NOISY, PEERS = 0, 1, 2

@@ -35,9 +35,8 @@ CHOOSE = "choose the shares of the images"
 MAX_BLACK_RADIANCE = 1e-30
 """Radiance up to which light counts as black, so that no part has a share of it."""
 LOBE_ALBEDO_SHARE = 0.25
-"""Share of the lobes' albedos in the albedo that the peer gets. On 27 Blender shots the default has 0.907 of the peer's
-error, 0.915 with a share of 0, 0.903 with 0.5. Jewels gain up to 11 %, a transparent film loses 4 %. With 0.5, glass on
-a table has more error than the peer."""
+"""Share of the lobes' albedos in the albedo that the peer gets (see ``benchmarks/results/switched_off.json``). With
+0.5, jewels gain more, and glass on a table has more error than without."""
 NEAR_RADIUS = 8
 """Pixels around a black pixel whose light tells which parts take light there. Filters reach as far."""
 MIN_SHARE_LIT = 0.4
@@ -380,7 +379,7 @@ def denoise_with_peer(frame: Frame, samples: FloatArray, image: FloatArray) -> F
     """Return what Open Image Denoise makes of samples, (height, width, 3); finite, >= 0.
 
     It is called with the guides of the frame and without. Both results have errors of their own, so that their mean is
-    better than either. Noisy guides are prefiltered by the library. The albedo is that of `average_albedos`. Our
+    better than either. Noisy guides are prefiltered by the library, the albedo after `mix_albedos`. Our
     ``image`` replaces bad pixels of the samples and of the result.
 
     Raises
@@ -389,7 +388,7 @@ def denoise_with_peer(frame: Frame, samples: FloatArray, image: FloatArray) -> F
         If Open Image Denoise is not installed.
     """
     radiance = Radiance(_replace_bad(samples, image))
-    guided = frame.with_changes(radiance=radiance, layers=(), gbuffer=average_albedos(frame.gbuffer))
+    guided = frame.with_changes(radiance=radiance, layers=(), gbuffer=mix_albedos(frame.gbuffer))
     is_clean = has_clean_guides(frame)
     if is_clean:
         peer, _ = denoise_oidn(guided, guides="mean")
@@ -403,10 +402,10 @@ def denoise_with_peer(frame: Frame, samples: FloatArray, image: FloatArray) -> F
     return average_alike(peer, _replace_bad(alone, image), share)
 
 
-def average_albedos(guides: GBuffer) -> GBuffer:
-    """Return guides whose ``denoiser_albedo`` has a share of the sum of the albedos of the lobes.
+def mix_albedos(guides: GBuffer) -> GBuffer:
+    """Return guides whose ``denoiser_albedo`` is mixed with the sum of the lobes' albedos by `LOBE_ALBEDO_SHARE`.
 
-    Blender's Denoising Data look through glass and mirrors, its color passes do not; each is better on some frames.
+    Blender's Denoising Data look through glass and mirrors, its color passes do not: each is better on some frames.
     """
     own, parts = guides.denoiser_albedo, (guides.mean_diffuse_albedo, guides.mean_specular_albedo)
     if own is None or parts[0] is None or parts[1] is None:

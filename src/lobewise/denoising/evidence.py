@@ -113,11 +113,11 @@ def get_image_halves(frame: Frame) -> tuple[FloatArray, FloatArray] | None:
 
 
 def takes_back(frame: Frame, settings: ResolvedSettings) -> bool:
-    """Return whether the noisy image is taken back.
+    """Return whether the noisy image is taken back before the mixture.
 
-    With halves it is, unless the mixture does so. Without them it is not after the refining network where samples are
-    few: there it adds noise (``benchmarks/results/switched_off.json``), while `balanced` alone has 23 % more error
-    without, and the mixture of fabrics and films up to 25 %.
+    With halves it is, unless the mixture itself takes back what they prove. Without halves it is where no network
+    refined the image, and where samples are many. Of few samples a refined image would get more noise than detail
+    (figures: ``benchmarks/results/switched_off.json``, "take back").
     """
     if get_image_halves(frame) is not None:
         return not settings.with_oidn

@@ -100,14 +100,11 @@ def judge_guides(rows: RowSums) -> float:
     rows : (height, 4)
         Pixels of surfaces, isolated ones among them, pixels without a surface, and isolated ones among these.
     """
-    return MAX_SHARE * min(max(_count_isolated_shares(rows)) / SHARE_ISOLATED, 1.0)
-
-
-def _count_isolated_shares(rows: RowSums) -> tuple[float, float]:
-    """Return the share of isolated pixels of surfaces and of those without; 0 where too few pixels tell."""
     surfaces, noisy, others, noisy_others = map(float, rows.sum(axis=0))
-    is_told = others >= MIN_SHARE_WITHOUT_SURFACE * (surfaces + others)
-    return noisy / max(surfaces, 1.0), noisy_others / max(others, 1.0) if is_told else 0.0
+    isolated = noisy / max(surfaces, 1.0)
+    if others >= MIN_SHARE_WITHOUT_SURFACE * (surfaces + others):
+        isolated = max(isolated, noisy_others / max(others, 1.0))
+    return MAX_SHARE * min(isolated / SHARE_ISOLATED, 1.0)
 
 
 class _Isolated(NamedTuple):

@@ -37,7 +37,8 @@ def define_inputs(grid: Grid, least: float) -> list[Vector]:
     zero = hl.f32(0.0)
     noisy, parts = read_parts(grid, "noisy"), read_parts(grid, "part")
     if grid.has("rest"):
-        noisy, parts = [*noisy, grid.read("rest")], [*parts, grid.read("rest")]
+        rest = grid.read("rest")
+        noisy, parts = [*noisy, rest], [*parts, rest]
     filtered, samples = _sum_good(parts), reduce(add_colors, noisy)
     good = is_good(samples)
     pairs = zip(samples, filtered, strict=True)
