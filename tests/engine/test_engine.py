@@ -10,12 +10,12 @@ import pytest
 from lobewise import engine
 from lobewise.backend.devices import list_devices
 from lobewise.backend.pointwise import Grid, Vector
-from lobewise.engine.graph import Graph, GraphImage
+from lobewise.engine.graph import Graph, GraphImage, write_length
 from lobewise.engine.here import HERE, Here
 from lobewise.engine.numbers import Condition, Number, choose_larger, make_single, square_single
 from lobewise.engine.recorder import Recorder
 from lobewise.filters.mixing import Perceptron, compute_shares, make_shares
-from lobewise.filters.noise.pooling import blur_image
+from lobewise.filters.noise.pooling import BLUR_WEIGHTS, blur_image
 
 
 def define_sum(grid: Grid) -> list[Vector]:
@@ -100,6 +100,15 @@ class TestHere:
         np.testing.assert_array_equal(found, blur_image(image, 2))
         assert max(heights) <= rows + 8
 
+    @pytest.mark.parametrize("channels", [1, 3, 18])
+    def test_a_blur_is_that_of_each_channel(self, channels: int, rng: np.random.Generator) -> None:
+        image = rng.random((23, 37, channels)).astype(np.float32)[..., 0 if channels == 1 else slice(None)]
+        down, right = (np.clip(np.arange(size)[:, None] + 3 * np.arange(-2, 3), 0, size - 1) for size in (23, 37))
+        along = np.einsum("yxk...,k->yx...", image[:, right], BLUR_WEIGHTS)
+        np.testing.assert_allclose(
+            blur_image(image, 3), np.einsum("ykx...,k->yx...", along[down], BLUR_WEIGHTS), rtol=1e-6
+        )
+
     def test_a_chain_is_its_two_kernels(self, rng: np.random.Generator) -> None:
         seen, network = rng.random((23, 17, 5)).astype(np.float32), make_network(5, 2)
         key, make, rows = ("shares", (5, 4, 4, 2)), partial(make_shares, (5, 4, 4, 2)), {"rows": 6, "channels": 5}
@@ -178,6 +187,17 @@ class TestRecorder:
             assert engine.only(Condition("p->known"), a) is a
         (operation,) = recorder.graph.operations
         assert (operation.function, operation.when) == ("clear_image", "!p->known")
+
+    def test_values_as_pixels_lie_in_the_memory_of_the_image(self, recorder: Recorder) -> None:
+        image = recorder.graph.make("image", "height", "width", 5)
+        with engine.use(recorder):
+            blurred = blur_image(image, 2)
+        along_rows, down = recorder.graph.operations
+        assert blurred.shape == image.shape
+        assert blurred.memory is down.writes[0]
+        assert down.reads[0].memory is along_rows.writes[0]
+        assert [write_length(length) for length in down.writes[0].shape] == ["p->height", "(p->width * 5)"]
+        assert blurred.memory.count_bytes(1.0) == image.count_bytes(1.0)
 
     def test_what_lies_in_a_chain_holds_a_band(self, recorder: Recorder) -> None:
         network, make = make_network(5, 2), partial(make_shares, (5, 4, 4, 2))

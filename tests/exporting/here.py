@@ -77,7 +77,7 @@ class HereGraph(Graph):
 
     def hold_new(self, name: str, shape: Sequence[Any], type: str = "float32", value: float = 0.0) -> Held:
         """Return an image of one value."""
-        array = np.full([self.sizes.get(axis, axis) for axis in shape], value, type)
+        array = np.full([self.find_length(write_length(axis)) for axis in shape], value, type)
         return Held(self.name(name), tuple(shape), type, array=array)
 
     def give(self, name: str, *shape: Any, text: str, unit: str = "", type: str = "float32") -> GraphImage:
@@ -178,6 +178,11 @@ class Here(Recorder):
             return Number(graph.known.get(code, 0.0), code)
         codes = [f"{code}[{k}]" for k in range(count)]
         return [Number(graph.known.get(each, 0.0), each, is_single=True) for each in codes]
+
+    def by_value(self, run: Callable[[Any], Any], image: Any) -> Any:
+        flat = image.values.reshape(len(image.values), -1)
+        result = super().by_value(lambda values: run(replace(values, array=flat)), image)
+        return replace(result, array=result.array.reshape(image.values.shape))
 
     def compare(self, first: Any, sign: str, second: Any) -> Condition:
         condition, values = super().compare(first, sign, second), [self.graph.find(each) for each in (first, second)]

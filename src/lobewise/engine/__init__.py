@@ -279,6 +279,15 @@ def in_bands(
     return _current.engine.in_bands(gather, finish, present, rows, reach)
 
 
+def by_value(run: Callable[[Any], Any], image: Any) -> Any:
+    """Run a part of a recipe on an image whose every value is a pixel of its own; return its result in the old shape.
+
+    ``run`` takes and returns (height, width * channels), in the memory of an image (height, width, channels). Steps
+    that treat all channels and columns alike then read whole vectors instead of interleaved channels.
+    """
+    return _current.engine.by_value(run, image)
+
+
 def chain(
     define: Callable[..., Any],
     images: Mapping[str, Any],

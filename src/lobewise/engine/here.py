@@ -238,6 +238,11 @@ class Here:
             bands.append(finish({name: image[top - first : bottom - first] for name, image in gathered.items()}))
         return np.concatenate(bands)
 
+    def by_value(self, run: Callable[[Any], Any], image: HostImage) -> HostImage:
+        """See `lobewise.engine.by_value`."""
+        result: HostImage = run(image.reshape(len(image), -1)).reshape(image.shape)
+        return result
+
     def chain(
         self,
         define: Callable[..., Any],

@@ -349,6 +349,14 @@ class Recorder:
         """See `lobewise.engine.in_bands`."""
         return finish(gather(dict(images)))
 
+    def by_value(self, run: Callable[[Any], Any], image: GraphImage) -> GraphImage:
+        """See `lobewise.engine.by_value`."""
+        height, width, channels = image.shape[0], image.shape[1], image.channels
+        share = getattr(width, "share", 1.0) * channels
+        length = Length(f"{width}_times_{channels}", f"({write_length(width)} * {channels})", share)
+        result: GraphImage = run(replace(image, name=f"{image.name}_values", shape=(height, length), whole=image))
+        return replace(result, name=f"{result.name}_pixels", shape=image.shape, whole=result)
+
     def chain(
         self,
         define: Definition,

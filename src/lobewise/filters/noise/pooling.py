@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from functools import reduce
+from functools import partial, reduce
 from operator import and_
 
 import numpy as np
@@ -134,9 +134,12 @@ def _mirror(place: hl.Expr, size: hl.Expr) -> hl.Expr:
 def blur_image(image: FloatArray, step: int) -> FloatArray:
     """Return an image blurred along rows and columns with five taps ``step`` pixels apart."""
     numbers, text = {"step": np.float32(step)}, f"blur, taps {step} pixels apart"
-    for along_rows in (True, False):
-        (image,) = engine.pixels(define_blur, {"image": image}, numbers, along_rows, names=["blurred"], text=text)
-    return image
+
+    def blur(image: FloatArray, *, along_rows: bool) -> FloatArray:
+        return engine.pixels(define_blur, {"image": image}, numbers, along_rows, names=["blurred"], text=text)[0]
+
+    blurred: FloatArray = engine.by_value(partial(blur, along_rows=False), blur(image, along_rows=True))
+    return blurred
 
 
 def define_blur(grid: Grid, along_rows: bool) -> list[Vector]:
