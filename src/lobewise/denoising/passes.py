@@ -269,8 +269,7 @@ def run_pass(
         halves=noisy.samples if before is None or layer_pass.of_samples else (before.a, before.b),
         mask=noisy.layer.mask,
         place=[*scale_places(noisy.places, settings, layer_pass.sigma), *(() if is_pilot else noisy.seen)],
-        # So narrow a kernel as the pilot's needs no covariances.
-        lobes=noisy.pilot_features if is_pilot else noisy.layer.features,
+        lobes=noisy.layer.features,
         exponent=layer_pass.lobes,
         radius=layer_pass.radius,
         step=layer_pass.step,
