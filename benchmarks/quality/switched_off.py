@@ -24,7 +24,6 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
 
@@ -128,16 +127,15 @@ def choose_peer(noisy: FloatArray, *_: Any, **__: Any) -> FloatArray:
     return share
 
 
-def skip_passes(which: slice, *given: Any, make: Any = passes.make_passes, **named: Any) -> Any:
-    """Stand for `make_passes`: only some of them run."""
-    return make(*given, **named)[which]
+def skip_pilot(*given: Any, make: Any = passes.make_passes, **named: Any) -> Any:
+    """Stand for `make_passes`: the pilot reads no neighbours, so that the samples guide the wide pass."""
+    pilot, wide = make(*given, **named)
+    return replace(pilot, radius=0), wide
 
 
 SWITCHES: dict[str, Switch] = {
-    "covariance of GGX lobes": replace_one(automatic, "DEFAULT_SIMILARITY", "sg"),
-    "pilot pass": replace_one(passes, "make_passes", partial(skip_passes, slice(1, None))),
-    "sparse pass": replace_one(passes, "make_passes", partial(skip_passes, slice(2))),
-    "pilot's own lobe": replace_one(noisy, "get_similarity", lambda _: SimpleNamespace(has_covariance=False)),
+    "lobes": replace_one(automatic, "GUIDED_SIMILARITY", "normal"),
+    "pilot pass": replace_one(passes, "make_passes", skip_pilot),
     "spread lobes": replace_one(layers, "spread_lobes", lambda field: field),
     "hit guides": replace_one(noisy, "make_seen_feature", lambda *_: ()),
     "highlights": replace_one(noisy, "split_highlights", split_no_highlights),

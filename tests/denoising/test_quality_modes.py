@@ -109,19 +109,16 @@ class TestNoise:
         assert image[lamp].min() > 400.0
         assert image[~lamp].max() < 5.0
 
-    def test_the_pilot_compares_single_lobes(self):
-        frame, _ = make_shadowed()
-        for similarity, expected in (("ggx", "sg"), ("asg", "sg"), ("sg", "sg"), ("normal", "normal")):
-            settings = resolve_guided(frame, DenoiseSettings(quality="balanced", similarity=similarity))
-            own = ScreenFeature(1.0)
-            diffuse, specular = make_noisy_layers(frame, settings, [own])
-            assert [feature.name for feature in specular.pilot_features] == [expected, own.name]
-            assert [feature.name for feature in specular.layer.features] == [similarity, own.name]
-            assert diffuse.pilot_features == diffuse.layer.features
+    def test_single_lobes_are_compared_where_nothing_else_is_asked_for(self):
+        frame, own = make_shadowed()[0], ScreenFeature(1.0)
+        for asked, expected in (("auto", "sg"), ("sg", "sg"), ("ggx", "ggx"), ("normal", "normal")):
+            settings = resolve_guided(frame, DenoiseSettings(quality="balanced", similarity=asked))
+            _, specular = make_noisy_layers(frame, settings, [own])
+            assert [feature.name for feature in specular.layer.features] == [expected, own.name]
 
     @pytest.mark.usefixtures("trusted")
     def test_rough_reflections_are_averaged_further_than_sharp_ones(self):
-        # A single bright pixel is spread over what has weight: by the sparse pass four and more pixels further.
+        # A single bright pixel is spread over what has weight.
         reach = []
         for alpha in (0.5, 0.01):
             flat = make_flat()
@@ -130,9 +127,9 @@ class TestNoise:
             lit[SHAPE[0] // 2, SHAPE[1] // 2] = 1.2
             radiance = Radiance(lit, np.zeros_like(lit), lit)
             frame = flat.with_changes(gbuffer=guides, radiance=radiance, half_a=radiance, half_b=radiance)
-            row = denoise(frame, quality="balanced", similarity="ggx").image[SHAPE[0] // 2, :, 0]
+            row = denoise(frame, quality="balanced").image[SHAPE[0] // 2, :, 0]
             reach.append(int(np.count_nonzero(row > 1.0 + 1e-5)))
-        assert reach[0] > 2 * 5 + 1 >= reach[1] > 1
+        assert reach[0] == 2 * 5 + 1 > reach[1] > 1
 
     @pytest.mark.usefixtures("trusted")
     def test_neighbours_serve_as_halves_as_well(self):
@@ -411,5 +408,6 @@ def test_light_through_glass_is_compared_by_normals(quality: str) -> None:
         radiance = Radiance(noisy, diffuse=np.zeros_like(noisy), specular=noisy)
         frame = Frame(radiance, guides, camera, spp=16, layers=(layer,))
         errors[lobe] = rel_mse(denoise(frame, quality=quality).image, np.ones_like(noisy))
-    assert errors["transmission"] < 0.5 * errors["glossy"]
+    # The network of "high" removes most of the noise of the reflection as well.
+    assert errors["transmission"] < (0.75 if quality == "high" else 0.5) * errors["glossy"]
     assert errors["transmission"] < 0.1 * rel_mse(noisy, np.ones_like(noisy))

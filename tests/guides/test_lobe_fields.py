@@ -449,20 +449,6 @@ def test_lobes_are_spread_by_the_turn_from_pixel_to_pixel(guides, camera, size):
     some = {name: image[: size[0], : size[1]] for name, image in guides.items()}
     sg = make_sg_field(GBuffer(**some), camera, tau=TAU, diffuse_fallback=False)
     turns = compute_turns(sg.valid, sg.axis.astype(np.float64))
-    np.testing.assert_allclose(1.0 / spread_lobes(sg).sharpness, 1.0 / sg.sharpness + turns, rtol=1e-4)
-    field = make_covariance_field(GBuffer(**some), camera, tau=TAU, diffuse_fallback=False)
-    found, axis = spread_lobes(field), field.axis.astype(np.float64)
-    turns = compute_turns(field.valid, axis)
-    np.testing.assert_array_equal(found.axis, field.axis)
-    for y, x in np.ndindex(size):
-        before, after = np.zeros((3, 3)), np.zeros((3, 3))
-        before[ROWS, COLUMNS], after[ROWS, COLUMNS] = field.covariance[y, x], found.covariance[y, x]
-        plane = np.eye(3) - np.outer(axis[y, x], axis[y, x])
-        wanted = np.triu(before + turns[y, x] * plane)
-        np.testing.assert_allclose(after, wanted, atol=1e-5 * max(np.abs(wanted).max(), 1.0))
-        if field.valid[y, x]:
-            both = after + np.triu(after, 1).T
-            values = np.sort(np.linalg.eigvalsh(both))[1:]
-            assert found.determinant[y, x] == pytest.approx(values.prod(), rel=2e-3, abs=1e-7)
-        else:
-            assert found.determinant[y, x] == field.determinant[y, x]
+    found = spread_lobes(sg)
+    np.testing.assert_array_equal(found.axis, sg.axis)
+    np.testing.assert_allclose(1.0 / found.sharpness, 1.0 / sg.sharpness + turns, rtol=1e-4)

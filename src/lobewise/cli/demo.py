@@ -71,9 +71,9 @@ STORY: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
     ),
     (
         "balanced",
-        "ggx lobe and noise",
-        "Compares the same lobes, and two halves of the samples: pixels that differ by more than noise are kept apart.",
-        {"similarity": "ggx", "quality": "balanced"},
+        "single SG lobe and noise",
+        "Compares lobes and two halves of the samples: pixels that differ by more than noise are kept apart.",
+        {"similarity": "sg", "quality": "balanced"},
     ),
 )
 """The filters that ``--all`` adds, from the usual one to the default: key, title, note and settings of each."""

@@ -22,7 +22,11 @@ from lobewise.settings import OIDN_QUALITY, DenoiseSettings, QualityName, Resolv
 from lobewise.settings.choices import get_quality, get_similarity
 
 DEFAULT_SIMILARITY: SimilarityName = "ggx"
-"""Similarity of "auto" where the frame has lobes: the winner of benchmarks/results/similarities.json."""
+"""Similarity of "auto" for the quality "fast" where the frame has lobes: the winner of
+benchmarks/results/similarities.json."""
+GUIDED_SIMILARITY: SimilarityName = "sg"
+"""The same for passes that are guided by the noise. There a covariance tells no more than a round lobe: on the frames
+of tests/images the mean error of "high" is the same with both."""
 DEFAULT_QUALITY: QualityName = "high"
 """Quality of "auto" for the full form without Open Image Denoise. It has the least mean error on every set of scenes
 (docs/developers/quality.md, docs/developers/quality_results.md, docs/developers/renderers_results.md)."""
@@ -141,14 +145,16 @@ def require_full(settings: DenoiseSettings) -> None:
         raise InputError("form", expected="'full'", got=repr(settings.form), action="upsampling has no other form")
 
 
-def choose_similarity(frame: AnyFrame, settings: DenoiseSettings) -> SimilarityName:
-    """Return the similarity, with "auto" replaced by the similarity for this frame."""
+def choose_similarity(
+    frame: AnyFrame, settings: DenoiseSettings, of_lobes: SimilarityName = DEFAULT_SIMILARITY
+) -> SimilarityName:
+    """Return the similarity, with "auto" replaced by ``of_lobes`` where the frame has lobes, else by "normal"."""
     if settings.similarity != "auto":
         return settings.similarity
     guides = frame.gbuffer
-    needs = get_similarity(DEFAULT_SIMILARITY).needs
+    needs = get_similarity(of_lobes).needs
     has_lobes = all(getattr(guides, name) is not None for name in needs) and frame.is_placed
-    return DEFAULT_SIMILARITY if has_lobes else "normal"
+    return of_lobes if has_lobes else "normal"
 
 
 def choose_beta(spp: float) -> float:
@@ -201,6 +207,7 @@ def resolve_guided(frame: Frame, settings: DenoiseSettings) -> ResolvedSettings:
     sigma = AUTO_SIGMA * max(settings.radius, 1) / 8.0
     guided = replace(
         settings,
+        similarity=choose_similarity(frame, settings, GUIDED_SIMILARITY),
         beta=BETA_SPECULAR if settings.beta == "auto" else settings.beta,
         diffuse_beta=BETA_DIFFUSE if settings.diffuse_beta == "auto" else settings.diffuse_beta,
         tau=max(GUIDED_TAU, pixel_tau) if settings.tau == "auto" else settings.tau,

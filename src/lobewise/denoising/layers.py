@@ -173,7 +173,8 @@ def compare_specular(
 ) -> Compared:
     """Return what compares specular radiance, or all radiance where it is not split (``apart`` is False).
 
-    With ``spread`` single lobes and covariances are as wide as what a pixel's area reflects; see `spread_lobes`.
+    With ``spread`` single lobes are as wide as what a pixel's area reflects; see `spread_lobes`. Covariances are those
+    at pixel centres.
     ``lobes`` hold the frame's lobes for the band-limit of the settings, if they were made beforehand.
     """
     similarity = get_similarity(settings.similarity)
@@ -192,7 +193,6 @@ def compare_specular(
     camera, gaussian = frame.require_camera(_name_similarity(settings)), similarity.fits_gaussian
     kind = AsgFeature if gaussian else GgxFeature
     field = make_covariance_field(frame.gbuffer, camera, tau=settings.tau, gaussian=gaussian, diffuse_fallback=True)
-    field = spread_lobes(field) if spread else field
     feature = kind(field.axis, field.covariance, field.determinant, settings.beta, hits)
     return Compared((feature,), field.mask, field.surface)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lobewise import engine
 from lobewise.backend.buffers import Image, download
 from lobewise.denoising.automatic import AUTO_SIGMA
-from lobewise.denoising.layers import Layer, compare_specular, make_lobe_layers, make_position_features
+from lobewise.denoising.layers import Layer, make_lobe_layers, make_position_features
 from lobewise.engine.numbers import choose_larger
 from lobewise.features import Feature, PositionFeature, ScreenFeature, SeenFeature
 from lobewise.filters.dual_buffer import PassRequest, filter_dual_buffer
@@ -23,7 +23,6 @@ from lobewise.filters.noise_guides import add_light, measure_level, measure_ligh
 from lobewise.guides.halves import choose_halves
 from lobewise.records.frame import FloatArray, Frame
 from lobewise.settings import DenoiseSettings, ResolvedSettings
-from lobewise.settings.choices import get_similarity
 
 SEEN_RADIUS, SEEN_SIGMA = 1, 3.0
 """Kernel that averages the guides of reflected surfaces: radius and standard deviation, pixels."""
@@ -77,8 +76,6 @@ class NoisyLayer(BoundedLayer):
     ----------
     places : sequence of Feature
         Where pixels are, on the screen and in the scene.
-    pilot_features : tuple of Feature
-        What the pilot compares: a single lobe instead of a covariance, which tells as much to so narrow a pass.
     seen : tuple of Feature
         The surfaces that reflections show; empty where the frame does not tell them.
     level : float
@@ -90,7 +87,6 @@ class NoisyLayer(BoundedLayer):
     """
 
     places: Places
-    pilot_features: tuple[Feature, ...]
     seen: tuple[Feature, ...]
     level: float
     samples: tuple[Image, Image]
@@ -156,12 +152,7 @@ def make_noisy_layers(
             paired=bounded.is_whole,
         )
         without_highlights = replace(bounded, bounded=BoundedHalves(a, b, bounded.bounded.sums))
-        # Pilot: a single lobe stands for a covariance.
-        pilot: Sequence[Feature] = layer.features
         is_specular = layer.is_reflected and without_highlights.name != "color"
-        if layer.is_reflected and get_similarity(settings.similarity).has_covariance:
-            simple = replace(settings, similarity="sg")
-            pilot = compare_specular(frame, simple, without_highlights.name != "color", spread=True).features
         noisy_layers.append(
             NoisyLayer(
                 layer=replace(layer, features=(*layer.features, *extra)),
@@ -169,7 +160,6 @@ def make_noisy_layers(
                 is_whole=without_highlights.is_whole,
                 noise_is_shared=without_highlights.noise_is_shared,
                 places=places,
-                pilot_features=(*pilot, *extra),
                 seen=make_seen_feature(frame, layer.mask, scale_places(places, settings, SEEN_SIGMA))
                 if is_specular
                 else (),

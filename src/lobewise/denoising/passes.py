@@ -49,11 +49,6 @@ class LayerPass:
         Exponent of the similarity of the lobes over that of the settings.
     lobes_with_seen : float
         The same where the frame tells what reflections show, which says more than the lobes do.
-    step : int
-        Pixels from tap to tap.
-    of_samples : bool
-        Whether the pass averages the samples. Else it averages what the pass before has averaged, so that the weights
-        that it gathers do not count samples.
     """
 
     radius: int
@@ -61,13 +56,6 @@ class LayerPass:
     noise: float
     lobes: float = 1.0
     lobes_with_seen: float = 1.0
-    step: int = 1
-    of_samples: bool = True
-
-    @property
-    def reach(self) -> int:
-        """Pixels to the last tap."""
-        return self.radius * self.step
 
     @property
     def taps(self) -> int:
@@ -78,36 +66,32 @@ class LayerPass:
     def text(self) -> str:
         """Kernel, exponent and noise, in a few words."""
         size = 2 * self.radius + 1
-        apart = f", taps {self.step} pixels apart" if self.step > 1 else ""
-        return f"{size}x{size} taps{apart}, lobes to the power {self.lobes:g}, {self.noise:g} variances"
+        return f"{size}x{size} taps, lobes to the power {self.lobes:g}, {self.noise:g} variances"
 
 
 DIFFUSE_PASSES = (
     LayerPass(3, 6.0, 40.0, lobes=4.0, lobes_with_seen=4.0),
     LayerPass(6, 30.0, 12.0),
-    LayerPass(3, 30.0, 6.0, step=4, of_samples=False),
 )
 SPECULAR_PASSES = (
     LayerPass(4, 6.0, 40.0, lobes=4.0, lobes_with_seen=4.0),
     LayerPass(5, 22.0, 6.0, lobes_with_seen=0.5),
-    LayerPass(3, 30.0, 6.0, lobes=64.0, lobes_with_seen=64.0, step=4, of_samples=False),
 )
-"""Passes at radius 8. Tuned on the scenes that ``benchmarks/quality/measure.py`` calls train
-(docs/developers/research/quality_trials.md). Diffuse light varies slowly: a second, sparse pass over the image of the
-first reaches as far as a dense kernel of three times the cost. Of reflections only the rough ones take part in the
-sparse pass: 4 pixels apart, the axes of sharp lobes are too different for so high a power."""
+"""Pilot and wide pass at radius 8. Tuned on the scenes that ``benchmarks/quality/measure.py`` calls train
+(docs/developers/research/quality_trials.md)."""
 
 
 def make_passes(radius: int, *, is_diffuse: bool, has_seen: bool = False) -> list[LayerPass]:
-    """Return the passes over a layer; ``radius`` is that of the settings, pixels."""
-    scale, passes = radius / 8.0, []
-    for number, layer_pass in enumerate(DIFFUSE_PASSES if is_diffuse else SPECULAR_PASSES):
-        # A sparse pass averages the image of the pass before, and keeps its taps.
-        taps = round(layer_pass.radius * scale) if layer_pass.of_samples else min(layer_pass.radius, radius)
-        step = 1 if layer_pass.of_samples else max(round(layer_pass.step * scale), 1)
-        lobes = layer_pass.lobes_with_seen if has_seen and number > 0 else layer_pass.lobes
-        passes.append(replace(layer_pass, radius=taps, step=step, lobes=lobes))
-    return passes
+    """Return the pilot and the wide pass over a layer; ``radius`` is that of the settings, pixels."""
+    passes = DIFFUSE_PASSES if is_diffuse else SPECULAR_PASSES
+    return [
+        replace(
+            each,
+            radius=round(each.radius * radius / 8.0),
+            lobes=each.lobes_with_seen if has_seen else each.lobes,
+        )
+        for each in passes
+    ]
 
 
 class FilteredOther(NamedTuple):
@@ -175,43 +159,28 @@ class OtherImage:
 def filter_layer_halves(
     frame: Frame, noisy: NoisyLayer, settings: ResolvedSettings, others: Sequence[OtherImage] = ()
 ) -> CleanLayer:
-    """Return a layer after its passes, each guided by what the pass before has found.
+    """Return a layer after its passes: the pilot is guided by the samples, the wide pass by the pilot.
 
-    ``others`` are averaged in the same passes: the last one that averages samples, and those after it. What does not
-    fit is averaged in further passes by the same guides.
+    ``others`` are averaged in the wide pass. What does not fit is averaged in further passes by the same guide.
     """
-    passes = make_passes(settings.radius, is_diffuse=noisy.layer.is_diffuse, has_seen=bool(noisy.seen))
-    last = max(number for number, layer_pass in enumerate(passes) if layer_pass.of_samples)
-    # As many images as registers hold take part in the layer's own passes.
+    pilot_pass, wide_pass = make_passes(settings.radius, is_diffuse=noisy.layer.is_diffuse, has_seen=bool(noisy.seen))
+    # As many images as registers hold take part in the layer's own pass.
     first_others, later_others = others[:MORE_AT_ONCE], others[MORE_AT_ONCE:]
-    light, support, guides = None, None, []
-    for number, layer_pass in enumerate(passes):
-        with engine.part(f"{noisy.name}: {layer_pass.text}"):
-            # The pilot is guided by the samples, every later pass by the image before it.
-            guide = make_first_guide(noisy) if light is None else compare_halves(noisy, light.a, light.b)
-            other_images = (
-                [image.samples for image in first_others] if number == last else [] if light is None else light.others
-            )
-            light = run_pass(noisy, settings, layer_pass, guide, light, other_images, is_pilot=number == 0)
-        # A pass over an image that was averaged counts no samples.
-        if layer_pass.of_samples:
-            support = light.support
-        if later_others and number >= last:
-            guides.append(guide)
-    assert light is not None
-    assert support is not None
+    with engine.part(f"{noisy.name}: {pilot_pass.text}"):
+        pilot = run_pass(noisy, settings, pilot_pass, make_first_guide(noisy), is_pilot=True)
+    with engine.part(f"{noisy.name}: {wide_pass.text}"):
+        guide = compare_halves(noisy, pilot.a, pilot.b)
+        light = run_pass(noisy, settings, wide_pass, guide, [image.samples for image in first_others])
     with engine.part(f"{noisy.name}: albedo and coverage"):
-        image, supports = finish_layer(frame, noisy, (light.a, light.b), support)
+        image, supports = finish_layer(frame, noisy, (light.a, light.b), light.support)
     # The other images: those beside the layer, then those of further passes.
     filtered = [*light.others[: len(first_others)]]
     for start in range(0, len(later_others), 1 + MORE_AT_ONCE):
-        filtered += filter_others(
-            noisy, settings, later_others[start : start + 1 + MORE_AT_ONCE], passes[last:], guides
-        )
+        filtered += filter_others(noisy, settings, later_others[start : start + 1 + MORE_AT_ONCE], wide_pass, guide)
     clean = []
     for other, mean in zip(others, filtered, strict=True):
         mine = replace(noisy, layer=replace(noisy.layer, radiance=other.radiance), highlights=other.highlights)
-        clean.append(FilteredOther(finish_layer(frame, mine, [mean], support)[0], other.radiance))
+        clean.append(FilteredOther(finish_layer(frame, mine, [mean], light.support)[0], other.radiance))
     return CleanLayer(image, supports, clean)
 
 
@@ -219,16 +188,14 @@ def filter_others(
     noisy: NoisyLayer,
     settings: ResolvedSettings,
     others: Sequence[OtherImage],
-    passes: Sequence[LayerPass],
-    guides: Sequence[Image],
+    layer_pass: LayerPass,
+    guide: Image,
 ) -> list[Image]:
-    """Return up to ``1 + MORE_AT_ONCE`` images after the last passes over a layer."""
+    """Return up to ``1 + MORE_AT_ONCE`` images after a pass over a layer."""
     # One image takes the places of both halves: a half without a good tap takes the light of the other half.
     first, *other_images = (other.samples for other in others)
-    both, light = replace(noisy, samples=(first, first), is_whole=True), None
-    for layer_pass, guide in zip(passes, guides, strict=True):
-        light = run_pass(both, settings, layer_pass, guide, light, other_images if light is None else light.others)
-    assert light is not None
+    both = replace(noisy, samples=(first, first), is_whole=True)
+    light = run_pass(both, settings, layer_pass, guide, other_images)
     return [light.a, *light.others][: len(others)]
 
 
@@ -255,34 +222,26 @@ def run_pass(
     settings: ResolvedSettings,
     layer_pass: LayerPass,
     guide: Image,
-    before: DualBufferOutput | None,
     others: Sequence[Image] = (),
     *,
     is_pilot: bool = False,
 ) -> DualBufferOutput:
-    """Return both filtered halves of a layer, their support, and ``others``, images filtered by the same weights.
-
-    ``before`` is the output of the pass before.
-    """
-    of_samples = layer_pass.of_samples or before is None
+    """Return both filtered halves of a layer, their support, and ``others``, images filtered by the same weights."""
     request = PassRequest(
-        halves=noisy.samples if before is None or layer_pass.of_samples else (before.a, before.b),
+        halves=noisy.samples,
         mask=noisy.layer.mask,
         place=[*scale_places(noisy.places, settings, layer_pass.sigma), *(() if is_pilot else noisy.seen)],
-        # So narrow a kernel as the pilot's needs no covariances.
-        lobes=noisy.pilot_features if is_pilot else noisy.layer.features,
+        lobes=noisy.layer.features,
         exponent=layer_pass.lobes,
         radius=layer_pass.radius,
-        step=layer_pass.step,
-        # An earlier pass has divided by the albedo.
-        albedo=noisy.layer.albedo if of_samples else None,
+        albedo=noisy.layer.albedo,
         guide=guide,
         noise=layer_pass.noise,
         # One image more than needed saves users the time to compile a kernel for every number of images.
         others=[*others, *others[-1:]] if len(others) % 2 else others,
     )
     output = filter_dual_buffer(request, layer_pass.text)
-    if of_samples and not noisy.is_whole:
+    if not noisy.is_whole:
         # The samples of an image without halves are the image and its squared residual.
         images = download(output.a), download(output.b), download(output.support)
         return DualBufferOutput(*split_by_noise(*images, compute_log_offset(noisy.level)), output.others)

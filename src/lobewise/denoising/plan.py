@@ -118,10 +118,9 @@ def list_steps(
 def compute_passes_reach(passes: list[LayerPass]) -> int:
     """Return how far the passes over a layer reach, pixels.
 
-    The first pass reads the samples. Each pass is guided by what the pass before has found, and a sparse one averages
-    it, too.
+    The first pass is guided by the samples, and the second one by what the first has found.
     """
-    return SAMPLES_REACH + sum(GUIDE_REACH + layer_pass.reach for layer_pass in passes) + COVERAGE_REACH
+    return SAMPLES_REACH + sum(GUIDE_REACH + layer_pass.radius for layer_pass in passes) + COVERAGE_REACH
 
 
 def compute_steps_reach(settings: ResolvedSettings) -> int:

@@ -103,8 +103,8 @@ class PassRequest:
         Two groups of features: those that count as they are, and those of lobes.
     exponent : float
         Exponent of the similarity of the lobes.
-    radius, step : int
-        Kernel radius in taps, >= 0, and pixels from tap to tap, >= 1.
+    radius : int
+        Kernel radius, pixels, >= 0.
     albedo : array, shape (height, width, 3), optional
         Divides the radiance; its luminance is a weight.
     guide : array, shape (height, width, 4), optional
@@ -121,7 +121,6 @@ class PassRequest:
     lobes: Sequence[Feature] = ()
     exponent: float = 1.0
     radius: int
-    step: int = 1
     albedo: FloatArray | None = None
     guide: Image | None = None
     noise: float = 1.0
@@ -167,7 +166,6 @@ class PassRequest:
         numbers = {
             "divided": int(self.albedo is not None),
             "radius": self.radius,
-            "step": self.step,
             "noise": self.noise,
             "exponent": self.exponent,
         }
@@ -206,7 +204,7 @@ def make_dual_buffer(key: DualBufferKey, groups: Mapping[str, Sequence[Feature]]
     mask = signature.image("mask", *size, type=hl.UInt(8))
     arrays = [declare_features(signature, name, features, *size) for name, features in groups.items()]
     scalars = [declare_scalars(signature, features, name) for name, features in groups.items()]
-    radius, step = signature.count("radius", most=LARGEST_RADIUS), signature.count("step", 1)
+    radius = signature.count("radius", most=LARGEST_RADIUS)
     guide_image = signature.image("guide", *size, GUIDE_CHANNELS) if key.guided else None
     noise, exponent = signature.number("noise"), signature.number("exponent")
     for name in ("a", "b", "support", *(f"filtered{number}" for number in range(key.other_count))):
@@ -215,7 +213,7 @@ def make_dual_buffer(key: DualBufferKey, groups: Mapping[str, Sequence[Feature]]
     # Algorithm
     albedo, out = hl.Func("albedo_or_one"), hl.Func("out")
     albedo[C, X, Y] = hl.select(divided != 0, tints[C, X, Y], hl.f32(1.0))
-    taps = TapSums(mask, Taps.SQUARE, radius, step, count_lanes(target))
+    taps = TapSums(mask, Taps.SQUARE, radius, hl.i32(1), count_lanes(target))
     # The summands and the weight of each image.
     planes = len(averaged) * (COLORS + 1)
     images = taps.read("images", planes, lambda at, usable: hl.mux(C, _read_images(averaged, albedo, at, usable)))
@@ -223,7 +221,7 @@ def make_dual_buffer(key: DualBufferKey, groups: Mapping[str, Sequence[Feature]]
     log_weight = place + exponent * lobes
     if guide_image is not None:
         guide = taps.read("guide", GUIDE_CHANNELS, lambda at, _: guide_image[C, at[0], at[1]])
-        log_weight = log_weight - taps.stage(_compute_distance(guide, step, noise))
+        log_weight = log_weight - taps.stage(_compute_distance(guide, noise))
 
     def take(weight: hl.Expr, column: hl.Expr, line: hl.Expr) -> list[hl.Expr]:
         summands: list[hl.Expr] = []
@@ -264,12 +262,12 @@ def _read_images(
     return values
 
 
-def _compute_distance(guide: hl.Func, step: hl.Expr, noise: hl.Expr) -> hl.Expr:
+def _compute_distance(guide: hl.Func, noise: hl.Expr) -> hl.Expr:
     """Return the distance of a pixel and a tap in the guide: beyond noise, in units of noise, times log2(e).
 
     ``noise`` is the factor of the variance.
     """
-    there = X + U * step, Y + V * step
+    there = X + U, Y + V
     own_noise, other_noise = (guide[at[0], COLORS, at[1]] for at in ((X, Y), there))
     explained = hl.f32(COLORS) * (own_noise + hl.min(own_noise, other_noise))
     scale = hl.f32(LOG2_E / COLORS) / (hl.f32(NOISE_FLOOR) + noise * (own_noise + other_noise))

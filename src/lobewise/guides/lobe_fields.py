@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, NoReturn, TypeVar
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -147,10 +147,9 @@ SPREAD_TURNS = 2.0
 """The variance that `spread_lobes` adds to a lobe, over the squared turn of the axis to the neighbouring pixel."""
 SPREAD_REACH = 1
 """Distance in pixels from which `spread_lobes` reads neighbours."""
-Field = TypeVar("Field", SgField, CovarianceField)
 
 
-def spread_lobes(field: Field) -> Field:
+def spread_lobes(field: SgField) -> SgField:
     """Return lobes widened to cover what the whole area of their pixel reflects.
 
     The given lobes are evaluated at pixel centres. On a small or bumpy mirror the axis turns from one pixel to the next
@@ -163,23 +162,18 @@ def spread_lobes(field: Field) -> Field:
 
     Parameters
     ----------
-    field : SgField or CovarianceField
+    field : SgField
         Lobes of an image.
 
     Returns
     -------
-    SgField or CovarianceField
+    SgField
         The axes do not change. The lobe of a pixel whose neighbours have none does not change either.
     """
-    shapes = {name: getattr(field, name) for name in SHAPES[type(field)]}
-    images = {"valid": field.valid, "axis": field.axis, **shapes}
-    names = [f"wide_{name}" for name in shapes]
-    spread = engine.pixels(define_spread, images, {}, names=names, text="lobes of pixel areas")
-    return replace(field, **dict(zip(shapes, spread, strict=True)))
-
-
-SHAPES: dict[type, tuple[str, ...]] = {SgField: ("sharpness",), CovarianceField: ("covariance", "determinant")}
-"""The arrays that hold the width of the lobes, for each type of field."""
+    images = {"valid": field.valid, "axis": field.axis, "sharpness": field.sharpness}
+    names, text = ["wide_sharpness"], "lobes of pixel areas"
+    (sharpness,) = engine.pixels(define_spread, images, {}, names=names, text=text)
+    return replace(field, sharpness=sharpness)
 
 
 def define_spread(grid: Grid) -> list[Vector]:
@@ -194,17 +188,7 @@ def define_spread(grid: Grid) -> list[Vector]:
         there = inside & (grid.read("valid", *at)[0] != 0)
         nearest = hl.min(nearest, hl.select(there, dot(other, other), none))
     turned = hl.select(known & (nearest < none), hl.f32(SPREAD_TURNS) * nearest, hl.f32(0.0))
-    (spread,) = grid.share([turned])
-    if grid.has("sharpness"):
-        return [[1.0 / (1.0 / grid.read_one("sharpness") + spread)]]
-    covariance, determinant = grid.read("covariance"), grid.read_one("determinant")
-    trace = covariance[0] + covariance[3] + covariance[5]
-    # A pixel without a lobe has axis 0 and spread 0, so its values do not change.
-    round_part = compute_round_covariance(spread, axis)
-    return [
-        [value + more for value, more in zip(covariance, round_part, strict=True)],
-        [determinant + spread * (trace + spread)],
-    ]
+    return [[1.0 / (1.0 / grid.read_one("sharpness") + turned)]]
 
 
 NO_LOBE, SPECULAR_LOBE, LAMBERT_LOBE = range(3)

@@ -188,7 +188,7 @@ class DenoiseSettings(Declared):
         Knob(
             "What two pixels must share to be averaged. Compared on specular pixels are shading normals, one spherical "
             "Gaussian per lobe, a sum of them, one anisotropic spherical Gaussian, or the GGX covariance of the lobe. "
-            '"auto" takes "ggx" where the frame has roughness and camera, else "normal".',
+            'Where the frame has roughness and camera, "auto" takes "sg", with quality "fast" "ggx"; else "normal".',
             label="Similarity",
         ),
     ] = "auto"

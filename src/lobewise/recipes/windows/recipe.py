@@ -10,7 +10,7 @@ from weakref import ref
 
 import numpy as np
 
-from lobewise.denoising.automatic import change_settings, choose_similarity
+from lobewise.denoising.automatic import GUIDED_SIMILARITY, change_settings, choose_similarity
 from lobewise.denoising.plan import count_bytes
 from lobewise.denoising.recipe import check_frame, denoise_checked, filter_below
 from lobewise.errors import MAX_GOT_LETTERS, InputError, name_value, require_kind
@@ -208,7 +208,8 @@ class WindowFilter:
                 following = frames[number + 1].camera if number + 1 < len(frames) else None
                 if camera is None and frame.camera is not None and following is not None:
                     camera = extrapolate_camera(prepared.checked.require_camera("a window"), following)
-                similarity = "normal" if frame.wraps else choose_similarity(prepared.checked, self._settings)
+                similarity = choose_similarity(prepared.checked, self._settings, GUIDED_SIMILARITY)
+                similarity = "normal" if frame.wraps else similarity
                 prepared.shot = Shot(prepared.checked, camera, similarity, self._settings, self.reach)
             shots[number] = prepared.shot
         return shots
