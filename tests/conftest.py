@@ -98,8 +98,6 @@ def _make_random_frame(rng: np.random.Generator, *, height: int, width: int) -> 
             specular_albedo=rng.random((height, width, 3)),
             hit_distance=plane(),
             hit_position=vector(3),
-            hit_normal=vector(3),
-            hit_albedo=rng.random((height, width, 3)),
             mean_normal=vector(3),
             mean_diffuse_albedo=rng.random((height, width, 3)),
             mean_specular_albedo=rng.random((height, width, 3)),

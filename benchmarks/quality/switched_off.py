@@ -137,7 +137,6 @@ SWITCHES: dict[str, Switch] = {
     "lobes": replace_one(automatic, "GUIDED_SIMILARITY", "normal"),
     "pilot pass": replace_one(passes, "make_passes", skip_pilot),
     "spread lobes": replace_one(layers, "spread_lobes", lambda field: field),
-    "hit guides": replace_one(noisy, "make_seen_feature", lambda *_: ()),
     "highlights": replace_one(noisy, "split_highlights", split_no_highlights),
     "specks": replace_one(chain, "choose_sharing", share_nothing),
     "bound of fireflies": replace_one(chain, "cut_samples", lambda color, _: color),

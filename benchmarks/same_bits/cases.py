@@ -90,7 +90,7 @@ def _list_upsampling(rich: Frame) -> Iterator[tuple[str, Callable[[], Arrays]]]:
     yield "upsampling, emission known", upsample(emitting.with_changes(layers=(), also={}, unscattered={}), (2, 1))
     total = rich.with_changes(radiance=Radiance(rich.radiance.color), half_a=None, half_b=None)
     yield "upsampling, not apart", upsample(total, (3, 0))
-    yield "upsampling, few guides", upsample(forget(rich, "coverage", "hit_normal", "hit_albedo"), (1, 1))
+    yield "upsampling, few guides", upsample(forget(rich, "coverage"), (1, 1))
     yield "recomputed", lambda: _recompute(rich)
 
 
@@ -128,7 +128,9 @@ def _list_inputs(part: Frame, rich: Frame) -> Iterator[tuple[str, Callable[[], A
         "damage": damage(part),
         "guides for denoisers": forget(
             part,
-            gbuffer=replace(part.gbuffer, denoiser_albedo=rich.gbuffer.hit_albedo, denoiser_normal=part.gbuffer.normal),
+            gbuffer=replace(
+                part.gbuffer, denoiser_albedo=rich.gbuffer.diffuse_albedo, denoiser_normal=part.gbuffer.normal
+            ),
         ),
         "narrow": crop(part, slice(20, 80), slice(30, 35)),
         "few rows": crop(part, slice(20, 23), slice(30, 90)),

@@ -33,10 +33,9 @@ def enrich(frame: Frame) -> Frame:
     rng = np.random.default_rng(20150915)
     height, width = frame.shape
     guides = frame.gbuffer
-    y, x = np.mgrid[:height, :width] / 32.0
+    x = np.mgrid[:height, :width][1] / 32.0
     helper = np.cross(guides.normal, np.array([0.3, 0.9, 0.1]))
     tangent = helper / np.maximum(np.linalg.norm(helper, axis=-1, keepdims=True), 1e-6)
-    wave = np.stack([np.sin(x), np.cos(y), np.sin(x + y)], axis=-1)
     noise = rng.gamma(2.0, 0.5, (height, width, 1)).astype(np.float32)
 
     return frame.with_changes(
@@ -45,8 +44,6 @@ def enrich(frame: Frame) -> Frame:
             tangent=tangent,
             alpha_v=np.clip(guides.alpha_u * (1.0 + 0.5 * np.sin(3.0 * x)), 0.0, 1.0),
             hit_distance=np.where(guides.depth > 0.0, 1.0 + np.sin(x) ** 2, 0.0),
-            hit_normal=0.7 * wave / np.linalg.norm(wave, axis=-1, keepdims=True),
-            hit_albedo=0.5 + 0.4 * wave,
             mean_normal=guides.normal,
             mean_diffuse_albedo=guides.diffuse_albedo,
             mean_specular_albedo=guides.specular_albedo,

@@ -61,7 +61,7 @@ def test_tiles_differ_from_each_other_in_their_light_alone() -> None:
     rng = np.random.default_rng(1)
     for name, noisy in (
         ("R", True), ("diffuse.G", True), ("half_a.B", True), ("half_b.specular.R", True), ("indirect.R", True),
-        ("diffuse_albedo.R", False), ("hit_albedo.R", False), ("normal.X", False), ("coverage.0", False),
+        ("diffuse_albedo.R", False), ("specular_albedo.R", False), ("normal.X", False), ("coverage.0", False),
     ):  # fmt: skip
         assert streaming.is_radiance(name) == noisy
     for kind in (np.float16, np.float32):

@@ -293,7 +293,6 @@ MISTAKES = {
     "export filter -o x --target toaster": ("--target",),
     "export pipeline -o x --plan best": ("--plan", "'best'"),
     "export pipeline -o x --plan fast --no-halves": ("halves",),
-    "export pipeline -o x --plan balanced --hit-guides --layers color": ("--hit-guides",),
     "export pipeline -o x --plan fast --coverage": ("--coverage",),
     "export pipeline -o x --plan fast --history --similarity sg_mixture": ("--similarity", "sg_mixture with history"),
     "export pipeline -o x --plan fast --similarity diffuse": ("--similarity", "diffuse in the plan fast"),

@@ -15,7 +15,6 @@ from lobewise.denoising.refining.lamps import (
 )
 from lobewise.denoising.refining.network import refine_light
 from lobewise.denoising.refining.whole_image import WholeImage
-from lobewise.filters.glue import define_near_hits
 from lobewise.filters.refinement.steps import define_refined
 from lobewise.records.frame import Frame
 
@@ -78,12 +77,3 @@ def test_edges_of_lamps_tell_no_loss_of_light(make_frame: Callable[..., Frame]) 
     found = refine_light(frame, layers, frame.radiance.parts, frame.radiance.parts, rest, whole)
     np.testing.assert_array_equal(found.edges, mark_lamp_edges(rest[..., 0] > 0.0))
     assert refine_light(frame, layers, frame.radiance.parts, frame.radiance.parts, None, whole).edges is None
-
-
-def test_mirrors_keep_the_guides_of_the_surfaces_that_they_show(rng: np.random.Generator) -> None:
-    own, near = rng.random((2, 2, 4, 3)).astype(np.float32)
-    images = {"albedo": own, "normal": own, "near": near, "shifted": 0.5 + 0.5 * near}
-    alpha = np.array([[0.0, 0.01, 0.02, 1.0]] * 2, np.float32)
-    for widths, expected in (({}, near), ({"alpha_u": alpha}, np.where(alpha[..., None] <= 0.01, own, near))):
-        for image in engine.pixels(define_near_hits, {**images, **widths}, {}, 0.01):
-            np.testing.assert_allclose(image, expected, atol=1e-6)

@@ -122,8 +122,8 @@ def test_high(layers: Any, halves: bool) -> None:
 
 
 @pytest.mark.parametrize("halves", [True, False])
-def test_balanced_with_what_reflections_show(halves: bool) -> None:
-    check(PipelineSettings(plan="balanced", similarity="ggx", radius=2, hit_guides=True, coverage=True, halves=halves))
+def test_balanced_with_coverage(halves: bool) -> None:
+    check(PipelineSettings(plan="balanced", similarity="ggx", radius=2, coverage=True, halves=halves))
 
 
 @pytest.mark.sampled("ggx-{'hit_distance': True}", "sg-{'upsample': 4}", "normal-{'motion': False}")

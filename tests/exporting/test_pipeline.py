@@ -145,7 +145,7 @@ SETTINGS: list[dict[str, Any]] = [
     {**BALANCED, "layers": "color", "halves": False},
     {**BALANCED, "halves": False},
     {**BALANCED, "layers": "named"},
-    {**BALANCED, "hit_guides": True, "coverage": True},
+    {**BALANCED, "coverage": True},
     {"plan": "high"},
     {"plan": "high", "halves": False, "layers": "color"},
     {"plan": "high", "layers": "named"},
@@ -317,7 +317,7 @@ def test_list_prints_the_contents(capsys: pytest.CaptureFixture[str]) -> None:
     [
         {"history": True, "hit_distance": True},
         {"upsample": 2, "coverage": True, "rays": True},
-        {"plan": "balanced", "hit_guides": True, "coverage": True},
+        {"plan": "balanced", "coverage": True},
         {"plan": "high", "halves": False, "layers": "named"},
     ],
     ids=str,

@@ -14,7 +14,6 @@ from lobewise.features import (
     PlaneFeature,
     PositionFeature,
     ScreenFeature,
-    SeenFeature,
     SgFeature,
     SgMixtureFeature,
     TentFeature,
@@ -32,7 +31,6 @@ KINDS = [
     "band_limit",
     "diffuse",
     "hit_distance",
-    "seen",
     "sg",
     "ggx",
     "asg",
@@ -98,9 +96,6 @@ def make_feature(kind: str, shape: tuple[int, int], *, beta: float = 4.0, seed: 
     inverse[inverse < 1.0] = 0.0
     if kind == "hit_distance":
         return HitDistanceFeature(inverse, rng.uniform(0.2, 0.6, shape).astype(np.float32))
-    if kind == "seen":
-        albedo = rng.random((*shape, 3)).astype(np.float32)
-        return SeenFeature(albedo, normal, albedo_sharpness=1.5, normal_sharpness=4.0)
     hits = None
     if kind.endswith("_hits"):
         # Steps of some hundredths, seen at some tenths: as much as the axes differ.

@@ -17,7 +17,6 @@ from lobewise.features import (
     PlaneFeature,
     PositionFeature,
     ScreenFeature,
-    SeenFeature,
     SgFeature,
     SgMixtureFeature,
     TentFeature,
@@ -114,13 +113,6 @@ def _(feature: HitDistanceFeature, i: Pixels, j: Pixels) -> FloatImage:
     p, q = take(feature.inverse_distance, i, j)
     change = (p - q) / np.maximum(np.maximum(p, q), 1e-12)
     return np.asarray(np.exp(-(change**2) / (2.0 * math.prod(take(feature.tolerance, i, j)))))
-
-
-@get_similarity.register
-def _(feature: SeenFeature, i: Pixels, j: Pixels) -> FloatImage:
-    albedo, normal = (np.subtract(*take(array, i, j)) for array in (feature.albedo, feature.normal))
-    squares = np.sum(albedo**2, axis=-1), np.sum(normal**2, axis=-1)
-    return np.asarray(np.exp(-feature.albedo_sharpness * squares[0] - feature.normal_sharpness * squares[1]))
 
 
 @get_similarity.register

@@ -220,7 +220,7 @@ def test_roughness_without_places_stops_no_quality(scene: Frame) -> None:
 @pytest.mark.parametrize("placed_by", ["position", "depth"])
 def test_places_give_the_normals_that_are_missing(placed_by: str, scene: Frame) -> None:
     other = {"position": "depth", "depth": "position"}[placed_by]
-    bare = with_guides(scene, normal=None, hit_normal=None, **{other: None})
+    bare = with_guides(scene, normal=None, **{other: None})
     result = lobewise.denoise(bare, quality="fast")
     assert result.notes == ("There are no normals; those of the surfaces through the positions stand for them.",)
     assert result.settings["similarity"] == "ggx"

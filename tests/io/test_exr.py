@@ -73,10 +73,8 @@ class TestRoundTrip:
         expected += ["depth.Z", "alpha.U", "alpha.V", "lobe_kind.I", "hit_distance.Z", "motion.X", "motion.Y"]
         expected += ["material.I", *(f"reflected_motion.{c}" for c in "XYZ")]
         expected += [f"{n}.{c}" for n in ("position", "normal", "tangent") for c in "XYZ"]
-        expected += [
-            f"{n}.{c}" for n in ("hit_position", "hit_normal", "mean_normal", "denoiser_normal") for c in "XYZ"
-        ]
-        expected += [f"{n}_albedo.{c}" for n in ("diffuse", "specular", "hit", "denoiser") for c in "RGB"]
+        expected += [f"{n}.{c}" for n in ("hit_position", "mean_normal", "denoiser_normal") for c in "XYZ"]
+        expected += [f"{n}_albedo.{c}" for n in ("diffuse", "specular", "denoiser") for c in "RGB"]
         expected += [f"mean_{n}_albedo.{c}" for n in ("diffuse", "specular") for c in "RGB"]
         expected += [f"mean_emission.{c}" for c in "RGB"]
         expected += [*(f"coverage.{k}" for k in range(9)), "object_share.S", "blur_radius.R"]

@@ -53,8 +53,6 @@ def make_scene(shape: tuple[int, int], *, halves: bool = True, apart: bool = Tru
         diffuse_albedo=color(0.4, 0.6),
         specular_albedo=color(0.4, 0.6),
         hit_distance=rng.uniform(1.0, 3.0, shape),
-        hit_normal=0.9 * vectors(0.1),
-        hit_albedo=color(0.3, 0.6),
         mean_diffuse_albedo=color(0.4, 0.6),
         mean_specular_albedo=color(0.4, 0.6),
         mean_emission=color(0.0, 0.02),

@@ -104,7 +104,7 @@ def leave_out(frame: Frame, *names: str) -> Frame:
 @pytest.mark.parametrize("missing", ["position", "depth"])
 @pytest.mark.parametrize("similarity", ["sg", "ggx", "sg_mixture"])
 def test_rays_of_a_band_are_those_of_the_frame(similarity: str, missing: str, tmp_path: Path) -> None:
-    frame = leave_out(make_scene(SHAPE), missing, "coverage", "hit_normal")
+    frame = leave_out(make_scene(SHAPE), missing, "coverage")
     compare(frame, tmp_path, (33,), quality="fast", similarity=similarity)
 
 
@@ -139,7 +139,7 @@ def test_the_noise_is_that_of_the_whole_frame(tmp_path: Path) -> None:
 
 def test_holes_are_filled_across_bands(tmp_path: Path) -> None:
     # Too far from anything for the first round, then the second, then all of them.
-    frame = leave_out(make_scene((560, 5)), "coverage", "hit_normal")
+    frame = leave_out(make_scene((560, 5)), "coverage")
     for rows in (slice(20, 50), slice(100, 230)):
         frame = change_radiance(frame, rows, slice(None), np.nan)
     result = compare(frame, tmp_path, (7, 64, 560), quality="fast", similarity="normal", form="separable")

@@ -17,10 +17,7 @@ _SURFACE = (
     "depth", "position", "normal", "tangent", "alpha_u", "alpha_v", "lobe_kind", "diffuse_albedo", "specular_albedo",
     "material",
 )  # fmt: skip
-_GUIDED = (
-    "hit_normal", "hit_albedo", "mean_diffuse_albedo", "mean_specular_albedo", "mean_emission", "coverage",
-    "blur_radius",
-)  # fmt: skip
+_GUIDED = ("mean_diffuse_albedo", "mean_specular_albedo", "mean_emission", "coverage", "blur_radius")
 _LOBES = ("alpha_u", "alpha_v", "lobe_kind", "tangent", "material")
 
 

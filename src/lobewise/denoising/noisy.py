@@ -13,25 +13,15 @@ from lobewise.backend.buffers import Image, download
 from lobewise.denoising.automatic import AUTO_SIGMA
 from lobewise.denoising.layers import Layer, make_lobe_layers, make_position_features
 from lobewise.engine.numbers import choose_larger
-from lobewise.features import Feature, PositionFeature, ScreenFeature, SeenFeature
-from lobewise.filters.dual_buffer import PassRequest, filter_dual_buffer
+from lobewise.features import Feature, PositionFeature, ScreenFeature
 from lobewise.filters.fireflies import BoundedHalves, bound_fireflies
-from lobewise.filters.glue import define_joined_colours, define_joined_halves, define_near_hits, define_shifted
+from lobewise.filters.glue import define_joined_colours, define_joined_halves
 from lobewise.filters.highlights import split_highlights
 from lobewise.filters.noise.residuals import compute_squared_residual
 from lobewise.filters.noise_guides import add_light, measure_level, measure_light
 from lobewise.guides.halves import choose_halves
 from lobewise.records.frame import FloatArray, Frame
 from lobewise.settings import DenoiseSettings, ResolvedSettings
-
-SEEN_RADIUS, SEEN_SIGMA = 1, 3.0
-"""Kernel that averages the guides of reflected surfaces: radius and standard deviation, pixels."""
-SEEN_ALBEDO, SEEN_NORMAL = 8.0, 2.0
-"""Sharpness of the comparison of the albedo and of the normal of reflected surfaces."""
-MAX_MIRROR_ALPHA = 0.01
-"""Roughness alpha up to which a lobe counts as a mirror: all samples of a pixel hit one surface
-(docs/developers/research/quality_trials.md)."""
-
 
 Places = Sequence[ScreenFeature | PositionFeature]
 """Features of place."""
@@ -76,8 +66,6 @@ class NoisyLayer(BoundedLayer):
     ----------
     places : sequence of Feature
         Where pixels are, on the screen and in the scene.
-    seen : tuple of Feature
-        The surfaces that reflections show; empty where the frame does not tell them.
     level : float
         Mean luminance of radiance over albedo of the samples of the whole image. It says what is dark.
     samples : pair of arrays, shape (height, width, 3)
@@ -87,7 +75,6 @@ class NoisyLayer(BoundedLayer):
     """
 
     places: Places
-    seen: tuple[Feature, ...]
     level: float
     samples: tuple[Image, Image]
     highlights: FloatArray | None = None
@@ -152,7 +139,6 @@ def make_noisy_layers(
             paired=bounded.is_whole,
         )
         without_highlights = replace(bounded, bounded=BoundedHalves(a, b, bounded.bounded.sums))
-        is_specular = layer.is_reflected and without_highlights.name != "color"
         noisy_layers.append(
             NoisyLayer(
                 layer=replace(layer, features=(*layer.features, *extra)),
@@ -160,9 +146,6 @@ def make_noisy_layers(
                 is_whole=without_highlights.is_whole,
                 noise_is_shared=without_highlights.noise_is_shared,
                 places=places,
-                seen=make_seen_feature(frame, layer.mask, scale_places(places, settings, SEEN_SIGMA))
-                if is_specular
-                else (),
                 level=level,
                 samples=without_highlights.halves if without_highlights.is_whole else _join_samples(without_highlights),
                 highlights=engine.some(download(highlights)),
@@ -187,28 +170,6 @@ def _join_samples(bounded: BoundedLayer) -> tuple[Image, Image]:
     return image, compute_squared_residual(
         image, bounded.layer.albedo, bounded.layer.mask, shared=bounded.noise_is_shared
     )
-
-
-def make_seen_feature(frame: Frame, mask: NDArray[np.bool_], place: Sequence[Feature]) -> tuple[Feature, ...]:
-    """Return the feature that compares the surfaces that reflections show; nothing where the frame does not tell them.
-
-    The surfaces that few samples hit are as noisy as the radiance, so their guides are averaged over near pixels.
-    Mirrors keep their own values: all samples of a mirror's pixel hit one surface, and an average would mix a window
-    that the mirror shows with the wall beside the window.
-    """
-    albedo, normal = frame.gbuffer.hit_albedo, frame.gbuffer.hit_normal
-    if albedo is None or normal is None:
-        return ()
-    # A pass takes no negative values: shift the normals, and shift them back below.
-    text = "normals of reflected surfaces, brought from [-1, 1] to [0, 1]"
-    (shifted,) = engine.pixels(define_shifted, {"normal": normal}, {}, names=["shifted_hits"], text=text)
-    request = PassRequest(halves=(albedo, shifted), mask=mask, place=place, radius=SEEN_RADIUS)
-    mean = filter_dual_buffer(request, "average the guides of reflected surfaces")
-    widths = {"alpha_u": frame.gbuffer.alpha_u, "alpha_v": frame.gbuffer.alpha_v}
-    images = {"albedo": albedo, "normal": normal, "near": download(mean.a), "shifted": download(mean.b), **widths}
-    names, text = ["near_hit_albedo", "near_hit_normal"], "guides of reflected surfaces; mirrors keep their own"
-    near_albedo, near_normal = engine.pixels(define_near_hits, images, {}, MAX_MIRROR_ALPHA, names=names, text=text)
-    return (SeenFeature(near_albedo, near_normal, albedo_sharpness=SEEN_ALBEDO, normal_sharpness=SEEN_NORMAL),)
 
 
 def scale_places(places: Places, settings: ResolvedSettings, sigma: float) -> list[Feature]:

@@ -47,15 +47,12 @@ class LayerPass:
         brighter in both halves, stays where it is.
     lobes : float
         Exponent of the similarity of the lobes over that of the settings.
-    lobes_with_seen : float
-        The same where the frame tells what reflections show, which says more than the lobes do.
     """
 
     radius: int
     sigma: float
     noise: float
     lobes: float = 1.0
-    lobes_with_seen: float = 1.0
 
     @property
     def taps(self) -> int:
@@ -70,28 +67,21 @@ class LayerPass:
 
 
 DIFFUSE_PASSES = (
-    LayerPass(3, 6.0, 40.0, lobes=4.0, lobes_with_seen=4.0),
+    LayerPass(3, 6.0, 40.0, lobes=4.0),
     LayerPass(6, 30.0, 12.0),
 )
 SPECULAR_PASSES = (
-    LayerPass(4, 6.0, 40.0, lobes=4.0, lobes_with_seen=4.0),
-    LayerPass(5, 22.0, 6.0, lobes_with_seen=0.5),
+    LayerPass(4, 6.0, 40.0, lobes=4.0),
+    LayerPass(5, 22.0, 6.0),
 )
 """Pilot and wide pass at radius 8. Tuned on the scenes that ``benchmarks/quality/measure.py`` calls train
 (docs/developers/research/quality_trials.md)."""
 
 
-def make_passes(radius: int, *, is_diffuse: bool, has_seen: bool = False) -> list[LayerPass]:
+def make_passes(radius: int, *, is_diffuse: bool) -> list[LayerPass]:
     """Return the pilot and the wide pass over a layer; ``radius`` is that of the settings, pixels."""
     passes = DIFFUSE_PASSES if is_diffuse else SPECULAR_PASSES
-    return [
-        replace(
-            each,
-            radius=round(each.radius * radius / 8.0),
-            lobes=each.lobes_with_seen if has_seen else each.lobes,
-        )
-        for each in passes
-    ]
+    return [replace(each, radius=round(each.radius * radius / 8.0)) for each in passes]
 
 
 class FilteredOther(NamedTuple):
@@ -163,11 +153,11 @@ def filter_layer_halves(
 
     ``others`` are averaged in the wide pass. What does not fit is averaged in further passes by the same guide.
     """
-    pilot_pass, wide_pass = make_passes(settings.radius, is_diffuse=noisy.layer.is_diffuse, has_seen=bool(noisy.seen))
+    pilot_pass, wide_pass = make_passes(settings.radius, is_diffuse=noisy.layer.is_diffuse)
     # As many images as registers hold take part in the layer's own pass.
     first_others, later_others = others[:MORE_AT_ONCE], others[MORE_AT_ONCE:]
     with engine.part(f"{noisy.name}: {pilot_pass.text}"):
-        pilot = run_pass(noisy, settings, pilot_pass, make_first_guide(noisy), is_pilot=True)
+        pilot = run_pass(noisy, settings, pilot_pass, make_first_guide(noisy))
     with engine.part(f"{noisy.name}: {wide_pass.text}"):
         guide = compare_halves(noisy, pilot.a, pilot.b)
         light = run_pass(noisy, settings, wide_pass, guide, [image.samples for image in first_others])
@@ -223,14 +213,12 @@ def run_pass(
     layer_pass: LayerPass,
     guide: Image,
     others: Sequence[Image] = (),
-    *,
-    is_pilot: bool = False,
 ) -> DualBufferOutput:
     """Return both filtered halves of a layer, their support, and ``others``, images filtered by the same weights."""
     request = PassRequest(
         halves=noisy.samples,
         mask=noisy.layer.mask,
-        place=[*scale_places(noisy.places, settings, layer_pass.sigma), *(() if is_pilot else noisy.seen)],
+        place=scale_places(noisy.places, settings, layer_pass.sigma),
         lobes=noisy.layer.features,
         exponent=layer_pass.lobes,
         radius=layer_pass.radius,

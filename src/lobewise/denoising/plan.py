@@ -65,7 +65,7 @@ class Step(NamedTuple):
 
 
 def list_steps(
-    settings: ResolvedSettings, layers: Mapping[str, bool], *, has_seen: bool = False, taken_back: bool = True
+    settings: ResolvedSettings, layers: Mapping[str, bool], *, taken_back: bool = True
 ) -> tuple[list[Step], list[Step]]:
     """Return the steps that need only the surroundings of a pixel, and those that need the whole image.
 
@@ -74,8 +74,6 @@ def list_steps(
     settings : ResolvedSettings
     layers : mapping of str to bool
         The layers by name, and whether each is diffuse.
-    has_seen : bool
-        Whether the frame tells what surfaces its reflections show.
     taken_back : bool
         Whether the noisy image is taken back; see `takes_back`.
     """
@@ -87,10 +85,7 @@ def list_steps(
         parts = tuple(f"{name}: {kernel}" for name in layers)
         near = [Step(FILTER_ONCE, reach, len(layers) * taps, parts)]
     else:
-        passes = {
-            name: make_passes(settings.radius, is_diffuse=is_diffuse, has_seen=has_seen and not is_diffuse)
-            for name, is_diffuse in layers.items()
-        }
+        passes = {name: make_passes(settings.radius, is_diffuse=is_diffuse) for name, is_diffuse in layers.items()}
         near = [
             Step(
                 FILTER_HALVES,
@@ -215,9 +210,8 @@ def list_frame_steps(frame: Frame, settings: ResolvedSettings) -> tuple[list[Ste
         layers = {layer.name: layer.is_diffuse for layer in frame.layers}
     else:
         layers = MEASURED_LAYERS
-    has_seen = frame.gbuffer.hit_albedo is not None and frame.gbuffer.hit_normal is not None
     taken_back = takes_back(frame, settings)
-    near, far = list_steps(settings, layers, has_seen=has_seen and "color" not in layers, taken_back=taken_back)
+    near, far = list_steps(settings, layers, taken_back=taken_back)
     if has_passes(frame):
         far.append(Step(FILTER_OTHERS))
     far += [Step(describe_alone(name)) for name in list_alone(frame.also)]

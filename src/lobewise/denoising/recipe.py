@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
 NEGATIVE, OPACITY = "filter the light below 0", "filter the opacity"
 """The stages after those of the light."""
-GUIDES_OF_COLOR = (*ALBEDOS, "mean_emission", "hit_albedo")
+GUIDES_OF_COLOR = (*ALBEDOS, "mean_emission")
 """Guides that tell colors, which opacity and other images that are no light do not have."""
 ALPHA_REACH = 2
 """Pixels around a fraction of opacity that are denoised. Surfaces stay opaque, exactly, and the background clear."""

@@ -7,7 +7,7 @@ from lobewise.features.normal import DiffuseFeature, NormalFeature
 from lobewise.features.position import PlaneFeature, PositionFeature
 from lobewise.features.ray import RayFeature
 from lobewise.features.screen import BandLimitFeature, ScreenFeature, TentFeature
-from lobewise.features.seen import HitDistanceFeature, SeenFeature
+from lobewise.features.seen import HitDistanceFeature
 from lobewise.features.sg import SgFeature, SgMixtureFeature
 
 __all__ = [
@@ -22,7 +22,6 @@ __all__ = [
     "PositionFeature",
     "RayFeature",
     "ScreenFeature",
-    "SeenFeature",
     "SgFeature",
     "SgMixtureFeature",
     "SplitGgxFeature",

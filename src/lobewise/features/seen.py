@@ -1,4 +1,4 @@
-"""The features that compare what reflections see: its distance, and its albedo and normal."""
+"""The feature that compares how far what reflections see is."""
 
 from __future__ import annotations
 
@@ -6,11 +6,9 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from lobewise.backend.buffers import Image
 from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import LOG2_E
 from lobewise.features.base import DeclaredFeature, Offset, Stage, Vector
-from lobewise.lobes.vectors import dot, subtract
 from lobewise.records.frame import FloatArray
 
 
@@ -49,39 +47,3 @@ class HitDistanceFeature(DeclaredFeature):
         largest = hl.max(i.inverse_distance, j.inverse_distance, hl.f32(1e-12))
         step = (i.inverse_distance - j.inverse_distance) / largest
         return -step * step * (i.precision * j.precision)
-
-
-class Seen(NamedTuple):
-    """The planes of what a lobe sees."""
-
-    albedo: Vector
-    normal: Vector
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class SeenFeature(DeclaredFeature):
-    """Gaussian of the differences in albedo and normal that two lobes see, ``exp(-a |d albedo|^2 - n |d normal|^2)``.
-
-    Parameters
-    ----------
-    albedo, normal : array, shape (height, width, 3)
-        Mean albedo, in [0, 1], and mean normal of the surfaces that the lobes hit.
-    albedo_sharpness, normal_sharpness : float
-        a and n, > 0.
-    """
-
-    name = "seen"
-    albedo: Image
-    normal: Image
-    albedo_sharpness: float
-    normal_sharpness: float
-
-    def get_parameters(self) -> tuple[float, ...]:
-        return self.albedo_sharpness * LOG2_E, self.normal_sharpness * LOG2_E
-
-    def prepare(self, inputs: Vector, parameters: Vector) -> Seen:
-        return Seen(*self.split(inputs))
-
-    def log2_similarity(self, i: Seen, j: Seen, parameters: Vector, offset: Offset, stage: Stage) -> hl.Expr:
-        albedo, normal = subtract(i.albedo, j.albedo), subtract(i.normal, j.normal)
-        return -(dot(albedo, albedo) * parameters[0] + dot(normal, normal) * parameters[1])

@@ -212,28 +212,6 @@ def define_joined_colours(grid: Grid) -> list[Vector]:
     return [joined]
 
 
-def define_shifted(grid: Grid) -> list[Vector]:
-    """Return unit vectors, each component brought from [-1, 1] to [0, 1]."""
-    half = hl.f32(0.5)
-    return [[half + half * value for value in grid.read("normal")]]
-
-
-def define_near_hits(grid: Grid, most: float) -> list[Vector]:
-    """Return albedo and normal of reflected surfaces: their own values in mirrors, else averages; see
-    `make_seen_feature`."""
-    near = grid.read("near")
-    averages = [hl.f32(2.0) * value - hl.f32(1.0) for value in grid.read("shifted")]
-    widths = [grid.read_one(name) for name in ("alpha_u", "alpha_v") if grid.has(name)]
-    if not widths:
-        return [near, averages]
-    mirror = reduce(and_, (alpha <= hl.f32(most) for alpha in widths))
-    own = grid.read("albedo"), grid.read("normal")
-    return [
-        [select_bits(mirror, value, mean) for value, mean in zip(*pair, strict=True)]
-        for pair in zip(own, (near, averages), strict=True)
-    ]
-
-
 def define_lit(grid: Grid) -> list[Vector]:
     """Return where a layer has light that anything supports."""
     return [[hl.u8((grid.read_one("mask") != 0) & (grid.read("support")[0] > hl.f32(0.0)))]]

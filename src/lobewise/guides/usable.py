@@ -27,7 +27,7 @@ MAX_ALBEDO = 1.1
 """Largest possible albedo. Noise of samples and 16-bit floats let albedos exceed 1 by a few per cent."""
 MIN_ALBEDO = -1e-3
 """Smallest possible albedo. Rounding and pixel filters with negative lobes go a little below 0."""
-CHECKED_ALBEDOS = ("diffuse_albedo", "specular_albedo", "mean_diffuse_albedo", "mean_specular_albedo", "hit_albedo")
+CHECKED_ALBEDOS = ("diffuse_albedo", "specular_albedo", "mean_diffuse_albedo", "mean_specular_albedo")
 ALPHAS = ("alpha_u", "alpha_v")
 MAX_NORMAL_LENGTH = 1.5
 """Longest normal that is taken as it is. Longer ones would give cosines far above 1; means are shorter than 1."""

@@ -68,11 +68,6 @@ class GBuffer(Images):
         where the lobe hits no surface.
     hit_position : array_like, shape (height, width, 3), optional
         World position of the hit.
-    hit_normal : array_like, shape (height, width, 3), optional
-        Mean shading normal of the surfaces that the specular reflections hit, facing the ray; 0 where a reflection hits
-        none. The shorter it is, the more different surfaces were hit.
-    hit_albedo : array_like, shape (height, width, 3), optional
-        Mean albedo, diffuse + specular, of these surfaces, in [0, 1]: 1 for a light source, 0 for no surface.
     mean_normal : array_like, shape (height, width, 3), optional
         Mean of the shading normal over the pixel's area without the noise of samples, 0 where there is no surface.
         ``normal`` is the normal at the centre of the pixel.
@@ -119,8 +114,6 @@ class GBuffer(Images):
     specular_albedo: MaybeImage = ABSENT
     hit_distance: MaybeImage = ABSENT
     hit_position: MaybeImage = ABSENT
-    hit_normal: MaybeImage = ABSENT
-    hit_albedo: MaybeImage = ABSENT
     mean_normal: MaybeImage = ABSENT
     mean_diffuse_albedo: MaybeImage = ABSENT
     mean_specular_albedo: MaybeImage = ABSENT

@@ -26,7 +26,7 @@ from lobewise.records.frame import FloatArray, GBuffer, LobeKind
 from lobewise.render.bridge import dr, hold_garbage, mi
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import dispatch_surface
-from lobewise.render.materials.surface import compute_seen_albedo, is_mirror
+from lobewise.render.materials.surface import is_mirror
 from lobewise.render.tracing.points import MIN_SURFACE_OPACITY, Points, trace_points
 from lobewise.render.tracing.rays import invert_distance
 
@@ -41,9 +41,9 @@ def trace_guides(
     """Return the guides of a run of pixels, from the ray through each pixel's centre, as Dr.Jit arrays by name.
 
     Beside the fields of `GBuffer` these are ``shape`` (a number for `move_back`) and the results of the mirror ray:
-    ``mirror_count`` (1 if it was traced), ``mirror_inverse`` (1/t), ``mirror_position`` (position over t),
-    ``mirror_normal``, ``mirror_albedo``, ``mirror_ends`` (0 if a path would go on, through a mask or by a mirror), and
-    ``seen_shape`` (the number of the shape that it hits; 0 for none, and where a path would go on).
+    ``mirror_count`` (1 if it was traced), ``mirror_inverse`` (1/t), ``mirror_position`` (position over t), and
+    ``seen_shape`` (the number of the shape that it hits; 0 for none, and where a path would go on, through a mask or by
+    a mirror).
     """
     width, height = (dr.opaque(mi.UInt32, length) for length in size)
     pixel = dr.arange(mi.UInt32, pixels[1]) + dr.opaque(mi.UInt32, pixels[0])
@@ -55,10 +55,7 @@ def trace_guides(
     guides = {name: value for name, value in guides.items() if not name.endswith("albedo")}
     seen = shiny & mirrored.is_valid()
     surface = dispatch_surface(materials, mirrored.bsdf(), mirrored, seen)
-    guides["mirror_normal"] = dr.select(seen, surface.normal, 0.0)
-    guides["mirror_albedo"] = dr.select(seen, compute_seen_albedo(surface, mirrored), 0.0)
     passes = seen & (is_mirror(surface) | (surface.opacity < MIN_SURFACE_OPACITY))
-    guides["mirror_ends"] = dr.select(shiny & ~passes, mi.Float(1), 0.0)
     guides["seen_shape"] = dr.select(passes, 0.0, guides["seen_shape"])
     dr.eval(guides)
     return guides

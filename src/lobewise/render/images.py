@@ -31,19 +31,6 @@ def finish_hits(totals: Totals, guides: dict[str, Any]) -> tuple[FloatArray, Flo
     return distance, np.where(inverse[:, None] > 0, position / safe, 0.0).astype(np.float32)
 
 
-def finish_seen(totals: Totals, guides: dict[str, Any]) -> tuple[FloatArray, FloatArray]:
-    """Return the mean hit normals and hit albedos of a run of pixels; 0 for misses and unknown hits.
-
-    A mirror ray that paths would follow further counts only if no sample was reflected.
-    """
-    count = to_image(totals.hit_count)
-    weight = np.where(count > 0, to_image(guides["mirror_ends"]), to_image(guides["mirror_count"]))
-    total = np.maximum(count + weight, 1.0)[:, None]
-    normal = to_image(totals.hit_normal) + weight[:, None] * to_image(guides["mirror_normal"])
-    albedo = to_image(totals.hit_albedo) + weight[:, None] * to_image(guides["mirror_albedo"])
-    return (normal / total).astype(np.float32), np.clip(albedo / total, 0.0, 1.0).astype(np.float32)
-
-
 def finish_guides(sums: Sums, guides: dict[str, Any], spp: int) -> dict[str, FloatArray]:
     """Return the guides of a run of pixels, pixels first, by their path in `Frame`.
 
@@ -56,7 +43,6 @@ def finish_guides(sums: Sums, guides: dict[str, Any], spp: int) -> dict[str, Flo
     inverse = to_image(guides["mirror_inverse"])
     images["seen_distance"] = np.divide(1.0, inverse, out=np.full_like(inverse, np.inf), where=inverse > 0.0)
     images["gbuffer.hit_distance"], images["gbuffer.hit_position"] = finish_hits(sums.totals, guides)
-    images["gbuffer.hit_normal"], images["gbuffer.hit_albedo"] = finish_seen(sums.totals, guides)
     for name in ("diffuse_albedo", "specular_albedo"):
         images[f"gbuffer.{name}"] = np.clip(to_image(getattr(sums.totals, name)) / np.float32(spp), 0.0, 1.0)
     return images

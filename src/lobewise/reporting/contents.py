@@ -29,8 +29,6 @@ MEANINGS = {
     "specular_albedo": "color of reflections",
     "hit_distance": "how far away the reflected surface is",
     "hit_position": "where the reflected surface is",
-    "hit_normal": "which way the reflected surface faces",
-    "hit_albedo": "color of the reflected surface",
     "mean_normal": "the normal, averaged over the pixel",
     "mean_diffuse_albedo": "color of diffuse light, averaged over the pixel",
     "mean_specular_albedo": "color of reflections, averaged over the pixel",

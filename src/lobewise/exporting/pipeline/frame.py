@@ -55,8 +55,6 @@ GUIDES = {
     "emission": Guide(
         3, "light that no surface scattered, emission and background, at every pixel; it is not filtered", "any"
     ),
-    "hit_albedo": Guide(3, "albedo of the surface that reflected rays met; 0 for none", "0 to 1"),
-    "hit_normal": Guide(3, "unit normal of the surface that reflected rays met, in world space; 0 for none"),
     "diffuse_albedo": Guide(3, ALBEDO.format("diffuse"), "0 to 1"),
     "coverage": Guide(9, "shares of the pixel that the surfaces at the 3x3 pixel centres around it cover", "0 to 1"),
     **{

@@ -111,8 +111,6 @@ def make_frame(number: int, *, size: tuple[int, int] = (HEIGHT, WIDTH), halves: 
         mean_emission=emission,
         hit_distance=np.where(there, second.distance, 0.0),
         # Reflections show what is some rows away.
-        hit_albedo=np.roll(albedos[0], 9, axis=0),
-        hit_normal=np.roll(normal, 9, axis=0),
         **cover_pixels(albedos),
     )
     first, second_half = (_join(diffuse, specular, emission) for diffuse, specular in zip(*parts, strict=True))

@@ -93,10 +93,6 @@ class PipelineSettings(Declared):
             "residuals of one image."
         ),
     ] = True
-    hit_guides: Annotated[
-        bool,
-        Knob("With the plans balanced and high, whether albedo and normal of reflected surfaces are given."),
-    ] = False
     coverage: Annotated[
         bool,
         Knob(
@@ -146,12 +142,6 @@ class PipelineSettings(Declared):
             (self.rays and not sparse, "rays", "without upsampling", "add upsampling, or leave it out"),
             (self.coverage and named, "coverage", "with named layers", leave),
             (self.coverage and not sparse and not guided, "coverage", "in one pass", "add upsampling, or leave it out"),
-            (
-                self.hit_guides and (not guided or self.layers != "apart"),
-                "hit_guides",
-                "what does not read them",
-                leave,
-            ),
             (not self.halves and not guided, "halves", "in one pass, which reads none", leave),
             (self.anisotropic and not self.record.has_covariance, "anisotropic", self.similarity, "choose asg or ggx"),
         ]
@@ -202,8 +192,6 @@ class PipelineSettings(Declared):
             "tangent": self.anisotropic,
             "lobe_kind": self.lobe_kind,
             "hit_distance": self.hit_distance,
-            "hit_albedo": self.hit_guides,
-            "hit_normal": self.hit_guides,
             "motion": self.history and self.motion,
             "specular_albedo": not self.is_filter,
             "mean_emission": self.upsample > 1,

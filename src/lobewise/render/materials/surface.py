@@ -371,12 +371,3 @@ def describe_material(material: Material, si: Any, active: Any) -> Surface:
 def is_mirror(surface: Surface) -> Any:
     """Return whether surfaces are perfect mirrors or smooth glass, without any diffuse reflection."""
     return (surface.lobe_kind == float(LobeKind.DELTA)) & (dr.max(surface.diffuse_albedo) <= 0)
-
-
-def compute_seen_albedo(surface: Surface, si: Any) -> Any:
-    """Return the albedo for `GBuffer.hit_albedo`: diffuse plus specular in [0, 1], and 1 for light sources.
-
-    With 1, light sources of any strength differ most from dark surfaces beside them.
-    """
-    shines = si.shape.is_emitter() & (si.wi.z > 0)
-    return dr.select(shines, 1.0, dr.clip(surface.diffuse_albedo + surface.specular_albedo, 0.0, 1.0))

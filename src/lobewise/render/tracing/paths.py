@@ -13,7 +13,6 @@ from typing import Any
 from lobewise.render.bridge import dr, follow, mi, repeat, starts_as
 from lobewise.render.materials.bsdfs import Material
 from lobewise.render.materials.dispatch import dispatch_share, dispatch_surface
-from lobewise.render.materials.surface import compute_seen_albedo, is_mirror
 from lobewise.render.tracing.light_sampling import Scattering, Vertex, make_eye, meet_emitter, scatter
 from lobewise.render.tracing.points import Indirect, Points, average_samples
 from lobewise.render.tracing.rays import draw_point, hides_emitters, invert_distance, make_opaque, make_ray, make_rng
@@ -34,7 +33,7 @@ class PathSettings:
     guides: bool = True
     """Whether to split radiance by lobe and to sum guides and squares."""
     surfaces: bool = True
-    """Whether the guides include albedos, hit albedos and hit normals."""
+    """Whether the guides include albedos."""
     min_bounces: int = 0
     """Smallest number of scatterings of light that counts: 0 keeps all light, 2 only indirect light. The random numbers
     do not change."""
@@ -50,8 +49,8 @@ class _Path:
     """State of the loop over bounces.
 
     ``share`` is the diffuse share of the first scattering. ``passed`` tells whether the path passed a surface
-    unscattered after it. ``looks_specular`` tells whether the next hit is that of the
-    first surface's specular reflection; ``seeks`` whether the path still follows this reflection through mirrors.
+    unscattered after it. ``looks_specular`` tells whether the next hit is that of the first surface's specular
+    reflection.
     """
 
     ray: Any
@@ -66,7 +65,6 @@ class _Path:
     last: Vertex = field(default_factory=make_eye)
     passed: Any = starts_as("Bool")
     looks_specular: Any = starts_as("Bool")
-    seeks: Any = starts_as("Bool")
     sample: Sample = field(default_factory=make_sample)
 
 
@@ -119,12 +117,9 @@ class _Bounces:
         scattering = self._scatter(path, si, bsdf, going)
         if settings.radiance:
             self._add_sampled_light(path, bsdf, scattering, going & (path.bounces == 0))
-        seen: _Seen | None = None
         if settings.guides:
-            seen = self._describe(path, bsdf, scattering, going & (path.bounces == 0))
-        self._go_on(path, scattering, going, seen)
-        if seen is not None and settings.surfaces:
-            self._add_seen(path, si, seen)
+            self._describe(path, bsdf, scattering, going & (path.bounces == 0))
+        self._go_on(path, scattering, going)
         path.hit = self.scene.ray_intersect_preliminary(path.ray, False, path.active)
 
     def _count_hit(self, path: _Path, si: Any) -> None:
@@ -171,27 +166,22 @@ class _Bounces:
             share = dr.select(first, own, share)
         self._add_light(path, path.bounces + 1, share, dr.select(scattering.lit, arriving, 0.0))
 
-    def _describe(self, path: _Path, bsdf: Any, scattering: Scattering, first: Any) -> _Seen:
-        """Set the diffuse share of the first scattering, add albedos, and find whether the path follows a mirror."""
+    def _describe(self, path: _Path, bsdf: Any, scattering: Scattering, first: Any) -> None:
+        """Set the diffuse share of the first scattering, and add albedos."""
         scatters = first & ~scattering.is_null
         share = dispatch_share(
             self.materials, bsdf, scattering.si, scattering.chosen.wo, scatters & ~scattering.is_delta
         )
         path.share = dr.select(scatters, dr.select(scattering.is_delta, 0.0, share), path.share)
-        seen = _Seen(path.seeks, None, mi.Bool(False))
-        reflects = dr.max(scattering.factor) > 0
         if self.settings.surfaces:
-            seen.seeks = path.seeks & scattering.si.is_valid()
-            seen.surface = dispatch_surface(self.materials, bsdf, scattering.si, scatters | seen.seeks)
+            surface = dispatch_surface(self.materials, bsdf, scattering.si, scatters)
             totals = path.sample.totals
-            totals.diffuse_albedo += dr.select(scatters, seen.surface.diffuse_albedo, 0.0)
-            totals.specular_albedo += dr.select(scatters, seen.surface.specular_albedo, 0.0)
-            seen.further = seen.seeks & (scattering.is_null | (is_mirror(seen.surface) & reflects))
+            totals.diffuse_albedo += dr.select(scatters, surface.diffuse_albedo, 0.0)
+            totals.specular_albedo += dr.select(scatters, surface.specular_albedo, 0.0)
         kind, flags = scattering.chosen.sampled_type, mi.BSDFFlags
         mirrors = mi.has_flag(kind, flags.GlossyReflection) | mi.has_flag(kind, flags.DeltaReflection)
-        path.looks_specular = scatters & mirrors & reflects
+        path.looks_specular = scatters & mirrors & (dr.max(scattering.factor) > 0)
         self._keep_ray(path, bsdf, scattering, scatters)
-        return seen
 
     @staticmethod
     def _keep_ray(path: _Path, bsdf: Any, scattering: Scattering, scatters: Any) -> None:
@@ -204,7 +194,7 @@ class _Bounces:
         ray.direction = dr.select(scatters & ~transmits, scattering.ray.d, ray.direction)
         ray.specular = dr.select(scatters, scattering.factor * (1.0 - path.share), ray.specular)
 
-    def _go_on(self, path: _Path, scattering: Scattering, going: Any, seen: _Seen | None) -> None:
+    def _go_on(self, path: _Path, scattering: Scattering, going: Any) -> None:
         """Go on in the sampled direction, or end the path by Russian roulette."""
         path.ray = scattering.ray
         path.throughput *= scattering.factor
@@ -212,8 +202,7 @@ class _Bounces:
         path.last = scattering.vertex
         path.depth += dr.select(scattering.si.is_valid(), mi.UInt32(1), 0)
         if not self.settings.radiance:
-            further = mi.Bool(False) if seen is None else seen.further
-            path.active = going & (((path.bounces == 0) & (scattering.is_null | path.looks_specular)) | further)
+            path.active = going & (path.bounces == 0) & (scattering.is_null | path.looks_specular)
         path.passed |= scattering.is_null & (path.bounces > 0)
         path.bounces += dr.select(scattering.is_null, mi.UInt32(0), 1)
         if self.settings.radiance:
@@ -223,26 +212,6 @@ class _Bounces:
             survives = path.rng.next_float32() < keep
             path.throughput = dr.select(gamble, path.throughput * dr.rcp(keep), path.throughput)
             path.active = going & (~gamble | survives) & (strongest != 0)
-
-    def _add_seen(self, path: _Path, si: Any, seen: _Seen) -> None:
-        """Add the surface that a reflection sees: the first that is no mirror, or the last one of a path that ends."""
-        seen.further &= path.active
-        last = seen.seeks & ~seen.further
-        path.sample.totals.hit_normal += dr.select(last, seen.surface.normal, 0.0)
-        path.sample.totals.hit_albedo += dr.select(last, compute_seen_albedo(seen.surface, si), 0.0)
-        path.seeks = path.looks_specular | seen.further
-
-
-@dataclass
-class _Seen:
-    """The hit of a path that searches the surface in its first reflection.
-
-    ``seeks`` tells whether the path searches, ``further`` whether it must go on, through a mirror or a mask.
-    """
-
-    seeks: Any
-    surface: Any
-    further: Any
 
 
 def add_samples(

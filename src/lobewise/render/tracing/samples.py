@@ -26,8 +26,7 @@ class Lobes:
 class Totals:
     """Light by the number of its scatterings, albedos, and hits of specular reflections.
 
-    ``hit_inverse`` is 1/t, ``hit_position`` the position over t. ``hit_normal`` and ``hit_albedo`` describe the surface
-    that a specular reflection sees, and are 0 for a miss.
+    ``hit_inverse`` is 1/t, ``hit_position`` the position over t.
     """
 
     direct: Any
@@ -37,8 +36,6 @@ class Totals:
     hit_count: Any
     hit_inverse: Any
     hit_position: Any
-    hit_normal: Any
-    hit_albedo: Any
 
 
 @dataclass
@@ -86,7 +83,7 @@ class Sums:
 
 
 def _make_zeros(what: Any, width: int = 1) -> Any:
-    kinds = {"hit_count": mi.Float, "hit_inverse": mi.Float, "hit_position": mi.Vector3f, "hit_normal": mi.Vector3f}
+    kinds = {"hit_count": mi.Float, "hit_inverse": mi.Float, "hit_position": mi.Vector3f}
     return what(*(dr.zeros(kinds.get(field.name, mi.Color3f), width) for field in fields(what)))
 
 
