@@ -115,11 +115,6 @@ def split_no_highlights(halves: Any, _albedo: Any, mask: FloatArray, **_: Any) -
     return (*halves, np.zeros((*mask.shape, 3), np.float32))
 
 
-def keep_edges_counted(*given: Any, refine: Any = chain.refine_light) -> Any:
-    """Stand for `refine_light`: the light of edges of lamps counts as lost like any other."""
-    return refine(*given)._replace(edges=None)
-
-
 def choose_peer(noisy: FloatArray, *_: Any, **__: Any) -> FloatArray:
     """Stand for `compute_mixture`: the peer's image everywhere."""
     share = np.zeros((*noisy.shape[:2], 3), np.float32)
@@ -142,7 +137,6 @@ SWITCHES: dict[str, Switch] = {
     "bound of fireflies": replace_one(chain, "cut_samples", lambda color, _: color),
     "refill in rounds": replace_one(bad_pixels, "SIGMAS", (1.0,)),
     "lamps": replace_one(network, "mark_shining", mark_nothing),
-    "edges uncounted": replace_one(chain, "refine_light", keep_edges_counted),
     "network": replace_one(chain, "refine", lambda _frame, filtered, _whole: filtered),
     "take back": replace_one(chain, "take_back", lambda _frame, filtered: filtered),
     "proof by halves, mixture": replace_one(combining, "estimate_share_proved", make_no_share),

@@ -1,22 +1,11 @@
 """lobewise.denoising.refining.lamps: what the network sees and changes of lamps and skies."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
 from lobewise import engine
-from lobewise.denoising.layers import Layer
-from lobewise.denoising.refining.lamps import (
-    mark_lamp_edges,
-    mark_refined,
-    mark_shining,
-    widen_mask,
-)
-from lobewise.denoising.refining.network import refine_light
-from lobewise.denoising.refining.whole_image import WholeImage
-from lobewise.filters.refinement.steps import define_refined
-from lobewise.records.frame import Frame
+from lobewise.denoising.refining.lamps import mark_refined, mark_shining
+from lobewise.filters.refinement.steps import define_refined, define_widened
 
 
 def make_mask(*places: tuple[slice | int, slice | int]) -> np.ndarray:
@@ -37,7 +26,11 @@ def test_two_pixels_on_both_sides_of_an_edge_are_refined() -> None:
     lamp = make_mask((slice(10, 30), slice(10, 30)))
     inside = ~mark_refined([~lamp])
     assert np.array_equal(inside, make_mask((slice(12, 28), slice(12, 28))))
-    assert np.array_equal(mark_lamp_edges(lamp), make_mask((slice(8, 32), slice(8, 32))))
+
+
+def widen_mask(mask: np.ndarray, pixels: int) -> np.ndarray:
+    """Return a mask that is so many pixels wider in all eight directions."""
+    return engine.pixels(define_widened, {"mask": mask}, {}, pixels)[0]
 
 
 @pytest.mark.parametrize("pixels", [0, 1, 2, 9])
@@ -66,14 +59,3 @@ def test_lamps_are_scaled_but_for_their_inside() -> None:
     factor[2, 3] = 0.0
     np.testing.assert_array_equal(found[0], part * factor[..., None])
     np.testing.assert_array_equal(found[1], rest * factor[..., None])
-
-
-def test_edges_of_lamps_tell_no_loss_of_light(make_frame: Callable[..., Frame]) -> None:
-    frame = make_frame(height=24, width=32)
-    mask, rest = np.ones(frame.shape, bool), np.zeros((*frame.shape, 3), np.float32)
-    rest[4:12, 4:12] = 100.0
-    layers = [Layer(part, None, mask, ()) for part in frame.radiance.parts]
-    whole = WholeImage(levels=(1.0, 1.0), brightness=1.0, mean_log_depth=0.0, tau=0.01)
-    found = refine_light(frame, layers, frame.radiance.parts, frame.radiance.parts, rest, whole)
-    np.testing.assert_array_equal(found.edges, mark_lamp_edges(rest[..., 0] > 0.0))
-    assert refine_light(frame, layers, frame.radiance.parts, frame.radiance.parts, None, whole).edges is None

@@ -116,7 +116,7 @@ class Filtered:
     is_refined : bool
         Whether the network refined the image.
     uncounted : (height, width), bool, optional
-        Pixels that do not tell how much light the layers lost: there the network moved light between them and the rest.
+        Pixels that do not tell how much light the layers lost: copies of others, beyond the seam of a panorama.
     taken_from : Filtered, optional
         The layers before the noisy image was taken back.
     share_taken : (height, width), optional
@@ -240,8 +240,7 @@ def filter_whole(
     """
     before = filtered = filter_rows(frame, settings, features, bad, exact=exact)
     if filtered.levels and outside is not None:
-        edges = filtered.uncounted
-        filtered = replace(filtered, uncounted=outside if edges is None else outside | edges)
+        filtered = replace(filtered, uncounted=outside)
     if filtered.levels:
         filtered = keep_light(filtered)
     enter_stage(FILL)
@@ -394,9 +393,9 @@ def refine(frame: Frame, filtered: Filtered, whole: WholeImage | None) -> Filter
     enter_stage(REFINE)
     with engine.part("refine by the network"):
         whole = measure_whole(frame, filtered.levels) if whole is None else whole
-        parts, rest, edges = refine_light(frame, filtered.layers, filtered.noisy, filtered.parts, filtered.rest, whole)
+        parts, rest = refine_light(frame, filtered.layers, filtered.noisy, filtered.parts, filtered.rest, whole)
         image = compose(parts, rest)
-    return replace(filtered, parts=parts, rest=rest, image=image, is_refined=True, uncounted=edges)
+    return replace(filtered, parts=parts, rest=rest, image=image, is_refined=True)
 
 
 def take_back(frame: Frame, filtered: Filtered) -> Filtered:
@@ -429,7 +428,6 @@ def keep_light(filtered: Filtered) -> Filtered:
         for layer, part, taker in zip(filtered.layers, filtered.parts, takers, strict=True):
             images, name = [layer.radiance, part, taker], f"gain_{layer.name}"
             numbers = [float(filtered.is_refined)]
-            # Near lamps the network moved light between layer and rest, which is no loss.
             if filtered.uncounted is None:
                 loss = engine.total(measure_gain, images, numbers, name=name, count=4)
             else:

@@ -27,11 +27,6 @@ def mark_shining(rest: FloatArray, parts: Sequence[FloatArray]) -> Mask:
     return shining
 
 
-def mark_lamp_edges(shining: Mask) -> Mask:
-    """Return which pixels are at most `EDGE_PIXELS` from a shining one."""
-    return widen_mask(shining, EDGE_PIXELS)
-
-
 def mark_refined(masks: Sequence[Mask], shining: Mask | None = None) -> Mask:
     """Return which pixels are refined: those of surfaces, and those at most `EDGE_PIXELS` from a surface.
 
@@ -40,11 +35,6 @@ def mark_refined(masks: Sequence[Mask], shining: Mask | None = None) -> Mask:
     """
     images = {**{f"mask{number}": mask for number, mask in enumerate(masks)}, "without": shining}
     (surface,) = engine.pixels(define_any, images, {}, names=["surfaces"], text="surfaces that do not shine")
-    return widen_mask(surface, EDGE_PIXELS)
-
-
-def widen_mask(mask: Mask, pixels: int) -> Mask:
-    """Return a mask that is so many pixels wider in all eight directions."""
-    text = f"wider by {pixels} pixels"
-    (wide,) = engine.pixels(define_widened, {"mask": mask}, {}, pixels, names=["wide"], text=text)
+    text = f"wider by {EDGE_PIXELS} pixels"
+    (wide,) = engine.pixels(define_widened, {"mask": surface}, {}, EDGE_PIXELS, names=["wide"], text=text)
     return wide

@@ -8,12 +8,11 @@ from importlib.resources import files
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lobewise import engine
 from lobewise.denoising.layers import Layer
 from lobewise.denoising.refining.inputs import collect_inputs, compute_lobes
-from lobewise.denoising.refining.lamps import mark_lamp_edges, mark_refined, mark_shining
+from lobewise.denoising.refining.lamps import mark_refined, mark_shining
 from lobewise.denoising.refining.whole_image import WholeImage
 from lobewise.filters.refinement.run import pack_weights, refine_image
 from lobewise.filters.refinement.steps import define_refined
@@ -41,13 +40,10 @@ class Refined(NamedTuple):
     parts : sequence of (height, width, 3)
     rest : (height, width, 3), optional
         The light that no surface scatters.
-    edges : (height, width), bool, optional
-        Pixels near this light: there the network moved light between the layers and the rest.
     """
 
     parts: Sequence[FloatArray]
     rest: FloatArray | None
-    edges: NDArray[np.bool_] | None
 
 
 def refine_light(
@@ -89,5 +85,4 @@ def refine_light(
     names = [*(f"{layer.name}_refined" for layer in layers), *([] if rest is None else ["rest_refined"])]
     text = "light as the network refined it"
     refined = engine.pixels(define_refined, images, {}, MAX_BLACK_FILTERED, names=names, text=text)
-    edges = None if shining is None else mark_lamp_edges(shining)
-    return Refined(refined[: len(parts)], None if rest is None else refined[-1], edges)
+    return Refined(refined[: len(parts)], None if rest is None else refined[-1])
