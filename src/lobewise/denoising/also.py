@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 
@@ -67,52 +68,60 @@ def has_passes(frame: Frame) -> bool:
     return len(frame.also) > len(list_alone(frame.also)) or any(layer.parts for layer in frame.layers)
 
 
+def finish_layer_parts(
+    frame: Frame, others: Mapping[str, Sequence[FilteredOther]], layers: Mapping[str, Passed]
+) -> dict[str, FloatArray]:
+    """Return, as ``layer/part``, the parts of the layers of a frame, filtered.
+
+    Parameters
+    ----------
+    frame : Frame
+    others : mapping of str to sequence of FilteredOther
+        The images of `list_parts`, filtered by the weights of their layer, by the layer's name.
+    layers : mapping of str to Passed
+        What happened to the layers that the frame names.
+    """
+    clean = {}
+    for layer in frame.layers:
+        if layer.parts:
+            filtered = _finish_parts(layer.parts, others[layer.name], layers[layer.name])
+            clean |= {f"{layer.name}/{part}": each for part, each in filtered.items()}
+    return clean
+
+
 @device_scope()
 def filter_also(
     frame: Frame,
     settings: ResolvedSettings,
     features: Sequence[Feature],
-    others: Mapping[str, Sequence[FilteredOther]],
-    layers: Mapping[str, Passed],
     whole: Passed,
     rest: tuple[FloatArray, FloatArray],
 ) -> dict[str, FloatArray]:
-    """Return the packed planes of ``frame.also`` and, as ``layer/part``, the parts of its layers, filtered.
+    """Return the packed planes of ``frame.also``, filtered.
 
     Parameters
     ----------
     frame, settings, features
         As they were filtered.
-    others : mapping of str to sequence of FilteredOther
-        The images of `list_parts`, filtered by the weights of their layer, by the layer's name.
-    layers : mapping of str to Passed
-        What happened to the layers that the frame names.
     whole : Passed
         What happened to the light that surfaces scatter, in total.
     rest : pair of (height, width, 3)
         The other light of the total, emission and background, before and after.
     """
-    clean: dict[str, FloatArray] = {}
-    for layer in frame.layers:
-        if layer.parts:
-            filtered = _finish_parts(layer.parts, others[layer.name], layers[layer.name])
-            clean |= {f"{layer.name}/{part}": each for part, each in filtered.items()}
-    if frame.also:
-        before, after = rest
-        share = _compute_part_share(before, frame.radiance.color)
-        total = frame.with_changes(layers=(), radiance=Radiance(frame.radiance.color - before))
-        bands = {name: image for name, image in frame.also.items() if is_band(name)}
-        values = {name: image for name, image in frame.also.items() if name not in bands}
-        with np.errstate(invalid="ignore"):  # bad pixels stay bad
-            grays = {name: image - share * image for name, image in bands.items()}
-        lights, averaged = _filter_planes(total, settings, features, grays, values)
-        refined = None if whole.before is None else _make_gray(whole.before)
-        gray = replace(whole, clean=_make_gray(whole.clean), before=refined)
-        filtered = _finish_parts(grays, lights, gray) if bands else {}
-        exact = share * _divide(_make_gray(after), _make_gray(before))
-        clean |= {name: image + exact * blacken_bad(bands[name]) for name, image in filtered.items()}
-        clean |= {name: blacken_bad(each.image) for name, each in zip(values, averaged, strict=True)}
-    return clean
+    before, after = rest
+    share = _compute_part_share(before, frame.radiance.color)
+    total = frame.with_changes(layers=(), radiance=Radiance(frame.radiance.color - before))
+    bands = {name: image for name, image in frame.also.items() if is_band(name)}
+    values = {name: image for name, image in frame.also.items() if name not in bands}
+    with np.errstate(invalid="ignore"):  # bad pixels stay bad
+        grays = {name: image - share * image for name, image in bands.items()}
+    lights, averaged = _filter_planes(total, settings, features, grays, values)
+    refined = None if whole.before is None else _make_gray(whole.before)
+    gray = replace(whole, clean=_make_gray(whole.clean), before=refined)
+    filtered = _finish_parts(grays, lights, gray) if bands else {}
+    exact = share * _divide(_make_gray(after), _make_gray(before))
+    clean = {name: image + exact * blacken_bad(bands[name]) for name, image in filtered.items()}
+    return clean | {name: blacken_bad(each.image) for name, each in zip(values, averaged, strict=True)}
 
 
 def keep_sum(
@@ -275,7 +284,7 @@ def bring_parts(names: Collection[str], refined: Sequence[FloatArray], clean: Fl
 
 def _sum_whole(images: Sequence[FloatArray], are_parts: bool) -> FloatArray:
     """Return the layer from its parts; of images that do not sum to the layer the last is the layer itself."""
-    return np.asarray(np.sum(images, axis=0, dtype=np.float32)) if are_parts else images[-1]
+    return reduce(np.add, images) if are_parts else images[-1]
 
 
 def _divide(image: FloatArray, by: FloatArray) -> FloatArray:
@@ -285,7 +294,7 @@ def _divide(image: FloatArray, by: FloatArray) -> FloatArray:
 def _is_sum(image: FloatArray, parts: Sequence[FloatArray]) -> bool:
     """Return whether parts add up to an image, within the rounding of 16-bit floats."""
     with np.errstate(invalid="ignore", over="ignore"):
-        return _is_close(image, np.sum(parts, axis=0, dtype=np.float32), len(parts))
+        return _is_close(image, reduce(np.add, parts), len(parts))
 
 
 def _is_close(image: FloatArray, total: FloatArray, count: int) -> bool:

@@ -22,6 +22,7 @@ from lobewise.denoising.also import (
     bound_parts,
     filter_also,
     filter_plain_layer,
+    finish_layer_parts,
     has_passes,
     list_layer_parts,
 )
@@ -498,9 +499,12 @@ def filter_passes(
     """Return the images that belong to a layer or to the total, filtered by the same weights."""
     enter_stage(FILTER_OTHERS)
     # Passes take the steps of their layer: filter, network, noisy image taken back, light shared out.
+    layers = {layer.name: filtered.look_up_passed(layer.name) for layer in frame.layers}
+    clean = finish_layer_parts(frame, filtered.others, layers)
+    if not frame.also:
+        return clean
     before, share = filtered.taken_from, filtered.share_taken
     refined = before if before is not None and before.is_refined else None
-    layers = {layer.name: filtered.look_up_passed(layer.name) for layer in frame.layers}
     # What is not in the layers had no filter. Where there is none, all of a filled hole counts as scattered.
     rest = compute_rest(frame)
     rest = np.zeros_like(filtered.image) if rest is None else rest
@@ -509,7 +513,7 @@ def filter_passes(
     whole = Passed(
         clean=filtered.image - rest_after, before=None if refined is None else sum_parts(refined.parts), share=share
     )
-    return filter_also(frame, settings, features, filtered.others, layers, whole, (rest, rest_after))
+    return clean | filter_also(frame, settings, features, whole, (rest, rest_after))
 
 
 def name_layers(frame: Frame, filtered: Filtered) -> dict[str, FloatArray]:

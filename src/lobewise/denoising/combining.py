@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import reduce
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -257,7 +258,7 @@ def share_out(
         Pixels that see a surface; by default all.
     """
     good = [make_finite(part) for part in parts]
-    filtered = sum_finite(good)
+    filtered = reduce(np.add, good)
     rest = np.maximum(before - filtered, np.float32(0.0))
     scattered, exact = filtered > MAX_BLACK_RADIANCE, rest > MAX_BLACK_RADIANCE
 
@@ -319,7 +320,7 @@ def make_finite(light: FloatArray) -> FloatArray:
 
 def sum_finite(parts: Sequence[FloatArray]) -> FloatArray:
     """Return the sum of parts; what is not finite counts as 0."""
-    return np.asarray(np.sum([make_finite(part) for part in parts], axis=0, dtype=np.float32))
+    return reduce(np.add, map(make_finite, parts))
 
 
 def share_by_noise(image: FloatArray, parts: Sequence[FloatArray], noisy: Sequence[FloatArray]) -> list[FloatArray]:

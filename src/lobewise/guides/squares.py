@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import reduce
 from typing import Any, TypeVar
 
 import numpy as np
@@ -32,11 +31,26 @@ def count_neighbours(mask: NDArray[np.bool_], radius: int) -> NDArray[np.intp]:
 
 
 def _join(image: Array, radius: int, join: Callable[[Any, Any], Any], border: Any) -> Any:
-    height, width = image.shape[:2]
     around = np.pad(image, [(radius, radius)] * 2 + [(0, 0)] * (image.ndim - 2), mode=border)
-    steps = range(2 * radius + 1)
-    rows = reduce(join, (around[down : down + height] for down in steps))
-    return reduce(join, (rows[:, right : right + width] for right in steps))
+    rows = _join_rows(around, 2 * radius + 1, join)
+    return _join_rows(rows.swapaxes(0, 1), 2 * radius + 1, join).swapaxes(0, 1)
+
+
+def _join_rows(image: Any, count: int, join: Callable[[Any, Any], Any]) -> Any:
+    """Return each row joined with those after it, ``count`` rows in all; the last ``count - 1`` rows are left out.
+
+    Pairs of rows are joined, then pairs of pairs, and so on. The binary digits of the count tell which of them to take.
+    """
+    length, joined, first, size = len(image) - count + 1, None, 0, 1
+    while True:
+        if count & size:
+            some = image[first : first + length]
+            joined = some if joined is None else join(joined, some)
+            first += size
+        size *= 2
+        if size > count:
+            return joined
+        image = join(image[: -size // 2], image[size // 2 :])
 
 
 def average_square(image: FloatArray, radius: int) -> FloatArray:

@@ -1,7 +1,7 @@
 """Which similarity has the least error, in the quality "fast" and in upsampling.
 
     python benchmarks/foreign/factory SHOTS --split validation --seeds 0-2 --spp 16     (where `bpy` is)
-    python -m benchmarks.quality.similarities FRAMES [--shots SHOTS]
+    python -m benchmarks.quality.lobes FRAMES [--shots SHOTS]
 
 Measured are the built-in scenes, rendered into the folder FRAMES on first use, and the shots of a folder of
 `benchmarks/foreign/factory`. "fast" filters the frame; "upsample 2" and "upsample 4" are given the first pixel of every
@@ -26,7 +26,7 @@ from benchmarks.common import RESULTS, describe_machine, fetch_frame, write_json
 from benchmarks.foreign.judging import Judge
 from benchmarks.quality.frames import SCENES, Bench
 from benchmarks.quality.measure import round_figure
-from benchmarks.quality.without_lobes import mark_glossy
+from benchmarks.quality.without_lobes import MAX_ALPHA, mark_glossy
 from benchmarks.users.measuring import make_reference_judge
 from benchmarks.users.scenes import find_shots
 from lobewise.records.frame import FloatArray, Frame, Radiance
@@ -34,7 +34,7 @@ from lobewise.records.sparse_frame import SparseFrame
 from lobewise.render import load_scene, render_reference
 from lobewise.settings.choices import SimilarityName
 
-RESULT = RESULTS / "similarities.json"
+RESULT = RESULTS / "lobes.json"
 SIMILARITIES = ("normal", "sg", "asg", "ggx")
 SIZE, SPP, REFERENCE_SPP = 256, 16, 1024
 """Pixels of a side of the built-in scenes' frames, and samples per pixel."""
@@ -63,7 +63,10 @@ def list_cases(folder: Path, shots: Path | None) -> Iterator[Case]:
         ]
         yield make_case(name, frame, *(each.radiance.color for each in references))
     for scene in find_shots(shots) if shots else ():
-        yield make_case(scene.name, scene.read(SPP), *scene.reference_images)
+        frame = scene.read(SPP)
+        # Half of the shots have no roughness, and so no lobes.
+        if frame.gbuffer.alpha_u is not None and frame.camera is not None:
+            yield make_case(scene.name, frame, *scene.reference_images)
 
 
 def render_one(name: str, seed: int) -> Frame:
@@ -73,7 +76,9 @@ def render_one(name: str, seed: int) -> Frame:
 
 def make_case(name: str, frame: Frame, first: FloatArray, second: FloatArray) -> Case:
     """Return the case of a frame and two references."""
-    glossy = mark_glossy(frame) if frame.gbuffer.alpha_u is not None else np.zeros(frame.shape, np.bool_)
+    guides = frame.gbuffer
+    is_split = guides.diffuse_albedo is not None and guides.specular_albedo is not None
+    glossy = mark_glossy(frame) if is_split else np.asarray(guides.alpha_u <= MAX_ALPHA)
     return Case(name, frame, make_reference_judge(first, second), glossy)
 
 
