@@ -97,7 +97,7 @@ def render_shot(
     """Render all files of a shot that are not there, with light groups if asked."""
     target = folder / f"{plan.kind}_{plan.seed}"
     references = [target / f"reference_{part}.exr" for part in range(1, len(plan.reference_spp) + 1)]
-    if references[-1].exists():
+    if all(path.exists() for path in (*(target / f"{spp}.exr" for spp in plan.spp), references[-1])):
         return
     start = time.process_time()
     target.mkdir(parents=True, exist_ok=True)
@@ -109,9 +109,11 @@ def render_shot(
     scene.cycles.film_exposure = describe_shot(target / "shot.json", plan)["exposure"]
     for spp in plan.spp:
         path = target / f"{spp}.exr"
-        render(path, spp, 1000 * plan.seed + spp)
-        if KINDS[plan.kind].halves:
-            halve_file(path)
+        if not path.exists():
+            render(path, spp, 1000 * plan.seed + spp)
+            if KINDS[plan.kind].halves:
+                halve_file(path)
     for part, (path, spp) in enumerate(zip(references, plan.reference_spp, strict=True), 1):
-        render(path, spp, 7776 + part, depth="32")
+        if not path.exists():
+            render(path, spp, 7776 + part, depth="32")
     print(f"wrote {target}, {time.process_time() - start:.0f} s of CPU", flush=True)

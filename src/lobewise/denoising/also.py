@@ -81,7 +81,7 @@ def finish_layer_parts(
     layers : mapping of str to Passed
         What happened to the layers that the frame names.
     """
-    clean = {}
+    clean: dict[str, FloatArray] = {}
     for layer in frame.layers:
         if layer.parts:
             filtered = _finish_parts(layer.parts, others[layer.name], layers[layer.name])

@@ -406,7 +406,7 @@ def take_back(frame: Frame, filtered: Filtered) -> Filtered:
         level, samples = reduce(choose_larger, filtered.levels), bound_samples(frame, filtered)
         halves, shared = get_image_halves(frame), frame.noise_is_shared
         share = estimate_share_lost(
-            samples, filtered.image, level, halves=halves, shared=shared, refined=filtered.is_refined
+            samples, filtered.image, level, halves=halves, shared=shared, refined=filtered.is_refined, spp=frame.spp
         )
         parts = [mix_noisy(*each, share) for each in zip(filtered.parts, filtered.noisy, strict=True)]
         rest = filtered.rest

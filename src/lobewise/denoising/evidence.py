@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise import engine
+from lobewise.engine.numbers import make_single
 from lobewise.filters.glue import define_good, define_mixed, define_share_taken
 from lobewise.filters.mixing import Perceptron
 from lobewise.filters.noise.detail import predict_shares
@@ -18,15 +19,16 @@ from lobewise.filters.noise.pooling import DARK_SHARE
 from lobewise.metrics.images import EPSILON
 from lobewise.records.frame import FloatArray, Frame
 from lobewise.settings import ResolvedSettings
-from lobewise.settings.choices import get_quality
 
 MAX_CONCENTRATION = 4.0
 """Concentration that `estimate_noisy_share` expects of the error of our filters: this error lies along edges and
 textures (docs/developers/research/quality_trials.md)."""
 MIN_SHARE_BLURRED = 0.01
 """Share of the pixels. The user is told if a result has clearly more error than its input in more of them."""
-MIN_SPP_REFINED = 64
-"""Samples per pixel from which a refined image of a frame without halves takes the noisy one back."""
+HALF_TRUST_SPP = 16.0
+"""Samples per pixel at which half of the share that the network says is taken, where no halves prove it."""
+UNKNOWN_SPP = 4.0
+"""Samples per pixel of a frame where nobody knows them."""
 MAX_RADIANCE = 1e36
 """Radiance above which no share of a pixel is taken back, because sums of it overflow."""
 RowSums = NDArray[np.float64]
@@ -51,11 +53,13 @@ def estimate_share_lost(
     halves: tuple[FloatArray, FloatArray] | None,
     shared: bool,
     refined: bool = False,
+    spp: float | None = None,
 ) -> FloatArray:
     """Return the share of the noisy image to take back where the filter removed detail, (height, width), in [0, 1].
 
     A network says at which share it expects the least error of the mixture. It was trained on random scenes, with and
-    without guides and halves (``benchmarks/training/shares.py``).
+    without guides and halves (``benchmarks/training/shares.py``). Without halves it takes noise for detail on some
+    frames, the more the fewer the samples, so that ``spp / (spp + 16)`` of the share is taken.
 
     Parameters
     ----------
@@ -71,6 +75,8 @@ def estimate_share_lost(
         Whether neighbouring pixels share their noise.
     refined : bool
         Whether the refining network made the image.
+    spp : float, optional
+        Samples per pixel; `UNKNOWN_SPP` where nobody knows.
     """
     text = "the filtered image, finite"
     (filtered,) = engine.pixels(define_good, {"image": image}, {}, names=["good"], text=text)
@@ -78,7 +84,9 @@ def estimate_share_lost(
     shares = predict_shares(filtered, samples, network, halves=halves, level=level, shared=shared)
     # The parts are added later, and near the largest float their sum overflows.
     images = {"color": samples, "shares": shares}
-    (share,) = engine.pixels(define_share_taken, images, {}, MAX_RADIANCE, names=["share"])
+    count = UNKNOWN_SPP if spp is None else spp
+    trust = make_single(1.0 / (1.0 + HALF_TRUST_SPP / count) if halves is None else 1.0)
+    (share,) = engine.pixels(define_share_taken, images, {"trust": trust}, MAX_RADIANCE, names=["share"])
     return share
 
 
@@ -113,15 +121,8 @@ def get_image_halves(frame: Frame) -> tuple[FloatArray, FloatArray] | None:
 
 
 def takes_back(frame: Frame, settings: ResolvedSettings) -> bool:
-    """Return whether the noisy image is taken back before the mixture.
-
-    With halves it is, unless the mixture itself takes back what they prove. Without halves it is where no network
-    refined the image, and where samples are many. Of few samples a refined image would get more noise than detail
-    (figures: ``benchmarks/results/switched_off.json``, "take back").
-    """
-    if get_image_halves(frame) is not None:
-        return not settings.with_oidn
-    return not get_quality(settings.quality).refines or (frame.spp or 0) >= MIN_SPP_REFINED
+    """Return whether the noisy image is taken back before the mixture, which itself takes back what halves prove."""
+    return get_image_halves(frame) is None or not settings.with_oidn
 
 
 def mix_noisy(part: FloatArray, noisy: FloatArray, share: FloatArray) -> FloatArray:

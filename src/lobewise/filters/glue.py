@@ -250,7 +250,7 @@ def define_share_taken(grid: Grid, most: float) -> list[Vector]:
     zero, color = hl.f32(0.0), grid.read("color")
     share = hl.select(is_good(color), grid.read("shares")[0], zero)
     dim = reduce(and_, (value < hl.f32(most) for value in color))
-    return [[hl.select(dim, share, zero)]]
+    return [[hl.select(dim, grid.get("trust")[0] * share, zero)]]
 
 
 def define_mixed(grid: Grid) -> list[Vector]:

@@ -175,7 +175,6 @@ class PipelineGuides:
     """The light of the samples, where it is not that of the caller."""
     lobe_tables = ()
     noise_is_shared = False
-    spp = None
     shape = SIZE
     height, width = SIZE
     is_placed = True
@@ -185,6 +184,11 @@ class PipelineGuides:
     def is_sparse(self) -> bool:
         """Whether radiance is given at one pixel of each block alone."""
         return self.settings.upsample > 1
+
+    @property
+    def spp(self) -> Number:
+        """Samples per pixel, which the user sets."""
+        return self.constants.get("samples_per_pixel")
 
     @property
     def scale(self) -> int:
