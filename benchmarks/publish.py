@@ -40,8 +40,12 @@ PAGES = {
     "README.md": Source(results.make_shot_figures, ("blender_shots",)),
     "docs/index.md": Source(results.make_shot_figures, ("blender_shots",)),
     "docs/blender.md": Source(results.make_shot_figures, ("blender_shots",)),
+    "docs/quality.md": Source(results.make_quality_figures, ("blender_shots", "budget")),
     "docs/paper.md": Source(paper.make_figures, ("paper_pair", "paper_table")),
-    "docs/results.md": Source(results.make_figures, ("blender_shots", "users", "films", "without_lobes", "robustness")),
+    "docs/results.md": Source(
+        results.make_figures,
+        ("blender_shots", "blender_training_shots", "users", "films", "without_lobes", "robustness"),
+    ),
     "docs/developers/bench.md": Source(bench.make_figures, ("startup",)),
     "docs/developers/export.md": Source(exports.make_figures, ("pipelines", "chains")),
     "docs/developers/interactive.md": Source(
@@ -52,7 +56,7 @@ PAGES = {
     "docs/developers/renderers_results.md": Source(groups.make_figures, ("groups",)),
     "docs/developers/releasing.md": Source(core.make_figures, ("core",)),
     "docs/developers/research/mixing_networks.md": Source(shares.make_figures, ("shares",)),
-    "docs/developers/filter_results.md": Source(performance.make_result_figures, ("filters",)),
+    "docs/developers/filter_results.md": Source(performance.make_result_figures, ("filters", "lobes")),
     "docs/developers/robustness.md": Source(serving.make_figures, ("robustness", "farm")),
     "docs/developers/bands.md": Source(streaming.make_figures, ("streaming",)),
     "docs/developers/users_results.md": Source(users.make_figures, ("users", "blender_shots")),

@@ -24,8 +24,8 @@ def make_figures(filters: Mapping[str, Any], budget: Mapping[str, Any]) -> dict[
     }
 
 
-def make_result_figures(filters: Mapping[str, Any]) -> dict[str, str]:
-    """Return the figures of docs/developers/filter_results.md by place: the times of kernels."""
+def make_result_figures(filters: Mapping[str, Any], lobes: Mapping[str, Any]) -> dict[str, str]:
+    """Return the figures of docs/developers/filter_results.md by place: times of kernels, errors of similarities."""
     rows = []
     for row in filters["kernels"]:
         cells = [f"{row['width']}x{row['height']}", row["form"], str(row["radius"])]
@@ -33,7 +33,24 @@ def make_result_figures(filters: Mapping[str, Any]) -> dict[str, str]:
             cells.append(f"{row[name]['milliseconds']:.1f} ms ({row[name]['ratio_to_normal']:.2f})")
         rows.append([*cells, f"{row['normal']['ns_per_tap_and_pixel']:.3f}"])
     kernels = make_table(["size", "form", "radius", *TIMED, "normal, ns per tap and pixel"], rows)
-    return {"kernels": kernels, "kernels-run": list_facts({"Machine": describe_run(filters)})}
+    return {
+        "kernels": kernels,
+        "kernels-run": list_facts({"Machine": describe_run(filters)}),
+        "lobes": make_lobe_rows(lobes),
+    }
+
+
+def make_lobe_rows(lobes: Mapping[str, Any]) -> str:
+    """Return the table of `benchmarks.quality.lobes`: means over frames, of all pixels and of glossy ones."""
+    rows = []
+    for group, filters in lobes["means"].items():
+        for name, pixels in filters.items():
+            pairs = zip(*(each.items() for each in pixels.values()), strict=True)
+            cells = {mine[0]: f"{mine[1]:.2f} ({glossy[1]:.2f})" for mine, glossy in pairs}
+            rows.append([group, name, *(cells[similarity] for similarity in cells if similarity != "normal")])
+    similarities = [name for name in cells if name != "normal"]
+    table = make_table(["frames", "filter", *(f"`{name}`" for name in similarities)], rows)
+    return f"{table}\n\n{len(lobes['frames'])} frames; {describe_run(lobes)}."
 
 
 def make_ratio_rows(filters: Mapping[str, Any]) -> str:

@@ -27,6 +27,7 @@ def make_shot_figures(shots: Mapping[str, Any]) -> dict[str, str]:
 
 def make_figures(
     shots: Mapping[str, Any],
+    training_shots: Mapping[str, Any],
     data: Mapping[str, Any],
     films: Mapping[str, Any],
     without_lobes: Mapping[str, Any],
@@ -36,6 +37,7 @@ def make_figures(
     return {
         **make_shot_figures(shots),
         "blender-kinds": make_kinds(shots),
+        "training-kinds": make_kinds(training_shots),
         "scenes": make_means(data),
         "films": f"{make_summary(films['summary'])}\n\n{len(films['films'])} films; {describe_run(films)}.",
         "lobes": make_lobes(without_lobes),
@@ -43,14 +45,42 @@ def make_figures(
     }
 
 
+QUALITIES = {
+    NOISY: (NOISY, ""),
+    "`fast`": ("fast", "Blender, fast"),
+    "`balanced`": ("balanced", "Blender, balanced"),
+    "`high`": ("high", "Blender, high"),
+    "`auto`": ("auto", "Blender, auto"),
+    "Open Image Denoise as called": (f"{PEER}, as called", "Blender, Open Image Denoise as called"),
+    "Open Image Denoise at its best": (PEER, "Blender, Open Image Denoise at its best"),
+}
+"""Rows of the table of qualities: method of `benchmarks.users`, and recipe of `benchmarks.performance.budget`."""
+PRICED_SPP = "16"
+
+
+def make_quality_figures(shots: Mapping[str, Any], budget: Mapping[str, Any]) -> dict[str, str]:
+    """Return the table of docs/quality.md: what every quality costs, and the error that it leaves."""
+    found = shots["summary"]["ratios"][HELD_OUT][PEER]["all"] | {PEER: {PRICED_SPP: {"ratio": 1.0}}}
+    recipes = budget["recipes"]
+    plain = recipes[QUALITIES["Open Image Denoise as called"][1]]["seconds"]
+    rows = []
+    for name, (method, recipe) in QUALITIES.items():
+        price = f"{recipes[recipe]['seconds'] / plain:.2f}" if recipe else ""
+        rows.append([name, price, f"{found[method][PRICED_SPP]['ratio']:.2f}"])
+    scenes = len(shots["scenes"])
+    header = ["", "time, over Open Image Denoise as called", "error, over Open Image Denoise at its best"]
+    return {"prices": f"{make_table(header, rows)}\n\n{scenes} shots; {describe_run(shots)}."}
+
+
 def make_means(data: Mapping[str, Any]) -> str:
     """Return the means over the error of Open Image Denoise with the same guides, by sample count."""
     found = data["summary"]["ratios"][HELD_OUT][PEER]
     counts = list_counts(spp for methods in found.values() for cells in methods.values() for spp in cells)
     itself = {PEER: {spp: {"ratio": 1.0} for spp in counts}}
-    cells = [(found[guides] | itself)[method] for guides, method in COLUMNS]
+    columns = [(guides, method) for guides, method in COLUMNS if guides in found]
+    cells = [(found[guides] | itself)[method] for guides, method in columns]
     names = {**TITLES, PEER: "Open Image Denoise"}
-    header = [names[method] + ("" if guides == "all" else f", {GUIDES[guides]}") for guides, method in COLUMNS]
+    header = [names[method] + ("" if guides == "all" else f", {GUIDES[guides]}") for guides, method in columns]
     rows = [[spp, *(f"{each[spp]['ratio']:.2f}" for each in cells)] for spp in counts]
     scenes = sum(1 for scene in data["scenes"].values() if scene["held_out"])
     return make_table(["spp", *header], rows) + f"\n\n{scenes} scenes; {describe_run(data)}."

@@ -90,6 +90,8 @@ def make_shots(shots: Mapping[str, Any]) -> str:
     table = []
     for guides, method in SHOT_ROWS:
         cells = {key: methods[method] for key, methods in rows.items() if key[1] == guides and method in methods}
+        if not cells:
+            continue
         peers = {key: rows[key[0], "all", key[2]][PEER] for key in cells}
         ratios = {key: cell[SHOTS_TRIMMED] / peers[key][SHOTS_TRIMMED] for key, cell in cells.items()}
         worse = [key for key, cell in cells.items() if cell["rel_mse"] > rows[key]["noisy"]["rel_mse"]]

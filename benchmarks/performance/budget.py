@@ -2,11 +2,12 @@
 
 What a recipe takes beyond its kernels is spent between them: on checks, sentences for the user and passes over images.
 
-    python -m benchmarks.performance.budget --against
+    python -m benchmarks.performance.budget --against [--shot factory/jewels_0/16.exr]
 
 measures every recipe on one thread, tells each beside the committed file, and writes that file anew. It exits with 1
 where a recipe takes more than `LARGEST_RISE` times as much of Open Image Denoise's time as before. Kernels and their
-recipe are timed in one run, and Open Image Denoise in turn with both, so that a slow machine slows all.
+recipe are timed in one run, and Open Image Denoise in turn with both, so that a slow machine slows all. ``--shot`` adds
+the recipes of a Blender frame with all passes, repeated to the same size.
 """
 
 import argparse
@@ -30,7 +31,8 @@ from lobewise.backend.runtime import Runtime
 from lobewise.cli.bench.timing import limit_threads
 from lobewise.denoising import combining
 from lobewise.peers import denoise_oidn
-from lobewise.records.frame import Frame
+from lobewise.records.frame import Frame, GBuffer, Radiance
+from lobewise.records.radiance import RadianceLayer
 
 RESULT = RESULTS / "budget.json"
 SIZE = (1920, 1080)
@@ -56,16 +58,35 @@ def tile(frame: Frame, width: int, height: int) -> Frame:
     """Return a frame of another size that repeats a frame; the camera sees the surfaces askew, which takes no time."""
     down, right = -(-height // frame.height), -(-width // frame.width)
 
-    def repeat(part: Any) -> Any:
-        images = {item.name: getattr(part, item.name) for item in fields(part)}
-        return type(part)(
-            **{
-                name: None if image is None else np.tile(image, (down, right, 1)[: image.ndim])[:height, :width]
-                for name, image in images.items()
-            }
-        )
+    def repeat(value: Any) -> Any:
+        if isinstance(value, np.ndarray):
+            return np.ascontiguousarray(np.tile(value, (down, right, 1)[: value.ndim])[:height, :width])
+        if isinstance(value, Mapping):
+            return {name: repeat(image) for name, image in value.items()}
+        if isinstance(value, (Radiance, GBuffer, RadianceLayer)):
+            return type(value)(**{item.name: repeat(getattr(value, item.name)) for item in fields(value)})
+        return value
 
-    return Frame(repeat(frame.radiance), repeat(frame.gbuffer), frame.camera, spp=frame.spp)
+    return Frame(
+        repeat(frame.radiance),
+        repeat(frame.gbuffer),
+        frame.camera,
+        spp=frame.spp,
+        layers=tuple(map(repeat, frame.layers)),
+        unscattered=repeat(frame.unscattered),
+    )
+
+
+def make_shot_calls(frame: Frame) -> dict[str, Callable[[], Any]]:
+    """Return the recipes of a Blender frame by their names."""
+    names = {quality: {"quality": quality} for quality in ("fast", "balanced", "high")} | {"auto": {}}
+    calls: dict[str, Callable[[], Any]] = {
+        f"Blender, {name}": partial(lobewise.denoise, frame, device="cpu", **settings)
+        for name, settings in names.items()
+    }
+    calls["Blender, Open Image Denoise as called"] = lambda: combining.denoise_oidn(frame, guides="centre")
+    calls["Blender, Open Image Denoise at its best"] = lambda: combining.denoise_oidn(frame)
+    return calls
 
 
 def make_calls(frame: Frame) -> dict[str, Callable[[], Any]]:
@@ -84,11 +105,12 @@ def make_calls(frame: Frame) -> dict[str, Callable[[], Any]]:
     return calls
 
 
-def time_processor(call: Callable[[], Any]) -> tuple[float, float]:
-    """Return the processor time of a call, and that of its kernels and of the library it calls, seconds."""
-    spent: list[float] = []
+def time_processor(call: Callable[[], Any]) -> tuple[float, float, float]:
+    """Return the processor time of a call, that of its kernels, and that of the library it calls, seconds."""
+    kernels: list[float] = []
+    library: list[float] = []
 
-    def timed(run: Callable[..., Any]) -> Callable[..., Any]:
+    def timed(run: Callable[..., Any], spent: list[float]) -> Callable[..., Any]:
         def wrapped(*given: Any, **named: Any) -> Any:
             start = time.process_time()
             try:
@@ -98,26 +120,29 @@ def time_processor(call: Callable[[], Any]) -> tuple[float, float]:
 
         return wrapped
 
-    kernels = patch.object(Runtime, "call", timed(Runtime.call))
-    with kernels, patch.object(combining, "denoise_oidn", timed(denoise_oidn)):
+    with (
+        patch.object(Runtime, "call", timed(Runtime.call, kernels)),
+        patch.object(combining, "denoise_oidn", timed(denoise_oidn, library)),
+    ):
         start = time.process_time()
         call()
-        return time.process_time() - start, sum(spent)
+        return time.process_time() - start, sum(kernels), sum(library)
 
 
 def measure(call: Callable[[], Any], peer: Callable[[], Any]) -> dict[str, Any]:
     """Return the least times of a recipe and of the peer's call, which run in turn, and their ratios."""
     call()
-    runs: list[tuple[float, float]] = []
+    runs: list[tuple[float, float, float]] = []
     peers: list[float] = []
-    while len(runs) < MIN_ROUNDS or sum(total for total, _ in runs) < MIN_SECONDS:
+    while len(runs) < MIN_ROUNDS or sum(total for total, *_ in runs) < MIN_SECONDS:
         runs.append(time_processor(call))
         if len(peers) < MAX_PEER_ROUNDS:
             peers.append(time_processor(peer)[0])
-    total, kernels = min(runs)
+    total, kernels, library = min(runs)
     return {
         "seconds": round(total, 3),
-        "over_kernels": round(total / kernels, 3),
+        "of_library": round(library, 3),
+        "over_kernels": round(total / (kernels + library), 3),
         "over_oidn_fast": round(total / min(peers), 4),
     }
 
@@ -135,6 +160,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("-o", "--output", type=Path, default=RESULT)
     parser.add_argument("--against", type=Path, nargs="?", const=RESULT, help=f"an older result ({RESULT.name})")
     parser.add_argument("--only", default="", help="recipes whose name has this in it; the others keep their figures")
+    parser.add_argument("--shot", type=Path, help="a Blender frame of benchmarks/foreign/factory")
     asked = parser.parse_args(arguments)
     limit_threads(1)
     warnings.simplefilter("ignore")
@@ -144,6 +170,8 @@ def main(arguments: list[str] | None = None) -> int:
     peer = partial(denoise_oidn, frame, quality="fast", guides="centre")
     peer()
     calls = make_calls(frame)
+    if asked.shot:
+        calls |= make_shot_calls(tile(lobewise.read_frame(asked.shot), *SIZE))
     what = "least processor time of one call, one thread for kernels"
     for name, call in calls.items():
         if asked.only not in name:
@@ -152,7 +180,7 @@ def main(arguments: list[str] | None = None) -> int:
         found[name] = {**measure(call, peer), "commit": machine["commit"]}
         told = ", ".join(f"{key} {value} ({old.get(key, 'new')})" for key, value in found[name].items())
         print(f"{name}: {told}", flush=True)
-        recipes = {name: found[name] for name in calls if name in found}
+        recipes = {**found, **{name: found[name] for name in calls if name in found}}
         result = {"what": what, "size": list(SIZE), "machine": machine, "recipes": recipes}
         write_json(asked.output, result)
     rises = list_rises(before, {"recipes": found})

@@ -5,7 +5,15 @@ import json
 import numpy as np
 import pytest
 
-from benchmarks.performance.budget import RECIPES, RESULT, list_rises, make_calls, tile, time_processor
+from benchmarks.performance.budget import (
+    RECIPES,
+    RESULT,
+    list_rises,
+    make_calls,
+    make_shot_calls,
+    tile,
+    time_processor,
+)
 from lobewise.backend.runtime import Runtime
 from lobewise.cli.bench.plane import make_frame
 
@@ -25,7 +33,7 @@ def test_work_beside_kernels_is_no_kernel(monkeypatch: pytest.MonkeyPatch) -> No
         runtime.call(2.0)
         runtime.call(0.5)
 
-    assert time_processor(run) == (5.5, 2.5)
+    assert time_processor(run) == (5.5, 2.5, 0.0)
 
 
 def test_slower_recipes_are_named() -> None:
@@ -38,6 +46,6 @@ def test_committed_budget_has_every_recipe() -> None:
     frame = tile(make_frame(12, 8), 30, 20)
     assert frame.shape == (20, 30)
     assert np.array_equal(frame.radiance.color[8:16, 12:24], frame.radiance.color[:8, :12])
-    names = list(make_calls(frame))
+    names = [*make_calls(frame), *make_shot_calls(frame)]
     assert set(RECIPES) < set(names)
     assert list(json.loads(RESULT.read_text())["recipes"]) == names

@@ -9,13 +9,11 @@ import pytest
 
 import lobewise
 from lobewise.cli.program import run
-from lobewise.denoising import recipe
 from lobewise.denoising.bad_pixels import fill_holes, mark_good
 from lobewise.errors import InputError
 from lobewise.interchange import read_image
 from lobewise.io import write_frame
 from lobewise.recipes.streaming import denoise_file
-from lobewise.recipes.streaming import recipe as streaming
 from lobewise.records.frame import Frame, GBuffer, Radiance, RadianceLayer
 from tests.mistakes import refuses
 from tests.streaming.frames import make_scene
@@ -42,13 +40,6 @@ def spoil(frame: Frame, name: str, value: float, spots: np.ndarray) -> Frame:
     image = getattr(frame.gbuffer, name).copy()
     image[spots] = value
     return frame.with_changes(gbuffer=replace(frame.gbuffer, **{name: image}))
-
-
-@pytest.fixture(autouse=True)
-def keep_silent(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave out what "fast" says of its own blur: these frames have little noise."""
-    for module in (recipe, streaming):
-        monkeypatch.setattr(module, "describe_blurred", lambda rows: ())
 
 
 @pytest.mark.parametrize("quality", QUALITIES)

@@ -1,7 +1,6 @@
 """How much of the noisy image is taken back: nothing by chance, what a filter blurs, more as samples grow."""
 
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -11,9 +10,6 @@ import lobewise
 from lobewise.denoising import chain
 from lobewise.denoising.automatic import ask, resolve_all
 from lobewise.denoising.evidence import (
-    NOTED_STRIP_ROWS,
-    count_blurred,
-    describe_blurred,
     estimate_share_lost,
     estimate_share_proved,
     takes_back,
@@ -142,37 +138,6 @@ def test_a_texture_that_no_guide_tells_comes_back(
         return  # the refining network keeps stripes itself
     monkeypatch.setattr(chain, "estimate_share_lost", lambda samples, *_, **__: np.zeros(samples.shape[:2], np.float32))
     assert rel_mse(lobewise.denoise(frame, quality=quality).image, truth) > 3.0 * noise
-
-
-def test_fast_says_how_much_it_blurs(rng: np.random.Generator) -> None:
-    truth = make_texture()
-    for noise, told in ((1e-3, True), (4.0, False)):
-        a, b = draw_halves(truth, noise, rng)
-        variance = Radiance(np.float32(noise) * truth**2)
-        frame = Frame(Radiance(0.5 * (a + b)), FACING, variance=variance)
-        notes = lobewise.denoise(frame, quality="fast", similarity="normal").notes
-        assert any("% of the image this filter blurs" in note for note in notes) is told
-    assert describe_blurred(np.array([[9.0, 1000.0]])) == ()
-    assert describe_blurred(np.array([[10.0, 1000.0]]))[0].startswith("In 1 % of the image")
-
-
-def test_blur_is_counted_in_strips_the_same_in_bands(rng: np.random.Generator) -> None:
-    """A quarter of a high image tells the blurred share, and bands of any height count the same strips."""
-    height, blurred_from = 768, 384
-    truth = np.tile(make_texture(), (height // SIZE, 1, 1))
-    a, b = draw_halves(truth, 1e-3, rng)
-    noisy, result = 0.5 * (a + b), truth.copy()
-    result[blurred_from:] = truth.mean()
-    counts = count_blurred(Frame(Radiance(noisy)), result)
-    blurred, counted = counts.sum(axis=0)
-    assert counted < 0.3 * height * SIZE
-    assert blurred / counted == pytest.approx(1.0 - blurred_from / height, abs=0.05)
-    found = []
-    for first, end in pairwise([0, 1, 128, 150, 401, height]):
-        rows = slice(max(first - 8, 0), min(end + NOTED_STRIP_ROWS, height))
-        part = Frame(Radiance(noisy[rows]))
-        found.append(count_blurred(part, result[rows], (first, end), rows.start, height))
-    assert np.array_equal(np.concatenate(found), counts)
 
 
 def test_error_along_an_edge_counts_there(rng: np.random.Generator) -> None:

@@ -12,7 +12,6 @@ import pytest
 import lobewise
 from lobewise.denoising import denoise
 from lobewise.denoising.automatic import ask
-from lobewise.denoising.evidence import NOTED_STRIP_ROWS
 from lobewise.errors import CancelledError, FileError, InputError, LobewiseError
 from lobewise.io import read_frame, write_frame
 from lobewise.io.exr.bands import BandReader, BandWriter
@@ -303,7 +302,7 @@ def test_rows_fit_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert estimate_bytes(reader, high) == reader.count_bytes()[1] + QUALITIES["high"].work_bytes_per_pixel
     for rows in (300, 1000):
         memory = (rows + 0.5) * SHAPE[1] * pixel / 2**30
-        assert choose_rows(reader, asked, None, memory) == rows - 2 * (8 + CHECKED_REACH + NOTED_STRIP_ROWS)
+        assert choose_rows(reader, asked, None, memory) == rows - 2 * (8 + CHECKED_REACH)
     assert choose_rows(reader, asked, None, 1e-9) == 32
     assert not needs_bands(reader, asked)
     for rows, large in ((SHAPE[0] + 1, False), (SHAPE[0] - 1, True)):

@@ -1,4 +1,4 @@
-"""The evidence of the samples about a result: where it lost detail, and whether it is worse than its input."""
+"""The evidence of the samples about a result: where it lost detail."""
 
 from __future__ import annotations
 
@@ -7,42 +7,31 @@ from functools import cache
 from importlib.resources import files
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lobewise import engine
 from lobewise.engine.numbers import make_single
 from lobewise.filters.glue import define_good, define_mixed, define_share_taken
 from lobewise.filters.mixing import Perceptron
 from lobewise.filters.noise.detail import predict_shares
-from lobewise.filters.noise.evidence import count_certain, estimate_noisy_share
+from lobewise.filters.noise.evidence import estimate_noisy_share
 from lobewise.filters.noise.pooling import DARK_SHARE
-from lobewise.metrics.images import EPSILON
 from lobewise.records.frame import FloatArray, Frame
 from lobewise.settings import ResolvedSettings
 
 MAX_CONCENTRATION = 4.0
 """Concentration that `estimate_noisy_share` expects of the error of our filters: this error lies along edges and
 textures (docs/developers/research/quality_trials.md)."""
-MIN_SHARE_BLURRED = 0.01
-"""Share of the pixels. The user is told if a result has clearly more error than its input in more of them."""
 HALF_TRUST_SPP = 16.0
 """Samples per pixel at which half of the share that the network says is taken, where no halves prove it."""
-UNKNOWN_SPP = 4.0
+DEFAULT_SPP = 4.0
 """Samples per pixel of a frame where nobody knows them."""
 MAX_RADIANCE = 1e36
 """Radiance above which no share of a pixel is taken back, because sums of it overflow."""
-RowSums = NDArray[np.float64]
 SHARE_WEIGHTS = "weights.npz"
 """File of the trained networks, beside this module: small perceptrons as arrays by name."""
 NAMES = ("noisy", "refined", "peer")
 """"noisy" says how much of the noisy image a filtered image takes back, "refined" how much an image takes back that the
 refining network made. "peer" mixes a result with the image of Open Image Denoise."""
-NOTED_STRIP_ROWS = 32
-"""Rows of a strip. What the user is told about blur is counted in strips, each an image of its own."""
-MAX_STRIP_STEP = 4
-"""Strips, of which one is counted in a high image. A quarter of the rows tells the share of the image."""
-MIN_STRIPS = 4
-"""Smallest number of strips that is counted, as far as the image has so many."""
 
 
 def estimate_share_lost(
@@ -76,7 +65,7 @@ def estimate_share_lost(
     refined : bool
         Whether the refining network made the image.
     spp : float, optional
-        Samples per pixel; `UNKNOWN_SPP` where nobody knows.
+        Samples per pixel; `DEFAULT_SPP` where nobody knows.
     """
     text = "the filtered image, finite"
     (filtered,) = engine.pixels(define_good, {"image": image}, {}, names=["good"], text=text)
@@ -84,7 +73,7 @@ def estimate_share_lost(
     shares = predict_shares(filtered, samples, network, halves=halves, level=level, shared=shared)
     # The parts are added later, and near the largest float their sum overflows.
     images = {"color": samples, "shares": shares}
-    count = UNKNOWN_SPP if spp is None else spp
+    count = DEFAULT_SPP if spp is None else spp
     trust = make_single(1.0 / (1.0 + HALF_TRUST_SPP / count) if halves is None else 1.0)
     (share,) = engine.pixels(define_share_taken, images, {"trust": trust}, MAX_RADIANCE, names=["share"])
     return share
@@ -130,68 +119,6 @@ def mix_noisy(part: FloatArray, noisy: FloatArray, share: FloatArray) -> FloatAr
     images, text = {"part": part, "noisy": noisy, "share": share}, "take the noisy light back"
     (mixed,) = engine.pixels(define_mixed, images, {}, names=["mixed"], text=text)
     return mixed
-
-
-def count_blurred(
-    frame: Frame, image: FloatArray, band: tuple[int, int] | None = None, top: int = 0, height: int | None = None
-) -> RowSums:
-    """Return for each strip of an image the pixels with clearly more error than the input, and all of its pixels.
-
-    The count does not read the halves of the samples, because the quality "fast" does not read them either. Low images
-    are counted whole, and of high ones a strip of every `MAX_STRIP_STEP`.
-
-    Parameters
-    ----------
-    frame : Frame
-        The noisy frame, or some of its rows.
-    image : array, shape (height, width, 3)
-        The result, of the same rows.
-    band : two int, optional
-        Rows of the whole frame, first and end: the strips that begin there are counted. The ``frame`` goes on for
-        `NOTED_STRIP_ROWS` rows beyond, as far as the whole one does. By default all rows.
-    top : int
-        First row of ``frame`` in the whole frame.
-    height : int, optional
-        Rows of the whole frame; by default those of ``frame``.
-
-    Returns
-    -------
-    array, shape (strips, 2)
-    """
-    height = frame.height if height is None else height
-    first, end = band or (0, height)
-    step = NOTED_STRIP_ROWS * min(max(height // (NOTED_STRIP_ROWS * MIN_STRIPS), 1), MAX_STRIP_STEP)
-    variance = None if frame.variance is None else frame.variance.color
-    counts = []
-    for start in range(-(-first // step) * step, end, step):
-        rows = slice(start - top, min(start + NOTED_STRIP_ROWS, height) - top)
-        blurred = count_certain(
-            image[rows],
-            frame.radiance.color[rows],
-            variance=None if variance is None else variance[rows],
-            floor=EPSILON,
-            shared=frame.noise_is_shared,
-        )
-        counts.append((blurred, (rows.stop - rows.start) * frame.width))
-    return np.array(counts, np.float64).reshape(-1, 2)
-
-
-def describe_blurred(strips: RowSums) -> tuple[str, ...]:
-    """Return the sentence that a result has more error than its input in a part of the image, or none.
-
-    Parameters
-    ----------
-    strips : array, shape (strips, 2)
-        Result of `count_blurred`.
-    """
-    blurred, count = strips.sum(axis=0) if len(strips) else (0.0, 0.0)
-    if not blurred >= MIN_SHARE_BLURRED * max(count, 1.0):
-        return ()
-    return (
-        f"In {100.0 * blurred / count:.0f} % of the image this filter blurs by more than the noise was, as the samples "
-        "tell: there the noisy image is nearer to the truth. The qualities 'balanced' and 'high' keep what they blur; "
-        "with 'fast' a smaller radius helps.",
-    )
 
 
 @cache

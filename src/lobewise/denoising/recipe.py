@@ -25,7 +25,6 @@ from lobewise.denoising.combining import (
     name_method,
     sum_finite,
 )
-from lobewise.denoising.evidence import count_blurred, describe_blurred
 from lobewise.denoising.inputs import DEPTH_WITHOUT_CAMERA, describe_lacks, list_unused
 from lobewise.denoising.layers import Layer
 from lobewise.denoising.light_loss import MIN_SHARE_BOUNDED, compute_share_missing, describe_loss, sum_light
@@ -363,8 +362,6 @@ def describe_filtering(
     share_bounded = compute_energy_lost(before.tallies)
     if share_bounded >= MIN_SHARE_BOUNDED:
         notes += describe_loss(sum_light(frame, before.image, before.bad), share_bounded)
-    if not before.levels:
-        notes += describe_blurred(count_blurred(frame, before.image))
     return notes
 
 

@@ -15,9 +15,6 @@ errors is our own.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
 from lobewise import engine
@@ -46,8 +43,6 @@ FIRST_BLUR = 1
 """First blur that counts: fewer than 60 products do not estimate their own spread well."""
 EVIDENCE_REACH: int = POOLING_REACH + 2 * (2**BLUR_COUNT - 1)
 """Distance of the farthest pixel that affects a pixel's share, rows or columns."""
-COUNTED_BLOCKS = (16, 32)
-"""Sides of the blocks of `count_certain`, pixels. They hold about as many pixels as the blurs that count average."""
 _MIN_SQUARE = 1e-30
 
 
@@ -94,9 +89,9 @@ def estimate_noisy_share(
         If the images differ in size.
     """
     least = make_single(choose_smaller(choose_larger(floor, 1e-24), 1e30))
-    sums, factor = _compute_excess(
-        filtered, noisy, gather_noise(halves, variance, shared=shared), least, by_darker=False
-    )
+    noise_images, factor = gather_noise(halves, variance, shared=shared)
+    images = {"filtered": filtered, "noisy": noisy, **noise_images}
+    (sums,) = engine.pixels(define_excess, images, {"floor": least}, names=["excess"])
     levels = {}
     for number in range(BLUR_COUNT):
         levels[f"sums{number}"] = sums = blur_image(sums, 2**number)
@@ -107,52 +102,9 @@ def estimate_noisy_share(
     return share
 
 
-def count_certain(
-    filtered: FloatArray, noisy: FloatArray, *, variance: FloatArray | None, floor: float, shared: bool
-) -> int:
-    """Return in how many pixels the error of a filtered image is certainly larger than the noise of the noisy one.
-
-    Blocks of `COUNTED_BLOCKS` pixels count as a whole. Differences are divided by the smaller luminance of both images,
-    so that a filtered image that is too bright does not make its own error look small. Parameters are those of
-    `estimate_noisy_share`.
-    """
-    noise = gather_noise(None, variance, shared=shared)
-    sums, factor = _compute_excess(filtered, noisy, noise, np.float32(floor), by_darker=True)
-    certain_pixels, sizes = np.zeros(noisy.shape[:2], np.bool_), np.ones(noisy.shape[:2], np.float32)
-    block = 1
-    for size in COUNTED_BLOCKS:
-        # Each block is the sum of smaller ones.
-        for axis in (0, 1):
-            starts = np.arange(0, sums.shape[axis], size // block)
-            sums, sizes = (np.add.reduceat(each, starts, axis=axis) for each in (sums, sizes))
-        block = size
-        excess, square, own = (sums[..., k] / sizes for k in range(3))
-        certain = excess - np.sqrt(MARGIN_STANDARD_ERRORS**2 * factor / sizes * square) > own
-        height, width = noisy.shape[:2]
-        certain_pixels |= certain.repeat(size, axis=0)[:height].repeat(size, axis=1)[:, :width]
-    return int(np.count_nonzero(certain_pixels))
-
-
-def _compute_excess(
-    filtered: FloatArray,
-    noisy: FloatArray,
-    noise: tuple[Mapping[str, Any], float],
-    floor: Any,
-    *,
-    by_darker: bool,
-) -> tuple[FloatArray, float]:
-    """Return excess, squared excess and variance of every pixel, and the factor of squared margins."""
-    noise_images, factor = noise
-    images = {"filtered": filtered, "noisy": noisy, **noise_images}
-    (sums,) = engine.pixels(define_excess, images, {"floor": floor}, by_darker, names=["excess"])
-    return sums, factor
-
-
-def define_excess(grid: Grid, by_darker: bool) -> list[Vector]:
+def define_excess(grid: Grid) -> list[Vector]:
     """Define excess, squared excess and variance, each summed over channels and over the squared local luminance."""
     luminance = average_light(grid, "filtered")
-    if by_darker:
-        luminance = hl.min(luminance, average_light(grid, "noisy"))
     filtered, noisy = grid.read("filtered"), grid.read("noisy")
     squares, known = estimate_noise(grid, "filtered")
     good = is_good(noisy) & is_good(filtered) & known

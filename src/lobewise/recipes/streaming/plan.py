@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-from lobewise.denoising.evidence import NOTED_STRIP_ROWS
 from lobewise.denoising.inputs import Images, list_images
 from lobewise.denoising.plan import compute_steps_reach
 from lobewise.filters.refinement.shape import MULTIPLE
@@ -81,12 +80,8 @@ def choose_rows(reader: BandReader, settings: ResolvedSettings, rows: int | None
 
 
 def compute_band_reach(settings: ResolvedSettings) -> int:
-    """Return how many rows around a band are read: the reach of the filters and of the notes to the user.
-
-    Filters without halves do not read the evidence, but the note on blurred detail does, in strips.
-    """
-    noted = 0 if get_quality(settings.quality).reads_halves else NOTED_STRIP_ROWS
-    return compute_steps_reach(settings) + CHECKED_REACH + noted
+    """Return how many rows around a band are read: the reach of the filters and of the checks."""
+    return compute_steps_reach(settings) + CHECKED_REACH
 
 
 def cut_bands(height: int, rows: int) -> Bands:

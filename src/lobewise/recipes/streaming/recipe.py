@@ -32,7 +32,6 @@ from lobewise.denoising.bad_pixels import (
 )
 from lobewise.denoising.chain import Filtered, compute_gains, filter_rows
 from lobewise.denoising.combining import describe_method
-from lobewise.denoising.evidence import count_blurred, describe_blurred
 from lobewise.denoising.inputs import describe_lacks, list_images, list_unused
 from lobewise.denoising.light_loss import (
     MIN_SHARE_BOUNDED,
@@ -247,7 +246,6 @@ class _Seen:
     refined: bool
     """Whether the network refines the layers."""
     light: list[RowSums] = field(default_factory=list)
-    blurred: list[RowSums] = field(default_factory=list)
     below: list[NDArray[np.float64]] = field(default_factory=list)
     """Result of `sum_below` for each band."""
     missing: list[list[RowSums]] = field(default_factory=list)
@@ -265,7 +263,6 @@ class _Seen:
             *lacks,
             *describe_loss(light, share_bounded),
             *describe_bright(self.below),
-            *describe_blurred(np.concatenate(self.blurred) if self.blurred else np.zeros((0, 2))),
         )
 
     def compute_losses(self) -> list[Loss]:
@@ -369,9 +366,6 @@ def _filter_band(
     seen.missing.append(band_result.sum_missing(takers, core))
     if seen.measures_light:
         seen.light.append(sum_light(frame, band_result.image, bad, core))
-    if not get_quality(settings.above.quality).reads_halves:
-        band = (rows[0] + core.start, rows[0] + core.stop)
-        seen.blurred.append(count_blurred(frame, band_result.image, band, rows[0], reader.shape[0]))
     images: dict[str, NDArray[Any]] = {"holes": holes[core], **_name_fields(reader, band_result, core)}
     with engine.on(settings.above.device):
         images |= _refine_parts(reader, frame, band_result, core)
