@@ -72,7 +72,7 @@ def list_drawn_images() -> Iterator[Case]:
 
 def list_similarities() -> Iterator[Case]:
     """Yield every similarity with each of its options."""
-    for whole in (make_frame(), drop(make_frame(), "tangent", "alpha_v"), drop(make_frame(), "hit_albedo")):
+    for whole in (make_frame(), drop(make_frame(), "tangent", "alpha_v")):
         for frame in (whole, combine(whole), whole.with_changes(half_a=None, half_b=None)):
             for similarity in SIMILARITIES:
                 for quality in QUALITIES:
@@ -110,16 +110,19 @@ def follow(frame: Frame, scale: int, **changes: Any) -> Case:
 def list_upsampling() -> Iterator[Case]:
     """Yield upsampling by every similarity and scale."""
     rich = make_frame((32, 48))
-    for frame in (rich, combine(rich), drop(rich, "tangent", "alpha_v"), drop(rich, "position"), drop(rich, *_HITS)):
+    for frame in (
+        rich,
+        combine(rich),
+        drop(rich, "tangent", "alpha_v"),
+        drop(rich, "position"),
+        drop(rich, "hit_distance"),
+    ):
         for similarity in SIMILARITIES:
             yield upsample(frame, 4, similarity=similarity)
         yield upsample(frame, 4, bilinear=True)
         for scale in range(2, MAX_SCALE_PIXELS + 1):
             yield upsample(frame, scale)
         yield lambda frame=frame: _recompute(frame)  # type: ignore[misc]
-
-
-_HITS = "hit_distance", "hit_normal", "hit_albedo"
 
 
 def _recompute(frame: Frame) -> Any:
@@ -139,8 +142,8 @@ def list_histories() -> Iterator[Case]:
         rich,
         combine(rich),
         drop(rich, "tangent", "alpha_v"),
-        drop(rich, *_HITS),
-        drop(rich, *_HITS, "tangent", "alpha_v", "position"),
+        drop(rich, "hit_distance"),
+        drop(rich, "hit_distance", "tangent", "alpha_v", "position"),
         drop(rich, "motion"),
         drop(rich, "diffuse_albedo", "specular_albedo", "mean_diffuse_albedo", "mean_specular_albedo"),
         make_frame((SIZE[0], NARROW)),
@@ -175,7 +178,7 @@ def list_windows() -> Iterator[Case]:
         return lambda: lobewise.WindowFilter(reach, device="cpu", **changes).denoise(frames, 1)
 
     rich = make_frame()
-    for frame in (*vary_rare_images(rich), drop(rich, *_HITS), drop(rich, "motion")):
+    for frame in (*vary_rare_images(rich), drop(rich, "hit_distance"), drop(rich, "motion")):
         yield join(frame, 1)
     for quality in QUALITIES:
         for similarity in SIMILARITIES:

@@ -19,7 +19,6 @@ NARROW = 8
 _HITS: tuple[tuple[str, ...], ...] = (
     (),
     ("hit_distance",),
-    ("hit_distance", "hit_normal", "hit_albedo"),
 )
 
 
@@ -55,8 +54,6 @@ def make_frame(size: tuple[int, int] = SIZE, seed: int = 1) -> Frame:
         diffuse_albedo=image(0.3, 0.7, 3),
         specular_albedo=image(0.3, 0.7, 3),
         hit_distance=image(1.0, 3.0),
-        hit_normal=0.8 * direction(),
-        hit_albedo=image(0.3, 0.7, 3),
         mean_normal=direction(),
         mean_diffuse_albedo=image(0.3, 0.7, 3),
         mean_specular_albedo=image(0.3, 0.7, 3),
@@ -112,7 +109,6 @@ def vary_rare_images(frame: Frame) -> Iterator[Frame]:
     yield drop(frame, "depth", "position")
     yield drop(frame, "diffuse_albedo")
     yield drop(frame, "specular_albedo")
-    yield drop(frame, "hit_albedo")
     yield drop(frame, "normal", "tangent", "alpha_v", "mean_normal")
     yield frame.with_changes(camera=None)
     yield drop(frame.with_changes(camera=None), "position")
@@ -153,8 +149,6 @@ _TOGETHER = (
     ("specular_albedo",),
     ("mean_normal", "mean_diffuse_albedo", "mean_specular_albedo"),
     ("hit_distance",),
-    ("hit_normal",),
-    ("hit_albedo",),
     ("mean_emission",),
     ("coverage",),
     ("object_share",),

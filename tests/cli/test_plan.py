@@ -25,7 +25,7 @@ def test_it_prints_the_steps_of_the_quality(quality: str, frame_file: Path, caps
     assert f"quality {quality}" in printed
     assert printed.splitlines()[1].startswith("1. filter ")
     assert ("full kernel, 9x9 pixels" in printed) == (quality == "fast")
-    assert ("taps 2 pixels apart" in printed) == (quality != "fast")
+    assert ("7x7 taps, lobes to the power 1" in printed) == (quality != "fast")
     assert ("refine the image" in printed) == (quality == "high")
     assert "Memory: about" in printed
     assert "Time: about" in printed
