@@ -68,6 +68,7 @@ def has_passes(frame: Frame) -> bool:
     return len(frame.also) > len(list_alone(frame.also)) or any(layer.parts for layer in frame.layers)
 
 
+@device_scope()
 def finish_layer_parts(
     frame: Frame, others: Mapping[str, Sequence[FilteredOther]], layers: Mapping[str, Passed]
 ) -> dict[str, FloatArray]:

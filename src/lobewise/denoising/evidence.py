@@ -10,6 +10,7 @@ import numpy as np
 
 from lobewise import engine
 from lobewise.engine.numbers import make_single
+from lobewise.filters.compositing import UNKNOWN_SPP
 from lobewise.filters.glue import define_good, define_mixed, define_share_taken
 from lobewise.filters.mixing import Perceptron
 from lobewise.filters.noise.detail import predict_shares
@@ -23,8 +24,6 @@ MAX_CONCENTRATION = 4.0
 textures (docs/developers/research/quality_trials.md)."""
 HALF_TRUST_SPP = 16.0
 """Samples per pixel at which half of the share that the network says is taken, where no halves prove it."""
-DEFAULT_SPP = 4.0
-"""Samples per pixel of a frame where nobody knows them."""
 MAX_RADIANCE = 1e36
 """Radiance above which no share of a pixel is taken back, because sums of it overflow."""
 SHARE_WEIGHTS = "weights.npz"
@@ -65,7 +64,7 @@ def estimate_share_lost(
     refined : bool
         Whether the refining network made the image.
     spp : float, optional
-        Samples per pixel; `DEFAULT_SPP` where nobody knows.
+        Samples per pixel; `UNKNOWN_SPP` where nobody knows.
     """
     text = "the filtered image, finite"
     (filtered,) = engine.pixels(define_good, {"image": image}, {}, names=["good"], text=text)
@@ -73,7 +72,7 @@ def estimate_share_lost(
     shares = predict_shares(filtered, samples, network, halves=halves, level=level, shared=shared)
     # The parts are added later, and near the largest float their sum overflows.
     images = {"color": samples, "shares": shares}
-    count = DEFAULT_SPP if spp is None else spp
+    count = UNKNOWN_SPP if spp is None else spp
     trust = make_single(1.0 / (1.0 + HALF_TRUST_SPP / count) if halves is None else 1.0)
     (share,) = engine.pixels(define_share_taken, images, {"trust": trust}, MAX_RADIANCE, names=["share"])
     return share

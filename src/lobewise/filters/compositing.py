@@ -24,7 +24,7 @@ MEAN_EMISSION_SPP = 16.0
 """Samples that `lobewise.GBuffer.mean_emission` counts as, its number of rays. The rays are spread evenly over the
 pixel: at straight edges they are worth twice as many samples, at lamps smaller than a pixel no more."""
 UNKNOWN_SPP = 16.0
-"""Samples per pixel that emission counts as if their number is not known."""
+"""Samples per pixel of a frame whose number of samples is not known."""
 COVERAGE_REACH = 1
 """Distance of the farthest pixel whose light is mixed in, rows or columns."""
 
