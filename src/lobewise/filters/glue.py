@@ -246,7 +246,7 @@ def define_channel(grid: Grid, number: int) -> list[Vector]:
 
 
 def define_share_taken(grid: Grid, most: float) -> list[Vector]:
-    """Return the share of the noisy image that is taken back: the network's, times ``trust``; see
+    """Return the share of the noisy image that is taken back: the network's, as far as it is trusted; see
     `estimate_share_lost`."""
     zero, color = hl.f32(0.0), grid.read("color")
     share = hl.select(is_good(color), grid.read("shares")[0], zero)
