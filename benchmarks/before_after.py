@@ -43,9 +43,8 @@ def make_cases() -> dict[str, Callable[[], Any]]:
         cases[name] = lambda: run(*given, device="cpu", **changes)
 
     for form in ("full", "separable", "atrous"):
-        for similarity in ("normal", "sg", "sg_mixture", "asg", "ggx"):
+        for similarity in ("normal", "sg", "sg_mixture", "ggx"):
             add(f"fast {form} {similarity}", lobewise.denoise, rich, quality="fast", form=form, similarity=similarity)
-    add("fast full ggx, hits", lobewise.denoise, rich, quality="fast", hit_distance=True)
     for similarity in ("sg", "ggx"):
         add(f"balanced {similarity}", lobewise.denoise, rich, quality="balanced", similarity=similarity)
         add(f"upsampling {similarity}", lobewise.upsample, sparse, similarity=similarity)

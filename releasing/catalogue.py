@@ -79,11 +79,6 @@ def list_similarities() -> Iterator[Case]:
                     yield denoise(frame, quality=quality, similarity=similarity)
                 for form in FORM_NAMES:
                     yield denoise(frame, quality="fast", form=form, similarity=similarity)
-                    if SIMILARITIES[similarity].takes_hits:
-                        yield denoise(frame, quality="fast", form=form, similarity=similarity, hit_distance=True)
-                if SIMILARITIES[similarity].takes_hits:
-                    for quality in QUALITIES:
-                        yield denoise(frame, quality=quality, similarity=similarity, hit_distance=True)
             for quality in QUALITIES:
                 yield denoise(frame, quality=quality, similarity="normal", band_limit=1.0)
             for lobes in range(1, MAX_LOBES + 1):

@@ -30,7 +30,7 @@ DEGREES_PER_FRAME = 0.5
 REFERENCE_SAMPLES = 64
 ADAPTIVE = 0.05
 GAP = 6
-LOBES = ("sg", "asg", "ggx")
+LOBES = ("sg", "ggx")
 # What a chain that compares normals was tuned over, by the error after upsampling and repair of a single frame.
 GRID = {
     "radius": (1, 2, 3),

@@ -9,7 +9,7 @@ GOALS = {"sg": 1.20, "ggx": 1.80}
 """Times of `normal` that a similarity may take."""
 PEER_GOALS = {"sg": (8.0, 4.0), "ggx": (5.0, 2.5)}
 """How many times faster than Open Image Denoise, by default and with its `fast` quality."""
-TIMED = ("normal", "sg", "sg_mixture, 3 lobes", "sg_mixture, 3 coaxial", "asg", "ggx")
+TIMED = ("normal", "sg", "sg_mixture, 3 lobes", "sg_mixture, 3 coaxial", "ggx")
 """Names in filters.json."""
 
 
@@ -61,14 +61,14 @@ def make_ratio_rows(filters: Mapping[str, Any]) -> str:
             continue
         cells = [f"{row['width']}x{row['height']}", f"`{row['form']}`", str(row["radius"])]
         cells += [f"{row['normal']['milliseconds']:.1f} ms"]
-        for name in ("sg", "ggx", "asg"):
+        for name in ("sg", "ggx"):
             ratio = row[name]["ratio_to_normal"]
             told = f"{ratio:.2f}"
             if row["radius"] == 8 and name in GOALS:
                 told += f" ({GOALS[name]:.2f}: {judge(ratio <= GOALS[name])})"
             cells.append(told)
         rows.append(cells)
-    return make_table(["size", "form", "radius", "`normal`", "`sg` (goal)", "`ggx` (goal)", "`asg`"], rows)
+    return make_table(["size", "form", "radius", "`normal`", "`sg` (goal)", "`ggx` (goal)"], rows)
 
 
 def make_peer_rows(filters: Mapping[str, Any]) -> str:

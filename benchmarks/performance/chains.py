@@ -152,7 +152,6 @@ def measure(device: Any, height: int, width: int) -> list[dict[str, Any]]:
             normal_exponent=64.0,
             band_limit=None,
             lobes=3,
-            hit_distance=False,
             with_oidn=False,
         )
         scale = SCALE if name == "upsample" else 1

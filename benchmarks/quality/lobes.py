@@ -35,7 +35,7 @@ from lobewise.render import load_scene, render_reference
 from lobewise.settings.choices import SimilarityName
 
 RESULT = RESULTS / "lobes.json"
-SIMILARITIES = ("normal", "sg", "asg", "ggx")
+SIMILARITIES = ("normal", "sg", "ggx")
 SIZE, SPP, REFERENCE_SPP = 256, 16, 1024
 """Pixels of a side of the built-in scenes' frames, and samples per pixel."""
 REFERENCE_SEEDS = (1001, 1002)

@@ -47,13 +47,10 @@ def _denoise(frame: Frame, **changes: Any) -> Callable[[], Arrays]:
 def _list_filters(bundled: Frame, part: Frame, rich: Frame) -> Iterator[tuple[str, Callable[[], Arrays]]]:
     """Yield the similarities, forms and qualities."""
     for form in ("full", "separable", "atrous"):
-        for similarity in ("normal", "sg", "sg_mixture", "asg", "ggx"):
+        for similarity in ("normal", "sg", "sg_mixture", "ggx"):
             options: dict[str, Any] = {"quality": "fast", "form": form, "similarity": similarity}
             yield f"fast {form} {similarity}", _denoise(part, **options)
             yield f"fast {form} {similarity}, all guides", _denoise(rich, **options)
-        for similarity in ("sg", "asg", "ggx"):
-            options = {"quality": "fast", "form": form, "similarity": similarity, "hit_distance": True}
-            yield f"fast {form} {similarity}, hits", _denoise(rich, **options)
     yield "fast normal, band limit", _denoise(part, quality="fast", similarity="normal", band_limit=1.0)
     yield "fast separable ggx, whole", _denoise(bundled, quality="fast", form="separable")
     total = part.with_changes(radiance=Radiance(part.radiance.color))
@@ -63,7 +60,7 @@ def _list_filters(bundled: Frame, part: Frame, rich: Frame) -> Iterator[tuple[st
         yield quality, _denoise(part, quality=quality)
         yield f"{quality}, all guides", _denoise(rich, quality=quality)
         yield f"{quality}, not apart", _denoise(total, quality=quality)
-    for similarity in ("normal", "sg", "sg_mixture", "asg"):
+    for similarity in ("normal", "sg", "sg_mixture", "ggx"):
         yield f"balanced {similarity}", _denoise(rich, quality="balanced", similarity=similarity)
     yield "balanced, whole", _denoise(bundled, quality="balanced")
     yield "high, whole", _denoise(bundled, quality="high")
@@ -80,7 +77,7 @@ def _list_upsampling(rich: Frame) -> Iterator[tuple[str, Callable[[], Arrays]]]:
     def upsample(frame: Frame, place: tuple[int, int], **changes: Any) -> Callable[[], Arrays]:
         return lambda: take(lobewise.upsample(lobewise.make_sparse(frame, 4, place), device="cpu", **changes))
 
-    for similarity in ("normal", "sg", "sg_mixture", "asg", "ggx"):
+    for similarity in ("normal", "sg", "sg_mixture", "ggx"):
         yield f"upsampling {similarity}", upsample(rich, (1, 2), similarity=similarity)
     yield "upsampling bilinear", upsample(rich, (0, 0), bilinear=True)
     shining = name_layers(rich)

@@ -157,7 +157,7 @@ KERNELS = {
     "fireflies": list_definitions(("fireflies", True), fireflies.make_fireflies),
     "reprojection": list_definitions(("reprojection", GgxFeature), make_reprojection),
     "accumulation": list_definitions(("accumulation", GgxFeature), make_accumulation),
-    "lobes": list_definitions((lobe_fields.define_lobes,), pointwise.make_pointwise),
+    "lobes": list_definitions((lobe_fields.define_sg_lobes,), pointwise.make_pointwise),
 }
 """What some kernels are made from."""
 
@@ -190,11 +190,11 @@ class TestSources:
         assert any(both[0].definitions[name] != both[1].definitions[name] for name in ("LIMIT", "f"))
 
     def test_names_of_imported_modules(self):
-        found = digest_definitions(["lobewise.lobes.hits.compute_hit_shift", "lobewise.features.GgxFeature"])
+        found = digest_definitions(["lobewise.lobes.vectors.dot", "lobewise.features.GgxFeature"])
         assert "lobewise.features.ggx.GgxFeature" in found
         # By way of `expressions.log2`, and of classes above.
         assert {"lobewise.backend.expressions.LOG2_COEFFICIENTS", "lobewise.features.base.Feature"} < set(found)
-        assert "lobewise.features.asg.AsgFeature" not in found
+        assert "lobewise.features.sg.SgFeature" not in found
         assert len(digest_definitions(["lobewise.filters.forms"])) == 8
         assert not digest_definitions(["numpy", "lobewise.nothing", "lobewise.records.frame.nothing"])
 

@@ -302,7 +302,7 @@ class TestInspect:
             "normal.X",
             "gbuffer.normal",
             "Camera: known. Samples per pixel: 4.",
-            "normal, sg, sg_mixture, asg, ggx",
+            "normal, sg, sg_mixture, ggx",
             "lobewise/camera/fov_y",
             "missing: not needed for one frame",
         )

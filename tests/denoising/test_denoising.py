@@ -70,7 +70,6 @@ def get_clean(shape: tuple[int, int] = SHAPE) -> np.ndarray[Any, Any]:
     [
         ("sg", "full", True),
         ("sg_mixture", "full", True),
-        ("asg", "full", True),
         ("ggx", "full", True),
         # Forms and similarities are apart: that each works with each is in the tests of the filter.
         pytest.param("ggx", "full", False, marks=pytest.mark.nightly),
@@ -111,24 +110,6 @@ def test_combined_radiance_is_compared_by_diffuse_and_specular_lobe() -> None:
     assert np.median(support["sg_mixture"] / support["sg"]) < 0.8
     with refuses(InputError, "lobes of a mixture", expected="an integer from 1 to 3"):
         denoise(frame, similarity="sg_mixture", lobes=4)
-
-
-@pytest.mark.sampled("sg")
-@pytest.mark.parametrize("similarity", ["sg", "asg", "ggx"])
-def test_near_hits_narrow_the_kernel(similarity: str) -> None:
-    distance = np.broadcast_to(np.where(np.arange(SHAPE[0]) < 20, 0.05, np.inf)[:, None], SHAPE)
-    frame = make_frame(hit_distance=distance)
-    plain = denoise(frame, similarity=similarity, hit_distance=False, quality="fast")
-    near = denoise(frame, similarity=similarity, hit_distance=True, quality="fast")
-    assert near.weight_sum[:15].mean() < 0.5 * plain.weight_sum[:15].mean()
-    np.testing.assert_allclose(near.weight_sum[29:], plain.weight_sum[29:], rtol=1e-4)
-    assert plain.settings["hit_distance"] is False
-
-
-@BOTH
-def test_hit_distance_needs_the_channel(quality: str) -> None:
-    with refuses(MissingChannelError, "channel hit_distance"):
-        denoise(make_frame(), hit_distance=True, quality=quality)
 
 
 @pytest.mark.nightly

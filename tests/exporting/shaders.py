@@ -53,13 +53,10 @@ WEIGHTS = {
     "sg": "lobewise_sg_weight(sg_i, sg_j, beta)",
     "mixture": "lobewise_mixture_weight(mixture_i, mixture_j, beta)",
     "ggx": "lobewise_ggx_weight(lobe_i, lobe_j, beta)",
-    "asg": "lobewise_asg_weight(lobe_i, lobe_j, beta)",
 }
 COVARIANCES = {
     "make_ggx": "lobewise_make_ggx(normal, view, alpha.x, tau)",
-    "make_asg": "lobewise_make_asg(normal, view, alpha.x, tau)",
     "make_anisotropic_ggx": "lobewise_make_anisotropic_ggx(normal, tangent, view, alpha, tau)",
-    "make_anisotropic_asg": "lobewise_make_anisotropic_asg(normal, tangent, view, alpha, tau)",
 }
 OUTPUTS = {**dict.fromkeys(WEIGHTS, 1), "face": 3, "make_sg": 4, "make_mixture": 11, **dict.fromkeys(COVARIANCES, 10)}
 

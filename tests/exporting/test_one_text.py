@@ -15,7 +15,7 @@ from lobewise.records.frame import FloatArray, Frame
 from lobewise.records.sparse_frame import AnyFrame
 from tests.exporting.here import Recorded
 
-SIMILARITIES = ("normal", "sg", "asg", "ggx")
+SIMILARITIES = ("normal", "sg", "ggx")
 
 
 def make_frames(settings: PipelineSettings, count: int) -> tuple[list[Frame], list[AnyFrame]]:
@@ -33,7 +33,7 @@ def check(settings: PipelineSettings, count: int = 1, features: Features = no_fe
         np.testing.assert_array_equal(recorded.run(frame, full.gbuffer.mean_emission), expected)
 
 
-@pytest.mark.sampled("full-ggx-apart", "separable-sg-color", "atrous-asg-apart", "full-normal-color")
+@pytest.mark.sampled("full-ggx-apart", "separable-sg-color", "atrous-ggx-apart", "full-normal-color")
 @pytest.mark.parametrize("layers", ["apart", "color"])
 @pytest.mark.parametrize("similarity", [*SIMILARITIES, "sg_mixture"])
 @pytest.mark.parametrize("form", ["full", "separable", "atrous"])
@@ -50,14 +50,14 @@ def test_a_single_filter(form: Any, similarity: Any) -> None:
 
 @pytest.mark.parametrize("plan", ["filter", "fast"])
 def test_guides_of_a_single_filter(plan: Any) -> None:
-    check(PipelineSettings(plan=plan, radius=2, anisotropic=True, lobe_kind=True, hit_distance=True, position=True))
+    check(PipelineSettings(plan=plan, radius=2, anisotropic=True, lobe_kind=True, position=True))
 
 
 @pytest.mark.sampled("full-ggx", "separable-sg")
-@pytest.mark.parametrize("similarity", ["sg", "asg", "ggx"])
+@pytest.mark.parametrize("similarity", ["sg", "ggx"])
 @pytest.mark.parametrize("form", ["full", "separable"])
-def test_layers_that_frames_name_and_hits(form: Any, similarity: Any) -> None:
-    check(PipelineSettings(form=form, similarity=similarity, layers="named", hit_distance=True, radius=2))
+def test_layers_that_frames_name(form: Any, similarity: Any) -> None:
+    check(PipelineSettings(form=form, similarity=similarity, layers="named", radius=2))
 
 
 @pytest.mark.sampled("False")
@@ -87,10 +87,6 @@ def test_features_of_ones_own(settings: dict[str, Any]) -> None:
         2 if settings else 1,
         lambda frame: [NearDepth(frame.gbuffer.depth, 0.3)],
     )
-
-
-def test_hits_of_sparse_samples() -> None:
-    check(PipelineSettings(upsample=2, similarity="ggx", hit_distance=True, radius=2))
 
 
 @pytest.mark.sampled("2-sg", "4-ggx")

@@ -12,16 +12,14 @@ from lobewise.exporting.names import SHADER_LANGUAGES
 from lobewise.exporting.shaders.writing import export_shader, make_shader
 from lobewise.features.normal import LAMBERT_COEFFICIENTS
 from lobewise.fitting.arrays import normalize
-from lobewise.lobes.covariance import GGX_SHARPNESS
 from lobewise.lobes.directions import MIN_COSINE
 from tests.exporting.shaders import INPUTS, compile_spirv, make_program, run_program
-from tests.lobes.oracles import asg, brdf, mixture, sg, tangent
+from tests.lobes.oracles import brdf, mixture, sg, tangent
 from tests.mistakes import refuses
 
 COUNT = 4096
 WEIGHT_ATOL = 3e-6
 """Rounding of exponents that matter, up to 20, in single precision."""
-ASG_ATOL = 2e-4
 """Rounding of the similarity of anisotropic lobes in single precision, to the power beta."""
 LOBE_RTOL = 3e-5
 """Of a lobe's size; grazing views lose a digit or two."""
@@ -187,11 +185,6 @@ def test_ggx(rows: Rows, results: Rows) -> None:
     check_weight(results["ggx"], expected, 10.0 * WEIGHT_ATOL)
 
 
-def test_asg(rows: Rows, results: Rows) -> None:
-    lobes = [asg.asg_from_covariance(*get_lobe(rows, side)) for side in "ij"]
-    check_weight(results["asg"], asg.asg_approx_similarity(*lobes, rows["beta"]), ASG_ATOL)
-
-
 def test_equal_pixels_have_weight_one(results: Rows) -> None:
     for name in ("normal", "diffuse"):
         np.testing.assert_array_equal(results[name][:16], 1.0)
@@ -224,19 +217,17 @@ def test_make_mixture(rows: Rows, results: Rows) -> None:
 
 
 @pytest.mark.parametrize("anisotropic", [False, True])
-@pytest.mark.parametrize("kind", ["ggx", "asg"])
-def test_make_covariance(rows: Rows, results: Rows, kind: str, anisotropic: bool) -> None:
-    found = results[f"make_{'anisotropic_' if anisotropic else ''}{kind}"]
-    sharper = GGX_SHARPNESS if kind == "asg" else 1.0
+def test_make_covariance(rows: Rows, results: Rows, anisotropic: bool) -> None:
+    found = results[f"make_{'anisotropic_' if anisotropic else ''}ggx"]
     more = {"alpha_v": rows["alpha"][:, 1], "tangent": rows["tangent"]} if anisotropic else {}
-    tau: Any = rows["tau"] * np.sqrt(sharper)
+    tau: Any = rows["tau"]
     expected = tangent.make_tangent_lobe(rows["view"], rows["normal"], rows["alpha"][:, 0], tau=tau, **more)
-    covariance = expected.covariance / sharper
+    covariance = expected.covariance
     scale = covariance[:, [0, 3, 5]].sum(axis=1, keepdims=True)
     six = found[:, [3, 6, 7, 4, 8, 5]]
     np.testing.assert_allclose(found[:, :3], expected.axis, rtol=0.0, atol=LOBE_RTOL)
     np.testing.assert_allclose(six / scale, covariance / scale, rtol=0.0, atol=LOBE_RTOL)
-    np.testing.assert_allclose(found[:, 9], expected.determinant / sharper**2, rtol=10.0 * LOBE_RTOL)
+    np.testing.assert_allclose(found[:, 9], expected.determinant, rtol=10.0 * LOBE_RTOL)
 
 
 def test_nothing_overflows(results: Rows) -> None:

@@ -4,11 +4,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.features import (
-    AsgFeature,
     BandLimitFeature,
     DiffuseFeature,
     Feature,
     GgxFeature,
+    GgxLobe,
     HitDistanceFeature,
     NormalFeature,
     PlaneFeature,
@@ -18,7 +18,6 @@ from lobewise.features import (
     SgMixtureFeature,
     TentFeature,
 )
-from lobewise.lobes.hits import HitField
 from lobewise.records.frame import FloatArray
 
 KINDS = [
@@ -33,10 +32,6 @@ KINDS = [
     "hit_distance",
     "sg",
     "ggx",
-    "asg",
-    "sg_hits",
-    "ggx_hits",
-    "asg_hits",
     "mixture",
     "coaxial",
 ]
@@ -48,10 +43,8 @@ def make_directions(rng: np.random.Generator, shape: tuple[int, int], spread: fl
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True), dtype=np.float32)
 
 
-def make_covariances(
-    rng: np.random.Generator, axis: FloatArray, low: float, high: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return covariances (height, width, 6) across ``axis`` and determinants, standard deviations in [low, high]."""
+def make_ggx_lobe(rng: np.random.Generator, axis: FloatArray, low: float, high: float) -> GgxLobe:
+    """Return covariances across ``axis`` with standard deviations in [low, high]."""
     z = axis.astype(np.float64)
     helper = np.where(np.abs(z[..., :1]) < 0.9, np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
     x = np.cross(z, helper)
@@ -60,11 +53,10 @@ def make_covariances(
     turn = rng.uniform(0.0, np.pi, z.shape[:2])[..., None]
     e1, e2 = np.cos(turn) * x + np.sin(turn) * y, np.cos(turn) * y - np.sin(turn) * x
     deviations = np.exp(rng.uniform(np.log(low), np.log(high), (2, *z.shape[:2])))
-    full = sum(
-        s[..., None, None] ** 2 * e[..., :, None] * e[..., None, :] for s, e in zip(deviations, (e1, e2), strict=True)
-    )
-    six = np.stack([full[..., a, b] for a, b in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))], axis=-1)
-    return six.astype(np.float32), ((deviations[0] * deviations[1]) ** 2).astype(np.float32)
+    small, large = np.sort(deviations**2, axis=0)
+    t = np.sqrt(large - small)[..., None] * np.where((deviations[0] > deviations[1])[..., None], e1, e2)
+    planes = (*np.moveaxis(z, -1, 0), *np.moveaxis(t, -1, 0), large, small)
+    return GgxLobe(*(np.ascontiguousarray(plane, np.float32) for plane in planes))
 
 
 def make_feature(kind: str, shape: tuple[int, int], *, beta: float = 4.0, seed: int = 5) -> Feature:
@@ -96,15 +88,10 @@ def make_feature(kind: str, shape: tuple[int, int], *, beta: float = 4.0, seed: 
     inverse[inverse < 1.0] = 0.0
     if kind == "hit_distance":
         return HitDistanceFeature(inverse, rng.uniform(0.2, 0.6, shape).astype(np.float32))
-    hits = None
-    if kind.endswith("_hits"):
-        # Steps of some hundredths, seen at some tenths: as much as the axes differ.
-        hits = HitField(place, inverse)
-    if kind.startswith("sg"):
-        return SgFeature(normal, sharpness, beta, hits)
-    if kind.startswith(("ggx", "asg")):
-        covariance, determinant = make_covariances(rng, normal, 0.08, 0.4)
-        return (GgxFeature if kind.startswith("ggx") else AsgFeature)(normal, covariance, determinant, beta, hits)
+    if kind == "sg":
+        return SgFeature(normal, sharpness, beta)
+    if kind == "ggx":
+        return GgxFeature(make_ggx_lobe(rng, normal, 0.08, 0.4), beta)
     if kind in ("mixture", "coaxial"):
         lobes = 3
         axes = [normal] if kind == "coaxial" else [make_directions(rng, shape, 0.15) for _ in range(lobes)]

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.features import (
-    AsgFeature,
     BandLimitFeature,
     DiffuseFeature,
     Feature,
@@ -21,8 +20,7 @@ from lobewise.features import (
     SgMixtureFeature,
     TentFeature,
 )
-from tests.lobes.oracles import asg, mixture, sg, tangent
-from tests.lobes.oracles.hits import compute_hit_shift
+from tests.lobes.oracles import mixture, sg, tangent
 
 FloatImage = NDArray[np.float64]
 Pixels = tuple[NDArray[np.intp], NDArray[np.intp]]
@@ -45,18 +43,14 @@ def get_screen_distance_squared(i: Pixels, j: Pixels) -> FloatImage:
     return np.asarray(sum((p - q).astype(np.float64) ** 2 for p, q in zip(i, j, strict=True)))
 
 
-def get_shift(feature: SgFeature | GgxFeature | AsgFeature, i: Pixels, j: Pixels) -> FloatImage | None:
-    """Return the shift that the hits add to the difference of the axes; None without hits."""
-    if feature.hits is None:
-        return None
-    arrays = feature.axis, feature.hits.position, feature.hits.inverse_distance
-    return np.asarray(compute_hit_shift(*(value for array in arrays for value in take(array, i, j))))
-
-
-def get_tangent_lobes(feature: GgxFeature | AsgFeature, i: Pixels, j: Pixels) -> list[tangent.TangentLobe]:
-    """Return the lobes of both pixels."""
-    arrays = feature.axis, feature.covariance, feature.determinant
-    return [tangent.TangentLobe(*lobe) for lobe in zip(*(take(array, i, j) for array in arrays), strict=True)]
+def join_covariance(feature: GgxFeature, pixels: Pixels) -> tangent.TangentLobe:
+    """Return the lobes of some pixels with the six numbers of their covariances."""
+    planes = [take(plane, pixels)[0] for plane in feature.lobe]
+    axis, t, (large, small) = np.stack(planes[:3], -1), np.stack(planes[3:6], -1), planes[6:]
+    across = np.eye(3) - axis[..., :, None] * axis[..., None, :]
+    matrix = small[..., None, None] * across + t[..., :, None] * t[..., None, :]
+    rows, columns = np.triu_indices(3)
+    return tangent.TangentLobe(axis, matrix[..., rows, columns], large * small)
 
 
 @get_similarity.register
@@ -118,8 +112,7 @@ def _(feature: HitDistanceFeature, i: Pixels, j: Pixels) -> FloatImage:
 @get_similarity.register
 def _(feature: SgFeature, i: Pixels, j: Pixels) -> FloatImage:
     (axis_i, axis_j), (sharp_i, sharp_j) = take(feature.axis, i, j), take(feature.sharpness, i, j)
-    shift = get_shift(feature, i, j)
-    return np.asarray(sg.sg_slide_similarity(axis_i, sharp_i, axis_j, sharp_j, beta=feature.beta, shift=shift))
+    return np.asarray(sg.sg_slide_similarity(axis_i, sharp_i, axis_j, sharp_j, beta=feature.beta))
 
 
 @get_similarity.register
@@ -135,11 +128,5 @@ def _(feature: SgMixtureFeature, i: Pixels, j: Pixels) -> FloatImage:
 
 @get_similarity.register
 def _(feature: GgxFeature, i: Pixels, j: Pixels) -> FloatImage:
-    lobes, shift = get_tangent_lobes(feature, i, j), get_shift(feature, i, j)
-    return np.asarray(tangent.tangent_approx_similarity(*lobes, feature.beta, shift=shift))
-
-
-@get_similarity.register
-def _(feature: AsgFeature, i: Pixels, j: Pixels) -> FloatImage:
-    lobes = (asg.asg_from_covariance(*lobe) for lobe in get_tangent_lobes(feature, i, j))
-    return np.asarray(asg.asg_approx_similarity(*lobes, feature.beta, shift=get_shift(feature, i, j)))
+    lobes = (join_covariance(feature, pixels) for pixels in (i, j))
+    return np.asarray(tangent.tangent_approx_similarity(*lobes, feature.beta))

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from lobewise.features import GgxFeature
+from lobewise.features import GgxFeature, GgxLobe
 from lobewise.features.ggx import GGX_UNIT, TAIL_SQUARINGS
 from lobewise.features.normal import LAMBERT_COEFFICIENTS
 from lobewise.filters.cross_filter import run_filter
@@ -50,9 +50,8 @@ def test_ggx_compares_lobes_however_narrow(deviation: float) -> None:
     axis = np.dstack([deviation * rng.normal(size=(*shape, 2)), np.ones(shape)])
     axis /= np.linalg.norm(axis, axis=-1, keepdims=True)
     variance = deviation**2 * np.exp(0.5 * rng.normal(size=shape))
-    across = variance[..., None, None] * (np.eye(3) - axis[..., :, None] * axis[..., None, :])
-    covariance = across[..., [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
-    feature = GgxFeature(*(each.astype(np.float32) for each in (axis, covariance, variance**2)), beta=2.0)
+    planes = (*np.moveaxis(axis, -1, 0), *np.zeros((3, *shape)), variance, variance)
+    feature = GgxFeature(GgxLobe(*(np.ascontiguousarray(each, np.float32) for each in planes)), beta=2.0)
     light, mask = rng.random((*shape, 3)).astype(np.float32), np.ones(shape, bool)
     out = run_filter(light, mask, [feature], form="full", radius=3)
     expected = filter_reference(light, mask, [feature], form="full", radius=3)

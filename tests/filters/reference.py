@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.features import Feature
-from lobewise.lobes.hits import HitField
+from lobewise.features import Feature, GgxLobe
 from lobewise.records.frame import FloatArray
 from tests.features.oracles import get_similarity
 
@@ -141,8 +140,8 @@ def stack_frames(before: Feature, now: Feature) -> Feature:
         old = getattr(before, name)
         if isinstance(value, np.ndarray):
             both[name] = np.concatenate([old, value])
-        elif isinstance(value, HitField):
-            both[name] = HitField(*(np.concatenate(pair) for pair in zip(old, value, strict=True)))
+        elif isinstance(value, GgxLobe):
+            both[name] = GgxLobe(*(np.concatenate(pair) for pair in zip(old, value, strict=True)))
     return replace(now, **both)  # type: ignore[type-var]
 
 

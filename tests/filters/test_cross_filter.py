@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lobewise.backend.jit import count_compiled_kernels
-from lobewise.features import Feature, ScreenFeature
+from lobewise.features import Feature, GgxFeature, GgxLobe, ScreenFeature
 from lobewise.filters import cross_filter as engine
 from lobewise.filters.cross_filter import _list_tiles, run_filter
 from lobewise.records.frame import FloatArray
@@ -115,12 +115,11 @@ def test_masked_pixels_neither_give_nor_take(form: str) -> None:
     shape = (16, 21)
     mask = np.random.default_rng(1).random(shape) > 0.4
     place, feature = make_features(LOBES, shape)
-    poisoned = type(feature)(  # guides that are garbage where the mask says so
-        np.where(mask[..., None], feature.axis, np.nan).astype(np.float32),  # type: ignore[attr-defined]
-        np.where(mask[..., None], feature.covariance, np.inf).astype(np.float32),  # type: ignore[attr-defined]
-        np.where(mask, feature.determinant, -1.0).astype(np.float32),  # type: ignore[attr-defined]
-        4.0,
-    )
+    assert isinstance(feature, GgxFeature)
+    # Guides that are garbage where the mask says so.
+    garbage = (np.nan, np.nan, np.nan, np.inf, np.inf, np.inf, -1.0, -1.0)
+    planes = [np.where(mask, *pair).astype(np.float32) for pair in zip(feature.lobe, garbage, strict=True)]
+    poisoned = GgxFeature(GgxLobe(*planes), 4.0)
     radiance = make_radiance(shape)
     out = run_filter(radiance, mask, [place, poisoned], form=form, radius=RADIUS)
     image, total, *_ = filter_reference(radiance, mask, [place, feature], form=form, radius=RADIUS)

@@ -114,9 +114,7 @@ def test_images_are_gathered_like_the_light_of_a_history(count: int) -> None:
 
 
 @pytest.mark.nightly
-@given(
-    kinds=st.sampled_from([("position", "normal"), ("plane", "hit_distance"), ("ggx_hits",), ("mixture",)]), shape=SIZES
-)
+@given(kinds=st.sampled_from([("position", "normal"), ("plane", "hit_distance"), ("ggx",), ("mixture",)]), shape=SIZES)
 def test_every_feature_agrees_with_oracle(kinds: tuple[str, ...], shape: tuple[int, int]) -> None:
     check_definition(kinds, shape)
 

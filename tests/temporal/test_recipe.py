@@ -449,7 +449,7 @@ class TestState:
 
 class TestSettings:
     @pytest.mark.nightly  # every kernel is compiled
-    @pytest.mark.parametrize("similarity", ["normal", "sg", "sg_mixture", "asg", "ggx"])
+    @pytest.mark.parametrize("similarity", ["normal", "sg", "sg_mixture", "ggx"])
     def test_every_similarity_works(self, similarity):
         frames = make_still(6, 4)
         results = run(frames, similarity=similarity)

@@ -56,8 +56,7 @@ class TestWholeFrames:
         assert when["form"] == {"quality": ["fast"]}
         assert when["radius"] == {"form": ["full", "separable"]}
         assert when["normal_exponent"] == {"similarity": ["normal"]}
-        assert set(when["tau"]["similarity"]) == {"auto", "sg", "sg_mixture", "asg", "ggx"}
-        assert set(when["hit_distance"]["similarity"]) == {"auto", "sg", "asg", "ggx"}
+        assert set(when["tau"]["similarity"]) == {"auto", "sg", "sg_mixture", "ggx"}
 
     @pytest.mark.parametrize(
         "values", [{"radius": "x"}, {"lobes": 2}, {"tau": [1]}, {"form": "atrous", "quality": "high"}]

@@ -51,7 +51,7 @@ def exp2(x: hl.Expr) -> hl.Expr:
 def log2(x: hl.Expr) -> hl.Expr:
     """Return ``log2(x)`` for normal positive x as float32, continuous, absolute error 1.2e-4; about 128 for infinity.
 
-    Continuity matters near 1: ``asg`` and mixtures take the logarithm of almost 1 for a pixel and itself, where a step
+    Continuity matters near 1: mixtures take the logarithm of almost 1 for a pixel and itself, where a step
     would show as noise.
     """
     bits = hl.reinterpret(hl.Int(32), x)

@@ -108,7 +108,7 @@ app.add_typer(export, name="export")
 @app.command(epilog=EXAMPLES["inspect"])
 @with_settings(
     DenoiseSettings,
-    *("quality", "with_oidn", "similarity", "form", "radius", "hit_distance"),
+    *("quality", "with_oidn", "similarity", "form", "radius"),
     only_given=True,
     group=FILTER_DETAILS,
 )

@@ -45,7 +45,7 @@ OPTIONS = {
 
 @with_settings(
     DenoiseSettings,
-    *("quality", "with_oidn", "similarity", "form", "radius", "beta", "lobes", "hit_distance", "device"),
+    *("quality", "with_oidn", "similarity", "form", "radius", "beta", "lobes", "device"),
     group=FILTER_DETAILS,
     usual=("quality", "with_oidn"),
 )

@@ -185,11 +185,6 @@ def choose_tau(spp: float, pixel_tau: float) -> float:
     return choose_larger(0.03 * take_root(4.0 / choose_larger(spp, 0.25)), pixel_tau)
 
 
-def can_use_hits(frame: AnyFrame) -> bool:
-    """Return whether the frame has hit distances, and the places of its surfaces."""
-    return frame.gbuffer.hit_distance is not None and frame.is_placed
-
-
 def needs_spp(settings: DenoiseSettings) -> bool:
     """Return whether an "auto" of these settings depends on the noise, for the quality "fast"."""
     return "auto" in (settings.screen_sigma, settings.tau, settings.beta, settings.diffuse_beta)
@@ -223,8 +218,7 @@ def resolve_settings(
 
     Where one of ``scale`` times ``scale`` pixels is shaded, an area has fewer samples. So screen sigma and band-limit
     are those of fewer samples per pixel. The lobe similarity gets stricter instead, because samples of another
-    material are as near as samples of the same material (fitted on the built-in scenes at scale 4). Hits are compared
-    only where the user asks for it: the comparison costs time and does not lower the mean error.
+    material are as near as samples of the same material (fitted on the built-in scenes at scale 4).
 
     Parameters
     ----------
@@ -260,7 +254,6 @@ def resolve_settings(
         normal_exponent=settings.normal_exponent,
         band_limit=settings.band_limit,
         lobes=settings.lobes,
-        hit_distance=settings.hit_distance not in ("auto", False),
         with_oidn=False,
     )
 

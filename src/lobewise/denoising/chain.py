@@ -466,7 +466,7 @@ def mix_unguided(
     if float(share.max()) < MIN_SHARE:
         return filtered, []
     # Image: filter the color alone, by the same steps.
-    bare, by_color = forget_guides(frame), replace(settings, similarity="normal", hit_distance=False)
+    bare, by_color = forget_guides(frame), replace(settings, similarity="normal")
     with plan_stages({step: SECONDS_PER_MEGAPIXEL[step] for step in (FILTER_HALVES, REFINE, TAKE_BACK)}):
         _, alone = filter_whole(bare, by_color, (), mark_bad_pixels(bare), outside=outside)
     mixed = mix_noisy(filtered.image, alone.image, share)

@@ -24,8 +24,6 @@ _LOBES = ("alpha_u", "alpha_v", "lobe_kind", "tangent", "material")
 def list_images(settings: DenoiseSettings) -> Images:
     """Return the images that `denoise` may read of any frame; the quality of ``settings`` is chosen."""
     images = {("radiance", part) for part in _PARTS} | {("gbuffer", name) for name in _SURFACE}
-    if settings.hit_distance is not False:
-        images.add(("gbuffer", "hit_distance"))
     if get_quality(settings.quality).reads_halves:
         images |= {(half, part) for half in ("half_a", "half_b") for part in _PARTS}
         images |= {("gbuffer", name) for name in _GUIDED}
@@ -76,8 +74,6 @@ def list_unused(frame: Frame, settings: ResolvedSettings) -> tuple[str, ...]:
         used -= {"tangent"}
     if not similarity.is_mixture:
         used -= {"material"}
-    if not settings.hit_distance:
-        used -= {"hit_distance"}
     apart = frame.radiance.parts is not None
     if not apart:
         used -= set(_GUIDED)

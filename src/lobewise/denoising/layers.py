@@ -12,34 +12,30 @@ from numpy.typing import NDArray
 from lobewise import engine
 from lobewise.denoising.bad_pixels import mark_good
 from lobewise.features import (
-    AsgFeature,
     BandLimitFeature,
     DiffuseFeature,
     Feature,
     GgxFeature,
+    GgxLobe,
     NormalFeature,
     PositionFeature,
     ScreenFeature,
     SgFeature,
     SgMixtureFeature,
-    SplitGgxFeature,
-    SplitLobe,
 )
 from lobewise.filters.cross_filter import FilterOutput, run_filter
 from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.filters.glue import define_common_mask, define_whole_albedo
 from lobewise.guides.lobe_fields import (
+    GgxField,
     SgField,
-    SplitField,
-    make_covariance_field,
+    make_ggx_field,
     make_sg_field,
-    make_split_field,
     spread_lobes,
 )
 from lobewise.guides.mixture_fields import make_mixture_field
 from lobewise.guides.rays import compute_ray_weights, make_ray_feature
-from lobewise.guides.surfaces import compute_inverse_hits, compute_points, mark_surface_pixels
-from lobewise.lobes.hits import HitField
+from lobewise.guides.surfaces import compute_points, mark_surface_pixels
 from lobewise.records.frame import FloatArray, GBuffer
 from lobewise.records.sparse_frame import AnyFrame, Rays, SparseFrame
 from lobewise.settings import ResolvedSettings
@@ -52,8 +48,6 @@ MAX_SHARE_UNTOLD = 0.1
 is noisy, so that small shares tell nothing."""
 MIN_WHOLE_ALBEDO = 10.0 * ALBEDO_FLOOR
 """Albedo below which light that is not split by lobe is not divided by it."""
-MIN_HIT_DISTANCE = 2.0
-"""Smallest hit distance, pixel footprints: nearer hits count as this far."""
 
 
 @dataclass(frozen=True)
@@ -144,23 +138,11 @@ def _make_sg_lobes(frame: AnyFrame, settings: ResolvedSettings) -> SgField:
     return make_sg_field(frame.gbuffer, camera, tau=settings.tau, diffuse_fallback=True)
 
 
-def _make_hits(frame: AnyFrame, settings: ResolvedSettings) -> HitField | None:
-    """Return the hits, at least `MIN_HIT_DISTANCE` footprints away: nearer hits would leave no neighbours."""
-    if not settings.hit_distance:
+def make_ggx_lobes(frame: AnyFrame, similarity: str, *taus: float) -> GgxField | None:
+    """Return the lobes of a frame for several band-limits at once; None if the similarity compares others."""
+    if not get_similarity(similarity).has_covariance:
         return None
-    camera = frame.require_camera(_name_similarity(settings))
-    distance = frame.gbuffer.require("hit_distance", _name_similarity(settings))
-    place, depth = compute_points(frame.gbuffer, camera)
-    nearest = MIN_HIT_DISTANCE * camera.get_pixel_angle(frame.height)
-    return HitField(place, compute_inverse_hits(distance, depth, nearest))
-
-
-def split_lobes(frame: AnyFrame, similarity: str, *taus: float) -> SplitField | None:
-    """Return the lobes of a frame for several band-limits at once; None if the similarity has no such form."""
-    record = get_similarity(similarity)
-    if not record.has_covariance or record.fits_gaussian:
-        return None
-    return make_split_field(frame.gbuffer, frame.require_camera(f"similarity {similarity!r}"), taus)
+    return make_ggx_field(frame.gbuffer, frame.require_camera(f"similarity {similarity!r}"), taus)
 
 
 def compare_specular(
@@ -169,7 +151,7 @@ def compare_specular(
     apart: bool,
     *,
     spread: bool = False,
-    lobes: SplitField | None = None,
+    lobes: GgxField | None = None,
 ) -> Compared:
     """Return what compares specular radiance, or all radiance where it is not split (``apart`` is False).
 
@@ -178,23 +160,17 @@ def compare_specular(
     ``lobes`` hold the frame's lobes for the band-limit of the settings, if they were made beforehand.
     """
     similarity = get_similarity(settings.similarity)
-    if lobes is not None:
-        lobe, hits = SplitLobe(*lobes.lobes[settings.tau]), _make_hits(frame, settings)
-        return Compared((SplitGgxFeature(lobe, settings.beta, hits),), lobes.mask, lobes.surface)
     if not similarity.has_lobes:
         return _compare_normals(frame, settings)
     if similarity.is_mixture:
         return _compare_mixtures(frame, settings, apart)
-    hits = _make_hits(frame, settings)
-    if not similarity.has_covariance:
-        single = _make_sg_lobes(frame, settings)
-        single = spread_lobes(single) if spread else single
-        return Compared((SgFeature(single.axis, single.sharpness, settings.beta, hits),), single.mask, single.surface)
-    camera, gaussian = frame.require_camera(_name_similarity(settings)), similarity.fits_gaussian
-    kind = AsgFeature if gaussian else GgxFeature
-    field = make_covariance_field(frame.gbuffer, camera, tau=settings.tau, gaussian=gaussian, diffuse_fallback=True)
-    feature = kind(field.axis, field.covariance, field.determinant, settings.beta, hits)
-    return Compared((feature,), field.mask, field.surface)
+    lobes = lobes or make_ggx_lobes(frame, settings.similarity, settings.tau)
+    if lobes is not None:
+        feature = GgxFeature(GgxLobe(*lobes.lobes[settings.tau]), settings.beta)
+        return Compared((feature,), lobes.mask, lobes.surface)
+    single = _make_sg_lobes(frame, settings)
+    single = spread_lobes(single) if spread else single
+    return Compared((SgFeature(single.axis, single.sharpness, settings.beta),), single.mask, single.surface)
 
 
 def _compare_mixtures(frame: AnyFrame, settings: ResolvedSettings, apart: bool) -> Compared:
@@ -224,7 +200,7 @@ def make_layers(
     extra: Sequence[Feature] = (),
     *,
     finest: bool = False,
-    lobes: SplitField | None = None,
+    lobes: GgxField | None = None,
 ) -> list[Layer]:
     """Return the layers of a frame, as `make_lobe_layers`; ``extra`` features count in all of them."""
     shared = (*make_position_features(frame, settings), *extra)
@@ -238,7 +214,7 @@ def make_lobe_layers(
     *,
     finest: bool = False,
     spread: bool = False,
-    lobes: SplitField | None = None,
+    lobes: GgxField | None = None,
 ) -> list[Layer]:
     """Return the layers of a frame, compared by what they reflect alone.
 

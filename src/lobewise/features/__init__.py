@@ -1,8 +1,7 @@
 """The features that compare two pixels: each is a distribution per pixel. Related features share a file."""
 
-from lobewise.features.asg import AsgFeature
 from lobewise.features.base import Feature
-from lobewise.features.ggx import GgxFeature, SplitGgxFeature, SplitLobe
+from lobewise.features.ggx import GgxFeature, GgxLobe
 from lobewise.features.normal import DiffuseFeature, NormalFeature
 from lobewise.features.position import PlaneFeature, PositionFeature
 from lobewise.features.ray import RayFeature
@@ -11,11 +10,11 @@ from lobewise.features.seen import HitDistanceFeature
 from lobewise.features.sg import SgFeature, SgMixtureFeature
 
 __all__ = [
-    "AsgFeature",
     "BandLimitFeature",
     "DiffuseFeature",
     "Feature",
     "GgxFeature",
+    "GgxLobe",
     "HitDistanceFeature",
     "NormalFeature",
     "PlaneFeature",
@@ -24,7 +23,5 @@ __all__ = [
     "ScreenFeature",
     "SgFeature",
     "SgMixtureFeature",
-    "SplitGgxFeature",
-    "SplitLobe",
     "TentFeature",
 ]

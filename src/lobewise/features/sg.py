@@ -10,8 +10,6 @@ from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import LOG2_E, exp2, log2
 from lobewise.errors import InputError
 from lobewise.features.base import DeclaredFeature, Offset, Stage, Vector
-from lobewise.features.lobe import HitPlanes, LobeFeature, compute_step
-from lobewise.lobes.hits import HitField
 from lobewise.lobes.vectors import dot, subtract
 from lobewise.records.frame import FloatArray
 from lobewise.settings import MAX_LOBES
@@ -25,11 +23,10 @@ class SgPlanes(NamedTuple):
     """``u = 2 / (beta log2(e) lambda)``."""
     numerator: hl.Expr
     """Logarithm of the pixel's factor in the numerator."""
-    hit: HitPlanes | None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SgFeature(LobeFeature):
+class SgFeature(DeclaredFeature):
     """Overlap of two spherical Gaussians: the paper's single lobe.
 
     ``(2 sqrt(li lj)/(li + lj))^beta exp(-beta li lj/(li + lj) (1 - axis_i . axis_j))``.
@@ -43,29 +40,26 @@ class SgFeature(LobeFeature):
         Band-limited lobe sharpness, > 0.
     beta : float
         Exponent, > 0.
-    hits : HitField, optional
-        Compare footprints on what the lobes hit instead of directions; see `lobewise.lobes.hits`.
     """
 
     name = "sg"
-    harmless = (0.0, 0.0, 0.0, 1.0)
+    neutral = (0.0, 0.0, 0.0, 1.0)
     axis: FloatArray
     sharpness: FloatArray
     beta: float
-    hits: HitField | None = None
 
     def prepare(self, inputs: Vector, parameters: Vector) -> SgPlanes:
-        axis, sharpness, *hit = self.split(inputs)
+        axis, sharpness = self.split(inputs)
         # The exponent is -|axis_i - axis_j|^2/(u_i + u_j), the sharpness ratio 2 sqrt(u_i u_j)/(u_i + u_j). The
         # logarithm of the ratio's numerator is a sum with one term per pixel.
         width = hl.f32(2.0 / LOG2_E) / (parameters[0] * sharpness)
         numerator = hl.f32(0.5) * parameters[0] * (hl.f32(1.0) + log2(width))
-        return SgPlanes(axis, width, numerator, HitPlanes(*hit) if hit else None)
+        return SgPlanes(axis, width, numerator)
 
     def log2_similarity(self, i: SgPlanes, j: SgPlanes, parameters: Vector, offset: Offset, stage: Stage) -> hl.Expr:
-        square = compute_step(i, j).square
+        d = subtract(j.axis, i.axis)
         width = i.width + j.width
-        return i.numerator + j.numerator - parameters[0] * log2(width) - square * (hl.f32(1.0) / width)
+        return i.numerator + j.numerator - parameters[0] * log2(width) - dot(d, d) * (hl.f32(1.0) / width)
 
 
 class MixturePlanes(NamedTuple):

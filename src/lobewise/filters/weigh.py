@@ -185,7 +185,7 @@ class TapSums:
         """Keep log-similarities of one row of taps in cache, and the sums of a tile on the stack.
 
         Measured (AMD EPYC with AVX-512, two threads; benchmarks/results/filters.json), 512x512, all taps of radius 8:
-        ``normal`` 18 ms, ``sg`` 24 ms, ``ggx`` 44 ms, ``asg`` 56 ms. Alternatives that were tried:
+        ``normal`` 18 ms, ``sg`` 24 ms, ``ggx`` 44 ms. Alternatives that were tried:
         docs/developers/performance.md. Reasons:
 
         - Each stage of the log-similarity has its own loop over a row of taps, so that no loop runs out of vector

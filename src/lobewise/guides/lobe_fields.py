@@ -56,32 +56,6 @@ class SgField:
     mask: NDArray[np.bool_]
 
 
-@dataclass(frozen=True)
-class CovarianceField:
-    """The reflection lobes of an image as covariances across an axis; see `lobewise.lobes.covariance`.
-
-    Parameters
-    ----------
-    valid : (height, width), bool
-        Whether the pixel has a lobe. A pixel without a lobe has axis 0, covariance 0 and determinant 1.
-    axis : (height, width, 3), float32
-        Mirror direction about the dominant visible normal, unit length.
-    covariance : (height, width, 6), float32
-        Band-limited: xx, xy, xz, yy, yz, zz, square radians.
-    determinant : (height, width), float32
-        Product of the two principal variances.
-    surface, mask : (height, width), bool
-        As in `SgField`.
-    """
-
-    valid: NDArray[np.bool_]
-    axis: FloatArray
-    covariance: FloatArray
-    determinant: FloatArray
-    surface: NDArray[np.bool_]
-    mask: NDArray[np.bool_]
-
-
 def make_sg_field(gbuffer: GBuffer, camera: Camera, *, tau: float, diffuse_fallback: bool) -> SgField:
     """Return the single spherical Gaussian of every pixel's specular reflection (Tokuyoshi 2015, Wang et al. 2009).
 
@@ -112,35 +86,14 @@ def make_sg_field(gbuffer: GBuffer, camera: Camera, *, tau: float, diffuse_fallb
     InputError
         If ``tau`` is out of range.
     """
-    return SgField(*_run(gbuffer, camera, tau, "sg", diffuse_fallback=diffuse_fallback))
-
-
-def make_covariance_field(
-    gbuffer: GBuffer, camera: Camera, *, tau: float, gaussian: bool = False, diffuse_fallback: bool
-) -> CovarianceField:
-    """Return the covariance lobe of every pixel's specular reflection.
-
-    Parameters
-    ----------
-    gbuffer : GBuffer
-        As in `make_sg_field`; ``tangent`` where ``alpha_v`` differs from ``alpha_u``.
-    camera, tau, diffuse_fallback
-        As in `make_sg_field`.
-    gaussian : bool
-        Return the lobes that ``asg`` compares: the covariance of the Gaussian nearest in L2 to the lobe's shape. For
-        GGX this Gaussian is narrower than the lobe.
-
-    Returns
-    -------
-    CovarianceField
-        Finite everywhere; invalid pixels as in `make_sg_field`.
-
-    Raises
-    ------
-    MissingChannelError, InputError
-        As in `make_sg_field`.
-    """
-    return CovarianceField(*_run(gbuffer, camera, tau, "asg" if gaussian else "ggx", diffuse_fallback=diffuse_fallback))
+    check_lobe_guides(gbuffer, "sg", tau)
+    images, numbers = collect_guides(gbuffer, camera, tau, "sg")
+    numbers["diffuse_fallback"] = np.float32(diffuse_fallback)
+    names = ["has_lobe", "surface", "specular_mask", "axis", "sharpness"]
+    valid, surface, mask, *lobe = engine.pixels(
+        define_sg_lobes, images, numbers, names=names, text="lobes of the similarity sg"
+    )
+    return SgField(valid, lobe[0], lobe[1], surface, mask)
 
 
 SPREAD_TURNS = 2.0
@@ -195,16 +148,18 @@ NO_LOBE, SPECULAR_LOBE, LAMBERT_LOBE = range(3)
 """Kinds of lobes that a pixel may have."""
 
 
-class SplitField(NamedTuple):
-    """The covariance lobes of an image for several band-limits.
+class GgxField(NamedTuple):
+    """The reflection lobes of an image as covariances across an axis, for several band-limits.
+
+    See `lobewise.lobes.covariance`. The axis is the mirror direction about the dominant visible normal.
 
     Parameters
     ----------
     valid, surface, mask : (height, width), bool
-        As in `CovarianceField`.
+        As in `SgField`.
     lobes : dict of float to tuple of array
         By the band-limit, radians: axis, vector t, larger and smaller eigenvalue; eight images (height, width). See
-        `lobewise.features.ggx.SplitLobe`. A pixel without a lobe has axis 0, t 0 and eigenvalues 1.
+        `lobewise.features.ggx.GgxLobe`. A pixel without a lobe has axis 0, t 0 and eigenvalues 1.
     """
 
     valid: NDArray[np.bool_]
@@ -213,15 +168,23 @@ class SplitField(NamedTuple):
     lobes: dict[float, tuple[FloatArray, ...]]
 
 
-def make_split_field(gbuffer: GBuffer, camera: Camera, taus: Sequence[float]) -> SplitField:
-    """Return the lobes of `make_covariance_field`, with the Lambert lobe on diffuse surfaces, for several band-limits.
+def make_ggx_field(gbuffer: GBuffer, camera: Camera, taus: Sequence[float]) -> GgxField:
+    """Return the covariance lobe of every pixel's specular reflection, for several band-limits.
 
-    The covariance is split once: a band-limit adds ``tau^2`` to both eigenvalues.
+    Surfaces of kind NONE have the Lambert lobe. A band-limit adds ``tau^2`` to both eigenvalues of the covariance.
+
+    Parameters
+    ----------
+    gbuffer : GBuffer
+        As in `make_sg_field`; ``tangent`` where ``alpha_v`` differs from ``alpha_u``.
+    camera : Camera
+    taus : sequence of float
+        As ``tau`` in `make_sg_field`.
 
     Raises
     ------
     MissingChannelError, InputError
-        As `make_covariance_field`.
+        As in `make_sg_field`.
     """
     for tau in taus:
         check_lobe_guides(gbuffer, "ggx", tau)
@@ -230,16 +193,16 @@ def make_split_field(gbuffer: GBuffer, camera: Camera, taus: Sequence[float]) ->
     noises = {f"noise{k}": square_single(tau) for k, tau in enumerate(taus)}
     names = ["has_lobe", "surface", "specular_mask", *(f"{axis}_{each}" for axis in ("axis", "turn") for each in "xyz")]
     names += [f"{size}{k}" for k in range(len(taus)) for size in ("large", "small")]
-    text = "lobes, split, for each comparison"
+    text = "lobes for each comparison"
     valid, surface, mask, *planes = engine.pixels(
-        define_split_lobes, images, {**numbers, **noises}, len(taus), names=names, text=text
+        define_ggx_lobes, images, {**numbers, **noises}, len(taus), names=names, text=text
     )
     pairs = [planes[6 + 2 * k : 8 + 2 * k] for k in range(len(taus))]
     lobes = {tau: (*planes[:6], *pair) for tau, pair in zip(taus, pairs, strict=True)}
-    return SplitField(valid, surface, mask, lobes)
+    return GgxField(valid, surface, mask, lobes)
 
 
-def define_split_lobes(grid: Grid, count: int) -> list[Vector]:
+def define_ggx_lobes(grid: Grid, count: int) -> list[Vector]:
     """Return validity, surface, mask, axis, t, and both eigenvalues for each of ``count`` band-limits."""
     which, axis, shape = compute_lobe(grid, "ggx")
     which, *lobe = grid.share([which, *axis, *shape])
@@ -252,16 +215,6 @@ def define_split_lobes(grid: Grid, count: int) -> list[Vector]:
         noise = hl.select(which == SPECULAR_LOBE, grid.get(f"noise{k}")[0], hl.f32(0.0))
         outputs += [[hl.select(which == NO_LOBE, hl.f32(1.0), value + noise)] for value in (large, small)]
     return outputs
-
-
-def _run(gbuffer: GBuffer, camera: Camera, tau: float, similarity: str, *, diffuse_fallback: bool) -> tuple[Any, ...]:
-    check_lobe_guides(gbuffer, similarity, tau)
-    images, numbers = collect_guides(gbuffer, camera, tau, similarity)
-    numbers["diffuse_fallback"] = np.float32(diffuse_fallback)
-    shape = ("covariance", "area") if get_similarity(similarity).has_covariance else ("sharpness",)
-    names, text = ["has_lobe", "surface", "specular_mask", "axis", *shape], f"lobes of the similarity {similarity}"
-    valid, surface, mask, *lobe = engine.pixels(define_lobes, images, numbers, similarity, names=names, text=text)
-    return (valid, *lobe, surface, mask)
 
 
 def check_lobe_guides(gbuffer: GBuffer, similarity: str, tau: float) -> None:
@@ -295,7 +248,7 @@ def check_lobe_guides(gbuffer: GBuffer, similarity: str, tau: float) -> None:
 def collect_guides(
     gbuffer: GBuffer, camera: Camera, tau: float, similarity: str
 ) -> tuple[dict[str, NDArray[Any] | None], dict[str, Any]]:
-    """Return the images and numbers that `define_lobes` reads."""
+    """Return the images and numbers that `compute_lobe` reads."""
     size = gbuffer.shape
     assert size is not None
     has_covariance = get_similarity(similarity).has_covariance
@@ -317,10 +270,10 @@ def collect_guides(
     return images, numbers
 
 
-def define_lobes(grid: Grid, similarity: str) -> list[Vector]:
-    """Return validity, surface, mask, axis and shape: the sharpness, or the covariance and its determinant."""
-    which, axis, shape = compute_lobe(grid, similarity)
-    return [*_compute_masks(grid, which), axis, *([shape[:6], shape[6:]] if len(shape) > 1 else [shape])]
+def define_sg_lobes(grid: Grid) -> list[Vector]:
+    """Return validity, surface, mask, axis and sharpness."""
+    which, axis, sharpness = compute_lobe(grid, "sg")
+    return [*_compute_masks(grid, which), axis, sharpness]
 
 
 def _compute_masks(grid: Grid, which: hl.Expr) -> list[Vector]:
@@ -341,7 +294,7 @@ def compute_lobe(grid: Grid, similarity: str) -> tuple[hl.Expr, list[hl.Expr], l
     alphas, known = read_alphas(grid, kind)
     record = get_similarity(similarity)
     if record.has_covariance:
-        axis, shape = _make_covariance(grid, normal, view, cosine, alphas, kind, record.fits_gaussian)
+        axis, shape = _make_covariance(grid, normal, view, cosine, alphas, kind)
         neutral = [0.0] * 6 + [1.0]
         finite = is_finite(axis[0] + axis[1] + axis[2] + shape[-1])
     else:
@@ -406,7 +359,7 @@ def read_alphas(grid: Grid, kind: hl.Expr | None) -> tuple[list[hl.Expr], hl.Exp
 
 
 def _make_covariance(
-    grid: Grid, normal: Vector, view: Vector, cosine: hl.Expr, alphas: Vector, kind: hl.Expr | None, gaussian: bool
+    grid: Grid, normal: Vector, view: Vector, cosine: hl.Expr, alphas: Vector, kind: hl.Expr | None
 ) -> tuple[list[hl.Expr], list[hl.Expr]]:
     """Return the axis (3 values), and the covariance (6 values) followed by its determinant."""
     (noise,) = grid.get("noise")
@@ -419,7 +372,5 @@ def _make_covariance(
         # Without a tangent only the area of the lobe is known: use an isotropic lobe of the same area.
         mean = hl.sqrt(alphas[0] * alphas[1])
         alphas = [hl.select(directed, alpha, mean) for alpha in alphas]
-    lobe = make_covariance_lobe(
-        HALIDE, normal, view, cosine, alphas, tangents, noise, beckmann=beckmann, gaussian=gaussian
-    )
+    lobe = make_covariance_lobe(HALIDE, normal, view, cosine, alphas, tangents, noise, beckmann=beckmann)
     return list(lobe.axis), [*lobe.covariance, lobe.determinant]

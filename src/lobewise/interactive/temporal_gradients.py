@@ -119,7 +119,8 @@ def compute_changes(
 
 def follows_hits(similarity: str) -> bool:
     """Return whether the specular histories of a similarity follow reflections; "auto" chooses one of these."""
-    return similarity not in SIMILARITIES or SIMILARITIES[similarity].takes_hits
+    record = SIMILARITIES.get(similarity)
+    return record is None or (record.has_lobes and not record.is_mixture)
 
 
 def _compare_sums(sums: Any) -> tuple[Any, Any]:

@@ -187,7 +187,7 @@ class DenoiseSettings(Declared):
         SimilarityName | Auto,
         Knob(
             "What two pixels must share to be averaged. Compared on specular pixels are shading normals, one spherical "
-            "Gaussian per lobe, a sum of them, one anisotropic spherical Gaussian, or the GGX covariance of the lobe. "
+            "Gaussian per lobe, a sum of them, or the GGX covariance of the lobe. "
             'Where the frame has roughness and camera, "auto" takes "sg", with quality "fast" "ggx"; else "normal".',
             label="Similarity",
         ),
@@ -256,15 +256,6 @@ class DenoiseSettings(Declared):
             usual="3 is usual",
         ),
     ] = 3
-    hit_distance: Annotated[
-        bool | Auto,
-        Knob(
-            'With "sg", "asg" and "ggx": compare footprints on what the lobes hit (see `lobewise.lobes.hits`), where '
-            'the frame has hit distances. "auto" does not.',
-            usual="leave it out",
-            label="Hit distance",
-        ),
-    ] = "auto"
     with_oidn: Annotated[
         bool | Auto,
         Knob(
@@ -308,7 +299,6 @@ class ResolvedSettings(DenoiseSettings):
     diffuse_beta: float
     screen_sigma: float
     tau: float
-    hit_distance: bool
     with_oidn: bool
 
     def __post_init__(self) -> None:
@@ -383,7 +373,6 @@ class DenoiseChanges(TypedDict, total=False):
     normal_exponent: float
     band_limit: float | None
     lobes: int
-    hit_distance: bool | Auto
     with_oidn: bool | Auto
 
 

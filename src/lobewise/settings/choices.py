@@ -10,7 +10,7 @@ MAX_SCALE_PIXELS = 16
 """Largest distance between neighbouring shaded pixels of a sparse frame."""
 
 QualityName = Literal["fast", "balanced", "high"]
-SimilarityName = Literal["normal", "sg", "sg_mixture", "asg", "ggx"]
+SimilarityName = Literal["normal", "sg", "sg_mixture", "ggx"]
 FormName = Literal["full", "separable", "atrous"]
 
 FORM_NAMES: tuple[FormName, ...] = get_args(FormName)
@@ -32,8 +32,6 @@ class Similarity:
         Whether it compares reflection lobes, and needs the camera, the roughness and a place for that.
     has_covariance : bool
         Whether a lobe is a covariance across an axis, so that an anisotropic lobe keeps its direction.
-    fits_gaussian : bool
-        Whether the covariance is that of the Gaussian nearest to the lobe, instead of the covariance of the lobe.
     is_mixture : bool
         Whether several spherical Gaussians stand for a lobe.
     """
@@ -43,13 +41,7 @@ class Similarity:
     needs: tuple[str, ...]
     has_lobes: bool = True
     has_covariance: bool = False
-    fits_gaussian: bool = False
     is_mixture: bool = False
-
-    @property
-    def takes_hits(self) -> bool:
-        """Whether footprints on the surfaces that lobes hit can be compared as well."""
-        return self.has_lobes and not self.is_mixture
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,9 +81,6 @@ SIMILARITIES: Mapping[str, Similarity] = {
         Similarity(name="normal", compares="which way surfaces face", needs=("normal",), has_lobes=False),
         Similarity(name="sg", compares="what surfaces reflect", needs=_LOBE_NEEDS),
         Similarity(name="sg_mixture", compares="what surfaces reflect", needs=_LOBE_NEEDS, is_mixture=True),
-        Similarity(
-            name="asg", compares="what surfaces reflect", needs=_LOBE_NEEDS, has_covariance=True, fits_gaussian=True
-        ),
         Similarity(name="ggx", compares="what surfaces reflect", needs=_LOBE_NEEDS, has_covariance=True),
     )
 }

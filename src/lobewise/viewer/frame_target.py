@@ -43,7 +43,7 @@ SLIDERS = {
     "tau": (-5.0, 0.0, 0.05),
 }
 """Ends and step of the sliders. That of the band-limit ``tau`` is a base-10 logarithm."""
-CONTROLS = ("similarity", "quality", "form", *SLIDERS, "hit_distance")
+CONTROLS = ("similarity", "quality", "form", *SLIDERS)
 """Settings that have a control on the page."""
 _TITLES = {
     **VIEWS,
@@ -192,7 +192,6 @@ class FrameTarget:
         A control has an effect where each setting in ``when`` has one of the words listed there.
         """
         lobes, sparse = self._has_lobes, isinstance(self._frame, SparseFrame)
-        hits = lobes and self._frame.gbuffer.hit_distance is not None
         # What "auto" stands for.
         kinds = {**SIMILARITIES, "auto": SIMILARITIES["ggx" if lobes else "normal"]}
         words: dict[str, tuple[str, ...]] = {
@@ -205,7 +204,6 @@ class FrameTarget:
             "radius": {"form": [name for name in FORM_NAMES if name != "atrous"]},
             "normal_exponent": {"similarity": [name for name, kind in kinds.items() if not kind.has_lobes]},
             "tau": {"similarity": [name for name, kind in kinds.items() if kind.has_lobes]},
-            "hit_distance": {"similarity": [name for name, kind in kinds.items() if kind.takes_hits and hits]},
         }
         first, knobs = self.make_settings({}), list_knobs(DenoiseSettings)
         return [

@@ -20,7 +20,6 @@ NAMES = {
     "virtual_lights": "virtual lights",
     "ggx": "ggx (covariance)",
     "sg": "single SG",
-    "asg": "anisotropic SG",
     "sg_mixture": "SG mixture",
     "normal": "normal-aware",
 }

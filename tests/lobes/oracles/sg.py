@@ -76,19 +76,16 @@ def sg_slide_similarity(
     axis_j: ArrayLike,
     sharpness_j: ArrayLike,
     beta: ArrayLike = 1.0,
-    *,
-    shift: ArrayLike | None = None,
 ) -> Array:
     """Return ``(2 sqrt(li lj) / (li + lj))^beta exp(-beta li lj (1 - c) / (li + lj))``, in [0, 1].
 
     Source: Tokuyoshi 2015, the filter weight; it is the similarity of sharp lobes to the power ``beta``.
-    ``shift``, shape (..., 3), is added to the difference of the axes (`compute_hit_shift`).
     Validity: at beta = 1 the error is between ``-0.184 / l`` (beside the axis) and ``+0.062 / l`` (at wide angles, and
     at most 0.020) for the smaller sharpness l; at a ratio of 2 it reaches -0.042 at 2, -0.0074 at 10, -0.0007 at 100.
     """
     axis_i, sharpness_i, axis_j, sharpness_j, beta = as_reals(axis_i, sharpness_i, axis_j, sharpness_j, beta)
     total = sharpness_i + sharpness_j
-    separation = axis_j - axis_i if shift is None else axis_j - axis_i + as_reals(shift)[0].astype(axis_i.dtype)
+    separation = axis_j - axis_i
     exponent = 0.5 * _product_log_amplitude(dot(separation, separation), sharpness_i, sharpness_j, total)
     ratio = divide_or(2.0 * np.sqrt(sharpness_i) * np.sqrt(sharpness_j), total, 1.0)
     return np.asarray(np.minimum(ratio, 1.0) ** beta * np.exp(beta * exponent))

@@ -97,12 +97,6 @@ def _log_areas(pre: Array, lobe_i: TangentLobe, lobe_j: TangentLobe) -> Array:
     return np.asarray(GGX_SHAPE_POWER * np.log(np.minimum(pre, scale)) + sizes)
 
 
-def _separate(lobe_i: TangentLobe, lobe_j: TangentLobe, shift: ArrayLike | None) -> Array:
-    """Return ``z_j - z_i``, plus ``shift``."""
-    difference = lobe_j.axis - lobe_i.axis
-    return difference if shift is None else difference + as_reals(shift)[0].astype(difference.dtype)
-
-
 def _split_eigenvalues(lobe: TangentLobe) -> tuple[Array, Array, Array]:
     """Return the eigenvalues a >= b of the covariance, and ``S - b P``, whose rank is 1."""
     trace = lobe.covariance[..., 0] + lobe.covariance[..., 3] + lobe.covariance[..., 5]
@@ -114,16 +108,13 @@ def _split_eigenvalues(lobe: TangentLobe) -> tuple[Array, Array, Array]:
     return large, small, lobe.covariance - np.stack(compute_round_covariance(small, _split(lobe.axis)), axis=-1)
 
 
-def tangent_approx_similarity(
-    lobe_i: TangentLobe, lobe_j: TangentLobe, beta: ArrayLike = 1.0, *, shift: ArrayLike | None = None
-) -> Array:
+def tangent_approx_similarity(lobe_i: TangentLobe, lobe_j: TangentLobe, beta: ArrayLike = 1.0) -> Array:
     """Return the similarity of two GGX lobes, in [0, 1], to the power ``beta``, as the image kernels do. Approximate.
 
     ``pre^0.9 (2 sqrt(s_i s_j) / (s_i + s_j))^-0.3 (1 + q / 4)^-2.4`` with ``s = sqrt(det)``,
     ``pre = 2 (det_i det_j)^(1/4) / sqrt(det M)``, ``q = d^T M^-1 d`` and M the sum of both covariances. The exponent is
     0.6 for unequal sizes, which is right for concentric lobes of one shape, and 0.9 for unequal shapes, which tells
-    lobes of unlike anisotropy apart as they are in truth. ``shift``, shape (..., 3), is added to the difference of the
-    axes (`compute_hit_shift`).
+    lobes of unlike anisotropy apart as they are in truth.
 
     With ``d = z_j - z_i`` and ``R = tr(S) P - S``, the covariances turned by a quarter about their axes,
     ``Q = d^T (R_i + R_j) d`` is the determinant of ``A_i + A_j``, ``A = S^-1`` in its plane, over ``det A_i det A_j``,
@@ -139,7 +130,7 @@ def tangent_approx_similarity(
     Validity: docs/developers/theory.md has bounds of the RMSE of S against quadrature, which the tests hold.
     """
     (beta,) = as_reals(beta)
-    difference = _separate(lobe_i, lobe_j, shift)
+    difference = lobe_j.axis - lobe_i.axis
     (large_i, small_i, rest_i), (large_j, small_j, rest_j) = (_split_eigenvalues(lobe) for lobe in (lobe_i, lobe_j))
     quadratic = (large_i + large_j) * dot(difference, difference)
     quadratic = np.maximum(quadratic - _quadratic(rest_i + rest_j, difference), 0.0)

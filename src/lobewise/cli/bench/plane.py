@@ -5,23 +5,23 @@ from __future__ import annotations
 import numpy as np
 
 from lobewise.features import (
-    AsgFeature,
     Feature,
     GgxFeature,
+    GgxLobe,
     NormalFeature,
     PositionFeature,
     ScreenFeature,
     SgFeature,
     SgMixtureFeature,
 )
-from lobewise.guides.lobe_fields import default_tau, make_covariance_field, make_sg_field
+from lobewise.guides.lobe_fields import default_tau, make_ggx_field, make_sg_field
 from lobewise.guides.mixture_fields import make_mixture_field
 from lobewise.records.camera import Camera
 from lobewise.records.frame import Frame, GBuffer, LobeKind, Radiance
 
 BETA = 8.0
 """Exponent of the weight of lobes; it does not change the times."""
-SIMILARITIES = ("normal", "sg", "sg_mixture, 3 lobes", "sg_mixture, 3 coaxial", "asg", "ggx")
+SIMILARITIES = ("normal", "sg", "sg_mixture, 3 lobes", "sg_mixture, 3 coaxial", "ggx")
 """Similarities that `make_features` knows. Coaxial lobes share one axis, as lobes that approximate GGX do; lobes of
 measured materials have their own axes."""
 
@@ -77,10 +77,9 @@ def make_features(frame: Frame, names: tuple[str, ...] = SIMILARITIES) -> dict[s
     if any(name.startswith("sg_mixture") for name in names):
         features["sg_mixture, 3 lobes"] = [*place, make_mixture(frame, 3, coaxial=False)]
         features["sg_mixture, 3 coaxial"] = [*place, make_mixture(frame, 3, coaxial=True)]
-    for name, kind in (("asg", AsgFeature), ("ggx", GgxFeature)):
-        if name in names:
-            wide = make_covariance_field(guides, camera, tau=tau, gaussian=name == "asg", diffuse_fallback=False)
-            features[name] = [*place, kind(wide.axis, wide.covariance, wide.determinant, BETA)]
+    if "ggx" in names:
+        wide = make_ggx_field(guides, camera, [tau])
+        features["ggx"] = [*place, GgxFeature(GgxLobe(*wide.lobes[tau]), BETA)]
     return {name: features[name] for name in names}
 
 

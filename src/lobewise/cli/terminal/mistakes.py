@@ -28,8 +28,8 @@ def name_option(problem: LobewiseError, arguments: Sequence[str]) -> LobewiseErr
 
     Examples
     --------
-    >>> name_option(LobewiseError("hit_distance", expected="..."), ["--hit-distance", "5"]).what
-    '--hit-distance'
+    >>> name_option(LobewiseError("screen_sigma", expected="..."), ["--screen-sigma", "0"]).what
+    '--screen-sigma'
     >>> name_option(LobewiseError("output 'a/b.json'", expected="..."), ["--json=a/b.json"]).what
     "--json 'a/b.json'"
     """

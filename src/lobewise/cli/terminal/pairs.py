@@ -16,7 +16,7 @@ NEEDS: tuple[tuple[tuple[str, ...], str, str, str], ...] = (
     (("render",), "--camera-path --speed --start --moving-objects", "--frames", "say how many frames"),
     (
         ("inspect",),
-        "--quality --with-oidn --similarity --form --radius --hit-distance",
+        "--quality --with-oidn --similarity --form --radius",
         "--plan",
         "add --plan",
     ),

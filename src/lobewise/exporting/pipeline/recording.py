@@ -15,9 +15,9 @@ from lobewise.denoising.layers import (
     Layer,
     compare_specular,
     filter_layer,
+    make_ggx_lobes,
     make_position_features,
     mark_surface,
-    split_lobes,
 )
 from lobewise.denoising.plain import add_up
 from lobewise.engine.graph import Graph, GraphImage
@@ -143,7 +143,7 @@ def filter_over_time(guides: PipelineGuides) -> Any:
     if guides.is_sparse:
         whole = tint_samples(whole)
     how = compute_growth(guides)
-    lobes = split_lobes(whole, guides.settings.similarity, resolved.tau, compute_same_tau(whole, resolved))
+    lobes = make_ggx_lobes(whole, guides.settings.similarity, resolved.tau, compute_same_tau(whole, resolved))
     layers = make_named_layers(whole, resolved, guides.features, lobes, how.own)
     constants, past = guides.constants, cast(Any, make_past(guides))
     names = {"beta": "history_beta", **{name: name for name in ("memory", "plane_sigma", "strictness", "cut_share")}}

@@ -21,7 +21,7 @@ LAYERS = {"apart": ("diffuse", "specular"), "named": ("diffuse", "glossy", "tran
 """Names of the layers of each kind of light."""
 FILTER = (
     *("similarity", "form", "radius", "lobes", "albedo"),
-    *("position", "anisotropic", "lobe_kind", "hit_distance"),
+    *("position", "anisotropic", "lobe_kind"),
 )
 """Settings of a single filter."""
 CONTENTS = (
@@ -73,7 +73,7 @@ class PipelineSettings(Declared):
     anisotropic: Annotated[
         bool,
         Knob(
-            'With "asg" and "ggx": lobes from two roughnesses and a tangent instead of one roughness.',
+            'With "ggx": lobes from two roughnesses and a tangent instead of one roughness.',
             opposite="isotropic",
         ),
     ] = False
@@ -81,8 +81,7 @@ class PipelineSettings(Declared):
     hit_distance: Annotated[
         bool,
         Knob(
-            "Whether the distances that reflected rays went are given: histories follow reflections by them; without "
-            "a history lobes are compared at their hits."
+            "With a history, whether the distances that reflected rays went are given: it follows reflections by them."
         ),
     ] = False
 
@@ -116,10 +115,10 @@ class PipelineSettings(Declared):
     def _list_rules(self) -> list[tuple[bool, str, str, str]]:
         """Return what a pipeline cannot contain: whether it is asked for, the setting, what it says, what to do."""
         guided, sparse, over_time = self.is_guided, self.upsample > 1, self.history
-        color, named, has_lobes = self.layers == "color", self.layers == "named", self.record.has_lobes
+        color, named = self.layers == "color", self.layers == "named"
         apart, leave = "give diffuse and specular light apart", "leave it out"
         diffuse = self.similarity == "diffuse" and not self.is_filter
-        hits, what = self.hit_distance, "history" if over_time else "upsampling"
+        what = "history" if over_time else "upsampling"
         form = self.form not in self.quality.forms or (sparse and self.form != "full")
         return [
             (sparse and color, "layers", "one layer with upsampling", apart),
@@ -132,18 +131,17 @@ class PipelineSettings(Declared):
                 "choose the plan filter",
             ),
             (self.record.is_mixture and over_time, "similarity", f"{self.similarity} with history", "choose ggx"),
-            (self.record.is_mixture and hits, "similarity", f"{self.similarity} with hit distances", "choose ggx"),
             (guided and (over_time or sparse), "plan", f"{self.plan} with {what}", f"choose the plan fast for {what}"),
             (form, "form", self.form, leave),
             (self.emission and sparse, "emission", "upsampling, which has it anyway", leave),
             (self.emission and color, "emission", "one layer", apart),
-            (hits and over_time and color, "hit_distance", "a history with one layer", apart),
-            (hits and not over_time and not has_lobes, "hit_distance", self.similarity, "choose a similarity of lobes"),
+            (self.hit_distance and not over_time, "hit_distance", "without a history", "add a history"),
+            (self.hit_distance and color, "hit_distance", "a history with one layer", apart),
             (self.rays and not sparse, "rays", "without upsampling", "add upsampling, or leave it out"),
             (self.coverage and named, "coverage", "with named layers", leave),
             (self.coverage and not sparse and not guided, "coverage", "in one pass", "add upsampling, or leave it out"),
             (not self.halves and not guided, "halves", "in one pass, which reads none", leave),
-            (self.anisotropic and not self.record.has_covariance, "anisotropic", self.similarity, "choose asg or ggx"),
+            (self.anisotropic and not self.record.has_covariance, "anisotropic", self.similarity, "choose ggx"),
         ]
 
     def _check_filter(self) -> None:
@@ -207,7 +205,6 @@ class PipelineSettings(Declared):
             "similarity": self.record.name,
             **{name: getattr(self, name) for name in ("lobes", "form", "radius")},
             "device": "cpu",
-            "hit_distance": self.hit_distance and not self.history,
             "with_oidn": False,
         }
 

@@ -16,7 +16,7 @@ from lobewise.features import PlaneFeature
 from lobewise.filters.history.reprojection import ComparedPixels, reproject
 from lobewise.filters.history.reprojection_pass import AGREEMENT
 from lobewise.filters.history.sums import HISTORY_CHANNELS, get_channel, get_sums, join_channels
-from lobewise.guides.lobe_fields import SplitField
+from lobewise.guides.lobe_fields import GgxField
 from lobewise.guides.places import add_grid, compute_surface_places, compute_virtual_places, estimate_curvature
 from lobewise.guides.reflections import Mirror, compute_moved_reflections
 from lobewise.recipes.temporal.validation import (
@@ -107,7 +107,7 @@ class HistoryReprojection:
         The frame before; None before the first.
     masks : mapping of str to array, shape (height, width)
         Pixels that have the light of each layer, by name.
-    lobes : SplitField, optional
+    lobes : GgxField, optional
         As of `make_validation_features`.
 
     Attributes
@@ -127,7 +127,7 @@ class HistoryReprojection:
         temporal: TemporalSettings,
         past: Past | None,
         masks: Mapping[str, NDArray[np.bool_]],
-        lobes: SplitField | None = None,
+        lobes: GgxField | None = None,
     ) -> None:
         self._masks, self._temporal, self._guides = masks, temporal, guides
         self._past: Past | None = None
@@ -146,7 +146,7 @@ class HistoryReprojection:
         # The next frame compares hits with those of this frame, and this frame with their earlier places.
         self._now = self.validation
         if self._places.hit_distance is not None:
-            self._now = follow_hits(self.validation, guides.gbuffer, self._places.hit_distance)
+            self._now = follow_hits(self.validation, self._places.hit_distance)
         if not past.validation:  # it was read from a file
             old = make_validation_features(past.guides, settings, temporal, past.allowance, past.sums)
             past = replace(past, validation=old)

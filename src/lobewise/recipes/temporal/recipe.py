@@ -24,9 +24,9 @@ from lobewise.denoising.bad_pixels import (
 from lobewise.denoising.layers import (
     Layer,
     describe_exact_light,
+    make_ggx_lobes,
     make_layers,
     make_rest_layers,
-    split_lobes,
 )
 from lobewise.denoising.plain import FilteredSum, add_up
 from lobewise.denoising.plan import bound_memory, count_bytes
@@ -39,7 +39,7 @@ from lobewise.filters.cross_pass import ALBEDO_FLOOR
 from lobewise.filters.history.accumulation import AccumulatedOutput, KnownKernel, SampleGrid
 from lobewise.filters.history.joining import JoinedLayers, mark_reflecting
 from lobewise.filters.history.sums import add_to_sums, split_sums
-from lobewise.guides.lobe_fields import SplitField
+from lobewise.guides.lobe_fields import GgxField
 from lobewise.guides.negative import split_negative
 from lobewise.guides.usable import CheckedGuides, check_guides
 from lobewise.recipes.temporal.past import HistoryReprojection, Past, pack_past, unpack_past
@@ -218,7 +218,7 @@ class TemporalFilter:
         require_some_good(int(np.count_nonzero(bad)), bad.size, "sample")
         guides = Guides(frame.gbuffer, frame.camera, frame.lobe_tables)
         # The lobes are compared within the frame and between frames, by two band-limits.
-        lobes = split_lobes(frame, chosen.similarity, chosen.tau, compute_same_tau(guides, chosen))
+        lobes = make_ggx_lobes(frame, chosen.similarity, chosen.tau, compute_same_tau(guides, chosen))
         how = self._plan(frame, chosen)
         layers = make_named_layers(frame, chosen, features, lobes, how.own)
         reprojection = HistoryReprojection(
@@ -368,7 +368,7 @@ class TemporalFilter:
 
 
 def make_named_layers(
-    frame: AnyFrame, settings: ResolvedSettings, features: Sequence[Feature], lobes: SplitField | None, own: float
+    frame: AnyFrame, settings: ResolvedSettings, features: Sequence[Feature], lobes: GgxField | None, own: float
 ) -> dict[str, Layer]:
     """Return the layers of a frame that have a history, by name; ``own`` is the weight of a pixel's own sample."""
     layers = make_layers(frame, settings, features, lobes=lobes)

@@ -9,22 +9,17 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.denoising.automatic import can_use_hits
-from lobewise.denoising.layers import compare_specular, split_lobes
+from lobewise.denoising.layers import compare_specular
 from lobewise.features import (
-    AsgFeature,
     DiffuseFeature,
     Feature,
-    GgxFeature,
     HitDistanceFeature,
     NormalFeature,
     PlaneFeature,
-    SgFeature,
-    SplitGgxFeature,
 )
 from lobewise.features.base import describe_structure
 from lobewise.filters.history.reprojection import ComparedPixels, prepare_pixels
-from lobewise.guides.lobe_fields import SplitField, default_tau
+from lobewise.guides.lobe_fields import GgxField, default_tau
 from lobewise.guides.surfaces import (
     Backdrop,
     compute_footprints,
@@ -122,7 +117,7 @@ def make_validation_features(
     temporal: TemporalSettings,
     allowance: FloatArray | None,
     names: Collection[str],
-    lobes: SplitField | None = None,
+    lobes: GgxField | None = None,
     *,
     spread: bool = False,
 ) -> dict[str, ValidationFeatures]:
@@ -140,7 +135,7 @@ def make_validation_features(
         Own motion of the surface, pixel footprints. It widens the tolerance of the settings.
     names : collection of str
         Names of the layers: "diffuse" among them if diffuse and specular radiance are split.
-    lobes : SplitField, optional
+    lobes : GgxField, optional
         The lobes for the band-limit of `compute_same_tau`, if they were made beforehand.
     spread : bool
         Whether lobes are as wide as what a pixel's area reflects; see `lobewise.guides.lobe_fields.spread_lobes`.
@@ -153,10 +148,7 @@ def make_validation_features(
         beta=temporal.beta,
         diffuse_beta=temporal.beta,
         tau=compute_same_tau(guides, settings),
-        hit_distance=can_use_hits(frame),
     )
-    if lobes is None and not spread:
-        lobes = split_lobes(frame, settings.similarity, same.tau)
     apart = "diffuse" in names
     alike, mask, surface = compare_specular(frame, same, apart, spread=spread, lobes=lobes)
     # Put the background far away, facing the camera: it then matches itself and no surface.
@@ -166,7 +158,8 @@ def make_validation_features(
     masks = {"rest": surface, **({"background": ~surface} if "background" in names else {})}
     validation = {name: ValidationFeatures(mask, (*plane, facing), (), name) for name, mask in masks.items()}
     # Track reflections only where they are split from diffuse light, which moves with the surface.
-    virtual = (*alike, *_make_hit_features(guides)) if apart and same.hit_distance else ()
+    follows = apart and position is not None and guides.gbuffer.hit_distance is not None
+    virtual = (*alike, *_make_hit_features(guides)) if follows else ()
     name = "specular" if apart else "color"
     validation[name] = ValidationFeatures(mask, (*plane, *(virtual or alike)), virtual, name)
     if apart:
@@ -176,7 +169,7 @@ def make_validation_features(
 
 
 def follow_hits(
-    validation: Mapping[str, ValidationFeatures], gbuffer: GBuffer, hit_distance: FloatArray
+    validation: Mapping[str, ValidationFeatures], hit_distance: FloatArray
 ) -> dict[str, ValidationFeatures]:
     """Return features that recognise reflections of moving objects in the frame before.
 
@@ -186,27 +179,18 @@ def follow_hits(
     ----------
     validation : mapping of ValidationFeatures
         Features of this frame, by layer; only those of ``specular`` change.
-    gbuffer : GBuffer
-        The guides of this frame, with ``reflected_motion``.
     hit_distance : array, shape (height, width)
         Distance of each hit in the frame before; see `lobewise.guides.reflections.compute_moved_reflections`.
     """
-    step = gbuffer.require("reflected_motion", "a history that follows hits")
-    step = np.where(np.isfinite(step).all(axis=-1, keepdims=True), step, np.float32(0.0))
     inverse = compute_inverse_hits(hit_distance)
-
-    def follow(feature: Feature) -> Feature:
-        if isinstance(feature, HitDistanceFeature):
-            return replace(feature, inverse_distance=inverse)
-        if isinstance(feature, AsgFeature | GgxFeature | SgFeature | SplitGgxFeature) and feature.hits is not None:
-            # The footprint at x + t z of a lobe at x moves with the hit.
-            return replace(feature, hits=feature.hits._replace(position=feature.hits.position + step))
-        return feature
 
     followed = dict(validation)
     if "specular" in followed and followed["specular"].virtual:
         mask, surface, virtual = (getattr(followed["specular"], name) for name in ("mask", "surface", "virtual"))
-        moved = tuple(follow(feature) for feature in virtual)
+        moved = tuple(
+            replace(feature, inverse_distance=inverse) if isinstance(feature, HitDistanceFeature) else feature
+            for feature in virtual
+        )
         features = (*surface[: len(surface) - len(virtual)], *moved)
         followed["specular"] = ValidationFeatures(mask, features, moved, "specular")
     return followed

@@ -25,8 +25,6 @@ const float LOBEWISE_SNAP = $SNAP_PIXELS;
 const float LOBEWISE_MIN_EDGE_RATIO = $MIN_EDGE_RATIO;
 // Distance of the virtual image of what is not hit, over the distance from the camera.
 const float LOBEWISE_MISS_DISTANCE = $MISS_DISTANCE;
-// Smallest hit distance, pixel footprints: nearer hits count as this far.
-const float LOBEWISE_MIN_HIT_DISTANCE = $MIN_HIT_DISTANCE;
 // Standard deviation of the logarithm of a mirror's hit distance between two frames, and more per radian of a lobe.
 const float LOBEWISE_HIT_TOLERANCE = $HIT_TOLERANCE;
 const float LOBEWISE_HIT_TOLERANCE_PER_LOBE = $HIT_TOLERANCE_PER_LOBE;

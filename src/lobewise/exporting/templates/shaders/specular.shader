@@ -32,20 +32,6 @@ bool lobewise_was_usable(ivec2 pixel) {
     return load(normals_before, pixel).w > 0.0 && load(axes_before, pixel).w >= 0.0;
 }
 
-// 1 over the hit distance of a pixel, 0 where it is not known. Hits that are very near count as farther.
-float lobewise_bound_hit(float inverse, float depth) {
-    return min(inverse, 1.0 / (LOBEWISE_MIN_HIT_DISTANCE * constants.pixel_angle * depth));
-}
-
-// The shift that a lobe's axis gets because its pixel sees near things from another place: the step between both surface
-// points over the hit distance, across the lobes.
-vec3 lobewise_find_hit_shift(vec3 axis_i, vec3 axis_j, vec3 path, float inverse) {
-    let vec3 d = axis_j - axis_i;
-    let vec3 middle = axis_i + axis_j;
-    let float along = 0.25 * dot(middle, path) * (1.0 + 0.25 * dot(d, d));
-    return inverse * (path - along * middle);
-}
-
 // log2 of the Gaussian of the difference of two inverse hit distances, relative to the larger one.
 float lobewise_compare_hits(vec2 hit_i, vec2 hit_j) {
     let float largest = max(max(hit_i.x, hit_j.x), 1.0e-12);
@@ -62,11 +48,7 @@ float lobewise_compare_frames(ivec2 pixel, ivec2 before, bool is_surface) {
     let vec2 hit = load(reflections, pixel).xy;
     let vec2 hit_before = load(reflections_before, before).xy;
     let LobewiseLobe lobe = lobewise_read_lobe(pixel, constants.tau_between);
-    var LobewiseLobe moved = lobewise_read_lobe_before(before, constants.tau_between);
-    let float near = lobewise_bound_hit(hit.x, normal.w);
-    let float near_before = lobewise_bound_hit(hit_before.x, normal_before.w);
-    let vec3 path = spot_before.xyz - spot.xyz;
-    moved.axis += lobewise_find_hit_shift(lobe.axis, moved.axis, path, 0.5 * (near + near_before));
+    let LobewiseLobe moved = lobewise_read_lobe_before(before, constants.tau_between);
     let float alike = lobewise_compare_reflections(lobe, moved, constants.beta_between);
     let float lobes = alike + lobewise_compare_hits(hit, hit_before);
     if (!is_surface) {

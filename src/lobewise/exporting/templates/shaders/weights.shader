@@ -29,8 +29,6 @@ const float LOBEWISE_GGX_LIMIT = $GGX_LIMIT;
 // The share of the dominant normal's turn from n to v: for a mirror, and more per alpha.
 const float LOBEWISE_AXIS_TURN = $AXIS_TURN;
 const float LOBEWISE_AXIS_TURN_PER_ALPHA = $AXIS_TURN_PER_ALPHA;
-// Sharpness of the Gaussian that is nearest to (1 + q)^-2 in L2, relative to the Gaussian with its curvature at 0.
-const float LOBEWISE_GGX_SHARPNESS = $GGX_SHARPNESS;
 // Exponents b and weights w of (1 + q)^-2 ~ sum w exp(-b q), least squares over the plane: GGX as three Gaussians.
 const vec3 LOBEWISE_MIXTURE_EXPONENTS = $MIXTURE_EXPONENTS;
 const vec3 LOBEWISE_MIXTURE_WEIGHTS = $MIXTURE_WEIGHTS;
@@ -250,52 +248,9 @@ LobewiseCovariance lobewise_make_ggx(vec3 normal, vec3 view, float alpha, float 
     return lobewise_make_isotropic(normal, view, alpha, tau * tau);
 }
 
-// Narrows a covariance to the Gaussian that is nearest to the shape of GGX. The callers multiply the band-limit by the
-// same factor before, so that the band-limit is not narrowed.
-LobewiseCovariance lobewise_narrow(LobewiseCovariance lobe) {
-    var LobewiseCovariance result = lobe;
-    result.diagonal = lobe.diagonal / LOBEWISE_GGX_SHARPNESS;
-    result.beside = lobe.beside / LOBEWISE_GGX_SHARPNESS;
-    result.determinant = lobe.determinant / (LOBEWISE_GGX_SHARPNESS * LOBEWISE_GGX_SHARPNESS);
-    return result;
-}
-
-// The lobe for lobewise_asg_weight.
-LobewiseCovariance lobewise_make_asg(vec3 normal, vec3 view, float alpha, float tau) {
-    return lobewise_narrow(lobewise_make_isotropic(normal, view, alpha, LOBEWISE_GGX_SHARPNESS * tau * tau));
-}
-
 // The lobes of a brushed surface: alpha.x is the roughness along the tangent, alpha.y the roughness across it.
 LobewiseCovariance lobewise_make_anisotropic_ggx(vec3 normal, vec3 tangent, vec3 view, vec2 alpha, float tau) {
     return lobewise_make_anisotropic(normal, tangent, view, alpha, tau * tau);
-}
-
-LobewiseCovariance lobewise_make_anisotropic_asg(vec3 normal, vec3 tangent, vec3 view, vec2 alpha, float tau) {
-    let float noise = LOBEWISE_GGX_SHARPNESS * tau * tau;
-    return lobewise_narrow(lobewise_make_anisotropic(normal, tangent, view, alpha, noise));
-}
-
-// The two invariants by which covariances are compared, without a local frame and without inverses. R = tr(S) P - S is
-// the covariance turned by a quarter about its axis, where P projects across the axis; d is the difference of the axes,
-// t are the traces. The result is x = d^T (R_i + R_j) d, called Q, and y = det_i + det_j + t_i t_j - R_i:R_j, called P.
-// Divided by det_i det_j, Q is the determinant and P the second invariant of the sum of the inverses.
-vec2 lobewise_compare(LobewiseCovariance i, LobewiseCovariance j) {
-    let float trace_i = dot(i.diagonal, vec3(1.0, 1.0, 1.0));
-    let float trace_j = dot(j.diagonal, vec3(1.0, 1.0, 1.0));
-    let vec3 z = i.axis;
-    let vec3 w = j.axis;
-    let vec3 diagonal_i = trace_i - trace_i * z * z - i.diagonal;
-    let vec3 diagonal_j = trace_j - trace_j * w * w - j.diagonal;
-    let vec3 beside_i = -trace_i * vec3(z.x * z.y, z.x * z.z, z.y * z.z) - i.beside;
-    let vec3 beside_j = -trace_j * vec3(w.x * w.y, w.x * w.z, w.y * w.z) - j.beside;
-    let vec3 d = w - z;
-    let vec3 crossed = vec3(d.x * d.y, d.x * d.z, d.y * d.z);
-    let float quadratic = dot(diagonal_i + diagonal_j, d * d) + 2.0 * dot(beside_i + beside_j, crossed);
-    let float inner = dot(diagonal_i, diagonal_j) + 2.0 * dot(beside_i, beside_j);
-    let float second = trace_i * trace_j - inner + i.determinant + j.determinant;
-    // sqrt(P) is at least the sum of the roots (Minkowski's inequality). Rounding may violate this.
-    let float roots = sqrt(i.determinant) + sqrt(j.determinant);
-    return vec2(max(quadratic, 0.0), max(second, roots * roots));
 }
 
 // Subtracts the variance value from a covariance, in every direction across its axis.
@@ -346,21 +301,4 @@ float lobewise_ggx_weight(LobewiseCovariance i, LobewiseCovariance j, float beta
     let float both = min(2.0 * product / sqrt(compared.y), sizes);
     let float exponent = 0.9 * log(both) - 0.3 * log(sizes) - 2.4 * log(1.0 + 0.25 * compared.x / compared.y);
     return exp(beta * exponent);
-}
-
-// Overlap of two anisotropic spherical Gaussians to the power beta, from the product of Xu et al. 2013 without its
-// eigenvectors. c = Q / (2 P) is the exponent of the product, and softness corrects it to first order. The last terms
-// approximate the cosines and the hemispheres.
-float lobewise_asg_weight(LobewiseCovariance i, LobewiseCovariance j, float beta) {
-    let vec2 compared = lobewise_compare(i, j);
-    let vec3 d = j.axis - i.axis;
-    let float square = dot(d, d);
-    let float trace_i = dot(i.diagonal, vec3(1.0, 1.0, 1.0));
-    let float trace_j = dot(j.diagonal, vec3(1.0, 1.0, 1.0));
-    let float c = 0.5 * compared.x / compared.y;
-    let float softness = 2.0 * (trace_i * (j.determinant / compared.y) + trace_j * (i.determinant / compared.y));
-    let float spread = c + softness * (c - 0.5) * (c - 0.5) + 0.25 * square * (1.0 + square);
-    let float product = 4.0 * sqrt(i.determinant) * sqrt(j.determinant);
-    let float exponent = 0.5 * log(product / compared.y) - spread + 0.125 * (trace_i + trace_j);
-    return exp(beta * min(exponent, 0.0));
 }
