@@ -12,7 +12,7 @@ from lobewise.records.camera import Camera
 from lobewise.records.frame import Frame, GBuffer, Radiance, Result
 from lobewise.records.images import make_read_only
 from lobewise.records.radiance import RadianceLayer
-from lobewise.records.sparse_frame import Rays, make_sparse
+from lobewise.records.sparse_frame import make_sparse
 from tests.mistakes import refuses
 
 
@@ -182,7 +182,6 @@ def make_writeable() -> np.ndarray[Any, np.dtype[np.float32]]:
         lambda image: GBuffer(normal=image).normal,
         lambda image: RadianceLayer("coat", "coat", make_writeable(), parts={"sun": image}).parts["sun"],
         lambda image: Frame(Radiance(make_writeable()), also={"sun": image}).also["sun"],
-        lambda image: Rays(np.ones((4, 5)), image).direction,
     ],
 )
 def test_what_was_checked_cannot_be_changed(keep: Any) -> None:

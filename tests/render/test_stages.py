@@ -233,21 +233,10 @@ def test_paths_tell_the_rays_of_their_samples(mi: Any, kind: str) -> None:
     guides = stages.trace_first(stages.start_camera, 0)[0].gbuffer
     ball = (guides.specular_albedo.max(axis=-1) > 0.0).ravel()
     assert ball.sum() > 300
-    weight, length = light.ray_weight[ball], np.linalg.norm(light.direction[ball], axis=-1)
+    weight = light.ray_weight[ball]
     if kind == "dielectric":
-        assert (length == 0.0).all()
         assert (weight == 1.0).all()
         return
-    assert np.allclose(length, 1.0, atol=1e-5)
     # The albedo of plastic is that of a fit, and its weights are noisy: the lobe is sampled seldom.
     assert weight.mean() == pytest.approx(1.0, abs=0.25 if kind == "roughplastic" else 0.05)
     assert not light.specular[ball][weight == 0.0].any()
-    view = stages.start_camera.position - guides.position.reshape(-1, 3)[ball]
-    half = light.direction[ball] + view / np.linalg.norm(view, axis=-1, keepdims=True)
-    cosine = (half * guides.normal.reshape(-1, 3)[ball]).sum(axis=-1) / np.linalg.norm(half, axis=-1)
-    if kind == "conductor":
-        assert np.allclose(cosine, 1.0, atol=1e-4)
-    elif kind == "roughplastic":
-        # A ray counts where it lies in the lobe.
-        near = cosine > 0.9
-        assert weight[near].mean() > 3.0 * weight[~near].mean()

@@ -34,10 +34,10 @@ from lobewise.guides.lobe_fields import (
     spread_lobes,
 )
 from lobewise.guides.mixture_fields import make_mixture_field
-from lobewise.guides.rays import compute_ray_weights, make_ray_feature
+from lobewise.guides.rays import compute_ray_weights
 from lobewise.guides.surfaces import compute_points, mark_surface_pixels
 from lobewise.records.frame import FloatArray, GBuffer
-from lobewise.records.sparse_frame import AnyFrame, Rays, SparseFrame
+from lobewise.records.sparse_frame import AnyFrame, SparseFrame
 from lobewise.settings import ResolvedSettings
 from lobewise.settings.choices import get_similarity
 
@@ -253,13 +253,8 @@ def make_lobe_layers(
         Layer(parts[0], guides.diffuse_albedo, *scattered, "diffuse", is_diffuse=True),
         Layer(parts[1], guides.specular_albedo, *reflected, "specular"),
     ]
-    rays: Rays | None = getattr(frame, "rays", None)  # whole frames have none
-    if rays is not None:
-        sparse = cast(SparseFrame, frame)
-        ray_features = () if rays.direction is None else (make_ray_feature(sparse, rays.direction),)
-        layers[1] = replace(
-            layers[1], features=(*layers[1].features, *ray_features), weights=compute_ray_weights(sparse)
-        )
+    if getattr(frame, "rays", None) is not None:  # whole frames have none
+        layers[1] = replace(layers[1], weights=compute_ray_weights(cast(SparseFrame, frame)))
     return layers
 
 

@@ -4,7 +4,6 @@ from lobewise.features.base import Feature
 from lobewise.features.ggx import GgxFeature, GgxLobe
 from lobewise.features.normal import DiffuseFeature, NormalFeature
 from lobewise.features.position import PlaneFeature, PositionFeature
-from lobewise.features.ray import RayFeature
 from lobewise.features.screen import BandLimitFeature, ScreenFeature, TentFeature
 from lobewise.features.seen import HitDistanceFeature
 from lobewise.features.sg import SgFeature, SgMixtureFeature
@@ -19,7 +18,6 @@ __all__ = [
     "NormalFeature",
     "PlaneFeature",
     "PositionFeature",
-    "RayFeature",
     "ScreenFeature",
     "SgFeature",
     "SgMixtureFeature",

@@ -38,8 +38,6 @@ class Feature(ABC):
     """
 
     name: ClassVar[str] = "own"
-    has_factor: ClassVar[bool] = False
-    """Whether `make_factor` counts."""
 
     @property
     def neutral(self) -> tuple[float, ...]:
@@ -84,14 +82,6 @@ class Feature(ABC):
         stage : callable
             Wrap a long intermediate value in ``stage(...)`` to compute it in a separate loop, with fewer registers.
         """
-
-    def make_factor(self, i: Pixel, j: Pixel, parameters: Vector) -> hl.Expr:
-        """Return a factor, >= 0, of the weight of a sample j for a pixel i, where `has_factor` is set.
-
-        It need not be symmetric, and filters raise it to no power. Only passes from shaded pixels to all pixels read
-        it: `lobewise.filters.history.accumulation`.
-        """
-        return hl.f32(1.0)
 
 
 class DeclaredFeature(Feature):

@@ -40,8 +40,7 @@ def make_radiance(method: IndirectMethod, light: IndirectLight, shape: tuple[int
 def make_rays(light: IndirectLight, shape: tuple[int, int]) -> Rays | None:
     """Return the weights of the rays of some pixels as an image of (rows, columns) pixels.
 
-    There are none if the method tells none. The weight of several samples is their mean. Directions are left out: with
-    the noise of one path at one of 16 pixels, they raise the error (docs/developers/research/rays.md).
+    There are none if the method tells none. The weight of several samples is their mean.
     """
     if light.ray_weight is None:
         return None

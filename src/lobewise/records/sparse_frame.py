@@ -50,9 +50,6 @@ class Rays:
         sampled, a the specular albedo of the pixel. Its expected value is 1. It is 0 where the specular lobe reflects
         nothing along the ray, for example because the diffuse lobe was sampled. The specular radiance of the sample is
         the weight times a times the radiance that came along the ray, so all specular radiance must have come along it.
-    direction : array, shape (rows, columns, 3), optional
-        From the surface along the ray, world space, length 1; 0 where it is not known or the ray was bent. With
-        directions, pixels weigh their neighbours' rays by their own lobes: reflections get sharper, and noisier.
 
     Raises
     ------
@@ -61,29 +58,24 @@ class Rays:
     """
 
     weight: FloatArray
-    direction: FloatArray | None = None
 
     def __post_init__(self) -> None:
         weight = keep_array(np.asarray(self.weight))
-        direction = None if self.direction is None else keep_array(np.asarray(self.direction))
-        if weight.ndim != 2 or (direction is not None and direction.shape != (*weight.shape, 3)):
-            got = f"shape {weight.shape}" + ("" if direction is None else f" and {direction.shape}")
+        if weight.ndim != 2:
             raise InputError(
                 "rays",
-                expected="weights of shape (rows, columns), and directions of shape (rows, columns, 3) or none",
-                got=got,
+                expected="weights of shape (rows, columns)",
+                got=f"shape {weight.shape}",
                 action="pass one ray for each shaded pixel",
             )
-        numbers = [weight] if direction is None else [weight, direction]
-        if not (all(np.isfinite(each).all() for each in numbers) and (weight >= 0.0).all()):
+        if not (np.isfinite(weight).all() and (weight >= 0.0).all()):
             raise InputError(
                 "rays",
-                expected="finite directions and finite weights of at least 0",
+                expected="finite weights of at least 0",
                 got="others",
-                action="pass direction 0 and weight 1 where no ray is known",
+                action="pass weight 1 where no ray is known",
             )
         object.__setattr__(self, "weight", weight)
-        object.__setattr__(self, "direction", direction)
 
     def __repr__(self) -> str:
         return f"Rays({self.weight.shape[1]}x{self.weight.shape[0]})"

@@ -73,14 +73,13 @@ class DirectLight:
 class IndirectLight(NamedTuple):
     """Indirect light of some pixels: by lobe, (count, 3) each, linear, >= 0, albedo included; hit distances, (count,).
 
-    ``direction``, (count, 3), and ``ray_weight``, (count,), are means over the samples of what
-    `lobewise.records.sparse_frame.Rays` says of one; None where the method tells none.
+    ``ray_weight``, (count,), is the mean over the samples of the weight of `lobewise.records.sparse_frame.Rays`; None
+    where the method tells none.
     """
 
     diffuse: FloatArray
     specular: FloatArray
     hit_distance: FloatArray
-    direction: FloatArray | None = None
     ray_weight: FloatArray | None = None
 
 
@@ -255,7 +254,7 @@ class Stages:
         size = _make_opaque_size(width, height)
         with use_sensor(self._sensor):
             light_parts = known[1](pixel, *size, make_opaque(samples), seed)
-        shapes = (-1, 3), (-1, 3), (-1,), (-1, 3), (-1,)
+        shapes = (-1, 3), (-1, 3), (-1,), (-1,)
         return IndirectLight(*(values.reshape(shape) for values, shape in zip(light_parts, shapes, strict=False)))
 
     def trace_surfaces(

@@ -266,7 +266,7 @@ class PipelineGuides:
         if not self.settings.rays:
             return None
         text = "f cos / (p a) of the specular ray of each sample: BRDF, density of the direction, specular albedo"
-        return SimpleNamespace(weight=self.graph.give("ray_weight", *SAMPLES, text=text, unit=">= 0"), direction=None)
+        return SimpleNamespace(weight=self.graph.give("ray_weight", *SAMPLES, text=text, unit=">= 0"))
 
     @property
     def parts(self) -> tuple[GraphImage, GraphImage] | None:

@@ -257,8 +257,7 @@ def read_history(history: hl.ImageParam, at: Place) -> Sums:
 def _weigh_tap(grid: TapGrid, u: hl.Expr, v: hl.Expr, exponent: hl.Expr | None = None) -> hl.Expr:
     """Return the weight of the tap at an offset; ``exponent`` takes the place of its logarithm."""
     at = (*grid.pixels.at, u, v)
-    weight = expressions.exp2(grid.log_weight[at] if exponent is None else exponent)
-    return weight if grid.factor is None else weight * grid.factor[at]
+    return expressions.exp2(grid.log_weight[at] if exponent is None else exponent)
 
 
 def gather_trust(grid: TapGrid, taps: TapDomain) -> hl.Expr:

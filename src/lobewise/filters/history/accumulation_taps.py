@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import reduce
-from operator import mul
 from typing import Any
 
 from lobewise.backend.compiler import hl
@@ -127,10 +125,6 @@ class TapGrid:
             return _compare(features, pair(u, v), scalars, self.blocks.compute_tap_offset(u, v))
 
         self.log_weight = self._define_taps("log_weight", needed, compare)
-        self.factor: hl.Func | None = None
-        """Product of the features' factors, which no power changes; None if no feature has one."""
-        if any(feature.has_factor for feature in features):
-            self.factor = self._define_taps("factor", needed, lambda u, v: _multiply(features, pair(u, v), scalars))
 
     def _define_values(self, tap_mask: hl.ImageParam, take: Callable[[Place, hl.Expr], Sequence[hl.Expr]]) -> None:
         """Define the values of shaded pixels by their own column, then repeated over the width of their blocks."""
@@ -196,11 +190,10 @@ class TapGrid:
         are plain loads at any scale.
         """
         lanes = self.pixels.lanes
-        logs = [self.log_weight] if self.factor is None else [self.log_weight, self.factor]
-        for func in (*logs, *(each for pair in self._sums for each in pair)):
+        for func in (self.log_weight, *(each for pair in self._sums for each in pair)):
             func.compute_at(out, vector).bound(LANE, 0, lanes).vectorize(LANE)
             func.update().reorder(LANE, *func.rvars(), VECTOR, Y).vectorize(LANE)
-        for func in (*logs, *(weights for _, weights in self._sums)):
+        for func in (self.log_weight, *(weights for _, weights in self._sums)):
             func.hoist_storage(out, strip)
         for func, count in ((self._own.planes, self._own.plane_count), (self._own.guides, self._own.guide_count)):
             if func is not None:
@@ -210,18 +203,6 @@ class TapGrid:
         keep_rows(self._values.compute_at(out, tile), self._value_count, lanes)
         if self._taps.guides is not None:
             keep_rows(self._taps.guides.compute_at(self._values, X), self._taps.guide_count, lanes)
-
-
-def _multiply(
-    features: Sequence[Feature], pairs: Sequence[tuple[Any, Any]], scalars: Sequence[Sequence[hl.Expr]]
-) -> hl.Expr:
-    """Return the product of the features' factors for a pixel and a tap; at least one feature must have one."""
-    factors = [
-        feature.make_factor(i, j, parameters)
-        for feature, (i, j), parameters in zip(features, pairs, scalars, strict=True)
-        if feature.has_factor
-    ]
-    return reduce(mul, factors)
 
 
 def _compare(

@@ -185,13 +185,13 @@ class _Bounces:
 
     @staticmethod
     def _keep_ray(path: _Path, bsdf: Any, scattering: Scattering, scatters: Any) -> None:
-        """Keep the sampled direction as the path's first ray, if the pass keeps rays."""
+        """Keep the path's first ray, if the pass keeps rays."""
         ray, flags = path.sample.ray, mi.BSDFFlags
         if ray is None:
             return
         transmits = mi.has_flag(bsdf.flags(), flags.GlossyTransmission)
         transmits |= mi.has_flag(bsdf.flags(), flags.DeltaTransmission)
-        ray.direction = dr.select(scatters & ~transmits, scattering.ray.d, ray.direction)
+        ray.known |= scatters & ~transmits
         ray.specular = dr.select(scatters, scattering.factor * (1.0 - path.share), ray.specular)
 
     def _go_on(self, path: _Path, scattering: Scattering, going: Any) -> None:
@@ -299,9 +299,8 @@ class PathLight:
             traced = trace_path(self._scene, self._materials, points.ray, rng, settings, max_depth, points.hit)
             assert traced.ray is not None
             # Radiance that passes a boundary is divided by the square of the index, and the albedo is not.
-            known = (albedo > 0) & (dr.squared_norm(traced.ray.direction) > 0)
-            weight = dr.select(known, dr.sum(traced.ray.specular) / albedo, 1.0)
+            weight = dr.select(traced.ray.known & (albedo > 0), dr.sum(traced.ray.specular) / albedo, 1.0)
             lobes, totals = traced.lobes, traced.totals
-            return lobes.diffuse, lobes.specular, totals.hit_count, totals.hit_inverse, traced.ray.direction, weight
+            return lobes.diffuse, lobes.specular, totals.hit_count, totals.hit_inverse, weight
 
         return average_samples(take, make_opaque(samples), rays=True)

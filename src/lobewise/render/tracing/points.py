@@ -48,14 +48,13 @@ class Indirect:
     ``diffuse`` and ``specular`` (Color3f, linear, >= 0, albedo included) are split by the lobe of the first surface.
     ``hit_distance`` (Float) is the distance of the hit of its specular lobe: 0 if unknown, inf for a miss.
 
-    A method that traces one ray for each sample also tells, as means over the samples, ``direction`` (Vector3f) and
-    ``ray_weight`` (Float) of `lobewise.records.sparse_frame.Rays`. Otherwise they are None.
+    A method that traces one ray for each sample also tells ``ray_weight`` (Float), the mean over the samples of the
+    weight of `lobewise.records.sparse_frame.Rays`. Otherwise it is None.
     """
 
     diffuse: Any
     specular: Any
     hit_distance: Any
-    direction: Any = None
     ray_weight: Any = None
 
 
@@ -79,14 +78,14 @@ def average_samples(take_sample: Callable[[Any], tuple[Any, ...]], samples: Any,
 
     ``take_sample`` takes the number of a sample. It returns the diffuse and specular radiance, whether a specular
     reflection was traced (Float, 0 or 1), and the inverse distance of its hit (0 for a miss). With ``rays`` it also
-    returns the direction and the weight of the sample's ray.
+    returns the weight of the sample's ray.
     """
 
     def take(index: Any, *sums: Any) -> tuple[Any, ...]:
         return tuple(total + value for total, value in zip(sums, take_sample(index), strict=True))
 
     start = mi.Color3f(0), mi.Color3f(0), mi.Float(0), mi.Float(0)
-    more = (mi.Vector3f(0), mi.Float(0)) if rays else ()
+    more = (mi.Float(0),) if rays else ()
     diffuse, specular, hits, inverse, *ray = repeat(take, mi.UInt32(0), samples, *start, *more, label="samples")
     share = dr.rcp(mi.Float(samples))
     distance = dr.select(inverse > 0, hits / inverse, dr.inf)

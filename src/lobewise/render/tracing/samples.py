@@ -51,11 +51,11 @@ class Squares:
 class FirstRay:
     """The ray along which a path leaves the first surface that scatters it.
 
-    ``direction`` (Vector3f, world space) has length 1, or 0 if the surface lets light pass: such a ray may be bent.
+    ``known`` (Bool) is false if the surface lets light pass: such a ray may be bent.
     ``specular`` (Color3f) is the specular part of ``f cos / p``, which the radiance along the ray is multiplied by.
     """
 
-    direction: Any
+    known: Any
     specular: Any
 
 
@@ -89,7 +89,7 @@ def _make_zeros(what: Any, width: int = 1) -> Any:
 
 def make_sample(rays: bool = False) -> Sample:
     """Return a sample of zeros. With ``rays`` it has a ray."""
-    ray = FirstRay(dr.zeros(mi.Vector3f), dr.zeros(mi.Color3f)) if rays else None
+    ray = FirstRay(dr.zeros(mi.Bool), dr.zeros(mi.Color3f)) if rays else None
     return Sample(_make_zeros(Lobes), _make_zeros(Totals), ray)
 
 
