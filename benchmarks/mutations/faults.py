@@ -37,11 +37,11 @@ LOBES = (
         ("guides/test_lobe_fields.py", "lobes/test_sg.py"),
     ),
     Mutation(
-        "hit points shift lobes the wrong way",
-        "lobes/hits.py",
-        "step = [inverse * (q - p)",
-        "step = [inverse * (p - q)",
-        ("features/test_similarity.py", "lobes/test_hits.py"),
+        "distances of hits are compared with the nearer one",
+        "features/seen.py",
+        "largest = hl.max(i.inverse_distance",
+        "largest = hl.min(i.inverse_distance",
+        ("features/test_similarity.py",),
     ),
     Mutation(
         "brushed metal is brushed across instead of along",
@@ -60,8 +60,8 @@ LOBES = (
     Mutation(
         "GGX lobes are compared as if their covariances were added the wrong way",
         "features/ggx.py",
-        "* square - (on_i * on_i + on_j * on_j)",
-        "* square + (on_i * on_i + on_j * on_j)",
+        "* dot(d, d) - (on_i * on_i + on_j * on_j)",
+        "* dot(d, d) + (on_i * on_i + on_j * on_j)",
         ("features/test_similarity.py", "lobes/test_tangent.py"),
     ),
 )
@@ -143,7 +143,7 @@ DENOISING = (
     Mutation(
         "the light of fireflies is given back to the image and not to its parts",
         "denoising/light_loss.py",
-        'bright.append(brighten(part, part, taker, gain, name="part"))',
+        'bright.append(brighten(part, part, mask, gain, name="part"))',
         "bright.append(part)",
         ("denoising/test_light_loss.py", "denoising/test_also.py"),
     ),

@@ -38,7 +38,6 @@ from lobewise.denoising.evidence import estimate_share_lost, get_image_halves, m
 from lobewise.denoising.layers import Layer, make_layers
 from lobewise.denoising.light_loss import (
     Loss,
-    compute_takers,
     measure_gain,
     measure_gain_outside,
     share_light,
@@ -164,10 +163,6 @@ class Filtered:
         weight_sum, effective = engine.pixels(define_support, images, {}, len(self.layers))
         return weight_sum, effective
 
-    def compute_takers(self) -> list[FloatArray]:
-        """Return the share of each pixel's light that takes part in sharing, for every layer; see `compute_takers`."""
-        return [compute_takers(*each) for each in zip(self.layers, self.parts, self.levels, strict=False)]
-
     def look_up_passed(self, name: str) -> Passed:
         """Return what happened to a layer, for further images that take the same steps."""
         number = [layer.name for layer in self.layers].index(name)
@@ -175,9 +170,14 @@ class Filtered:
         refined = before.parts[number] if before is not None and before.is_refined else None
         return Passed(clean=blacken_bad(self.parts[number]), before=refined, share=self.share_taken)
 
-    def sum_missing(self, takers: Sequence[FloatArray], rows: slice) -> list[NDArray[np.float64]]:
+    @property
+    def shared_masks(self) -> list[NDArray[np.bool_]]:
+        """The masks of the layers whose lost light is shared out: of all; with the quality "fast" of none."""
+        return [layer.mask for layer in self.layers] if self.levels else []
+
+    def sum_missing(self, rows: slice) -> list[NDArray[np.float64]]:
         """Return the sums of `lobewise.denoising.light_loss.sum_missing` for every layer in some rows."""
-        layers = zip((layer.radiance for layer in self.layers), self.parts, takers, strict=False)
+        layers = zip((layer.radiance for layer in self.layers), self.parts, self.shared_masks, strict=False)
         return [sum_missing(*each, rows, uncounted=self.uncounted) for each in layers]
 
     def mark_holes(self) -> tuple[FloatArray, NDArray[np.bool_]]:
@@ -425,16 +425,16 @@ def keep_light(filtered: Filtered) -> Filtered:
     """Share the light that bounding took out over each layer, so that the layer sums to the light of its samples."""
     enter_stage(SHARE_OUT)
     with engine.part("share out the light of fireflies"):
-        takers, losses = filtered.compute_takers(), []
-        for layer, part, taker in zip(filtered.layers, filtered.parts, takers, strict=True):
-            images, name = [layer.radiance, part, taker], f"gain_{layer.name}"
-            numbers = [float(filtered.is_refined)]
+        losses = []
+        for layer, part in zip(filtered.layers, filtered.parts, strict=True):
+            images, name = [layer.radiance, part, layer.mask], f"gain_{layer.name}"
             if filtered.uncounted is None:
-                loss = engine.total(measure_gain, images, numbers, name=name, count=4)
+                loss = engine.total(measure_gain, images, name=name, count=3)
             else:
-                loss = engine.total(measure_gain_outside, [*images, filtered.uncounted], numbers, name=name, count=4)
+                loss = engine.total(measure_gain_outside, [*images, filtered.uncounted], name=name, count=3)
             losses.append(Loss(*loss))
-        image, parts = share_light(filtered.image, filtered.parts, takers, [loss.gain for loss in losses])
+        gains = [loss.gain for loss in losses]
+        image, parts = share_light(filtered.image, filtered.parts, filtered.shared_masks, gains)
     return replace(filtered, image=image, parts=parts, losses=losses)
 
 

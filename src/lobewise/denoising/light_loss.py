@@ -3,9 +3,7 @@
 A filter that is guided by the noise loses light: fireflies are bounded, and pixels brighter than their neighbours count
 less. So the sum of a layer's light falls, by a quarter in rooms that the sun lights through small windows. The lost
 light of a layer is shared out over its pixels, in proportion to their light. The samples do not tell where most of the
-lost light belongs, so it goes everywhere, too thin to be seen. A filter may leave spots that are too bright, so light
-above `MAX_TAKER` of the layer's mean takes no more. A network leaves no spots, and it loses a little light wherever
-light is noisy: up to the gain `MAX_GAIN_REFINED`, all light of a refined layer takes its part.
+lost light belongs, so it goes everywhere, too thin to be seen.
 
 The user is told of a loss if the mean changed by much more than its noise. Fireflies are light of the scene that few
 samples found: a mean without them is too dark, and a mean with them is noisy. The share of the fireflies does not tell
@@ -25,9 +23,8 @@ from numpy.typing import NDArray
 
 from lobewise import engine
 from lobewise.denoising.bad_pixels import mark_good
-from lobewise.denoising.layers import Layer
 from lobewise.engine.numbers import make_single
-from lobewise.filters.glue import define_brightened, define_takers
+from lobewise.filters.glue import define_brightened
 from lobewise.filters.noise.residuals import SHARED_NOISE_VARIANCE, SHARED_STEP, compute_residual
 from lobewise.lobes.numbers import NUMPY
 from lobewise.records.frame import FloatArray, Frame
@@ -41,19 +38,14 @@ MIN_STANDARD_ERRORS = 2.5
 and Mitsuba with references (benchmarks/foreign): the user is told of 12 frames, which lack 5 to 25 % of the light of
 their references (LuxCore's ``sparks``). No other frame lacks more than 3 %. With 2 standard errors the user would be
 told of one more frame, which lacks 1.9 %."""
-MAX_TAKER = 0.5
-"""Light of a pixel over the layer's mean light, both over the albedo, above which a brighter pixel takes no more."""
 MAX_SHARED_AS_NOISE = 0.01
 """Share of a layer's filtered light that is shared out even where the noise of the layer's mean explains the loss."""
 MAX_GAIN_PER_FIREFLY = 0.02
-"""Largest gain of a pixel, as a share of its light, for each of the equal fireflies that would explain the loss. It
-bounds the gain of the light that takes part and the gain of all light. A few pixels may hold more light than all
-others: they tell nothing of the mean, and would make the image several times as bright."""
-MAX_TAKERS_GAIN, MAX_GAIN = 1.0, 4.0
-"""Largest gain of the light that takes part in sharing, and largest gain of all light. The rest of the lost light goes
-to all light in proportion."""
-MAX_GAIN_REFINED = 0.05
-"""Gain up to which all light of a refined layer takes part (docs/developers/research/refinement.md)."""
+"""Largest gain of a layer, as a share of its light, for each of the equal fireflies that would explain the loss. A few
+pixels may hold more light than all others: they tell nothing of the mean, and would make the image several times as
+bright."""
+MAX_GAIN = 4.0
+"""Largest gain of a layer."""
 MAX_FALL = 0.5
 """Largest share of its light that a layer loses where its filter added light."""
 ROWS_AT_ONCE = 128
@@ -64,91 +56,54 @@ MISSING_PIXELS_AT_ONCE = 1 << 14
 RowSums = NDArray[np.float64]
 
 
-def compute_takers(layer: Layer, part: FloatArray, level: float) -> FloatArray:
-    """Return the share of each pixel's light that takes part in sharing, (height, width), in [0, 1].
-
-    Pixels outside of the layer take nothing.
-
-    Parameters
-    ----------
-    layer : Layer
-        The noisy layer.
-    part : array, shape (height, width, 3)
-        The filtered layer. Pixels that are not finite or negative take nothing.
-    level : float
-        Mean light of the layer's samples, over albedo.
-    """
-    images = {"part": part, "albedo": layer.albedo, "mask": layer.mask}
-    numbers, text = {"level": level}, "light that takes part in sharing"
-    (taker,) = engine.pixels(define_takers, images, numbers, MAX_TAKER, names=["taker"], text=text)
-    return taker
-
-
 def sum_missing(
     radiance: FloatArray,
     part: FloatArray,
-    taker: FloatArray,
+    mask: NDArray[np.bool_],
     rows: slice = slice(None),
     *,
     uncounted: NDArray[np.bool_] | None = None,
 ) -> RowSums:
-    """Return sums over the good pixels of each row, (rows, 6), from which `compute_gain` computes the gain of a layer.
+    """Return sums over the good pixels of each row, (rows, 5), from which `compute_gain` computes the gain of a layer.
 
-    The images are the layer's noisy and filtered light, (height, width, 3), and the result of `compute_takers`. The
-    sums are: the noisy light; the noisy minus the filtered light; the square of this difference; the light that takes
-    part in sharing; all light of the pixels that take part. The last number is the largest difference, and no sum.
-    Light is the sum of the three channels. Pixels in ``uncounted``, (height, width), are left out.
+    The images are the layer's noisy and filtered light, (height, width, 3), and its mask, (height, width). The sums
+    are: the noisy light; the noisy minus the filtered light; the square of this difference; the filtered light inside
+    the mask. The last number is the largest difference, and no sum. Light is the sum of the three channels. Pixels in
+    ``uncounted``, (height, width), are left out.
     """
     first, stop, _ = rows.indices(len(part))
-    row_sums, height = [np.zeros((0, 6))], max(MISSING_PIXELS_AT_ONCE // part.shape[1], 1)
+    row_sums, height = [np.zeros((0, 5))], max(MISSING_PIXELS_AT_ONCE // part.shape[1], 1)
     for top in range(first, stop, height):
         block = slice(top, min(top + height, stop))
-        noisy, done, share = radiance[block], part[block], taker[block]
+        noisy, done = radiance[block], part[block]
         good = mark_good(noisy) & mark_good(done)
         if uncounted is not None:
             good &= ~uncounted[block]
         before, after = (np.where(good, _add_channels(image), 0.0) for image in (noisy, done))
         missing = before - after
-        sums = before, missing, missing * missing, after * share, np.where(share > 0.0, after, 0.0)
+        sums = before, missing, missing * missing, np.where(mask[block], after, 0.0)
         # Sum each row alone: bands of any height then give the same bits.
         row_sums.append(np.stack([*(one.sum(axis=1) for one in sums), missing.max(axis=1)], axis=1))
     return np.concatenate(row_sums)
 
 
-class Gain(NamedTuple):
-    """The gain of a layer: of the light that takes part in sharing, and of all light of the same pixels; shares."""
-
-    takers: float = 0.0
-    all: float = 0.0
-
-    def sum_light(self, rows: RowSums) -> float:
-        """Return the light that is shared out, summed over pixels and channels; ``rows`` are of `sum_missing`."""
-        taking, whole = rows[:, 3:5].sum(axis=0)
-        return float(self.takers * taking + self.all * whole)
-
-
-def compute_gain(rows: RowSums, *, refined: bool = False) -> Gain:
-    """Return the gain of a layer; ``refined`` says whether the network refined it.
+def compute_gain(rows: RowSums) -> float:
+    """Return the gain of a layer: the light that each pixel takes, as a share of its own.
 
     The standard error of the missing light is the root of the sum of its squares. Where k equal fireflies are all that
     is missing, the share ``1 - 1/k^2`` of it is shared out. Pixels grow by at most `MAX_GAIN_PER_FIREFLY` for each
     firefly, however much light the fireflies hold.
     """
-    _, missing, squared, taking, whole = (float(each) for each in rows[:, :5].sum(axis=0))
+    _, missing, squared, whole = (float(each) for each in rows[:, :4].sum(axis=0))
     # One firefly, which the next frame has not, must not change the light of the image.
-    sure = abs(missing) if missing < 0.0 else max(missing - float(rows[:, 5].max(initial=0.0)), 0.0)
-    if not (taking > 0.0 and squared > 0.0 and math.isfinite(squared)) or missing == 0.0:
-        return Gain()
+    sure = abs(missing) if missing < 0.0 else max(missing - float(rows[:, 4].max(initial=0.0)), 0.0)
+    if not (whole > 0.0 and squared > 0.0 and math.isfinite(squared)) or missing == 0.0:
+        return 0.0
     fireflies = max(missing * missing / squared, 1.0)
-    known = (1.0 - fireflies**-2.0) * abs(missing)
-    shared = max(known, min(sure, MAX_SHARED_AS_NOISE * whole))
+    known = (1.0 - 1.0 / fireflies**2) * abs(missing)
+    gain = max(known, min(sure, MAX_SHARED_AS_NOISE * whole)) / whole
     most = MAX_GAIN_PER_FIREFLY * fireflies
-    if missing < 0.0:
-        return Gain(all=-min(shared / whole, most, MAX_FALL))
-    first = min(shared / whole, most, MAX_GAIN_REFINED) if refined else 0.0
-    shared -= first * whole
-    takers = min(shared / taking, most - first, MAX_TAKERS_GAIN)
-    return Gain(takers, first + min((shared - takers * taking) / whole, most - first, MAX_GAIN))
+    return -min(gain, most, MAX_FALL) if missing < 0.0 else min(gain, most, MAX_GAIN)
 
 
 class Loss(NamedTuple):
@@ -156,63 +111,52 @@ class Loss(NamedTuple):
 
     Parameters
     ----------
-    takers, all : float
-        Its gain; see `Gain`.
+    gain : float
+        Its gain; see `compute_gain`.
     noisy, missing : float
         Sums over pixels and channels: the light of its samples, and what is missing of it with the gain.
     """
 
-    takers: float
-    all: float
+    gain: float
     noisy: float
     missing: float
 
-    @property
-    def gain(self) -> Gain:
-        """The gain of the layer."""
-        return Gain(self.takers, self.all)
+
+def compute_loss(rows: RowSums) -> Loss:
+    """Return the light of a layer; ``rows`` are the result of `sum_missing`."""
+    gain, sums = compute_gain(rows), rows.sum(axis=0)
+    return Loss(gain, float(sums[0]), float(sums[1] - gain * sums[3]))
 
 
-def compute_loss(rows: RowSums, *, refined: bool = False) -> Loss:
-    """Return the light of a layer; parameters as of `compute_gain`."""
-    gain, sums = compute_gain(rows, refined=refined), rows.sum(axis=0)
-    return Loss(*gain, float(sums[0]), float(sums[1]) - gain.sum_light(rows))
-
-
-def measure_gain(radiance: FloatArray, part: FloatArray, taker: FloatArray, refined: float) -> Loss:
-    """Return the gain of a layer, and the light that is missing with it.
-
-    The images are those of `sum_missing`; ``refined`` is above 0 if the network refined the layer.
-    """
-    return compute_loss(sum_missing(radiance, part, taker), refined=refined > 0.0)
+def measure_gain(radiance: FloatArray, part: FloatArray, mask: NDArray[np.bool_]) -> Loss:
+    """Return the gain of a layer, and the light that is missing with it; parameters as of `sum_missing`."""
+    return compute_loss(sum_missing(radiance, part, mask))
 
 
 def measure_gain_outside(
-    radiance: FloatArray, part: FloatArray, taker: FloatArray, uncounted: NDArray[np.bool_], refined: float
+    radiance: FloatArray, part: FloatArray, mask: NDArray[np.bool_], uncounted: NDArray[np.bool_]
 ) -> Loss:
-    """Return the gain of a layer, and the light that is missing with it, from pixels outside of a mask.
-
-    Parameters are those of `measure_gain`; ``uncounted`` is the mask, (height, width).
-    """
-    return compute_loss(sum_missing(radiance, part, taker, uncounted=uncounted), refined=refined > 0.0)
+    """Return the result of `measure_gain` from pixels outside of ``uncounted``, (height, width)."""
+    return compute_loss(sum_missing(radiance, part, mask, uncounted=uncounted))
 
 
-def brighten(image: FloatArray, part: FloatArray, taker: FloatArray, gain: Gain, *, name: str = "") -> FloatArray:
+def brighten(
+    image: FloatArray, part: FloatArray, mask: NDArray[np.bool_], gain: float, *, name: str = ""
+) -> FloatArray:
     """Return an image, (height, width, 3), plus the gain of a layer's ``part``; ``name`` is its name in plans."""
-    images = {"image": image, "part": part, "taker": taker}
-    numbers = {"takers": make_single(gain.takers), "all": make_single(gain.all)}
+    images, numbers = {"image": image, "part": part, "mask": mask}, {"gain": make_single(gain)}
     (bright,) = engine.pixels(define_brightened, images, numbers, names=[name], text="share light out")
     return bright
 
 
 def share_light(
-    image: FloatArray, parts: Sequence[FloatArray], takers: Sequence[FloatArray], gains: Sequence[Gain]
+    image: FloatArray, parts: Sequence[FloatArray], masks: Sequence[NDArray[np.bool_]], gains: Sequence[float]
 ) -> tuple[FloatArray, list[FloatArray]]:
     """Return an image, (height, width, 3), and its parts, each with the gains of the layers."""
     bright = []
-    for part, taker, gain in zip(parts, takers, gains, strict=True):
-        image = brighten(image, part, taker, gain, name="total")
-        bright.append(brighten(part, part, taker, gain, name="part"))
+    for part, mask, gain in zip(parts, masks, gains, strict=True):
+        image = brighten(image, part, mask, gain, name="total")
+        bright.append(brighten(part, part, mask, gain, name="part"))
     return image, bright
 
 

@@ -266,28 +266,7 @@ def define_mixed(grid: Grid) -> list[Vector]:
     return [[select_bits(is_finite(value) & is_mixed, value, part) for value, part in pairs]]
 
 
-def define_takers(grid: Grid, most: float) -> list[Vector]:
-    """Return the share of each pixel's light that takes part in sharing; see `compute_takers`."""
-    part = grid.read("part")
-    light = _add_doubles(part, is_good(part))
-    bound = hl.f64(3.0)
-    if grid.has("albedo"):
-        albedo = grid.read("albedo")
-        bound = _add_doubles(albedo, is_good(albedo))
-    bound = bound * (hl.f64(most) * grid.get("level")[0])
-    there = (grid.read_one("mask") != 0) & (light > hl.f64(0.0))
-    share = bound / hl.select(there, light, hl.f64(1.0))
-    return [[hl.select(there, hl.f32(hl.min(share, hl.f64(1.0))), hl.f32(0.0))]]
-
-
-def _add_doubles(values: Vector, good: hl.Expr) -> hl.Expr:
-    x, y, z = (hl.f64(hl.select(good, value, hl.f32(0.0))) for value in values)
-    return x + y + z
-
-
 def define_brightened(grid: Grid) -> list[Vector]:
     """Return an image plus the gain of a part's light; see `brighten`."""
-    taker = grid.read_one("taker")
-    first, whole = (grid.get(name)[0] for name in ("takers", "all"))
-    factor = hl.select(taker > hl.f32(0.0), first * taker + whole, hl.f32(0.0))
-    return [[value + part * factor for value, part in zip(grid.read("image"), grid.read("part"), strict=True)]]
+    gain = hl.select(grid.read_one("mask") != 0, grid.get("gain")[0], hl.f32(0.0))
+    return [[value + part * gain for value, part in zip(grid.read("image"), grid.read("part"), strict=True)]]

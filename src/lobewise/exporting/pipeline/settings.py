@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
+from lobewise.denoising.automatic import DEFAULT_SIMILARITY, GUIDED_SIMILARITY
 from lobewise.errors import InputError
 from lobewise.settings import (
+    Auto,
     Declared,
     DenoiseSettings,
     FormName,
@@ -43,9 +45,13 @@ class PipelineSettings(Declared):
         Knob('What is exported: a single "filter", or a whole plan: "fast", "balanced" or "high".'),
     ] = "fast"
     similarity: Annotated[
-        SimilarityName | Literal["diffuse"],
-        replace(_KNOBS["similarity"], text=_KNOBS["similarity"].hint + ' The plan "filter" has "diffuse", too.'),
-    ] = "ggx"
+        SimilarityName | Literal["diffuse"] | Auto,
+        replace(
+            _KNOBS["similarity"],
+            text=_KNOBS["similarity"].hint
+            + ' The plan "filter" has "diffuse", too. "auto" is "sg" in the plans balanced and high, else "ggx".',
+        ),
+    ] = "auto"
     form: Annotated[FormName, _KNOBS["form"]] = "full"
     radius: Annotated[int, _KNOBS["radius"]] = 8
     lobes: Annotated[int, replace(_KNOBS["lobes"], low=2, usual="one lobe is similarity 'sg'")] = 3
@@ -106,6 +112,8 @@ class PipelineSettings(Declared):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.similarity == "auto":
+            object.__setattr__(self, "similarity", GUIDED_SIMILARITY if self.is_guided else DEFAULT_SIMILARITY)
         if self.is_filter:
             self._check_filter()
         for is_refused, what, got, action in self._list_rules():

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lobewise.denoising.also import bring_parts
 from lobewise.denoising.bad_pixels import REFILL_REACH, refill
-from lobewise.denoising.light_loss import Gain, share_light
+from lobewise.denoising.light_loss import share_light
 from lobewise.io.exr.bands import BandReader, BandWriter
 from lobewise.recipes.streaming.kept import KeptBands
 from lobewise.records.frame import FloatArray
@@ -17,7 +17,7 @@ from lobewise.work.progress import WRITE, enter_stage
 
 
 def finish_bands(
-    reader: BandReader, held: KeptBands, writer: BandWriter, finisher: Finisher, gains: Sequence[Gain]
+    reader: BandReader, held: KeptBands, writer: BandWriter, finisher: Finisher, gains: Sequence[float]
 ) -> None:
     """Add the gain of every layer to the bands, fill their holes and hand them to the writer."""
     height, _ = reader.shape
@@ -26,10 +26,10 @@ def finish_bands(
     for images in held.read():
         before, holes, row = row, images.pop("holes"), row + len(images["color"])
         enter_stage(WRITE, (before / height, row / height))
-        takers = [images.pop(f"taker{number}") for number in range(len(gains))]
+        masks = [images.pop(f"mask{number}") for number in range(len(gains))]
         names = reader.layers or ("color",)
-        if any(map(any, gains)):
-            total, parts = share_light(images["color"], [images[name] for name in names], takers, gains)
+        if any(gains):
+            total, parts = share_light(images["color"], [images[name] for name in names], masks, gains)
             images |= {**dict(zip(names, parts, strict=True)), "color": total}
         finisher.add({**images, **finish_parts(names, images)}, holes)
         last = row == height

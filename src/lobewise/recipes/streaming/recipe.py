@@ -196,7 +196,7 @@ def denoise_file(
         below = resolve_all(replace(probe, variance=None), replace(with_quality, quality="fast", with_oidn=False))
         whole = measure().whole if guided else None
         share_bounded = compute_energy_lost(measure().tallies) if guided else 0.0
-        seen = _Seen(survey, share_bounded >= MIN_SHARE_BOUNDED, get_quality(chosen.quality).refines)
+        seen = _Seen(survey, share_bounded >= MIN_SHARE_BOUNDED)
         held = KeptBands(waiting)
         bad_count = _filter(reader, held, _Settings(chosen, below), whole, bands, seen)
         with engine.on(chosen.device):
@@ -243,8 +243,6 @@ class _Seen:
     """What the guides of the whole frame are worth."""
     measures_light: bool
     """Whether bounding took so much from fireflies that the light before and after is compared."""
-    refined: bool
-    """Whether the network refines the layers."""
     light: list[RowSums] = field(default_factory=list)
     below: list[NDArray[np.float64]] = field(default_factory=list)
     """Result of `sum_below` for each band."""
@@ -268,7 +266,7 @@ class _Seen:
     def compute_losses(self) -> list[Loss]:
         """Return the light of every layer; empty with the quality "fast"."""
         rows = [np.concatenate(blocks) for blocks in zip(*self.missing, strict=True)]
-        return [compute_loss(blocks, refined=self.refined) for blocks in rows]
+        return [compute_loss(blocks) for blocks in rows]
 
 
 def _measure(reader: BandReader, survey: GuideSurvey, settings: ResolvedSettings, bands: Bands) -> _Measured:
@@ -347,8 +345,8 @@ def _filter_band(
 ) -> tuple[dict[str, NDArray[Any]], int]:
     """Return the images of the rows of ``core`` by their fields, and the number of bad pixels.
 
-    Beside the fields there are ``holes``, the pixels without a value, and for each layer ``taker0`` and so on, the
-    share of its light that takes part in sharing. "below color" and so on is the filtered light below 0 of a field.
+    Beside the fields there are ``holes``, the pixels without a value, and for each layer ``mask0`` and so on, the
+    pixels that take part in sharing. "below color" and so on is the filtered light below 0 of a field.
     """
     frame = seen.survey.apply(reader.read_frame(*rows))
     seen.unusable += list_unusable(frame, core)
@@ -362,8 +360,7 @@ def _filter_band(
     with engine.on(settings.above.device):
         band_result = filter_rows(frame, settings.above, (), bad, whole=whole)
         _, holes = band_result.mark_holes()
-    takers = band_result.compute_takers()
-    seen.missing.append(band_result.sum_missing(takers, core))
+    seen.missing.append(band_result.sum_missing(core))
     if seen.measures_light:
         seen.light.append(sum_light(frame, band_result.image, bad, core))
     images: dict[str, NDArray[Any]] = {"holes": holes[core], **_name_fields(reader, band_result, core)}
@@ -379,7 +376,7 @@ def _filter_band(
         fields = _name_fields(reader, filtered, core)
         fields |= finish_parts(reader.layers, {**fields, **refined})
         images |= {f"below {field}": image for field, image in fields.items()}
-    images |= {f"taker{number}": taker[core] for number, taker in enumerate(takers)}
+    images |= {f"mask{number}": mask[core] for number, mask in enumerate(band_result.shared_masks)}
     scaled = scale_unscattered(frame, band_result, compute_gains(band_result))
     images |= {name: light[core] for name, light in scaled.items()}
     return images, int(np.count_nonzero(bad[core]))

@@ -211,17 +211,16 @@ static void measure_log_depth(${name}_pipeline *p, const halide_buffer_t *depth,
 
 /* part: share_missing */
 static void share_missing(
-    ${name}_pipeline *p, const halide_buffer_t *noisy, const halide_buffer_t *filtered, const halide_buffer_t *taker,
-    const halide_buffer_t *uncounted, int refined, double *gain)
+    ${name}_pipeline *p, const halide_buffer_t *noisy, const halide_buffer_t *filtered, const halide_buffer_t *mask,
+    const halide_buffer_t *uncounted, double *gain)
 {
-    /* How much of a layer's light is shared out, over the light that takes part and over all of it. The light that is
-       missing is as sure as the equal fireflies are many that would explain it. */
+    /* How much of a layer's light is shared out, over its light. The light that is missing is as sure as the equal
+       fireflies are many that would explain it. */
     const size_t pixels = (size_t)p->width * (size_t)p->height;
     const float *before = (const float *)noisy->host, *after = (const float *)filtered->host;
-    const float *share = (const float *)taker->host;
-    double light = 0.0, missing = 0.0, squared = 0.0, taking = 0.0, whole = 0.0, largest = 0.0;
+    double light = 0.0, missing = 0.0, squared = 0.0, whole = 0.0, largest = 0.0;
     size_t k;
-    gain[0] = gain[1] = 0.0;
+    gain[0] = 0.0;
     for (k = 0; k < pixels; k++, before += 3, after += 3) {
         if (is_good_pixel(before) && is_good_pixel(after) && !(uncounted && uncounted->host[k])) {
             const double sum = (double)before[0] + before[1] + before[2], left = (double)after[0] + after[1] + after[2];
@@ -230,44 +229,35 @@ static void share_missing(
             missing += lost;
             squared += lost * lost;
             largest = fmax(largest, lost);
-            taking += left * share[k];
-            whole += share[k] > 0.0f ? left : 0.0;
+            whole += mask->host[k] ? left : 0.0;
         }
     }
-    if (taking > 0.0 && squared > 0.0 && squared <= DBL_MAX && missing != 0.0) {
+    if (whole > 0.0 && squared > 0.0 && squared <= DBL_MAX && missing != 0.0) {
         const double fireflies = fmax(missing * missing / squared, 1.0);
         const double known = (1.0 - 1.0 / (fireflies * fireflies)) * fabs(missing);
         /* One firefly, which the next frame has not, must not change the light of the image. */
         const double sure = missing < 0.0 ? -missing : fmax(missing - largest, 0.0);
-        double shared = fmax(known, fmin(sure, ${MAX_SHARED_AS_NOISE} * whole));
-        double most = ${MAX_GAIN_PER_FIREFLY} * fireflies;
-        if (missing < 0.0) {
-            gain[1] = -fmin(fmin(shared / whole, most), ${MAX_FALL});
-        } else {
-            const double first = refined ? fmin(fmin(shared / whole, most), ${MAX_GAIN_REFINED}) : 0.0;
-            shared -= first * whole;
-            most -= first;
-            gain[0] = fmin(fmin(shared / taking, most), ${MAX_TAKERS_GAIN});
-            gain[1] = first + fmin(fmin((shared - gain[0] * taking) / whole, most), ${MAX_GAIN});
-        }
+        const double share = fmax(known, fmin(sure, ${MAX_SHARED_AS_NOISE} * whole)) / whole;
+        const double most = fmin(share, ${MAX_GAIN_PER_FIREFLY} * fireflies);
+        gain[0] = missing < 0.0 ? -fmin(most, ${MAX_FALL}) : fmin(most, ${MAX_GAIN});
     }
     /* The light of the samples, and what is missing of it after sharing. */
-    gain[2] = light;
-    gain[3] = missing - (gain[0] * taking + gain[1] * whole);
+    gain[1] = light;
+    gain[2] = missing - gain[0] * whole;
 }
 
 /* part: measure_gain */
 static void measure_gain(
-    ${name}_pipeline *p, const halide_buffer_t *noisy, const halide_buffer_t *filtered, const halide_buffer_t *taker,
-    double refined, double *gain)
+    ${name}_pipeline *p, const halide_buffer_t *noisy, const halide_buffer_t *filtered, const halide_buffer_t *mask,
+    double *gain)
 {
-    share_missing(p, noisy, filtered, taker, NULL, refined > 0.0, gain);
+    share_missing(p, noisy, filtered, mask, NULL, gain);
 }
 
 /* part: measure_gain_outside */
 static void measure_gain_outside(
-    ${name}_pipeline *p, const halide_buffer_t *noisy, const halide_buffer_t *filtered, const halide_buffer_t *taker,
-    const halide_buffer_t *uncounted, double refined, double *gain)
+    ${name}_pipeline *p, const halide_buffer_t *noisy, const halide_buffer_t *filtered, const halide_buffer_t *mask,
+    const halide_buffer_t *uncounted, double *gain)
 {
-    share_missing(p, noisy, filtered, taker, uncounted, refined > 0.0, gain);
+    share_missing(p, noisy, filtered, mask, uncounted, gain);
 }
