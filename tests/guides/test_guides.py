@@ -68,16 +68,11 @@ def test_places_from_depth_and_from_position(rng: np.random.Generator) -> None:
 
 
 def test_inverse_hits(junk: dict[str, NDArray[np.float32]]) -> None:
-    distance, depth = junk["distance"], junk["depth"]
+    distance = junk["distance"]
     with np.errstate(all="ignore"):
         plain = np.where(distance > 0.0, 1.0 / distance, 0.0)
-        bounded = np.where(
-            (distance > 0.0) & np.isfinite(depth), 1.0 / np.maximum(distance, np.float32(0.7) * depth), 0.0
-        )
-    plain[~np.isfinite(plain)] = bounded[~np.isfinite(bounded)] = 0.0
+    plain[~np.isfinite(plain)] = 0.0
     np.testing.assert_allclose(compute_inverse_hits(distance), plain, rtol=ROUNDING)
-    np.testing.assert_allclose(compute_inverse_hits(distance, depth, 0.7), bounded, rtol=ROUNDING)
-    assert (bounded[depth > 1.0] < 1.0 / 0.69).all()
 
 
 def test_tolerances(junk: dict[str, NDArray[np.float32]]) -> None:

@@ -84,30 +84,17 @@ def _define_depths(grid: Grid) -> list[Vector]:
     return [[hl.f32(hl.sqrt(dot(step, step)))]]
 
 
-def compute_inverse_hits(distance: FloatArray, depth: FloatArray | None = None, nearest: float = 0.0) -> FloatArray:
-    """Return 1/t of every hit distance t, (height, width); 0 if the ray missed or the distance is unknown.
-
-    With ``depth``, t is at least ``nearest`` times the depth.
-    """
-    (inverse,) = engine.pixels(
-        define_inverse_hits,
-        {"distance": distance, "depth": depth},
-        {"nearest": nearest},
-        names=["inverse_hit"],
-        text="inverse hit distances",
-    )
+def compute_inverse_hits(distance: FloatArray) -> FloatArray:
+    """Return 1/t of every hit distance t, (height, width); 0 if the ray missed or the distance is unknown."""
+    images, names = {"distance": distance}, ["inverse_hit"]
+    (inverse,) = engine.pixels(define_inverse_hits, images, {}, names=names, text="inverse hit distances")
     return inverse
 
 
 def define_inverse_hits(grid: Grid) -> list[Vector]:
     distance = grid.read_one("distance")
-    known = distance > hl.f32(0.0)
-    if grid.has("depth"):
-        least = hl.f32(grid.get("nearest")[0]) * grid.read_one("depth")
-        known = known & is_finite(least)
-        distance = hl.max(distance, least)
     inverse = hl.f32(1.0) / distance
-    return [[hl.select(known & is_finite(inverse), inverse, hl.f32(0.0))]]
+    return [[hl.select((distance > hl.f32(0.0)) & is_finite(inverse), inverse, hl.f32(0.0))]]
 
 
 def compute_tolerances(alpha_u: FloatArray, alpha_v: FloatArray | None, least: float, slope: float) -> FloatArray:
