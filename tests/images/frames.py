@@ -17,6 +17,8 @@ from lobewise.records.sparse_frame import SparseFrame
 DATA = Path(__file__).parent / "data"
 REFERENCES, BASELINES = DATA / "references", DATA / "baselines"
 NAMES = tuple(sorted(path.stem for path in REFERENCES.glob("*.exr")))
+CROPS = tuple(sorted(f"crops/{path.stem}" for path in (REFERENCES / "crops").glob("*.exr")))
+"""Frames of 192x144 pixels, for mechanisms that look at larger neighbourhoods; no figures of them are committed."""
 QUALITIES = ("fast", "balanced", "high", "auto")
 """What is committed for every frame; "auto" is `lobewise.denoise` as people call it, with Open Image Denoise."""
 """Passes of the frame ``groups`` that are filtered too, one for each light."""
@@ -85,7 +87,12 @@ def list_noisy_light(frame: Frame) -> dict[str, FloatArray]:
 
 def list_clean_light(result: Result, frame: Frame) -> dict[str, FloatArray]:
     """Return all light of a result; what it does not name stays as it was."""
-    return {**frame.unscattered, **(result.layers or list_halves(result)), **result.also}
+    return {**frame.unscattered, **list_filtered_light(result)}
+
+
+def list_filtered_light(result: Result) -> dict[str, FloatArray]:
+    """Return the light that a result has filtered."""
+    return {**(result.layers or list_halves(result)), **result.also}
 
 
 def list_halves(owner: Radiance | Result) -> dict[str, FloatArray]:

@@ -3,20 +3,24 @@
     python -m benchmarks.users.render RENDERS --group own
     python benchmarks/foreign/render_luxcore.py RENDERS/luxcore --scenes room,sparks --size 192x144
     python benchmarks/foreign/factory RENDERS/factory --kinds fog --seeds 11 --spp 1
+    python benchmarks/foreign/render_luxcore.py RENDERS/luxcore --scenes room,glass --size 192x144 --spp 8
+    python benchmarks/foreign/factory RENDERS/factory --kinds screens --seeds 14 --spp 16 --reference 1536
+    python -m benchmarks.foreign.render_mitsuba RENDERS/mitsuba
     python -m tests.images.make RENDERS
 
 The frames in ``RENDERS/blender`` and ``RENDERS/mitsuba`` are those of ``benchmarks/foreign`` and of
 ``tests/images/render_cycles.py`` at the tag ``trials-2026-11``; this file says there how they are rendered.
 
 The data window of a cut says where it lies in the render, so that the camera is right. Light and albedo become half
-floats, as Blender writes them. Normals and roughness keep 12 bits, places 18, so that the files compress.
+floats, as Blender writes them. Normals and roughness keep 12 bits, places 18, so that the files compress. The four
+crops are larger and keep fewer bits of everything, see `COARSE` and, for their references, `CLEAN`.
 """
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import OpenEXR
@@ -31,6 +35,25 @@ from lobewise.records.sparse_frame import make_sparse
 HERE = Path(__file__).parent
 DATA, REFERENCES = HERE / "data", HERE / "data" / "references"
 NORMAL_BITS, PLACE_BITS = 12, 18
+
+
+class Bits(NamedTuple):
+    """Significant bits that light and albedo, normals and roughness, and places keep; half floats have 11."""
+
+    light: int = 11
+    normal: int = NORMAL_BITS
+    place: int = PLACE_BITS
+
+
+FINE, COARSE, CLEAN = Bits(), Bits(9, 10, 14), Bits(light=8)
+CROPS = DATA / "crops"
+CROP_SIZE = 192, 144
+ROOM_OUTPUTS = (
+    "RGB", "ALBEDO", "AVG_SHADING_NORMAL", "POSITION", "DIRECT_DIFFUSE", "INDIRECT_DIFFUSE", "DIRECT_GLOSSY",
+    "INDIRECT_GLOSSY", "INDIRECT_SPECULAR", "EMISSION", "SAMPLECOUNT",
+)  # fmt: skip
+GLASS_OUTPUTS = ("RGB", "ALBEDO", "AVG_SHADING_NORMAL")
+SCREENS_LIGHT = ("Combined", "DiffCol", "DiffDir", "DiffInd", "GlossCol", "GlossDir", "GlossInd")
 UNUSED_PASSES = ("IndexOB", "Vector", "Denoising Depth")
 PLACES = ("position", "depth", "distance")
 """Words in the names of channels that keep `PLACE_BITS`."""
@@ -60,28 +83,35 @@ def locate_corner(image: Any, size: tuple[int, int]) -> tuple[int, int]:
     return (image.shape[1] - size[0]) // 2, (image.shape[0] - size[1]) // 2
 
 
-def shrink(name: str, values: Any) -> Any:
+def shrink(name: str, values: Any, bits: Bits = FINE) -> Any:
     """Return a channel in the type and precision that the file keeps."""
-    if MATTE in name or values.dtype == np.float16:
+    if MATTE in name or (values.dtype == np.float16 and bits == FINE):
         return values
     if any(word in name.lower() for word in PLACES):
-        return round_floats(values, PLACE_BITS)
+        return round_floats(values, bits.place)
     if "normal" in name.lower() or name.rpartition(".")[2] not in "RGBA":
-        return round_floats(values, NORMAL_BITS)
-    return values.astype(np.float16)
+        return round_floats(values, bits.normal)
+    return (values if bits == FINE else round_floats(values, bits.light)).astype(np.float16)
 
 
 def cut_file(
-    source: Path, target: Path, size: tuple[int, int], *, keep: Callable[[str], bool] = lambda name: True
+    source: Path,
+    target: Path,
+    size: tuple[int, int],
+    *,
+    keep: Callable[[str], bool] = lambda name: True,
+    bits: Bits = FINE,
+    others: Sequence[Path] = (),
 ) -> None:
-    """Write a part of a file with those of its passes that are kept, and its attributes."""
+    """Write a part of a file, or of its mean with others, with those passes that are kept, and its attributes."""
+    more = [OpenEXR.File(str(path), separate_channels=True).channels() for path in others]
     with OpenEXR.File(str(source), separate_channels=True) as file:
         part = file.parts[0]
-        channels = {
-            name: OpenEXR.Channel(shrink(f"{source.stem}.{name}", cut(channel.pixels, size)))
-            for name, channel in part.channels.items()
-            if keep(name)
-        }
+        channels = {}
+        for name in filter(keep, part.channels):
+            pixels = [each[name].pixels for each in (part.channels, *more)]
+            mean = np.mean(pixels, axis=0, dtype=np.float32) if more else pixels[0]
+            channels[name] = OpenEXR.Channel(shrink(f"{source.stem}.{name}", cut(mean, size), bits))
         x, y = locate_corner(next(iter(part.channels.values())).pixels, size)
         dropped = ("channels", "chunkCount", "Date", "Time", "RenderTime", "File", "capDate", "compression")
         header = {
@@ -245,6 +275,35 @@ def cut_mitsuba(folder: Path) -> None:
     write_reference("mitsuba", folder, "principled_4", (52, 40))
 
 
+def cut_crops(renders: Path) -> None:
+    """Cut the four large frames; the reference of Cycles keeps its passes of light."""
+    luxcore, shot, metals = renders / "luxcore", renders / "factory" / "screens_14", renders / "mitsuba" / "metals"
+    for name, kept in (("room", ROOM_OUTPUTS), ("glass", GLASS_OUTPUTS)):
+        for output in kept:
+            source = luxcore / f"{name}_8_1" / f"{output}.exr"
+            cut_file(source, CROPS / name / source.name, CROP_SIZE, bits=COARSE)
+        write_crop_reference(name, [luxcore / f"{name}_reference_{half}" / "RGB.exr" for half in (1, 2)])
+    cut_file(shot / "16.exr", CROPS / "screens.exr", CROP_SIZE, keep=is_in_screens, bits=COARSE)
+    parts = [shot / f"reference_{part}.exr" for part in (1, 2, 3)]
+    write_crop_reference("screens", parts, keep=lambda name: name.split(".")[1] in SCREENS_LIGHT)
+    cut_file(
+        Path(f"{metals}_4_1.exr"), CROPS / "metals.exr", CROP_SIZE, keep=lambda name: "img" not in name, bits=COARSE
+    )
+    halves = [Path(f"{metals}_reference_{half}.exr") for half in (1, 2)]
+    write_crop_reference("metals", halves, keep=lambda name: name in "RGB")
+
+
+def is_in_screens(name: str) -> bool:
+    """Return whether a channel is kept of the crop of Cycles, in which no light is transmitted."""
+    return keeps_pass()(name) and ".Trans" not in name
+
+
+def write_crop_reference(name: str, paths: Sequence[Path], keep: Callable[[str], bool] = lambda name: True) -> None:
+    """Write the mean of a crop's references."""
+    first, *others = paths
+    cut_file(first, REFERENCES / CROPS.name / f"{name}.exr", CROP_SIZE, keep=keep, bits=CLEAN, others=others)
+
+
 def main() -> None:
     """Cut all."""
     renders = Path(sys.argv[1])
@@ -253,6 +312,7 @@ def main() -> None:
     cut_luxcore(renders / "luxcore")
     cut_own(renders / "own")
     cut_mitsuba(renders / "mitsuba")
+    cut_crops(renders)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ from pathlib import Path
 
 sys.path.insert(1, str(Path(__file__).parents[1]))
 
-from kinds import KINDS, TRAINING, VALIDATION, list_shots, plan_shot
+from kinds import KINDS, REFERENCE_PARTS, TRAINING, VALIDATION, list_shots, plan_shot
 from shots import render_shot
 
 from films import render_film
@@ -42,6 +42,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=read_seeds, default=range(4), help="one, or the first and the last, as 0-3")
     parser.add_argument("--threads", type=int, default=0, help="0 for all")
     parser.add_argument("--spp", type=int, help="samples per pixel of the noisy frame, instead of those that are drawn")
+    parser.add_argument("--reference", type=int, help="samples per pixel of all three references together, likewise")
     parser.add_argument("--films", action="store_true", help="films of 12 frames with two references of each")
     parser.add_argument("--groups", action="store_true", help="put lamps and sky into light groups")
     parser.add_argument(
@@ -55,6 +56,8 @@ def main() -> None:
         plan, random = plan_shot(kind, seed)
         if asked.spp:
             plan = replace(plan, spp=(asked.spp,))
+        if asked.reference:
+            plan = replace(plan, reference_spp=(asked.reference // REFERENCE_PARTS,) * REFERENCE_PARTS)
         if asked.width:
             size = asked.width, round(plan.size[1] * asked.width / plan.size[0])
             plan = replace(plan, size=size, spp=(16,), reference_spp=(400,))
