@@ -4,13 +4,16 @@
     python -m benchmarks.quality.switched_off [--shots SHOTS] [--qualities high,auto] [--only "specks,take back"]
 
 A mechanism stands for itself in `SWITCHES`: what is replaced, and what replaces it. The frames are those of
-`tests/images`, which have their references, and the shots of a folder of `benchmarks/foreign/factory`, on which nothing
-was tuned. The table says, by quality and group of frames, the error without the mechanism over the error with it:
-below 1, the picture is better without. Errors are relative mean square errors of all pixels ("error") and without the
-worst thousandth ("trimmed"); "moved" names the frames whose trimmed error changes by 1 % or more. "time" is the
-processor time without over with, of all frames together. "shots" has, of every Blender shot, the trimmed errors of the
-noisy image, of Open Image Denoise as people call it and of each quality, over the error of Open Image Denoise at its
-best.
+`tests/images`, which have their references, its crops, which are larger, and the shots of a folder of
+`benchmarks/foreign/factory`, on which nothing was tuned. The table says, by quality and group of frames, the error
+without the mechanism over the error with it: below 1, the picture is better without. Errors are relative mean square
+errors of all pixels ("error") and without the worst thousandth ("trimmed"); "moved" names the frames whose trimmed
+error changes by 1 % or more. "light" is the same ratio of the errors of the passes that are filtered, averaged over the
+passes of a frame, of those frames whose reference has passes; null where none has. "energy" says by how many per cent
+the sum of the image is off that of the reference, averaged over frames without signs: with the mechanism, and without.
+"time" is the processor time without over with, of all frames together. "shots" has, of every Blender shot, the trimmed
+errors of the noisy image, of Open Image Denoise as people call it and of each quality, over the error of Open Image
+Denoise at its best.
 """
 
 from __future__ import annotations
@@ -30,6 +33,7 @@ from unittest.mock import patch
 import numpy as np
 from numpy.typing import NDArray
 
+import lobewise
 from benchmarks.common import RESULTS, describe_machine, write_json
 from benchmarks.quality.measure import round_figure
 from benchmarks.users.measuring import make_reference_judge
@@ -49,14 +53,25 @@ from lobewise.denoising import (
 from lobewise.denoising.refining import network
 from lobewise.filters.specks import Sharing
 from lobewise.guides import negative, stand_ins, usable
-from lobewise.records.frame import FloatArray, Frame
-from tests.images.frames import NAMES, SPARSE, denoise_view, join_views, read_views
+from lobewise.metrics import rel_mse
+from lobewise.records.frame import FloatArray, Frame, Result
+from tests.images.frames import (
+    CROPS,
+    NAMES,
+    SPARSE,
+    denoise_view,
+    join_views,
+    list_filtered_light,
+    list_noisy_light,
+    read_views,
+)
 from tests.images.measuring import measure_image
 
 RESULT = RESULTS / "switched_off.json"
 QUALITIES = ("balanced", "high", "auto")
-GROUPS = IMAGES, BLENDER = "tests/images", "blender"
+GROUPS = IMAGES, LARGE, BLENDER = "tests/images", "crops", "blender"
 SPP, PEER = 16, "oidn"
+MEASURED = "error", "trimmed", "light", "energy"
 NAMED_PERCENT = 1.0
 """Change of its trimmed error from which a frame is named in the table."""
 
@@ -169,6 +184,8 @@ class Case:
         The views.
     measure : function
         Returns "error" and "trimmed" of the views' images, side by side.
+    truth : sequence of mapping of str to (height, width, 3)
+        All light of the reference of each view, by name; the image's is "".
     peer : Frame, optional
         What Open Image Denoise is given of a Blender shot.
     """
@@ -177,17 +194,20 @@ class Case:
     name: str
     frames: Sequence[Frame]
     measure: Callable[[FloatArray], dict[str, float]]
+    truth: Sequence[Mapping[str, FloatArray]]
     peer: Frame | None = None
 
 
 def list_cases(shots: Path | None) -> Iterator[Case]:
     """Yield the frames of the image tests, and the complete shots of a folder."""
-    for name in NAMES:
+    for name in (*NAMES, *CROPS):
         views = read_views(name)
         if name != SPARSE:
             reference = join_views([view.reference.radiance.color for view in views])
             frames = [view.noisy for view in views if isinstance(view.noisy, Frame)]
-            yield Case(IMAGES, name, frames, partial(measure_image, reference=reference))
+            truth = [average_light([view.reference]) for view in views]
+            group = LARGE if name in CROPS else IMAGES
+            yield Case(group, name, frames, partial(measure_image, reference=reference), truth)
     for scene in find_shots(shots) if shots else ():
         judge = make_reference_judge(*scene.reference_images)
 
@@ -195,20 +215,43 @@ def list_cases(shots: Path | None) -> Iterator[Case]:
             return dict(zip(("error", "trimmed"), judge.measure(image), strict=True))
 
         frame = scene.read(SPP)
-        yield Case(BLENDER, scene.name, [frame], measure, scene.read_peer(SPP, frame))
+        truth = [average_light([lobewise.read_frame(path, light_passes=False) for path in scene.references])]
+        yield Case(BLENDER, scene.name, [frame], measure, truth, scene.read_peer(SPP, frame))
+
+
+def average_light(references: Sequence[Frame]) -> dict[str, FloatArray]:
+    """Return the mean of all light of a frame's references, that of the image by the name ""."""
+    every = [{"": each.radiance.color, **list_noisy_light(each)} for each in references]
+    return {name: np.mean([each[name] for each in every], axis=0, dtype=np.float32) for name in every[0]}
+
+
+def measure_light(case: Case, results: Sequence[Result]) -> dict[str, float]:
+    """Return the mean error of the passes that the reference has, if any, and the error of the image's sum."""
+    pairs = list(zip(results, case.truth, strict=True))
+    errors = [
+        rel_mse(image, truth[name])
+        for result, truth in pairs
+        for name, image in list_filtered_light(result).items()
+        if name in truth
+    ]
+    sums = [
+        sum(float(image.sum(dtype=np.float64)) for image in images)
+        for images in ([each.image for each in results], [truth[""] for truth in case.truth])
+    ]
+    return {"light": float(np.mean(errors)) if errors else math.nan, "energy": abs(sums[0] / sums[1] - 1.0)}
 
 
 def measure_cases(cases: Sequence[Case], quality: str, switch: Switch) -> dict[str, dict[str, float]]:
-    """Return error, trimmed error and processor seconds of every frame with a mechanism switched off."""
+    """Return the errors of image, passes and sum, and processor seconds, of every frame with a mechanism off."""
     found = {}
     with switch.off(), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         for case in cases:
             start = time.process_time()
-            images = [denoise_view(switch.change(frame), quality).image for frame in case.frames]
+            results = [denoise_view(switch.change(frame), quality) for frame in case.frames]
             seconds = time.process_time() - start
-            figures = case.measure(join_views(images))
-            found[case.name] = {name: figures[name] for name in ("error", "trimmed")} | {"seconds": seconds}
+            figures = case.measure(join_views([each.image for each in results])) | measure_light(case, results)
+            found[case.name] = {name: figures[name] for name in MEASURED} | {"seconds": seconds}
     return found
 
 
@@ -219,6 +262,12 @@ def compare_with_peer(case: Case) -> dict[str, float]:
     best, called = (case.measure(METHODS[name](shot, {}))["trimmed"] for name in (PEER, f"{PEER}, as called"))
     noisy_error = case.measure(shot.frame.radiance.color)["trimmed"]
     return {"best": best, "noisy": noisy_error / best, "as called": called / best}
+
+
+def compute_geometric_mean(ratios: Sequence[float]) -> float | None:
+    """Return the geometric mean of those ratios that are known, None if none is."""
+    known = [ratio for ratio in ratios if not math.isnan(ratio)]
+    return math.exp(np.mean(np.log(known))) if known else None
 
 
 def compare(
@@ -232,13 +281,15 @@ def compare(
             continue
         ratios = {
             figure: {name: without[name][figure] / with_it[name][figure] for name in names}
-            for figure in ("error", "trimmed")
+            for figure in ("error", "trimmed", "light")
         }
-        means = {figure: math.exp(np.mean(np.log(list(each.values())))) for figure, each in ratios.items()}
+        means = {figure: compute_geometric_mean(list(each.values())) for figure, each in ratios.items()}
+        off = [100.0 * float(np.mean([figures[name]["energy"] for name in names])) for figures in (with_it, without)]
         trimmed = ratios["trimmed"]
         moved = {name: value for name, value in trimmed.items() if abs(value - 1.0) >= NAMED_PERCENT / 100.0}
         row[group] = {
-            **{figure: round(value, 4) for figure, value in means.items()},
+            **{figure: value and round(value, 4) for figure, value in means.items()},
+            "energy": [round_figure(value) for value in off],
             "time": round(sum(without[n]["seconds"] for n in names) / sum(with_it[n]["seconds"] for n in names), 2),
             "frames": len(names),
             "moved": {name: round(moved[name], 3) for name in sorted(moved, key=moved.__getitem__)},
@@ -249,7 +300,9 @@ def compare(
 def main() -> None:
     """Measure what the command line asks for, and write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--shots", type=Path, help="folder of benchmarks/foreign/factory; without, tests/images alone")
+    parser.add_argument(
+        "--shots", type=Path, help="folder of benchmarks/foreign/factory; without, tests/images and its crops"
+    )
     parser.add_argument("--qualities", default=",".join(QUALITIES))
     parser.add_argument("--only", default="", help="mechanisms, by their names in the table")
     parser.add_argument("--output", type=Path, default=RESULT)
