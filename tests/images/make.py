@@ -1,9 +1,10 @@
-"""Cut the frames of the image tests out of rendered ones: run it once, with the renders at hand.
+r"""Cut the frames of the image tests out of rendered ones: run it once, with the renders at hand.
 
     python -m benchmarks.users.render RENDERS --group own
     python benchmarks/foreign/render_luxcore.py RENDERS/luxcore --scenes room,sparks --size 192x144
     python benchmarks/foreign/factory RENDERS/factory --kinds fog --seeds 11 --spp 1
-    python benchmarks/foreign/render_luxcore.py RENDERS/luxcore --scenes room,glass --size 192x144 --spp 8
+    python benchmarks/foreign/render_luxcore.py RENDERS/crops --scenes room,glass --size 192x144 --spp 8 \
+        --reference 1024
     python benchmarks/foreign/factory RENDERS/factory --kinds screens --seeds 14 --spp 16 --reference 1536
     python -m benchmarks.foreign.render_mitsuba RENDERS/mitsuba
     python -m tests.images.make RENDERS
@@ -277,7 +278,7 @@ def cut_mitsuba(folder: Path) -> None:
 
 def cut_crops(renders: Path) -> None:
     """Cut the four large frames; the reference of Cycles keeps its passes of light."""
-    luxcore, shot, metals = renders / "luxcore", renders / "factory" / "screens_14", renders / "mitsuba" / "metals"
+    luxcore, shot, metals = renders / "crops", renders / "factory" / "screens_14", renders / "mitsuba" / "metals"
     for name, kept in (("room", ROOM_OUTPUTS), ("glass", GLASS_OUTPUTS)):
         for output in kept:
             source = luxcore / f"{name}_8_1" / f"{output}.exr"
