@@ -25,7 +25,7 @@ from benchmarks.training.candidates import COLOR, DRAWN, FEW_SPP, Candidates, re
 from benchmarks.training.frames import is_validation
 from benchmarks.training.share_network import Examples, ShareNetwork, make_examples, measure, train
 from lobewise.denoising.combining import compute_mean_luminance, see_mixture
-from lobewise.denoising.evidence import NAMES, SHARE_WEIGHTS, load_networks, pack_network
+from lobewise.denoising.evidence import NAMES, SHARE_WEIGHTS, load_networks
 from lobewise.filters.mixing import Perceptron
 from lobewise.filters.noise.detail import compute_detail, predict_shares
 
@@ -65,7 +65,7 @@ def make_peer(found: Candidates, network: Perceptron, rng: np.random.Generator) 
     level = compute_mean_luminance(found.high)
     shares = predict_shares(found.high, found.noisy, network, halves=found.halves, level=level, shared=shared)
     ours = found.high + shares[..., :1] * (found.noisy - found.high)
-    rows = see_mixture(found.noisy, ours, found.peer, halves=found.halves, shared=shared)
+    rows = see_mixture(found.noisy, ours, found.peer, shared=shared)
     seen = np.concatenate([features for _, features in rows])
     references = found.reference_a, found.reference_b
     images = found.peer, ours, found.noisy
@@ -101,6 +101,14 @@ def train_all(paths: Sequence[Path], arguments: argparse.Namespace) -> tuple[dic
         networks["peer"] = network.export()
         print("peer", errors["peer"]["kept aside"], flush=True)
     return networks, errors
+
+
+def pack_network(network: Perceptron, kind: str) -> dict[str, Array]:
+    """Return a network as arrays by name."""
+    arrays = {f"{kind}_mean": network.mean, f"{kind}_scale": network.scale}
+    arrays |= {f"{kind}_weights_{number}": each for number, each in enumerate(network.weights)}
+    arrays |= {f"{kind}_biases_{number}": each for number, each in enumerate(network.biases)}
+    return arrays
 
 
 def replace_networks(path: Path, networks: dict[str, Perceptron]) -> dict[str, Array]:

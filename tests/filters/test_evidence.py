@@ -1,7 +1,6 @@
 """How much of the noisy image is taken back: nothing by chance, what a filter blurs, more as samples grow."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -37,20 +36,11 @@ def make_texture() -> FloatArray:
     return truth
 
 
-def list_noise(kind: str, a: FloatArray, b: FloatArray) -> dict[str, Any]:
-    """Return the arguments that describe the noise."""
-    if kind == "halves":
-        return {"halves": (a, b)}
-    # A variance that is too small, as if the samples missed bright light.
-    return {"variance": np.full_like(a, np.square(a - b).mean() / 40.0)} if kind == "variance" else {}
-
-
-@pytest.mark.parametrize("kind", ["halves", "variance", "residual"])
-def test_a_right_image_is_left_alone(kind: str, rng: np.random.Generator) -> None:
+def test_a_right_image_is_left_alone(rng: np.random.Generator) -> None:
     truth = np.full((SIZE, SIZE, 3), 0.7, np.float32)
     for noise in (4.0, 0.25, 0.01):
         a, b = draw_halves(truth, noise, rng)
-        share = estimate_noisy_share(truth, 0.5 * (a + b), **list_noise(kind, a, b), floor=FLOOR)
+        share = estimate_noisy_share(truth, 0.5 * (a + b), halves=(a, b), floor=FLOOR)
         # A mixture with the share s of an image of the variance v has the error s² v.
         assert np.square(share).mean() < 2e-3
         assert share.min() >= 0.0
@@ -141,19 +131,15 @@ def test_a_texture_that_no_guide_tells_comes_back(
 
 
 def test_error_along_an_edge_counts_there(rng: np.random.Generator) -> None:
-    """A filter that is wrong in one column of pixels alone: with concentration more of that column is taken back."""
+    """A filter that is wrong in one column of pixels alone: more of that column is taken back."""
     truth = np.full((SIZE, SIZE, 3), 1.0, np.float32)
     blurred = truth.copy()
     blurred[:, 48] = 1.6
     a, b = draw_halves(truth, 0.01, rng)
     noisy = 0.5 * (a + b)
-    shares = [
-        estimate_noisy_share(blurred, noisy, halves=(a, b), floor=FLOOR, concentration=most) for most in (1.0, 4.0)
-    ]
-    errors = [rel_mse(blurred + share[..., None] * (noisy - blurred), truth) for share in shares]
-    assert errors[1] < 0.7 * errors[0] < rel_mse(blurred, truth)
-    assert (shares[1] >= shares[0]).all()
-    assert shares[1][:, 48].mean() > shares[0][:, 48].mean() + 0.1
+    share = estimate_noisy_share(blurred, noisy, halves=(a, b), floor=FLOOR)
+    assert rel_mse(blurred + share[..., None] * (noisy - blurred), truth) < 0.5 * rel_mse(blurred, truth)
+    assert share[:, 48].mean() > share[:, 45].mean() + 0.1
 
 
 @pytest.mark.parametrize(

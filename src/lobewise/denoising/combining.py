@@ -97,8 +97,7 @@ def choose_between(frame: Frame, samples: FloatArray, ours: FloatArray, peer: Fl
     if not name_oidn_guides(frame):
         return Mixture(peer, np.zeros(frame.shape, np.float32))
     halves = get_image_halves(frame)
-    # The network does not see halves: it trusts our image too much then, where textures are in no guide.
-    shares = compute_mixture(samples, ours, peer, load_networks()["peer"], halves=None, shared=frame.noise_is_shared)
+    shares = compute_mixture(samples, ours, peer, load_networks()["peer"], shared=frame.noise_is_shared)
     noisy = np.where(mark_good(noisy)[..., None], noisy, ours)
     mixed = peer + shares[..., :1] * (ours - peer) + shares[..., 1:2] * (noisy - peer)
     # Where the images are many orders of magnitude apart, rounding can leave a negative value.
@@ -117,7 +116,6 @@ def compute_mixture(
     peer: FloatArray,
     network: Perceptron,
     *,
-    halves: tuple[FloatArray, FloatArray] | None,
     shared: bool,
 ) -> FloatArray:
     """Return the shares of our image, the noisy image and the peer's image, (height, width, 3); they sum to 1.
@@ -127,35 +125,32 @@ def compute_mixture(
     noisy, ours, peer : (height, width, 3)
     network : Perceptron
         It reads the features of `see_mixture` and has three outputs.
-    halves, shared
+    shared
         As in `see_mixture`.
     """
     shares = np.empty((*noisy.shape[:2], 3), np.float32)
-    for rows, seen in see_mixture(noisy, ours, peer, halves=halves, shared=shared):
+    for rows, seen in see_mixture(noisy, ours, peer, shared=shared):
         shares[rows] = compute_shares(seen, network, 3)
     return shares
 
 
 def see_mixture(
-    noisy: FloatArray,
-    ours: FloatArray,
-    peer: FloatArray,
-    *,
-    halves: tuple[FloatArray, FloatArray] | None,
-    shared: bool,
+    noisy: FloatArray, ours: FloatArray, peer: FloatArray, *, shared: bool
 ) -> Iterator[tuple[slice, FloatArray]]:
     """Yield rows and their features: `compute_agreement` of the three images, then `compute_detail` of the peer's
     image.
 
+    The network does not see halves: it would trust our image too much, where textures are in no guide.
+
     Parameters
     ----------
     noisy, ours, peer : (height, width, 3)
-    halves, shared
+    shared
         As in `lobewise.filters.noise.detail.compute_detail`.
     """
     level = compute_mean_luminance(peer)
-    agreement = compute_agreement(peer, ours, noisy, halves=halves, level=level, shared=shared)
-    for rows, detail in compute_detail(peer, noisy, halves=halves, level=level, shared=shared):
+    agreement = compute_agreement(peer, ours, noisy, level=level, shared=shared)
+    for rows, detail in compute_detail(peer, noisy, halves=None, level=level, shared=shared):
         yield rows, np.concatenate([agreement[rows], detail], axis=-1)
 
 

@@ -19,9 +19,6 @@ from lobewise.filters.noise.pooling import DARK_SHARE
 from lobewise.records.frame import FloatArray, Frame
 from lobewise.settings import ResolvedSettings
 
-MAX_CONCENTRATION = 4.0
-"""Concentration that `estimate_noisy_share` expects of the error of our filters: this error lies along edges and
-textures (docs/developers/research/quality_trials.md)."""
 HALF_TRUST_SPP = 16.0
 """Samples per pixel at which half of the share that the network says is taken, where no halves prove it."""
 MAX_RADIANCE = 1e36
@@ -97,9 +94,7 @@ def estimate_share_proved(
         Whether neighbouring pixels share their noise.
     """
     floor = (DARK_SHARE * level) ** 2
-    return estimate_noisy_share(
-        image, samples, halves=halves, floor=floor, shared=shared, concentration=MAX_CONCENTRATION
-    )
+    return estimate_noisy_share(image, samples, halves=halves, floor=floor, shared=shared)
 
 
 def get_image_halves(frame: Frame) -> tuple[FloatArray, FloatArray] | None:
@@ -129,15 +124,7 @@ def load_networks() -> Mapping[str, Perceptron]:
 
 
 def unpack_network(arrays: Mapping[str, FloatArray], kind: str) -> Perceptron:
-    """Return a network from the arrays that `pack_network` makes."""
+    """Return a network from the arrays that ``benchmarks/training/shares.py`` writes."""
     weights = tuple(arrays[f"{kind}_weights_{number}"] for number in range(3))
     biases = tuple(arrays[f"{kind}_biases_{number}"] for number in range(3))
     return Perceptron(arrays[f"{kind}_mean"], arrays[f"{kind}_scale"], weights, biases)  # type: ignore[arg-type]
-
-
-def pack_network(network: Perceptron, kind: str) -> dict[str, FloatArray]:
-    """Return a network as arrays by name."""
-    arrays = {f"{kind}_mean": network.mean, f"{kind}_scale": network.scale}
-    arrays |= {f"{kind}_weights_{number}": each for number, each in enumerate(network.weights)}
-    arrays |= {f"{kind}_biases_{number}": each for number, each in enumerate(network.biases)}
-    return arrays

@@ -16,13 +16,13 @@ from lobewise.backend.pointwise import Grid, Vector
 from lobewise.filters.noise.pooling import (
     DARK_SHARE,
     MIN_RELATIVE_SQUARE,
+    RESIDUAL_VARIANCE,
     add_channels,
     average_light,
     blur_image,
     compute_squared_slope,
     count_weights,
-    estimate_noise,
-    gather_noise,
+    square_residual,
     take_logarithm,
 )
 from lobewise.records.frame import FloatArray
@@ -43,7 +43,6 @@ def compute_agreement(
     other: FloatArray,
     noisy: FloatArray,
     *,
-    halves: tuple[FloatArray, FloatArray] | None = None,
     level: float,
     shared: bool = False,
 ) -> FloatArray:
@@ -52,8 +51,8 @@ def compute_agreement(
     Features are base-2 logarithms unless a range is given, of squares over the squared local luminance. At each width:
     the squared difference of the images; the variance of the noisy image; the best step from ``one`` to ``other``, in
     [-1, 2]; the step in standard errors, within +-`MAX_STEP_CERTAINTY`; the squared difference of the noisy image to
-    ``one``, and to ``other``; the squared slope of ``one``. Then, once: the local luminance over ``level``; whether
-    there are halves, and whether neighbours share noise, each 1 or 0.
+    ``one``, and to ``other``; the squared slope of ``one``. Then, once: the local luminance over ``level``; 0 (whether
+    there were halves, in the training); whether neighbours share noise, 1 or 0.
 
     Parameters
     ----------
@@ -61,8 +60,6 @@ def compute_agreement(
         Two results, finite, >= 0.
     noisy : array, shape (height, width, 3)
         The image that both were made from. NaN, infinite and negative pixels do not count.
-    halves : two arrays, shape (height, width, 3), optional
-        As in `lobewise.filters.noise.evidence.estimate_noisy_share`.
     level : float
         About the mean luminance of the whole image, > 0.
     shared : bool
@@ -73,8 +70,7 @@ def compute_agreement(
     InputError
         If the images differ in size.
     """
-    noise_images, factor = gather_noise(halves, None, shared=shared)
-    images = {"one": one, "other": other, "noisy": noisy, **noise_images}
+    images = {"one": one, "other": other, "noisy": noisy}
     floor = np.float32(min(max((DARK_SHARE * level) ** 2, 1e-24), 1e30))
     sums, light = engine.pixels(_define_sums, images, {"floor": floor})
     held: dict[str, FloatArray | None] = {"light": light}
@@ -82,11 +78,11 @@ def compute_agreement(
         sums = blur_image(sums, 2**number)
         if number in AGREEMENT_LEVELS:
             held[f"sums{number}"] = sums
-    counts = [count_weights(number) / factor for number in AGREEMENT_LEVELS]
+    counts = [count_weights(number) / RESIDUAL_VARIANCE for number in AGREEMENT_LEVELS]
     numbers = {
         "counts": np.array(counts, np.float32),
         "level": np.float32(max(level, 1e-12)),
-        "flags": np.array([halves is not None, shared], np.float32),
+        "flags": np.array([False, shared], np.float32),
     }
     (features,) = engine.pixels(_define_features, held, numbers)
     return np.asarray(features)
@@ -94,7 +90,7 @@ def compute_agreement(
 
 def _define_sums(grid: Grid) -> list[Vector]:
     one, other, noisy = (grid.read(name) for name in ("one", "other", "noisy"))
-    squares, known = estimate_noise(grid, "one")
+    squares, known = square_residual(grid, "one")
     good = is_good(noisy) & is_good(one) & is_good(other) & known
     apart = [p - q for p, q in zip(other, one, strict=True)]
     to_one = [p - q for p, q in zip(noisy, one, strict=True)]

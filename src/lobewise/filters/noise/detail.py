@@ -165,7 +165,7 @@ def _take_arguments(
     filtered: FloatArray, noisy: FloatArray, halves: tuple[FloatArray, FloatArray] | None, level: float, *, shared: bool
 ) -> tuple[dict[str, FloatArray], dict[str, Any], Any]:
     """Return the images that features are computed from, the numbers of `define_features`, and the floor of light."""
-    noise_images, factor = gather_noise(halves, None, shared=shared)
+    noise_images, factor = gather_noise(halves, shared=shared)
     level = choose_smaller(choose_larger(level, 1e-12), 1e12)
     numbers = {
         "counts": np.array([count_weights(number) for number in DETAIL_LEVELS], np.float32),

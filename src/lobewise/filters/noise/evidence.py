@@ -43,6 +43,9 @@ FIRST_BLUR = 1
 """First blur that counts: fewer than 60 products do not estimate their own spread well."""
 EVIDENCE_REACH: int = POOLING_REACH + 2 * (2**BLUR_COUNT - 1)
 """Distance of the farthest pixel that affects a pixel's share, rows or columns."""
+MAX_CONCENTRATION = 4.0
+"""Largest error of a pixel over the mean error of its neighbourhood; the pixel's squared difference decides. Filters
+steered by guides err along edges and textures (docs/developers/research/quality_trials.md)."""
 _MIN_SQUARE = 1e-30
 
 
@@ -50,11 +53,9 @@ def estimate_noisy_share(
     filtered: FloatArray,
     noisy: FloatArray,
     *,
-    halves: tuple[FloatArray, FloatArray] | None = None,
-    variance: FloatArray | None = None,
+    halves: tuple[FloatArray, FloatArray],
     floor: float,
     shared: bool = False,
-    concentration: float = 1.0,
 ) -> FloatArray:
     """Return the share of the noisy image that minimises the error of a mixture of both, as far as it is certain.
 
@@ -64,19 +65,12 @@ def estimate_noisy_share(
         Radiance, finite, >= 0.
     noisy : array, shape (height, width, 3)
         The image that was filtered. NaN, infinite and negative pixels do not count.
-    halves : two arrays, shape (height, width, 3), optional
+    halves : two arrays, shape (height, width, 3)
         Means of one half of the samples each; their mean is ``noisy``.
-    variance : array, shape (height, width, 3), optional
-        Variance of ``noisy``, read if there are no halves. The noise is the larger of the variance and the residual of
-        the difference: some renderers write the variance of samples and some that of means, and neither knows of light
-        that few samples hit.
     floor : float
         Added to the squared local luminance that squared differences are divided by, > 0.
     shared : bool
         Whether neighbouring pixels share their noise.
-    concentration : float
-        Largest error of a pixel over the mean error of its neighbourhood, >= 1; the pixel's squared difference decides.
-        Filters steered by guides err along edges. With 1 the error is spread evenly.
 
     Returns
     -------
@@ -89,7 +83,7 @@ def estimate_noisy_share(
         If the images differ in size.
     """
     least = make_single(choose_smaller(choose_larger(floor, 1e-24), 1e30))
-    noise_images, factor = gather_noise(halves, variance, shared=shared)
+    noise_images, factor = gather_noise(halves, shared=shared)
     images = {"filtered": filtered, "noisy": noisy, **noise_images}
     (sums,) = engine.pixels(define_excess, images, {"floor": least}, names=["excess"])
     levels = {}
@@ -97,8 +91,8 @@ def estimate_noisy_share(
         levels[f"sums{number}"] = sums = blur_image(sums, 2**number)
     counts = [count_weights(number) for number in range(FIRST_BLUR, BLUR_COUNT)]
     margins = np.array([MARGIN_STANDARD_ERRORS**2 * factor / count for count in counts], np.float32)
-    numbers = {"error": margins, "most": np.float32(concentration)}
-    (share,) = engine.pixels(define_share, {"noisy": noisy, **levels}, numbers, names=["certain"])
+    images = {"noisy": noisy, **levels}
+    (share,) = engine.pixels(define_share, images, {"error": margins}, MAX_CONCENTRATION, names=["certain"])
     return share
 
 
@@ -117,7 +111,7 @@ def define_excess(grid: Grid) -> list[Vector]:
     return [[hl.select(good, value, hl.f32(0.0)) for value in (excess, excess * excess, square)]]
 
 
-def define_share(grid: Grid) -> list[Vector]:
+def define_share(grid: Grid, most: float) -> list[Vector]:
     """Define the largest share of any blur: certain error over certain error plus variance; 0 at bad pixels."""
     share: hl.Expr = hl.f32(0.0)
     excess_near, _, variance_near = grid.read("sums0")
@@ -128,7 +122,7 @@ def define_share(grid: Grid) -> list[Vector]:
         certain = hl.max(excess - hl.sqrt(error * hl.max(square, wide)), hl.f32(0.0))
         # Excess and variance add up to the squared difference.
         apart = (excess_near + variance_near) / hl.max(excess + variance, hl.f32(_MIN_SQUARE))
-        certain = certain * hl.clamp(apart, hl.f32(1.0), grid.get("most")[0])
+        certain = certain * hl.clamp(apart, hl.f32(1.0), hl.f32(most))
         noise = hl.max(variance, variance_near)
         share = hl.max(share, certain / hl.max(certain + noise, hl.f32(_MIN_SQUARE)))
     return [[hl.select(is_good(grid.read("noisy")), share, hl.f32(0.0))]]

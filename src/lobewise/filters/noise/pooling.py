@@ -32,9 +32,7 @@ MIN_RELATIVE_SQUARE = 1e-8
 """Smallest square over the squared local luminance that a logarithm distinguishes."""
 
 
-def gather_noise(
-    halves: tuple[FloatArray, FloatArray] | None, variance: FloatArray | None, *, shared: bool
-) -> tuple[dict[str, FloatArray | None], float]:
+def gather_noise(halves: tuple[FloatArray, FloatArray] | None, *, shared: bool) -> tuple[dict[str, FloatArray], float]:
     """Return the images that `estimate_noise` reads, and the factor of the variance of a mean of its noise.
 
     The factor is 1 for independent pixels.
@@ -43,32 +41,25 @@ def gather_noise(
     ----------
     halves : two arrays, shape (height, width, 3), optional
         Means of one half of the samples each.
-    variance : array, shape (height, width, 3), optional
-        Of the noisy image; read if there are no halves.
     shared : bool
         Whether neighbouring pixels share their noise.
     """
     if halves is not None:
         return {"half_a": halves[0], "half_b": halves[1]}, SHARED_NOISE_VARIANCE if shared else 1.0
-    return {"variance": variance}, RESIDUAL_VARIANCE
+    return {}, RESIDUAL_VARIANCE
 
 
 def estimate_noise(grid: Grid, name: str) -> tuple[list[hl.Expr], hl.Expr]:
     """Return the squared noise of each channel of the noisy image, and whether all pixels that were read are good.
 
     The noise is half the difference of the halves. Without halves it is the residual of the difference to the image
-    ``name``, or the variance if there is one and it is larger.
+    ``name``.
     """
     if grid.has("half_a"):
         a, b = grid.read("half_a"), grid.read("half_b")
         squares = [hl.f32(0.25) * (p - q) * (p - q) for p, q in zip(a, b, strict=True)]
         return squares, is_good(a) & is_good(b)
-    squares, good = square_residual(grid, name)
-    if grid.has("variance"):
-        variance = grid.read("variance")
-        good = good & is_good(variance)
-        squares = [hl.max(p, q) for p, q in zip(squares, variance, strict=True)]
-    return squares, good
+    return square_residual(grid, name)
 
 
 def count_weights(level: int) -> float:
