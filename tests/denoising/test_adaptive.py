@@ -275,16 +275,12 @@ def test_a_history_gets_bounded_light_that_counts_twice() -> None:
 @pytest.mark.parametrize(("budget", "spp"), [(0.05, 64), (0.001, 256), (0.1, 32), (1.0, 16)])
 def test_few_pixels_get_many_samples(budget: float, spp: int) -> None:
     assert choose_spp(budget) == spp
-    assert choose_spp(0.05, 6.4) == 128
 
 
-@pytest.mark.parametrize(
-    ("numbers", "what"),
-    [((0.0,), "budget"), ((1.5,), "budget"), ((float("nan"),), "budget"), ((0.05, 0.0), "image_spp")],
-)
-def test_samples_are_chosen_for_a_share(numbers: tuple[float, ...], what: str) -> None:
-    with refuses(InputError, what):
-        choose_spp(*numbers)
+@pytest.mark.parametrize("budget", [0.0, 1.5, float("nan")])
+def test_samples_are_chosen_for_a_share(budget: float) -> None:
+    with refuses(InputError, "budget"):
+        choose_spp(budget)
 
 
 def test_a_firefly_in_one_part_hardly_reaches_other_pixels() -> None:

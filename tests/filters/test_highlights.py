@@ -8,13 +8,10 @@ from numpy.typing import NDArray
 
 from lobewise.errors import InputError
 from lobewise.filters.highlights import (
-    MAX_HALVES_RATIO,
     MIN_BLOCK_RATIO,
     MIN_CORNER_RATIO,
     MIN_HIGHLIGHT_EDGE_RATIO,
-    MIN_PAIR_RATIO,
     MIN_RING_PIXELS,
-    MIN_SINGLE_RATIO,
     RING_RADIUS,
     SPOT_RADIUS,
     split_highlights,
@@ -32,9 +29,7 @@ def list_blocks(least: NDArray[np.float64], row: int, column: int, side: int) ->
     return [padded[y : y + side, x : x + side].ravel() for y, x in corners]
 
 
-def compute_slowly(
-    halves: tuple[Image, Image], albedo: Image | None, mask: NDArray[np.bool_], shared: bool, single: bool, paired: bool
-) -> NDArray[np.float64]:
+def compute_slowly(halves: tuple[Image, Image], albedo: Image | None, mask: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Return the share of every pixel that is split off, by its definition, pixel by pixel."""
     lights = np.stack([compute_light(half, albedo, mask) for half in halves])
     known = ~np.isnan(lights)
@@ -55,14 +50,10 @@ def compute_slowly(
             level[y, x] = np.mean(ring)
         if least[y, x] < 0.0:
             continue
-        for block in list_blocks(least, y, x, 3 if shared else 2):
+        for block in list_blocks(least, y, x, 2):
             lowest, second = np.sort(block)[:2]
-            core[y, x] |= lowest > (MIN_SINGLE_RATIO if single else MIN_BLOCK_RATIO) * level[y, x]
-            core[y, x] |= not shared and not single and least[y, x] >= second > MIN_CORNER_RATIO * level[y, x]
-    agreed = np.where(known.all(axis=0) & (filled.max(axis=0) <= MAX_HALVES_RATIO * filled.min(axis=0)), least, 0.0)
-    beside = np.pad(agreed, 1)
-    others = [beside[j : j + height, i : i + width] for j in range(3) for i in range(3) if (j, i) != (1, 1)]
-    core |= paired & (np.minimum(agreed, np.max(others, axis=0)) > MIN_PAIR_RATIO * level)
+            core[y, x] |= lowest > MIN_BLOCK_RATIO * level[y, x]
+            core[y, x] |= least[y, x] >= second > MIN_CORNER_RATIO * level[y, x]
     around = np.pad(core, 1)
     near = np.any(
         [around[1 + j : 1 + j + height, 1 + i : 1 + i + width] for j in (-1, 0, 1) for i in (-1, 0, 1)], axis=0
@@ -87,15 +78,11 @@ def make_spots(size: tuple[int, int], strange: bool = True) -> tuple[tuple[Image
     return halves, albedo, mask
 
 
-KINDS = ["apart", "shared", "single", "paired"]
-
-
-def check_definition(size: tuple[int, int], kind: str, strange: bool) -> NDArray[np.float64]:
+def check_definition(size: tuple[int, int], strange: bool) -> NDArray[np.float64]:
     """Return the share of every pixel that is split off, after both halves were compared with the definition."""
-    kinds = [kind == each for each in ("shared", "single", "paired")]
     halves, albedo, mask = make_spots(size, strange)
-    share = compute_slowly(halves, albedo, mask, *kinds)
-    found = split_highlights(halves, albedo, mask, **dict(zip(("shared", "single", "paired"), kinds, strict=True)))
+    share = compute_slowly(halves, albedo, mask)
+    found = split_highlights(halves, albedo, mask)
     for half, rest in zip(halves, (found.a, found.b), strict=True):
         with np.errstate(invalid="ignore", over="ignore"):
             known = ~np.isnan(compute_light(half, albedo, mask))
@@ -105,15 +92,14 @@ def check_definition(size: tuple[int, int], kind: str, strange: bool) -> NDArray
 
 
 @pytest.mark.sampled("cpu", "vulkan")
-@given(size=SMALL_SIZES, kind=st.sampled_from(KINDS), strange=st.booleans())
-def test_agrees_with_the_definition(size: tuple[int, int], kind: str, strange: bool) -> None:
-    check_definition(size, kind, strange)
+@given(size=SMALL_SIZES, strange=st.booleans())
+def test_agrees_with_the_definition(size: tuple[int, int], strange: bool) -> None:
+    check_definition(size, strange)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_highlights_are_there_to_be_seen(kind: str) -> None:
+def test_highlights_are_there_to_be_seen() -> None:
     # One of the strange numbers would outshine every spot.
-    assert 0.005 < (check_definition((70, 41), kind, strange=False) > 0.0).mean() < 0.3
+    assert 0.005 < (check_definition((70, 41), strange=False) > 0.0).mean() < 0.3
 
 
 def put(*pixels: tuple[int, int], value: float = 30.0) -> Image:
@@ -149,27 +135,9 @@ def test_neighbours_must_agree(pixels: tuple[tuple[int, int], ...], expected: bo
     np.testing.assert_allclose(found.highlights[where], 29.5, rtol=1e-5)
 
 
-def count_highlights(first: Image, second: Image, **kind: bool) -> int:
-    found = split_highlights((first, second), None, np.ones(first.shape[:2], bool), **kind)
+def count_highlights(first: Image, second: Image) -> int:
+    found = split_highlights((first, second), None, np.ones(first.shape[:2], bool))
     return int(np.count_nonzero(found.highlights.any(axis=-1)))
-
-
-def test_shared_noise_needs_larger_blocks() -> None:
-    nine = [(y, x) for y in (10, 11, 12) for x in (10, 11, 12)]
-    for pixels, expected in ((SQUARE, 0), (nine, 9)):
-        assert count_highlights(put(*pixels), put(*pixels), shared=True) == expected
-
-
-def test_halves_that_agree_need_but_a_pair() -> None:
-    for pixels in (((10, 10), (10, 11)), ((10, 10), (11, 11))):
-        for factor, expected in ((1.2, 2), (1.3, 0)):
-            assert count_highlights(put(*pixels), put(*pixels, value=30.0 * factor), paired=True) == expected
-    assert count_highlights(put((10, 10)), put((10, 10)), paired=True) == 0
-
-
-def test_single_samples_need_whole_blocks() -> None:
-    for pixels, expected in ((SQUARE[:3], 0), (SQUARE, 4)):
-        assert count_highlights(put(*pixels), put(*pixels), single=True) == expected
 
 
 def test_one_half_alone_proves_nothing() -> None:

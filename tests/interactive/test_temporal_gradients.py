@@ -9,7 +9,6 @@ from lobewise.interactive.temporal_gradients import (
     Change,
     Shaded,
     compute_changes,
-    follows_hits,
     relight_sums,
 )
 from lobewise.records.camera import Camera
@@ -105,13 +104,6 @@ def test_a_single_sample_tells_no_change(former: Shaded) -> None:
     # At the corners of an image four samples are all that there are.
     whole = compute_changes(former, make_radiance(old * 5.0, old * 5.0), former.depth, SHAPE)["diffuse"]
     np.testing.assert_allclose(whole.ratio, 5.0, rtol=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("similarity", "follows"), [("ggx", True), ("sg", True), ("auto", True), ("normal", False), ("sg_mixture", False)]
-)
-def test_histories_follow_reflections_that_hits_tell(similarity: str, follows: bool) -> None:
-    assert follows_hits(similarity) == follows
 
 
 def make_sums(rng: np.random.Generator) -> np.ndarray:

@@ -130,14 +130,7 @@ def make_noisy_layers(
         level = levels[number] if levels is not None else compute_layer_level(bounded)
         layer = bounded.layer
         # Highlights are no noise: the passes do not see them.
-        a, b, highlights = split_highlights(
-            bounded.halves,
-            layer.albedo,
-            layer.mask,
-            shared=bounded.noise_is_shared,
-            single=frame.spp == 1,
-            paired=bounded.is_whole,
-        )
+        a, b, highlights = split_highlights(bounded.halves, layer.albedo, layer.mask)
         without_highlights = replace(bounded, bounded=BoundedHalves(a, b, bounded.bounded.sums))
         noisy_layers.append(
             NoisyLayer(

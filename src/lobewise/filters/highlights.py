@@ -37,17 +37,11 @@ MIN_BLOCK_RATIO = 8.0
 """Smallest luminance of a highlight's block, over the mean of the surroundings."""
 MIN_CORNER_RATIO = 16.0
 """Smallest luminance of the three brightest pixels of a block of four, over the mean of the surroundings."""
-MIN_SINGLE_RATIO = 12.0
-"""Takes the place of `MIN_BLOCK_RATIO` if pixels have one sample each. Three pixels of a block prove nothing then,
-because a few bright samples lie side by side by chance."""
-MIN_PAIR_RATIO, MAX_HALVES_RATIO = 10.0, 1.25
-"""Smallest luminance of two neighbours over the mean of the surroundings, if the halves of each pixel agree; and the
-largest luminance of the brighter half over that of the darker for which halves agree."""
 MIN_HIGHLIGHT_EDGE_RATIO = 1.5
 """Smallest luminance of a highlight's edge, a pixel beside such a block, over the mean of the surroundings."""
-BLOCK_WIDTH, SHARED_BLOCK_WIDTH = 2, 3
-"""Width of a block, pixels. The second counts if pixels share their noise, because a firefly then fills 2x2 pixels."""
-HIGHLIGHT_REACH = max(RING_RADIUS, SHARED_BLOCK_WIDTH - 1) + 1
+BLOCK_WIDTH = 2
+"""Width of a block, pixels."""
+HIGHLIGHT_REACH = RING_RADIUS + 1
 """Distance of the farthest pixel that affects a pixel, rows or columns."""
 
 
@@ -67,23 +61,11 @@ class SplitHalves(NamedTuple):
     highlights: Image
 
 
-class Kinds(NamedTuple):
-    """The options of `split_highlights` that change the kernel."""
-
-    shared: bool
-    single: bool
-    paired: bool
-
-
 @returns_host_images
 def split_highlights(
     halves: tuple[Image, Image],
     albedo: NDArray[np.float32] | None,
     mask: NDArray[np.bool_],
-    *,
-    shared: bool = False,
-    single: bool = False,
-    paired: bool = False,
 ) -> SplitHalves:
     """Return two halves of the samples without the light of small highlights, and the light of the highlights.
 
@@ -103,14 +85,6 @@ def split_highlights(
         Divides the radiance before luminances are compared. Pixels whose albedo is almost 0 do not count.
     mask : bool array, shape (height, width)
         False where a pixel does not belong to the layer: it neither counts nor changes.
-    shared : bool
-        Neighbouring pixels share their noise: blocks are `SHARED_BLOCK_WIDTH` pixels wide, and all their pixels must be
-        bright.
-    single : bool
-        Pixels have one sample each: all pixels of a block must be `MIN_SINGLE_RATIO` times as bright.
-    paired : bool
-        Every pixel has samples in both halves: two neighbours also are a highlight if each is `MIN_PAIR_RATIO` times as
-        bright in both halves and its halves agree.
 
     Raises
     ------
@@ -118,13 +92,11 @@ def split_highlights(
         If an image is not real numbers of the mask's size.
     """
     images, tinted = take_halves(halves, albedo, mask), albedo is not None
-    kinds = Kinds(shared, single, paired)
-    key = "highlights", tinted, kinds
-    make = partial(make_highlights, tinted, kinds)
-    return SplitHalves(*engine.kernel(key, make, images, text="split off highlights").values())
+    make = partial(make_highlights, tinted)
+    return SplitHalves(*engine.kernel(("highlights", tinted), make, images, text="split off highlights").values())
 
 
-def make_highlights(tinted: bool, kinds: Kinds, target: hl.Target) -> Scheduled:
+def make_highlights(tinted: bool, target: hl.Target) -> Scheduled:
     """Return the kernel: it writes both halves without highlights, and the light of the highlights."""
     # Signature
     signature = Signature("highlights")
@@ -134,16 +106,16 @@ def make_highlights(tinted: bool, kinds: Kinds, target: hl.Target) -> Scheduled:
 
     # Algorithm
     light = define_light(halves, albedo, mask)
-    both, least, agreed = define_both(light), _define_least(light), _define_agreed(light)
+    both, least = define_both(light), _define_least(light)
     rows = _define_rows(both)
     level = _define_level(rows)
-    blocks = _define_blocks(least, kinds)
-    core = _define_core(least, blocks, level, agreed, kinds)
+    blocks = _define_blocks(least)
+    core = _define_core(least, blocks, level)
     share = _define_share(both, level, core)
     out = _define_split(halves, light, share)
 
     # Schedule
-    stored = light, agreed, rows, level, blocks, core
+    stored = light, rows, level, blocks, core
     schedule_stencil(out, 3, target, strips=[*stored, both, least], lines=[share], stored=[*stored, share])
     return Scheduled([out], signature)
 
@@ -157,16 +129,6 @@ def _define_least(light: hl.Func) -> hl.Func:
         hl.max(here.first, here.second),
     )
     return least
-
-
-def _define_agreed(light: hl.Func) -> hl.Func:
-    """Return the luminance of the darker half if both halves agree, else 0."""
-    here, agreed = read_light(light, X, Y), hl.Func("agreed")
-    darker, brighter = hl.min(here.first, here.second), hl.max(here.first, here.second)
-    agreed[X, Y] = hl.select(
-        (darker >= hl.f32(0.0)) & (brighter <= hl.f32(MAX_HALVES_RATIO) * darker), darker, hl.f32(0.0)
-    )
-    return agreed
 
 
 def _define_rows(both: hl.Func) -> hl.Func:
@@ -200,10 +162,10 @@ def _define_level(rows: hl.Func) -> hl.Func:
     return level
 
 
-def _define_blocks(least: hl.Func, kinds: Kinds) -> hl.Func:
+def _define_blocks(least: hl.Func) -> hl.Func:
     """Return the smallest and second smallest luminance of the block whose first corner is a pixel."""
-    side, blocks = SHARED_BLOCK_WIDTH if kinds.shared else BLOCK_WIDTH, hl.Func("blocks")
-    values = [least[X + column, Y + row] for row in range(side) for column in range(side)]
+    blocks = hl.Func("blocks")
+    values = [least[X + column, Y + row] for row in range(BLOCK_WIDTH) for column in range(BLOCK_WIDTH)]
     lowest, second = values[0], hl.f32(LARGEST_FLOAT)
     for value in values[1:]:
         lowest, second = hl.min(lowest, value), hl.min(second, hl.max(lowest, value))
@@ -211,28 +173,19 @@ def _define_blocks(least: hl.Func, kinds: Kinds) -> hl.Func:
     return blocks
 
 
-def _define_core(least: hl.Func, blocks: hl.Func, level: hl.Func, agreed: hl.Func, kinds: Kinds) -> hl.Func:
-    """Return whether a block or pair that contains the pixel is a highlight, 1 or 0."""
-    side, core = SHARED_BLOCK_WIDTH if kinds.shared else BLOCK_WIDTH, hl.Func("core")
+def _define_core(least: hl.Func, blocks: hl.Func, level: hl.Func) -> hl.Func:
+    """Return whether a block that contains the pixel is a highlight, 1 or 0."""
+    core = hl.Func("core")
     whole = three = hl.f32(0.0)
-    for row in range(side):
-        for column in range(side):
+    for row in range(BLOCK_WIDTH):
+        for column in range(BLOCK_WIDTH):
             there = blocks[X - column, Y - row]
             whole = hl.max(whole, there[0])
             # The darkest pixel of a block is not one of the three bright ones.
             three = hl.max(three, hl.select(least[X, Y] >= there[1], there[1], hl.f32(0.0)))
     around = level[X, Y]
     # Divide instead of multiplying: the product could overflow.
-    bright = around < whole / hl.f32(MIN_SINGLE_RATIO if kinds.single else MIN_BLOCK_RATIO)
-    if not kinds.shared and not kinds.single:
-        bright = bright | (around < three / hl.f32(MIN_CORNER_RATIO))
-    if kinds.paired:
-        beside = hl.f32(0.0)
-        for row in (-1, 0, 1):
-            for column in (-1, 0, 1):
-                if (row, column) != (0, 0):
-                    beside = hl.max(beside, agreed[X + column, Y + row])
-        bright = bright | (around < hl.min(agreed[X, Y], beside) / hl.f32(MIN_PAIR_RATIO))
+    bright = (around < whole / hl.f32(MIN_BLOCK_RATIO)) | (around < three / hl.f32(MIN_CORNER_RATIO))
     core[X, Y] = hl.select(bright & (least[X, Y] >= hl.f32(0.0)), hl.f32(1.0), hl.f32(0.0))
     return core
 

@@ -24,7 +24,7 @@ from lobewise.interactive.repairing import repair
 from lobewise.interactive.resting import Again, Resting
 from lobewise.interactive.samples import LensMean, choose_pixels, make_radiance, make_rays
 from lobewise.interactive.settings import UNFILTERED, InteractiveSettings
-from lobewise.interactive.temporal_gradients import Shaded, compute_changes, follows_hits, relight
+from lobewise.interactive.temporal_gradients import Shaded, compute_changes, relight
 from lobewise.interactive.views import STAGES, InteractiveFrame, Parts, watch
 from lobewise.recipes.temporal.recipe import TemporalFilter
 from lobewise.recipes.upsampling import upsample
@@ -356,7 +356,7 @@ class Session:
         radiance = make_radiance(method, light, (rows, columns))
         depth, shapes = self._stages.trace_surfaces(*former.pixels, former.camera)
         shapes = np.concatenate([shapes.reshape(-1, rows, columns), former.shapes])
-        moved = self._changes.mark_moved(seen, shapes) if follows_hits(chain.chosen.similarity) else None
+        moved = self._changes.mark_moved(seen, shapes)
         size = self._size[1], self._size[0]
         relight(chain.temporal, compute_changes(former, radiance, depth.reshape(rows, columns), size, moved))
 

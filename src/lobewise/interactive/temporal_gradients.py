@@ -23,7 +23,6 @@ from lobewise.lobes.vectors import LUMINANCE
 from lobewise.recipes.temporal.recipe import TemporalFilter
 from lobewise.records.camera import Camera
 from lobewise.records.frame import FloatArray, Radiance
-from lobewise.settings.choices import SIMILARITIES
 
 SAME_DEPTH = 1e-3
 """Largest relative difference of depths at which a pixel counts as showing the same surface point."""
@@ -95,8 +94,7 @@ def compute_changes(
     shape : (height, width)
     moved : bool array, shape (4, rows, columns), optional
         Whether each sample's surface now, what it reflects now, and both in the frame before are shapes that have
-        moved. Give it where specular histories follow reflections (`follows_hits`): the change at one point of a mirror
-        is then not the change of a history.
+        moved. Specular histories follow reflections: the change at one point of a mirror is not that of a history.
     """
     same = np.abs(depth - former.depth) <= SAME_DEPTH * former.depth
     changes = {}
@@ -115,12 +113,6 @@ def compute_changes(
         spread = _spread(both.astype(np.float32), former.scale, former.place, shape)
         changes[name] = Change(spread[..., :3], spread[..., 3])
     return changes
-
-
-def follows_hits(similarity: str) -> bool:
-    """Return whether the specular histories of a similarity follow reflections; "auto" chooses one of these."""
-    record = SIMILARITIES.get(similarity)
-    return record is None or (record.has_lobes and not record.is_mixture)
 
 
 def _compare_sums(sums: Any) -> tuple[Any, Any]:

@@ -124,20 +124,15 @@ class PipelineSettings(Declared):
         """Return what a pipeline cannot contain: whether it is asked for, the setting, what it says, what to do."""
         guided, sparse, over_time = self.is_guided, self.upsample > 1, self.history
         color, named = self.layers == "color", self.layers == "named"
-        apart, leave = "give diffuse and specular light apart", "leave it out"
+        apart, leave, single = "give diffuse and specular light apart", "leave it out", "choose the plan filter"
         diffuse = self.similarity == "diffuse" and not self.is_filter
         what = "history" if over_time else "upsampling"
         form = self.form not in self.quality.forms or (sparse and self.form != "full")
         return [
             (sparse and color, "layers", "one layer with upsampling", apart),
             (named and (over_time or sparse), "layers", "named layers with a history or upsampling", apart),
-            (diffuse, "similarity", f"diffuse in the plan {self.plan}", "choose the plan filter"),
-            (
-                not self.albedo and not self.is_filter,
-                "albedo",
-                f"none in the plan {self.plan}",
-                "choose the plan filter",
-            ),
+            (diffuse, "similarity", f"diffuse in the plan {self.plan}", single),
+            (not self.albedo and not self.is_filter, "albedo", f"none in the plan {self.plan}", single),
             (self.record.is_mixture and over_time, "similarity", f"{self.similarity} with history", "choose ggx"),
             (guided and (over_time or sparse), "plan", f"{self.plan} with {what}", f"choose the plan fast for {what}"),
             (form, "form", self.form, leave),

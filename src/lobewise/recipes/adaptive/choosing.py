@@ -96,25 +96,22 @@ def _mark_uncertain(result: Result, frame: AnyFrame, count: int, least: float) -
     return chosen.reshape(expected.shape)
 
 
-def choose_spp(budget: float, image_spp: float = USUAL_SPP_OF_IMAGE) -> int:
+def choose_spp(budget: float) -> int:
     """Return the samples of each pixel that is shaded again, a multiple of 16 from 16 to 256.
 
-    Few pixels get many samples, and many pixels few: all of them cost as much as ``image_spp`` samples per pixel of the
-    whole image.
+    Few pixels get many samples, and many pixels few: all of them cost as much as `USUAL_SPP_OF_IMAGE` samples per pixel
+    of the whole image.
 
     Parameters
     ----------
     budget : float
         Share of the pixels that is shaded again, above 0, at most 1.
-    image_spp : float
-        Samples per pixel of the whole image, > 0.
 
     Raises
     ------
     InputError
-        If a number is out of range.
+        If the budget is out of range.
     """
-    for name, value, highest in (("budget", budget, 1.0), ("image_spp", image_spp, float(1 << 16))):
-        if not 0.0 < value <= highest:
-            raise InputError(name, expected=f"above 0, at most {highest:g}", got=str(value), action="pass another")
-    return int(np.clip(round(image_spp / budget / MIN_SPP) * MIN_SPP, MIN_SPP, MAX_SPP))
+    if not 0.0 < budget <= 1.0:
+        raise InputError("budget", expected="above 0, at most 1", got=str(budget), action="pass another")
+    return int(np.clip(round(USUAL_SPP_OF_IMAGE / budget / MIN_SPP) * MIN_SPP, MIN_SPP, MAX_SPP))
