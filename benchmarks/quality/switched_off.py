@@ -166,7 +166,8 @@ SWITCHES: dict[str, Switch] = {
     "coverage": drop_guides("coverage"),
     "mean emission": drop_guides("mean_emission"),
     "blur of the lens": drop_guides("blur_radius"),
-    "peer without guides": replace_one(combining, "average_alike", lambda guided, *_: guided),
+    "peer without guides": Switch([(combining, name, 0.0) for name in ("UNGUIDED_SHARE", "UNGUIDED_SHARE_CLEAN")]),
+    "peer by layers": replace_one(chain, "list_peer_layers", lambda *_: []),
     "albedos of lobes for the peer": replace_one(combining, "mix_albedos", lambda guides: guides),
     "own image in the mixture": replace_one(combining, "compute_mixture", choose_peer),
 }

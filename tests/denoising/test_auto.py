@@ -157,14 +157,15 @@ def test_other_forms_are_fast_without_it(form: Any) -> None:
 def test_the_default_mixes(make_frame: Callable[..., Frame], present: list[Frame]) -> None:
     frame = make_frame(height=12, width=16)
     result = denoise(frame, **CHEAP)
-    assert len(present) == 2
+    # With guides, without, and each layer.
+    assert len(present) == 4
     assert (result.settings["quality"], result.settings["with_oidn"]) == ("balanced", True)
     assert result.method == (
-        "Open Image Denoise with and without albedo and normal, mixed pixel by pixel with lobewise's own filters, "
-        "comparing which way surfaces face"
+        "Open Image Denoise with and without albedo and normal and layer by layer, mixed pixel by pixel with "
+        "lobewise's own filters, comparing which way surfaces face"
     )
     ours = denoise(frame, **CHEAP, with_oidn=False)
-    assert len(present) == 2
+    assert len(present) == 4
     assert ours.method == "lobewise's own filters, comparing which way surfaces face, quality high"
 
 

@@ -11,8 +11,8 @@ import pytest
 from lobewise import peers
 from lobewise.denoising import chain, combining, denoise, evidence
 from lobewise.denoising.automatic import choose_quality
-from lobewise.denoising.combining import choose_between, denoise_with_peer, mix_albedos, share_out
-from lobewise.denoising.evidence import load_networks, pack_network, unpack_network
+from lobewise.denoising.combining import LayerImage, choose_between, denoise_with_peer, mix_albedos, share_out
+from lobewise.denoising.evidence import load_networks
 from lobewise.errors import InputError, MissingDependencyError
 from lobewise.filters.mixing import Perceptron
 from lobewise.filters.noise import agreement, detail
@@ -164,6 +164,30 @@ def test_guides_without_noise_are_not_filtered(peer: dict[str, Any], monkeypatch
         assert calls == [(False, options), (True, {"quality": quality})]
 
 
+def test_layers_are_filtered_by_themselves(peer: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each with its own albedo; one without much light stays ours, and one without an albedo goes by its light."""
+    calls: list[Frame] = []
+
+    def run(frame: Frame, **options: Any) -> tuple[FloatArray, float]:
+        if options.get("guides") == "noisy" or frame.gbuffer.normal is None:
+            calls.append(frame)
+        return np.full((*SHAPE, 3), 2.0, np.float32), 0.1
+
+    monkeypatch.setattr(combining, "denoise_oidn", run)
+    light = [np.full((*SHAPE, 3), value, np.float32) for value in (2.0, 1.0, 1e-3)]
+    albedo = np.full((*SHAPE, 3), 0.25, np.float32)
+    layers = [LayerImage(light[0], light[0], albedo), LayerImage(light[1], light[1], None)]
+    layers.append(LayerImage(light[2], light[2], albedo))
+    total = light[0] + light[1] + light[2]
+    found = denoise_with_peer(make_frame(), total, total, layers)
+    first, second, *_ = calls
+    np.testing.assert_array_equal(first.gbuffer.denoiser_albedo, albedo)
+    assert second.gbuffer.denoiser_albedo is None
+    assert [float(each.mean()) for each in found.layers] == pytest.approx([2.0, 2.0, 1e-3])
+    # The library's image is 2 and the sum of its layers 4: they are too far apart to be mixed evenly.
+    assert 2.0 < found.image.mean() < 2.0 + combining.LAYERS_SHARE * 2.0
+
+
 def test_two_albedos_of_a_renderer_are_mixed() -> None:
     one = np.ones((*SHAPE, 3), np.float32)
     guides = GBuffer(denoiser_albedo=0.2 * one, mean_diffuse_albedo=0.3 * one, mean_specular_albedo=0.9 * one)
@@ -178,7 +202,7 @@ OURS, NOISY, PEERS = 0, 1, 2
 class TestPeer:
     def combine(self, frame: Frame, ours: FloatArray) -> FloatArray:
         noisy = frame.radiance.color
-        return choose_between(frame, noisy, ours, denoise_with_peer(frame, noisy, ours), noisy).image
+        return choose_between(frame, noisy, ours, denoise_with_peer(frame, noisy, ours).image, noisy).image
 
     def make_ours(self) -> FloatArray:
         return np.random.default_rng(8).uniform(0.5, 1.5, (*SHAPE, 3)).astype(np.float32)
@@ -323,12 +347,11 @@ class TestPeer:
     def test_the_real_one(self, networks):
         networks["peer"] = force(networks["peer"], PEERS)
         frame, noise = make_frame(), np.random.default_rng(2).gamma(60.0, 1.0 / 60.0, (2, *SHAPE, 1))
-        diffuse, specular = 0.3 * noise * np.ones(3)
         # Without a firefly the peer is given the frame as it is.
-        frame = frame.with_changes(radiance=Radiance(diffuse + specular, diffuse, specular))
+        frame = frame.with_changes(radiance=Radiance(0.3 * noise.sum(axis=0) * np.ones(3)))
         result = denoise(frame, similarity="normal", with_oidn=True)
         color = frame.radiance.color
-        np.testing.assert_allclose(result.image, denoise_with_peer(frame, color, color), rtol=1e-4, atol=1e-5)
+        np.testing.assert_allclose(result.image, denoise_with_peer(frame, color, color).image, rtol=1e-4, atol=1e-5)
 
 
 class TestSettings:
@@ -345,20 +368,6 @@ class TestSettings:
 
 
 class TestWeights:
-    def test_packed_networks_come_back(self):
-        arrays: dict[str, FloatArray] = {}
-        networks = make_networks()
-        for kind, network in networks.items():
-            arrays |= pack_network(network, kind)
-        assert len(arrays) == 8 * len(networks)
-        for kind, network in networks.items():
-            found = unpack_network(arrays, kind)
-            for name in ("mean", "scale"):
-                np.testing.assert_array_equal(getattr(found, name), getattr(network, name))
-            for name in ("weights", "biases"):
-                for a, b in zip(getattr(found, name), getattr(network, name), strict=True):
-                    np.testing.assert_array_equal(a, b)
-
     def test_the_shipped_networks_fit(self):
         found = load_networks()
         assert sorted(found) == ["noisy", "peer", "refined"]
@@ -376,7 +385,7 @@ class TestWeights:
                 assert weights.shape[1:] == bias.shape
             for before, after in pairwise(network.weights):
                 assert before.shape[1] == after.shape[0]
-            for array in pack_network(network, kind).values():
+            for array in (network.mean, network.scale, *network.weights, *network.biases):
                 assert array.dtype == np.float32
                 assert np.isfinite(array).all()
             assert (network.scale > 0.0).all()

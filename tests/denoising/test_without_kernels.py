@@ -41,7 +41,9 @@ def frame(make_frame: Callable[..., Frame]) -> Frame:
 @needs_oidn
 def test_the_result_is_the_image_of_the_peer(frame: Frame) -> None:
     result = lobewise.denoise(frame)
-    np.testing.assert_array_equal(result.image, denoise_with_peer(frame, frame.radiance.color, frame.radiance.color))
+    np.testing.assert_array_equal(
+        result.image, denoise_with_peer(frame, frame.radiance.color, frame.radiance.color).image
+    )
     assert result.method == foretell_method(frame, DenoiseSettings())
     assert "alone, because no filter of lobewise can run here" in result.method
     assert "`lobewise doctor` says what to do" in result.notes[-1]

@@ -29,9 +29,11 @@ from lobewise.denoising.also import (
 from lobewise.denoising.bad_pixels import blacken_bad, fill_holes, mark_bad_pixels
 from lobewise.denoising.combining import (
     CHOOSE,
+    LayerImage,
     choose_between,
     denoise_with_peer,
     list_peer_costs,
+    mix_layers,
     share_out,
 )
 from lobewise.denoising.evidence import estimate_share_lost, get_image_halves, mix_noisy, takes_back
@@ -480,17 +482,34 @@ def mix_peer(frame: Frame, filtered: Filtered, surface: NDArray[np.bool_]) -> tu
     samples = bound_samples(frame, filtered)
     noisy = compose(filtered.noisy, filtered.noisy_rest)
     with plan_stages(list_peer_costs(frame)):
-        peer = denoise_with_peer(frame, samples, filtered.image)
+        peer = denoise_with_peer(frame, samples, filtered.image, list_peer_layers(frame, filtered))
         enter_stage(CHOOSE)
-        mixed, share = choose_between(frame, samples, filtered.image, peer, noisy)
+        mixed, share = choose_between(frame, samples, filtered.image, peer.image, noisy)
     # Give each part its own noisy light first: else the detail of one part is spread over all.
     if filtered.share_taken is None:
         parts = [mix_noisy(*each, share) for each in zip(filtered.parts, filtered.noisy, strict=True)]
         filtered = replace(
             filtered, image=mix_noisy(filtered.image, noisy, share), parts=parts, taken_from=filtered, share_taken=share
         )
-    image, parts, gain = share_out(mixed, filtered.image, filtered.parts, surface)
+    before, parts = mix_layers(filtered.image, filtered.parts, peer.layers)
+    image, parts, gain = share_out(mixed, before, parts, surface)
     return replace(filtered, image=image, parts=parts), [gain]
+
+
+def list_peer_layers(frame: Frame, filtered: Filtered) -> list[LayerImage]:
+    """Return the layers that Open Image Denoise filters one by one; none where light is not told apart.
+
+    The albedo of a layer is that of its own pass, as a mean over the pixel's area where the frame has one.
+    """
+    if len(filtered.layers) < 2:
+        return []
+    guides, layers = frame.gbuffer, zip(filtered.layers, filtered.noisy, filtered.parts, strict=True)
+    means = {"diffuse": guides.mean_diffuse_albedo, "specular": guides.mean_specular_albedo} if not frame.layers else {}
+    return [
+        LayerImage(cut_samples(layer.radiance, noisy), part, layer.albedo if mean is None else mean)
+        for layer, noisy, part in layers
+        for mean in (means.get(layer.name),)
+    ]
 
 
 def filter_passes(

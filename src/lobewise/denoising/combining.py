@@ -54,6 +54,11 @@ deviations of its noise."""
 PREFILTER_QUALITY, UNGUIDED_QUALITY = "fast", "balanced"
 """Qualities of Open Image Denoise for its filters of guides, and for the image without guides. Higher ones cost 0.4 of
 its time at its best, and change the error by less than 1 % (benchmarks/results/peer_ways.json)."""
+LAYERS_SHARE = 0.4
+"""Share of the image whose layers the library filtered one by one, where it equals the image with guides. Chosen on six
+kinds of Blender shots and judged on six others: from 0.33 to 0.5 the mean error differs by 0.2 %."""
+MIN_LAYER_SHARE = 0.01
+"""Share of the light below which our image of a layer stands for the library's."""
 UNGUIDED_SHARE = 1.0 / 3.0
 """Share of the image without guides where it equals the one with guides."""
 UNGUIDED_QUALITY_CLEAN, UNGUIDED_SHARE_CLEAN = "fast", 0.25
@@ -173,12 +178,14 @@ def name_method(
     whole, with_features : bool
         As of `lobewise.denoising.automatic.ask`.
     """
-    return describe_method(
-        chosen, name_oidn_guides(frame), why_ours=explain_ours(named, whole=whole, with_features=with_features)
-    )
+    why_ours = explain_ours(named, whole=whole, with_features=with_features)
+    has_layers = frame.radiance.parts is not None
+    return describe_method(chosen, name_oidn_guides(frame), why_ours=why_ours, has_layers=has_layers)
 
 
-def describe_method(settings: DenoiseSettings, guides: Sequence[str], *, why_ours: str = "") -> str:
+def describe_method(
+    settings: DenoiseSettings, guides: Sequence[str], *, why_ours: str = "", has_layers: bool = False
+) -> str:
     """Return a sentence without a full stop: the filters and networks that make the image.
 
     Parameters
@@ -189,6 +196,8 @@ def describe_method(settings: DenoiseSettings, guides: Sequence[str], *, why_our
         Result of `lobewise.peers.name_oidn_guides`.
     why_ours : str
         Result of `lobewise.denoising.automatic.explain_ours`.
+    has_layers : bool
+        Whether the frame holds several layers of light.
     """
     ours = "lobewise's own filters"
     if settings.similarity != "auto":
@@ -198,7 +207,8 @@ def describe_method(settings: DenoiseSettings, guides: Sequence[str], *, why_our
     if not settings.asks_for_oidn:
         return f"{ours}, quality {settings.quality}" + (f" ({why_ours})" if why_ours else "")
     if guides:
-        return f"{_describe_peer(guides)}, mixed pixel by pixel with {ours}"
+        layers = " and layer by layer" if has_layers else ""
+        return f"{_describe_peer(guides)}{layers}, mixed pixel by pixel with {ours}"
     return f"{_describe_peer(())}, alone, because the frame has neither albedo nor normals"
 
 
@@ -366,17 +376,43 @@ def list_peer_costs(frame: Frame) -> dict[str, float]:
         calls = {(name,): 1.4 for name in guides} | {("color", "albedo", "normal"): 3.0, ("color",): 1.3}
     # The library takes normals only beside an albedo.
     known = ("color", *guides, *(("albedo",) if "normal" in guides else ()))
+    calls["color", "albedo", "normal"] += 1.5 * (len(frame.layers) or 2 * (frame.radiance.parts is not None))
     given = {tuple(name for name in images if name in known): cost for images, cost in calls.items()}
     return {**{name_call(images): cost for images, cost in given.items() if images}, CHOOSE: 1.0}
 
 
-@keep_library_memory()
-def denoise_with_peer(frame: Frame, samples: FloatArray, image: FloatArray) -> FloatArray:
-    """Return what Open Image Denoise makes of samples, (height, width, 3); finite, >= 0.
+class LayerImage(NamedTuple):
+    """A layer of light as the peer gets it.
 
-    It is called with the guides of the frame and without. Both results have errors of their own, so that their mean is
-    better than either. Noisy guides are prefiltered by the library, the albedo after `mix_albedos`. Our
-    ``image`` replaces bad pixels of the samples and of the result.
+    Parameters
+    ----------
+    samples, ours : (height, width, 3)
+        Its noisy light, and our image of it.
+    albedo : (height, width, 3), optional
+        Its own albedo.
+    """
+
+    samples: FloatArray
+    ours: FloatArray
+    albedo: FloatArray | None
+
+
+class PeerImages(NamedTuple):
+    """What Open Image Denoise makes of a frame, and of each layer that it was given; finite, >= 0."""
+
+    image: FloatArray
+    layers: list[FloatArray]
+
+
+@keep_library_memory()
+def denoise_with_peer(
+    frame: Frame, samples: FloatArray, image: FloatArray, layers: Sequence[LayerImage] = ()
+) -> PeerImages:
+    """Return what Open Image Denoise makes of samples, (height, width, 3), and of layers.
+
+    It is called with the guides of the frame and without, and for each layer with the layer's own albedo. All results
+    have errors of their own, so that their mean is better than each. Noisy guides are prefiltered by the library, the
+    albedo after `mix_albedos`. Our ``image`` replaces bad pixels of the samples and of the result.
 
     Raises
     ------
@@ -392,10 +428,50 @@ def denoise_with_peer(frame: Frame, samples: FloatArray, image: FloatArray) -> F
         peer, _ = denoise_oidn(guided, prefilter=PREFILTER_QUALITY)
     peer = _replace_bad(peer, image)
     if not name_oidn_guides(frame):
-        return peer
+        return PeerImages(peer, [])
+    by_layers = _denoise_by_layers(frame, image, layers)
+    if layers:
+        changes = [clean - layer.ours for clean, layer in zip(by_layers, layers, strict=True)]
+        summed = np.maximum(reduce(np.add, changes, image), np.float32(0.0))
+        peer = average_alike(peer, _replace_bad(summed, image), LAYERS_SHARE)
     quality, share = (UNGUIDED_QUALITY_CLEAN, UNGUIDED_SHARE_CLEAN) if is_clean else (UNGUIDED_QUALITY, UNGUIDED_SHARE)
     alone, _ = denoise_oidn(Frame(radiance), quality=quality)
-    return average_alike(peer, _replace_bad(alone, image), share)
+    return PeerImages(average_alike(peer, _replace_bad(alone, image), share), by_layers)
+
+
+def _denoise_by_layers(frame: Frame, image: FloatArray, layers: Sequence[LayerImage]) -> list[FloatArray]:
+    """Return what Open Image Denoise makes of each layer, and our image of layers without much light.
+
+    Guides count as noisy, unless none has noise: prefiltering one for every layer would cost twice as much.
+    """
+    guides, least = "mean" if has_clean_guides(frame) else "noisy", MIN_LAYER_SHARE * compute_mean_luminance(image)
+    images = []
+    for layer in layers:
+        radiance = Radiance(_replace_bad(layer.samples, layer.ours))
+        gbuffer = replace(frame.gbuffer, denoiser_albedo=layer.albedo)
+        # Light in a volume has no surface, and no albedo.
+        given = frame.with_changes(radiance=radiance, layers=(), gbuffer=gbuffer)
+        given = Frame(radiance) if layer.albedo is None else given
+        is_lit = compute_mean_luminance(layer.ours) >= least
+        images.append(_replace_bad(denoise_oidn(given, guides=guides)[0], layer.ours) if is_lit else layer.ours)
+    return images
+
+
+def mix_layers(
+    image: FloatArray, parts: Sequence[FloatArray], layers: Sequence[FloatArray]
+) -> tuple[FloatArray, list[FloatArray]]:
+    """Return the means of our parts and of the peer's, and our ``image`` with these parts in place of its own.
+
+    Each has errors of its own, as in `denoise_with_peer`. Where all parts of ours are black they stay black. Without
+    ``layers`` of the peer nothing changes.
+    """
+    if not layers:
+        return image, list(parts)
+    total = reduce(np.add, map(make_finite, parts))
+    rest = np.maximum(image - total, np.float32(0.0))
+    share = np.where(total > MAX_BLACK_RADIANCE, np.float32(0.5), np.float32(0.0))
+    mixed = [make_finite(part + share * (clean - part)) for part, clean in zip(parts, layers, strict=True)]
+    return _replace_bad(reduce(np.add, mixed, rest), image), mixed
 
 
 def mix_albedos(guides: GBuffer) -> GBuffer:

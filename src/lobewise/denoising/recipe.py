@@ -307,10 +307,10 @@ def leave_to_peer(checked: CheckedGuides[Frame]) -> Result:
     count = int(np.count_nonzero(bad))
     require_some_good(count, bad.size, "pixel")
     with bound_memory(frame, "", with_oidn=True), plan_stages(list_peer_costs(frame)):
-        image = denoise_with_peer(frame, samples, blacken_bad(samples))
+        image = denoise_with_peer(frame, samples, blacken_bad(samples)).image
         if below is not None:
             light = below.radiance.color
-            image = image - (light if is_dim(below, frame) else denoise_with_peer(below, light, light))
+            image = image - (light if is_dim(below, frame) else denoise_with_peer(below, light, light).image)
     unfiltered = np.zeros(frame.shape, np.float32)
     result = Result(
         image=image,
