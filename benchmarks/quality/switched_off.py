@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import lobewise
-from benchmarks.common import RESULTS, describe_machine, write_json
+from benchmarks.common import RESULTS, ROOT, describe_machine, write_json
 from benchmarks.quality.measure import round_figure
 from benchmarks.users.measuring import make_reference_judge
 from benchmarks.users.methods import METHODS, Shot
@@ -45,7 +45,6 @@ from lobewise.denoising import (
     chain,
     combining,
     layers,
-    light_loss,
     noisy,
     passes,
     recipe,
@@ -68,6 +67,8 @@ from tests.images.frames import (
 from tests.images.measuring import measure_image
 
 RESULT = RESULTS / "switched_off.json"
+DATA = ROOT / "src" / "lobewise" / "data"
+"""The bundled frame of our own renderer, with halves, is measured with the crops."""
 QUALITIES = ("balanced", "high", "auto")
 GROUPS = IMAGES, LARGE, BLENDER = "tests/images", "crops", "blender"
 SPP, PEER = 16, "oidn"
@@ -157,7 +158,6 @@ SWITCHES: dict[str, Switch] = {
     "proof by halves, mixture": replace_one(combining, "estimate_share_proved", make_no_share),
     "halves": Switch(change=lambda frame: frame.with_changes(half_a=None, half_b=None)),
     "keep light": replace_one(chain, "keep_light", lambda filtered: filtered),
-    "gain of refined light": replace_one(light_loss, "MAX_GAIN_REFINED", 0.0),
     "color alone where guides are noise": replace_one(chain, "compute_unguided_share", make_no_share),
     "surfaces stand in": replace_one(usable, "stand_in_surfaces", lambda frame: (frame, ())),
     "lamps without normals kept": replace_one(stand_ins, "keep_lamps", lambda frame: (frame, 0)),
@@ -209,6 +209,8 @@ def list_cases(shots: Path | None) -> Iterator[Case]:
             truth = [average_light([view.reference]) for view in views]
             group = LARGE if name in CROPS else IMAGES
             yield Case(group, name, frames, partial(measure_image, reference=reference), truth)
+    demo, truth = (lobewise.read_frame(DATA / f"{name}.exr") for name in ("demo", "demo-reference"))
+    yield Case(LARGE, "demo", [demo], partial(measure_image, reference=truth.radiance.color), [average_light([truth])])
     for scene in find_shots(shots) if shots else ():
         judge = make_reference_judge(*scene.reference_images)
 
