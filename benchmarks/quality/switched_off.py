@@ -155,7 +155,7 @@ SWITCHES: dict[str, Switch] = {
     "lamps": replace_one(network, "mark_shining", mark_nothing),
     "network": replace_one(chain, "refine", lambda _frame, filtered, _whole: filtered),
     "take back": replace_one(chain, "take_back", lambda _frame, filtered: filtered),
-    "proof by halves, mixture": replace_one(combining, "estimate_share_proved", make_no_share),
+    "proof by halves": replace_one(combining, "estimate_share_proved", make_no_share),
     "halves": Switch(change=lambda frame: frame.with_changes(half_a=None, half_b=None)),
     "keep light": replace_one(chain, "keep_light", lambda filtered: filtered),
     "color alone where guides are noise": replace_one(chain, "compute_unguided_share", make_no_share),
