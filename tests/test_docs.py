@@ -291,7 +291,7 @@ def test_performance_page_names_every_device() -> None:
 
 
 def test_default_similarity_is_the_winner_of_the_comparison() -> None:
-    from lobewise.denoising.automatic import DEFAULT_SIMILARITY
+    from lobewise.settings.choices import DEFAULT_SIMILARITY
 
     similarities = json.loads((ROOT / "benchmarks" / "results" / "similarities.json").read_text())
     logs = dict.fromkeys(("sg", "sg_mixture", "asg", "ggx"), 0.0)

@@ -28,7 +28,7 @@ def test_a_full_frame(full_frame, tmp_path):
     assert found.camera.fov_y == 0.7
     assert found.materials == ("'first': 1 sg lobe for each of 2 views", "'second': 2 sg lobes for each of 2 views")
     assert all(image.found for image in found.images)
-    assert found.similarities == ("normal", "sg", "sg_mixture", "asg", "ggx")
+    assert found.similarities == ("normal", "sg", "sg_mixture", "ggx")
     (part,) = found.parts
     assert (part.kind, part.compression) == ("scanline", "zip")
     assert (part.data_window.width, part.data_window.height) == (13, 9)

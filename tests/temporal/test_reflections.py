@@ -231,7 +231,7 @@ def measure_room(guided: bool, step: float = 0.02) -> tuple[float, float]:
 def test_a_history_follows_what_is_reflected(step: float) -> None:
     (error, frames), (other, _) = measure_room(True, step), measure_room(False, step)
     # The noise of a single frame is a third. Without the guide a history follows another part of the ceiling.
-    assert frames > 3.0
+    assert frames > 4.0
     assert error < 0.12
     assert other > 0.18
 

@@ -19,14 +19,8 @@ from lobewise.peers import explain_no_oidn, has_oidn
 from lobewise.records.frame import Frame
 from lobewise.records.sparse_frame import AnyFrame
 from lobewise.settings import OIDN_QUALITY, DenoiseSettings, QualityName, ResolvedSettings, SimilarityName
-from lobewise.settings.choices import get_quality, get_similarity
+from lobewise.settings.choices import DEFAULT_SIMILARITY, GUIDED_SIMILARITY, get_quality, get_similarity
 
-DEFAULT_SIMILARITY: SimilarityName = "ggx"
-"""Similarity of "auto" for the quality "fast" where the frame has lobes: the winner of
-benchmarks/results/similarities.json."""
-GUIDED_SIMILARITY: SimilarityName = "sg"
-"""The same for passes that are guided by the noise. There a covariance tells no more than a round lobe: on the frames
-of tests/images the mean error of "high" is the same with both."""
 DEFAULT_QUALITY: QualityName = "high"
 """Quality of "auto" for the full form without Open Image Denoise. It has the least mean error on every set of scenes
 (docs/developers/quality.md, docs/developers/quality_results.md, docs/developers/renderers_results.md)."""

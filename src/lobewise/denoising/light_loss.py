@@ -129,14 +129,14 @@ def compute_loss(rows: RowSums) -> Loss:
 
 
 def measure_gain(radiance: FloatArray, part: FloatArray, mask: NDArray[np.bool_]) -> Loss:
-    """Return the gain of a layer, and the light that is missing with it; parameters as of `sum_missing`."""
+    """Return the gain of a layer, and the light that is missing with it."""
     return compute_loss(sum_missing(radiance, part, mask))
 
 
 def measure_gain_outside(
     radiance: FloatArray, part: FloatArray, mask: NDArray[np.bool_], uncounted: NDArray[np.bool_]
 ) -> Loss:
-    """Return the result of `measure_gain` from pixels outside of ``uncounted``, (height, width)."""
+    """Return the gain of a layer, and the light that is missing with it, from pixels outside of a mask."""
     return compute_loss(sum_missing(radiance, part, mask, uncounted=uncounted))
 
 

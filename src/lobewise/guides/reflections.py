@@ -53,6 +53,8 @@ class MovedReflections(NamedTuple):
     """Column and row, pixel centres at whole numbers, (height, width, 2); NaN where the hit is unknown."""
     hit_distance: FloatArray
     """Distance from the mirror to the previous place of the hit, (height, width), as in `GBuffer.hit_distance`."""
+    axis: FloatArray
+    """Direction from the mirror to the previous place of the hit, unit length, (height, width, 3)."""
     has_moved: NDArray[np.bool_]
     """Whether hit or mirror has moved, and the place lies in the image, (height, width)."""
 
@@ -144,7 +146,9 @@ def _define_reflections(grid: Grid) -> list[Vector]:
     share = height / hl.select(crosses, height + below, one)
     crossing = [eye + share * part for eye, part in zip(grid.get("before"), from_eye, strict=True)]
     offset = [p + f - c for p, f, c in zip(point, flat, crossing, strict=True)]
-    reach = hl.f32(hl.select(crosses, hl.sqrt(dot(offset, offset)), length))
+    offset = [hl.select(crosses, new, old) for new, old in zip(offset, flat, strict=True)]
+    length = hl.sqrt(dot(offset, offset))
+    reach, axis = hl.f32(length), _reflect([component / length for component in offset], facing)
     there = known & seen
     distance = hl.select(there & is_finite(raw), reach, raw)
     width, height = (hl.f32(extent) for extent in grid.size)
@@ -155,6 +159,7 @@ def _define_reflections(grid: Grid) -> list[Vector]:
     return [
         [select_or_nan(there, place) for place in places],
         [distance],
+        [hl.f32(component) for component in axis],
         [hl.u8(seen & (has_moved | (steps > zero)))],
     ]
 

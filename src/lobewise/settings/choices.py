@@ -15,6 +15,13 @@ FormName = Literal["full", "separable", "atrous"]
 
 FORM_NAMES: tuple[FormName, ...] = get_args(FormName)
 
+DEFAULT_SIMILARITY: SimilarityName = "ggx"
+"""Similarity of "auto" for the quality "fast" where the frame has lobes: the winner of
+benchmarks/results/similarities.json."""
+GUIDED_SIMILARITY: SimilarityName = "sg"
+"""The same for passes that are guided by the noise. There a covariance tells no more than a round lobe: on the frames
+of tests/images the mean error of "high" is the same with both."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Similarity:

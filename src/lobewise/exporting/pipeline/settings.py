@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
-from lobewise.denoising.automatic import DEFAULT_SIMILARITY, GUIDED_SIMILARITY
 from lobewise.errors import InputError
 from lobewise.settings import (
     Auto,
@@ -17,7 +16,15 @@ from lobewise.settings import (
     document,
     list_knobs,
 )
-from lobewise.settings.choices import MAX_SCALE_PIXELS, Quality, Similarity, get_quality, get_similarity
+from lobewise.settings.choices import (
+    DEFAULT_SIMILARITY,
+    GUIDED_SIMILARITY,
+    MAX_SCALE_PIXELS,
+    Quality,
+    Similarity,
+    get_quality,
+    get_similarity,
+)
 
 LAYERS = {"apart": ("diffuse", "specular"), "named": ("diffuse", "glossy", "transmission"), "color": ("color",)}
 """Names of the layers of each kind of light."""

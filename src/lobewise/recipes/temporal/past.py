@@ -92,6 +92,8 @@ class _Places(NamedTuple):
     """Column and row of the reflections; None where they are not tracked."""
     hit_distance: FloatArray | None = None
     """Hit distances in the frame before, (height, width), if it is known how the hits have moved."""
+    axis: FloatArray | None = None
+    """Directions to the hits in the frame before, unit length, (height, width, 3), if hit distances are known."""
     followed: NDArray[np.bool_] | None = None
     """Pixels whose reflection has its history at its own place alone, (height, width)."""
 
@@ -145,8 +147,9 @@ class HistoryReprojection:
             return
         # The next frame compares hits with those of this frame, and this frame with their earlier places.
         self._now = self.validation
-        if self._places.hit_distance is not None:
-            self._now = follow_hits(self.validation, self._places.hit_distance)
+        distance, axis, followed = self._places.hit_distance, self._places.axis, self._places.followed
+        if distance is not None and axis is not None and followed is not None:
+            self._now = follow_hits(self.validation, distance, axis, followed)
         if not past.validation:  # it was read from a file
             old = make_validation_features(past.guides, settings, temporal, past.allowance, past.sums)
             past = replace(past, validation=old)
@@ -301,9 +304,8 @@ def compute_all_places(guides: Guides, before: Guides) -> tuple[_Places | None, 
         return _Places(surface, compute_virtual_places(position, curvature, distance, camera, previous)), allowance
     mirrors = Mirror(position, normal), Mirror(before.places[0], normal_before)
     reflected = compute_moved_reflections(mirrors, curvature, distance, moved, (surface, allowance), (camera, previous))
-    return _Places(
-        surface, reflected.places, reflected.hit_distance, reflected.has_moved & _is_narrow(guides.gbuffer)
-    ), allowance
+    followed = reflected.has_moved & _is_narrow(guides.gbuffer)
+    return _Places(surface, reflected.places, reflected.hit_distance, reflected.axis, followed), allowance
 
 
 def _is_narrow(gbuffer: GBuffer) -> NDArray[np.bool_]:

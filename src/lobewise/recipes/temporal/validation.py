@@ -13,9 +13,11 @@ from lobewise.denoising.layers import compare_specular
 from lobewise.features import (
     DiffuseFeature,
     Feature,
+    GgxFeature,
     HitDistanceFeature,
     NormalFeature,
     PlaneFeature,
+    SgFeature,
 )
 from lobewise.features.base import describe_structure
 from lobewise.filters.history.reprojection import ComparedPixels, prepare_pixels
@@ -169,31 +171,45 @@ def make_validation_features(
 
 
 def follow_hits(
-    validation: Mapping[str, ValidationFeatures], hit_distance: FloatArray
+    validation: Mapping[str, ValidationFeatures],
+    hit_distance: FloatArray,
+    axis: FloatArray,
+    followed: NDArray[np.bool_],
 ) -> dict[str, ValidationFeatures]:
     """Return features that recognise reflections of moving objects in the frame before.
 
-    Hits are compared at their earlier places. Features of the frame before need no change.
+    Hits and the lobes of narrow reflections are compared at their earlier places. Features of the frame before need no
+    change.
 
     Parameters
     ----------
     validation : mapping of ValidationFeatures
         Features of this frame, by layer; only those of ``specular`` change.
-    hit_distance : array, shape (height, width)
-        Distance of each hit in the frame before; see `lobewise.guides.reflections.compute_moved_reflections`.
+    hit_distance, axis : array, shape (height, width) and (height, width, 3)
+        Distance and direction of each hit in the frame before; see
+        `lobewise.guides.reflections.compute_moved_reflections`.
+    followed : bool array, shape (height, width)
+        Pixels whose lobe has this axis.
     """
     inverse = compute_inverse_hits(hit_distance)
 
-    followed = dict(validation)
-    if "specular" in followed and followed["specular"].virtual:
-        mask, surface, virtual = (getattr(followed["specular"], name) for name in ("mask", "surface", "virtual"))
-        moved = tuple(
-            replace(feature, inverse_distance=inverse) if isinstance(feature, HitDistanceFeature) else feature
-            for feature in virtual
-        )
+    def follow(feature: Feature) -> Feature:
+        if isinstance(feature, HitDistanceFeature):
+            return replace(feature, inverse_distance=inverse)
+        if isinstance(feature, SgFeature):
+            return replace(feature, axis=np.where(followed[..., None], axis, feature.axis))
+        if isinstance(feature, GgxFeature):
+            x, y, z = (np.where(followed, axis[..., k], plane) for k, plane in enumerate(feature.lobe[:3]))
+            return replace(feature, lobe=feature.lobe._replace(axis_x=x, axis_y=y, axis_z=z))
+        return feature
+
+    followed_features = dict(validation)
+    if "specular" in validation and validation["specular"].virtual:
+        mask, surface, virtual = (getattr(validation["specular"], name) for name in ("mask", "surface", "virtual"))
+        moved = tuple(map(follow, virtual))
         features = (*surface[: len(surface) - len(virtual)], *moved)
-        followed["specular"] = ValidationFeatures(mask, features, moved, "specular")
-    return followed
+        followed_features["specular"] = ValidationFeatures(mask, features, moved, "specular")
+    return followed_features
 
 
 def _make_plane(

@@ -10,7 +10,7 @@ from weakref import ref
 
 import numpy as np
 
-from lobewise.denoising.automatic import GUIDED_SIMILARITY, change_settings, choose_similarity
+from lobewise.denoising.automatic import change_settings, choose_similarity
 from lobewise.denoising.plan import count_bytes
 from lobewise.denoising.recipe import check_frame, denoise_checked, filter_below
 from lobewise.errors import MAX_GOT_LETTERS, InputError, name_value, require_kind
@@ -24,6 +24,7 @@ from lobewise.recipes.windows.shots import Shot, extrapolate_camera
 from lobewise.records.frame import FloatArray, Frame, Result
 from lobewise.records.images import pack_planes, unpack_planes
 from lobewise.settings import DenoiseChanges, DenoiseSettings
+from lobewise.settings.choices import GUIDED_SIMILARITY
 from lobewise.work.limits import set_aside
 
 if TYPE_CHECKING:
