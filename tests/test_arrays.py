@@ -92,7 +92,7 @@ RECIPES: dict[str, tuple[Callable[[], Any], Callable[[Any], Result]]] = {
     ),
     "recompute": (
         make_sparse,
-        lambda frame: lobewise.recompute(lobewise.upsample(frame, radius=1), shade, samples=1.0, least=1e9),
+        lambda frame: lobewise.recompute(lobewise.upsample(frame, radius=1), shade, samples=1.0, budget=1.0),
     ),
 }
 

@@ -107,7 +107,6 @@ def test_thin_things_between_the_samples_come_back(task: str) -> None:
     [
         ({"budget": 1.5}, ("budget", "1.5")),
         ({"budget": float("nan")}, ("budget", "nan")),
-        ({"least": -1.0}, ("least",)),
         ({"samples": 0.0}, ("samples",)),
     ],
 )

@@ -13,6 +13,10 @@ from lobewise.records.sparse_frame import AnyFrame
 
 USUAL_SPP_OF_IMAGE = 3.2
 """Samples per pixel of the whole image that shading pixels again may cost: 64 for 5 % of the pixels."""
+MIN_WEIGHT = 0.05
+"""Weight sum below which a pixel is shaded again; a sample that matches fully has the weight 1."""
+MIN_SHARE_OF_MEDIAN = 0.5
+"""Share of the median weight sum below which a pixel is shaded again where no guides are known."""
 MIN_SPP, MAX_SPP = 16, 256
 """Bounds of the samples of a pixel that is shaded again."""
 
@@ -21,13 +25,11 @@ def find_unsupported(
     result: Result,
     *,
     budget: float = 0.05,
-    least: float = 0.05,
-    quality: float = 0.5,
     frame: AnyFrame | None = None,
 ) -> NDArray[np.bool_]:
     """Return which pixels to shade again, shape (height, width).
 
-    With ``frame`` the pixels of weight below ``least`` come first, then those whose expected error is largest: their
+    With ``frame`` the pixels of weight below `MIN_WEIGHT` come first, then those whose expected error is largest: their
     noise times the contrast around them. The noise is the variance of the result over its squared light, or the
     inverse of the effective samples where the result tells no variance. Blurred edges and small highlights have
     contrast. Pixels without a surface are never taken.
@@ -37,35 +39,25 @@ def find_unsupported(
     result : Result
         A result of `lobewise.upsample`, `lobewise.denoise` or `lobewise.TemporalFilter.add`.
     budget : float
-        Largest share of the pixels, 0 to 1; without ``frame``, the pixels of lowest weight sum are taken.
-    least : float
-        Weight sum below which a pixel is shaded again; a sample that matches fully has the weight 1.
-    quality : float
-        Share of the median weight sum below which a pixel is shaded again, >= 0; without ``frame``.
+        Largest share of the pixels, 0 to 1.
     frame : Frame or SparseFrame, optional
-        The frame of the result.
+        The frame of the result. Without it the pixels of lowest weight sum are taken, of those below `MIN_WEIGHT` or
+        `MIN_SHARE_OF_MEDIAN`.
 
     Raises
     ------
     InputError
-        If a number is out of range.
+        If the budget is out of range.
     """
-    limits = (("budget", budget, 1.0), ("least", least, np.inf), ("quality", quality, np.inf))
-    for name, value, highest in limits:
-        if not 0.0 <= value <= highest:
-            raise InputError(
-                name,
-                expected="a number from 0 to 1" if highest == 1.0 else "a number of at least 0",
-                got=str(value),
-                action="0.05 is usual",
-            )
+    if not 0.0 <= budget <= 1.0:
+        raise InputError("budget", expected="a number from 0 to 1", got=str(budget), action="0.05 is usual")
     result = result.convert()
     weight = result.weight_sum
     count = int(budget * weight.size)
     if frame is not None:
-        return _mark_uncertain(result, frame, count, least)
+        return _mark_uncertain(result, frame, count)
     median = float(np.median(weight))
-    unsupported = (weight < least) | (weight < quality * median)
+    unsupported = (weight < MIN_WEIGHT) | (weight < MIN_SHARE_OF_MEDIAN * median)
     if np.count_nonzero(unsupported) > count:
         # Order pixels of equal weight by place, so that every machine chooses the same pixels.
         limit = np.partition(weight[unsupported], count)[count]
@@ -76,15 +68,15 @@ def find_unsupported(
     return np.asarray(unsupported)
 
 
-def _mark_uncertain(result: Result, frame: AnyFrame, count: int, least: float) -> NDArray[np.bool_]:
+def _mark_uncertain(result: Result, frame: AnyFrame, count: int) -> NDArray[np.bool_]:
     """Return the pixels of surfaces that have no support, then those of the largest expected error."""
     noise = {"variance": result.variance, "effective_samples": result.effective_samples}
     expected = expect_error(result.image, exact=compute_exact_light(frame), **noise)
     # Pixels without support come first, those of the lowest weight before others.
     surface = mark_surface(frame)
     order = np.where(surface, expected, np.float32(0.0)).ravel()
-    lacking = np.flatnonzero((result.weight_sum < least) & surface)
-    order[lacking] = expected.max(initial=0.0) * (2.0 - result.weight_sum.ravel()[lacking] / max(least, 1e-30)) + 1.0
+    lacking = np.flatnonzero((result.weight_sum < MIN_WEIGHT) & surface)
+    order[lacking] = expected.max(initial=0.0) * (2.0 - result.weight_sum.ravel()[lacking] / MIN_WEIGHT) + 1.0
     if count < np.count_nonzero(order):
         limit = np.partition(order, order.size - count)[order.size - count] if count else np.inf
         # Pixels of equal rank are taken by place, so that every machine chooses the same pixels.

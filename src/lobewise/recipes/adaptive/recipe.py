@@ -14,7 +14,7 @@ from lobewise.denoising import mark_bad_pixels
 from lobewise.denoising.layers import compute_exact_light
 from lobewise.denoising.recipe import denoise_quietly
 from lobewise.errors import InputError
-from lobewise.recipes.adaptive.choosing import find_unsupported
+from lobewise.recipes.adaptive.choosing import MIN_WEIGHT, find_unsupported
 from lobewise.recipes.adaptive.merging import (
     DARK_LIGHT,
     average_parts,
@@ -59,8 +59,6 @@ def recompute(
     samples: float,
     frame: AnyFrame | None = None,
     budget: float = 0.05,
-    least: float = 0.05,
-    quality: float = 0.5,
     filter_new: bool = True,
     history: History | None = None,
 ) -> Result:
@@ -74,7 +72,7 @@ def recompute(
 
     Where ``shade`` returns several parts, their differences tell the variance v of their mean I. The estimate is
     ``P + b / (b + v) (I - P)``, the mix of two independent estimates that has the least squared error. P is the mean of
-    the filtered radiance N and of F, which counts ``W / (W + least)`` times. b is the squared error of P: ``(F - N)^2 /
+    the filtered radiance N and of F, which counts ``W / (W + 0.05)`` times. b is the squared error of P: ``(F - N)^2 /
     4``, but at least 5 % of ``P^2``. Before, each part is bounded to three times the mean of the pixel's other parts,
     or to three times the filtered radiance if this is more: a firefly hardly counts. The bound darkens small lights
     that few samples hit.
@@ -90,7 +88,7 @@ def recompute(
         Samples per pixel of the new radiance, of all parts, over the samples per pixel of the frame, > 0.
     frame : Frame or SparseFrame, optional
         The frame of the result: its guides tell which new pixels are alike.
-    budget, least, quality
+    budget : float
         See `find_unsupported`.
     filter_new : bool
         Whether the new radiance is filtered among the new pixels, where there is a frame.
@@ -113,8 +111,7 @@ def recompute(
             "samples", expected="a finite number above 0", got=str(samples), action="pass new spp / old spp"
         )
     maker, result = name_maker(result.image), result.convert()
-    rules = {"budget": budget, "least": least, "quality": quality}
-    where = np.nonzero(find_unsupported(result, **rules, frame=frame))
+    where = np.nonzero(find_unsupported(result, budget=budget, frame=frame))
     count = where[0].size
     settings = {**result.settings, "recomputed": int(count)}
     if count == 0:
@@ -138,7 +135,7 @@ def recompute(
         # A median of some rows and columns is enough, and much faster.
         step = max(1, min(result.image.shape[:2]) // MEDIAN_PIXELS)
         dark = DARK_LIGHT * float(np.median(result.image[::step, ::step]))
-        support = result.weight_sum[where] / (result.weight_sum[where] + np.float32(max(least, 1e-6)))
+        support = result.weight_sum[where] / (result.weight_sum[where] + np.float32(MIN_WEIGHT))
         merged, added, worth = _merge_parts((old, support), shaded, samples, around, exact, dark)
         added_worth = np.float32(KEPT_WORTH) * worth
     if history is not None:
