@@ -17,6 +17,7 @@ from benchmarks.pages import (
     films,
     groups,
     interactive,
+    mechanisms,
     paper,
     performance,
     quality,
@@ -52,6 +53,7 @@ PAGES = {
         interactive.make_figures, ("interactive_quality", "interactive", "viewer")
     ),
     "docs/developers/performance.md": Source(performance.make_figures, ("filters", "budget")),
+    "docs/developers/quality.md": Source(mechanisms.make_mechanism_figures, ("switched_off",)),
     "docs/developers/quality_results.md": Source(quality.make_figures, ("quality",)),
     "docs/developers/renderers_results.md": Source(groups.make_figures, ("groups",)),
     "docs/developers/releasing.md": Source(core.make_figures, ("core",)),

@@ -41,7 +41,6 @@ from benchmarks.users.methods import METHODS, Shot
 from benchmarks.users.scenes import find_shots
 from lobewise.denoising import (
     automatic,
-    bad_pixels,
     chain,
     combining,
     layers,
@@ -151,7 +150,6 @@ SWITCHES: dict[str, Switch] = {
     "highlights": replace_one(noisy, "split_highlights", split_no_highlights),
     "specks": replace_one(chain, "choose_sharing", share_nothing),
     "bound of fireflies": replace_one(chain, "cut_samples", lambda color, _: color),
-    "refill in rounds": replace_one(bad_pixels, "SIGMAS", (1.0,)),
     "lamps": replace_one(network, "mark_shining", mark_nothing),
     "network": replace_one(chain, "refine", lambda _frame, filtered, _whole: filtered),
     "take back": replace_one(chain, "take_back", lambda _frame, filtered: filtered),

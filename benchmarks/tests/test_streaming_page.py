@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from lobewise.denoising.automatic import ask, resolve_all
-from lobewise.denoising.bad_pixels import REFILL_REACH
+from lobewise.filters.forms import ATROUS_REACH
 from lobewise.recipes.streaming.plan import MAX_WHOLE_GIB, MIN_ROWS, compute_band_reach
 from tests.streaming.frames import make_scene
 from tests.test_docs import BUNDLED, ROOT
@@ -37,7 +37,7 @@ def test_the_page_knows_how_far_filters_reach() -> None:
     numbers = reach(quality="fast"), reach(quality="balanced"), reach(quality="high"), reach(form="atrous")
     assert "{} to each side for `fast` at radius 8, {} for `balanced`, {} for `high`".format(*numbers) in text
     assert f"; {numbers[3]} for the form `atrous`" in text
-    assert f"from up to {REFILL_REACH} pixels away" in text
+    assert f"from up to {ATROUS_REACH} pixels away" in text
     assert f"bands then have {MIN_ROWS} rows" in text
     assert f"more than {MAX_WHOLE_GIB:g} GiB" in text
 

@@ -18,12 +18,11 @@ from lobewise.guides.negative import split_negative
 from lobewise.records.frame import FloatArray, Frame
 from lobewise.records.sparse_frame import AnyFrame
 
-SIGMAS = (1.0, 16.0, 1e15)
-"""Standard deviations of the rounds that fill holes, pixels. The last weighs all pixels of the kernel alike."""
+HOLE_SIGMA = 1.0
+"""Standard deviation of the weights that fill holes, pixels. What they leave of large holes becomes the mean colour:
+wider rounds had more error."""
 MAX_SHARE_BAD = 0.01
 """Share of the pixels above which bad ones are no accident, and the user is asked."""
-REFILL_REACH = len(SIGMAS) * ATROUS_REACH
-"""Reach of the filling, pixels: each round reads the pixels that the round before filled."""
 
 
 def mark_good(image: FloatArray) -> NDArray[np.bool_]:
@@ -119,34 +118,13 @@ def _fill_box(mean: FloatArray, image: FloatArray, holes: NDArray[np.bool_]) -> 
     source, everywhere = engine.pixels(
         define_emptied, images, {}, names=["emptied", "everywhere"], text="NaN in the holes"
     )
-    _fill_round(0, (source, holes), everywhere, mean, image)
-
-
-def _fill_round(
-    number: int,
-    source: tuple[FloatArray, NDArray[np.bool_]],
-    everywhere: NDArray[np.bool_],
-    mean: FloatArray,
-    image: FloatArray,
-) -> None:
-    """Fill the holes that the rounds before have left; ``source`` is what they left, NaN in its holes."""
-    features = [ScreenFeature(SIGMAS[number])]
-    around = run_filter(source[0], everywhere, features, form="atrous", radius=0, name="around")
-    images = dict(zip(("image", "holes"), source, strict=True)) | {"filled": around.image, "weight": around.weight_sum}
-    filled, holes = engine.pixels(
+    around = run_filter(source, everywhere, [ScreenFeature(HOLE_SIGMA)], form="atrous", radius=0, name="around")
+    images = {"image": source, "holes": holes, "filled": around.image, "weight": around.weight_sum}
+    filled, left = engine.pixels(
         define_refilled, images, {}, names=["refilled", "holes"], text="fill holes from neighbours"
     )
-    engine.pixels(
-        define_patched,
-        {"image": filled, "holes": holes},
-        {"mean": mean},
-        into=[image],
-        text="the result, and the mean colour in the holes that are left",
-    )
-    if number + 1 < len(SIGMAS):
-        left = engine.total(count_holes, [holes], name=f"holes_after{number}")
-        again = partial(_fill_round, number + 1, (filled, holes), everywhere, mean, image)
-        engine.when(engine.compare(left, ">", 0.0), again)
+    text = "the result, and the mean colour in the holes that are left"
+    engine.pixels(define_patched, {"image": filled, "holes": left}, {"mean": mean}, into=[image], text=text)
 
 
 def count_holes(holes: NDArray[np.bool_]) -> float:

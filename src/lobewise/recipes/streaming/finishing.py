@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise.denoising.also import bring_parts
-from lobewise.denoising.bad_pixels import REFILL_REACH, refill
+from lobewise.denoising.bad_pixels import refill
 from lobewise.denoising.light_loss import share_light
+from lobewise.filters.forms import ATROUS_REACH
 from lobewise.io.exr.bands import BandReader, BandWriter
 from lobewise.recipes.streaming.kept import KeptBands
 from lobewise.records.frame import FloatArray
@@ -71,17 +72,17 @@ class Finisher:
         """Return the rows that later rows cannot change; None if there are none."""
         first, count = self._context, len(self._holes)
         # A row without holes is final.
-        stop = count if last or not self._holes[first:].any() else count - REFILL_REACH
+        stop = count if last or not self._holes[first:].any() else count - ATROUS_REACH
         if stop <= first:
             return None
         done = {field: image[first:stop] for field, image in self._images.items()}
         if self._holes[first:stop].any():
-            begin, end = max(first - REFILL_REACH, 0), min(stop + REFILL_REACH, count)
+            begin, end = max(first - ATROUS_REACH, 0), min(stop + ATROUS_REACH, count)
             around = self._images["color"][begin:end], self._holes[begin:end]
             done["color"] = refill(*around, self._compute_mean())[first - begin : stop - begin]
         for field in [name for name in done if name.startswith("below ")]:
             done[field.removeprefix("below ")] = done[field.removeprefix("below ")] - done.pop(field)
-        keep = max(stop - REFILL_REACH, 0)
+        keep = max(stop - ATROUS_REACH, 0)
         # Copy, so that the memory of the rows above is freed.
         self._images = {field: image[keep:].copy() for field, image in self._images.items()}
         self._holes = self._holes[keep:].copy()
