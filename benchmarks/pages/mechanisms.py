@@ -27,14 +27,21 @@ def make_mechanism_figures(board: Mapping[str, Any]) -> dict[str, str]:
     table = make_table(
         ["switched off", *(f"`{quality}`" for quality in QUALITIES), "frames it saves, or why it stays"], rows
     )
-    frames = {
-        group: next(each[group]["frames"] for each in by.values() if group in each)
-        for by in board["mechanisms"].values()
-        for group in GROUPS
-        if any(group in each for each in by.values())
+    return {"mechanisms": f"{table}\n\n{_count_frames(board)}; {describe_run(board)}."}
+
+
+def _count_frames(board: Mapping[str, Any]) -> str:
+    """Return how many frames of each group were measured, and of which quality fewer."""
+    rows = next(by_quality for by_quality in board["mechanisms"].values() if "auto" in by_quality)
+    counts = {
+        group: {quality: row[group]["frames"] for quality, row in rows.items() if group in row} for group in GROUPS
     }
-    counted = ", ".join(f"{count} of {group}" for group, count in frames.items())
-    return {"mechanisms": f"{table}\n\n{counted}; {describe_run(board)}."}
+    words = []
+    for group, by_quality in counts.items():
+        most = max(by_quality.values())
+        fewer = [f"{count} with `{quality}`" for quality, count in by_quality.items() if count < most]
+        words.append(f"{most} of {group}" + (f" ({', '.join(fewer)})" if fewer else ""))
+    return ", ".join(words)
 
 
 def _show(row: Mapping[str, Any] | None) -> str:
