@@ -95,14 +95,15 @@ def make_shots(shots: Mapping[str, Any]) -> str:
         peers = {key: rows[key[0], "all", key[2]][PEER] for key in cells}
         ratios = {key: cell[SHOTS_TRIMMED] / peers[key][SHOTS_TRIMMED] for key, cell in cells.items()}
         worse = [key for key, cell in cells.items() if cell["rel_mse"] > rows[key]["noisy"]["rel_mse"]]
-        means = [_average(ratio for key, ratio in ratios.items() if key[2] == spp) for spp in counts]
+        by_count = [[ratio for key, ratio in ratios.items() if key[2] == spp] for spp in counts]
         alone = [sum(cell[name] for cell in cells.values()) for name in ("bright", "dark")]
         light = [cell["energy"] for cell in cells.values()]
         table.append(
             [
                 guides,
                 TITLES[method],
-                *(f"{mean:.2f}" for mean in (*means, _average(ratios.values()), max(ratios.values()))),
+                *(f"{_average(each):.2f}" if each else "" for each in (*by_count, list(ratios.values()))),
+                f"{max(ratios.values()):.2f}",
                 str(len(worse)),
                 *map(str, alone),
                 f"{min(light):.3f} to {max(light):.3f}",

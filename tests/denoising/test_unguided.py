@@ -9,13 +9,14 @@ import pytest
 
 from lobewise.denoising import chain, denoise
 from lobewise.denoising.refining.unguided import (
+    DISC_RADIUS,
     LEFT_OUT,
     MAX_SHARE,
     MIN_SHARE,
-    compute_share_filtered,
     compute_unguided_share,
     count_isolated,
     judge_guides,
+    limit_to_noise,
 )
 from lobewise.io import write_frame
 from lobewise.metrics import rel_mse
@@ -86,13 +87,23 @@ def test_light_without_a_surface_is_replaced_where_it_is_noise(
     assert (share[40:].max() == np.float32(MAX_SHARE)) == (kind == "noise")
 
 
-def test_light_of_no_surface_counts_as_filtered_only_out_of_focus() -> None:
-    rest = np.array([0.0, 1.0, 4.0, 4.0, 4.0], np.float32)[None, :, None] * np.ones(3, np.float32)
-    image = np.array([4.0, 4.0, 4.0, 4.0, 4.0], np.float32)[None, :, None] * np.ones(3, np.float32)
-    in_focus = [1.0, 0.75, 0.0, 0.0, 0.0]
-    np.testing.assert_allclose(compute_share_filtered(rest, image, None)[0], in_focus, atol=1e-6)
-    blur = np.array([[0.0, 0.0, 0.0, 3.0, np.nan]], np.float32)
-    np.testing.assert_allclose(compute_share_filtered(rest, image, blur)[0], [1.0, 0.75, 0.0, 1.0, 1.0], atol=1e-6)
+def test_light_of_no_surface_is_left_in_focus_and_filtered_by_its_color_in_discs() -> None:
+    rest = np.array([0.0, 1.0, 4.0, *[0.0] * 20, 0.0, 1.0, 3.0, 4.0], np.float32)[None, :, None] * np.ones(
+        3, np.float32
+    )
+    image, share = np.full_like(rest, 4.0), np.full(rest.shape[:2], 0.4, np.float32)
+    in_focus = 0.4 * (1.0 - rest[0, :, 0] / 4.0)
+    np.testing.assert_allclose(limit_to_noise(share, rest, image, None)[0], in_focus, atol=1e-6)
+    blur = np.zeros_like(share)
+    blur[0, -1], blur[0, -4] = np.nan, 3.0
+    np.testing.assert_allclose(
+        limit_to_noise(share, rest, image, blur)[0, :-1], [*in_focus[:-4], 0.4, *in_focus[-3:-1]]
+    )
+    # A lit pixel out of focus marks its surroundings.
+    blur[0, -3] = 3.0
+    found = limit_to_noise(share, rest, image, blur)[0]
+    np.testing.assert_allclose(found[: -DISC_RADIUS - 3], in_focus[: -DISC_RADIUS - 3], atol=1e-6)
+    np.testing.assert_allclose(found[-DISC_RADIUS - 3 :], [0.4] * 8 + [0.4, 0.75, 0.4], atol=1e-6)
 
 
 def test_bad_pixels_and_normals_are_isolated_from_nothing(rng: np.random.Generator) -> None:

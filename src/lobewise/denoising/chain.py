@@ -53,9 +53,9 @@ from lobewise.denoising.refining.network import refine_light
 from lobewise.denoising.refining.totals import compose, compute_averaged_rest, compute_rest
 from lobewise.denoising.refining.unguided import (
     MIN_SHARE,
-    compute_share_filtered,
     compute_unguided_share,
     forget_guides,
+    limit_to_noise,
 )
 from lobewise.denoising.refining.whole_image import WholeImage, measure_whole
 from lobewise.engine.numbers import choose_larger
@@ -295,7 +295,7 @@ def clean_frame(
     # Only the features of the user tell what they compare.
     if get_quality(settings.quality).refines and settings.radius > 0 and not features:
         unguided = compute_unguided_share(frame.radiance.color, seen or frame.gbuffer)
-        if float(unguided.max()) >= MIN_SHARE:
+        if float(unguided.max()) >= MIN_SHARE or frame.gbuffer.blur_radius is not None:
             raise_cost(MIX_UNGUIDED, sum(SECONDS_PER_MEGAPIXEL[each] for each in (FILTER_HALVES, REFINE, TAKE_BACK)))
     before, filtered = filter_whole(frame, settings, features, bad, outside=outside)
     gains = compute_gains(filtered)
@@ -459,12 +459,11 @@ def mix_unguided(
 ) -> tuple[Filtered, list[FloatArray]]:
     """Mix in the image of the color alone, and scale the parts so that they sum to the image.
 
-    ``share`` tells how far the guides are noise, see `compute_unguided_share`. It counts for the light that filters
-    changed.
+    ``share`` tells how far the guides are noise, see `compute_unguided_share` and `limit_to_noise`.
     """
     enter_stage(MIX_UNGUIDED)
     if filtered.rest is not None:
-        share = share * compute_share_filtered(filtered.rest, filtered.image, frame.gbuffer.blur_radius)
+        share = limit_to_noise(share, filtered.rest, filtered.image, frame.gbuffer.blur_radius)
     if float(share.max()) < MIN_SHARE:
         return filtered, []
     # Image: filter the color alone, by the same steps.

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from lobewise.denoising.refining.whole_image import RowSums
 from lobewise.filters.specks import MIN_BLUR_RADIUS
-from lobewise.guides.squares import average_square
+from lobewise.guides.squares import average_square, compute_square_maximum
 from lobewise.guides.surfaces import mark_surface_pixels
 from lobewise.lobes.vectors import compute_image_luminance
 from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance
@@ -41,6 +41,8 @@ MIN_SHARE_WITHOUT_SURFACE = 0.01
 NOISY_RADIUS, NOISY_FROM, NOISY_TO = 7, 0.08, 0.18
 """Radius of the square, pixels, and the shares of isolated ones among its pixels without a surface from which, and up
 to which, the image of the color alone replaces theirs."""
+DISC_RADIUS = 8
+"""Distance, rows or columns, from light of no surface out of focus, within which such light is out of focus, too."""
 LEFT_OUT = (
     "The guides are noise, and bands leave out what helps: without bands an image filtered by its color alone is mixed "
     "in."
@@ -69,22 +71,35 @@ def compute_unguided_share(color: FloatArray, guides: GBuffer) -> FloatArray:
     return np.where(isolated.surface, least, rise)
 
 
-def compute_share_filtered(rest: FloatArray, image: FloatArray, blur_radius: FloatArray | None) -> FloatArray:
-    """Return the share of an image that filters changed, (height, width): all but the light in focus of no surface.
+def limit_to_noise(
+    share: FloatArray, rest: FloatArray, image: FloatArray, blur_radius: FloatArray | None
+) -> FloatArray:
+    """Return the share of the image of the color alone, (height, width), where part of the light met no surface.
+
+    In focus that part has no noise and stays. A lens makes salt of it (`lobewise.filters.specks`), which guides do not
+    tell apart: there the image of the color alone has at least the part's share.
 
     Parameters
     ----------
+    share : (height, width)
+        As `compute_unguided_share` has it.
     rest : (height, width, 3)
-        Emission and background, which have no noise in focus.
+        Emission and background.
     image : (height, width, 3)
         The filtered image, ``rest`` included.
     blur_radius : (height, width), optional
-        As `lobewise.GBuffer.blur_radius`. Where the lens blurs, or nobody knows, all light counts as filtered.
+        As `lobewise.GBuffer.blur_radius`.
     """
-    tiny = np.float32(np.finfo(np.float32).tiny)
-    exact = np.divide(compute_image_luminance(rest), np.maximum(compute_image_luminance(image), tiny))
-    share = np.float32(1.0) - np.clip(exact, np.float32(0.0), np.float32(1.0))
-    return share if blur_radius is None else np.where(blur_radius < MIN_BLUR_RADIUS, share, np.float32(1.0))
+    light, tiny = compute_image_luminance(rest), np.float32(np.finfo(np.float32).tiny)
+    part = np.clip(light / np.maximum(compute_image_luminance(image), tiny), np.float32(0.0), np.float32(1.0))
+    in_focus = share * (np.float32(1.0) - part)
+    if blur_radius is None:
+        return in_focus
+    # The disc of a lamp lies before surfaces in focus, too: there most samples of a pixel meet the surface.
+    blurred = blur_radius >= MIN_BLUR_RADIUS
+    blurred |= compute_square_maximum(blurred & (light > 0.0), DISC_RADIUS)
+    salted = np.where(blurred, np.maximum(share, part), in_focus)
+    return np.asarray(np.where(np.isnan(blur_radius), share, salted), np.float32)
 
 
 def count_isolated(color: FloatArray, guides: GBuffer) -> RowSums:
