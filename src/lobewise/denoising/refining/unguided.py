@@ -92,14 +92,14 @@ def limit_to_noise(
     """
     light, tiny = compute_image_luminance(rest), np.float32(np.finfo(np.float32).tiny)
     part = np.clip(light / np.maximum(compute_image_luminance(image), tiny), np.float32(0.0), np.float32(1.0))
-    in_focus = share * (np.float32(1.0) - part)
+    in_focus: FloatArray = share - share * part
     if blur_radius is None:
         return in_focus
     # The disc of a lamp lies before surfaces in focus, too: there most samples of a pixel meet the surface.
     blurred = blur_radius >= MIN_BLUR_RADIUS
     blurred |= compute_square_maximum(blurred & (light > 0.0), DISC_RADIUS)
     salted = np.where(blurred, np.maximum(share, part), in_focus)
-    return np.asarray(np.where(np.isnan(blur_radius), share, salted), np.float32)
+    return np.where(np.isnan(blur_radius), share, salted)
 
 
 def count_isolated(color: FloatArray, guides: GBuffer) -> RowSums:
