@@ -91,8 +91,10 @@ def limit_to_noise(
         As `lobewise.GBuffer.blur_radius`.
     """
     light, tiny = compute_image_luminance(rest), np.float32(np.finfo(np.float32).tiny)
-    part = np.clip(light / np.maximum(compute_image_luminance(image), tiny), np.float32(0.0), np.float32(1.0))
-    in_focus: FloatArray = share - share * part
+    part: FloatArray = np.clip(
+        light / np.maximum(compute_image_luminance(image), tiny), np.float32(0.0), np.float32(1.0)
+    )
+    in_focus = share - share * part
     if blur_radius is None:
         return in_focus
     # The disc of a lamp lies before surfaces in focus, too: there most samples of a pixel meet the surface.
