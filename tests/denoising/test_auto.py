@@ -269,8 +269,9 @@ def test_bands_are_of_our_own_filters_and_say_why(make_frame: Callable[..., Fram
 
 
 def make_plain(make_frame: Callable[..., Frame]) -> Any:
-    """Return guides that a file of 16 by 24 pixels can hold without lobe tables; normals without noise."""
-    return replace(make_frame(height=24, width=16).gbuffer, material=None, normal=np.full((24, 16, 3), 3.0**-0.5))
+    """Return guides that a file of 16 by 24 pixels can hold without lobe tables; normals without noise, all in focus."""
+    gbuffer = make_frame(height=24, width=16).gbuffer
+    return replace(gbuffer, material=None, normal=np.full((24, 16, 3), 3.0**-0.5), blur_radius=None)
 
 
 def test_a_history_and_an_alpha_leave_it_out(make_frame: Callable[..., Frame], present: list[Frame]) -> None:
