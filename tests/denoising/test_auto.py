@@ -269,7 +269,7 @@ def test_bands_are_of_our_own_filters_and_say_why(make_frame: Callable[..., Fram
 
 
 def make_plain(make_frame: Callable[..., Frame]) -> Any:
-    """Return guides that a file of 16 by 24 pixels can hold without lobe tables; normals without noise, all in focus."""
+    """Return guides that a file of 16 by 24 pixels can hold without lobe tables; normals without noise, in focus."""
     gbuffer = make_frame(height=24, width=16).gbuffer
     return replace(gbuffer, material=None, normal=np.full((24, 16, 3), 3.0**-0.5), blur_radius=None)
 
