@@ -139,6 +139,7 @@ def test_open_image_denoise_works_in_tiles_that_fit() -> None:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="measures memory as Linux does")
 @pytest.mark.skipif(not has_oidn(), reason="needs Open Image Denoise: pip install 'lobewise[compare]'")
+@pytest.mark.nightly
 def test_a_process_stays_within_its_limit() -> None:
     program = """
 import sys

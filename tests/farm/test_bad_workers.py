@@ -14,7 +14,7 @@ pytestmark = [pytest.mark.processor, pytest.mark.usefixtures("dask")]
 ADDRESS = r"tcp://127\.0\.0\.1:\d+"
 
 
-@pytest.mark.sampled("farm", "local")
+@pytest.mark.sampled("local")
 @pytest.mark.parametrize("kind", ["farm", "nannies", "local"])
 def test_a_frame_that_kills_its_workers_is_named_and_the_others_are_done(
     kind: str, sources: Path, expected: dict[str, bytes], folder: Path, tmp_path: Path

@@ -290,6 +290,7 @@ def test_a_pipe_as_layer_of_usd_that_no_check_sees_ends_in_time(
         read_camera_file(tmp_path / "shot.usda")
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("needs_usd")
 def test_a_stage_of_a_thousand_million_prims_is_refused(tmp_path: Path) -> None:
     levels = [
