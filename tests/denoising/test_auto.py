@@ -238,6 +238,29 @@ def test_features_of_your_own_leave_it_out(make_frame: Callable[..., Frame], pre
     assert FEATURES_SOFTENED not in denoise(frame, **CHEAP, quality="high").notes
 
 
+@pytest.mark.parametrize("radius", [None, 0.0, 4.0])
+def test_lamps_out_of_focus_go_by_its_image_of_the_color_alone(
+    radius: float | None, make_frame: Callable[..., Frame], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def run(frame: Frame, **_: str) -> tuple[np.ndarray, float]:
+        return np.full((*frame.shape, 3), 3.0 if frame.gbuffer.names else 9.0, np.float32), 0.1
+
+    monkeypatch.setattr(peers, "look_up_oidn_fault", lambda: None)
+    monkeypatch.setattr(combining, "denoise_oidn", run)
+    frame = make_frame(height=12, width=40)
+    lamp = np.zeros((12, 40, 1), np.float32)
+    lamp[:, 20:] = 3.0
+    parts = {name: np.where(lamp > 0.0, 0.0, getattr(frame.radiance, name)) for name in ("diffuse", "specular")}
+    light = Radiance(sum(parts.values()) + lamp, **parts)
+    blur = None if radius is None else np.where(lamp[..., 0] > 0.0, np.float32(radius), np.float32(0.0))
+    bare: dict[str, Any] = {"half_a": None, "half_b": None, "variance": None}
+    image = denoise(
+        frame.with_changes(radiance=light, gbuffer=replace(frame.gbuffer, blur_radius=blur), **bare), **CHEAP
+    ).image
+    assert (image[2:-2, 32:] == 9.0).all() == bool(radius)
+    assert not (image[:, :11] == 9.0).any()
+
+
 @pytest.mark.usefixtures("absent")
 def test_without_it_the_default_is_high_and_says_why(make_frame: Callable[..., Frame]) -> None:
     frame = make_frame(height=12, width=16)

@@ -484,6 +484,9 @@ def mix_peer(frame: Frame, filtered: Filtered, surface: NDArray[np.bool_]) -> tu
         peer = denoise_with_peer(frame, samples, filtered.image, list_peer_layers(frame, filtered))
         enter_stage(CHOOSE)
         mixed, share = choose_between(frame, samples, filtered.image, peer.image, noisy)
+        if filtered.rest is not None and frame.gbuffer.blur_radius is not None:
+            discs = limit_to_noise(np.zeros_like(share), filtered.rest, filtered.image, frame.gbuffer.blur_radius)
+            mixed = mix_noisy(mixed, peer.unguided, discs)
     # Give each part its own noisy light first: else the detail of one part is spread over all.
     if filtered.share_taken is None:
         parts = [mix_noisy(*each, share) for each in zip(filtered.parts, filtered.noisy, strict=True)]

@@ -398,9 +398,10 @@ class LayerImage(NamedTuple):
 
 
 class PeerImages(NamedTuple):
-    """What Open Image Denoise makes of a frame, and of each layer that it was given; finite, >= 0."""
+    """What Open Image Denoise makes of a frame, of its color alone, and of each layer; finite, >= 0."""
 
     image: FloatArray
+    unguided: FloatArray
     layers: list[FloatArray]
 
 
@@ -428,15 +429,15 @@ def denoise_with_peer(
         peer, _ = denoise_oidn(guided, prefilter=PREFILTER_QUALITY)
     peer = _replace_bad(peer, image)
     if not name_oidn_guides(frame):
-        return PeerImages(peer, [])
+        return PeerImages(peer, peer, [])
     by_layers = _denoise_by_layers(frame, image, layers)
     if layers:
         changes = [clean - layer.ours for clean, layer in zip(by_layers, layers, strict=True)]
         summed = np.maximum(reduce(np.add, changes, image), np.float32(0.0))
         peer = average_alike(peer, _replace_bad(summed, image), LAYERS_SHARE)
     quality, share = (UNGUIDED_QUALITY_CLEAN, UNGUIDED_SHARE_CLEAN) if is_clean else (UNGUIDED_QUALITY, UNGUIDED_SHARE)
-    alone, _ = denoise_oidn(Frame(radiance), quality=quality)
-    return PeerImages(average_alike(peer, _replace_bad(alone, image), share), by_layers)
+    unguided = _replace_bad(denoise_oidn(Frame(radiance), quality=quality)[0], image)
+    return PeerImages(average_alike(peer, unguided, share), unguided, by_layers)
 
 
 def _denoise_by_layers(frame: Frame, image: FloatArray, layers: Sequence[LayerImage]) -> list[FloatArray]:
