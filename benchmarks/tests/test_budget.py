@@ -8,6 +8,7 @@ import pytest
 from benchmarks.performance.budget import (
     RECIPES,
     RESULT,
+    SIZE,
     list_rises,
     make_calls,
     make_shot_calls,
@@ -16,6 +17,10 @@ from benchmarks.performance.budget import (
 )
 from lobewise.backend.runtime import Runtime
 from lobewise.cli.bench.plane import make_frame
+from lobewise.settings.choices import QUALITIES
+
+THREADS = 2
+"""Threads that the foretold times of plans are for, all of them busy."""
 
 
 def test_work_beside_kernels_is_no_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -49,3 +54,10 @@ def test_committed_budget_has_every_recipe() -> None:
     names = [*make_calls(frame), *make_shot_calls(frame)]
     assert set(RECIPES) < set(names)
     assert list(json.loads(RESULT.read_text())["recipes"]) == names
+
+
+@pytest.mark.parametrize("quality", QUALITIES)
+def test_plans_foretell_the_times_that_were_measured(quality: str) -> None:
+    measured = json.loads(RESULT.read_text())["recipes"][quality]["seconds"] / THREADS
+    megapixels = SIZE[0] * SIZE[1] * 1e-6
+    assert QUALITIES[quality].seconds_per_megapixel == pytest.approx(measured / megapixels, rel=0.05)

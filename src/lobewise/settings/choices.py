@@ -69,7 +69,7 @@ class Quality:
         Memory that the filters hold beside the frame, bytes; measured (docs/developers/bands.md).
     seconds_per_megapixel : float
         Half of the processor time at radius 8 with diffuse and specular light apart: the time on two threads; measured
-        (``benchmarks/results/before_after.json``).
+        (``benchmarks/results/budget.json``).
     """
 
     name: QualityName
@@ -95,10 +95,10 @@ QUALITIES: Mapping[str, Quality] = {
     each.name: each
     for each in (
         Quality(
-            name="fast", forms=FORM_NAMES, reads_halves=False, work_bytes_per_pixel=250, seconds_per_megapixel=0.55
+            name="fast", forms=FORM_NAMES, reads_halves=False, work_bytes_per_pixel=250, seconds_per_megapixel=0.67
         ),
-        Quality(name="balanced", reads_halves=True, work_bytes_per_pixel=480, seconds_per_megapixel=1.7),
-        Quality(name="high", reads_halves=True, refines=True, work_bytes_per_pixel=850, seconds_per_megapixel=2.3),
+        Quality(name="balanced", reads_halves=True, work_bytes_per_pixel=480, seconds_per_megapixel=1.6),
+        Quality(name="high", reads_halves=True, refines=True, work_bytes_per_pixel=850, seconds_per_megapixel=3.5),
     )
 }
 
