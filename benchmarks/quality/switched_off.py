@@ -49,6 +49,7 @@ from lobewise.denoising import (
     recipe,
 )
 from lobewise.denoising.refining import network
+from lobewise.denoising.refining.unguided import limit_to_noise
 from lobewise.filters.specks import Sharing
 from lobewise.guides import negative, stand_ins, usable
 from lobewise.metrics import rel_mse
@@ -130,6 +131,11 @@ def split_no_highlights(halves: Any, _albedo: Any, mask: FloatArray, **_: Any) -
     return (*halves, np.zeros((*mask.shape, 3), np.float32))
 
 
+def keep_discs(share: FloatArray, rest: FloatArray, image: FloatArray, _: Any) -> FloatArray:
+    """Stand for `limit_to_noise`: the light of no surface stays, in focus or not."""
+    return limit_to_noise(share, rest, image, None)
+
+
 def choose_peer(noisy: FloatArray, *_: Any, **__: Any) -> FloatArray:
     """Stand for `compute_mixture`: the peer's image everywhere."""
     share = np.zeros((*noisy.shape[:2], 3), np.float32)
@@ -157,6 +163,7 @@ SWITCHES: dict[str, Switch] = {
     "halves": Switch(change=lambda frame: frame.with_changes(half_a=None, half_b=None)),
     "keep light": replace_one(chain, "keep_light", lambda filtered: filtered),
     "color alone where guides are noise": replace_one(chain, "compute_unguided_share", make_no_share),
+    "lamps out of focus by their color": replace_one(chain, "limit_to_noise", keep_discs),
     "surfaces stand in": replace_one(usable, "stand_in_surfaces", lambda frame: (frame, ())),
     "lamps without normals kept": replace_one(stand_ins, "keep_lamps", lambda frame: (frame, 0)),
     "light below 0": replace_one(recipe, "split_negative", lambda frame: (frame, None)),
