@@ -9,7 +9,7 @@ import pytest
 
 from lobewise import TemporalFilter, WindowFilter, make_sparse, read_frame, upsample, write_result
 from lobewise.denoising import denoise
-from lobewise.guides.negative import MAX_DIM_SHARE, is_dim, mark_damaged, split_negative
+from lobewise.guides.negative import MAX_DIM_SHARE, MAX_ROUNDING, is_dim, mark_damaged, split_negative
 from lobewise.io import write_frame
 from lobewise.peers import has_oidn
 from lobewise.recipes.streaming import denoise_file
@@ -70,6 +70,23 @@ def test_light_below_0_is_dim_up_to_a_share_of_the_light() -> None:
     shares = [0.0, 0.9 * MAX_DIM_SHARE, 1.1 * MAX_DIM_SHARE]
     frames = [Frame(Radiance(np.full((*SHAPE, 3), 2.0 * share, np.float32))) for share in shares]
     assert [is_dim(below, light) for below in frames] == [True, True, False]
+
+
+@pytest.mark.parametrize("is_sparse", [False, True])
+def test_rounding_below_0_becomes_0(is_sparse: bool) -> None:
+    def split(block: float, pixel: float) -> tuple[Any, Any]:
+        """Return both parts of a frame of specular light of 1 with a block and a pixel of diffuse light."""
+        specular, diffuse = np.ones((*SHAPE, 3), np.float32), np.zeros((*SHAPE, 3), np.float32)
+        diffuse[3:6, 4:7], diffuse[8, 9, 1] = block, pixel
+        frame = make_frame(SHAPE).with_changes(radiance=Radiance(specular + diffuse, diffuse, specular))
+        return split_negative(make_sparse(frame, 1) if is_sparse else frame)
+
+    above, below = split(-0.9 * MAX_ROUNDING, -0.9 * MAX_ROUNDING)
+    assert below is None
+    np.testing.assert_array_equal(above.radiance.diffuse, 0.0)
+    above, below = split(-2.0 * MAX_ROUNDING, -0.9 * MAX_ROUNDING)
+    np.testing.assert_array_equal(above.radiance.diffuse, 0.0)
+    assert below.radiance.diffuse.sum() == pytest.approx(9.0 * 3.0 * 2.0 * MAX_ROUNDING)
 
 
 @pytest.mark.parametrize(("quality", "count"), [("balanced", 1), ("fast", 0)])

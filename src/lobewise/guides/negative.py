@@ -7,7 +7,7 @@ second is mostly smooth and dim, and is then filtered by the guides alone (docs/
 take light away make it bright. Then it has highlights and noise, and is filtered as other light is.
 
 A pixel far below everything around it is no light but damage, as of an overflow. It stays negative, and filters leave
-it out.
+it out. What a renderer's rounding leaves below 0 becomes 0: half of Blender's frames with glass have some.
 """
 
 from __future__ import annotations
@@ -29,6 +29,8 @@ NEGATIVE_REACH = 2
 MAX_RATIO_BELOW = 4.0
 """Largest negative light of a pixel, over the second largest light around it and over its own light, that is no damage.
 The largest light around is ignored, because damaged pixels may come in pairs."""
+MAX_ROUNDING = 2.0**-20
+"""Largest light below 0, over the largest channel of the pixel's color, that is rounding; Blender has up to 2^-23."""
 MAX_DIM_SHARE = 0.01
 """Largest light below 0, as a share of the light of a frame, that is dim."""
 _PARTS = ("diffuse", "specular", "direct", "indirect")
@@ -39,19 +41,32 @@ Split = tuple[FloatArray, FloatArray]
 def split_negative(frame: AnyFrame) -> tuple[Any, Any]:
     """Return a frame without light below 0, and a frame of this light, >= 0; the second is None where there is none.
 
-    The difference of both is the frame. Damaged pixels stay in the first. Where the frame has halves, so do both: the
-    light of a half may be below 0 where the mean of both halves is not. ``unscattered`` stays as it is.
+    The difference of both is the frame, but for rounding (`MAX_ROUNDING`). Damaged pixels stay in the first. Where the
+    frame has halves, so do both: the light of a half may be below 0 where the mean of both halves is not.
+    ``unscattered`` stays as it is.
     """
     if not any((image < 0.0).any() for image in _list_light(frame)):
         return frame, None
+    color = frame.radiance.color
+    rounding = np.float32(MAX_ROUNDING) * np.where(np.isfinite(color), color, np.float32(0.0)).max(
+        axis=-1, keepdims=True
+    )
+    first: AnyFrame
+    second: AnyFrame
     if isinstance(frame, SparseFrame):
-        above, below = _split_radiance(frame.radiance)
-        return replace(frame, radiance=above), replace(frame, radiance=below, variance=None)
-    halves = [None if half is None else _split_radiance(half) for half in (frame.half_a, frame.half_b)]
-    layers = [_split_layer(layer) for layer in frame.layers]
+        above, below = _split_radiance(frame.radiance, rounding)
+        first, second = replace(frame, radiance=above), replace(frame, radiance=below, variance=None)
+    else:
+        first, second = _split_frame(frame, rounding)
+    return first, second if any(image.any() for image in _list_light(second)) else None
+
+
+def _split_frame(frame: Frame, rounding: FloatArray) -> tuple[Frame, Frame]:
+    halves = [None if half is None else _split_radiance(half, rounding) for half in (frame.half_a, frame.half_b)]
+    layers = [_split_layer(layer, rounding) for layer in frame.layers]
     below_halves = [half[1] for half in halves if half is not None]
-    above, below = _split_radiance(frame.radiance, below_halves if len(below_halves) == 2 else (), layers)
-    also = _split_all(frame.also)
+    above, below = _split_radiance(frame.radiance, rounding, below_halves if len(below_halves) == 2 else (), layers)
+    also = _split_all(frame.also, rounding)
     first = replace(
         frame,
         radiance=above,
@@ -127,24 +142,35 @@ def _list_light(frame: AnyFrame) -> list[FloatArray]:
     return [image for image in images if image is not None]
 
 
-def _split_image(image: FloatArray, below: Sequence[FloatArray] = ()) -> Split:
-    """Return an image without light below 0, and this light; ``below`` is the light below 0 of both of its halves."""
+def _split_image(image: FloatArray, rounding: FloatArray, below: Sequence[FloatArray] = ()) -> Split:
+    """Return an image without light below 0, and this light where it is more than ``rounding``, (height, width, 1).
+
+    ``below`` is the light below 0 of both of the image's halves.
+    """
     if not below and not (image < 0.0).any():
         return image, np.zeros_like(image)
-    known = np.isfinite(image) & ~mark_damaged(image)[..., None]
     least = np.mean(below, axis=0, dtype=np.float32) if below else np.float32(0.0)
     with np.errstate(invalid="ignore"):
+        damaged = mark_damaged(image)[..., None] & (image < -rounding).any(axis=-1, keepdims=True)
+        known = np.isfinite(image) & ~damaged
         taken = np.where(known, np.maximum(-image, least), np.float32(0.0))
-    return image + taken, taken
+    if not taken.any():
+        return image, taken
+    return image + taken, np.where(taken > rounding, taken, np.float32(0.0))
 
 
-def _split_all(images: Mapping[str, FloatArray]) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
-    splits = {name: _split_image(image) for name, image in images.items()}
+def _split_all(
+    images: Mapping[str, FloatArray], rounding: FloatArray
+) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
+    splits = {name: _split_image(image, rounding) for name, image in images.items()}
     return {name: above for name, (above, _) in splits.items()}, {name: below for name, (_, below) in splits.items()}
 
 
 def _split_radiance(
-    radiance: Radiance, halves: Sequence[Radiance] = (), layers: Sequence[tuple[RadianceLayer, RadianceLayer]] = ()
+    radiance: Radiance,
+    rounding: FloatArray,
+    halves: Sequence[Radiance] = (),
+    layers: Sequence[tuple[RadianceLayer, RadianceLayer]] = (),
 ) -> tuple[Radiance, Radiance]:
     """Return radiance without light below 0, and this light: the total has that of its parts, so that sums hold."""
     splits: dict[str, Split] = {}
@@ -153,20 +179,20 @@ def _split_radiance(
         mine = [layer.radiance for _, layer in layers if layer.is_diffuse == (name == "diffuse")]
         if name in _PARTS[:2] and mine:
             below = [reduce(np.add, mine)]
-        splits[name] = _split_image(getattr(radiance, name), below)
+        splits[name] = _split_image(getattr(radiance, name), rounding, below)
     if radiance.parts is None:
-        splits["color"] = _split_image(radiance.color, [half.color for half in halves])
+        splits["color"] = _split_image(radiance.color, rounding, [half.color for half in halves])
     else:
-        splits["color"] = _split_image(radiance.color, [splits["diffuse"][1] + splits["specular"][1]])
+        splits["color"] = _split_image(radiance.color, rounding, [splits["diffuse"][1] + splits["specular"][1]])
     first, second = ({name: pair[side] for name, pair in splits.items()} for side in (0, 1))
     return Radiance(**first), Radiance(**second)
 
 
-def _split_layer(layer: RadianceLayer) -> tuple[RadianceLayer, RadianceLayer]:
-    halves = [None if half is None else _split_image(half) for half in (layer.half_a, layer.half_b)]
+def _split_layer(layer: RadianceLayer, rounding: FloatArray) -> tuple[RadianceLayer, RadianceLayer]:
+    halves = [None if half is None else _split_image(half, rounding) for half in (layer.half_a, layer.half_b)]
     below = [half[1] for half in halves if half is not None]
-    first, second = _split_image(layer.radiance, below if len(below) == 2 else ())
-    parts = _split_all(layer.parts)
+    first, second = _split_image(layer.radiance, rounding, below if len(below) == 2 else ())
+    parts = _split_all(layer.parts, rounding)
     above_a, above_b = (None if half is None else half[0] for half in halves)
     return (
         replace(layer, radiance=first, half_a=above_a, half_b=above_b, parts=parts[0]),
