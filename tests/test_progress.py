@@ -16,6 +16,7 @@ from lobewise.denoising.recipe import NEGATIVE, OPACITY
 from lobewise.errors import CancelledError, InputError
 from lobewise.peers import has_oidn, name_call
 from lobewise.settings import DenoiseSettings
+from lobewise.settings.choices import get_quality
 from lobewise.work import progress
 from lobewise.work.limits import check_limits
 from lobewise.work.progress import Progress, enter_stage, follow_stage, plan_stages, raise_cost, watch_call
@@ -117,8 +118,8 @@ def test_opacity_and_light_below_0_have_their_share() -> None:
     lobewise.denoise(changed, quality="fast", progress=told.append)
     require_growing(told)
     first = {each.stage: each.share for each in reversed(told)}
-    # In the qualities' seconds for a megapixel: "fast" for the light, "high" for the opacity.
-    assert first[OPACITY] == pytest.approx(0.55 / (0.55 + 2.3))
+    light, opacity = (get_quality(each).seconds_per_megapixel for each in ("fast", "high"))
+    assert first[OPACITY] == pytest.approx(light / (light + opacity))
     assert 0.3 < first[NEGATIVE] / first[OPACITY] < 0.7
 
 
