@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import math
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -23,8 +24,8 @@ from lobewise.work.chunks import make_fork_lock
 from lobewise.work.limits import GIB, check_limits
 from lobewise.work.progress import enter_stage, follow_stage
 
-LIBRARY_BYTES_PER_PIXEL = 820
-"""Memory that the library works on, bytes, unless it is bounded."""
+LIBRARY_BYTES_PER_PIXEL = 520
+"""Memory that the library may work on, bytes. Without a bound it takes 700, for 3 % less time at 1920x1080."""
 MIN_LIBRARY_BYTES = 0.45 * GIB
 """Memory of the library's smallest tiles, bytes."""
 OIDN_GUIDES = ("prefiltered", "mean", "noisy", "centre")
@@ -48,12 +49,12 @@ class _Opened:
 _opened = _Opened()
 
 
-_most_bytes: ContextVar[float | None] = ContextVar("most_bytes", default=None)
+_most_bytes: ContextVar[float] = ContextVar("most_bytes", default=math.inf)
 
 
 @contextmanager
-def bound_library_memory(most_bytes: float | None) -> Iterator[None]:
-    """Let the library work in tiles that fit ``most_bytes``; None for no bound. The bits stay the same."""
+def bound_library_memory(most_bytes: float) -> Iterator[None]:
+    """Let the library work in tiles that fit ``most_bytes``, where it takes more. The bits stay the same."""
     token = _most_bytes.set(most_bytes)
     try:
         yield
@@ -358,8 +359,8 @@ def _run_library(quality: str, *, is_clean: bool = True, **images: FloatArray) -
             network.set_image(each, image, pyoidn.OIDN_FORMAT_FLOAT3)
         network.set_bool("hdr", name == "color")
         network.set_bool("cleanAux", is_clean and len(images) > 1)
-        most = _most_bytes.get()
-        network.set_int("maxMemoryMB", -1 if most is None else int(max(most, MIN_LIBRARY_BYTES) / 1e6))
+        most_bytes = min(_most_bytes.get(), LIBRARY_BYTES_PER_PIXEL * math.prod(source.shape[:2]))
+        network.set_int("maxMemoryMB", int(max(most_bytes, MIN_LIBRARY_BYTES) / 1e6))
         network.set_quality(getattr(pyoidn, f"OIDN_QUALITY_{quality.upper()}"))
         try:
             with _watch(network) as execute:

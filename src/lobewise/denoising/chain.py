@@ -93,8 +93,8 @@ class Filtered:
     layers : sequence of Layer
     parts : sequence of (height, width, 3)
         The filtered radiance of every layer.
-    supports : sequence
-        How much each filter gathered; one support where it was joined.
+    supports : sequence of (height, width, 2)
+        Weight sum and effective samples of each layer's filter; one image where they were joined.
     image : (height, width, 3)
         Sum of all parts and of the light that is in none of them; see `compose`.
     bad : (height, width), bool
@@ -129,7 +129,7 @@ class Filtered:
 
     layers: Sequence[Layer]
     parts: Sequence[FloatArray]
-    supports: Sequence[Any]
+    supports: Sequence[FloatArray]
     image: FloatArray
     bad: NDArray[np.bool_]
     holes: NDArray[np.bool_] | None = None
@@ -154,11 +154,11 @@ class Filtered:
     def compute_support(self) -> tuple[FloatArray, FloatArray]:
         """Return weight sum and effective samples of the least supported layer that reflects anything at a pixel."""
         if len(self.supports) == 1:
-            return self.supports[0].weight_sum, self.supports[0].effective_samples
+            return self.supports[0][..., 0], self.supports[0][..., 1]
         images: dict[str, Any] = {}
         for number, (layer, support) in enumerate(zip(self.layers, self.supports, strict=True)):
             images |= {
-                f"support{number}": support.support,
+                f"support{number}": support,
                 f"mask{number}": layer.mask,
                 f"albedo{number}": layer.albedo,
             }
@@ -186,7 +186,7 @@ class Filtered:
         """Return the image and its holes: pixels whose light is not finite, and bad ones that no layer reached."""
         if self.holes is not None:
             return self.image, self.holes
-        images = {f"support{number}": each.support for number, each in enumerate(self.supports)}
+        images: dict[str, Any] = {f"support{number}": each for number, each in enumerate(self.supports)}
         into = [engine.take("image", "height", "width", 3, text="the denoised frame", unit="any")]
         images, text = {**images, "image": self.image, "bad": self.bad}, "the result, and its holes"
         image, holes = engine.pixels(define_checked, images, {}, names=["", "holes"], into=into, text=text)
@@ -336,7 +336,7 @@ def filter_plain(
     return Filtered(
         layers=layers,
         parts=total.parts,
-        supports=[FilterOutput(total.image, total.weight_sum, total.effective_samples)],
+        supports=[np.stack([total.weight_sum, total.effective_samples], axis=-1)],
         image=total.image,
         bad=bad,
         holes=total.holes,
@@ -377,7 +377,7 @@ def filter_halves(
         return Filtered(
             layers=[layer.layer for layer in halves],
             parts=parts,
-            supports=clean_layers,
+            supports=[layer.support for layer in clean_layers],
             image=compose(parts, rest),
             bad=bad,
             rest=rest,

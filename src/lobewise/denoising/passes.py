@@ -116,16 +116,6 @@ class CleanLayer:
     support: FloatArray
     others: Sequence[FilteredOther] = ()
 
-    @property
-    def weight_sum(self) -> FloatArray:
-        """Sum of the weights of every pixel, (height, width)."""
-        return self.support[..., 0]
-
-    @property
-    def effective_samples(self) -> FloatArray:
-        """Number of equally weighted samples with the same variance, (height, width)."""
-        return self.support[..., 1]
-
 
 @dataclass(frozen=True)
 class OtherImage:

@@ -198,7 +198,7 @@ def bound_memory(frame: AnyFrame, quality: str, *, with_oidn: bool) -> Iterator[
     held, pixels = count_bytes(frame), math.prod(frame.shape)
     require_memory(held + estimate_work_bytes(pixels, quality, with_oidn=with_oidn, small=True))
     left = get_limits().left_gib
-    with bound_library_memory(None if left is None else left * GIB - held - PEER_BYTES_PER_PIXEL * pixels):
+    with bound_library_memory(math.inf if left is None else left * GIB - held - PEER_BYTES_PER_PIXEL * pixels):
         yield
 
 
