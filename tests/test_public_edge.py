@@ -55,7 +55,7 @@ def make_arguments(folder: Path) -> dict[Callable[..., Any], dict[str, Any]]:
         lobewise.Frame: {"radiance": frame.radiance, "gbuffer": frame.gbuffer, "camera": frame.camera, "spp": 4},
         lobewise.SparseFrame: {"radiance": sparse.radiance, "gbuffer": sparse.gbuffer, "scale": 2, "place": (0, 0)},
         lobewise.denoise: {"frame": frame, "quality": "fast", "radius": 2, "beta": 3.0, "similarity": "ggx"},
-        lobewise.denoise_oidn: {"frame": frame, "quality": "fast", "guides": "mean", "prefilter": "fast"},
+        lobewise.denoise_oidn: {"frame": frame, "quality": "fast", "guides": "mean"},
         lobewise.upsample: {"frame": sparse, "radius": 2, "progress": lambda _: None},
         lobewise.TemporalFilter: {"radius": 2, "memory": 0.9},
         lobewise.WindowFilter: {"reach": 2, "quality": "fast"},

@@ -171,7 +171,7 @@ DENOISING = (
     Mutation(
         "gray light on coloured surfaces becomes gray",
         "peers.py",
-        "_is_gray(color) and (albedo is None or _is_gray(albedo))",
+        '_is_gray(color) and _is_gray(given.get("albedo", color))',
         "_is_gray(color)",
         ("test_peers.py",),
     ),

@@ -27,12 +27,13 @@ import numpy as np
 import lobewise
 from benchmarks.common import RESULTS, describe_machine, write_json
 from benchmarks.same_bits.frames import load_bundled, roughen
+from lobewise import peers
 from lobewise.backend.runtime import Runtime
 from lobewise.cli.bench.timing import limit_threads
-from lobewise.denoising import combining
 from lobewise.peers import denoise_oidn
 from lobewise.records.frame import Frame, GBuffer, Radiance
 from lobewise.records.radiance import RadianceLayer
+from lobewise.settings import QUALITY_NAMES
 
 RESULT = RESULTS / "budget.json"
 SIZE = (1920, 1080)
@@ -79,13 +80,13 @@ def tile(frame: Frame, width: int, height: int) -> Frame:
 
 def make_shot_calls(frame: Frame) -> dict[str, Callable[[], Any]]:
     """Return the recipes of a Blender frame by their names."""
-    names = {quality: {"quality": quality} for quality in ("fast", "balanced", "high")} | {"auto": {}}
+    names = {quality: {"quality": quality} for quality in QUALITY_NAMES} | {"auto": {}}
     calls: dict[str, Callable[[], Any]] = {
         f"Blender, {name}": partial(lobewise.denoise, frame, device="cpu", **settings)
         for name, settings in names.items()
     }
-    calls["Blender, Open Image Denoise as called"] = lambda: combining.denoise_oidn(frame, guides="centre")
-    calls["Blender, Open Image Denoise at its best"] = lambda: combining.denoise_oidn(frame)
+    calls["Blender, Open Image Denoise as called"] = partial(denoise_oidn, frame, guides="noisy")
+    calls["Blender, Open Image Denoise at its best"] = partial(denoise_oidn, frame)
     return calls
 
 
@@ -98,8 +99,8 @@ def make_calls(frame: Frame) -> dict[str, Callable[[], Any]]:
     clean = frame.with_changes(gbuffer=replace(frame.gbuffer, **means))
     calls["auto, guides without noise"] = partial(lobewise.denoise, clean, device="cpu")
     calls["high, normals of noise"] = partial(lobewise.denoise, roughen(frame), device="cpu", quality="high")
-    calls["Open Image Denoise as called"] = lambda: combining.denoise_oidn(frame, guides="centre")
-    calls["Open Image Denoise at its best"] = lambda: combining.denoise_oidn(frame)  # as `time_processor` has it
+    calls["Open Image Denoise as called"] = partial(denoise_oidn, frame, guides="noisy")
+    calls["Open Image Denoise at its best"] = partial(denoise_oidn, frame)
     calls["upsampling"] = partial(lobewise.upsample, lobewise.make_sparse(frame, 4), device="cpu")
     calls["history"] = partial(lobewise.TemporalFilter(device="cpu").add, frame)
     return calls
@@ -122,7 +123,7 @@ def time_processor(call: Callable[[], Any]) -> tuple[float, float, float]:
 
     with (
         patch.object(Runtime, "call", timed(Runtime.call, kernels)),
-        patch.object(combining, "denoise_oidn", timed(denoise_oidn, library)),
+        patch.object(peers, "_run_library", timed(peers._run_library, library)),
     ):
         start = time.process_time()
         call()

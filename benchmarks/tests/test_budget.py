@@ -56,7 +56,7 @@ def test_committed_budget_has_every_recipe() -> None:
     assert list(json.loads(RESULT.read_text())["recipes"]) == names
 
 
-@pytest.mark.parametrize("quality", QUALITIES)
+@pytest.mark.parametrize("quality", [name for name, each in QUALITIES.items() if not each.needs_oidn])
 def test_plans_foretell_the_times_that_were_measured(quality: str) -> None:
     measured = json.loads(RESULT.read_text())["recipes"][quality]["seconds"] / THREADS
     megapixels = SIZE[0] * SIZE[1] * 1e-6

@@ -14,6 +14,7 @@ from benchmarks.quality.methods import NORMAL_EXPONENTS, SCREEN_SIGMAS
 from benchmarks.users.guides import sum_albedos
 from lobewise.peers import denoise_oidn, has_oidn
 from lobewise.records.frame import FloatArray, Frame
+from lobewise.settings import QUALITY_NAMES
 
 Tuning = Mapping[str, Mapping[str, float]]
 """By sample count, normal exponent and screen sigma of "normal-aware"."""
@@ -85,7 +86,7 @@ def call_oidn(color: FloatArray, albedo: FloatArray | None = None, normal: Float
 METHODS: dict[str, Callable[[Shot, Tuning], FloatArray]] = {
     "noisy": lambda shot, _: shot.frame.radiance.color,
     "normal-aware": _run_tuned,
-    **{name: _run_quality(name) for name in ("fast", "balanced", "high", "auto")},
+    **{name: _run_quality(name) for name in (*QUALITY_NAMES, "auto")},
     "oidn, color alone": run_oidn_alone,
     "oidn, as called": run_oidn_plainly,
     "oidn": run_oidn,

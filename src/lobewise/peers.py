@@ -5,11 +5,11 @@ from __future__ import annotations
 import importlib
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, reduce
 from queue import SimpleQueue
 from threading import Event, Thread
 from typing import Any, NamedTuple
@@ -18,7 +18,7 @@ import numpy as np
 
 from lobewise.errors import DeviceError, MissingDependencyError, make_printable, require_choice, require_kind
 from lobewise.guides.survey import STRIDE
-from lobewise.records.frame import FloatArray, Frame
+from lobewise.records.frame import FloatArray, Frame, GBuffer
 from lobewise.records.images import make_array
 from lobewise.work.chunks import make_fork_lock
 from lobewise.work.limits import GIB, check_limits
@@ -123,7 +123,7 @@ def require_oidn() -> None:
 
 def name_oidn_guides(frame: Frame) -> tuple[str, ...]:
     """Return the guides of a frame that `denoise_oidn` passes on: "albedo", "normal", both or none."""
-    albedos, normal = _choose_guides(frame, OIDN_GUIDES[0])
+    albedos, normal = _choose_guides(frame.gbuffer, OIDN_GUIDES[0])
     return tuple(name for name, is_there in (("albedo", bool(albedos)), ("normal", normal is not None)) if is_there)
 
 
@@ -146,7 +146,6 @@ def denoise_oidn(
     *,
     quality: str = "high",
     guides: str = "prefiltered",
-    prefilter: str = "high",
 ) -> tuple[FloatArray, float]:
     """Denoise with Intel Open Image Denoise, which takes HDR colour and albedo and normal of the first hit.
 
@@ -171,8 +170,6 @@ def denoise_oidn(
         "mean": these means as they are. "noisy": the same, and the library takes them for noisy, which costs half the
         time. "centre": albedo and normal of the ray through the pixel's centre. A frame without ``mean_normal`` has
         only the normal of the centre.
-    prefilter : {"fast", "balanced", "high"}
-        Quality of the library's filter for guides.
 
     Returns
     -------
@@ -191,32 +188,46 @@ def denoise_oidn(
         If the library reports a problem.
     """
     require_kind("frame", frame, Frame)
-    for name, value, known in (
-        ("guides", guides, OIDN_GUIDES),
-        ("quality", quality, OIDN_QUALITIES),
-        ("prefilter", prefilter, OIDN_QUALITIES),
-    ):
-        require_choice(name, value, known)
+    require_choice("guides", guides, OIDN_GUIDES)
+    require_choice("quality", quality, OIDN_QUALITIES)
     require_oidn()
-    albedos, normal = _choose_guides(frame, guides)
-    albedo = np.clip(_make_finite(np.sum(albedos, axis=0, dtype=np.float32)), 0.0, 1.0) if albedos else None
-    normal = None if normal is None else _make_finite(normal)
-    color, inside = _make_finite(frame.radiance.color), tuple(map(_locate_inside, frame.shape))
-    is_gray = _is_gray(color) and (albedo is None or _is_gray(albedo))
-    color, albedo = _widen(color), None if albedo is None else _widen(albedo)
-    normal = None if normal is None else _widen(normal)
+    color, given = _make_finite(frame.radiance.color), _take_guides(frame.gbuffer, guides)
+    is_gray = _is_gray(color) and _is_gray(given.get("albedo", color))
     start = time.perf_counter()
     if guides == "prefiltered":
-        normal = None if normal is None else _run_library(prefilter, normal=normal)
-        albedo = None if albedo is None else _run_library(prefilter, albedo=albedo)
-    if albedo is None and normal is not None:
-        albedo = np.ones_like(color)
-    given = {name: each for name, each in (("albedo", albedo), ("normal", normal)) if each is not None}
+        given = _prefilter(given, quality)
+    if "normal" in given:
+        given = {"albedo": np.ones_like(color), **given}
     image = _run_library(quality, is_clean=guides != "noisy", color=color, **given)
     seconds = time.perf_counter() - start
-    image = image[inside]
-    image = _drop_chroma(image) if is_gray else np.ascontiguousarray(image)
-    return make_array(frame.radiance.maker, image), seconds
+    return make_array(frame.radiance.maker, _drop_chroma(image) if is_gray else image), seconds
+
+
+@keep_library_memory()
+def reduce_guides(guides: GBuffer, *, prefilter: str | None = None) -> GBuffer:
+    """Return the albedo and the normal that `denoise_oidn` takes of guides; no other images.
+
+    Parameters
+    ----------
+    guides : GBuffer
+    prefilter : {"fast", "balanced", "high"}, optional
+        Quality of the library's filter for guides, which both pass; by default they stay as they are.
+    """
+    given = _take_guides(guides, "prefiltered")
+    given = given if prefilter is None else _prefilter(given, prefilter)
+    return GBuffer(denoiser_albedo=given.get("albedo"), denoiser_normal=given.get("normal"))
+
+
+def _prefilter(guides: Mapping[str, FloatArray], quality: str) -> dict[str, FloatArray]:
+    return {name: _run_library(quality, is_clean=True, **{name: image}) for name, image in guides.items()}
+
+
+def _take_guides(gbuffer: GBuffer, guides: str) -> dict[str, FloatArray]:
+    """Return the guides that the library gets, finite."""
+    albedos, normal = _choose_guides(gbuffer, guides)
+    albedo = np.clip(_make_finite(reduce(np.add, albedos)), 0.0, 1.0) if albedos else None
+    given = {"albedo": albedo, "normal": None if normal is None else _make_finite(normal)}
+    return {name: image for name, image in given.items() if image is not None}
 
 
 def _locate_inside(side: int) -> slice:
@@ -243,9 +254,8 @@ def _drop_chroma(image: FloatArray) -> FloatArray:
     return np.repeat(image.mean(axis=-1, keepdims=True, dtype=np.float32), 3, axis=-1)
 
 
-def _choose_guides(frame: Frame, guides: str) -> tuple[list[FloatArray], FloatArray | None]:
+def _choose_guides(gbuffer: GBuffer, guides: str) -> tuple[list[FloatArray], FloatArray | None]:
     """Return the albedos whose sum is passed on, and the normal or None."""
-    gbuffer = frame.gbuffer
 
     def find(name: str) -> FloatArray | None:
         """Return the mean over the pixel's area if the frame has it and ``guides`` wants it, else the plain image."""
@@ -273,8 +283,8 @@ def _varies(normal: FloatArray) -> bool:
 
 
 def _make_finite(image: FloatArray) -> FloatArray:
-    """Return a copy in which NaN and infinite values are 0."""
-    return np.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0)
+    """Return an image in which NaN and infinite values are 0."""
+    return image if np.isfinite(image).all() else np.nan_to_num(image, nan=0.0, posinf=0.0, neginf=0.0)
 
 
 def name_call(images: Iterable[str]) -> str:
@@ -344,7 +354,10 @@ def _run_library(quality: str, *, is_clean: bool = True, **images: FloatArray) -
 
     check_limits()
     enter_stage(name_call(images))
-    name, source = next(iter(images.items()))
+    name, (height, width, _) = next(iter(images)), next(iter(images.values())).shape
+    inside = _locate_inside(height), _locate_inside(width)
+    images = {each: _widen(image) for each, image in images.items()}
+    source = images[name]
     output = np.empty_like(source)
     # A filter holds the images of one call: another thread would replace them before the library reads them.
     with _library_lock:
@@ -375,4 +388,4 @@ def _run_library(quality: str, *, is_clean: bool = True, **images: FloatArray) -
             got=make_printable(problem),
             action="try a smaller image, or with_oidn=False",
         )
-    return output
+    return np.ascontiguousarray(output[inside])

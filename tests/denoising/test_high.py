@@ -25,7 +25,7 @@ from lobewise.recipes.upsampling import upsample
 from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.records.radiance import RadianceLayer
 from lobewise.records.sparse_frame import make_sparse
-from lobewise.settings import QUALITY_NAMES, DenoiseSettings
+from lobewise.settings import DenoiseSettings
 from tests.denoising.test_denoising import SHAPE, make_frame
 from tests.denoising.test_quality_modes import FAR, make_shadowed, measure
 from tests.mistakes import refuses
@@ -106,7 +106,7 @@ class TestContract:
         np.testing.assert_allclose(result.image[13:31, 16:37], truth[13:31, 16:37], rtol=1e-5)
         assert (result.diffuse + result.specular <= result.image * (1.0 + 1e-5)).all()
 
-    @pytest.mark.parametrize("quality", ["auto", *QUALITY_NAMES])
+    @pytest.mark.parametrize("quality", ["auto", "fast", "balanced", "high"])
     def test_radius_zero(self, quality):
         # No pass has a tap but the pixel's own: reflections stay as they are.
         frame, _ = make_shadowed()
@@ -129,6 +129,7 @@ def peer(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         return told["image"], 0.1
 
     monkeypatch.setattr(combining, "denoise_oidn", run)
+    monkeypatch.setattr(peers, "_run_library", lambda quality, is_clean=True, **images: next(iter(images.values())))
     monkeypatch.setattr(peers, "look_up_oidn_fault", lambda: None)
     return told
 
@@ -141,13 +142,18 @@ def test_the_image_without_guides_counts_where_it_agrees(unguided: float, share:
 
 
 def test_guides_without_noise_are_not_filtered(peer: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    calls: list[tuple[bool, dict[str, Any]]] = []
+    calls: list[tuple[str, ...]] = []
 
-    def run(frame: Frame, **options: Any) -> tuple[FloatArray, float]:
-        calls.append((frame.gbuffer.normal is None, options))
+    def prefilter(quality: str, is_clean: bool = True, **images: FloatArray) -> FloatArray:
+        calls.append((quality, *images))
+        return next(iter(images.values()))
+
+    def run(frame: Frame, *, quality: str, guides: str) -> tuple[FloatArray, float]:
+        calls.append((quality, guides, *frame.gbuffer.names))
         return peer["image"], 0.1
 
     monkeypatch.setattr(combining, "denoise_oidn", run)
+    monkeypatch.setattr(peers, "_run_library", prefilter)
     frame = make_frame()
     guides = frame.gbuffer
     means = replace(
@@ -156,20 +162,23 @@ def test_guides_without_noise_are_not_filtered(peer: dict[str, Any], monkeypatch
         mean_diffuse_albedo=guides.diffuse_albedo,
         mean_specular_albedo=guides.specular_albedo,
     )
-    prefiltered = {"prefilter": "fast"}
-    for each, options, quality in ((guides, prefiltered, "balanced"), (means, {"guides": "mean"}, "fast")):
+    prefiltered, guided = (
+        [("fast", "albedo"), ("fast", "normal")],
+        ("high", "mean", "denoiser_albedo", "denoiser_normal"),
+    )
+    for each, first, unguided in ((guides, prefiltered, "balanced"), (means, [], "fast")):
         calls.clear()
         image = frame.radiance.color
         denoise_with_peer(frame.with_changes(gbuffer=each), image, image)
-        assert calls == [(False, options), (True, {"quality": quality})]
+        assert calls == [*first, guided, (unguided, "mean")]
 
 
 def test_layers_are_filtered_by_themselves(peer: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     """Each with its own albedo; one without much light stays ours, and one without an albedo goes by its light."""
     calls: list[Frame] = []
 
-    def run(frame: Frame, **options: Any) -> tuple[FloatArray, float]:
-        if options.get("guides") == "noisy" or frame.gbuffer.normal is None:
+    def run(frame: Frame, *, guides: str, **_: Any) -> tuple[FloatArray, float]:
+        if guides == "noisy":
             calls.append(frame)
         return np.full((*SHAPE, 3), 2.0, np.float32), 0.1
 
@@ -180,12 +189,42 @@ def test_layers_are_filtered_by_themselves(peer: dict[str, Any], monkeypatch: py
     layers.append(LayerImage(light[2], light[2], albedo))
     total = light[0] + light[1] + light[2]
     found = denoise_with_peer(make_frame(), total, total, layers)
-    first, second, *_ = calls
+    first, second = calls
     np.testing.assert_array_equal(first.gbuffer.denoiser_albedo, albedo)
     assert second.gbuffer.denoiser_albedo is None
     assert [float(each.mean()) for each in found.layers] == pytest.approx([2.0, 2.0, 1e-3])
     # The library's image is 2 and the sum of its layers 4: they are too far apart to be mixed evenly.
     assert 2.0 < found.image.mean() < 2.0 + combining.LAYERS_SHARE * 2.0
+
+
+def test_best_prefilters_the_guides_of_layers_and_mirrors(
+    peer: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of an image with a gradient, the mirrored one has the mirrored gradient: their mean has the same as each."""
+    calls: list[tuple[str, ...]] = []
+    slope = np.ones((*SHAPE, 3), np.float32) * np.linspace(1.0, 2.0, SHAPE[1], dtype=np.float32)[:, None]
+
+    def prefilter(quality: str, is_clean: bool = True, **images: FloatArray) -> FloatArray:
+        calls.append((quality, *images))
+        return next(iter(images.values()))
+
+    def run(frame: Frame, *, quality: str, guides: str) -> tuple[FloatArray, float]:
+        calls.append((quality, guides))
+        return frame.radiance.color, 0.1
+
+    monkeypatch.setattr(combining, "denoise_oidn", run)
+    monkeypatch.setattr(peers, "_run_library", prefilter)
+    layers = [LayerImage(slope, slope, np.full_like(slope, 0.5))]
+    found = denoise_with_peer(make_frame(), slope, slope, layers, is_best=True)
+    guided, guides = ("high", "mean"), [("fast", "albedo"), ("fast", "normal")]
+    assert calls == [*guides, guided, guided, guides[0], guided, ("balanced", "mean")]
+    np.testing.assert_allclose(found.image, slope, rtol=ROUNDING)
+
+
+def test_best_needs_open_image_denoise() -> None:
+    assert DenoiseSettings(quality="best").asks_for_oidn
+    with refuses(InputError, "quality", got="'best'"):
+        DenoiseSettings(quality="best", with_oidn=False)
 
 
 def test_two_albedos_of_a_renderer_are_mixed() -> None:

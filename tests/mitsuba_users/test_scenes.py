@@ -90,7 +90,7 @@ def test_mistakes_are_told(mi: Any, scene: Any) -> None:
     for what, call in (
         ("sensor", lambda: lobewise.mitsuba.denoise(scene, spp=1, sensor=2)),
         ("spp", lambda: lobewise.mitsuba.denoise(scene, spp=0)),
-        ("quality", lambda: lobewise.mitsuba.denoise(scene, spp=1, quality="best")),
+        ("quality", lambda: lobewise.mitsuba.denoise(scene, spp=1, quality="finest")),
         ("integrator", lambda: lobewise.mitsuba.denoise(scene, spp=1, integrator="path")),
         ("scene", lambda: lobewise.mitsuba.denoise("scene.xml", spp=1)),
     ):

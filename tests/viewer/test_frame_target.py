@@ -45,7 +45,7 @@ class TestWholeFrames:
         assert (found["name"], found["width"], found["height"]) == ("floor", 48, 32)
         assert tuple(controls) == CONTROLS
         assert controls["similarity"]["words"][0] == controls["similarity"]["default"] == "auto"
-        assert controls["quality"]["words"] == ("auto", "fast", "balanced", "high")
+        assert controls["quality"]["words"] == ("auto", "fast", "balanced", "high", "best")
         assert controls["quality"]["default"] == "auto"
         assert list(found["pictures"])[:2] == ["noisy", "image"]
         assert set(found["pictures"]) > {"specular", "sharpness", "weight_sum", "hit_distance", "normal", "albedo"}

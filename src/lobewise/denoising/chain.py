@@ -304,7 +304,7 @@ def clean_frame(
         filtered, further_gains = mix_unguided(frame, settings, filtered, unguided, surface, outside)
         gains += further_gains
     if settings.with_oidn:
-        filtered, further_gains = mix_peer(frame, filtered, surface)
+        filtered, further_gains = mix_peer(frame, filtered, surface, is_best=settings.needs_oidn)
         gains += further_gains
     also = filter_passes(frame, settings, features, filtered) if has_passes(frame) else {}
     return Clean(before=before, filtered=filtered, gains=gains, also=also)
@@ -475,13 +475,19 @@ def mix_unguided(
     return replace(filtered, image=image, parts=parts), [gain]
 
 
-def mix_peer(frame: Frame, filtered: Filtered, surface: NDArray[np.bool_]) -> tuple[Filtered, list[FloatArray]]:
-    """Mix in the image of Open Image Denoise and the noisy one, and scale the parts so that they sum to the image."""
+def mix_peer(
+    frame: Frame, filtered: Filtered, surface: NDArray[np.bool_], *, is_best: bool
+) -> tuple[Filtered, list[FloatArray]]:
+    """Mix in the image of Open Image Denoise and the noisy one, and scale the parts so that they sum to the image.
+
+    For ``is_best`` see `denoise_with_peer`.
+    """
     enter_stage(MIX_PEER)
     samples = bound_samples(frame, filtered)
     noisy = compose(filtered.noisy, filtered.noisy_rest)
-    with plan_stages(list_peer_costs(frame)):
-        peer = denoise_with_peer(frame, samples, filtered.image, list_peer_layers(frame, filtered))
+    with plan_stages(list_peer_costs(frame, is_best=is_best)):
+        layers = list_peer_layers(frame, filtered)
+        peer = denoise_with_peer(frame, samples, filtered.image, layers, is_best=is_best)
         enter_stage(CHOOSE)
         mixed, share = choose_between(frame, samples, filtered.image, peer.image, noisy)
         if filtered.rest is not None and frame.gbuffer.blur_radius is not None:

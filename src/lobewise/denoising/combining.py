@@ -25,7 +25,14 @@ from lobewise.filters.noise.agreement import compute_agreement
 from lobewise.filters.noise.detail import compute_detail
 from lobewise.guides.squares import count_neighbours, sum_square
 from lobewise.lobes.vectors import compute_image_luminance
-from lobewise.peers import denoise_oidn, has_clean_guides, keep_library_memory, name_call, name_oidn_guides
+from lobewise.peers import (
+    denoise_oidn,
+    has_clean_guides,
+    keep_library_memory,
+    name_call,
+    name_oidn_guides,
+    reduce_guides,
+)
 from lobewise.records.frame import FloatArray, Frame, GBuffer, Radiance
 from lobewise.settings import DenoiseSettings, ResolvedSettings
 from lobewise.settings.choices import get_similarity
@@ -54,9 +61,11 @@ deviations of its noise."""
 PREFILTER_QUALITY, UNGUIDED_QUALITY = "fast", "balanced"
 """Qualities of Open Image Denoise for its filters of guides, and for the image without guides. Higher ones cost 0.4 of
 its time at its best, and change the error by less than 1 % (benchmarks/results/peer_ways.json)."""
-LAYERS_SHARE = 0.4
-"""Share of the image whose layers the library filtered one by one, where it equals the image with guides. Chosen on six
-kinds of Blender shots and judged on six others: from 0.33 to 0.5 the mean error differs by 0.2 %."""
+LAYERS_QUALITY, LAYERS_SHARE = "fast", 1.0 / 3.0
+"""Quality of Open Image Denoise for layers, and share of the image that they sum to, where it equals the image with
+guides. Quality "high" takes twice as long and makes the mean error 0.5 to 0.9 % less."""
+BEST_LAYERS_QUALITY, BEST_LAYERS_SHARE = "high", 0.5
+"""The same for our quality "best"."""
 MIN_LAYER_SHARE = 0.01
 """Share of the light below which our image of a layer stands for the library's."""
 UNGUIDED_SHARE = 1.0 / 3.0
@@ -365,7 +374,7 @@ def _divide(light: Any, by: Any, where: Any) -> FloatArray:
     return np.asarray(np.divide(light, by, out=np.zeros_like(by), where=where))
 
 
-def list_peer_costs(frame: Frame) -> dict[str, float]:
+def list_peer_costs(frame: Frame, *, is_best: bool = False) -> dict[str, float]:
     """Return the stages of the mixture, and the seconds that each takes for a megapixel."""
     guides = name_oidn_guides(frame)
     if not guides:
@@ -376,7 +385,10 @@ def list_peer_costs(frame: Frame) -> dict[str, float]:
         calls = {(name,): 1.4 for name in guides} | {("color", "albedo", "normal"): 3.0, ("color",): 1.3}
     # The library takes normals only beside an albedo.
     known = ("color", *guides, *(("albedo",) if "normal" in guides else ()))
-    calls["color", "albedo", "normal"] += 1.5 * (len(frame.layers) or 2 * (frame.radiance.parts is not None))
+    layers = len(frame.layers) or 2 * (frame.radiance.parts is not None)
+    calls["color", "albedo", "normal"] += 3.0 * (1 + layers) if is_best else 0.7 * layers
+    if is_best and not has_clean_guides(frame):
+        calls["albedo",] = calls.get(("albedo",), 0.0) + 1.4 * layers
     given = {tuple(name for name in images if name in known): cost for images, cost in calls.items()}
     return {**{name_call(images): cost for images, cost in given.items() if images}, CHOOSE: 1.0}
 
@@ -407,7 +419,7 @@ class PeerImages(NamedTuple):
 
 @keep_library_memory()
 def denoise_with_peer(
-    frame: Frame, samples: FloatArray, image: FloatArray, layers: Sequence[LayerImage] = ()
+    frame: Frame, samples: FloatArray, image: FloatArray, layers: Sequence[LayerImage] = (), *, is_best: bool = False
 ) -> PeerImages:
     """Return what Open Image Denoise makes of samples, (height, width, 3), and of layers.
 
@@ -415,47 +427,54 @@ def denoise_with_peer(
     have errors of their own, so that their mean is better than each. Noisy guides are prefiltered by the library, the
     albedo after `mix_albedos`. Our ``image`` replaces bad pixels of the samples and of the result.
 
+    With ``is_best``, for the quality "best", the guides of layers are prefiltered as well, and the image with guides is
+    the mean of two: the library makes other errors in a mirrored image.
+
     Raises
     ------
     MissingDependencyError
         If Open Image Denoise is not installed.
     """
-    radiance = Radiance(_replace_bad(samples, image))
-    guided = frame.with_changes(radiance=radiance, layers=(), gbuffer=mix_albedos(frame.gbuffer))
-    is_clean = has_clean_guides(frame)
-    if is_clean:
-        peer, _ = denoise_oidn(guided, guides="mean")
-    else:
-        peer, _ = denoise_oidn(guided, prefilter=PREFILTER_QUALITY)
-    peer = _replace_bad(peer, image)
+    color, is_clean = _replace_bad(samples, image), has_clean_guides(frame)
+    prefilter = None if is_clean else PREFILTER_QUALITY
+    guides = reduce_guides(mix_albedos(frame.gbuffer), prefilter=prefilter)
+    peer = _call_peer(color, guides, image)
     if not name_oidn_guides(frame):
         return PeerImages(peer, peer, [])
-    by_layers = _denoise_by_layers(frame, image, layers)
+    if is_best:
+        mirrored = GBuffer(**{name: getattr(guides, name)[:, ::-1] for name in guides.names})
+        peer = np.float32(0.5) * (peer + _call_peer(color[:, ::-1], mirrored, image[:, ::-1])[:, ::-1])
+    # Layers: each with its own albedo. Without much light our image stands for the library's.
+    is_noisy = not (is_best or is_clean)
+    quality, share = (BEST_LAYERS_QUALITY, BEST_LAYERS_SHARE) if is_best else (LAYERS_QUALITY, LAYERS_SHARE)
+    normal = (reduce_guides(frame.gbuffer) if is_noisy else guides).denoiser_normal
+    by_layers, least = [], MIN_LAYER_SHARE * compute_mean_luminance(image)
+    for layer in layers:
+        if compute_mean_luminance(layer.ours) < least:
+            by_layers.append(layer.ours)
+            continue
+        own = GBuffer()
+        if layer.albedo is not None:  # light in a volume has no surface
+            own = reduce_guides(GBuffer(denoiser_albedo=layer.albedo), prefilter=prefilter if is_best else None)
+            own = replace(own, denoiser_normal=normal)
+        samples = _replace_bad(layer.samples, layer.ours)
+        by_layers.append(_call_peer(samples, own, layer.ours, is_noisy=is_noisy, quality=quality))
     if layers:
         changes = [clean - layer.ours for clean, layer in zip(by_layers, layers, strict=True)]
         summed = np.maximum(reduce(np.add, changes, image), np.float32(0.0))
-        peer = average_alike(peer, _replace_bad(summed, image), LAYERS_SHARE)
+        peer = average_alike(peer, _replace_bad(summed, image), share)
+    # Color alone.
     quality, share = (UNGUIDED_QUALITY_CLEAN, UNGUIDED_SHARE_CLEAN) if is_clean else (UNGUIDED_QUALITY, UNGUIDED_SHARE)
-    unguided = _replace_bad(denoise_oidn(Frame(radiance), quality=quality)[0], image)
+    unguided = _call_peer(color, GBuffer(), image, quality=quality)
     return PeerImages(average_alike(peer, unguided, share), unguided, by_layers)
 
 
-def _denoise_by_layers(frame: Frame, image: FloatArray, layers: Sequence[LayerImage]) -> list[FloatArray]:
-    """Return what Open Image Denoise makes of each layer, and our image of layers without much light.
-
-    Guides count as noisy, unless none has noise: prefiltering one for every layer would cost twice as much.
-    """
-    guides, least = "mean" if has_clean_guides(frame) else "noisy", MIN_LAYER_SHARE * compute_mean_luminance(image)
-    images = []
-    for layer in layers:
-        radiance = Radiance(_replace_bad(layer.samples, layer.ours))
-        gbuffer = replace(frame.gbuffer, denoiser_albedo=layer.albedo)
-        # Light in a volume has no surface, and no albedo.
-        given = frame.with_changes(radiance=radiance, layers=(), gbuffer=gbuffer)
-        given = Frame(radiance) if layer.albedo is None else given
-        is_lit = compute_mean_luminance(layer.ours) >= least
-        images.append(_replace_bad(denoise_oidn(given, guides=guides)[0], layer.ours) if is_lit else layer.ours)
-    return images
+def _call_peer(
+    color: FloatArray, guides: GBuffer, ours: FloatArray, *, is_noisy: bool = False, quality: str = "high"
+) -> FloatArray:
+    """Return what Open Image Denoise makes of color and guides; our image ``ours`` replaces bad pixels of it."""
+    frame = Frame(Radiance(color), guides)
+    return _replace_bad(denoise_oidn(frame, quality=quality, guides="noisy" if is_noisy else "mean")[0], ours)
 
 
 def mix_layers(

@@ -221,7 +221,7 @@ def list_frame_steps(frame: Frame, settings: ResolvedSettings) -> tuple[list[Ste
 def compute_costs(frame: Frame, settings: ResolvedSettings) -> dict[str, float]:
     """Return the steps of a frame and the seconds that each takes for a megapixel, for `lobewise.work.progress`."""
     near, far = list_frame_steps(frame, settings)
-    costs = SECONDS_PER_MEGAPIXEL | {MIX_PEER: sum(list_peer_costs(frame).values())}
+    costs = SECONDS_PER_MEGAPIXEL | {MIX_PEER: sum(list_peer_costs(frame, is_best=settings.needs_oidn).values())}
     by_layer = 1 if frame.radiance.parts is None else len(frame.layers) or len(MEASURED_LAYERS)
     return {
         step.text: costs[step.text] * (by_layer if step.text in (FILTER_ONCE, FILTER_HALVES) else 1)

@@ -208,8 +208,8 @@ def compute_exact_share(frame: Frame) -> FloatArray:
 
 
 def take_best(named: DenoiseSettings) -> DenoiseSettings:
-    """Return the settings for an image whose edges no guide shows: every named quality counts as "high"."""
-    return named if named.quality == "auto" else replace(named, quality="high")
+    """Return the settings for an image whose edges no guide shows: "fast" and "balanced" count as "high"."""
+    return named if named.quality == "auto" or named.needs_oidn else replace(named, quality="high")
 
 
 def denoise_alpha(frame: Frame, named: DenoiseSettings) -> FloatArray:

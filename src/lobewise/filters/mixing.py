@@ -26,6 +26,8 @@ from lobewise.records.frame import FloatArray
 
 LAYER_COUNT = 3
 """Layers of a network: two hidden ones and the output."""
+PIXELS_AT_ONCE = 4
+"""Pixels whose units are summed at once."""
 PERCEPTRON_LEAK = 0.01
 """Slope of the activation of hidden units below 0 (leaky ReLU)."""
 
@@ -117,13 +119,20 @@ def make_shares(sizes: Sequence[int], target: hl.Target) -> Scheduled:
     total = sum((share[X, k, Y] for k in range(1, outputs)), share[X, 0, Y])
     out[C, X, Y] = hl.mux(C, [share[X, k, Y] / total for k in range(outputs)])
 
-    # Schedule: rows in parallel; all stages of a vector of pixels one after the other
+    # Schedule: rows in parallel; all stages of a few pixels one after the other. Units lie side by side, as their
+    # weights do, so that their sums over the inputs stay in registers; outputs are too few for a vector.
     lanes, column, lane = target.natural_vector_size(hl.Float(32)), hl.Var("column"), hl.Var("lane")
-    out.bound(C, 0, outputs).reorder(C, X, Y).unroll(C).split(X, column, lane, lanes, hl.TailStrategy.GuardWithIf)
+    out.bound(C, 0, outputs).reorder(C, X, Y).unroll(C)
+    out.split(X, column, lane, PIXELS_AT_ONCE, hl.TailStrategy.GuardWithIf)
     out.reorder(C, lane, column, Y).vectorize(lane).parallel(Y).never_partition_all()
     for func, channels in [*stages, (share, outputs)]:
-        func.compute_at(out, column).bound(C, 0, channels)
-        func.reorder_storage(X, C, Y).reorder(X, C, Y).vectorize(X, lanes)
-        if func.has_update_definition():
-            func.update().reorder(X, func.rvars()[0], C, Y).vectorize(X, lanes)
+        func.compute_at(out, column).bound(C, 0, channels).bound_extent(X, PIXELS_AT_ONCE)
+        if channels > outputs:
+            func.reorder_storage(C, X, Y).reorder(C, X, Y).vectorize(C, lanes, hl.TailStrategy.GuardWithIf).unroll(X)
+            if func.has_update_definition():
+                func.update().reorder(C, X, func.rvars()[0], Y).vectorize(C, lanes).unroll(C).unroll(X)
+        else:
+            func.reorder_storage(X, C, Y).reorder(X, C, Y).vectorize(X)
+            if func.has_update_definition():
+                func.update().reorder(X, C, func.rvars()[0], Y).vectorize(X).unroll(C)
     return Scheduled([out], signature)

@@ -147,8 +147,12 @@ def _split_image(image: FloatArray, rounding: FloatArray, below: Sequence[FloatA
 
     ``below`` is the light below 0 of both of the image's halves.
     """
-    if not below and not (image < 0.0).any():
-        return image, np.zeros_like(image)
+    if not any(each.any() for each in below):
+        below = ()
+        if not (image < 0.0).any():
+            return image, np.zeros_like(image)
+        if not (image < -rounding).any():
+            return np.maximum(image, np.float32(0.0)), np.zeros_like(image)
     least = np.mean(below, axis=0, dtype=np.float32) if below else np.float32(0.0)
     with np.errstate(invalid="ignore"):
         damaged = mark_damaged(image)[..., None] & (image < -rounding).any(axis=-1, keepdims=True)

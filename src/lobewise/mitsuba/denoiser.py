@@ -25,7 +25,7 @@ from lobewise.mitsuba.tensors import (
     take_matrix,
 )
 from lobewise.records.frame import FloatArray, Frame, Radiance
-from lobewise.settings import DenoiseSettings
+from lobewise.settings import OIDN_QUALITY, DenoiseSettings
 from lobewise.settings.choices import get_quality
 
 if TYPE_CHECKING:
@@ -271,7 +271,8 @@ class Denoiser:
     def _clean_alpha(self, frame: Frame, alpha: FloatArray) -> FloatArray:
         """Return alpha, (height, width, 1), filtered like light on white surfaces."""
         # Open Image Denoise was trained on light, not on coverage.
-        own = replace(ask(self._settings, {}), with_oidn=False)
+        settings = ask(self._settings, {})
+        own = replace(settings, quality=OIDN_QUALITY if settings.needs_oidn else settings.quality, with_oidn=False)
         clean = denoise_quietly(_make_alpha_frame(frame, alpha), own)
         return np.clip(clean.image[..., :1], 0.0, 1.0)
 

@@ -175,11 +175,13 @@ class DenoiseSettings(Declared):
     quality: Annotated[
         QualityName | Auto,
         Knob(
-            'How much work goes into the noise: "fast" little, "balanced" more, "high" most, "auto" the best that is '
-            'here. "fast" weighs by guides alone, in one pass, as the paper does. "balanced" filters two halves of the '
-            'samples narrowly, and then widely by what that tells of light and noise; "high" also refines the image by '
-            'a network. "auto" mixes "balanced" with Open Image Denoise where it is installed, and takes "high" where '
-            'it is not; for the other forms, upsampling and histories it takes "fast", the only quality they have.',
+            'How much work goes into the noise: "fast" little, "balanced" more, "high" the most of our own filters, '
+            '"best" more than pays, "auto" what pays here. "fast" weighs by guides alone, in one pass, as the paper '
+            'does. "balanced" filters two halves of the samples narrowly, and then widely by what that tells of '
+            'light and noise; "high" also refines the image by a network. "auto" mixes "balanced" with Open Image '
+            'Denoise where it is installed, and takes "high" where it is not; "best" needs it, and calls it three '
+            'times as long. For the other forms, upsampling and histories "auto" takes "fast", the only quality they '
+            "have.",
             label="Quality",
         ),
     ] = "auto"
@@ -260,7 +262,7 @@ class DenoiseSettings(Declared):
         bool | Auto,
         Knob(
             'Whether the result is mixed with that of Intel Open Image Denoise (lobewise[best]): "auto" does so where '
-            'it is installed and no quality is named. With the quality "balanced" unless "high" is named.',
+            'it is installed and no quality but "best" is named. With the quality "balanced" unless another is named.',
             opposite="offline",
         ),
     ] = "auto"
@@ -275,6 +277,13 @@ class DenoiseSettings(Declared):
                 got=repr(self.form),
                 action="use quality 'fast' for the other forms",
             )
+        if self.with_oidn is False and self.needs_oidn:
+            raise InputError(
+                "quality",
+                expected="'high' without Open Image Denoise",
+                got=repr(self.quality),
+                action="leave with_oidn out, or take another quality",
+            )
         if self.asks_for_oidn and self.quality != "auto" and not get_quality(self.quality).reads_halves:
             raise InputError(
                 "quality",
@@ -284,9 +293,14 @@ class DenoiseSettings(Declared):
             )
 
     @property
+    def needs_oidn(self) -> bool:
+        """Whether the quality is one that Open Image Denoise takes part in."""
+        return self.quality != "auto" and get_quality(self.quality).needs_oidn
+
+    @property
     def asks_for_oidn(self) -> bool:
-        """Whether Open Image Denoise is named, and not left to "auto"."""
-        return self.with_oidn != "auto" and bool(self.with_oidn)
+        """Whether Open Image Denoise is named, or the quality needs it; it is not left to "auto"."""
+        return self.needs_oidn or (self.with_oidn != "auto" and bool(self.with_oidn))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,7 @@ from typing import Literal, get_args
 MAX_SCALE_PIXELS = 16
 """Largest distance between neighbouring shaded pixels of a sparse frame."""
 
-QualityName = Literal["fast", "balanced", "high"]
+QualityName = Literal["fast", "balanced", "high", "best"]
 SimilarityName = Literal["normal", "sg", "sg_mixture", "ggx"]
 FormName = Literal["full", "separable", "atrous"]
 
@@ -65,6 +65,8 @@ class Quality:
         Whether several passes over both halves of the samples filter a frame, guided by what they tell of the noise.
     refines : bool
         Whether a network refines the filtered image; it reads the roughness.
+    needs_oidn : bool
+        Whether Open Image Denoise takes part, with its slowest calls.
     work_bytes_per_pixel : int
         Memory that the filters hold beside the frame, bytes; measured (docs/developers/bands.md).
     seconds_per_megapixel : float
@@ -76,6 +78,7 @@ class Quality:
     forms: tuple[FormName, ...] = ("full",)
     reads_halves: bool
     refines: bool = False
+    needs_oidn: bool = False
     work_bytes_per_pixel: int
     seconds_per_megapixel: float
 
@@ -99,6 +102,7 @@ QUALITIES: Mapping[str, Quality] = {
         ),
         Quality(name="balanced", reads_halves=True, work_bytes_per_pixel=480, seconds_per_megapixel=1.6),
         Quality(name="high", reads_halves=True, refines=True, work_bytes_per_pixel=850, seconds_per_megapixel=3.5),
+        Quality(name="best", reads_halves=True, needs_oidn=True, work_bytes_per_pixel=480, seconds_per_megapixel=1.6),
     )
 }
 
