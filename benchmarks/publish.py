@@ -38,14 +38,14 @@ class Source(NamedTuple):
 
 
 PAGES = {
-    "README.md": Source(results.make_shot_figures, ("blender_shots",)),
-    "docs/index.md": Source(results.make_shot_figures, ("blender_shots",)),
-    "docs/blender.md": Source(results.make_shot_figures, ("blender_shots",)),
+    "README.md": Source(results.make_shot_figures, ("blender_shots", "budget")),
+    "docs/index.md": Source(results.make_shot_figures, ("blender_shots", "budget")),
+    "docs/blender.md": Source(results.make_shot_figures, ("blender_shots", "budget")),
     "docs/quality.md": Source(results.make_quality_figures, ("blender_shots", "budget")),
     "docs/paper.md": Source(paper.make_figures, ("paper_pair", "paper_table")),
     "docs/results.md": Source(
         results.make_figures,
-        ("blender_shots", "blender_training_shots", "users", "films", "without_lobes", "robustness"),
+        ("blender_shots", "budget", "blender_training_shots", "users", "films", "without_lobes", "robustness"),
     ),
     "docs/developers/bench.md": Source(bench.make_figures, ("startup",)),
     "docs/developers/export.md": Source(exports.make_figures, ("pipelines", "chains")),

@@ -16,18 +16,20 @@ COLUMNS = (
     ("all", PEER),
     ("all", "high"),
     ("all", "auto"),
+    ("all", "best"),
     ("plain", "auto"),
 )
 """Guides and method of each column of the tables."""
 
 
-def make_shot_figures(shots: Mapping[str, Any]) -> dict[str, str]:
-    """Return the table of random shots of Blender."""
-    return {"blender-shots": make_means(shots)}
+def make_shot_figures(shots: Mapping[str, Any], budget: Mapping[str, Any]) -> dict[str, str]:
+    """Return the table of random shots of Blender, whose first row is the time of each method."""
+    return {"blender-shots": make_means(shots, price_methods(budget))}
 
 
 def make_figures(
     shots: Mapping[str, Any],
+    budget: Mapping[str, Any],
     training_shots: Mapping[str, Any],
     data: Mapping[str, Any],
     films: Mapping[str, Any],
@@ -36,7 +38,7 @@ def make_figures(
 ) -> dict[str, str]:
     """Return the figures of docs/results.md by place."""
     return {
-        **make_shot_figures(shots),
+        **make_shot_figures(shots, budget),
         "blender-kinds": make_kinds(shots),
         "training-kinds": make_kinds(training_shots),
         "scenes": make_means(data),
@@ -52,6 +54,7 @@ QUALITIES = {
     "`balanced`": ("balanced", "Blender, balanced"),
     "`high`": ("high", "Blender, high"),
     "`auto`": ("auto", "Blender, auto"),
+    "`best`": ("best", "Blender, best"),
     "Open Image Denoise as called": (f"{PEER}, as called", "Blender, Open Image Denoise as called"),
     "Open Image Denoise at its best": (PEER, "Blender, Open Image Denoise at its best"),
 }
@@ -59,22 +62,32 @@ QUALITIES = {
 PRICED_SPP = "16"
 
 
+def price_methods(budget: Mapping[str, Any]) -> dict[str, str]:
+    """Return the processor time of every method on a Blender frame, over Open Image Denoise as called."""
+    recipes = budget["recipes"]
+    plain = recipes[QUALITIES["Open Image Denoise as called"][1]]["seconds"]
+    return {
+        method: f"{recipes[recipe]['seconds'] / plain:.1f}" if recipe else "" for method, recipe in QUALITIES.values()
+    }
+
+
 def make_quality_figures(shots: Mapping[str, Any], budget: Mapping[str, Any]) -> dict[str, str]:
     """Return the table of docs/quality.md: what every quality costs, and the error that it leaves."""
     found = shots["summary"]["ratios"][HELD_OUT][PEER]["all"] | {PEER: {PRICED_SPP: {"ratio": 1.0}}}
-    recipes = budget["recipes"]
-    plain = recipes[QUALITIES["Open Image Denoise as called"][1]]["seconds"]
-    rows = []
-    for name, (method, recipe) in QUALITIES.items():
-        price = f"{recipes[recipe]['seconds'] / plain:.2f}" if recipe else ""
-        rows.append([name, price, f"{found[method][PRICED_SPP]['ratio']:.2f}"])
+    prices = price_methods(budget)
+    rows = [
+        [name, prices[method], f"{found[method][PRICED_SPP]['ratio']:.2f}"] for name, (method, _) in QUALITIES.items()
+    ]
     scenes = len(shots["scenes"])
     header = ["", "time, over Open Image Denoise as called", "error, over Open Image Denoise at its best"]
     return {"prices": f"{make_table(header, rows)}\n\n{scenes} shots; {describe_run(shots)}."}
 
 
-def make_means(data: Mapping[str, Any]) -> str:
-    """Return the means over the error of Open Image Denoise with the same guides, by sample count."""
+def make_means(data: Mapping[str, Any], prices: Mapping[str, str] | None = None) -> str:
+    """Return the means over the error of Open Image Denoise with the same guides, by sample count.
+
+    ``prices`` are those of `price_methods`, for a first row; they are of frames with all guides.
+    """
     found = data["summary"]["ratios"][HELD_OUT][PEER]
     counts = list_counts(spp for methods in found.values() for cells in methods.values() for spp in cells)
     itself = {PEER: {spp: {"ratio": 1.0} for spp in counts}}
@@ -83,6 +96,8 @@ def make_means(data: Mapping[str, Any]) -> str:
     names = {**TITLES, PEER: "Open Image Denoise at its best", f"{PEER}, as called": "Open Image Denoise as called"}
     header = [names[method] + ("" if guides == "all" else f", {GUIDES[guides]}") for guides, method in columns]
     rows = [[spp, *(f"{each[spp]['ratio']:.2f}" if spp in each else "" for each in cells)] for spp in counts]
+    if prices is not None:
+        rows.insert(0, ["time", *(prices[method] if guides == "all" else "" for guides, method in columns)])
     scenes = sum(1 for scene in data["scenes"].values() if scene["held_out"])
     return make_table(["spp", *header], rows) + f"\n\n{scenes} scenes; {describe_run(data)}."
 

@@ -164,7 +164,7 @@ def denoise_oidn(
         are gray, so is the result. Sides of less than `MIN_SIDE_PIXELS` are continued by mirrored pixels, because the
         library darkens small images.
     quality : {"fast", "balanced", "high"}
-        Quality of the filter of the radiance; "high" is the library's default.
+        Quality of the filters of radiance and guides; "high" is the library's default.
     guides : {"prefiltered", "mean", "noisy", "centre"}
         "prefiltered": the means of albedo and normal over the pixel, each denoised by the library's filter for guides.
         "mean": these means as they are. "noisy": the same, and the library takes them for noisy, which costs half the

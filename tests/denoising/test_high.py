@@ -36,8 +36,6 @@ CHEAP: dict[str, Any] = {"quality": "high", "similarity": "normal"}
 ROUNDING = 1e-6
 """Relative: a weighted mean in float32."""
 
-pytestmark = pytest.mark.nightly
-
 
 def make_network(inputs: int, outputs: int, seed: int) -> Perceptron:
     """Return a small network of random numbers for features, logarithms about -5."""
@@ -103,7 +101,8 @@ class TestContract:
         result = denoise(Frame(radiance=light, gbuffer=guides), **CHEAP)
         before, after = (np.abs(image - truth)[10:34, 12].mean() for image in (color, result.image))
         assert after < 0.8 * before
-        np.testing.assert_allclose(result.image[13:31, 16:37], truth[13:31, 16:37], rtol=1e-5)
+        # The wall's light in the lamp gives its share to the light that bounding took.
+        np.testing.assert_allclose(result.image[13:31, 16:37], truth[13:31, 16:37], rtol=1e-4)
         assert (result.diffuse + result.specular <= result.image * (1.0 + 1e-5)).all()
 
     @pytest.mark.parametrize("quality", ["auto", "fast", "balanced", "high"])
@@ -121,7 +120,10 @@ class TestContract:
 
 @pytest.fixture
 def peer(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """Return what stands for Open Image Denoise: its "image", and once it is called the first "frame"."""
+    """Return what stands for Open Image Denoise: its "image", and once it is called the first "frame".
+
+    The images of layers, which tests of their own look at, do not count.
+    """
     told: dict[str, Any] = {"image": np.full((*SHAPE, 3), 3.0, np.float32)}
 
     def run(frame: Frame, **options: Any) -> tuple[FloatArray, float]:
@@ -131,6 +133,7 @@ def peer(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     monkeypatch.setattr(combining, "denoise_oidn", run)
     monkeypatch.setattr(peers, "_run_library", lambda quality, is_clean=True, **images: next(iter(images.values())))
     monkeypatch.setattr(peers, "look_up_oidn_fault", lambda: None)
+    monkeypatch.setattr(combining, "LAYERS_SHARE", 0.0)
     return told
 
 
@@ -162,10 +165,8 @@ def test_guides_without_noise_are_not_filtered(peer: dict[str, Any], monkeypatch
         mean_diffuse_albedo=guides.diffuse_albedo,
         mean_specular_albedo=guides.specular_albedo,
     )
-    prefiltered, guided = (
-        [("fast", "albedo"), ("fast", "normal")],
-        ("high", "mean", "denoiser_albedo", "denoiser_normal"),
-    )
+    # The normal is the same everywhere, and left out.
+    prefiltered, guided = [("fast", "albedo")], ("high", "mean", "denoiser_albedo")
     for each, first, unguided in ((guides, prefiltered, "balanced"), (means, [], "fast")):
         calls.clear()
         image = frame.radiance.color
@@ -183,6 +184,7 @@ def test_layers_are_filtered_by_themselves(peer: dict[str, Any], monkeypatch: py
         return np.full((*SHAPE, 3), 2.0, np.float32), 0.1
 
     monkeypatch.setattr(combining, "denoise_oidn", run)
+    monkeypatch.setattr(combining, "LAYERS_SHARE", 0.5)
     light = [np.full((*SHAPE, 3), value, np.float32) for value in (2.0, 1.0, 1e-3)]
     albedo = np.full((*SHAPE, 3), 0.25, np.float32)
     layers = [LayerImage(light[0], light[0], albedo), LayerImage(light[1], light[1], None)]
@@ -197,10 +199,10 @@ def test_layers_are_filtered_by_themselves(peer: dict[str, Any], monkeypatch: py
     assert 2.0 < found.image.mean() < 2.0 + combining.LAYERS_SHARE * 2.0
 
 
-def test_best_prefilters_the_guides_of_layers_and_mirrors(
+def test_best_turns_the_frame_and_filters_layers_at_high_quality(
     peer: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of an image with a gradient, the mirrored one has the mirrored gradient: their mean has the same as each."""
+    """The turned image of a slope is turned back: its mean with the other is the slope."""
     calls: list[tuple[str, ...]] = []
     slope = np.ones((*SHAPE, 3), np.float32) * np.linspace(1.0, 2.0, SHAPE[1], dtype=np.float32)[:, None]
 
@@ -216,8 +218,8 @@ def test_best_prefilters_the_guides_of_layers_and_mirrors(
     monkeypatch.setattr(peers, "_run_library", prefilter)
     layers = [LayerImage(slope, slope, np.full_like(slope, 0.5))]
     found = denoise_with_peer(make_frame(), slope, slope, layers, is_best=True)
-    guided, guides = ("high", "mean"), [("fast", "albedo"), ("fast", "normal")]
-    assert calls == [*guides, guided, guided, guides[0], guided, ("balanced", "mean")]
+    guided = ("high", "mean")
+    assert calls == [("fast", "albedo"), guided, guided, ("high", "noisy"), ("balanced", "mean")]
     np.testing.assert_allclose(found.image, slope, rtol=ROUNDING)
 
 
@@ -274,9 +276,9 @@ class TestPeer:
     def test_the_peer_is_given_the_frame(self, networks, peer):
         frame = make_frame()
         self.combine(frame, self.make_ours())
-        given = peer["frame"]
+        given, albedo = peer["frame"], frame.gbuffer.diffuse_albedo + frame.gbuffer.specular_albedo
         np.testing.assert_array_equal(given.radiance.color, frame.radiance.color)
-        assert given.gbuffer is frame.gbuffer
+        np.testing.assert_array_equal(given.gbuffer.denoiser_albedo, albedo)
 
     @pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0], ids=str)
     def test_what_the_peer_spoils_is_ours(self, bad, networks, peer):
@@ -298,7 +300,6 @@ class TestPeer:
         np.testing.assert_array_equal(given.radiance.color[3, 4], ours[3, 4])
         color[3, 4] = ours[3, 4]
         np.testing.assert_array_equal(given.radiance.color, color)
-        np.testing.assert_array_equal(given.gbuffer.normal, frame.gbuffer.normal)
         assert np.isfinite(mixed).all()
 
     def test_parts_are_shared_out_by_what_they_had(self):

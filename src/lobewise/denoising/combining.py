@@ -40,6 +40,9 @@ from lobewise.work.chunks import cut_rows
 
 CHOOSE = "choose the shares of the images"
 """The stage after the calls of Open Image Denoise."""
+PLAIN_CALL_SECONDS = 1.25
+"""Seconds that Open Image Denoise takes for a megapixel, called with albedo and normal that are said to be noisy; for
+`list_peer_costs` (``benchmarks/results/budget.json``)."""
 MAX_BLACK_RADIANCE = 1e-30
 """Radiance up to which light counts as black, so that no part has a share of it."""
 LOBE_ALBEDO_SHARE = 0.25
@@ -64,7 +67,7 @@ its time at its best, and change the error by less than 1 % (benchmarks/results/
 LAYERS_QUALITY, LAYERS_SHARE = "fast", 1.0 / 3.0
 """Quality of Open Image Denoise for layers, and share of the image that they sum to, where it equals the image with
 guides. Quality "high" takes twice as long and makes the mean error 0.5 to 0.9 % less."""
-BEST_LAYERS_QUALITY, BEST_LAYERS_SHARE = "high", 0.5
+BEST_LAYERS_QUALITY, BEST_LAYERS_SHARE = "high", 0.4
 """The same for our quality "best"."""
 MIN_LAYER_SHARE = 0.01
 """Share of the light below which our image of a layer stands for the library's."""
@@ -386,11 +389,16 @@ def list_peer_costs(frame: Frame, *, is_best: bool = False) -> dict[str, float]:
     # The library takes normals only beside an albedo.
     known = ("color", *guides, *(("albedo",) if "normal" in guides else ()))
     layers = len(frame.layers) or 2 * (frame.radiance.parts is not None)
-    calls["color", "albedo", "normal"] += 3.0 * (1 + layers) if is_best else 0.7 * layers
-    if is_best and not has_clean_guides(frame):
-        calls["albedo",] = calls.get(("albedo",), 0.0) + 1.4 * layers
+    by_layer = (3.0 if has_clean_guides(frame) else 1.2) if is_best else 0.6
+    calls["color", "albedo", "normal"] += by_layer * layers + (3.0 if is_best else 0.0)
     given = {tuple(name for name in images if name in known): cost for images, cost in calls.items()}
     return {**{name_call(images): cost for images, cost in given.items() if images}, CHOOSE: 1.0}
+
+
+def count_plain_calls(frame: Frame, *, is_best: bool) -> float:
+    """Return how many times as long as a plain call all calls of Open Image Denoise for a frame take."""
+    costs = list_peer_costs(frame, is_best=is_best)
+    return (sum(costs.values()) - costs.get(CHOOSE, 0.0)) / PLAIN_CALL_SECONDS
 
 
 class LayerImage(NamedTuple):
@@ -427,8 +435,8 @@ def denoise_with_peer(
     have errors of their own, so that their mean is better than each. Noisy guides are prefiltered by the library, the
     albedo after `mix_albedos`. Our ``image`` replaces bad pixels of the samples and of the result.
 
-    With ``is_best``, for the quality "best", the guides of layers are prefiltered as well, and the image with guides is
-    the mean of two: the library makes other errors in a mirrored image.
+    With ``is_best``, for the quality "best", layers are filtered at a higher quality, and the image with guides is the
+    mean of two: the library makes other errors in an image that is turned by half a turn.
 
     Raises
     ------
@@ -436,29 +444,25 @@ def denoise_with_peer(
         If Open Image Denoise is not installed.
     """
     color, is_clean = _replace_bad(samples, image), has_clean_guides(frame)
-    prefilter = None if is_clean else PREFILTER_QUALITY
-    guides = reduce_guides(mix_albedos(frame.gbuffer), prefilter=prefilter)
+    guides = reduce_guides(mix_albedos(frame.gbuffer), prefilter=None if is_clean else PREFILTER_QUALITY)
     peer = _call_peer(color, guides, image)
     if not name_oidn_guides(frame):
         return PeerImages(peer, peer, [])
     if is_best:
-        mirrored = GBuffer(**{name: getattr(guides, name)[:, ::-1] for name in guides.names})
-        peer = np.float32(0.5) * (peer + _call_peer(color[:, ::-1], mirrored, image[:, ::-1])[:, ::-1])
+        turned = GBuffer(**{name: getattr(guides, name)[::-1, ::-1] for name in guides.names})
+        peer = np.float32(0.5) * (peer + _call_peer(color[::-1, ::-1], turned, image[::-1, ::-1])[::-1, ::-1])
     # Layers: each with its own albedo. Without much light our image stands for the library's.
-    is_noisy = not (is_best or is_clean)
     quality, share = (BEST_LAYERS_QUALITY, BEST_LAYERS_SHARE) if is_best else (LAYERS_QUALITY, LAYERS_SHARE)
-    normal = (reduce_guides(frame.gbuffer) if is_noisy else guides).denoiser_normal
+    normal = reduce_guides(frame.gbuffer).denoiser_normal
     by_layers, least = [], MIN_LAYER_SHARE * compute_mean_luminance(image)
     for layer in layers:
         if compute_mean_luminance(layer.ours) < least:
             by_layers.append(layer.ours)
             continue
-        own = GBuffer()
-        if layer.albedo is not None:  # light in a volume has no surface
-            own = reduce_guides(GBuffer(denoiser_albedo=layer.albedo), prefilter=prefilter if is_best else None)
-            own = replace(own, denoiser_normal=normal)
+        # Light in a volume has no surface, and no albedo.
+        own = GBuffer() if layer.albedo is None else GBuffer(denoiser_albedo=layer.albedo, denoiser_normal=normal)
         samples = _replace_bad(layer.samples, layer.ours)
-        by_layers.append(_call_peer(samples, own, layer.ours, is_noisy=is_noisy, quality=quality))
+        by_layers.append(_call_peer(samples, own, layer.ours, is_noisy=not is_clean, quality=quality))
     if layers:
         changes = [clean - layer.ours for clean, layer in zip(by_layers, layers, strict=True)]
         summed = np.maximum(reduce(np.add, changes, image), np.float32(0.0))

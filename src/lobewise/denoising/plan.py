@@ -12,7 +12,7 @@ import numpy as np
 
 from lobewise.denoising.also import has_passes, list_alone
 from lobewise.denoising.automatic import ask, needs_peer_alone, resolve_all
-from lobewise.denoising.combining import describe_peer_alone, list_peer_costs, name_method
+from lobewise.denoising.combining import count_plain_calls, describe_peer_alone, list_peer_costs, name_method
 from lobewise.denoising.evidence import takes_back
 from lobewise.denoising.passes import LayerPass, make_passes
 from lobewise.denoising.refining.lamps import EDGE_PIXELS
@@ -166,13 +166,16 @@ def foretell(frame: Frame, settings: DenoiseSettings, *, height: int | None = No
     working = estimate_work_bytes(pixels, chosen.quality, with_oidn=bool(chosen.with_oidn))
     images = 1 + (len(list_alone(frame.also)) if whole else 0)
     seconds = images * pixels / 1e6 * estimate_seconds_per_megapixel(near, chosen)
-    alone = ", without Open Image Denoise" if chosen.with_oidn else ""
+    peer = ""
+    if chosen.with_oidn:
+        calls = images * count_plain_calls(frame, is_best=chosen.needs_oidn)
+        peer = f", and {calls:.2g} times the time of one call of Open Image Denoise with albedo and normal"
     bands = "" if whole else " Bands of rows take less."
     return [
         f"{width} x {height} pixels, by {name_method(frame, settings, chosen, whole=whole)}.",
         *describe_steps(near, far),
         f"Memory: about {(held + working) / GIB:.2g} GiB, {held / GIB:.2g} GiB of it for the frame.{bands}",
-        f"Time: about {seconds:.2g} s on two processor threads{alone}. The first run on a machine compiles kernels as "
+        f"Time: about {seconds:.2g} s on two processor threads{peer}. The first run on a machine compiles kernels as "
         "well.",
     ]
 

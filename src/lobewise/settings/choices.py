@@ -66,7 +66,7 @@ class Quality:
     refines : bool
         Whether a network refines the filtered image; it reads the roughness.
     needs_oidn : bool
-        Whether Open Image Denoise takes part, with its slowest calls.
+        Whether Open Image Denoise takes part, with more and slower calls than for "auto".
     work_bytes_per_pixel : int
         Memory that the filters hold beside the frame, bytes; measured (docs/developers/bands.md).
     seconds_per_megapixel : float
