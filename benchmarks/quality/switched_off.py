@@ -171,7 +171,7 @@ SWITCHES: dict[str, Switch] = {
     "coverage": drop_guides("coverage"),
     "mean emission": drop_guides("mean_emission"),
     "blur of the lens": drop_guides("blur_radius"),
-    "peer without guides": Switch([(combining, name, 0.0) for name in ("UNGUIDED_SHARE", "UNGUIDED_SHARE_CLEAN")]),
+    "peer without guides": Switch([(combining, "UNGUIDED_SHARE", 0.0)]),
     "peer by layers": replace_one(chain, "list_peer_layers", lambda *_: []),
     "albedos of lobes for the peer": replace_one(combining, "mix_albedos", lambda guides: guides),
     "own image in the mixture": replace_one(combining, "compute_mixture", choose_peer),

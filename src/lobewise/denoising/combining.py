@@ -64,6 +64,9 @@ deviations of its noise."""
 PREFILTER_QUALITY, UNGUIDED_QUALITY = "fast", "balanced"
 """Qualities of Open Image Denoise for its filters of guides, and for the image without guides. Higher ones cost 0.4 of
 its time at its best, and change the error by less than 1 % (benchmarks/results/peer_ways.json)."""
+UNGUIDED_QUALITY_CLEAN = "fast"
+"""Quality for the image without guides where guides have no noise: it helps less there, and is made in half the
+time."""
 LAYERS_QUALITY, LAYERS_SHARE = "fast", 1.0 / 3.0
 """Quality of Open Image Denoise for layers, and share of the image that they sum to, where it equals the image with
 guides. Quality "high" takes twice as long and makes the mean error 0.5 to 0.9 % less."""
@@ -71,10 +74,9 @@ BEST_LAYERS_QUALITY, BEST_LAYERS_SHARE = "high", 0.4
 """The same for our quality "best"."""
 MIN_LAYER_SHARE = 0.01
 """Share of the light below which our image of a layer stands for the library's."""
-UNGUIDED_SHARE = 1.0 / 3.0
-"""Share of the image without guides where it equals the one with guides."""
-UNGUIDED_QUALITY_CLEAN, UNGUIDED_SHARE_CLEAN = "fast", 0.25
-"""The same where guides have no noise: the image without guides helps less, and is made in half the time."""
+UNGUIDED_SHARE = 0.25
+"""Share of the image without guides where it equals the one with guides. With a third, print has up to 3 % more error
+at 64 samples, and other shots have as much."""
 HALF_SHARE_DIFFERENCE, PEER_DARK_SHARE = 0.5, 0.05
 """Difference of luminance at which `UNGUIDED_SHARE` is halved, over the luminance with guides plus the second number
 times its mean over the image."""
@@ -468,9 +470,8 @@ def denoise_with_peer(
         summed = np.maximum(reduce(np.add, changes, image), np.float32(0.0))
         peer = average_alike(peer, _replace_bad(summed, image), share)
     # Color alone.
-    quality, share = (UNGUIDED_QUALITY_CLEAN, UNGUIDED_SHARE_CLEAN) if is_clean else (UNGUIDED_QUALITY, UNGUIDED_SHARE)
-    unguided = _call_peer(color, GBuffer(), image, quality=quality)
-    return PeerImages(average_alike(peer, unguided, share), unguided, by_layers)
+    unguided = _call_peer(color, GBuffer(), image, quality=UNGUIDED_QUALITY_CLEAN if is_clean else UNGUIDED_QUALITY)
+    return PeerImages(average_alike(peer, unguided, UNGUIDED_SHARE), unguided, by_layers)
 
 
 def _call_peer(
@@ -515,7 +516,7 @@ def _replace_bad(image: FloatArray, other: FloatArray) -> FloatArray:
     return image if good.all() else np.where(good[..., None], image, other)
 
 
-def average_alike(guided: FloatArray, unguided: FloatArray, most: float = UNGUIDED_SHARE) -> FloatArray:
+def average_alike(guided: FloatArray, unguided: FloatArray, most: float) -> FloatArray:
     """Return the image with guides, and a share of the one without where both are about as bright, (height, width, 3).
 
     Where the images are far apart, the one without guides has lost what only guides tell, and its share falls.
