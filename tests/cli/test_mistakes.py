@@ -68,6 +68,12 @@ MISTAKES = {
         "9",
         "auto or off with --with-oidn, which takes whole frames",
     ),
+    f"denoise gone.exr {TO} --bands 9 --quality best": (
+        "--bands",
+        "9",
+        "auto or off with --quality best, which takes whole frames",
+    ),
+    f"denoise gone.exr {TO} --offline --quality best": ("--quality", "'best'"),
     f"denoise gone.exr {TO} --bands 9 --adaptive 5% --scene showroom": (
         "--bands",
         "9",

@@ -282,7 +282,7 @@ class DenoiseSettings(Declared):
                 "quality",
                 expected="'high' without Open Image Denoise",
                 got=repr(self.quality),
-                action="leave with_oidn out, or take another quality",
+                action="take another quality, or let Open Image Denoise take part",
             )
         if self.asks_for_oidn and self.quality != "auto" and not get_quality(self.quality).reads_halves:
             raise InputError(

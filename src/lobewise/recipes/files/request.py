@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 WHOLE_FIELDS = (
-    *("past_only", "window", "shading", "with_oidn"),
+    *("past_only", "window", "shading", "with_oidn", "quality"),
     *("preset", "mapping", "camera", "half", "wraps", "also", "light_groups", "all_layers"),
     *("suffix", "only", "confidence"),
 )
@@ -136,9 +136,10 @@ class FileRequest:
             expected = "auto, off or a number of rows"
             raise InputError("bands", expected=expected, got=name_value(bands), action="leave it out")
         if isinstance(bands, int) and self.whole_field:
+            named = f" {self.settings.quality}" if self.whole_field == "quality" else ""
             raise InputError(
                 "bands",
-                expected=f"auto or off with {name(self.whole_field)}, which takes whole frames",
+                expected=f"auto or off with {name(self.whole_field)}{named}, which takes whole frames",
                 got=str(bands),
                 action="drop one of them",
             )
@@ -147,8 +148,10 @@ class FileRequest:
     def whole_field(self) -> str:
         """The first field that needs whole frames, empty for none."""
         usual = FileRequest()
-        given = {name for name in WHOLE_FIELDS if name != "with_oidn" and getattr(self, name) != getattr(usual, name)}
-        given |= {"with_oidn"} if self.settings.asks_for_oidn else set()
+        own = [name for name in WHOLE_FIELDS if name not in ("with_oidn", "quality")]
+        given = {name for name in own if getattr(self, name) != getattr(usual, name)}
+        if self.settings.asks_for_oidn:
+            given.add("quality" if self.settings.needs_oidn else "with_oidn")
         return next((name for name in WHOLE_FIELDS if name in given), "")
 
     def read_tables(self) -> list[LobeTable] | None:
