@@ -137,10 +137,14 @@ def peer(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     return told
 
 
-@pytest.mark.parametrize(("unguided", "share"), [(1.0, 0.25), (1.525, 0.125), (50.0, 0.0)])
-def test_the_image_without_guides_counts_where_it_agrees(unguided: float, share: float) -> None:
+@pytest.mark.parametrize(
+    ("unguided", "spp", "share"),
+    [(1.0, 16, 0.25), (1.525, 16, 0.125), (1.525, None, 0.125), (3.1, 1, 0.125), (50.0, 16, 0.0)],
+)
+def test_the_image_without_guides_counts_where_it_agrees(unguided: float, spp: float | None, share: float) -> None:
+    """Half as much where it differs by twice the light, and by half of it at 16 samples, which are usual."""
     images = [np.full((*SHAPE, 3), value, np.float32) for value in (1.0, unguided)]
-    mixed = combining.average_alike(*images, combining.UNGUIDED_SHARE)
+    mixed = combining.average_alike(*images, combining.UNGUIDED_SHARE, spp)
     np.testing.assert_allclose(mixed, 1.0 + share * (unguided - 1.0), atol=3e-3)
 
 

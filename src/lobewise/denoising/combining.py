@@ -9,6 +9,7 @@ far the images are apart, how noisy the frame is and which image the samples are
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import reduce
@@ -77,9 +78,11 @@ MIN_LAYER_SHARE = 0.01
 UNGUIDED_SHARE = 0.25
 """Share of the image without guides where it equals the one with guides. With a third, print has up to 3 % more error
 at 64 samples, and other shots have as much."""
-HALF_SHARE_DIFFERENCE, PEER_DARK_SHARE = 0.5, 0.05
-"""Difference of luminance at which `UNGUIDED_SHARE` is halved, over the luminance with guides plus the second number
-times its mean over the image."""
+HALF_SHARE_DIFFERENCE, PEER_DARK_SHARE = 2.0, 0.05
+"""Difference of luminance at which a share is halved, at one sample per pixel, over the luminance with guides plus the
+second number times its mean over the image. It falls as the noise does: what differs more is detail."""
+USUAL_SPP = 16.0
+"""Samples per pixel of a frame that does not tell them."""
 
 
 class Mixture(NamedTuple):
@@ -468,10 +471,10 @@ def denoise_with_peer(
     if layers:
         changes = [clean - layer.ours for clean, layer in zip(by_layers, layers, strict=True)]
         summed = np.maximum(reduce(np.add, changes, image), np.float32(0.0))
-        peer = average_alike(peer, _replace_bad(summed, image), share)
+        peer = average_alike(peer, _replace_bad(summed, image), share, frame.spp)
     # Color alone.
     unguided = _call_peer(color, GBuffer(), image, quality=UNGUIDED_QUALITY_CLEAN if is_clean else UNGUIDED_QUALITY)
-    return PeerImages(average_alike(peer, unguided, UNGUIDED_SHARE), unguided, by_layers)
+    return PeerImages(average_alike(peer, unguided, UNGUIDED_SHARE, frame.spp), unguided, by_layers)
 
 
 def _call_peer(
@@ -516,7 +519,7 @@ def _replace_bad(image: FloatArray, other: FloatArray) -> FloatArray:
     return image if good.all() else np.where(good[..., None], image, other)
 
 
-def average_alike(guided: FloatArray, unguided: FloatArray, most: float) -> FloatArray:
+def average_alike(guided: FloatArray, unguided: FloatArray, most: float, spp: float | None) -> FloatArray:
     """Return the image with guides, and a share of the one without where both are about as bright, (height, width, 3).
 
     Where the images are far apart, the one without guides has lost what only guides tell, and its share falls.
@@ -527,13 +530,16 @@ def average_alike(guided: FloatArray, unguided: FloatArray, most: float) -> Floa
         Radiance, finite, >= 0.
     most : float
         Share of ``unguided`` where it equals ``guided``.
+    spp : float, optional
+        Samples per pixel, > 0; `USUAL_SPP` where they are not known.
     """
+    half_share = np.float32(HALF_SHARE_DIFFERENCE / math.sqrt(spp or USUAL_SPP))
     floor = np.float32(PEER_DARK_SHARE * compute_mean_luminance(guided))
     mixed = np.empty_like(guided)
     for rows in cut_rows(*guided.shape[:2]):  # a chunk stays in the core's cache
         change = unguided[rows] - guided[rows]
         unit = np.maximum(compute_image_luminance(guided[rows]) + floor, np.float32(MAX_BLACK_RADIANCE))
-        apart = compute_image_luminance(change) / (np.float32(HALF_SHARE_DIFFERENCE) * unit)
+        apart = compute_image_luminance(change) / (half_share * unit)
         with np.errstate(over="ignore"):  # an infinite difference has no share
             share = np.float32(most) / (np.float32(1.0) + apart * apart)
         mixed[rows] = guided[rows] + share[..., None] * change
