@@ -231,7 +231,8 @@ def test_features_of_your_own_leave_it_out(make_frame: Callable[..., Frame], pre
     assert result.method.endswith("neither Open Image Denoise nor the network of 'high' knows features of your own)")
     assert FEATURES_SOFTENED not in result.notes
     assert denoise(frame, **CHEAP, features=[ScreenFeature(2.0)], with_oidn=True).settings["with_oidn"] is True
-    assert len(present) == 2
+    # With guides, both layers, and the color alone.
+    assert len(present) == 4
     asked = denoise(frame, **CHEAP, features=[ScreenFeature(2.0)], quality="high")
     assert asked.settings["quality"] == "high"
     assert FEATURES_SOFTENED in asked.notes

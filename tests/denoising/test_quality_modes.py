@@ -97,8 +97,8 @@ class TestNoise:
 
     @pytest.mark.usefixtures("trusted")
     def test_rough_reflections_are_averaged_further_than_sharp_ones(self):
-        # A single bright pixel is spread over what has weight.
-        reach = []
+        # A single bright pixel is spread over what has weight: how much its last neighbour takes, over what it keeps.
+        shares = []
         for alpha in (0.5, 0.01):
             flat = make_flat()
             guides = replace(flat.gbuffer, alpha_u=np.full(SHAPE, alpha), alpha_v=np.full(SHAPE, alpha))
@@ -106,9 +106,10 @@ class TestNoise:
             lit[SHAPE[0] // 2, SHAPE[1] // 2] = 1.2
             radiance = Radiance(lit, np.zeros_like(lit), lit)
             frame = flat.with_changes(gbuffer=guides, radiance=radiance, half_a=radiance, half_b=radiance)
-            row = denoise(frame, quality="balanced").image[SHAPE[0] // 2, :, 0]
-            reach.append(int(np.count_nonzero(row > 1.0 + 1e-5)))
-        assert reach[0] == 2 * 5 + 1 > reach[1] > 1
+            row, middle = denoise(frame, quality="balanced").image[SHAPE[0] // 2, :, 0], SHAPE[1] // 2
+            shares.append((row[middle + 5] - 1.0) / (row[middle] - 1.0))
+        assert shares[0] > 0.9
+        assert shares[1] < 0.3
 
     @pytest.mark.usefixtures("trusted")
     def test_neighbours_serve_as_halves_as_well(self):
@@ -256,7 +257,7 @@ class TestCoverage:
         frame, truth = self.make_edge(albedos, lights)
         columns = denoise(frame, quality="balanced", similarity="normal").image.mean(axis=(0, 2))
         assert columns[self.EDGE] == pytest.approx(truth, rel=MIXED)
-        assert columns[self.EDGE - 8] == pytest.approx(albedos[0] * lights[0], rel=0.02)
+        assert columns[self.EDGE - 8] == pytest.approx(albedos[0] * lights[0], rel=0.03)
         assert columns[self.EDGE + 8] == pytest.approx(albedos[1] * lights[1], rel=0.02)
 
     @pytest.mark.usefixtures("unshared", "trusted")

@@ -143,8 +143,14 @@ def test_guides_without_noise_are_not_left_out(rng: np.random.Generator, request
 
 
 def test_bands_say_what_they_leave_out(rng: np.random.Generator, tmp_path: Path) -> None:
-    for spread, told in ((0.5, True), (0.0, False)):
+    """Noisy guides, none, and a lamp out of focus."""
+    for spread, blur, told in ((0.5, 0.0, True), (0.0, 0.0, False), (0.0, 5.0, True)):
         frame, _ = make_noisy(rng, spread)
-        write_frame(tmp_path / "in.exr", replace(frame, also={}))
+        light, parts = np.array(frame.radiance.color), frame.radiance.parts
+        light[5:9, 5:9] += blur
+        radius = np.full(light.shape[:2], blur, np.float32)
+        guides = replace(frame.gbuffer, blur_radius=radius)
+        frame = replace(frame, radiance=Radiance(light, *(parts or ())), gbuffer=guides, also={})
+        write_frame(tmp_path / "in.exr", frame)
         done = denoise_file(tmp_path / "in.exr", tmp_path / "out.exr", rows=32, quality="high", similarity="normal")
         assert (LEFT_OUT in done.notes) == told

@@ -54,6 +54,7 @@ from lobewise.denoising.refining.totals import compose, compute_averaged_rest, c
 from lobewise.denoising.refining.unguided import (
     MIN_SHARE,
     compute_unguided_share,
+    find_salt,
     forget_guides,
     limit_to_noise,
 )
@@ -490,9 +491,8 @@ def mix_peer(
         peer = denoise_with_peer(frame, samples, filtered.image, layers, is_best=is_best)
         enter_stage(CHOOSE)
         mixed, share = choose_between(frame, samples, filtered.image, peer.image, noisy)
-        if filtered.rest is not None and frame.gbuffer.blur_radius is not None:
-            discs = limit_to_noise(np.zeros_like(share), filtered.rest, filtered.image, frame.gbuffer.blur_radius)
-            mixed = mix_noisy(mixed, peer.unguided, discs)
+        if filtered.rest is not None and (blur := frame.gbuffer.blur_radius) is not None:
+            mixed = mix_noisy(mixed, peer.unguided, find_salt(filtered.rest, filtered.image, blur))
     # Give each part its own noisy light first: else the detail of one part is spread over all.
     if filtered.share_taken is None:
         parts = [mix_noisy(*each, share) for each in zip(filtered.parts, filtered.noisy, strict=True)]

@@ -44,8 +44,8 @@ to which, the image of the color alone replaces theirs."""
 DISC_RADIUS = 8
 """Distance, rows or columns, from light of no surface out of focus, within which such light is out of focus, too."""
 LEFT_OUT = (
-    "The guides are noise, and bands leave out what helps: without bands an image filtered by its color alone is mixed "
-    "in."
+    "Guides are noise or a lens blurs lamps here, and bands leave out what helps: without bands an image filtered by "
+    "its color alone is mixed in."
 )
 """What a user of bands is told."""
 
@@ -102,6 +102,11 @@ def limit_to_noise(
     blurred |= compute_square_maximum(blurred & (light > 0.0), DISC_RADIUS)
     salted = np.where(blurred, np.maximum(share, part), in_focus)
     return np.where(np.isnan(blur_radius), share, salted)
+
+
+def find_salt(rest: FloatArray, image: FloatArray, blur_radius: FloatArray) -> FloatArray:
+    """Return the share of the light that is the salt of lamps out of focus, (height, width); see `limit_to_noise`."""
+    return limit_to_noise(np.zeros(image.shape[:2], np.float32), rest, image, blur_radius)
 
 
 def count_isolated(color: FloatArray, guides: GBuffer) -> RowSums:

@@ -44,7 +44,8 @@ from lobewise.denoising.light_loss import (
 )
 from lobewise.denoising.noisy import make_bounded_layers, measure_layer
 from lobewise.denoising.recipe import scale_unscattered
-from lobewise.denoising.refining.unguided import LEFT_OUT, MIN_SHARE, count_isolated, judge_guides
+from lobewise.denoising.refining.totals import compute_rest
+from lobewise.denoising.refining.unguided import LEFT_OUT, MIN_SHARE, count_isolated, find_salt, judge_guides
 from lobewise.denoising.refining.whole_image import WholeImage, join_measured, measure_rows
 from lobewise.errors import InputError
 from lobewise.filters.fireflies import FIREFLY_REACH, compute_energy_lost
@@ -279,7 +280,7 @@ def _measure(reader: BandReader, survey: GuideSurvey, settings: ResolvedSettings
     rows: list[RowSums] = []
     variances: list[RowSums] = []
     isolated: list[RowSums] = []
-    bad_count = 0
+    salt = bad_count = 0
     for number, band in enumerate(bands):
         enter_stage(MEASURE, (band[0] / height, band[1] / height))
         top, bottom = widen_band(band, CHECKED_REACH + (FIREFLY_REACH if guided else 0), height)
@@ -294,7 +295,10 @@ def _measure(reader: BandReader, survey: GuideSurvey, settings: ResolvedSettings
             tallies.append([layer.bounded.tally[core] for layer in layers])
             rows.append(measure_rows(frame)[core])
             if get_quality(settings.quality).refines:
-                isolated.append(count_isolated(frame.radiance.color, bounded.gbuffer)[core])
+                color, blur, rest = frame.radiance.color, frame.gbuffer.blur_radius, compute_rest(frame)
+                isolated.append(count_isolated(color, bounded.gbuffer)[core])
+                if rest is not None and blur is not None:
+                    salt += int(np.count_nonzero(find_salt(rest, color, blur) >= MIN_SHARE))
         elif frame.variance is not None:
             variances.append(list_relative_variances(reader.read_frame(*band)))
         if number + 1 < len(bands):
@@ -306,7 +310,7 @@ def _measure(reader: BandReader, survey: GuideSurvey, settings: ResolvedSettings
         tuple(np.concatenate(tally) for tally in zip(*tallies, strict=True)),
         np.concatenate(variances) if variances else np.empty(0),
         compute_mean_color(np.concatenate(colors)),
-        (LEFT_OUT,) if isolated and judge_guides(np.concatenate(isolated)) >= MIN_SHARE else (),
+        (LEFT_OUT,) if salt or (isolated and judge_guides(np.concatenate(isolated)) >= MIN_SHARE) else (),
     )
 
 
