@@ -136,6 +136,17 @@ def keep_discs(share: FloatArray, rest: FloatArray, image: FloatArray, _: Any) -
     return limit_to_noise(share, rest, image, None)
 
 
+def find_no_salt(_: FloatArray, image: FloatArray, __: Any) -> FloatArray:
+    """Stand for `find_salt`: no light is salt."""
+    return np.zeros(image.shape[:2], np.float32)
+
+
+def average_at_16_samples(*images: FloatArray, average: Any = combining.average_alike) -> FloatArray:
+    """Stand for `average_alike`: as at 16 samples per pixel."""
+    result: FloatArray = average(*images[:3], None)
+    return result
+
+
 def choose_peer(noisy: FloatArray, *_: Any, **__: Any) -> FloatArray:
     """Stand for `compute_mixture`: the peer's image everywhere."""
     share = np.zeros((*noisy.shape[:2], 3), np.float32)
@@ -163,7 +174,9 @@ SWITCHES: dict[str, Switch] = {
     "halves": Switch(change=lambda frame: frame.with_changes(half_a=None, half_b=None)),
     "keep light": replace_one(chain, "keep_light", lambda filtered: filtered),
     "color alone where guides are noise": replace_one(chain, "compute_unguided_share", make_no_share),
-    "lamps out of focus by their color": replace_one(chain, "limit_to_noise", keep_discs),
+    "lamps out of focus by their color": Switch(
+        [(chain, "limit_to_noise", keep_discs), (chain, "find_salt", find_no_salt)]
+    ),
     "surfaces stand in": replace_one(usable, "stand_in_surfaces", lambda frame: (frame, ())),
     "lamps without normals kept": replace_one(stand_ins, "keep_lamps", lambda frame: (frame, 0)),
     "light below 0": replace_one(recipe, "split_negative", lambda frame: (frame, None)),
@@ -172,6 +185,7 @@ SWITCHES: dict[str, Switch] = {
     "mean emission": drop_guides("mean_emission"),
     "blur of the lens": drop_guides("blur_radius"),
     "peer without guides": Switch([(combining, "UNGUIDED_SHARE", 0.0)]),
+    "peer's images may differ as noise does": replace_one(combining, "average_alike", average_at_16_samples),
     "peer by layers": replace_one(chain, "list_peer_layers", lambda *_: []),
     "albedos of lobes for the peer": replace_one(combining, "mix_albedos", lambda guides: guides),
     "own image in the mixture": replace_one(combining, "compute_mixture", choose_peer),
