@@ -143,6 +143,7 @@ RECIPES: dict[str, Callable[[Frame], bytes]] = {
 }
 
 
+@pytest.mark.sampled(*(name for name in RECIPES if name != "window"))
 @pytest.mark.parametrize("name", RECIPES)
 def test_calls_from_several_threads_give_the_bits_of_a_loop(name: str) -> None:
     run = RECIPES[name]

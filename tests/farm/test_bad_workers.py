@@ -34,6 +34,7 @@ def test_a_frame_that_kills_its_workers_is_named_and_the_others_are_done(
     require_only_frame_3_is_filtered(sources, folder, expected)
 
 
+@pytest.mark.nightly
 def test_a_full_disk_of_one_worker_is_told_and_another_worker_does_its_frames(
     sources: Path, expected: dict[str, bytes], folder: Path, tmp_path: Path
 ) -> None:
@@ -85,6 +86,7 @@ def test_a_worker_of_another_version_gets_no_frame(
     assert read_outputs(folder) == expected
 
 
+@pytest.mark.nightly
 def test_a_farm_of_another_version_is_refused(sources: Path, folder: Path, tmp_path: Path) -> None:
     with Farm(tmp_path, workers=1, more=put_old_version(tmp_path)) as farm:
         done = run_program(sources, folder, "--farm", farm.address)

@@ -21,9 +21,9 @@ from tests.mistakes import refuses
 MAX_SECONDS_TO_NOTICE = 15.0
 
 
+@pytest.mark.nightly
 @pytest.mark.processor
 @pytest.mark.usefixtures("dask")
-@pytest.mark.sampled("SIGKILL")
 @pytest.mark.parametrize("name", ["SIGKILL", "SIGSTOP"])
 def test_a_scheduler_that_stays_away_ends_the_run_and_the_next_one_goes_on(
     name: str, sources: Path, expected: dict[str, bytes], farm: Farm, folder: Path

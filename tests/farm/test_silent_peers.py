@@ -54,6 +54,7 @@ def peer(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
 PEERS = ["silent", "deaf", "mad", "many parts", "stopped"]
 
 
+@pytest.mark.sampled("mad", "many parts")
 @pytest.mark.usefixtures("dask")
 @pytest.mark.parametrize("peer", PEERS, indirect=True)
 def test_a_peer_that_is_no_scheduler_ends_the_run_in_time(peer: str, sources: Path, folder: Path) -> None:

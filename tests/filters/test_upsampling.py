@@ -26,17 +26,18 @@ def upsample_slowly(
     """Return image and weight sum, sample by sample, from the definition."""
     height, width = mask.shape
     total, weights = np.zeros((height, width, 3)), np.zeros((height, width))
-    for y, x in np.ndindex(height, width):
-        for row in range(max(0, y // scale - RADIUS), min(low.shape[0], y // scale + RADIUS + 1)):
-            for column in range(max(0, x // scale - RADIUS), min(low.shape[1], x // scale + RADIUS + 1)):
-                j = row * scale + place[0], column * scale + place[1]
-                if not (mask[y, x] and mask[j]):
-                    continue
-                pair = (np.array([y]), np.array([x])), (np.array([j[0]]), np.array([j[1]]))
-                weight = float(np.prod([get_similarity(feature, *pair)[0] for feature in features]))
-                light = low[row, column].astype(np.float64) / albedo[j]
-                total[y, x] += weight * light
-                weights[y, x] += weight
+    pairs = [
+        (y, x, row, column)
+        for y, x in np.ndindex(height, width)
+        for row in range(max(0, y // scale - RADIUS), min(low.shape[0], y // scale + RADIUS + 1))
+        for column in range(max(0, x // scale - RADIUS), min(low.shape[1], x // scale + RADIUS + 1))
+        if mask[y, x] and mask[row * scale + place[0], column * scale + place[1]]
+    ]
+    y, x, row, column = np.array(pairs, np.intp).reshape(-1, 4).T
+    i, j = (y, x), (row * scale + place[0], column * scale + place[1])
+    weight = np.prod([get_similarity(feature, i, j) for feature in features], axis=0)
+    np.add.at(total, i, weight[:, None] * low[row, column].astype(np.float64) / albedo[j])
+    np.add.at(weights, i, weight)
     some = np.where(weights > 0.0, weights, np.inf)
     return total / some[..., None] * albedo, weights
 

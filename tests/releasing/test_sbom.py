@@ -54,6 +54,7 @@ def test_the_bill_names_what_the_wheel_contains(tmp_path: Path) -> None:
     assert bill["metadata"]["timestamp"] == MADE.isoformat()
 
 
+@pytest.mark.sampled("linux-x86-64", "windows-x86-64")
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_the_bill_names_all_that_pip_installs(system: str, tmp_path: Path) -> None:
     bill = make_bill(tmp_path, system)
@@ -121,6 +122,7 @@ def test_licences_are_those_of_the_installed_packages() -> None:
     assert told == {name: LICENCES[name] for name in told}
 
 
+@pytest.mark.nightly
 def test_a_wheel_holds_its_bill(tmp_path: Path) -> None:
     (tmp_path / "kernels").mkdir()
     make_bill(tmp_path / "kernels")

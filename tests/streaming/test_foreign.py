@@ -48,6 +48,7 @@ def compare(source: Path, **settings: Any) -> lobewise.Result:
     return compare_bands(source, (27, 136), with_oidn=False, **settings)[0]
 
 
+@pytest.mark.sampled("fast-all pixels", "balanced-some pixels")
 @pytest.mark.parametrize("most", [1 << 20, 2000], ids=["all pixels", "some pixels"])
 @pytest.mark.parametrize("quality", ["fast", "balanced"])
 def test_a_file_of_arnold_in_bands(
@@ -82,6 +83,7 @@ def test_encoded_normals_and_a_left_handed_world(arnold: renderers.Written, tmp_
     compare(write(tmp_path / "in.exr", arnold.channels, arnold.attributes), quality="fast")
 
 
+@pytest.mark.sampled("fast-all pixels", "high-some pixels")
 @pytest.mark.parametrize("most", [1 << 20, 2000], ids=["all pixels", "some pixels"])
 @pytest.mark.parametrize("quality", ["fast", "balanced", "high"])
 def test_layers_of_light_in_bands(
@@ -116,6 +118,7 @@ def test_layers_of_light_in_bands(
     assert {"specular/specular_direct", "specular/specular_indirect"} <= {*result.also}
 
 
+@pytest.mark.nightly
 def test_a_real_file_of_vray_in_bands(exr_folder: Path, tmp_path: Path) -> None:
     source = tmp_path / "in.exr"
     source.write_bytes((exr_folder / "vray_cornellBox_CryptoWildcard.0001.exr").read_bytes())
