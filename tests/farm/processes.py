@@ -97,6 +97,15 @@ class Farm:
         self.scheduler.wait()
         self.scheduler = self._start_scheduler()
 
+    def wait_for_scheduler(self) -> None:
+        """Wait until the scheduler listens: on a busy machine it starts longer than a client waits for its answer."""
+
+        def is_open() -> bool:
+            with socket.socket() as client:
+                return client.connect_ex(("127.0.0.1", self._port)) == 0
+
+        wait_until(is_open)
+
     def kill_worker(self) -> None:
         """Kill the first worker; another one is started soon."""
         self.workers[0].send_signal(signal.SIGKILL)
@@ -104,6 +113,7 @@ class Farm:
     def add_worker(self, **more: str) -> None:
         """Start a worker with variables of its own, and wait until the scheduler has all workers."""
         self.workers.append(self._start_worker(more))
+        self.wait_for_scheduler()
         with connect(self.address) as connection:
             wait_until(lambda: len(connection.list_workers()) == len(self.workers))
 

@@ -80,10 +80,10 @@ def test_a_worker_of_another_version_gets_no_frame(
 ) -> None:
     with Farm(tmp_path, workers=1) as farm:
         farm.add_worker(**put_old_version(tmp_path))
-        done = run_program(sources, folder, "--farm", farm.address)
+        done = run_program(sources, folder, "--farm", farm.address, "--frames", "1-6")
     assert done.returncode == 0, done.stderr
     assert len(re.findall(rf"The worker {ADDRESS} is not used: {OLD}\.\n", done.stderr)) == 1
-    assert read_outputs(folder) == expected
+    assert read_outputs(folder) == {name: expected[name] for name in sorted(expected)[:6]}
 
 
 @pytest.mark.nightly

@@ -30,6 +30,7 @@ def peer(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
     """Return the address of a peer that is no scheduler, or one that is stopped."""
     if request.param == "stopped":
         with Farm(tmp_path, workers=0) as farm:
+            farm.wait_for_scheduler()
             with connection.connect(farm.address):
                 pass
             farm.scheduler.send_signal(signal.SIGSTOP)
@@ -51,6 +52,8 @@ def peer(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
             callbacks.shutdown(socket.SHUT_RDWR)
 
 
+SECONDS = 0.5
+"""Time to connect of a test that needs no more."""
 PEERS = ["silent", "deaf", "mad", "many parts", "stopped"]
 
 
@@ -74,12 +77,12 @@ def test_a_peer_that_is_no_scheduler_ends_the_run_in_time(peer: str, sources: Pa
 @pytest.mark.usefixtures("dask")
 @pytest.mark.parametrize("peer", PEERS, indirect=True)
 def test_a_peer_that_is_no_scheduler_leaves_no_thread(peer: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connection, "CONNECT_SECONDS", 1.0)
+    monkeypatch.setattr(connection, "CONNECT_SECONDS", SECONDS)
     connection.require_distributed()
     before = set(threading.enumerate())
     begin = time.monotonic()
     with refuses(LobewiseError, "--farm"), connection.connect(peer):
         pass
     # Without its own deadline the call would end only now.
-    assert time.monotonic() - begin < 1.0 + connection.CLOSE_SECONDS
+    assert time.monotonic() - begin < SECONDS + connection.CLOSE_SECONDS
     assert set(threading.enumerate()) <= before
