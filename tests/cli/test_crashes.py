@@ -66,6 +66,7 @@ def finish(process: subprocess.Popen[str]) -> tuple[int, str, str]:
     return process.returncode, out, err
 
 
+@pytest.mark.sampled("anew")
 @on_posix
 @pytest.mark.mitsuba
 @pytest.mark.parametrize("before", ["", WITHOUT_FORK], ids=["fork", "anew"])
@@ -98,6 +99,7 @@ def test_view_tells_a_crash(broken: Path, capfd: pytest.CaptureFixture[str]) -> 
     assert f"lobewise: scene '{broken}': {CRASHED.format('SIGSEGV')}" in told
 
 
+@pytest.mark.sampled("fork")
 @pytest.mark.mitsuba
 @pytest.mark.parametrize("before", ["", WITHOUT_FORK], ids=["fork", "anew"])
 def test_what_goes_well_goes_as_without_a_child(write_scene: Callable[[int], Path], before: str) -> None:
@@ -133,6 +135,7 @@ def start_work(work: str, output: Path, err: int = subprocess.PIPE) -> subproces
     return start("render", "showroom", "-o", output, after=IN_CHILD.format(work=work), err=err)
 
 
+@pytest.mark.sampled("SIGKILL", "SIGSEGV")
 @on_posix
 @pytest.mark.parametrize("name", ["SIGKILL", "SIGABRT", "SIGSEGV"])
 def test_nothing_half_written_stays(name: str, tmp_path: Path) -> None:
@@ -161,6 +164,7 @@ def test_no_progress_stays_on_the_terminal(tmp_path: Path, monkeypatch: pytest.M
     assert before.endswith("\r\x1b[2K\x1b[?25h")
 
 
+@pytest.mark.sampled("the terminal's")
 @on_posix
 @pytest.mark.parametrize("whole", [True, False], ids=["the terminal's", "of one process"])
 def test_ctrl_c_is_heard_once(whole: bool, tmp_path: Path) -> None:

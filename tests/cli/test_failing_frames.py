@@ -52,6 +52,7 @@ FAULTS: dict[str, Callable[[Path], object]] = {
 }
 
 
+@pytest.mark.sampled("damaged-()", "empty-()", "being written-('--window', '1')")
 @pytest.mark.parametrize("options", [(), ("--window", "1")], ids=str)
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_frame_that_cannot_be_read_is_like_a_missing_one(
@@ -68,6 +69,7 @@ def test_a_frame_that_cannot_be_read_is_like_a_missing_one(
     assert read_files("out") == read_files("without")
 
 
+@pytest.mark.sampled("('--window', '1')")
 @pytest.mark.parametrize("options", [(), ("--window", "1")], ids=str)
 def test_a_frame_without_its_second_half(
     options: tuple[str, ...], folder: Path, capsys: pytest.CaptureFixture[str]

@@ -46,7 +46,11 @@ def require_results(target: Path, frames: list[Frame], number: int, window: Wind
 
 @pytest.mark.parametrize(
     ("words", "settings"),
-    [("--temporal", {"past_only": True}), ("--window 2 --quality balanced", {"quality": "balanced"})],
+    [
+        pytest.param("--temporal", {"past_only": True}, marks=pytest.mark.nightly),
+        ("--temporal --quality fast", {"past_only": True, "quality": "fast"}),
+        ("--window 2 --quality balanced", {"quality": "balanced"}),
+    ],
 )
 def test_every_frame_uses_its_window_up_to_a_missing_number(
     words: str, settings: dict[str, Any], folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -156,6 +156,7 @@ def test_every_similarity_agrees_with_python(settings: dict[str, Any], tmp_path:
     assert max(found) <= choose_bound(parse_target("host").to_string())
 
 
+@pytest.mark.nightly
 @pytest.mark.vulkan
 def test_a_filter_runs_on_a_device(tmp_path: Path, compiler: str, monkeypatch: pytest.MonkeyPatch) -> None:
     vulkan = next(device for device in list_devices() if device.name == "vulkan")

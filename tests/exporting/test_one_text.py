@@ -79,7 +79,7 @@ class NearDepth(DeclaredFeature):
         return -1.0 * apart * apart
 
 
-@pytest.mark.sampled("history")
+@pytest.mark.sampled("fast")
 @pytest.mark.parametrize("settings", [{}, {"upsample": 2}, {"history": True}], ids=["fast", "upsample", "history"])
 def test_features_of_ones_own(settings: dict[str, Any]) -> None:
     check(

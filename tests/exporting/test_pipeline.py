@@ -56,6 +56,7 @@ def test_automatic_numbers_are_those_of_the_recipe(spp: float, radius: int) -> N
     assert float(constants.tau) == pytest.approx(choose_tau(spp, pixel_tau), rel=1e-15)
 
 
+@pytest.mark.sampled("settings0", "settings4", "settings5")
 @pytest.mark.parametrize(
     "settings",
     [
@@ -87,6 +88,7 @@ def test_images_that_are_needed_at_once_lie_apart(history: bool) -> None:
     assert plan.made_bytes < 0.6 * whole
 
 
+@pytest.mark.sampled("high-named-halves", "balanced-color-whole")
 @pytest.mark.parametrize("halves", [True, False], ids=["halves", "whole"])
 @pytest.mark.parametrize("layers", ["apart", "color", "named"])
 @pytest.mark.parametrize("plan", ["balanced", "high"])
@@ -273,6 +275,7 @@ def test_bad_input_is_refused(fast: Path, compiler: str) -> None:
     assert expected < int(build(fast, "./checks")) < expected + 40_000
 
 
+@pytest.mark.nightly
 def test_cmake_finds_the_package(fast: Path, cpp: str, tmp_path: Path) -> None:
     cmake = locate_program("cmake", "cmake")
     build(tmp_path, cmake, "-S", str(fast), "-B", "build", "-DCMAKE_BUILD_TYPE=Release")

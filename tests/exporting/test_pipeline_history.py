@@ -66,6 +66,7 @@ CANCELLED = """
 """
 
 
+@pytest.mark.nightly
 def test_a_cancelled_frame_leaves_the_history_as_it_was(history: Path, cpp: str) -> None:
     text = (history / "example.cpp").read_text()
     (history / "cancelled.cpp").write_text(text.replace("            pipeline.run(camera, frame);\n", CANCELLED))

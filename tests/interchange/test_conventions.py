@@ -463,6 +463,7 @@ def test_normals_that_fit_no_surface_are_told_and_left(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.frame.gbuffer.normal, strewn, atol=1e-6)
 
 
+@pytest.mark.sampled("leave2", "leave4")
 @pytest.mark.parametrize("leave", [("N",), ("P", "N"), ("Z",), ("diffuse_albedo", "specular_albedo"), ("P", "Z")])
 def test_right_files_with_fewer_guides_raise_nothing(leave: tuple[str, ...], tmp_path: Path) -> None:
     assert import_channels(write_showroom(*leave), tmp_path, camera=get_camera()).findings == ()

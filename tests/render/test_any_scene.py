@@ -107,6 +107,7 @@ def test_a_ball_in_a_group_is_found_by_its_material(mi: Any) -> None:
     assert _look_up_bsdf(scene, "scene", "metal").class_name() == "RoughConductor"
 
 
+@pytest.mark.nightly
 def test_instances_are_rendered_with_the_materials_of_their_group(mi: Any) -> None:
     frame = render_frame(load("instances"), spp=4)
     assert (frame.gbuffer.lobe_kind == 3).sum() > 5

@@ -303,6 +303,7 @@ class TestPythonBsdf:
 
 
 class TestOtherPlugins:
+    @pytest.mark.nightly
     def test_a_pane_is_a_mirror_that_rays_may_pass(self, mi: Any, furnace: Furnace) -> None:
         bsdf = {"type": "thindielectric", "specular_reflectance": rgb(0.9, 0.6, 0.3)}
         found = fit(mi, bsdf)
