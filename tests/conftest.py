@@ -1,17 +1,26 @@
 """Fixtures that several rooms' tests use: seeded random numbers, a frame with every image, real EXR files."""
 
 import os
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Iterator
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import typer.main
 
 from lobewise.records.camera import Camera
 from lobewise.records.frame import Frame, GBuffer, Radiance
 from lobewise.records.lobe_table import LobeTable
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _one_command() -> Iterator[None]:
+    """Let Typer make the program's command once. Every call of the program makes it anew, which takes 0.1 s."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(typer.main, "get_command", cache(typer.main.get_command))
+        yield
 
 
 @pytest.fixture
