@@ -273,6 +273,7 @@ def can_unshare() -> bool:
     )
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(not can_unshare(), reason="needs a process that may mount file systems of its own")
 def test_a_read_only_machine_uses_the_kernels_of_its_cache(tmp_path: Path) -> None:
     # /tmp stays to be read: the interpreter or the package may lie there.

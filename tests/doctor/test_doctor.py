@@ -56,7 +56,7 @@ class TestVerb:
         ("module", "told"),
         [
             ("OpenEXR", r"openexr cannot be loaded \(ModuleNotFoundError.*pip install --force-reinstall"),
-            ("numpy", r"numpy cannot be loaded"),
+            pytest.param("numpy", r"numpy cannot be loaded", marks=pytest.mark.nightly),
             ("halide", r"halide cannot be loaded"),
         ],
     )

@@ -130,6 +130,7 @@ class TestVerbs:
         assert list_missing(catalogue, words) == []
 
 
+@pytest.mark.sampled("fast", "balanced")
 @pytest.mark.parametrize("quality", [name for name, each in QUALITIES.items() if not each.needs_oidn])
 def test_even_and_odd_seeds_record_what_pixels_ask_for(quality: str) -> None:
     frame, recorded = lobewise.read_frame(BUNDLED), set()

@@ -320,7 +320,7 @@ def test_what_a_preview_does_not_show_is_named(mi, integrator, more, told):
     assert tell_unseen(make_scene(mi, integrator, **more)) == told
 
 
-@pytest.mark.sampled("volpathmis", "moment")
+@pytest.mark.sampled("moment")
 @pytest.mark.parametrize(
     "integrator",
     [

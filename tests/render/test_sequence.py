@@ -102,6 +102,7 @@ def test_frames_come_one_at_a_time(scene: Any, orbit: list[Camera], monkeypatch:
     assert moved == orbit[:1]
 
 
+@pytest.mark.nightly
 def test_references_are_the_radiance_alone(scene: Any, orbit: list[Camera]) -> None:
     from lobewise.render import render_sequence
 

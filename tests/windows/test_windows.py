@@ -244,6 +244,7 @@ class TestFilter:
         for one, other in zip(first, again, strict=True):
             assert np.array_equal(one, other)
 
+    @pytest.mark.sampled("True")
     @pytest.mark.parametrize("past_only", [False, True])
     def test_a_part_of_the_sequence_gives_the_bits_of_the_whole(self, past_only):
         # The first frame has the motion of a camera that jumped, which no other frame tells.
@@ -428,6 +429,7 @@ MEANINGS = {
 }
 
 
+@pytest.mark.sampled(*list(MEANINGS)[:2])
 @pytest.mark.parametrize("meaning", MEANINGS)
 def test_motion_vectors_that_contradict_the_cameras_are_named(meaning: str) -> None:
     still, step = make_camera(), np.array([0.06, 0.06, 0.0])

@@ -229,6 +229,7 @@ class TestPositions:
         for name in ("alpha_u", "alpha_v"):
             assert np.allclose(found[name], [each[name][0] for each in plain], rtol=FITTED_ALPHA), name
 
+    @pytest.mark.nightly
     def test_a_texture_on_the_surface_is_no_texture_in_space(self, mi: Any) -> None:
         assert not read({"type": "pplastic", "alpha": CHECKER}).fitted.fit.parts.positional
 
