@@ -4,6 +4,7 @@ import ast
 import gc
 import re
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
@@ -116,17 +117,25 @@ def list_modules() -> list[Path]:
     return sorted(path for path in SOURCE.rglob("*.py") if path != SOURCE / "__init__.py")
 
 
-@cache
-def read_tree(path: Path) -> ast.Module:
-    """Return the syntax tree of a file. No tree is garbage: to look for some takes longer than to parse."""
+@contextmanager
+def leave_garbage() -> Iterator[None]:
+    """Let nobody look for garbage: syntax trees hold none, and to look takes longer than to parse."""
     gc.disable()
     try:
-        return ast.parse(path.read_text())
+        yield
     finally:
         gc.enable()
 
 
 @cache
+@leave_garbage()
+def read_tree(path: Path) -> ast.Module:
+    """Return the syntax tree of a file."""
+    return ast.parse(path.read_text())
+
+
+@cache
+@leave_garbage()
 def list_nodes(path: Path) -> tuple[ast.AST, ...]:
     """Return all nodes of a file's syntax tree."""
     return tuple(ast.walk(read_tree(path)))

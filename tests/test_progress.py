@@ -164,7 +164,7 @@ def test_callers_watch_and_cancel(call: Callable[..., Any]) -> None:
 
 @pytest.mark.skipif(not has_oidn(), reason="needs Open Image Denoise")
 def test_open_image_denoise_is_watched_and_cancelled() -> None:
-    frame, told, threads = make_scene((200, 160)), list[Progress](), set[int]()
+    frame, told, threads = make_scene((100, 80)), list[Progress](), set[int]()
 
     def watch(record: Progress) -> None:
         told.append(record)

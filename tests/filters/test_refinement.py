@@ -208,6 +208,7 @@ def test_graphics_cards_agree_with_the_processor(device: str) -> None:
         np.testing.assert_allclose(found, refine(images), rtol=1e-4)
 
 
+@pytest.mark.nightly
 @pytest.mark.processor
 def test_one_small_kernel_serves_all_layers() -> None:
     """Code for each layer and level takes many times as long to compile."""

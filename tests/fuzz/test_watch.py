@@ -52,6 +52,7 @@ def test_causes_are_told_apart_by_where_they_are() -> None:
     assert Verdict("hang", "no answer").signature != Verdict("error", told).signature
 
 
+@pytest.mark.nightly
 def test_the_same_seed_makes_the_same_files(monkeypatch: pytest.MonkeyPatch) -> None:
     class Recorder:
         def __init__(self) -> None:

@@ -107,6 +107,7 @@ def test_few_lit_pixels_are_no_pattern(rng: np.random.Generator) -> None:
     assert mark_pattern(np.ones((64, 64, 3), np.float32)) is None
 
 
+@pytest.mark.nightly
 def test_no_frame_of_a_renderer_is_taken_for_a_pattern(exr_folder: Path) -> None:
     for path in sorted(exr_folder.glob("*.exr")):
         found = import_file(path)

@@ -112,11 +112,13 @@ def test_the_mask_is_applied_and_never_set(tmp_path: Path, monkeypatch: pytest.M
     assert modes == {"file": 0o640, "folder": 0o750, MARK: 0o640}
 
 
-THREADS, ROUNDS = 8, 6
+THREADS = 8
 COMPRESSIONS = ("none", "rle", "zips", "zip", "piz", "zstd", "zip", "piz")
 
 
-def test_threads_read_and_write_what_a_loop_does(rng: np.random.Generator, tmp_path: Path) -> None:
+@pytest.mark.sampled("2")
+@pytest.mark.parametrize("rounds", [2, 6])
+def test_threads_read_and_write_what_a_loop_does(rounds: int, rng: np.random.Generator, tmp_path: Path) -> None:
     images = [rng.random((150 + 10 * number, 170, 3)).astype(np.float32) for number in range(THREADS)]
 
     def copy(number: int) -> tuple[bytes, bytes]:
@@ -129,5 +131,5 @@ def test_threads_read_and_write_what_a_loop_does(rng: np.random.Generator, tmp_p
 
     expected = [copy(number) for number in range(THREADS)]
     with ThreadPoolExecutor(THREADS) as threads:
-        for _ in range(ROUNDS):
+        for _ in range(rounds):
             assert list(threads.map(copy, range(THREADS))) == expected

@@ -70,6 +70,7 @@ def test_light_is_that_of_single_frames_of_successive_seeds(scene: Any, orbit: l
         np.testing.assert_array_equal(frame.camera.position, alone.camera.position)
 
 
+@pytest.mark.nightly
 def test_shaded_places_follow_their_order(scene: Any, orbit: list[Camera]) -> None:
     from lobewise.render import render_sequence
 
