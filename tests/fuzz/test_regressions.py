@@ -15,7 +15,6 @@ def watcher() -> Iterator[Watcher]:
         yield one
 
 
-@pytest.mark.sampled(*(kind for kind in READERS if "usd" not in kind))
 @pytest.mark.parametrize("kind", READERS)
 def test_every_seed_opens_and_nothing_that_failed_does_again(watcher: Watcher, kind: str) -> None:
     if not can_read(kind):
