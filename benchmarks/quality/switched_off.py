@@ -136,8 +136,8 @@ def keep_discs(share: FloatArray, rest: FloatArray, image: FloatArray, _: Any) -
     return limit_to_noise(share, rest, image, None)
 
 
-def find_no_salt(_: FloatArray, image: FloatArray, __: Any) -> FloatArray:
-    """Stand for `find_salt`: no light is salt."""
+def compute_no_salt(_: FloatArray, image: FloatArray, __: Any) -> FloatArray:
+    """Stand for `compute_salt_share`: no light is salt."""
     return np.zeros(image.shape[:2], np.float32)
 
 
@@ -175,7 +175,7 @@ SWITCHES: dict[str, Switch] = {
     "keep light": replace_one(chain, "keep_light", lambda filtered: filtered),
     "color alone where guides are noise": replace_one(chain, "compute_unguided_share", make_no_share),
     "lamps out of focus by their color": Switch(
-        [(chain, "limit_to_noise", keep_discs), (chain, "find_salt", find_no_salt)]
+        [(chain, "limit_to_noise", keep_discs), (chain, "compute_salt_share", compute_no_salt)]
     ),
     "surfaces stand in": replace_one(usable, "stand_in_surfaces", lambda frame: (frame, ())),
     "lamps without normals kept": replace_one(stand_ins, "keep_lamps", lambda frame: (frame, 0)),

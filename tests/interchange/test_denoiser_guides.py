@@ -36,12 +36,12 @@ def test_the_peer_gets_the_file_s_own_guides(rng: np.random.Generator) -> None:
     # Ours: normals of length 1, and no albedo that light is divided by near 0.
     np.testing.assert_allclose(np.linalg.norm(guides.normal, axis=-1), 1.0, atol=1e-6)
     assert guides.diffuse_albedo.min() >= 0.1
-    albedos, normal = peers._choose_guides(frame, "prefiltered")
+    albedos, normal = peers._choose_guides(frame.gbuffer, "prefiltered")
     (albedo,) = albedos
     assert albedo is guides.denoiser_albedo
     assert normal is guides.denoiser_normal
     # "centre" are those of the ray through the pixel's centre.
-    albedos, normal = peers._choose_guides(frame, "centre")
+    albedos, normal = peers._choose_guides(frame.gbuffer, "centre")
     assert albedos[0] is guides.diffuse_albedo
     assert normal is guides.normal
 

@@ -53,8 +53,8 @@ from lobewise.denoising.refining.network import refine_light
 from lobewise.denoising.refining.totals import compose, compute_averaged_rest, compute_rest
 from lobewise.denoising.refining.unguided import (
     MIN_SHARE,
+    compute_salt_share,
     compute_unguided_share,
-    find_salt,
     forget_guides,
     limit_to_noise,
 )
@@ -492,7 +492,7 @@ def mix_peer(
         enter_stage(CHOOSE)
         mixed, share = choose_between(frame, samples, filtered.image, peer.image, noisy)
         if filtered.rest is not None and (blur := frame.gbuffer.blur_radius) is not None:
-            mixed = mix_noisy(mixed, peer.unguided, find_salt(filtered.rest, filtered.image, blur))
+            mixed = mix_noisy(mixed, peer.unguided, compute_salt_share(filtered.rest, filtered.image, blur))
     # Give each part its own noisy light first: else the detail of one part is spread over all.
     if filtered.share_taken is None:
         parts = [mix_noisy(*each, share) for each in zip(filtered.parts, filtered.noisy, strict=True)]

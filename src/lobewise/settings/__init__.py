@@ -175,13 +175,12 @@ class DenoiseSettings(Declared):
     quality: Annotated[
         QualityName | Auto,
         Knob(
-            'How much work goes into the noise: "fast" little, "balanced" more, "high" the most of our own filters, '
-            '"best" more than pays, "auto" what pays here. "fast" weighs by guides alone, in one pass, as the paper '
-            'does. "balanced" filters two halves of the samples narrowly, and then widely by what that tells of '
-            'light and noise; "high" also refines the image by a network. "auto" mixes "balanced" with Open Image '
-            'Denoise where it is installed, and takes "high" where it is not; "best" needs it, and takes half as '
-            'much time again. For the other forms, upsampling and histories "auto" takes "fast", the only quality '
-            "they have.",
+            'How much work goes into the noise: "fast" little, "balanced" more, "high" much, "best" most, "auto" '
+            'what pays here. "fast" weighs by guides alone, in one pass, as the paper does. "balanced" filters two '
+            'halves of the samples narrowly, and then widely by what that tells of light and noise; "high" also '
+            'refines the image by a network. "auto" mixes "balanced" with Open Image Denoise where it is installed, '
+            'and takes "high" where it is not; "best" needs it, and takes half as much time again. For the other '
+            'forms, upsampling and histories "auto" takes "fast", the only quality they have.',
             label="Quality",
         ),
     ] = "auto"

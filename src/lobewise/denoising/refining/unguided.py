@@ -104,7 +104,7 @@ def limit_to_noise(
     return np.where(np.isnan(blur_radius), share, salted)
 
 
-def find_salt(rest: FloatArray, image: FloatArray, blur_radius: FloatArray) -> FloatArray:
+def compute_salt_share(rest: FloatArray, image: FloatArray, blur_radius: FloatArray) -> FloatArray:
     """Return the share of the light that is the salt of lamps out of focus, (height, width); see `limit_to_noise`."""
     return limit_to_noise(np.zeros(image.shape[:2], np.float32), rest, image, blur_radius)
 

@@ -45,7 +45,7 @@ from lobewise.denoising.light_loss import (
 from lobewise.denoising.noisy import make_bounded_layers, measure_layer
 from lobewise.denoising.recipe import scale_unscattered
 from lobewise.denoising.refining.totals import compute_rest
-from lobewise.denoising.refining.unguided import LEFT_OUT, MIN_SHARE, count_isolated, find_salt, judge_guides
+from lobewise.denoising.refining.unguided import LEFT_OUT, MIN_SHARE, compute_salt_share, count_isolated, judge_guides
 from lobewise.denoising.refining.whole_image import WholeImage, join_measured, measure_rows
 from lobewise.errors import InputError
 from lobewise.filters.fireflies import FIREFLY_REACH, compute_energy_lost
@@ -298,7 +298,7 @@ def _measure(reader: BandReader, survey: GuideSurvey, settings: ResolvedSettings
                 color, blur, rest = frame.radiance.color, frame.gbuffer.blur_radius, compute_rest(frame)
                 isolated.append(count_isolated(color, bounded.gbuffer)[core])
                 if rest is not None and blur is not None:
-                    salt += int(np.count_nonzero(find_salt(rest, color, blur) >= MIN_SHARE))
+                    salt += int(np.count_nonzero(compute_salt_share(rest, color, blur) >= MIN_SHARE))
         elif frame.variance is not None:
             variances.append(list_relative_variances(reader.read_frame(*band)))
         if number + 1 < len(bands):
