@@ -121,7 +121,8 @@ def make_kinds(shots: Mapping[str, Any]) -> str:
     """Return the means of `make_shots` for every kind of shot, with all guides."""
     rows = {(row.scene, row.guides, row.spp): row.methods for row in list_rows(shots["scenes"])}
     kinds = sorted({_get_kind(scene) for scene, _, _ in rows})
-    methods = [method for guides, method in SHOT_ROWS if guides == "all" and method != PEER]
+    measured = {method for methods in rows.values() for method in methods}
+    methods = [method for guides, method in SHOT_ROWS if guides == "all" and method in measured - {PEER}]
     table = []
     for method in methods:
         means = [
