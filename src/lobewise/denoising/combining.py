@@ -41,7 +41,7 @@ from lobewise.work.chunks import cut_rows
 
 CHOOSE = "choose the shares of the images"
 """The stage after the calls of Open Image Denoise."""
-PLAIN_CALL_SECONDS = 1.25
+PLAIN_CALL_SECONDS = 1.45
 """Seconds that Open Image Denoise takes for a megapixel, called with albedo and normal that are said to be noisy; for
 `list_peer_costs` (``benchmarks/results/budget.json``)."""
 MAX_BLACK_RADIANCE = 1e-30
