@@ -46,7 +46,7 @@ def tiny(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], float]:
 def test_a_frame_that_needs_more_memory_is_refused_before_it_is_filtered(
     frame: Frame, tiny: Callable[[float], float]
 ) -> None:
-    needed = count_bytes(frame) + estimate_work_bytes(24 * 32, "fast", with_oidn=False)
+    needed = count_bytes(frame) + estimate_work_bytes(frame, 24 * 32, "fast", with_oidn=False)
     expected = lobewise.denoise(frame, quality="fast").image
     with limit_call(max_memory=tiny(1.01 * needed)):
         np.testing.assert_array_equal(lobewise.denoise(frame, quality="fast").image, expected)
@@ -148,7 +148,7 @@ import sys
 import numpy as np
 import lobewise
 from tests.fuzz.worker import read_status
-light = np.random.default_rng(0).random((1000, 1000, 3), dtype=np.float32)
+light = np.random.default_rng(0).random((1500, 2000, 3), dtype=np.float32)
 with lobewise.limit_call(max_memory=float(sys.argv[1])):
     lobewise.denoise(lobewise.Frame(lobewise.Radiance(light), lobewise.GBuffer(normal=light, diffuse_albedo=light)))
 print(read_status("VmHWM") / 2**30)
@@ -158,7 +158,7 @@ print(read_status("VmHWM") / 2**30)
         command = [sys.executable, "-c", program, str(limit)]
         return float(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
 
-    assert measure_peak(1.5) < min(1.5, 0.97 * measure_peak(100.0))
+    assert measure_peak(2.2) < min(2.2, 0.9 * measure_peak(100.0))
 
 
 def test_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -42,8 +42,8 @@ from lobewise.work.chunks import cut_rows
 CHOOSE = "choose the shares of the images"
 """The stage after the calls of Open Image Denoise."""
 PLAIN_CALL_SECONDS = 1.45
-"""Seconds that Open Image Denoise takes for a megapixel, called with albedo and normal that are said to be noisy; for
-`list_peer_costs` (``benchmarks/results/budget.json``)."""
+"""Time of one call of Open Image Denoise with albedo and normal that are said to be noisy, in the seconds of
+`list_peer_costs`: with it "auto" and "best" take as many calls as in ``benchmarks/results/budget.json``."""
 MAX_BLACK_RADIANCE = 1e-30
 """Radiance up to which light counts as black, so that no part has a share of it."""
 LOBE_ALBEDO_SHARE = 0.25
@@ -80,7 +80,8 @@ UNGUIDED_SHARE = 0.25
 at 64 samples, and other shots have as much."""
 HALF_SHARE_DIFFERENCE, PEER_DARK_SHARE = 2.0, 0.05
 """Difference of luminance at which a share is halved, at one sample per pixel, over the luminance with guides plus the
-second number times its mean over the image. It falls as the noise does: what differs more is detail."""
+second number times its mean over the image. It falls with the root of the samples per pixel, as noise does: what
+differs more is detail."""
 USUAL_SPP = 16.0
 """Samples per pixel of a frame that does not tell them."""
 
