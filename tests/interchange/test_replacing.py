@@ -1,5 +1,6 @@
 """Results go back where they came from; every other channel, part and attribute stays, bit for bit."""
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -133,6 +134,31 @@ def test_light_passes_can_be_left(tmp_path: Path) -> None:
     assert changed == {"Combined"}
     for _, part in CYCLES_PASSES:
         assert part in told
+
+
+def test_a_result_finds_the_file_of_its_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The file is taken as it was read, with its options; a file that changed since, or another one, is read anew."""
+    source, other = (tmp_path / name for name in ("source.exr", "other.exr"))
+    for path in (source, other):
+        write(path, WRITERS["cycles"](make_scene()))
+    frame = lobewise.read_frame(source, light_passes=False)
+    result = lobewise.denoise(frame, quality="fast")
+    write_result(tmp_path / "anew.exr", result, source=other)
+    reads: list[Path] = []
+
+    def read(path: Path, **options: Any) -> Any:
+        reads.append(path)
+        return import_file(path, **options)
+
+    monkeypatch.setattr("lobewise.interchange.replacing.import_file", read)
+    write_result(tmp_path / "known.exr", result, source=source)
+    assert not reads
+    assert (tmp_path / "known.exr").read_bytes() == (tmp_path / "anew.exr").read_bytes()
+    write_result(tmp_path / "other.exr", result, source=other)
+    assert reads == [other]
+    os.utime(source, (1.0, 1.0))
+    write_result(tmp_path / "changed.exr", result, source=source)
+    assert reads == [other, source]
 
 
 def make_groups(tmp_path: Path) -> Path:

@@ -179,7 +179,7 @@ def denoise_checked(checked: CheckedGuides[Frame], named: DenoiseSettings, featu
         if has_alpha:
             enter_stage(OPACITY)
             result = replace(result, alpha=denoise_alpha(frame, named))
-    return replace(result, seconds=time.perf_counter() - start)
+    return replace(result, origin=frame.origin, seconds=time.perf_counter() - start)
 
 
 def denoise_further(frame: Frame, image: FloatArray, named: DenoiseSettings, features: Sequence[Feature]) -> FloatArray:

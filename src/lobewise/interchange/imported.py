@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
@@ -19,27 +19,41 @@ from lobewise.records.frame import FloatArray, Frame
 from lobewise.work.limits import check_limits, require_memory
 
 
-@dataclass(frozen=True)
-class Imported:
+@dataclass(frozen=True, kw_only=True)
+class Origin:
+    """The file that a frame was read from, and its channels that receive the results of the frame.
+
+    Parameters
+    ----------
+    container : Container
+        The file.
+    map : ChannelMap
+        The meaning of the channels.
+    outputs : mapping of str to PartOutput
+        The channels that receive each result. The keys are "color" and the names of layers and their parts in
+        `lobewise.Result`.
+    shown : array, shape (height, width, 3), or None
+        The image that viewers show, if the renderer denoised it and kept the noisy image in another pass.
+    """
+
+    container: Container
+    map: ChannelMap
+    outputs: Mapping[str, PartOutput] = field(default_factory=dict)
+    shown: FloatArray | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Imported(Origin):
     """A frame, and how it was made from its file.
 
     Parameters
     ----------
     frame : Frame
         The frame, ready to be denoised.
-    container : Container
-        The file.
-    map : ChannelMap
-        The meaning of the channels.
     notes : tuple of str
         One sentence for each image that was found, converted, dropped or is missing.
-    outputs : mapping of str to PartOutput
-        The channels that receive each result. The keys are "color" and the names of layers and their parts in
-        `lobewise.Result`.
     findings : tuple of Finding
         Conventions that the pixels contradict. The notes contain their messages.
-    shown : array, shape (height, width, 3), or None
-        The image that viewers show, if the renderer denoised it and kept the noisy image in another pass.
     lacks : tuple of Lack
         Missing images that denoising could use. The notes contain their messages.
     flips : mapping of str to str
@@ -47,12 +61,8 @@ class Imported:
     """
 
     frame: Frame
-    container: Container
-    map: ChannelMap
     notes: tuple[str, ...] = ()
-    outputs: Mapping[str, PartOutput] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
-    shown: FloatArray | None = None
     lacks: tuple[Lack, ...] = ()
     flips: Mapping[str, str] = field(default_factory=dict)
 
@@ -67,6 +77,11 @@ class Imported:
         if self.map.is_own:
             return ()
         return (f"Read as {self.map.preset.title}, because {self.map.reason}.", *self.notes)
+
+    def with_origin(self) -> Imported:
+        """Return this frame with a note of where it came from, so that its results find the file again."""
+        origin = Origin(**{each.name: getattr(self, each.name) for each in fields(Origin)})
+        return replace(self, frame=self.frame.with_changes(origin=origin))
 
     def follow_window(self, before: Container) -> Imported:
         """Return this frame with its motion to the pixels of the frame before it, whose data window may lie elsewhere.

@@ -233,14 +233,13 @@ def join_halves(first: Imported, second: Imported) -> Imported:
     known = {one.what for one in first.findings}
     further = tuple(one for one in second.findings if one.what not in known)
     notes = [f"The second render: {one.sentence}" for one in further]
-    return Imported(
-        frame,
-        first.container,
-        first.map,
-        (*first.notes, note, *notes),
-        first.outputs,
-        (*first.findings, *further),
-        first.shown,
+    return replace(
+        first,
+        frame=frame,
+        notes=(*first.notes, note, *notes),
+        findings=(*first.findings, *further),
+        lacks=(),
+        flips={},
     )
 
 

@@ -48,10 +48,14 @@ Read = Callable[[Found], FloatArray]
 
 @dataclass(frozen=True)
 class PartOutput:
-    """The channels that receive an image, and what divides it before writing: a layer's albedo, the alpha of a bake."""
+    """The channels that receive an image, and what divides it before writing: a layer's albedo, the alpha of a bake.
+
+    ``is_exact`` says that the channels hold light without noise.
+    """
 
     target: Found
     divided_by: FloatArray | None = None
+    is_exact: bool = False
 
 
 @dataclass(frozen=True)
@@ -106,8 +110,9 @@ def take_layers(color: FloatArray, layer_passes: Sequence[FoundLayer], read: Rea
         known = sum_so_far
         if image.any():
             name = _name_exact(one_layer, one)
-            outputs[name] = PartOutput(one)
-            if name == BACKGROUND and is_foggy and not is_smooth(image):
+            is_noisy = name == BACKGROUND and is_foggy and not is_smooth(image)
+            outputs[name] = PartOutput(one, is_exact=not is_noisy)
+            if is_noisy:
                 layers.append(RadianceLayer(name, "volume", image))
             else:
                 unscattered[name] = image

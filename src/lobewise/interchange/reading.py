@@ -236,13 +236,13 @@ def import_file(
     left = describe_left_noisy(imported, read, {imported.map.selection, *denoised})
     imported = replace(imported, frame=imported.frame.with_changes(notes=(*told, *left)))
     if half is None:
-        return imported
+        return imported.with_origin()
     options: dict[str, Any] = {"preset": preset, "mapping": mapping, "camera": camera, "lobe_tables": lobe_tables}
     options |= {"also": also, "light_passes": light_passes, "light_groups": light_groups}
     options |= {"view": view, "layer": layer, "wraps": wraps, "flips": imported.flips}
     other = import_file(half, **options)
     with name_file(half):
-        return join_halves(imported, other)
+        return join_halves(imported, other).with_origin()
 
 
 def _make_black_pixel(found: Found) -> FloatArray:

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from lobewise.errors import InputError, require_kind
 from lobewise.interchange.channels import list_passes, list_views
-from lobewise.interchange.imported import Imported
+from lobewise.interchange.imported import Imported, Origin
 from lobewise.interchange.mapping import Found
 from lobewise.interchange.reading import import_file
 from lobewise.interchange.siblings import FIRST_SIBLING_INDEX
 from lobewise.io.exr.container import Container, Part, show_name
+from lobewise.io.exr.parsing import stamp_file
 from lobewise.io.exr.replacing import write_copy
 from lobewise.io.files import PathLike
 from lobewise.records.frame import FloatArray, Result
@@ -60,7 +62,8 @@ def write_result(
     result : Result
         The result of `lobewise.denoise` for the frame.
     source : path or Imported
-        The file, or the return value of `import_file`. Pass the latter if the import used options.
+        The file, or the return value of `import_file`. A file that the frame was read from, and that did not change
+        since, is taken as it was read then, with the same options. Any other file is read anew, without options.
     suffix : str
         If given, the results go to new passes whose names end in this suffix, and the original passes stay.
     only : bool
@@ -71,8 +74,8 @@ def write_result(
     rerender : array, shape (height, width), optional
         1 where a pixel should be rendered again; see `lobewise.find_unsupported`.
     view, layer : str, optional
-        With a path as ``source``, the view and the view layer that were denoised. To write several, write the first
-        one, then each further one with ``path`` as its ``source``.
+        With a path as ``source``, the view and the view layer that were denoised; by default those of the frame. To
+        write several, write the first one, then each further one with ``path`` as its ``source``.
 
     Returns
     -------
@@ -91,9 +94,20 @@ def write_result(
     """
     require_kind("result", result, Result)
     result = result.convert()
-    imported = source if isinstance(source, Imported) else import_file(source, view=view, layer=layer)
-    planned = plan_result(result, imported, suffix=suffix, only=only, confidence=confidence, rerender=rerender)
-    return write_planned(path, imported.container, [planned], only=only)
+    origin = source if isinstance(source, Imported) else _look_up_origin(result, Path(source), view, layer)
+    planned = plan_result(result, origin, suffix=suffix, only=only, confidence=confidence, rerender=rerender)
+    return write_planned(path, origin.container, [planned], only=only)
+
+
+def _look_up_origin(result: Result, source: Path, view: str | None, layer: str | None) -> Origin:
+    """Return what a file was read as when the frame of the result was read from it, else what it is read as now."""
+    origin = result.origin
+    if isinstance(origin, Origin):
+        selection = origin.map.selection
+        is_same = view in (None, selection.view) and layer in (None, selection.layer)
+        if is_same and origin.container.stamp == stamp_file(source) is not None:
+            return replace(origin, container=replace(origin.container, path=source))
+    return import_file(source, view=view, layer=layer)
 
 
 @dataclass(frozen=True)
@@ -135,7 +149,7 @@ def write_planned(
 
 def plan_result(
     result: Result,
-    imported: Imported,
+    origin: Origin,
     *,
     suffix: str = "",
     only: bool = False,
@@ -143,12 +157,12 @@ def plan_result(
     rerender: FloatArray | None = None,
 ) -> PlannedResult:
     """Return what a result changes in the copy of its file; see `write_result`."""
-    require_target(imported)
-    container = imported.container
-    beauty = imported.map.target.source.part
-    planes = _plan_planes(imported, result)
-    notes = _note_noisy(imported, result)
-    shown, shown_notes = ({}, []) if suffix or only else _keep_shown(imported)
+    require_target(origin)
+    container = origin.container
+    beauty = origin.map.target.source.part
+    planes = _plan_planes(origin, result)
+    notes = _note_noisy(origin, result)
+    shown, shown_notes = ({}, []) if suffix or only else _keep_shown(origin)
     notes += shown_notes
     changed: Planes = {} if suffix else planes
     added: Planes = shown
@@ -166,38 +180,38 @@ def plan_result(
         if rerender is not None:
             own["rerender"] = np.asarray(rerender, np.float32)
         of_beauty = added.setdefault(beauty.index, {})
-        of_beauty |= {f"{_name_prefix(imported, beauty)}{name}": image for name, image in own.items()}
+        of_beauty |= {f"{_name_prefix(origin, beauty)}{name}": image for name, image in own.items()}
     return PlannedResult(beauty, changed, added, result.settings, tuple(notes))
 
 
-def _name_prefix(imported: Imported, beauty: Part) -> str:
+def _name_prefix(origin: Origin, beauty: Part) -> str:
     """Return the beginning of the names of added channels, with the view and layer of which the part has several."""
-    view = "" if beauty.view else imported.map.selection.view
-    layer = imported.map.prefix if len({each.layer for each in imported.map.selections}) > 1 else ""
+    view = "" if beauty.view else origin.map.selection.view
+    layer = origin.map.prefix if len({each.layer for each in origin.map.selections}) > 1 else ""
     return f"{layer}{CONFIDENCE_PREFIX}{view}{'.' if view else ''}"
 
 
-def require_target(imported: Imported) -> None:
+def require_target(origin: Origin) -> None:
     """Raise InputError if the image to replace is in a neighbouring file, not in the file that is copied."""
-    if imported.map.target.source.part.index < FIRST_SIBLING_INDEX:
+    if origin.map.target.source.part.index < FIRST_SIBLING_INDEX:
         return
-    name = imported.container.path.name
+    name = origin.container.path.name
     raise InputError(
-        f"image {imported.map.target.label}",
+        f"image {origin.map.target.label}",
         expected=f"one in {name!r}, of which a copy is written",
         got="one in another file beside it",
         action="give that file, or put all passes into one file",
     )
 
 
-def _plan_planes(imported: Imported, result: Result) -> Planes:
+def _plan_planes(origin: Origin, result: Result) -> Planes:
     """Return the new values of the channels that receive results."""
     images = _list_images(result)
     planes: Planes = {}
     # Rescaled exact light adds up to the image only with the filtered passes, so keep it if any pass stays noisy.
-    unfiltered = set(imported.frame.unscattered) if _list_left(imported, images) else set()
-    for name, output in imported.outputs.items():
-        if name not in images or name in unfiltered:
+    keeps_exact = bool(_list_left(origin, images))
+    for name, output in origin.outputs.items():
+        if name not in images or (output.is_exact and keeps_exact):
             continue
         image = images[name]
         if output.divided_by is not None:
@@ -208,10 +222,9 @@ def _plan_planes(imported: Imported, result: Result) -> Planes:
     return planes
 
 
-def _list_left(imported: Imported, images: Mapping[str, FloatArray]) -> list[str]:
+def _list_left(origin: Origin, images: Mapping[str, FloatArray]) -> list[str]:
     """Return the noisy passes for which the result has no image. Exact light does not count: it has no noise."""
-    covered = {*images, *imported.frame.unscattered}
-    return [output.target.label for name, output in imported.outputs.items() if name not in covered]
+    return [one.target.label for name, one in origin.outputs.items() if name not in images and not one.is_exact]
 
 
 def _list_images(result: Result) -> Mapping[str, FloatArray]:
@@ -223,28 +236,28 @@ def _list_images(result: Result) -> Mapping[str, FloatArray]:
     return {**whole, **opacity, **result.layers, **also}
 
 
-def _keep_shown(imported: Imported) -> tuple[Planes, list[str]]:
+def _keep_shown(origin: Origin) -> tuple[Planes, list[str]]:
     """Return channels that keep the renderer's denoised image, and a note about them.
 
     A file that lobewise wrote before has these channels already. They stay unchanged.
     """
-    shown = imported.map.shown
-    if shown is None or imported.shown is None:
+    shown = origin.map.shown
+    if shown is None or origin.shown is None:
         return {}, []
-    names = [_add_suffix(name, KEPT_SUFFIX, imported.container) for name in shown.channels]
+    names = [_add_suffix(name, KEPT_SUFFIX, origin.container) for name in shown.channels]
     label = Found(shown.source, tuple(names)).label
-    if imported.container.multipart and shown.source.part.name:
+    if origin.container.multipart and shown.source.part.name:
         label += f" of the part {show_name(shown.source.part.name)!r}"
-    there = {name for one in list_passes(imported.container) for name in one.channels.values()}
+    there = {name for one in list_passes(origin.container) for name in one.channels.values()}
     if there.intersection(names):
         return {}, [f"{label} holds an earlier image of {shown.label} and stays."]
-    planes = {name: imported.shown[..., k] for k, name in enumerate(names)}
+    planes = {name: origin.shown[..., k] for k, name in enumerate(names)}
     return {shown.source.part.index: planes}, [f"The renderer's own denoised image is kept as {label}."]
 
 
-def _note_noisy(imported: Imported, result: Result) -> list[str]:
+def _note_noisy(origin: Origin, result: Result) -> list[str]:
     """Return a note that lists the noisy passes for which the result has no image."""
-    left = _list_left(imported, _list_images(result))
+    left = _list_left(origin, _list_images(result))
     return [f"Left noisy, as the result has no part for them: {', '.join(left)}."] if left else []
 
 

@@ -247,6 +247,8 @@ class Frame(Guided):
     wraps : bool
         Whether the left and the right border are neighbours: an image of 360 degrees, such as a panorama by latitude
         and longitude.
+    origin : object, optional
+        The file that the frame was read from, as `lobewise.read_frame` keeps it for `lobewise.write_result`.
 
     Raises
     ------
@@ -270,6 +272,7 @@ class Frame(Guided):
     noise_is_shared: bool = False
     notes: tuple[str, ...] = ()
     wraps: bool = False
+    origin: object = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         require_kind("radiance", self.radiance, Radiance)

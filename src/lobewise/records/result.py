@@ -77,6 +77,8 @@ class Result(Described):
     find_noisy : callable or None
         Returns the noisy radiance that was denoised, (height, width, 3), as long as somebody else holds it, else None.
         Pickled results have lost it.
+    origin : object, optional
+        ``Frame.origin`` of the frame that was denoised.
     """
 
     image: FloatArray
@@ -96,6 +98,7 @@ class Result(Described):
     notes: tuple[str, ...] = ()
     unused: tuple[str, ...] = ()
     find_noisy: Callable[[], FloatArray | None] | None = field(default=None, compare=False)
+    origin: object = field(default=None, compare=False)
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -172,9 +172,9 @@ def import_mapped(
     draft = run_steps(start, OWN_STEPS if channels.is_own else STEPS)
     assert draft.frame is not None
     imported = Imported(
-        draft.frame,
-        container,
-        used,
+        frame=draft.frame,
+        container=container,
+        map=used,
         notes=list_notes(draft),
         outputs=draft.outputs,
         findings=draft.findings,

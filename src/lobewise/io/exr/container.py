@@ -172,6 +172,8 @@ class Container:
     path: Path
     version: int
     parts: tuple[Part, ...]
+    stamp: tuple[int, ...] | None = None
+    """What tells this file from others and from later versions of itself; see `stamp_file`."""
 
     @property
     def multipart(self) -> bool:

@@ -104,7 +104,7 @@ def read_container(path: PathLike) -> Container:
     _require_exr(file)
     try:
         with file.open("rb") as stream:
-            return _parse(file, stream)
+            return replace(_parse(file, stream), stamp=_stamp(os.fstat(stream.fileno())))
     except _Damaged as problem:
         raise FileError(
             f"input {str(path)!r}",
@@ -116,6 +116,18 @@ def read_container(path: PathLike) -> Container:
         raise FileError(
             f"input {str(path)!r}", expected="a readable file", got=str(problem), action="check the disk"
         ) from None
+
+
+def stamp_file(path: Path) -> tuple[int, ...] | None:
+    """Return numbers that are equal only for one file that has not changed; None where there is no file."""
+    try:
+        return _stamp(path.stat())
+    except OSError:
+        return None
+
+
+def _stamp(status: os.stat_result) -> tuple[int, ...]:
+    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
 
 
 def parse_bytes(data: bytes) -> Container:

@@ -364,6 +364,7 @@ class TemporalFilter:
             seconds=0.0,
             variance=variance,
             find_noisy=ref(frame.radiance.color),
+            origin=None if isinstance(frame, SparseFrame) else frame.origin,
         )
 
 
