@@ -13,9 +13,11 @@ from lobewise.interchange.lighting import PartOutput
 from lobewise.interchange.mapping import ChannelMap, Found, Key
 from lobewise.io.exr.container import Container, Part
 from lobewise.io.exr.describe import Lack
-from lobewise.io.exr.layout import join_planes
+from lobewise.io.exr.layout import join_chunk, join_planes
 from lobewise.io.exr.pixels import DTYPES, Pixels
 from lobewise.records.frame import FloatArray, Frame
+from lobewise.records.images import make_read_only
+from lobewise.work.chunks import Chunk
 from lobewise.work.limits import check_limits, require_memory
 
 
@@ -135,8 +137,17 @@ class ImageReader:
         if found.key not in self._images:
             check_limits()
             planes = self.read_planes(found)
-            self._images[found.key] = planes[0].astype(np.float32) if len(planes) == 1 else join_planes(planes)
+            image = planes[0].astype(np.float32) if len(planes) == 1 else join_planes(planes)
+            # A frame keeps an image without a copy where nobody can change it.
+            self._images |= {found.key: make_read_only(image=image)["image"]}
         return self._images[found.key]
+
+    def multiply(self, found: Found, factor: FloatArray, chunk: Chunk, out: FloatArray) -> None:
+        """Fill a chunk of ``out`` with an image times a factor. The image is not kept: few passes of light are."""
+        whole = self._images.get(found.key)
+        if whole is None:
+            join_chunk(self.read_planes(found), chunk, out[chunk])
+        np.multiply(out[chunk] if whole is None else whole[chunk], factor[chunk], out=out[chunk])
 
     def with_images(self, changed: Mapping[Key, FloatArray]) -> ImageReader:
         """Return a reader that returns the images in ``changed`` instead of those of the file."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+import math
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from functools import reduce
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +14,10 @@ from numpy.typing import NDArray
 from lobewise.guides.lamps import lift_albedo
 from lobewise.guides.squares import compute_square_maximum
 from lobewise.interchange.mapping import Found, FoundLayer
+from lobewise.interchange.values import clip_share
 from lobewise.records.frame import FloatArray, Radiance, RadianceLayer
 from lobewise.records.images import MAX_HALF_ROUNDING, make_read_only
-from lobewise.records.radiance import MAX_EXCESS_SHARE, measure_excess, sum_layers
+from lobewise.records.radiance import MAX_EXCESS_SHARE, compare_light, measure_excess, sum_layers
 from lobewise.work.chunks import Chunk, run_chunks
 
 MIN_REST_SHARE = 0.002
@@ -43,7 +46,15 @@ MIN_PIXELS_AMID_LIGHT = 64
 REST = "rest"
 """Name of the layer of light that is in no pass."""
 
-Read = Callable[[Found], FloatArray]
+
+class Reader(Protocol):
+    """Reads images of a file; see `lobewise.interchange.imported.ImageReader`."""
+
+    def __call__(self, found: Found) -> FloatArray:
+        """Return an image."""
+
+    def multiply(self, found: Found, factor: FloatArray, chunk: Chunk, out: FloatArray) -> None:
+        """Fill a chunk of ``out`` with an image times a factor."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +81,7 @@ class Light:
     outputs: Mapping[str, PartOutput] = field(default_factory=dict)
 
 
-def take_layers(color: FloatArray, layer_passes: Sequence[FoundLayer], read: Read) -> tuple[Light, list[str]]:
+def take_layers(color: FloatArray, layer_passes: Sequence[FoundLayer], read: Reader) -> tuple[Light, list[str]]:
     """Return the layers if they add up to the image, else none, and notes about light that does not fit.
 
     Parameters
@@ -79,8 +90,8 @@ def take_layers(color: FloatArray, layer_passes: Sequence[FoundLayer], read: Rea
         The image.
     layer_passes : sequence of FoundLayer
         The layers of the file.
-    read : callable
-        Returns an image of the file.
+    read : Reader
+        Reads images of the file.
     """
     layers: list[RadianceLayer] = []
     outputs: dict[str, PartOutput] = {}
@@ -97,33 +108,37 @@ def take_layers(color: FloatArray, layer_passes: Sequence[FoundLayer], read: Rea
     # Fog lets some of the samples through to the background, which then has their noise.
     is_foggy = any(layer.lobe == "volume" for layer in layers)
     exact = [(layer, one) for layer in layer_passes if layer.rule.lobe == "exact" for one in layer.light]
+    excess = measure_excess(color, known)
     for one_layer, one in exact:
         image = read(one)
-        with np.errstate(invalid="ignore", over="ignore"):
-            sum_so_far = known + np.where(np.isfinite(image), image, np.float32(0.0))
+        if not image.any():
+            continue
+        sum_so_far = known.copy()
+        _add_finite(sum_so_far, image)
         # A pass may hold the background although the image has a transparent one: then it is no part of the image.
-        if measure_excess(color, sum_so_far) > max(MAX_EXCESS_SHARE, 2.0 * measure_excess(color, known)):
+        before, excess = excess, measure_excess(color, sum_so_far)
+        if excess > max(MAX_EXCESS_SHARE, 2.0 * before):
+            excess = before
             notes.append(
                 f"{one.label} holds more light than the image has beside the layers: it is not used as its part."
             )
             continue
         known = sum_so_far
-        if image.any():
-            name = _name_exact(one_layer, one)
-            is_noisy = name == BACKGROUND and is_foggy and not is_smooth(image)
-            outputs[name] = PartOutput(one, is_exact=not is_noisy)
-            if is_noisy:
-                layers.append(RadianceLayer(name, "volume", image))
-            else:
-                unscattered[name] = image
-    rest, sum_notes, is_sum = _check_sum(layers, color, known)
+        name = _name_exact(one_layer, one)
+        is_noisy = name == BACKGROUND and is_foggy and not is_smooth(image)
+        outputs[name] = PartOutput(one, is_exact=not is_noisy)
+        if is_noisy:
+            layers.append(RadianceLayer(name, "volume", image))
+        else:
+            unscattered[name] = image
+    rest, sum_notes, is_sum = _check_sum(layers, color, known, excess)
     if not is_sum:
         return Light(), sum_notes
     return Light((*layers, *rest), unscattered, outputs), [*notes, *sum_notes]
 
 
 def _take_layer(
-    layer_pass: FoundLayer, read: Read, known: FloatArray
+    layer_pass: FoundLayer, read: Reader, known: FloatArray
 ) -> tuple[RadianceLayer | None, dict[str, PartOutput]]:
     """Return a layer, None if it is black, and the channels that receive it. Add its finite light to ``known``."""
     layer, outputs = _make_layer(layer_pass, read, known)
@@ -131,7 +146,7 @@ def _take_layer(
 
 
 def take_known_layers(
-    color: FloatArray, layer_passes: Sequence[FoundLayer], read: Read, names: Collection[str]
+    color: FloatArray, layer_passes: Sequence[FoundLayer], read: Reader, names: Collection[str]
 ) -> Light:
     """Return the layers and the exact light of some rows of an image, of which the whole has those of ``names``."""
     there = {name.partition("/")[0] for name in names}
@@ -146,32 +161,34 @@ def _name_exact(layer: FoundLayer, one: Found) -> str:
     return layer.rule.name if len(layer.light) == 1 else f"{layer.rule.name}/{name_pass(one.source.path)}"
 
 
-def _make_layer(layer_pass: FoundLayer, read: Read, known: FloatArray) -> tuple[RadianceLayer, dict[str, PartOutput]]:
+def _make_layer(layer_pass: FoundLayer, read: Reader, known: FloatArray) -> tuple[RadianceLayer, dict[str, PartOutput]]:
     """Return a layer, and the channels that receive it. Add its finite light to ``known``."""
     albedo = read(layer_pass.albedo) if layer_pass.albedo else None
     factor = albedo if layer_pass.rule.times_albedo else None
-    parts, total = _add_passes([read(one) for one in layer_pass.light], factor, known)
+    parts, total = _add_passes(layer_pass.light, read, factor, known)
     names = [name_pass(one.source.path) for one in layer_pass.light]
     named = make_read_only(**dict(zip(names, parts, strict=True))) if len(parts) > 1 else {}
-    shares = None if albedo is None else np.clip(albedo, 0.0, 1.0)
+    shares = albedo
+    if albedo is not None and not (albedo.min() >= 0.0 and albedo.max() <= 1.0):
+        shares = np.clip(albedo, 0.0, 1.0)
     if shares is not None and factor is None:
         shares = lift_albedo(shares)
     keys = [f"{layer_pass.rule.name}/{name}" for name in names] if named else [layer_pass.rule.name]
     outputs = {key: PartOutput(one, factor) for key, one in zip(keys, layer_pass.light, strict=True)}
+    make_read_only(total=total, shares=shares)
     return RadianceLayer(layer_pass.rule.name, layer_pass.rule.lobe, total, shares, parts=named), outputs
 
 
-@np.errstate(invalid="ignore", over="ignore")
 def name_pass(path: str) -> str:
     """Return the last word of a pass's path."""
     return path.rpartition(".")[2]
 
 
 def _add_passes(
-    passes: Sequence[FloatArray], factor: FloatArray | None, known: FloatArray
+    passes: Sequence[Found], read: Reader, factor: FloatArray | None, known: FloatArray
 ) -> tuple[list[FloatArray], FloatArray]:
     """Return the passes times ``factor``, and their sum. Add the finite values of the sum to ``known``."""
-    parts = list(passes) if factor is None else [np.empty_like(known) for _ in passes]
+    parts = [read(one) if factor is None else np.empty_like(known) for one in passes]
     total = parts[0] if len(parts) == 1 else np.empty_like(known)
 
     def add(chunk: Chunk) -> None:
@@ -179,27 +196,47 @@ def _add_passes(
         with np.errstate(invalid="ignore", over="ignore"):
             if factor is not None:
                 for part, one in zip(parts, passes, strict=True):
-                    np.multiply(one[chunk], factor[chunk], out=part[chunk])
+                    read.multiply(one, factor, chunk, part)
             if len(parts) > 1:
-                total[chunk] = sum(part[chunk] for part in parts)
-        known[chunk] += np.where(np.isfinite(total[chunk]), total[chunk], np.float32(0.0))
+                np.add(parts[0][chunk], parts[1][chunk], out=total[chunk])
+                for part in parts[2:]:
+                    total[chunk] += part[chunk]
+            np.add(known[chunk], total[chunk], out=known[chunk], where=np.isfinite(total[chunk]))
 
     run_chunks(add, known.shape[0], known.shape[1])
     return parts, total
 
 
-# NumPy warns about non-finite pixels although the sums leave them out.
-@np.errstate(invalid="ignore", over="ignore")
+def _add_finite(known: FloatArray, image: FloatArray) -> None:
+    """Add the finite values of an image to ``known``."""
+
+    def add(chunk: Chunk) -> None:
+        with np.errstate(over="ignore"):
+            np.add(known[chunk], image[chunk], out=known[chunk], where=np.isfinite(image[chunk]))
+
+    run_chunks(add, known.shape[0], known.shape[1])
+
+
 def _check_sum(
-    layers: Sequence[RadianceLayer], color: FloatArray, known: FloatArray
+    layers: Sequence[RadianceLayer], color: FloatArray, known: FloatArray, excess: float
 ) -> tuple[list[RadianceLayer], list[str], bool]:
-    """Return a layer of the noisy light that is in no pass, notes, and whether the layers add up to the image."""
-    good = np.isfinite(color) & np.isfinite(known)
-    total = float(np.sum(color, where=good, dtype=np.float64))
+    """Return a layer of the noisy light that is in no pass, notes, and whether the layers add up to the image.
+
+    ``known`` is the light of all passes, and ``excess`` its `measure_excess`.
+    """
+    rest, sums = np.empty_like(color), []
+
+    def compare(chunk: Chunk) -> None:
+        light, apart = compare_light(color[chunk], known[chunk])
+        # Subtract the rounding errors of 16-bit floats, so that they do not count as light.
+        rest[chunk] = np.maximum(apart - np.float32(MAX_HALF_ROUNDING) * np.abs(light), np.float32(0.0))
+        sums.append((float(light.sum(dtype=np.float64)), float(rest[chunk].sum(dtype=np.float64))))
+
+    run_chunks(compare, *color.shape[:2])
+    # The order of the threads must not change the sums.
+    total, left = (math.fsum(each) for each in zip(*sums, strict=True))
     if not total > 0.0:
         return [], ["The image holds no light."], False
-    apart = np.where(good, color - known, np.float32(0.0))
-    excess = measure_excess(color, known)
     if excess > MAX_EXCESS_SHARE:
         names = ", ".join(layer.name for layer in layers)
         note = (
@@ -207,10 +244,7 @@ def _check_sum(
             "parts: it is filtered as a whole (is it denoised already, or tone mapped?)."
         )
         return [], [note], False
-    # Subtract the rounding errors of 16-bit floats, so that they do not count as light.
-    rounding = np.float32(MAX_HALF_ROUNDING) * np.where(good, np.abs(color), np.float32(0.0))
-    rest = np.maximum(apart - rounding, np.float32(0.0))
-    share = float(np.sum(rest, dtype=np.float64)) / total
+    share = left / total
     if not share > MIN_REST_SHARE:
         return [], [], True
     is_exact = is_smooth(rest)
@@ -283,7 +317,7 @@ def lend_albedo(layers: Sequence[RadianceLayer], albedo: FloatArray) -> tuple[Ra
     """Return the layers. If no layer has an albedo, give the albedo of all light to the diffuse layers."""
     if any(layer.albedo is not None for layer in layers):
         return tuple(layers)
-    lifted = lift_albedo(np.clip(np.nan_to_num(albedo), 0.0, 1.0))
+    lifted = lift_albedo(clip_share(albedo))
     return tuple(replace(layer, albedo=lifted) if layer.is_diffuse else layer for layer in layers)
 
 
@@ -301,29 +335,23 @@ def sum_albedos(layers: Sequence[RadianceLayer], *, diffuse: bool) -> FloatArray
     albedos = [layer.albedo for layer in layers if layer.is_diffuse == diffuse and layer.name != REST]
     if not albedos or any(albedo is None for albedo in albedos):
         return None
-    return np.minimum(np.sum([albedo for albedo in albedos if albedo is not None], axis=0, dtype=np.float32), 1.0)
+    total = np.empty_like(albedos[0])
+
+    def add(chunk: Chunk) -> None:
+        total[chunk] = clip_share(reduce(np.add, [albedo[chunk] for albedo in albedos if albedo is not None]))
+
+    run_chunks(add, *total.shape[:2])
+    return total
 
 
 def take_albedos(
     images: Mapping[str, FloatArray], layers: Sequence[RadianceLayer]
 ) -> tuple[FloatArray | None, FloatArray | None]:
     """Return the diffuse and specular albedo from passes, else from the layers, else from the albedo of all light."""
-    diffuse, specular = images.get("diffuse_albedo"), images.get("specular_albedo")
-    diffuse = sum_albedos(layers, diffuse=True) if diffuse is None else diffuse
-    specular = sum_albedos(layers, diffuse=False) if specular is None else specular
-    lone = _clip(images.get("albedo"))
+    diffuse, specular = (images.get(f"{kind}_albedo") for kind in ("diffuse", "specular"))
+    diffuse = sum_albedos(layers, diffuse=True) if diffuse is None else clip_share(diffuse)
+    specular = sum_albedos(layers, diffuse=False) if specular is None else clip_share(specular)
+    lone = images.get("albedo")
     if diffuse is None and specular is None and not layers and lone is not None:
-        return WHITE_SHARE + np.float32(1.0 - WHITE_SHARE) * lone, None
-    return _clip(diffuse), _clip(specular)
-
-
-def _clip(albedo: FloatArray | None) -> FloatArray | None:
-    if albedo is None:
-        return None
-    clipped = np.empty(albedo.shape, np.float32)
-
-    def clip(chunk: Chunk) -> None:
-        clipped[chunk] = np.clip(np.nan_to_num(albedo[chunk], nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)
-
-    run_chunks(clip, *albedo.shape[:2])
-    return clipped
+        return WHITE_SHARE + np.float32(1.0 - WHITE_SHARE) * clip_share(lone), None
+    return diffuse, specular

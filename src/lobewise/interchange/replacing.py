@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,7 @@ from lobewise.interchange.siblings import FIRST_SIBLING_INDEX
 from lobewise.io.exr.container import Container, Part, show_name
 from lobewise.io.exr.parsing import stamp_file
 from lobewise.io.exr.replacing import write_copy
-from lobewise.io.files import PathLike
+from lobewise.io.files import PathLike, require_readable
 from lobewise.records.frame import FloatArray, Result
 
 CONFIDENCE_PREFIX = "lobewise."
@@ -94,19 +93,19 @@ def write_result(
     """
     require_kind("result", result, Result)
     result = result.convert()
-    origin = source if isinstance(source, Imported) else _look_up_origin(result, Path(source), view, layer)
+    origin = source if isinstance(source, Imported) else _look_up_origin(result, source, view, layer)
     planned = plan_result(result, origin, suffix=suffix, only=only, confidence=confidence, rerender=rerender)
     return write_planned(path, origin.container, [planned], only=only)
 
 
-def _look_up_origin(result: Result, source: Path, view: str | None, layer: str | None) -> Origin:
+def _look_up_origin(result: Result, source: PathLike, view: str | None, layer: str | None) -> Origin:
     """Return what a file was read as when the frame of the result was read from it, else what it is read as now."""
-    origin = result.origin
+    origin, file = result.origin, require_readable(source)
     if isinstance(origin, Origin):
         selection = origin.map.selection
         is_same = view in (None, selection.view) and layer in (None, selection.layer)
-        if is_same and origin.container.stamp == stamp_file(source) is not None:
-            return replace(origin, container=replace(origin.container, path=source))
+        if is_same and origin.container.stamp == stamp_file(file):
+            return replace(origin, container=replace(origin.container, path=file))
     return import_file(source, view=view, layer=layer)
 
 

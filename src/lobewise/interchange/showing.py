@@ -27,7 +27,8 @@ def read_image(path: PathLike) -> FloatArray:
     """
     container = read_container(path)
     family = look_up_family(container)
-    return ImageReader(family.decode)(map_file(family.container).target)
+    image = ImageReader(family.decode)(map_file(family.container).target)
+    return image.copy()  # the caller may change it
 
 
 def read_light(path: PathLike) -> FloatArray:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from lobewise.errors import InputError
 from lobewise.interchange.imported import ImageReader
 from lobewise.interchange.mapping import ChannelMap, Found
+from lobewise.interchange.values import clip_share
 from lobewise.records.frame import FloatArray
 from lobewise.records.images import crop_columns, wrap_columns
 from lobewise.work.chunks import Chunk, run_chunks
@@ -88,12 +89,12 @@ def compute_silhouettes(source: tuple[Found, ...], read: ImageReader, *, wraps: 
         ids, shares = [np.ones(planes[0].shape, np.uint32)], [planes[0].astype(np.float32)]
     else:
         ids, shares = [plane.view(np.uint32) for plane in planes[0::2]], planes[1::2]
-    coverage, object_share = crop_columns((compute_coverage(ids, shares), compute_object_share(shares)), width)
+    coverage, object_share = crop_columns(compute_coverage(ids, shares), width)
     return Silhouettes(coverage, object_share, source)
 
 
-def compute_coverage(ids: Sequence[NDArray[np.uint32]], shares: Sequence[FloatArray]) -> FloatArray:
-    """Return the shares of every pixel's area that belong to the surfaces of its 3x3 neighbours.
+def compute_coverage(ids: Sequence[NDArray[np.uint32]], shares: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Return the shares of every pixel's area that belong to the surfaces of its 3x3 neighbours, and to one object.
 
     A pixel is owned by the object with the largest share of it. The share of any other object goes, in equal parts, to
     the neighbours that this object owns: to those that share a side with the pixel, else to those at its corners, else
@@ -108,8 +109,10 @@ def compute_coverage(ids: Sequence[NDArray[np.uint32]], shares: Sequence[FloatAr
 
     Returns
     -------
-    array, shape (height, width, 9)
+    coverage : array, shape (height, width, 9)
         As `lobewise.GBuffer.coverage`.
+    object_share : array, shape (height, width)
+        As `lobewise.GBuffer.object_share`.
 
     Raises
     ------
@@ -124,45 +127,23 @@ def compute_coverage(ids: Sequence[NDArray[np.uint32]], shares: Sequence[FloatAr
             got=f"{len(ids)} ids and {len(shares)} shares of the shapes {sorted({each.shape for each in planes})}",
             action="read id and share of every rank",
         )
-    owner, edges = _choose_owners(ids, shares)
+    owner, edges, object_share = _choose_owners(ids, shares)
     coverage = np.zeros((*owner.shape, 9), np.float32)
     coverage[..., 4] = 1.0
     rows, columns = np.nonzero(edges)
     if not len(rows):
-        return coverage
-    here, parts = _list_objects(_gather(ids, rows, columns), _gather(shares, rows, columns))
-    around = np.pad(owner.astype(np.int64), 1, constant_values=-1)
-    neighbours = np.stack([around[rows + 1 + dy, columns + 1 + dx] for dy, dx in NEAREST_FIRST], axis=-1)
-    found = np.zeros((len(rows), 9), np.float32)
-    for rank in range(here.shape[1]):
-        _spread(found, here[:, rank], parts[:, rank], neighbours, owner[rows, columns])
-    coverage[rows, columns] = found
-    return coverage
+        return coverage, object_share
+    around = np.full((owner.shape[0] + 2, owner.shape[1] + 2), -1, np.int64)
+    around[1:-1, 1:-1] = owner
 
+    def fill(chunk: Chunk) -> None:
+        here = rows[chunk[1]], columns[chunk[1]]
+        objects, parts = _list_objects(_gather(ids, *here), _gather(shares, *here))
+        neighbours = np.stack([around[here[0] + 1 + dy, here[1] + 1 + dx] for dy, dx in NEAREST_FIRST])
+        coverage[here] = _spread(objects, parts, neighbours, owner[here])
 
-def compute_object_share(shares: Sequence[FloatArray]) -> FloatArray:
-    """Return the largest share of every pixel's area that belongs to one object or to the background.
-
-    Parameters
-    ----------
-    shares : sequence of array, shape (height, width)
-        Shares of the pixel's area, in [0, 1]; one plane for every rank. The rest of the area is background.
-
-    Returns
-    -------
-    array, shape (height, width)
-        As `lobewise.GBuffer.object_share`.
-    """
-    largest = np.empty(shares[0].shape, np.float32)
-
-    def find(chunk: Chunk) -> None:
-        ranks = np.clip(np.nan_to_num(np.stack([plane[chunk] for plane in shares])), 0.0, 1.0)
-        total = ranks.sum(axis=0)
-        rest = np.maximum(1.0 - total, 0.0)
-        largest[chunk] = np.maximum(ranks.max(axis=0), rest) / np.maximum(total + rest, np.float32(1e-6))
-
-    run_chunks(find, *shares[0].shape[:2])
-    return largest
+    run_chunks(fill, 1, len(rows))
+    return coverage, object_share
 
 
 def _gather(planes: Sequence[NDArray[Any]], rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[Any]:
@@ -171,7 +152,7 @@ def _gather(planes: Sequence[NDArray[Any]], rows: NDArray[np.intp], columns: NDA
 
 def _list_objects(ids: NDArray[np.uint32], shares: FloatArray) -> tuple[NDArray[np.uint32], FloatArray]:
     """Return the objects of some pixels, the background as the last one, and their shares, whose sum is 1."""
-    shares = np.clip(np.nan_to_num(shares), 0.0, 1.0)
+    shares = clip_share(shares)
     total = shares.sum(axis=-1, keepdims=True)
     rest = np.maximum(1.0 - total, 0.0)
     parts = np.concatenate([shares, rest], axis=-1)
@@ -180,38 +161,41 @@ def _list_objects(ids: NDArray[np.uint32], shares: FloatArray) -> tuple[NDArray[
 
 def _choose_owners(
     ids: Sequence[NDArray[np.uint32]], shares: Sequence[FloatArray]
-) -> tuple[NDArray[np.uint32], NDArray[np.bool_]]:
-    """Return the object, or background, with the largest share of every pixel, and which pixels show several."""
-    height, width = ids[0].shape
-    owner, edges = np.empty((height, width), np.uint32), np.empty((height, width), np.bool_)
+) -> tuple[NDArray[np.uint32], NDArray[np.bool_], FloatArray]:
+    """Return the object with the largest share of every pixel, or background; whether it shows several; the share."""
+    size = ids[0].shape
+    owner, edges, object_share = np.empty(size, np.uint32), np.empty(size, np.bool_), np.empty(size, np.float32)
 
     def find(chunk: Chunk) -> None:
         largest = total = np.zeros(owner[chunk].shape, np.float32)
         own = np.zeros(owner[chunk].shape, np.uint32)
         for objects, plane in zip(ids, shares, strict=True):
-            share = np.clip(np.nan_to_num(plane[chunk]), 0.0, 1.0)
+            share = clip_share(plane[chunk])
             own = np.where(share > largest, objects[chunk], own)
             largest, total = np.maximum(largest, share), total + share
         owner[chunk] = np.where(1.0 - total > largest, np.uint32(0), own)
         edges[chunk] = largest < MIN_WHOLE_SHARE
+        rest = np.maximum(1.0 - total, 0.0)
+        object_share[chunk] = np.maximum(largest, rest) / np.maximum(total + rest, np.float32(1e-6))
 
-    run_chunks(find, height, width)
-    return owner, edges
+    run_chunks(find, *size)
+    return owner, edges, object_share
 
 
 def _spread(
-    filled: FloatArray,
-    objects: NDArray[np.uint32],
-    parts: FloatArray,
-    neighbours: NDArray[np.int64],
-    own: NDArray[np.uint32],
-) -> None:
-    """Add the shares of one rank to the coverage of some pixels, (count, 9)."""
-    shows = (neighbours == objects[:, None].astype(np.int64)) & (objects != own)[:, None]
-    sides = shows[:, :4].any(axis=1)
-    shows[sides, 4:] = False
-    count = shows.sum(axis=1)
-    filled[:, 4] += np.where(count == 0, parts, 0.0)
-    mean = np.where(count > 0, parts / np.maximum(count, 1), 0.0)
-    for number, (dy, dx) in enumerate(NEAREST_FIRST):
-        filled[:, 3 * (dy + 1) + dx + 1] += np.where(shows[:, number], mean, 0.0)
+    objects: NDArray[np.uint32], parts: FloatArray, neighbours: NDArray[np.int64], own: NDArray[np.uint32]
+) -> FloatArray:
+    """Return the coverage of some pixels, (count, 9), by their ranks, (count, ranks), and neighbours, (8, count)."""
+    filled = np.zeros((len(own), 9), np.float32)
+    for rank in range(objects.shape[1]):
+        # Few pixels show more than two objects.
+        (there,) = np.nonzero(parts[:, rank])
+        one, part = objects[there, rank], parts[there, rank]
+        shows = (neighbours[:, there] == one) & (one != own[there])
+        shows[4:] &= ~shows[:4].any(axis=0)
+        count = shows.sum(axis=0)
+        filled[there, 4] += np.where(count == 0, part, 0.0)
+        mean = part / np.maximum(count, 1)
+        for shown, (dy, dx) in zip(shows, NEAREST_FIRST, strict=True):
+            filled[there, 3 * (dy + 1) + dx + 1] += np.where(shown, mean, 0.0)
+    return filled

@@ -14,6 +14,11 @@ MIN_SPECULAR_SHARE = 0.02
 """Share of the total albedo. Below this specular share, Cycles' mean roughness does not give the specular one."""
 
 
+def clip_share(values: FloatArray) -> FloatArray:
+    """Return values clipped to [0, 1], with 0 for NaN."""
+    return np.asarray(np.fmin(np.fmax(values, np.float32(0.0)), np.float32(1.0)))
+
+
 def convert_plain(values: FloatArray, names: tuple[str, ...]) -> FloatArray:
     """Return the values after the conversions that need no camera, applied in the order of ``names``."""
     for name in names:

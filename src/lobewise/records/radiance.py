@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import reduce
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -11,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from lobewise.errors import InputError, require_choice
 from lobewise.records.images import ABSENT, FloatArray, Images, MaybeImage, as_images, name_maker
+from lobewise.work.chunks import Chunk, run_chunks
 
 MAX_EXCESS_SHARE = 0.02
 """Largest share of the image's light by which parts may exceed the image. Above it, they are not its parts."""
@@ -144,13 +147,29 @@ def sum_layers(layers: Sequence[RadianceLayer], field: str, *, diffuse: bool) ->
     images = [getattr(layer, field) for layer in layers if layer.is_diffuse == diffuse]
     if not images or any(image is None for image in images):
         return None
-    return np.asarray(np.sum(images, axis=0, dtype=np.float32))
+    return np.asarray(reduce(np.add, images))
 
 
 def measure_excess(color: FloatArray, known: FloatArray) -> float:
     """Return the light of ``known`` above the image, as a share of the image's light."""
-    good = np.isfinite(color) & np.isfinite(known)
-    total = float(np.sum(color, where=good, dtype=np.float64))
-    above = np.subtract(known, color, out=np.zeros_like(color), where=good)
-    excess = float(np.sum(np.maximum(above, np.float32(0.0)), dtype=np.float64))
+    sums: list[tuple[float, float]] = []
+
+    def add(chunk: Chunk) -> None:
+        light, apart = compare_light(color[chunk], known[chunk])
+        above = np.maximum(-apart, np.float32(0.0))
+        sums.append((float(light.sum(dtype=np.float64)), float(above.sum(dtype=np.float64))))
+
+    run_chunks(add, *color.shape[:2])
+    # The order of the threads must not change the sums.
+    total, excess = (math.fsum(each) for each in zip(*sums, strict=True))
     return excess / total if total > 0.0 else 0.0
+
+
+def compare_light(color: FloatArray, known: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return an image and what it has beyond ``known``, both with 0 where one of the two is not finite."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        apart = color - known
+        good = np.isfinite(apart)
+    if good.all():
+        return color, apart
+    return np.where(good, color, np.float32(0.0)), np.where(good, apart, np.float32(0.0))

@@ -82,8 +82,7 @@ def check_noise(
     tiles = _choose_tiles(frame.shape) if whole is None else _move_up(_choose_tiles(whole))
     guides = (frame.gbuffer.normal, frame.gbuffer.diffuse_albedo, frame.gbuffer.specular_albedo)
     known = [_cut(image, tiles) for image in guides if image is not None]
-    seen = mark_scattering(frame)
-    scatters = np.stack([seen[tile] for tile in tiles]) if tiles else np.zeros((0, 3, 3), np.bool_)
+    scatters = np.stack([mark_scattering(frame, tile) for tile in tiles]) if tiles else np.zeros((0, 3, 3), np.bool_)
     correlation, noise = _measure(_cut(frame.radiance.color, tiles), known, scatters)
     if len(noise) < MIN_TILES:
         return False, []
@@ -120,18 +119,18 @@ def check_noise(
     return False, []
 
 
-def mark_scattering(frame: Frame) -> NDArray[np.bool_]:
-    """Return which pixels, (height, width), show a surface that scatters most of the light that is seen there."""
-    guides = frame.gbuffer
-    there = np.ones(frame.shape, np.bool_) if guides.normal is None else (guides.normal != 0.0).any(axis=-1)
+def mark_scattering(frame: Frame, tile: tuple[slice, slice]) -> NDArray[np.bool_]:
+    """Return which pixels of a tile show a surface that scatters most of the light that is seen there."""
+    guides, color = frame.gbuffer, frame.radiance.color[tile]
+    there = np.ones(color.shape[:2], np.bool_) if guides.normal is None else (guides.normal[tile] != 0.0).any(axis=-1)
     albedos = [image for image in (guides.diffuse_albedo, guides.specular_albedo) if image is not None]
     # The albedo for denoisers is black where the others were lifted for a division.
     albedos = albedos if guides.denoiser_albedo is None else [guides.denoiser_albedo]
     if albedos:
-        there &= (np.sum(albedos, axis=0, dtype=np.float32) > MIN_ALBEDO).any(axis=-1)
+        there &= (np.sum([image[tile] for image in albedos], axis=0, dtype=np.float32) > MIN_ALBEDO).any(axis=-1)
     if frame.unscattered:
-        unscattered = np.sum(list(frame.unscattered.values()), axis=0, dtype=np.float32).sum(axis=-1)
-        there &= unscattered < MAX_UNSCATTERED_SHARE * frame.radiance.color.sum(axis=-1)
+        exact = [image[tile] for image in frame.unscattered.values()]
+        there &= np.sum(exact, axis=0, dtype=np.float32).sum(axis=-1) < MAX_UNSCATTERED_SHARE * color.sum(axis=-1)
     return np.asarray(there)
 
 

@@ -154,14 +154,11 @@ class Draft:
         """Return a draft in which some images are replaced."""
         return replace(self, images={**self.images, **changed})
 
-    def read_corrected(self, found: Found) -> FloatArray:
-        """Return an image of the file; where it is a guide as well, the corrected one. Normals are not looked up."""
-        unchanged = self.read(found)
-        corrected = unchanged
-        for role, one in self.roles.items():
-            if one.key == found.key and role != "normal" and self.images[role] is not unchanged:
-                corrected = self.images[role]
-        return corrected
+    @property
+    def corrected(self) -> ImageReader:
+        """A reader of the file that returns guides as they were corrected; normals as the file has them."""
+        roles = [role for role in self.roles if role != "normal"]
+        return self.read.with_images({self.roles[role].key: self.images[role] for role in roles})
 
 
 @dataclass(frozen=True)

@@ -31,13 +31,13 @@ def take_light(draft: Draft) -> Outcome:
     """Take the layers of light, unless diffuse and specular light are passes themselves."""
     if draft.has("diffuse") and draft.has("specular"):
         return Outcome(draft)
-    light, notes = take_layers(draft.images["color"], draft.channels.layers, draft.read_corrected)
+    light, notes = take_layers(draft.images["color"], draft.channels.layers, draft.corrected)
     return Outcome(replace(draft, light=light), notes=notes)
 
 
 def take_known_light(draft: Draft) -> Outcome:
     """Take the layers of light for which there are outputs already."""
-    light = take_known_layers(draft.images["color"], draft.channels.layers, draft.read_corrected, draft.outputs)
+    light = take_known_layers(draft.images["color"], draft.channels.layers, draft.corrected, draft.outputs)
     return Outcome(replace(draft, light=light))
 
 

@@ -95,5 +95,6 @@ def check_albedo_ranges(draft: Draft) -> Outcome:
     labels = draft.labels
     albedos = {labels[role]: image for role, image in list_guides(draft).items() if role.endswith("albedo")}
     layers = [layer.albedo for layer in draft.channels.layers if layer.albedo]
-    albedos |= {albedo.label: draft.read_corrected(albedo) for albedo in layers}
+    read = draft.corrected
+    albedos |= {albedo.label: read(albedo) for albedo in layers}
     return Outcome(draft, check_albedos(albedos))

@@ -33,7 +33,7 @@ FRACTIONS = (0.01, 0.99)
 """Alpha between these values is a share of the samples, and as noisy as the picture."""
 ALSO = "--also NAME denoises one"
 """How to denoise a pass that is none of the picture."""
-MAX_JUDGED_ROWS = 256
+MAX_JUDGED_ROWS = 128
 """Most rows in which further passes are searched for noise; an image has dozens of such passes."""
 FOR_DENOISERS = ("denois", "variance", "_var", "_mse", "m2_")
 """What is in the names of passes for denoisers, such as the variance of another pass. They need not be clean."""

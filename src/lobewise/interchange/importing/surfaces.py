@@ -18,6 +18,7 @@ from lobewise.interchange.values import MIN_EMPTY_DISTANCE, convert_depth, conve
 from lobewise.io.exr.header import read_pixel_aspect
 from lobewise.records.camera import Camera, project_points
 from lobewise.records.frame import FloatArray
+from lobewise.work.chunks import Chunk, run_chunks
 
 NO_CAMERA = (
     "Neither a pinhole camera nor a panorama shows the positions where they are seen, so places are not compared; give "
@@ -35,12 +36,19 @@ Mask = NDArray[np.bool_]
 def take_positions(draft: Draft) -> Outcome:
     """Convert the positions, and set them to 0 where there is no surface."""
     position = convert_plain(draft.images["position"], draft.roles["position"].convert)
-    surface = _mark_surface(position, draft.images.get("depth"))
-    return Outcome(replace(draft, world_position=np.where(surface[..., None], position, np.float32(0.0))))
+    depth, placed = draft.images.get("depth"), np.empty(position.shape, np.float32)
+
+    def place(chunk: Chunk) -> None:
+        surface = _mark_surface(position[chunk], None if depth is None else depth[chunk])
+        placed[chunk] = np.where(surface[..., None], position[chunk], np.float32(0.0))
+
+    run_chunks(place, *draft.shape)
+    return Outcome(replace(draft, world_position=placed))
 
 
 def _mark_surface(position: FloatArray, depth: FloatArray | None) -> Mask:
-    there = np.isfinite(position).all(axis=-1) & (np.abs(position) < MIN_EMPTY_DISTANCE).all(axis=-1)
+    # A comparison with NaN is false.
+    there = (np.abs(position) < MIN_EMPTY_DISTANCE).all(axis=-1)
     if depth is not None:
         return np.asarray(there & np.isfinite(depth) & (depth > 0.0) & (depth < MIN_EMPTY_DISTANCE))
     return np.asarray(there & (position != 0.0).any(axis=-1))
@@ -210,8 +218,14 @@ def take_normals(draft: Draft) -> Outcome:
     normal = convert_space(normal, found.convert, draft.camera)
     if draft.is_mirrored and not in_camera_space:
         normal = _mirror(normal)
-    length = np.linalg.norm(normal, axis=-1, keepdims=True)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        unit = np.where(length > 1e-6, normal / length, np.float32(0.0))
-    unit, mean = (np.nan_to_num(each, nan=0.0, posinf=0.0, neginf=0.0).astype(np.float32) for each in (unit, normal))
+    unit, mean = (np.empty(normal.shape, np.float32) for _ in range(2))
+
+    def convert(chunk: Chunk) -> None:
+        length = np.linalg.norm(normal[chunk], axis=-1, keepdims=True)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            whole = np.where(length > 1e-6, normal[chunk] / length, np.float32(0.0))
+        for out, each in ((unit, whole), (mean, normal[chunk])):
+            out[chunk] = np.where(np.isfinite(each), each, np.float32(0.0))
+
+    run_chunks(convert, *draft.shape)
     return Outcome(replace(draft, world_normal=unit, mean_normal=mean), notes=notes)

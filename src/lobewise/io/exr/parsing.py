@@ -104,7 +104,7 @@ def read_container(path: PathLike) -> Container:
     _require_exr(file)
     try:
         with file.open("rb") as stream:
-            return replace(_parse(file, stream), stamp=_stamp(os.fstat(stream.fileno())))
+            return replace(_parse(file, stream), stamp=stamp_file(stream.fileno()))
     except _Damaged as problem:
         raise FileError(
             f"input {str(path)!r}",
@@ -118,15 +118,9 @@ def read_container(path: PathLike) -> Container:
         ) from None
 
 
-def stamp_file(path: Path) -> tuple[int, ...] | None:
-    """Return numbers that are equal only for one file that has not changed; None where there is no file."""
-    try:
-        return _stamp(path.stat())
-    except OSError:
-        return None
-
-
-def _stamp(status: os.stat_result) -> tuple[int, ...]:
+def stamp_file(file: Path | int) -> tuple[int, ...]:
+    """Return numbers of a file, or of an open one, that are equal only if it is the same file and has not changed."""
+    status = os.stat(file)
     return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
 
 
