@@ -203,18 +203,16 @@ def denoise_oidn(
     return make_array(frame.radiance.maker, _drop_chroma(image) if is_gray else image), seconds
 
 
-@keep_library_memory()
-def reduce_guides(guides: GBuffer, *, prefilter: str | None = None) -> GBuffer:
-    """Return the albedo and the normal that `denoise_oidn` takes of guides; no other images.
-
-    Parameters
-    ----------
-    guides : GBuffer
-    prefilter : {"fast", "balanced", "high"}, optional
-        Quality of the library's filter for guides, which both pass; by default they stay as they are.
-    """
+def reduce_guides(guides: GBuffer) -> GBuffer:
+    """Return the albedo and the normal that `denoise_oidn` takes of guides; no other images."""
     given = _take_guides(guides, "prefiltered")
-    given = given if prefilter is None else _prefilter(given, prefilter)
+    return GBuffer(denoiser_albedo=given.get("albedo"), denoiser_normal=given.get("normal"))
+
+
+@keep_library_memory()
+def prefilter_guides(guides: GBuffer, quality: str) -> GBuffer:
+    """Return what the library's filter for guides makes of the images of `reduce_guides`; no other images."""
+    given = _prefilter(_take_guides(guides, "prefiltered"), quality)
     return GBuffer(denoiser_albedo=given.get("albedo"), denoiser_normal=given.get("normal"))
 
 

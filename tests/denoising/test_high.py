@@ -11,9 +11,18 @@ import pytest
 from lobewise import peers
 from lobewise.denoising import chain, combining, denoise, evidence
 from lobewise.denoising.automatic import choose_quality
-from lobewise.denoising.combining import LayerImage, choose_between, denoise_with_peer, mix_albedos, share_out
+from lobewise.denoising.combining import (
+    NORMAL_DEVIATION,
+    LayerImage,
+    choose_between,
+    denoise_with_peer,
+    mix_albedos,
+    share_out,
+)
 from lobewise.denoising.evidence import load_networks
+from lobewise.engine.here import HERE
 from lobewise.errors import InputError, MissingDependencyError
+from lobewise.filters.glue import define_smooth
 from lobewise.filters.mixing import Perceptron
 from lobewise.filters.noise import agreement, detail
 from lobewise.interchange import write_result
@@ -239,6 +248,17 @@ def test_two_albedos_of_a_renderer_are_mixed() -> None:
     np.testing.assert_allclose(mix_albedos(guides).denoiser_albedo, 0.4, rtol=1e-6)
     alone = replace(guides, mean_specular_albedo=None)
     assert mix_albedos(alone) is alone
+
+
+def test_normals_are_smoothed_within_surfaces() -> None:
+    """Noise of normals falls to a third and an edge stays: neighbours across it hardly count."""
+    rng = np.random.default_rng(3)
+    left = np.arange(32)[None, :, None] < 16
+    clean = np.where(left, np.float32([0.0, 0.0, 1.0]), np.float32([1.0, 0.0, 0.0])) + np.zeros((24, 1, 1), np.float32)
+    noisy = (clean + 0.05 * rng.standard_normal(clean.shape)).astype(np.float32)
+    (smooth,) = HERE.pixels(define_smooth, {"image": noisy}, {}, (NORMAL_DEVIATION,))
+    assert np.std(smooth - clean) < 0.4 * np.std(noisy - clean)
+    assert np.abs(smooth - clean)[:, 15:17].max() < 0.12
 
 
 OURS, NOISY, PEERS = 0, 1, 2

@@ -6,7 +6,7 @@ import time
 import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, replace
-from functools import reduce
+from functools import partial, reduce
 from typing import TYPE_CHECKING
 from weakref import ref
 
@@ -306,11 +306,12 @@ def leave_to_peer(checked: CheckedGuides[Frame]) -> Result:
     bad = ~mark_good(samples)
     count = int(np.count_nonzero(bad))
     require_some_good(count, bad.size, "pixel")
-    with bound_memory(frame, "", with_oidn=True), plan_stages(list_peer_costs(frame)):
-        image = denoise_with_peer(frame, samples, blacken_bad(samples)).image
+    with bound_memory(frame, "", with_oidn=True), plan_stages(list_peer_costs(frame, has_kernels=False)):
+        denoise_alone = partial(denoise_with_peer, has_kernels=False)
+        image = denoise_alone(frame, samples, blacken_bad(samples)).image
         if below is not None:
             light = below.radiance.color
-            image = image - (light if is_dim(below, frame) else denoise_with_peer(below, light, light).image)
+            image = image - (light if is_dim(below, frame) else denoise_alone(below, light, light).image)
     unfiltered = np.zeros(frame.shape, np.float32)
     result = Result(
         image=image,

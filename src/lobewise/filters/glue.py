@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import reduce
+from itertools import product
 from operator import add, and_, or_
 
+from lobewise.backend import expressions
 from lobewise.backend.compiler import hl
 from lobewise.backend.expressions import is_good
 from lobewise.backend.pointwise import LARGEST_FLOAT, Grid, Vector, is_finite, select_bits, select_or_nan
@@ -270,3 +273,20 @@ def define_brightened(grid: Grid) -> list[Vector]:
     """Return an image plus the gain of a part's light; see `brighten`."""
     gain = hl.select(grid.read_one("mask") != 0, grid.get("gain")[0], hl.f32(0.0))
     return [[value + part * gain for value, part in zip(grid.read("image"), grid.read("part"), strict=True)]]
+
+
+def define_smooth(grid: Grid, deviation: float) -> list[Vector]:
+    """Return the mean of an image over 3x3 pixels, weighted by a Gaussian of their differences from the middle one.
+
+    Source: Tomasi and Manduchi 1998, "Bilateral Filtering for Gray and Color Images", equations 5 and 6.
+    """
+    read = grid.keep(grid.read("image", *grid.inside))
+    own = read(grid.x, grid.y)
+    total, weights = [hl.f32(0.0) for _ in own], hl.f32(0.0)
+    for down, across in product((-1, 0, 1), repeat=2):
+        near = read(grid.x + across, grid.y + down)
+        apart = reduce(add, ((there - here) * (there - here) for there, here in zip(near, own, strict=True)))
+        weight = expressions.exp2(hl.f32(-0.5 * math.log2(math.e) / deviation**2) * apart)
+        total = [so_far + weight * there for so_far, there in zip(total, near, strict=True)]
+        weights += weight
+    return [[value / weights for value in total]]
