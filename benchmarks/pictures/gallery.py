@@ -1,4 +1,4 @@
-"""Draw the gallery: whole shots, noisy, by Open Image Denoise, `high`, `auto`, and the reference.
+"""Draw the gallery: whole shots, noisy, by Open Image Denoise, `high`, `auto`, `best`, and the reference.
 
     python -m benchmarks.pictures.gallery FOLDER
 
@@ -21,8 +21,14 @@ from lobewise.records.frame import FloatArray
 
 PAGE, PICTURES = ROOT / "docs" / "developers" / "gallery.md", ROOT / "docs" / "_static" / "gallery"
 START, END = "<!-- shots:start -->\n", "<!-- shots:end -->\n"
-PAIRS = (("noisy", "auto"), ("Open Image Denoise", "auto"), ("Open Image Denoise", "high"), ("auto", "reference"))
-ENDS = ("-o clean.exr", "-o clean.exr --quality high")
+PAIRS = (
+    ("noisy", "auto"),
+    ("Open Image Denoise", "auto"),
+    ("Open Image Denoise", "best"),
+    ("Open Image Denoise", "high"),
+    ("best", "reference"),
+)
+ENDS = ("-o clean.exr", "-o clean.exr --quality best", "-o clean.exr --quality high")
 """Ends of the commands that denoise a shot."""
 REFERENCE_SPP = 2048
 """Samples of the reference of a built-in scene."""
@@ -74,6 +80,7 @@ def main() -> None:
             "Open Image Denoise": denoise_oidn(frame)[0],
             "high": lobewise.denoise(frame, quality="high").image,
             "auto": lobewise.denoise(frame).image,
+            "best": lobewise.denoise(frame, quality="best").image,
             "reference": reference,
         }
         exposure = choose_exposure(reference)
