@@ -15,9 +15,10 @@ import pytest
 from renderers import CAMERA, HEIGHT, WIDTH, WRITERS, make_scene, to_camera, write
 
 from lobewise.errors import FileError, InputError
-from lobewise.interchange.cameras import usd
+from lobewise.interchange.cameras import fitting, usd
 from lobewise.interchange.cameras.files import read_camera_file
-from lobewise.interchange.cameras.fitting import fit_any_camera, fit_orthographic
+from lobewise.interchange.cameras.fitting import fit_any_camera, fit_camera, fit_orthographic
+from lobewise.interchange.importing import surfaces
 from lobewise.interchange.reading import import_file
 from lobewise.io.exr.frames import write_frame
 from lobewise.records.camera import Camera, project_points
@@ -98,6 +99,20 @@ def test_the_camera_of_a_part_of_an_image_is_off_its_axis(left: int, tmp_path: P
     expected = CAMERA.make_ray_directions(WIDTH, HEIGHT)[rows, columns]
     np.testing.assert_allclose(imported.frame.camera.make_ray_directions(31, 30), expected, atol=2e-3)
     assert not any("unit" in note or "no distance" in note for note in imported.notes), imported.notes
+
+
+def test_one_fit_tells_the_blur_and_the_camera(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fits = []
+
+    def count(*arguments: Any, **options: Any) -> fitting.CameraFit | None:
+        fits.append(fit_camera(*arguments, **options))
+        return fits[-1]
+
+    for module in (fitting, surfaces):
+        monkeypatch.setattr(module, "fit_camera", count)
+    write(tmp_path / "a.exr", WRITERS["cycles"](make_scene()))
+    camera = import_file(tmp_path / "a.exr").frame.camera
+    assert [fit.camera for fit in fits] == [camera]
 
 
 @pytest.mark.parametrize("aspect", [1.0, 2.0])

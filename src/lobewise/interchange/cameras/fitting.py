@@ -13,6 +13,8 @@ from lobewise.records.camera import PINHOLE_DISTANCE_OVER_VIEW, Camera, project_
 from lobewise.records.frame import FloatArray
 
 Matrix = NDArray[np.float64]
+State = tuple[Matrix, Matrix, float]
+"""Rotation (rows right, up, forward), eye and focal length of a camera."""
 
 MAX_PIXELS = 20000
 """Largest number of pixels to which a camera is fitted."""
@@ -45,13 +47,14 @@ class CameraFit:
     """A fitted camera, and its error: the median distance, pixels, between pixels and their projected positions.
 
     ``mirrored`` says that the world is left-handed and the camera has x negated. ``orthographic`` says that the camera
-    stands very far away and replaces an orthographic one.
+    stands very far away and replaces an orthographic one. ``drawn`` says that the fit started at a few points.
     """
 
     camera: Camera
     error: float
     mirrored: bool = False
     orthographic: bool = False
+    drawn: bool = False
 
 
 def measure_fit(camera: Camera, position: FloatArray, mask: NDArray[np.bool_]) -> float:
@@ -104,9 +107,11 @@ def fit_camera(
         turn = np.array([-1.0, 1.0, 1.0]) if mirrored else np.ones(3)
         scaled = turn * (world - center) / spread
         tolerance = 2.0 * MAX_FIT_ERROR / place.height
-        start = _estimate_start(scaled, x, y, tolerance) if blurred else _solve_projective(scaled, x, y)
+        start = of_all = _solve_projective(scaled, x, y)
         if start is None:
             return None
+        if blurred:
+            start = _draw_start(scaled, x, y, start, tolerance)
         # Right, up and forward of a camera in a right-handed world are a left-handed triple.
         if np.linalg.det(start[0]) > 0.0:
             continue
@@ -117,7 +122,7 @@ def fit_camera(
         camera = Camera(turn * center + spread * eye, rotation[2], rotation[1], float(2.0 * np.arctan(1.0 / focal)))
         camera = place.crop(camera.with_pixel_aspect(place.width, place.height, pixel_aspect), *mask.shape)
         error = measure_fit(camera, (turn * position).astype(np.float32), mask)
-        return CameraFit(camera, error, mirrored) if error < max_error else None
+        return CameraFit(camera, error, mirrored, drawn=start is not of_all) if error < max_error else None
     return None
 
 
@@ -187,12 +192,13 @@ def fit_any_camera(
     depth: FloatArray | None,
     pixel_aspect: float = 1.0,
     place: Place | None = None,
+    pinhole: CameraFit | None = None,
 ) -> CameraFit | None:
     """Return the camera that sees given points at given pixels: a pinhole, unless an orthographic camera fits better.
 
-    Parameters are those of `fit_orthographic`.
+    ``pinhole`` is the result of `fit_camera` if it is known. The other parameters are those of `fit_orthographic`.
     """
-    pinhole = fit_camera(position, mask, pixel_aspect, place)
+    pinhole = pinhole or fit_camera(position, mask, pixel_aspect, place)
     parallel = fit_orthographic(position, mask, depth, pixel_aspect, place)
     if pinhole is None or parallel is None:
         return pinhole or parallel
@@ -224,15 +230,15 @@ def choose_pixels(mask: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np
     return rows[::step], columns[::step]
 
 
-def _estimate_start(points: Matrix, x: Matrix, y: Matrix, tolerance: float) -> tuple[Matrix, Matrix, float] | None:
-    """Return what `_solve_projective` does of all points, or where it fails of the best of many draws of few points.
+def _draw_start(points: Matrix, x: Matrix, y: Matrix, of_all: State, tolerance: float) -> State:
+    """Return the first estimate of all points, or where it sees too few of them the best of many draws of few points.
 
     Points out of focus lie off their pixels, and a least-squares fit to all sees none where it lies.
     """
     step = max(1, len(points) // MAX_JUDGED)
     judged = points[::step], x[::step], y[::step]
-    best = _solve_projective(points, x, y)
-    if best is None or (least := _judge(*judged, *best)) <= tolerance:
+    best, least = of_all, _judge(*judged, *of_all)
+    if least <= tolerance:
         return best
     random = np.random.default_rng(0)
     for _ in range(DRAWS):
@@ -251,15 +257,16 @@ def _judge(points: Matrix, x: Matrix, y: Matrix, rotation: Matrix, eye: Matrix, 
     return float(np.sort(np.where(np.isfinite(error), error, np.inf))[int(SEEN_SHARE * len(error))])
 
 
-def _solve_projective(points: Matrix, x: Matrix, y: Matrix) -> tuple[Matrix, Matrix, float] | None:
+def _solve_projective(points: Matrix, x: Matrix, y: Matrix) -> State | None:
     """Return rotation (rows right, up, forward), eye and focal length of the projective camera that fits best."""
     one = np.ones((len(points), 1))
     whole = np.hstack([points, one])
-    zero = np.zeros_like(whole)
+    zero = np.zeros((4, 4))
     for _ in range(2):
-        across, upwards = np.hstack([whole, zero, -x[:, None] * whole]), np.hstack([zero, whole, -y[:, None] * whole])
-        system = np.vstack([across, upwards])
-        _, values, axes = np.linalg.svd(system.T @ system)
+        # Each point gives the equations (p, 0, -x p) and (0, p, -y p). This is the sum of their products.
+        plain, across, upwards, both = ((whole.T * factor) @ whole for factor in (1.0, -x, -y, x * x + y * y))
+        products = np.block([[plain, zero, across], [zero, plain, upwards], [across, upwards, both]])
+        _, values, axes = np.linalg.svd(products)
         if values[-2] < 1e-9 * values[0]:
             return None  # All points lie on one plane or line, which many cameras see at these pixels.
         matrix = axes[-1].reshape(3, 4)
@@ -269,7 +276,7 @@ def _solve_projective(points: Matrix, x: Matrix, y: Matrix) -> tuple[Matrix, Mat
         with np.errstate(divide="ignore", invalid="ignore"):  # what lies beside the camera is seen nowhere
             error = np.hypot(x - whole @ matrix[0] / depth, y - whole @ matrix[1] / depth)
         is_near = error <= 3.0 * np.median(error) + 1e-12
-        whole, zero, x, y = whole[is_near], zero[is_near], x[is_near], y[is_near]
+        whole, x, y = whole[is_near], x[is_near], y[is_near]
     scale = np.linalg.norm(matrix[2, :3])
     forward = matrix[2, :3] / scale
     right = matrix[0, :3] / scale
@@ -284,9 +291,7 @@ def _solve_projective(points: Matrix, x: Matrix, y: Matrix) -> tuple[Matrix, Mat
     return np.stack([right, up, forward]), eye, focal
 
 
-def _refine(
-    points: Matrix, x: Matrix, y: Matrix, rotation: Matrix, eye: Matrix, focal: float
-) -> tuple[Matrix, Matrix, float] | None:
+def _refine(points: Matrix, x: Matrix, y: Matrix, rotation: Matrix, eye: Matrix, focal: float) -> State | None:
     """Return rotation, eye and focal length of the pinhole camera that fits best, from a first estimate of them."""
     for _ in range(MAX_GAUSS_NEWTON_STEPS):
         local = (points - eye) @ rotation.T
@@ -301,10 +306,10 @@ def _refine(
         weight = np.sqrt(np.minimum(1.0, scale / np.maximum(far, 1e-300)))
         zero, inverse = np.zeros_like(u), focal / depth
         # Derivatives by rotations about right, up and forward, by translations along them, and by the focal length.
-        across = np.stack([-focal * u * v, focal * (1 + u * u), -focal * v, -inverse, zero, inverse * u, u], axis=1)
-        upwards = np.stack([-focal * (1 + v * v), focal * u * v, focal * u, zero, -inverse, inverse * v, v], axis=1)
-        slopes = np.concatenate([across, upwards]) * weight[:, None]
-        step, *_ = np.linalg.lstsq(slopes, left * weight, rcond=None)
+        across = np.stack([-focal * u * v, focal * (1 + u * u), -focal * v, -inverse, zero, inverse * u, u])
+        upwards = np.stack([-focal * (1 + v * v), focal * u * v, focal * u, zero, -inverse, inverse * v, v])
+        slopes = np.hstack([across, upwards]) * weight
+        step, *_ = np.linalg.lstsq(slopes @ slopes.T, slopes @ (left * weight), rcond=None)
         if not np.isfinite(step).all():
             return None
         rotation = _turn(step[:3]) @ rotation

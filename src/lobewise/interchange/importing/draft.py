@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum
 
+from lobewise.interchange.cameras.fitting import CameraFit
 from lobewise.interchange.cameras.header import Located
 from lobewise.interchange.checks.finding import Finding
 from lobewise.interchange.imported import ImageReader
@@ -58,6 +59,8 @@ class Draft:
         The channels of each role, with the conversions that its image still needs.
     light : Light
         The layers, and where each result is written.
+    pinhole : CameraFit or None
+        The pinhole camera that `fit_camera` finds without blur; None before it is fitted.
     header_camera : Located or None
         The camera of the header.
     camera : Camera or None
@@ -106,6 +109,7 @@ class Draft:
     flips: Mapping[str, str] | None = None
     roles: Mapping[str, Found] = field(default_factory=dict)
     light: Light = field(default_factory=Light)
+    pinhole: CameraFit | None = None
     header_camera: Located | None = None
     camera: Camera | None = None
     is_mirrored: bool = False

@@ -66,7 +66,8 @@ def estimate_blur(draft: Draft) -> Outcome:
     if fit is None:
         return Outcome(draft)
     seen = measure_offsets(fit.camera, _mirror(position) if fit.mirrored else position, draft.shape)
-    return Outcome(replace(draft, blur_radius=estimate_blur_radius(seen)))
+    pinhole = fit if fit.error < MAX_FIT_ERROR and not fit.drawn else None
+    return Outcome(replace(draft, blur_radius=estimate_blur_radius(seen), pinhole=pinhole))
 
 
 def measure_offsets(camera: Camera, position: FloatArray, shape: tuple[int, int], first: int = 0) -> FloatArray:
@@ -113,9 +114,8 @@ def _choose_camera(draft: Draft, header: Located | None, pixel_aspect: float) ->
         moved = _mirror(position) if header.mirrored else position
         if measure_fit(header.camera, moved, mask) < MAX_FIT_ERROR:
             return _use_header(draft, header, moved, "; positions agree with it.")
-    fit = fit_any_camera(
-        position, mask, draft.images.get("depth"), pixel_aspect, Place.of(draft.image_part, draft.shape)
-    )
+    place = Place.of(draft.image_part, draft.shape)
+    fit = fit_any_camera(position, mask, draft.images.get("depth"), pixel_aspect, place, draft.pinhole)
     if fit is not None:
         return _use_fit(draft, fit, position, header)
     panorama = _use_panorama(draft) if draft.wraps is None else None
