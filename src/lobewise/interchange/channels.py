@@ -29,6 +29,8 @@ SINGLE_COMPONENTS = ("", "z", "v", "x", "t", "i", "u", "r", "y", "a")
 """Components that can hold a pass of one value; the first one present counts."""
 BLENDERS_VIEW = re.compile(r".+\.Combined\.([^.]+)\.R")
 """Name of a red channel of a view in Blender's MultiLayer files, whose header does not list the views."""
+WILDCARDS = frozenset("*?[")
+"""Letters that `fnmatchcase` reads as patterns."""
 EYES = ("left", "right")
 """Names that are views where both name a red channel, even if the header does not list them."""
 
@@ -82,8 +84,9 @@ class Pass:
 
     def matches(self, pattern: str) -> bool:
         """Return whether the path, with or without its prefix, matches a pattern with the wildcards * and ?."""
-        path, lowered = self.path.lower(), pattern.lower()
-        return fnmatchcase(path, lowered) or fnmatchcase(path, f"*.{lowered}")
+        path, ending = f".{self.path.lower()}", f".{pattern.lower()}"
+        # `fnmatchcase` compiles an expression for every pattern, and most patterns have no wildcard.
+        return path.endswith(ending) if WILDCARDS.isdisjoint(ending) else fnmatchcase(path, f"*{ending}")
 
     def get_prefix(self, pattern: str) -> str:
         """Return the part of the path before the words of ``pattern``, with the last dot."""

@@ -155,6 +155,8 @@ def list_selections(
     layers = dict.fromkeys(each.layer for each in first.selections) if all_layers else (first.selection.layer,)
     selections = {first.selection: None}
     for view, layer in product(views or (first.selection.view,), layers):
+        if Selection(view, layer) in selections:
+            continue
         with suppress(InputError, MissingChannelError):
             own = map_file(family, preset=preset, mapping=mapping, view=view, layer=layer or None)
             selections[own.selection] = None

@@ -8,7 +8,7 @@ from lobewise.denoising.inputs import Images
 from lobewise.errors import InputError, MissingChannelError, name_value
 from lobewise.guides.survey import GuideSurvey
 from lobewise.interchange.importing.bands import ImportedBands
-from lobewise.interchange.mapping import map_file
+from lobewise.interchange.mapping import is_own
 from lobewise.interchange.reading import import_file, require_no_tables
 from lobewise.io.exr.bands import BandReader
 from lobewise.io.exr.header import wraps_around
@@ -48,7 +48,7 @@ def open_bands(
             got="one that wraps around, as its header says (envmap)",
             action="denoise it as a whole (--bands off)",
         )
-    if map_file(container).is_own:
+    if is_own(container):
         return BandReader(source, lobe_tables=lobe_tables, wanted=wanted)
     require_no_tables(source, lobe_tables)
     return ImportedBands(source)
