@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from lobewise.cli.terminal.values import Converter
 from lobewise.errors import InputError, require_choice
 
 OPTIONS, FILES, RESULT, SEQUENCES = "Options", "What the file holds", "What is written", "Sequences"
@@ -69,7 +70,15 @@ def asks_for_all(arguments: Sequence[str]) -> bool:
 
 
 class _Helpful:
-    """A command whose help is made here instead of by typer."""
+    """A command whose help is made here instead of by typer, and whose values are converted by `Converter`."""
+
+    def get_params(self: Any, ctx: Any) -> list[Any]:
+        """Return the options and arguments of a command, the option of the help included."""
+        params: list[Any] = super().get_params(ctx)  # type: ignore[misc]
+        for one in params:
+            # Typer makes its own here for the first value. Older versions of typer ask for none.
+            one._runtime_param = Converter()
+        return params
 
     def format_help(self: Any, ctx: Any, formatter: Any) -> None:
         """Write the help; ``ctx.obj`` is true where it includes the rare options."""
