@@ -45,8 +45,9 @@ def filters(
         return
     from lobewise.cli.bench.filters import FULL_SIZE, QUICK_SIZE, make_tables, measure_filters
     from lobewise.cli.bench.machine import describe_machine_in_words
-    from lobewise.cli.output import print_line, print_note, print_table
+    from lobewise.cli.output import print_line, print_note
     from lobewise.cli.terminal.lines import to_json
+    from lobewise.cli.terminal.tables import print_table
     from lobewise.io.files import require_writable, write_text
 
     if output is not None:
@@ -120,7 +121,7 @@ def interactive(
 
 
 def _print_stages(device: str, rows: Sequence[dict[str, Any]]) -> None:
-    from lobewise.cli.output import print_table
+    from lobewise.cli.terminal.tables import print_table
     from lobewise.interactive.views import STAGES
 
     header = ["", *(f"{row['method']}_{row['width']}x{row['height']}".replace("_", "\n") for row in rows)]

@@ -142,9 +142,9 @@ def inspect(
     """
     from dataclasses import asdict
 
-    from lobewise.cli.output import print_description
     from lobewise.cli.terminal.lines import to_json
     from lobewise.cli.terminal.summary import print_summary
+    from lobewise.cli.terminal.tables import print_description
     from lobewise.interchange.describing import inspect_file
     from lobewise.io.files import require_other_files, require_writable
 
@@ -251,7 +251,7 @@ def print_plan(source: Path, reading: PassReading, settings: dict[str, Any]) -> 
 def devices() -> None:
     """List the devices of this machine, and why filters cannot run on one."""
     from lobewise.backend.devices import list_devices
-    from lobewise.cli.output import print_devices
+    from lobewise.cli.terminal.tables import print_devices
 
     print_devices([(device.name, device.available, device.reason) for device in list_devices()])
 

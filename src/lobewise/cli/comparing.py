@@ -11,6 +11,7 @@ import typer
 
 from lobewise.cli.options.common import output_option
 from lobewise.cli.options.writing import list_files
+from lobewise.cli.terminal.lines import to_json
 from lobewise.cli.terminal.steps import Steps
 from lobewise.errors import InputError, LobewiseError, MissingChannelError, MissingDependencyError
 
@@ -59,8 +60,8 @@ def compare(
     Of sequences the means over the frames are shown, and beside them flicker, how unlike the changes from frame to
     frame are, and ghosting, the rel_mse of what has just come into view.
     """
-    from lobewise.cli.output import print_comparison, print_note
-    from lobewise.cli.terminal.lines import to_json
+    from lobewise.cli.output import print_note
+    from lobewise.cli.terminal.tables import print_comparison
     from lobewise.io.files import require_other_files, require_writable, write_text
 
     to_terminal = str(json_output) == "-"

@@ -106,8 +106,9 @@ def fit_material(
 
     ``grid`` holds ``cosines`` and ``azimuths`` of the views; by default those of `lobewise.fitting.fit.fit_lobes`.
     """
-    from lobewise.cli.output import print_fit, print_line
+    from lobewise.cli.output import print_line
     from lobewise.cli.terminal.steps import Steps
+    from lobewise.cli.terminal.tables import print_fit
     from lobewise.fitting.fit import fit_lobes
     from lobewise.io.files import open_atomic
     from lobewise.io.materials import write_lobe_table

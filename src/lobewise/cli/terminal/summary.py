@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from lobewise.cli.options.naming import name_clean
-from lobewise.cli.output import make_text, open_console
+from lobewise.cli.terminal.tables import make_text, open_console
 from lobewise.interchange.checks.finding import list_names
 from lobewise.io import FileDescription
 from lobewise.io.exr.describe import ChannelDescription, Lack, PartDescription
