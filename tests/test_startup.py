@@ -6,10 +6,12 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import lobewise
+from lobewise.io import write_frame
 
 HEAVY = {
     "numpy",
@@ -25,6 +27,13 @@ HEAVY = {
     "flip_evaluator",
     "lobewise.io",
 }
+
+UNUSED_BY_ONE_FILE = {
+    *("pydantic", "rich.console", "lobewise.farm", "lobewise.interchange.cameras.files"),
+    *("lobewise.recipes.windows", "lobewise.recipes.temporal", "lobewise.viewer.server"),
+    *(HEAVY - {"numpy", "halide", "OpenEXR", "lobewise.io"}),
+}
+"""What `lobewise denoise` of a single file does without."""
 
 # Every help, one after the other in one process: the first that loads something is the one to blame.
 ASK_FOR_HELP = f"""
@@ -63,6 +72,16 @@ def test_no_help_loads_anything_heavy() -> None:
         assert loaded == [], words
     assert done.stdout.count("Usage: lobewise") == len(asked) - 1
     assert f"lobewise {lobewise.__version__}" in done.stdout
+
+
+def test_denoising_one_file_loads_no_more_than_it_uses(make_frame: Any, tmp_path: Path) -> None:
+    source, target = tmp_path / "noisy.exr", tmp_path / "clean.exr"
+    write_frame(source, make_frame(height=8, width=8))
+    command = ["denoise", str(source), "-o", str(target), "--quality", "fast"]
+    code = f"import sys; from lobewise.cli import main; sys.argv[1:] = {command}\ntry: main()\n"
+    code += f"finally: print(sorted(set(sys.modules) & {UNUSED_BY_ONE_FILE}))"
+    assert ask_python(code).stdout.splitlines()[-1] == "[]"
+    assert target.is_file()
 
 
 def test_importing_the_package_loads_nothing_heavy() -> None:

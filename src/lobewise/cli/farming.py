@@ -9,16 +9,13 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
-from lobewise.cli.options.bounding import Bounds
 from lobewise.cli.options.farming import Farm
 from lobewise.cli.output import describe_result, describe_settings, print_line, print_note
 from lobewise.cli.running import Job, list_outputs, write_picture
-from lobewise.cli.running import run_files as run_files_here
 from lobewise.cli.terminal.outcome import tell_failures, tell_picture
 from lobewise.farm.running import FarmJob, FarmReport, filter_on_farm
 from lobewise.farm.tasks import TaskLog
-from lobewise.io.files import require_exr_name
-from lobewise.io.sequence import FramePattern, is_pattern, name_frames
+from lobewise.io.sequence import FramePattern, name_frames
 from lobewise.recipes.files.remarks import Remarks
 from lobewise.recipes.files.running import FileFilter, Request, add_gaps, open_filter, open_records, run_files
 from lobewise.recipes.ledger import Ledger
@@ -81,27 +78,16 @@ def _open_filter(pickled: bytes) -> tuple[FileFilter[Any], Remarks]:
     return opened
 
 
-def run_request(job: Job, request: Request, context: str, farm: Farm, bounds: Bounds) -> None:
-    """Filter one file, or every file of a pattern, here or on a farm, and print what was done.
+def run_on_farm(job: Job, request: Request, context: str, farm: Farm) -> None:
+    """Filter every file of a pattern on a farm, and print what was done.
 
     ``context`` is what the outputs depend on beside the files and the request.
 
     Raises
     ------
     LobewiseError
-        If a frame could not be filtered, on a farm at the end; see `lobewise.farm.running.filter_on_farm` for others.
+        If a frame could not be filtered, at the end; see `lobewise.farm.running.filter_on_farm` for others.
     """
-    require_exr_name(job.output)
-    with bounds.limit():
-        if is_pattern(job.source):
-            job.expose(request, context)
-        if farm.is_wanted:
-            _run_on_farm(job, request, context, farm)
-        else:
-            run_files_here(job, request, context)
-
-
-def _run_on_farm(job: Job, request: Request, context: str, farm: Farm) -> None:
     source, output = job.source.absolute(), job.output.absolute()
     request = request.anchor()
     work = FrameWork(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -28,10 +28,13 @@ from lobewise.cli.options.shading import Reshading
 from lobewise.cli.options.spreading import with_groups, with_settings
 from lobewise.cli.options.windows import Window
 from lobewise.cli.options.writing import Output, Overwrite, Picture, Writing, protect_inputs
-from lobewise.cli.running import Job
+from lobewise.cli.running import Job, run_files
 from lobewise.cli.terminal.help import FILTER_DETAILS
 from lobewise.cli.terminal.outcome import make_remarks
 from lobewise.settings import DenoiseSettings, TemporalSettings
+
+if TYPE_CHECKING:
+    from lobewise.recipes.files.running import Request
 
 OPTIONS = {
     "mapping": "--map",
@@ -96,8 +99,6 @@ def denoise(
     bounds.limit()
 
     def run(path: Path, target: Path) -> None:
-        from lobewise.cli.farming import run_request
-
         remarks.file = path.name if len(pairs) > 1 else ""
         run_request(Job.plan(path, target, frames, picture, telling, remarks), request, repr(picture), farm, bounds)
 
@@ -142,7 +143,6 @@ def upsample(
     telling: Telling,
 ) -> None:
     """Bring sparsely shaded radiance to every pixel, in one file or a sequence of them; the guides are kept."""
-    from lobewise.cli.farming import run_request
     from lobewise.io.files import require_exr_name
     from lobewise.recipes.files.upsampler import UpsampleRequest
     from lobewise.records.sparse_frame import require_place
@@ -169,3 +169,25 @@ def upsample(
     over_time.require_sequence(source)
     farm.check(source)
     run_request(job, request, repr(picture), farm, bounds)
+
+
+def run_request(job: Job, request: Request, context: str, farm: Farm, bounds: Bounds) -> None:
+    """Filter one file, or every file of a pattern, here or on a farm, and print what was done.
+
+    ``context`` is what the outputs depend on beside the files and the request.
+
+    Raises LobewiseError if a frame could not be filtered.
+    """
+    from lobewise.io.files import require_exr_name
+    from lobewise.io.sequence import is_pattern
+
+    require_exr_name(job.output)
+    with bounds.limit():
+        if is_pattern(job.source):
+            job.expose(request, context)
+        if farm.is_wanted:
+            from lobewise.cli.farming import run_on_farm
+
+            run_on_farm(job, request, context, farm)
+        else:
+            run_files(job, request, context)

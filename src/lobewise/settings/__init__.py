@@ -28,6 +28,8 @@ OIDN_QUALITY: QualityName = "balanced"
 """The quality of our own image that is mixed with the image of Open Image Denoise, where none is named. The network of
 "high" made the mixture no better (docs/developers/decisions.md)."""
 LARGEST_RADIUS = 64
+MAX_WINDOW = 8
+"""Most frames to each side of a window."""
 MAX_LOBES = 4
 """Largest number of spherical Gaussians in a mixture."""
 

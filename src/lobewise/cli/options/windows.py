@@ -9,6 +9,7 @@ from typing import Annotated, Any
 from lobewise.cli.options.common import require_pattern
 from lobewise.cli.terminal.help import sequence_option
 from lobewise.errors import InputError
+from lobewise.settings import MAX_WINDOW
 
 USUAL_REACH = 2
 """Frames to each side that ``--temporal`` uses without ``--window``."""
@@ -34,11 +35,9 @@ class Window:
 
     def list_fields(self) -> dict[str, Any]:
         """Return the options as fields of `lobewise.recipes.files.FileRequest`."""
-        from lobewise.recipes.windows import MAX_REACH
-
-        if self.window is not None and not 1 <= self.window <= MAX_REACH:
+        if self.window is not None and not 1 <= self.window <= MAX_WINDOW:
             got = str(self.window)
-            raise InputError("--window", expected=f"1 to {MAX_REACH} frames", got=got, action="2 is usual")
+            raise InputError("--window", expected=f"1 to {MAX_WINDOW} frames", got=got, action="2 is usual")
         return {"window": self.window or (USUAL_REACH if self.temporal else 0), "past_only": self.temporal}
 
     def require_sequence(self, source: Path) -> None:

@@ -30,7 +30,6 @@ from lobewise.recipes.files.result import FileResult
 from lobewise.recipes.sequence import OF_ALL_FRAMES, FilterAlone
 from lobewise.recipes.streaming import denoise_file, list_images, needs_bands
 from lobewise.recipes.streaming.checks import open_bands
-from lobewise.recipes.windows import WindowFilter
 from lobewise.records.frame import Frame, Result
 from lobewise.records.lobe_table import LobeTable
 from lobewise.settings import DenoiseSettings
@@ -174,6 +173,8 @@ class _Window:
     """Reads each file of a sequence with the files around it, and keeps files as long as windows need them."""
 
     def __init__(self, request: FileRequest, source: Path, remarks: Remarks) -> None:
+        from lobewise.recipes.windows import WindowFilter
+
         self._request, self._source, self._remarks = request, source, remarks
         self._filter = WindowFilter(request.window, request.settings, past_only=request.past_only)
         self._kept: dict[Path, Imported | None] = {}

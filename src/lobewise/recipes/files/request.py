@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 from lobewise.denoising.automatic import leaves_oidn_open
 from lobewise.errors import InputError, name_value, require_integer, require_kind
-from lobewise.interchange.cameras.files import read_camera_file
 from lobewise.interchange.mapping import split_mapping
 from lobewise.interchange.preset import look_up_preset
 from lobewise.interchange.siblings import list_family
@@ -20,9 +19,8 @@ from lobewise.io.files import anchor_name, as_path
 from lobewise.io.materials import read_lobe_table
 from lobewise.io.sequence import FramePattern, is_pattern, name_frame
 from lobewise.recipes.adaptive.shading import Shading
-from lobewise.recipes.windows import MAX_REACH
 from lobewise.records.lobe_table import LobeTable
-from lobewise.settings import DenoiseSettings
+from lobewise.settings import MAX_WINDOW, DenoiseSettings
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -123,7 +121,7 @@ class FileRequest:
             require_kind("also and mapping", text, str)
         for path in self.materials:
             as_path(path, "materials")
-        require_integer("window", self.window, 0, MAX_REACH)
+        require_integer("window", self.window, 0, MAX_WINDOW)
         self.make_read_options()
         if self.shading is not None:
             self.shading.check()
@@ -167,10 +165,16 @@ class FileRequest:
             split_mapping(role, text)
         if self.preset is not None:
             look_up_preset(self.preset)
+        camera = None
+        if self.camera is not None:
+            # Formats of scenes need XML and USD, and few runs name a camera.
+            from lobewise.interchange.cameras.files import read_camera_file
+
+            camera = read_camera_file(self.camera)
         return {
             "preset": self.preset,
             "mapping": self.mapping,
-            "camera": None if self.camera is None else read_camera_file(self.camera),
+            "camera": camera,
             "wraps": self.wraps,
         }
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lobewise.interchange.replacing import PlannedResult
 from lobewise.interchange.selections import Selection
 from lobewise.io.exr.container import Container
-from lobewise.recipes.streaming import DenoisedFile
 from lobewise.records.frame import FloatArray, Result
+
+if TYPE_CHECKING:
+    from lobewise.recipes.streaming import DenoisedFile
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,6 @@ from lobewise.recipes.files.request import FileRequest
 from lobewise.recipes.files.result import FileResult
 from lobewise.recipes.sequence import FilterAlone, SequenceFilter
 from lobewise.recipes.states import State
-from lobewise.recipes.temporal import TemporalFilter
 from lobewise.recipes.upsampling import upsample
 from lobewise.records.frame import Frame, Radiance, Result
 from lobewise.records.sparse_frame import AnyFrame, SparseFrame, make_sparse
@@ -136,6 +135,8 @@ class FileUpsampler:
         if request.memory is None:
             of_frames = FilterAlone(partial(upsample, bilinear=request.bilinear, **request.settings))
         else:
+            from lobewise.recipes.temporal import TemporalFilter
+
             of_frames = TemporalFilter(**request.settings, memory=request.memory)
         return _FilterOfFiles(of_frames, self._improve)
 

@@ -23,15 +23,13 @@ from lobewise.recipes.windows.joining import JoinedFrame, join_frames
 from lobewise.recipes.windows.shots import Shot, extrapolate_camera
 from lobewise.records.frame import FloatArray, Frame, Result
 from lobewise.records.images import pack_planes, unpack_planes
-from lobewise.settings import DenoiseChanges, DenoiseSettings
+from lobewise.settings import MAX_WINDOW, DenoiseChanges, DenoiseSettings
 from lobewise.settings.choices import GUIDED_SIMILARITY
 from lobewise.work.limits import set_aside
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-MAX_REACH = 8
-"""Most frames to each side of a window."""
 HELD_SHARE = 1.6
 """Memory that a window takes beside the joined frame, as a multiple of that of its frames."""
 NO_MOTION = (
@@ -109,9 +107,9 @@ class WindowFilter:
         past_only: bool = False,
         **changes: Unpack[DenoiseChanges],
     ) -> None:
-        if not isinstance(reach, int) or isinstance(reach, bool) or not 1 <= reach <= MAX_REACH:
+        if not isinstance(reach, int) or isinstance(reach, bool) or not 1 <= reach <= MAX_WINDOW:
             got = name_value(reach, MAX_GOT_LETTERS)
-            raise InputError("window", expected=f"1 to {MAX_REACH} frames to each side", got=got, action="2 is usual")
+            raise InputError("window", expected=f"1 to {MAX_WINDOW} frames to each side", got=got, action="2 is usual")
         self.reach = reach
         self.past_only = past_only
         self._settings = change_settings(settings or DenoiseSettings(), changes)
