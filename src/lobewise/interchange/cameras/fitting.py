@@ -300,16 +300,17 @@ def _refine(points: Matrix, x: Matrix, y: Matrix, rotation: Matrix, eye: Matrix,
             return None
         a, b, depth = local[ahead].T
         u, v = a / depth, b / depth
-        left = np.concatenate([x[ahead] - focal * u, y[ahead] - focal * v])
+        left = np.stack([x[ahead] - focal * u, y[ahead] - focal * v])
         far = np.abs(left)
         scale = 1.5 * np.median(far) + 1e-12
-        weight = np.sqrt(np.minimum(1.0, scale / np.maximum(far, 1e-300)))
+        weight = np.minimum(1.0, scale / np.maximum(far, 1e-300))
         zero, inverse = np.zeros_like(u), focal / depth
         # Derivatives by rotations about right, up and forward, by translations along them, and by the focal length.
         across = np.stack([-focal * u * v, focal * (1 + u * u), -focal * v, -inverse, zero, inverse * u, u])
         upwards = np.stack([-focal * (1 + v * v), focal * u * v, focal * u, zero, -inverse, inverse * v, v])
-        slopes = np.hstack([across, upwards]) * weight
-        step, *_ = np.linalg.lstsq(slopes @ slopes.T, slopes @ (left * weight), rcond=None)
+        weighted = across * weight[0], upwards * weight[1]
+        products = weighted[0] @ across.T + weighted[1] @ upwards.T
+        step, *_ = np.linalg.lstsq(products, weighted[0] @ left[0] + weighted[1] @ left[1], rcond=None)
         if not np.isfinite(step).all():
             return None
         rotation = _turn(step[:3]) @ rotation
