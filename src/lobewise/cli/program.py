@@ -9,6 +9,7 @@ import sys
 import traceback
 import warnings
 from contextlib import suppress
+from copy import copy
 
 import typer
 
@@ -42,7 +43,7 @@ def run(arguments: list[str]) -> int:
     debug = "--debug" in arguments[:end]
     arguments = [word for place, word in enumerate(arguments) if word != "--debug" or place >= end]
     arguments = give_switches_values(arguments)
-    command = typer.main.get_command(app)
+    command = typer.main.get_command(_keep_verb(app, arguments))
     if COMPLETION_VARIABLE in os.environ:
         command.main(prog_name="lobewise", complete_var=COMPLETION_VARIABLE)  # prints words for the shell, and exits
     warnings.showwarning = _show_warning
@@ -75,6 +76,19 @@ def run(arguments: list[str]) -> int:
         text = f"something went wrong inside lobewise {lobewise.__version__} ({what})"
         action = f"run it again with --debug and report what it says at {BUG_REPORT_URL}"
         return _fail(LobewiseError(text, action=action), EXIT_INTERNAL_ERROR, debug)
+
+
+def _keep_verb(app: typer.Typer, arguments: list[str]) -> typer.Typer:
+    """Return the program with the one verb that a command line begins with; without one the whole program.
+
+    To make the options of all verbs takes longer than to read a command line.
+    """
+    named = [one for one in app.registered_commands if one.callback and one.callback.__name__ in arguments[:1]]
+    if not named:
+        return app
+    kept = copy(app)
+    kept.registered_commands, kept.registered_groups = named, []
+    return kept
 
 
 def _describe_refusal(problem: Exception) -> LobewiseError:
