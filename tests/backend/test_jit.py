@@ -15,7 +15,7 @@ import pytest
 
 import lobewise
 from lobewise import errors, settings
-from lobewise.backend import disk, expressions, jit, pointwise, trust
+from lobewise.backend import disk, expressions, jit, pointwise, sources, trust
 from lobewise.backend.buffers import Buffer
 from lobewise.backend.disk import fetch_object, locate_cache_folder
 from lobewise.backend.jit import Kernel, describe_kernel, describe_key, list_definitions
@@ -139,6 +139,8 @@ def edit(monkeypatch: pytest.MonkeyPatch, module: ModuleType, old: str, new: str
         return content.replace(old.encode(), new.encode()) if self == path else content
 
     monkeypatch.setattr(Path, "read_bytes", read)
+    # A process reads each file once.
+    monkeypatch.setattr(sources, "_open_kept", sources._Kept)
 
 
 @cache

@@ -184,29 +184,33 @@ class _Kept:
         self._path = None if folder is None else folder / _KEPT
         # Versions of Python write syntax trees in different ways.
         self._maker = Path(__file__).read_bytes() + repr(sys.version_info[:2]).encode()
-        self._known: dict[str, Source] = {}
+        self._known: dict[str, Any] = {}
+        self._fetched: dict[Path, Source] = {}
         self._changed = False
         if self._path is not None:
             # A file that cannot be trusted or read is written anew.
             with suppress(OSError, ValueError, TypeError, AttributeError, RecursionError):
                 text, _ = read_trusted(self._path, MAX_FILE_BYTES)
-                self._known = {key: _check_source(*source) for key, source in json.loads(text).items()}
+                self._known = dict(json.loads(text).items())
 
     def fetch(self, path: Path) -> Source:
         """Return the module of a file."""
-        content = path.read_bytes()
-        key = hashlib.sha256(self._maker + content).hexdigest()
-        if key not in self._known:
-            self._known[key] = take_apart(content.decode())
-            self._changed = True
-        return self._known[key]
+        if path not in self._fetched:
+            content = path.read_bytes()
+            key = hashlib.sha256(self._maker + content).hexdigest()
+            try:
+                self._fetched[path] = _check_source(*self._known[key])
+            except (KeyError, ValueError, TypeError, AttributeError):
+                source = self._fetched[path] = take_apart(content.decode())
+                self._known[key] = [source.definitions, source.imports]
+                self._changed = True
+        return self._fetched[path]
 
     def write(self) -> None:
         """Write the file if a module was taken apart. Without a folder, or if writing fails, nothing is remembered."""
         if self._changed and self._path is not None:
             newest = dict(list(self._known.items())[-_MAX_KEPT_MODULES:])
-            written = {key: [source.definitions, source.imports] for key, source in newest.items()}
-            write_whole(self._path, json.dumps(written).encode())
+            write_whole(self._path, json.dumps(newest).encode())
             self._changed = False
 
 
