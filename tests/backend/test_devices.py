@@ -1,6 +1,7 @@
 """Devices: which are found, why one is missing, and images that stay on a device between kernels."""
 
 import ctypes
+import sys
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,7 @@ def pretend(monkeypatch: pytest.MonkeyPatch, **found: bool) -> None:
     """Let there be devices of these names: a card (False), or software (True)."""
     told = [Device(name, name in found or name == "cpu", f"why {name}", found.get(name, False)) for name in DEVICES]
     monkeypatch.setattr(devices, "list_devices", lambda: told)
+    monkeypatch.setattr(devices, "may_have_card", lambda: True)
 
 
 class TestChoice:
@@ -68,6 +70,14 @@ class TestChoice:
     def test_auto_takes_a_card(self, monkeypatch, found, expected):
         pretend(monkeypatch, **found)
         assert choose_device("auto") == expected
+
+    @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere no file tells of a card")
+    def test_auto_asks_no_driver_where_no_card_has_a_file(self, monkeypatch):
+        monkeypatch.setattr(devices, "CARD_FILES", ())
+        monkeypatch.setattr(devices, "list_devices", lambda: pytest.fail("a driver was asked"))
+        assert choose_device("auto") == "cpu"
+        monkeypatch.setattr(devices, "CARD_FILES", ("null",))
+        assert devices.may_have_card()
 
     def test_software_is_taken_when_asked_for(self, monkeypatch):
         pretend(monkeypatch, vulkan=True)
