@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
-from functools import wraps
+from functools import cache, wraps
 from typing import Annotated, Any, get_type_hints
 
 import typer
@@ -100,6 +100,7 @@ def _is_group(kind: Any) -> bool:
     return is_dataclass(kind)
 
 
+@cache
 def _list_fields(group: type) -> list[inspect.Parameter]:
     kinds = get_type_hints(group, include_extras=True)
     return [
