@@ -122,6 +122,15 @@ def test_compiling_is_shown_in_place_of_the_step(monkeypatch: pytest.MonkeyPatch
     assert terminal.list_steps()[-2:] == [COMPILING, "Filtering"]
 
 
+def test_a_remark_whose_reader_has_gone_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Gone(io.StringIO):
+        def write(self, text: str) -> int:
+            raise BrokenPipeError
+
+    monkeypatch.setattr(sys, "stderr", Gone())
+    print_note("a remark")
+
+
 @pytest.mark.parametrize("print_text", [print_line, print_note])
 def test_what_is_printed_meanwhile_has_a_line_of_its_own(print_text: object, monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = attach(monkeypatch)
