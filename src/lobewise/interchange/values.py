@@ -19,6 +19,12 @@ def clip_share(values: FloatArray) -> FloatArray:
     return np.asarray(np.fmin(np.fmax(values, np.float32(0.0)), np.float32(1.0)))
 
 
+def mark_placed(position: FloatArray) -> NDArray[np.bool_]:
+    """Return which positions, (height, width, 3), are not 0: where a surface is."""
+    x, y, z = np.moveaxis(position, -1, 0)
+    return np.asarray((x != 0.0) | (y != 0.0) | (z != 0.0))
+
+
 def convert_plain(values: FloatArray, names: tuple[str, ...]) -> FloatArray:
     """Return the values after the conversions that need no camera, applied in the order of ``names``."""
     for name in names:

@@ -121,7 +121,7 @@ def fit_camera(
         rotation, eye, focal = state
         camera = Camera(turn * center + spread * eye, rotation[2], rotation[1], float(2.0 * np.arctan(1.0 / focal)))
         camera = place.crop(camera.with_pixel_aspect(place.width, place.height, pixel_aspect), *mask.shape)
-        error = measure_fit(camera, (turn * position).astype(np.float32), mask)
+        error = measure_fit(camera, position * turn.astype(np.float32) if mirrored else position, mask)
         return CameraFit(camera, error, mirrored, drawn=start is not of_all) if error < max_error else None
     return None
 
@@ -225,9 +225,9 @@ def _gather(
 
 def choose_pixels(mask: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return rows and columns of at most about `MAX_PIXELS` pixels of a mask, spread evenly."""
-    rows, columns = np.nonzero(mask)
-    step = max(1, len(rows) // MAX_PIXELS)
-    return rows[::step], columns[::step]
+    places = np.flatnonzero(mask)
+    rows, columns = np.divmod(places[:: max(1, len(places) // MAX_PIXELS)], mask.shape[1])
+    return rows, columns
 
 
 def _draw_start(points: Matrix, x: Matrix, y: Matrix, of_all: State, tolerance: float) -> State:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lobewise.interchange.checks.finding import Finding
 from lobewise.interchange.checks.geometry import MIN_PIXELS, choose_centers
+from lobewise.interchange.values import mark_placed
 from lobewise.records.camera import Camera
 from lobewise.records.frame import FloatArray
 
@@ -122,7 +123,7 @@ def check_depth_by_position(
     ]
     if first < MIN_ERROR_OF_WRONG_DEPTH and not (good and good[0].scale == 1.0):
         return CheckedDepth(depth)
-    surface = (position != 0.0).any(axis=-1)
+    surface = mark_placed(position)
     if not good:
         note = (
             f"{label} is no distance to the surfaces that the positions show; the positions' distances from the camera "

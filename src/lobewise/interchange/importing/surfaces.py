@@ -14,7 +14,13 @@ from lobewise.interchange.cameras.places import Place
 from lobewise.interchange.checks.precision import measure_grain
 from lobewise.interchange.importing.blur import estimate_blur_radius
 from lobewise.interchange.importing.draft import Draft, Outcome
-from lobewise.interchange.values import MIN_EMPTY_DISTANCE, convert_depth, convert_plain, convert_space
+from lobewise.interchange.values import (
+    MIN_EMPTY_DISTANCE,
+    convert_depth,
+    convert_plain,
+    convert_space,
+    mark_placed,
+)
 from lobewise.io.exr.header import read_pixel_aspect
 from lobewise.records.camera import Camera, project_points
 from lobewise.records.frame import FloatArray
@@ -51,14 +57,14 @@ def _mark_surface(position: FloatArray, depth: FloatArray | None) -> Mask:
     there = (np.abs(position) < MIN_EMPTY_DISTANCE).all(axis=-1)
     if depth is not None:
         return np.asarray(there & np.isfinite(depth) & (depth > 0.0) & (depth < MIN_EMPTY_DISTANCE))
-    return np.asarray(there & (position != 0.0).any(axis=-1))
+    return np.asarray(there & mark_placed(position))
 
 
 def estimate_blur(draft: Draft) -> Outcome:
     """Find how far the lens blurs every pixel, by the spread of the positions around where a pinhole sees them."""
     position = draft.world_position
     assert position is not None
-    mask: Mask = (position != 0.0).any(axis=-1)
+    mask: Mask = mark_placed(position)
     pixel_aspect = read_pixel_aspect(draft.image_part) or 1.0
     is_coarse = measure_grain(position).is_coarse
     place = Place.of(draft.image_part, draft.shape)
@@ -76,10 +82,18 @@ def measure_offsets(camera: Camera, position: FloatArray, shape: tuple[int, int]
     ``shape`` is that of the whole image, of which ``position`` has the rows from ``first`` on.
     """
     height, width = shape
-    seen = project_points(camera, position, width, height)
-    rows = np.arange(first, first + len(position)) + 0.5
-    seen -= np.stack(np.meshgrid(np.arange(width) + 0.5, rows), axis=-1).astype(np.float32)
-    return np.where((position != 0.0).any(axis=-1, keepdims=True), seen, np.float32(np.nan))
+    offset = np.empty((*position.shape[:2], 2), np.float32)
+
+    def measure(chunk: Chunk) -> None:
+        rows, columns = (np.arange(each.start, each.stop) for each in chunk)
+        there = position[chunk]
+        seen = project_points(camera, there, width, height)
+        seen[..., 0] -= (columns + 0.5).astype(np.float32)
+        seen[..., 1] -= (rows[:, None] + (first + 0.5)).astype(np.float32)
+        offset[chunk] = np.where(mark_placed(there)[..., None], seen, np.float32(np.nan))
+
+    run_chunks(measure, *position.shape[:2])
+    return offset
 
 
 def choose_camera(draft: Draft) -> Outcome:
@@ -109,7 +123,7 @@ def _choose_camera(draft: Draft, header: Located | None, pixel_aspect: float) ->
     position = draft.world_position
     if position is None:
         return Outcome(draft) if header is None else _use_header(draft, header, position, ".")
-    mask: Mask = (position != 0.0).any(axis=-1)
+    mask: Mask = mark_placed(position)
     if header is not None:
         moved = _mirror(position) if header.mirrored else position
         if measure_fit(header.camera, moved, mask) < MAX_FIT_ERROR:
@@ -130,7 +144,7 @@ def _use_panorama(draft: Draft) -> Outcome | None:
     """Place the camera of a panorama by its positions. Return None if they are not those of one."""
     position, part = draft.world_position, draft.image_part
     assert position is not None
-    fit = fit_panorama(position, (position != 0.0).any(axis=-1)) if part.data_window == part.display_window else None
+    fit = fit_panorama(position, mark_placed(position)) if part.data_window == part.display_window else None
     if fit is None:
         return None
     notes = [] if draft.wraps else [WRAPS_AROUND.format("its positions show all around the camera")]
@@ -144,7 +158,7 @@ def _use_panorama(draft: Draft) -> Outcome | None:
 def _use_given_camera(draft: Draft, camera: Camera) -> Outcome:
     chosen = replace(draft, camera=camera)
     position = draft.world_position
-    if position is None or measure_fit(camera, position, (position != 0.0).any(axis=-1)) < MAX_FIT_ERROR:
+    if position is None or measure_fit(camera, position, mark_placed(position)) < MAX_FIT_ERROR:
         return Outcome(chosen)
     note = "The camera that was given does not see the positions where they are, so they are not used."
     return Outcome(replace(chosen, world_position=None), notes=[note])
@@ -205,7 +219,7 @@ def derive_depth(draft: Draft) -> Outcome:
     if draft.distance is not None or position is None or camera is None:
         return Outcome(draft)
     away = np.linalg.norm(position - camera.position.astype(np.float32), axis=-1)
-    return Outcome(replace(draft, distance=np.where((position != 0.0).any(axis=-1), away, np.float32(0.0))))
+    return Outcome(replace(draft, distance=np.where(mark_placed(position), away, np.float32(0.0))))
 
 
 def take_normals(draft: Draft) -> Outcome:

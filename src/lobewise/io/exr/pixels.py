@@ -34,7 +34,7 @@ DTYPES: dict[str, np.dtype[Any]] = {
 }
 
 
-MAX_SLAB_BYTES = 2**29
+MAX_SLAB_BYTES = 3 * 2**28
 """Most bytes of pixels that are decoded or encoded at once, unless a single row of chunks has more."""
 
 FIXED_BYTES = 2**26
