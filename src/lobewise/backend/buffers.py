@@ -11,19 +11,21 @@ Large arrays begin at a page, and planes of many image sizes are a whole number 
 share a few lines of the nearest cache, whose set is chosen by the place within a page, and a kernel that reads twenty
 images would read each line several times. So images begin at different places of a page.
 
-The system clears new memory before it hands it out, which takes as long as a simple kernel. Filters that run frame
-after frame therefore keep the memory of the last frame in a `MemoryPool`.
+The system clears new memory before it hands it out, which takes as long as a simple kernel. Images of a call therefore
+take the memory of earlier images from a `MemoryPool`, which ends with the call. Filters that run frame after frame keep
+the memory of the last frame.
 """
 
 from __future__ import annotations
 
 import ctypes
 import threading
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from functools import cache, wraps
 from typing import Any, TypeVar, cast, overload
+from weakref import ref
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,27 +42,45 @@ CACHE_STEP_BYTES = 5 * 64
 MIN_SPREAD_BYTES = 1 << 16
 """Size of an image from which its place within a page matters."""
 
+MAX_EXCESS = 1.25
+"""Largest size of a block of memory over that of the array that takes it: results keep their blocks."""
+
 
 class _Block:
-    """Bytes that an array lies in. When the array is gone, they go back to their pool."""
+    """Bytes that an array lies in. When the array is gone, they go back to their pool if it is still there."""
 
     def __init__(self, pool: MemoryPool, memory: NDArray[np.uint8]) -> None:
-        self._pool, self._memory = pool, memory
+        self._pool, self._memory = ref(pool), memory
         self.__array_interface__ = memory.__array_interface__
 
     def __del__(self) -> None:
-        self._pool._give_back(self._memory)
+        pool = self._pool()
+        if pool is not None:
+            pool._returned.append(self._memory)
 
 
 class MemoryPool:
-    """The memory of arrays that are gone, for new arrays of the same size.
+    """The memory of arrays that are gone, for new arrays of about the same size.
 
-    It holds no more than its last two uses needed.
+    In its first use it holds no more than was in use at once: the peak is that of a process without a pool. Later it
+    holds what its last two uses needed, so that a use like the one before takes no fresh memory.
     """
 
     def __init__(self) -> None:
-        self._free: dict[int, list[tuple[int, NDArray[np.uint8]]]] = {}
-        self._uses = 0
+        self._free: list[tuple[int, NDArray[np.uint8]]] = []
+        """Free blocks, those that are free for the longest time first, with the use that returned them."""
+        self._returned: deque[NDArray[np.uint8]] = deque()
+        """Blocks whose arrays are gone. Python may destroy an array at any time, in any thread, so that `_Block` does
+        nothing but append."""
+        self._lock = threading.Lock()
+        self._uses = self._used_bytes = self._most_bytes = self._free_bytes = 0
+        self.fresh_bytes = 0
+        """Bytes that the pool has taken from the system so far."""
+
+    @property
+    def held_bytes(self) -> int:
+        """Bytes of all blocks, in use and free."""
+        return self._used_bytes + self._free_bytes
 
     @contextmanager
     def use(self) -> Iterator[None]:
@@ -71,23 +91,50 @@ class MemoryPool:
             yield
         finally:
             _memory.pool = before
-            for size, blocks in list(self._free.items()):
-                self._free[size] = [block for block in blocks if block[0] >= self._uses - 1]
-                if not self._free[size]:
-                    del self._free[size]
+            with self._lock:
+                self._take_back()
+                while self._free and self._free[0][0] < self._uses - 1:
+                    self._pop(0)
 
     def clear(self) -> None:
         """Free all memory that is not in use."""
-        self._free.clear()
+        with self._lock:
+            self._take_back()
+            while self._free:
+                self._pop(0)
 
     def take(self, size: int) -> NDArray[np.uint8]:
         """Return an array of ``size`` bytes, uninitialised."""
-        blocks = self._free.get(size)
-        memory = blocks.pop()[1] if blocks else np.empty(size, np.uint8)
-        return np.asarray(_Block(self, memory))
+        with self._lock:
+            self._take_back()
+            fitting = [
+                (block.nbytes, -number)
+                for number, (_, block) in enumerate(self._free)
+                if size <= block.nbytes <= MAX_EXCESS * size
+            ]
+            memory = self._pop(-min(fitting)[1]) if fitting else self._allocate(size)
+            self._used_bytes += memory.nbytes
+            self._most_bytes = max(self._most_bytes, self._used_bytes)
+        return np.asarray(_Block(self, memory))[:size]
 
-    def _give_back(self, memory: NDArray[np.uint8]) -> None:
-        self._free.setdefault(memory.nbytes, []).append((self._uses, memory))
+    def _allocate(self, size: int) -> NDArray[np.uint8]:
+        most_bytes = max(self._most_bytes, self._used_bytes + size)
+        while self._uses == 1 and self._free and self.held_bytes + size > most_bytes:
+            self._pop(0)
+        self.fresh_bytes += size
+        return np.empty(size, np.uint8)
+
+    def _take_back(self) -> None:
+        while self._returned:
+            memory = self._returned.popleft()
+            self._used_bytes -= memory.nbytes
+            self._free_bytes += memory.nbytes
+            self._free.append((self._uses, memory))
+
+    def _pop(self, number: int) -> NDArray[np.uint8]:
+        _, memory = self._free.pop(number)
+        self._free_bytes -= memory.nbytes
+        return memory
 
 
 class _Memory(threading.local):
@@ -97,6 +144,21 @@ class _Memory(threading.local):
 
 
 _memory = _Memory()
+
+
+def get_pool() -> MemoryPool | None:
+    """Return the pool that this thread uses."""
+    return _memory.pool
+
+
+@contextmanager
+def share_memory() -> Iterator[None]:
+    """Let the images that kernels write inside the context lie in the memory of those that are gone.
+
+    Afterwards nothing is kept but the images that live. Inside a `MemoryPool` that is in use, all memory is its.
+    """
+    with nullcontext() if _memory.pool is not None else MemoryPool().use():
+        yield
 
 
 def make_plane_stack(shape: tuple[int, ...], type: str = "float32") -> NDArray[Any]:

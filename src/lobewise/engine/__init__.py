@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.backend.buffers import share_memory
 from lobewise.engine.here import HERE, Here, KernelPass
 
 if TYPE_CHECKING:
@@ -49,9 +50,11 @@ def use(engine: Here | Recorder) -> Iterator[None]:
         _current.engine = before
 
 
-def on(device: str) -> AbstractContextManager[None]:
-    """Run kernels at once on a device of `lobewise.list_devices` inside the context."""
-    return use(Here(device))
+@contextmanager
+def on(device: str) -> Iterator[None]:
+    """Run kernels at once on a device of `lobewise.list_devices` inside the context, in memory that they share."""
+    with use(Here(device)), share_memory():
+        yield
 
 
 def pixels(

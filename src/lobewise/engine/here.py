@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import threading
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
@@ -13,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lobewise.backend.buffers import Buffer, HostImage, Image, download, lend, make_output, make_plane_stack
+from lobewise.backend.buffers import Buffer, HostImage, Image, download, lend, make_array, make_output, make_plane_stack
 from lobewise.backend.devices import count_host_lanes
 from lobewise.backend.jit import Kernel, get_kernel, run_kernel
 from lobewise.backend.pointwise import PointwiseKey, make_pointwise
@@ -21,8 +19,6 @@ from lobewise.backend.signature import list_axis_lengths
 from lobewise.errors import InputError
 from lobewise.records.images import FloatArray
 
-MAX_SCRATCH_BYTES = 1 << 29
-"""Largest image between two passes whose memory is kept for the next call, bytes."""
 MAX_VECTOR_PIXELS = 16
 """Pixels of the widest vector of any processor."""
 
@@ -35,25 +31,6 @@ class KernelPass(NamedTuple):
     radius: int
     step: int
     text: str
-
-
-class _Scratch(threading.local):
-    """Memory for images between two passes, per thread. Reusing it saves the page faults of fresh memory."""
-
-    def __init__(self) -> None:
-        self._held: dict[int, FloatArray] = {}
-
-    def lend(self, slot: int, shape: tuple[int, ...]) -> FloatArray | None:
-        """Return uninitialised memory of a shape; None if it is too large to keep."""
-        count = math.prod(shape)
-        if 4 * count > MAX_SCRATCH_BYTES:
-            return None
-        if slot not in self._held or self._held[slot].size < count:
-            self._held[slot] = np.empty(count, np.float32)
-        return self._held[slot][:count].reshape(shape)
-
-
-_scratch = _Scratch()
 
 
 @dataclass(frozen=True)
@@ -345,10 +322,9 @@ class _Chain:
     def filter_whole(self, image: Image, outputs: Mapping[str, Buffer]) -> None:
         """Filter all pixels, pass by pass."""
         height, width = image.shape[:2]
-        for number, (kernel, step) in enumerate(zip(self.kernels[:-1], self.steps, strict=False)):
+        for kernel, step in zip(self.kernels[:-1], self.steps, strict=False):
             shape = kernel.list_shapes(height=height, width=width)["sums"]
-            memory = _scratch.lend(number % 2, shape) if self.device == "cpu" else None
-            written, sums = make_output(shape, self.device, memory)
+            written, sums = make_output(shape, self.device)
             self._call(kernel, lend(image, self.device), {"sums": written}, step)
             image = sums
         self._call(self.kernels[-1], lend(image, self.device), outputs, self.steps[-1])
@@ -361,9 +337,7 @@ class _Chain:
         wide = slice(max(columns.start - beside, 0), min(columns.stop + beside, image.shape[1]))
         along, down = self.kernels
         shape = along.list_shapes(height=tall.stop - tall.start, width=columns.stop - columns.start)["sums"]
-        between = _scratch.lend(0, shape)
-        if between is None:
-            between = np.empty(shape, np.float32)
+        between = make_array(shape)
         sums = Buffer(between, (0, 0, columns.start - wide.start))
         self._call(along, Buffer(download(image)[tall, wide]), {"sums": sums}, 1, (tall, wide))
         window = rows.start - tall.start, 0

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lobewise import engine
+from lobewise.backend.buffers import share_memory
 from lobewise.denoising.also import refine_parts
 from lobewise.denoising.automatic import (
     ask,
@@ -170,7 +171,7 @@ def denoise_file(
     require_writable(output)
     reader = open_bands(source, lobe_tables, list_images(with_quality)).reopen(list_images(with_quality))
     height, _ = reader.shape
-    with open_spool(output) as spool, open_spool(output) as waiting, plan_stages(COSTS):
+    with open_spool(output) as spool, open_spool(output) as waiting, plan_stages(COSTS), share_memory():
         guided = get_quality(with_quality.quality).reads_halves
         # Only the recipes that take the noisy image back change light that no surface scattered.
         scattered = {"color", *reader.layers}
