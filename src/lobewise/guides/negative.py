@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import reduce
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,25 @@ _PARTS = ("diffuse", "specular", "direct", "indirect")
 Split = tuple[FloatArray, FloatArray]
 
 
+class _Nothing(NamedTuple):
+    """What counts as no light below 0.
+
+    Parameters
+    ----------
+    rounding : (height, width, 1)
+        Largest light below 0 that is rounding.
+    image : (height, width, 3)
+        The light below 0 of every image that has none. All of them share it, so that it takes no memory.
+    """
+
+    rounding: FloatArray
+    image: FloatArray
+
+    def get_image(self, shape: tuple[int, ...]) -> FloatArray:
+        """Return the light below 0 of an image of a shape that has none."""
+        return self.image if self.image.shape == shape else np.zeros(shape, np.float32)
+
+
 def split_negative(frame: AnyFrame) -> tuple[Any, Any]:
     """Return a frame without light below 0, and a frame of this light, >= 0; the second is None where there is none.
 
@@ -51,22 +70,23 @@ def split_negative(frame: AnyFrame) -> tuple[Any, Any]:
     rounding = np.float32(MAX_ROUNDING) * np.where(np.isfinite(color), color, np.float32(0.0)).max(
         axis=-1, keepdims=True
     )
+    nothing = _Nothing(rounding, _keep(np.zeros(color.shape, np.float32)))
     first: AnyFrame
     second: AnyFrame
     if isinstance(frame, SparseFrame):
-        above, below = _split_radiance(frame.radiance, rounding)
+        above, below = _split_radiance(frame.radiance, nothing)
         first, second = replace(frame, radiance=above), replace(frame, radiance=below, variance=None)
     else:
-        first, second = _split_frame(frame, rounding)
-    return first, second if any(image.any() for image in _list_light(second)) else None
+        first, second = _split_frame(frame, nothing)
+    return first, second if any(image.any() for image in _list_light(second) if image is not nothing.image) else None
 
 
-def _split_frame(frame: Frame, rounding: FloatArray) -> tuple[Frame, Frame]:
-    halves = [None if half is None else _split_radiance(half, rounding) for half in (frame.half_a, frame.half_b)]
-    layers = [_split_layer(layer, rounding) for layer in frame.layers]
+def _split_frame(frame: Frame, nothing: _Nothing) -> tuple[Frame, Frame]:
+    halves = [None if half is None else _split_radiance(half, nothing) for half in (frame.half_a, frame.half_b)]
+    layers = [_split_layer(layer, nothing) for layer in frame.layers]
     below_halves = [half[1] for half in halves if half is not None]
-    above, below = _split_radiance(frame.radiance, rounding, below_halves if len(below_halves) == 2 else (), layers)
-    also = _split_all(frame.also, rounding)
+    above, below = _split_radiance(frame.radiance, nothing, below_halves if len(below_halves) == 2 else (), layers)
+    also = _split_all(frame.also, nothing)
     first = replace(
         frame,
         radiance=above,
@@ -142,37 +162,43 @@ def _list_light(frame: AnyFrame) -> list[FloatArray]:
     return [image for image in images if image is not None]
 
 
-def _split_image(image: FloatArray, rounding: FloatArray, below: Sequence[FloatArray] = ()) -> Split:
-    """Return an image without light below 0, and this light where it is more than ``rounding``, (height, width, 1).
+def _keep(image: FloatArray) -> FloatArray:
+    """Return an image that is read-only, which frames keep without a copy."""
+    image.flags.writeable = False
+    return image
+
+
+def _split_image(image: FloatArray, nothing: _Nothing, below: Sequence[FloatArray] = ()) -> Split:
+    """Return an image without light below 0, and this light where it is more than rounding.
 
     ``below`` is the light below 0 of both of the image's halves.
     """
     if not any(each.any() for each in below):
         below = ()
         if not (image < 0.0).any():
-            return image, np.zeros_like(image)
-        if not (image < -rounding).any():
-            return np.maximum(image, np.float32(0.0)), np.zeros_like(image)
+            return image, nothing.get_image(image.shape)
+        if not (image < -nothing.rounding).any():
+            return _keep(np.maximum(image, np.float32(0.0))), nothing.get_image(image.shape)
     least = np.mean(below, axis=0, dtype=np.float32) if below else np.float32(0.0)
     with np.errstate(invalid="ignore"):
-        damaged = mark_damaged(image)[..., None] & (image < -rounding).any(axis=-1, keepdims=True)
+        damaged = mark_damaged(image)[..., None] & (image < -nothing.rounding).any(axis=-1, keepdims=True)
         known = np.isfinite(image) & ~damaged
         taken = np.where(known, np.maximum(-image, least), np.float32(0.0))
     if not taken.any():
-        return image, taken
-    return image + taken, np.where(taken > rounding, taken, np.float32(0.0))
+        return image, nothing.get_image(image.shape)
+    return _keep(image + taken), _keep(np.where(taken > nothing.rounding, taken, np.float32(0.0)))
 
 
 def _split_all(
-    images: Mapping[str, FloatArray], rounding: FloatArray
+    images: Mapping[str, FloatArray], nothing: _Nothing
 ) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
-    splits = {name: _split_image(image, rounding) for name, image in images.items()}
+    splits = {name: _split_image(image, nothing) for name, image in images.items()}
     return {name: above for name, (above, _) in splits.items()}, {name: below for name, (_, below) in splits.items()}
 
 
 def _split_radiance(
     radiance: Radiance,
-    rounding: FloatArray,
+    nothing: _Nothing,
     halves: Sequence[Radiance] = (),
     layers: Sequence[tuple[RadianceLayer, RadianceLayer]] = (),
 ) -> tuple[Radiance, Radiance]:
@@ -183,20 +209,20 @@ def _split_radiance(
         mine = [layer.radiance for _, layer in layers if layer.is_diffuse == (name == "diffuse")]
         if name in _PARTS[:2] and mine:
             below = [reduce(np.add, mine)]
-        splits[name] = _split_image(getattr(radiance, name), rounding, below)
+        splits[name] = _split_image(getattr(radiance, name), nothing, below)
     if radiance.parts is None:
-        splits["color"] = _split_image(radiance.color, rounding, [half.color for half in halves])
+        splits["color"] = _split_image(radiance.color, nothing, [half.color for half in halves])
     else:
-        splits["color"] = _split_image(radiance.color, rounding, [splits["diffuse"][1] + splits["specular"][1]])
+        splits["color"] = _split_image(radiance.color, nothing, [splits["diffuse"][1] + splits["specular"][1]])
     first, second = ({name: pair[side] for name, pair in splits.items()} for side in (0, 1))
     return Radiance(**first), Radiance(**second)
 
 
-def _split_layer(layer: RadianceLayer, rounding: FloatArray) -> tuple[RadianceLayer, RadianceLayer]:
-    halves = [None if half is None else _split_image(half, rounding) for half in (layer.half_a, layer.half_b)]
+def _split_layer(layer: RadianceLayer, nothing: _Nothing) -> tuple[RadianceLayer, RadianceLayer]:
+    halves = [None if half is None else _split_image(half, nothing) for half in (layer.half_a, layer.half_b)]
     below = [half[1] for half in halves if half is not None]
-    first, second = _split_image(layer.radiance, rounding, below if len(below) == 2 else ())
-    parts = _split_all(layer.parts, rounding)
+    first, second = _split_image(layer.radiance, nothing, below if len(below) == 2 else ())
+    parts = _split_all(layer.parts, nothing)
     above_a, above_b = (None if half is None else half[0] for half in halves)
     return (
         replace(layer, radiance=first, half_a=above_a, half_b=above_b, parts=parts[0]),
