@@ -57,7 +57,7 @@ WEIGHTS = make_weights()
 
 def refine(images: Images, **options: Any) -> FloatArray:
     """Return the refined image by the kernels."""
-    return np.asarray(refine_image(images, pack_weights(WEIGHTS), **{**NUMBERS, **options}))
+    return np.asarray(refine_image(dict(images), pack_weights(WEIGHTS), **{**NUMBERS, **options}))
 
 
 class Definition:

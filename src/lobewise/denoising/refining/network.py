@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cache
 from importlib.resources import files
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -66,10 +66,11 @@ def refine_light(
     whole : WholeImage
     """
     shining = None if rest is None else mark_shining(rest, parts)
-    inputs = collect_inputs(frame, noisy, parts, rest)
-    axis, sharpness = compute_lobes(frame, whole.tau)
+    inputs: dict[str, Any] = vars(collect_inputs(frame, noisy, parts, rest))
+    filtered = inputs["filtered"]
+    inputs["lobe_axis"], inputs["lobe_sharpness"] = compute_lobes(frame, whole.tau)
     image = refine_image(
-        {**vars(inputs), "lobe_axis": axis, "lobe_sharpness": sharpness},
+        inputs,
         load_weights(),
         brightness=whole.brightness,
         mean_log_depth=whole.mean_log_depth,
@@ -77,7 +78,7 @@ def refine_light(
     )
     images = {
         "image": image,
-        "filtered": inputs.filtered,
+        "filtered": filtered,
         "refined": mark_refined([layer.mask for layer in layers], shining),
         **{f"part{number}": part for number, part in enumerate(parts)},
         "rest": rest,

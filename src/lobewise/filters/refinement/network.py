@@ -41,13 +41,14 @@ class RefiningNetwork:
     ----------
     weights : array
         Result of `lobewise.filters.refinement.run.pack_weights`.
-    images : mapping of str to Image
-        Results of the kernel of planes: "planes", "light", "vectors", "tint".
+    images : dict of str to Image
+        Results of the kernel of planes: "planes", "light", "vectors", "tint". The network takes out what it does not
+        read again.
     brightness : float
         As of `lobewise.filters.refinement.run.refine_image`.
     """
 
-    def __init__(self, weights: FloatArray, images: Mapping[str, Any], brightness: float) -> None:
+    def __init__(self, weights: FloatArray, images: dict[str, Any], brightness: float) -> None:
         self._weights, self._images = engine.hold("refinement_weights", weights), images
         self._brightness = brightness
         self._sizes = [LevelSize(*images["tint"].shape[:2])]
@@ -64,14 +65,14 @@ class RefiningNetwork:
         for level in range(1, LEVEL_COUNT):
             sums.append(self._average(sums[-1], level))
             vectors.append(self._average(vectors[-1], level))
-        filtered = self._filter(LEVEL_COUNT - 1, features[-1], sums[-1], vectors[-1], None)
+        filtered = self._filter(LEVEL_COUNT - 1, features.pop(), sums.pop(), vectors.pop(), None)
         for level in reversed(range(LEVEL_COUNT - 1)):
-            filtered = self._filter(level, features[level], sums[level], vectors[level], filtered)
+            filtered = self._filter(level, features.pop(), sums.pop(), vectors.pop(), filtered)
         return filtered
 
     def _compute_features(self) -> list[Image]:
         """Return the features of each level."""
-        planes, skipped = self._images["planes"], {}
+        planes, skipped = self._images.pop("planes"), {}
         last = self._convolve("stem", 1, planes, reading=Reading.BLOCKS)
         for level in range(1, LEVEL_COUNT):
             reading = Reading.HALVED if level > 1 else Reading.SAME
@@ -88,8 +89,10 @@ class RefiningNetwork:
             self._give_back(joined)
         squeezed = self._convolve("squeeze", 1, features[0])
         # The finest level's images are the largest, and of another size.
+        del last, joined, skipped
         self._free.clear()
         joined = self._convolve("fine.0", 0, squeezed, planes, reading=Reading.ENLARGED)
+        del planes, squeezed
         return [self._convolve("fine.1", 0, joined), *features]
 
     def _convolve(

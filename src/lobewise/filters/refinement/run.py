@@ -63,7 +63,7 @@ def _place_outputs(layer: LayerShape) -> list[int]:
 @returns_host_images
 @device_scope()
 def refine_image(
-    images: Mapping[str, Image | None],
+    images: dict[str, Image | None],
     weights: FloatArray,
     *,
     brightness: float,
@@ -74,8 +74,9 @@ def refine_image(
 
     Parameters
     ----------
-    images : mapping of str to array or None
+    images : dict of str to array or None
         "noisy" and "filtered", shape (height, width, 3), finite, >= 0; and those of `OPTIONAL` that are known, finite.
+        The dictionary is emptied, so that no image of it takes memory while the network runs.
     weights : array
         Result of `pack_weights`.
     brightness : float
@@ -99,4 +100,6 @@ def refine_image(
     key = PlanesKey(known)
     numbers = {"brightness": brightness, "mean_log_depth": mean_log_depth, "noise_is_shared": float(shared)}
     planes = engine.kernel(key, partial(make_planes, key), lent, numbers, text="planes of the network")
+    for held in (images, there, lent):
+        held.clear()
     return RefiningNetwork(weights, planes, brightness).run()
