@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import partial, reduce
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from lobewise.denoising.evidence import mix_noisy
 from lobewise.denoising.layers import Layer, compute_whole_albedo, filter_layer, make_layers
 from lobewise.denoising.noisy import NoisyLayer, join_halves, make_noisy_layers
 from lobewise.denoising.passes import FilteredOther, OtherImage, filter_layer_halves
+from lobewise.engine.rows import compute_rows, list_rows
 from lobewise.features import Feature
 from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.dual_buffer import MORE_AT_ONCE
@@ -169,7 +170,10 @@ def _filter_planes(
     scales = [one / _make_gray(one)] * len(lights) + [one] * len(values)
     scaled = [image * scale for image, scale in zip([*lights, *values.values()], scales, strict=True)]
     filtered = _filter_by_total(total, settings, features, scaled, lights=len(lights))
-    planes = [FilteredOther(each.image / by, each.samples / by) for each, by in zip(filtered, scales, strict=True)]
+    planes = [
+        FilteredOther(each.image / by, partial(np.divide, each.compute_samples(), by))
+        for each, by in zip(filtered, scales, strict=True)
+    ]
     return planes[: len(lights)], planes[len(lights) :]
 
 
@@ -201,7 +205,9 @@ def filter_plain_layer(
         further, others = filter_plain_layer(replace(layer, radiance=remaining[0]), settings, remaining[1:])
         filtered += [further.image, *(each.image for each in others)]
     pairs = zip(filtered, images, strict=True)
-    return output, [FilteredOther(np.where(lost, blacken_bad(own), image), own) for image, own in pairs]
+    return output, [
+        FilteredOther(np.where(lost, blacken_bad(own), image), partial(np.asarray, own)) for image, own in pairs
+    ]
 
 
 def _bound_planes(
@@ -229,11 +235,12 @@ def bound_parts(noisy: NoisyLayer, joined: FloatArray, images: Sequence[FloatArr
     share = None if noisy.highlights is None or not images else _compute_part_share(noisy.highlights, joined)
     others = []
     for image in images:
-        bounded = _bound_part(image, joined)
-        highlights = None if share is None else bounded * share
-        others.append(
-            OtherImage(bounded, mark_bad(bounded if highlights is None else bounded - highlights), highlights)
-        )
+        bound = partial(compute_rows, _bound_part, image, joined)
+        bounded, highlights = bound(), None
+        if share is not None:
+            highlights = compute_rows(np.multiply, bounded, share)
+        marked = mark_bad(bounded if highlights is None else compute_rows(np.subtract, bounded, highlights))
+        others.append(OtherImage(bounded, marked, highlights, bound))
     return others
 
 
@@ -263,24 +270,37 @@ def _finish_parts(
 
 def refine_parts(filtered: Sequence[FilteredOther], layer: Passed, *, are_parts: bool = True) -> list[FloatArray]:
     """Return filtered images of a layer after its network, and with its noisy image taken back; see `_sum_whole`."""
-    good = [blacken_bad(each.image) for each in filtered]
-    base = _sum_whole(good, are_parts)
-    factor = np.float32(1.0) if layer.before is None else _divide(layer.before, base)
-    refined = [each * factor for each in good]
+    refined = [blacken_bad(each.image) for each in filtered]
+    if layer.before is not None:
+        refined = _scale(refined, layer.before, are_parts=are_parts)
     if layer.share is None:
         return refined
-    return [mix_noisy(each, own.samples, layer.share) for each, own in zip(refined, filtered, strict=True)]
+    return [mix_noisy(each, own.compute_samples(), layer.share) for each, own in zip(refined, filtered, strict=True)]
 
 
 def bring_parts(names: Collection[str], refined: Sequence[FloatArray], clean: FloatArray) -> dict[str, FloatArray]:
     """Return images of a layer by the names of its parts, brought to the layer's result ``clean``."""
-    whole = _sum_whole(refined, are_parts := len(refined) == len(names))
-    brought = [each * _divide(clean, whole) for each in refined]
-    light = np.where(whole > MAX_BLACK_RADIANCE, np.float32(0.0), clean)
+    brought = _scale(refined, clean, are_parts=(are_parts := len(refined) == len(names)))
     # The mixture lights black pixels as well.
-    if are_parts and light.any():
+    if are_parts and any(_compute_light(*rows).any() for rows in list_rows(clean, *refined)):
+        light = _compute_light(clean, *refined)
         brought = [each + light * share for each, share in zip(brought, compute_shares_near(refined), strict=True)]
     return {name: np.asarray(each) for name, each in zip(names, brought, strict=False)}
+
+
+def _scale(images: Sequence[FloatArray], layer: FloatArray, *, are_parts: bool) -> list[FloatArray]:
+    """Return images of a layer times the factor that brings them to ``layer``."""
+
+    def compute_factor(layer: FloatArray, *images: FloatArray) -> FloatArray:
+        return _divide(layer, _sum_whole(images, are_parts))
+
+    factor = compute_rows(compute_factor, layer, *images)
+    return [compute_rows(np.multiply, each, factor) for each in images]
+
+
+def _compute_light(clean: FloatArray, *parts: FloatArray) -> FloatArray:
+    """Return the light of a layer where its parts are black."""
+    return np.where(_sum_whole(parts, True) > MAX_BLACK_RADIANCE, np.float32(0.0), clean)
 
 
 def _sum_whole(images: Sequence[FloatArray], are_parts: bool) -> FloatArray:
@@ -295,7 +315,8 @@ def _divide(image: FloatArray, by: FloatArray) -> FloatArray:
 def _is_sum(image: FloatArray, parts: Sequence[FloatArray]) -> bool:
     """Return whether parts add up to an image, within the rounding of 16-bit floats."""
     with np.errstate(invalid="ignore", over="ignore"):
-        return _is_close(image, reduce(np.add, parts), len(parts))
+        rows = list_rows(image, *parts)
+        return all(_is_close(whole, reduce(np.add, some), len(parts)) for whole, *some in rows)
 
 
 def _is_close(image: FloatArray, total: FloatArray, count: int) -> bool:
@@ -317,6 +338,10 @@ def _bound_part(image: FloatArray, bounded: FloatArray) -> FloatArray:
 
 def _compute_part_share(part: FloatArray, image: FloatArray) -> FloatArray:
     """Return the share of each pixel's light that a part of an image holds, (height, width, 1), in [0, 1]."""
-    some, light = (blacken_bad(each).sum(axis=-1, keepdims=True) for each in (part, image))
-    share = np.divide(some, light, out=np.zeros_like(some), where=light > 0.0)
-    return np.asarray(np.clip(share, 0.0, 1.0))
+
+    def compute(*images: FloatArray) -> FloatArray:
+        some, light = (blacken_bad(each).sum(axis=-1, keepdims=True) for each in images)
+        share = np.divide(some, light, out=np.zeros_like(some), where=light > 0.0)
+        return np.asarray(np.clip(share, 0.0, 1.0))
+
+    return compute_rows(compute, part, image, channels=1)

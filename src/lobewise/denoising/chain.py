@@ -60,6 +60,7 @@ from lobewise.denoising.refining.unguided import (
 )
 from lobewise.denoising.refining.whole_image import WholeImage, measure_whole
 from lobewise.engine.numbers import choose_larger
+from lobewise.engine.rows import compute_rows
 from lobewise.features import Feature
 from lobewise.filters.cross_filter import FilterOutput
 from lobewise.filters.fireflies import count_light, cut_samples
@@ -361,13 +362,17 @@ def filter_halves(
     # Samples: bound fireflies, and split off highlights.
     halves = make_noisy_layers(frame, settings, features, None if whole is None else whole.levels)
     noisy = [join_halves(layer) for layer in halves]
-    parts_of = list_layer_parts(frame)
-    # Passes: filter each layer, and its parts by the same weights.
+    layers, levels, parts_of = [each.layer for each in halves], [each.level for each in halves], list_layer_parts(frame)
+    # On a device these images end with their scope.
+    sums = [tuple(map(download, layer.bounded.sums)) for layer in halves]
+    # Passes: filter each layer, and its parts by the same weights. The samples of a layer go with it.
     clean_layers = []
-    for number, (layer, joined) in enumerate(zip(halves, noisy, strict=True), 1):
+    for number, joined in enumerate(noisy, 1):
         enter_stage(FILTER_HALVES, (number * step, (number + 1) * step))
+        layer = halves.pop(0)
         others = bound_parts(layer, joined, parts_of.get(layer.name, ()))
         clean_layers.append(filter_layer_halves(frame, layer, settings, others))
+        del layer, others
     with engine.part("sum of the light"):
         # Other light: emission and background have noise only where a lens blurs them, and are averaged there.
         rest, blur, sharing = compute_averaged_rest(frame, exact), frame.gbuffer.blur_radius, None
@@ -376,7 +381,7 @@ def filter_halves(
             rest = sharing.apply(rest)
         parts = [layer.image for layer in clean_layers]
         return Filtered(
-            layers=[layer.layer for layer in halves],
+            layers=layers,
             parts=parts,
             supports=[layer.support for layer in clean_layers],
             image=compose(parts, rest),
@@ -385,10 +390,9 @@ def filter_halves(
             noisy_rest=rest,
             sharing=sharing,
             noisy=noisy,
-            levels=[layer.level for layer in halves],
-            # On a device these images end with their scope.
-            sums=[tuple(map(download, layer.bounded.sums)) for layer in halves],
-            others={layer.name: clean_layer.others for layer, clean_layer in zip(halves, clean_layers, strict=True)},
+            levels=levels,
+            sums=sums,
+            others={layer.name: clean_layer.others for layer, clean_layer in zip(layers, clean_layers, strict=True)},
         )
 
 
@@ -445,9 +449,11 @@ def compute_gains(filtered: Filtered) -> list[FloatArray]:
     """Return the factors, (height, width, 1 or 3), by which the light outside of the layers was multiplied."""
     if filtered.rest is None or filtered.noisy_rest is None or filtered.rest is filtered.noisy_rest:
         return []
-    return [
-        np.divide(filtered.rest, filtered.noisy_rest, out=np.ones_like(filtered.rest), where=filtered.noisy_rest > 0.0)
-    ]
+
+    def divide(rest: FloatArray, noisy_rest: FloatArray) -> FloatArray:
+        return np.divide(rest, noisy_rest, out=np.ones_like(rest), where=noisy_rest > 0.0)
+
+    return [compute_rows(divide, filtered.rest, filtered.noisy_rest)]
 
 
 def mix_unguided(

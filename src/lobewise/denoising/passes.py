@@ -10,9 +10,12 @@ al. 2017, "Spatiotemporal Variance-Guided Filtering" (colour weights that follow
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
+
+import numpy as np
 
 from lobewise import engine
 from lobewise.backend.buffers import Image, download
@@ -90,12 +93,12 @@ class FilteredOther(NamedTuple):
     Parameters
     ----------
     image : (height, width, 3)
-    samples : (height, width, 3)
-        Its samples, without fireflies.
+    compute_samples : callable
+        Returns its samples, without fireflies, (height, width, 3).
     """
 
     image: FloatArray
-    samples: FloatArray
+    compute_samples: Callable[[], FloatArray]
 
 
 @dataclass(frozen=True)
@@ -129,11 +132,14 @@ class OtherImage:
         What the passes average: without the light of highlights, and NaN where a pixel is bad.
     highlights : (height, width, 3), optional
         The light of highlights, which is added to the result.
+    compute : callable, optional
+        Returns ``radiance`` again, so that it takes no memory after the passes.
     """
 
     radiance: FloatArray
     samples: Image
     highlights: FloatArray | None = None
+    compute: Callable[[], FloatArray] | None = None
 
 
 def filter_layer_halves(
@@ -150,6 +156,7 @@ def filter_layer_halves(
         pilot = run_pass(noisy, settings, pilot_pass, make_first_guide(noisy))
     with engine.part(f"{noisy.name}: {wide_pass.text}"):
         guide = compare_halves(noisy, pilot.a, pilot.b)
+        del pilot
         light = run_pass(noisy, settings, wide_pass, guide, [image.samples for image in first_others])
     with engine.part(f"{noisy.name}: albedo and coverage"):
         image, supports = finish_layer(frame, noisy, (light.a, light.b), light.support)
@@ -160,7 +167,8 @@ def filter_layer_halves(
     clean = []
     for other, mean in zip(others, filtered, strict=True):
         mine = replace(noisy, layer=replace(noisy.layer, radiance=other.radiance), highlights=other.highlights)
-        clean.append(FilteredOther(finish_layer(frame, mine, [mean], light.support)[0], other.radiance))
+        compute = other.compute or partial(np.asarray, other.radiance)
+        clean.append(FilteredOther(finish_layer(frame, mine, [mean], light.support)[0], compute))
     return CleanLayer(image, supports, clean)
 
 

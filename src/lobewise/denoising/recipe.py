@@ -13,7 +13,6 @@ from weakref import ref
 import numpy as np
 
 from lobewise import engine
-from lobewise.backend.buffers import share_memory
 from lobewise.denoising.also import keep_sum, list_alone
 from lobewise.denoising.automatic import ask, change_settings, needs_peer_alone, resolve_all
 from lobewise.denoising.bad_pixels import blacken_bad, describe_bad, mark_bad_pixels, mark_good, require_some_good
@@ -165,8 +164,7 @@ def denoise_checked(checked: CheckedGuides[Frame], named: DenoiseSettings, featu
     has_alpha = frame.alpha is not None
     # Opacity takes the time of the best quality, and "auto" is the best.
     light, best = (get_quality(each.replace("auto", "high")).seconds_per_megapixel for each in (named.quality, "high"))
-    costs = {"": light, **dict.fromkeys(stages.values(), light), OPACITY: best * has_alpha}
-    with plan_stages(costs), share_memory():
+    with plan_stages({"": light, **dict.fromkeys(stages.values(), light), OPACITY: best * has_alpha}):
         enter_stage("")
         result = _denoise_light(replace(checked, frame=frame.with_changes(also=planes)), named, features)
         if packed.keys() != frame.also.keys():

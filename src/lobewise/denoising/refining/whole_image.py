@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,8 @@ MIN_BRIGHTNESS = 1e-36
 """Smallest brightness of an image, radiance; a black image has none."""
 MAX_RATIO_TO_NEXT = 2.0
 """Largest root of the light of a row's brightest pixel, over that of the next."""
+MAX_ROWS_IN_64_BITS = 64
+"""Rows of an image whose values are held in 64 bits at once."""
 RowSums = NDArray[np.float64]
 
 
@@ -56,12 +58,12 @@ def measure_whole(frame: Frame, levels: Sequence[float]) -> WholeImage:
 
 def measure_brightness(color: FloatArray) -> float:
     """Return the brightness of an image: the squared mean of the root of its light."""
-    return _compute_brightness(_sum_roots(color))
+    return _compute_brightness(_sum_rows(_sum_roots, color))
 
 
 def measure_log_depth(depth: FloatArray) -> float:
     """Return the mean logarithm of the depth of surfaces."""
-    return _compute_mean_log_depth(_sum_logarithms(depth))
+    return _compute_mean_log_depth(_sum_rows(_sum_logarithms, depth))
 
 
 def measure_rows(frame: Frame) -> RowSums:
@@ -70,8 +72,14 @@ def measure_rows(frame: Frame) -> RowSums:
     The sums of rows have the same bits however an image is cut into bands of rows.
     """
     depth = frame.gbuffer.depth
-    logarithms = np.zeros((frame.height, 2)) if depth is None else _sum_logarithms(depth)
-    return np.concatenate([_sum_roots(frame.radiance.color), logarithms], axis=1)
+    logarithms = np.zeros((frame.height, 2)) if depth is None else _sum_rows(_sum_logarithms, depth)
+    return np.concatenate([_sum_rows(_sum_roots, frame.radiance.color), logarithms], axis=1)
+
+
+def _sum_rows(compute: Callable[[FloatArray], RowSums], image: FloatArray) -> RowSums:
+    """Return sums of the rows of an image, computed some rows at a time, because values of 64 bits take much memory."""
+    parts = [compute(image[top : top + MAX_ROWS_IN_64_BITS]) for top in range(0, len(image), MAX_ROWS_IN_64_BITS)]
+    return np.concatenate(parts)
 
 
 def _sum_roots(color: FloatArray) -> RowSums:
