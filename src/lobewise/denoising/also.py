@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from functools import partial, reduce
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lobewise.backend.buffers import device_scope
 from lobewise.denoising.bad_pixels import blacken_bad
@@ -204,10 +205,12 @@ def filter_plain_layer(
     if remaining := images[MORE_AT_ONCE:]:
         further, others = filter_plain_layer(replace(layer, radiance=remaining[0]), settings, remaining[1:])
         filtered += [further.image, *(each.image for each in others)]
-    pairs = zip(filtered, images, strict=True)
-    return output, [
-        FilteredOther(np.where(lost, blacken_bad(own), image), partial(np.asarray, own)) for image, own in pairs
-    ]
+
+    def keep_lost(lost: NDArray[np.bool_], own: FloatArray, image: FloatArray) -> FloatArray:
+        return np.where(lost, blacken_bad(own), image)
+
+    pairs = [(own, compute_rows(keep_lost, lost, own, image)) for image, own in zip(filtered, images, strict=True)]
+    return output, [FilteredOther(image, partial(np.asarray, own)) for own, image in pairs]
 
 
 def _bound_planes(

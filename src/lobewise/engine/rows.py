@@ -6,13 +6,16 @@ NumPy's arrays between are small then. Those of whole images would be fresh memo
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import Any
+
+from numpy.typing import NDArray
 
 from lobewise.backend.buffers import make_array
 from lobewise.records.images import FloatArray
 from lobewise.work.chunks import Chunk, cut_rows, run_chunks
 
 
-def compute_rows(compute: Callable[..., FloatArray], *images: FloatArray, channels: int = 3) -> FloatArray:
+def compute_rows(compute: Callable[..., FloatArray], *images: NDArray[Any], channels: int = 3) -> FloatArray:
     """Return what ``compute`` makes of the same rows of images, (height, width, channels)."""
     height, width = images[0].shape[:2]
     result: FloatArray = make_array((height, width, channels))

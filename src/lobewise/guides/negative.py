@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lobewise.engine.rows import list_rows
 from lobewise.records.frame import FloatArray, Frame
 from lobewise.records.radiance import Radiance, RadianceLayer
 from lobewise.records.sparse_frame import AnyFrame, SparseFrame
@@ -64,7 +65,7 @@ def split_negative(frame: AnyFrame) -> tuple[Any, Any]:
     frame has halves, so do both: the light of a half may be below 0 where the mean of both halves is not.
     ``unscattered`` stays as it is.
     """
-    if not any((image < 0.0).any() for image in _list_light(frame)):
+    if not any(map(_is_below, _list_light(frame))):
         return frame, None
     color = frame.radiance.color
     rounding = np.float32(MAX_ROUNDING) * np.where(np.isfinite(color), color, np.float32(0.0)).max(
@@ -162,6 +163,11 @@ def _list_light(frame: AnyFrame) -> list[FloatArray]:
     return [image for image in images if image is not None]
 
 
+def _is_below(image: FloatArray, *rounding: FloatArray) -> bool:
+    """Return whether any light of an image is below 0, or below minus ``rounding``, (height, width, 1)."""
+    return any((light < (-least[0] if least else 0.0)).any() for light, *least in list_rows(image, *rounding))
+
+
 def _keep(image: FloatArray) -> FloatArray:
     """Return an image that is read-only, which frames keep without a copy."""
     image.flags.writeable = False
@@ -175,9 +181,9 @@ def _split_image(image: FloatArray, nothing: _Nothing, below: Sequence[FloatArra
     """
     if not any(each.any() for each in below):
         below = ()
-        if not (image < 0.0).any():
+        if not _is_below(image):
             return image, nothing.get_image(image.shape)
-        if not (image < -nothing.rounding).any():
+        if not _is_below(image, nothing.rounding):
             return _keep(np.maximum(image, np.float32(0.0))), nothing.get_image(image.shape)
     least = np.mean(below, axis=0, dtype=np.float32) if below else np.float32(0.0)
     with np.errstate(invalid="ignore"):
