@@ -41,7 +41,7 @@ ROOMS = [
     "cli",
 ]
 INNER_ROOMS = {
-    "work": ["chunks", "progress", "limits", "arrays"],
+    "work": ["chunks", "progress", "limits", "overlap", "arrays"],
     "records": ["images", "radiance", "lobe_table", "camera", "result", "frame", "sparse_frame"],
     "recipes": [
         "upsampling",

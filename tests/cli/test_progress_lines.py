@@ -44,7 +44,10 @@ def test_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         **facts,
         "seconds": last["seconds"],
         "notes": last["notes"],
+        "stage_seconds": last["stage_seconds"],
     }
+    assert list(last["stage_seconds"]) == ["reading", "filtering", "writing"]
+    assert min(last["stage_seconds"].values()) > 0.0
     assert (facts["width"], facts["height"], facts["settings"]["quality"]) == (64, 48, "fast")
 
 

@@ -2,8 +2,11 @@
 
 import os
 import pickle
+import threading
+import time
 import tracemalloc
 import zipfile
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,7 +22,10 @@ from lobewise.errors import (
 )
 from lobewise.io.sequence import FramePattern
 from lobewise.recipes.ledger import name_ledger, open_ledger
-from lobewise.recipes.sequence import FilterAlone, filter_sequence
+from lobewise.recipes.sequence import FilterAlone, Need, filter_sequence
+from lobewise.work.limits import GIB, check_limits, get_limits, limit_call
+from lobewise.work.overlap import tell_in_turn
+from lobewise.work.progress import enter_stage
 from tests.mistakes import refuses
 
 NUMBERS = (1, 2, 3, 4, 7, 8, 9)
@@ -200,7 +206,7 @@ class TestGoingOn:
     def test_frames_behind_the_last_state_are_made_again(self, whole, folder, monkeypatch):
         # The clock advances with every call, so that a state is due after the third frame alone.
         clock = iter([0.0, 1.0, 1.0, 4.0, 4.0, *[4.0] * 20])
-        monkeypatch.setattr("lobewise.recipes.sequence.time.monotonic", lambda: next(clock))
+        monkeypatch.setattr("lobewise.recipes.sequence.time", SimpleNamespace(monotonic=lambda: next(clock)))
 
         def write(target, *words):
             if target.name == "out.0007.npy":
@@ -413,6 +419,203 @@ class TestFailures:
         report = self.run(3, numbers=[3])
         with pytest.raises(FileError, match=r"^in.0003.npy: damaged.$"):
             report.require_all()
+
+
+class TestOverlap:
+    """While a frame is filtered, the next one is read and the one before is written."""
+
+    def run(self, *, need=None, add=None, read=None, write=None, **options):
+        """Run over frames that are their own numbers; return what happened, in order, as (stage, number)."""
+        events, calls = [], {"read": read, "add": add, "write": write}
+
+        def act(stage, number):
+            events.append((stage, number))
+            if calls[stage] is not None:
+                calls[stage](number)
+            events.append((f"{stage} done", number))
+            return number
+
+        self.events = events
+        self.report = run(
+            lambda: FilterAlone(lambda number: act("add", number)),
+            read=lambda path: act("read", int(path.name[3:7])),
+            write=lambda target, number, *_: target.write_text(str(act("write", number))),
+            remembers=False,
+            foretell=lambda _: need or Need(),
+            **options,
+        )
+        return events
+
+    def test_three_frames_at_a_time(self, folder):
+        events = {stage: {number: threading.Event() for number in NUMBERS} for stage in ("read", "write")}
+
+        def add(number):
+            # Neither comes where this thread reads and writes by itself.
+            place = NUMBERS.index(number)
+            for stage, others in (
+                ("read", NUMBERS[place + 1 : place + 2]),
+                ("write", NUMBERS[max(place - 1, 0) : place]),
+            ):
+                for other in others:
+                    assert events[stage][other].wait(60.0), (stage, other)
+            assert not any(events["read"][other].is_set() for other in NUMBERS[place + 2 :])
+
+        self.run(read=lambda n: events["read"][n].set(), add=add, write=lambda n: events["write"][n].set())
+        assert self.report.written == 7
+        assert list(self.report.stage_seconds) == ["reading", "filtering", "writing"]
+        assert min(self.report.stage_seconds.values()) > 0.0
+
+    @pytest.mark.parametrize("need", [Need(1e18, 0.0), Need(0.0, 1e18)])
+    def test_one_at_a_time_where_there_is_no_memory_for_three(self, need, folder):
+        stages = [f"{stage}{more}" for stage in ("read", "add", "write") for more in ("", " done")]
+        assert self.run(need=need) == [(stage, number) for number in NUMBERS for stage in stages]
+
+    def test_one_at_a_time_where_the_memory_is_unknown(self, folder):
+        threads = set()
+
+        def foretell(_path):
+            raise FileError("no header")
+
+        def read(path):
+            threads.add(threading.get_ident())
+            return np.load(path)
+
+        assert run(read=read, foretell=foretell).written == 7
+        assert threads == {threading.get_ident()}
+
+    def test_limits_count_the_frames_beside(self, folder):
+        seen = {"read": [], "add": [], "write": []}
+
+        def look(stage):
+            return lambda _: seen[stage].append((get_limits().memory, get_limits().aside))
+
+        with limit_call(max_memory=4.0):
+            self.run(need=Need(1e6, 1e6), **{stage: look(stage) for stage in seen})
+            assert seen["read"] == seen["write"] == [(4.0, 0.0)] * 7
+            assert seen["add"] == [(4.0, 1e6), *[(4.0, 2e6)] * 5, (4.0, 0.0)]
+            # 3.1 GiB are left: enough for two frames and the work on one, not for three.
+            events = self.run(need=Need(0.8 * GIB, 1.0 * GIB), settings="others")
+            assert events.index(("read", 3)) > events.index(("write done", 2))
+
+    def test_the_error_of_a_frame_that_is_read_ahead_comes_in_its_turn(self, folder):
+        begun = threading.Event()
+
+        def read(number):
+            if number == 3:
+                begun.set()
+                raise TimeLimitError("the time is over")
+
+        with pytest.raises(TimeLimitError):
+            self.run(read=read, add=lambda number: number != 2 or begun.wait(60.0))
+        assert begun.is_set()
+        assert list(list_outputs(folder)) == ["out.0001.npy", "out.0002.npy"]
+        self.run()
+        assert self.report.written == 5
+
+    def test_an_error_of_writing_ends_the_run(self, folder):
+        def write(number):
+            if number == 2:
+                raise FileError("the disk is full")
+
+        with pytest.raises(FileError, match="the disk is full"):
+            self.run(write=write)
+        assert list(list_outputs(folder)) == ["out.0001.npy"]
+        self.run()
+        assert self.report.written == 6
+
+    @pytest.mark.parametrize("how", ["cancel", "interrupt"])
+    def test_a_stop_ends_reading_and_lets_writing_end(self, how, folder):
+        begun, filtering, stopped = threading.Event(), threading.Event(), []
+
+        def read(number):
+            if number == 3:
+                begun.set()
+                try:
+                    for _ in range(10_000):
+                        check_limits()
+                        time.sleep(0.001)
+                except CancelledError:
+                    stopped.append(number)
+                    raise
+
+        def add(number):
+            if number == 2:
+                assert begun.wait(60.0)
+                filtering.set()
+                if how == "interrupt":
+                    raise KeyboardInterrupt
+                check_limits()
+                enter_stage("writing")
+
+        def write(number):
+            assert number == 1
+            assert filtering.wait(60.0)
+
+        with pytest.raises(KeyboardInterrupt if how == "interrupt" else CancelledError):
+            self.run(read=read, add=add, write=write, progress=lambda _: not filtering.is_set())
+        assert stopped == [3]
+        assert list(list_outputs(folder)) == ["out.0001.npy"]
+        self.run()
+        assert self.report.written == 6
+
+    def test_a_stop_while_the_next_frame_is_waited_for(self, folder):
+        told, stopped = [], []
+
+        def read(number):
+            if number == 2:
+                try:
+                    for _ in range(10_000):
+                        check_limits()
+                        time.sleep(0.001)
+                except CancelledError:
+                    stopped.append(number)
+                    raise
+
+        def follow(record):
+            told.append((record.frame, record.detail))
+            return told.count(("in.0002.npy", "reading")) < 3
+
+        with pytest.raises(CancelledError):
+            self.run(read=read, progress=follow)
+        assert stopped == [2]
+
+    def test_a_stop_keeps_what_the_filter_remembers(self, whole, folder):
+        class Interrupted(Running):
+            def add(self, frame, *, cut=False):
+                if frame[0, 0] == 4:
+                    raise KeyboardInterrupt
+                return super().add(frame, cut=cut)
+
+        with pytest.raises(KeyboardInterrupt):
+            run(Interrupted, seconds=1e9)
+        running = Running()
+        assert run(lambda: running).written == 4
+        assert running.seen[0] == (4.0, False)
+        assert list_outputs(folder) == whole
+
+    def test_progress_and_notes_come_from_one_thread_in_order(self, folder):
+        notes, threads = [], set()
+
+        def note(stage):
+            return lambda number: tell_in_turn(lambda: (notes.append((number, stage)), threads.add(get_ident())))
+
+        get_ident = threading.get_ident
+        self.run(
+            **{stage: note(stage) for stage in ("read", "add", "write")},
+            progress=lambda _: threads.add(get_ident()) and None,
+        )
+        assert notes == [(number, stage) for number in NUMBERS for stage in ("read", "add", "write")]
+        assert threads == {get_ident()}
+        note("read")(0)
+        assert notes[-1] == (0, "read")
+
+    def test_without_threads(self, folder, monkeypatch):
+        def refuse(*_words):
+            raise RuntimeError("can't start new thread")
+
+        monkeypatch.setattr(threading.Thread, "start", refuse)
+        self.run()
+        assert self.report.written == 7
 
 
 class TestMistakes:

@@ -126,12 +126,13 @@ def run_files(job: Job, request: Request, context: str) -> None:
     if is_pattern(job.source):
         counted = f"{report.written} of {report.frames} frames{'; the last: ' if counted else ''}{counted}"
     facts = {} if last is None else last.describe()
+    facts["stage_seconds"] = report.stage_seconds
     if problem := report.common_problem:
         raise problem
     job.steps.finish(output=str(job.output), frames=report.frames, written=report.written, **facts)
     print_line(f"Wrote {job.output}: {counted}.")
     tell_picture(job.output, job.pictures)
-    tell_settings(last, job.verbose)
+    tell_settings(report, job.verbose)
     if is_pattern(job.source) and report.failures:
         sentences = [f"Frame {failure.number}: {failure.problem}" for failure in report.failures]
         raise tell_failures(sentences, [failure.number for failure in report.failures], report.frames)

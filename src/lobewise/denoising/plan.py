@@ -182,12 +182,14 @@ def foretell(frame: Frame, settings: DenoiseSettings, *, height: int | None = No
     ]
 
 
-def count_peer_bytes(frame: AnyFrame) -> int:
+def count_peer_bytes(frame: AnyFrame | None) -> int:
     """Return the memory of a pixel for Open Image Denoise, beside the frame and what the library works on, bytes."""
     return PEER_BYTES_PER_PIXEL + LAYER_BYTES_PER_PIXEL * len(getattr(frame, "layers", ()))
 
 
-def estimate_work_bytes(frame: AnyFrame, pixels: int, quality: str, *, with_oidn: bool, small: bool = False) -> float:
+def estimate_work_bytes(
+    frame: AnyFrame | None, pixels: int, quality: str, *, with_oidn: bool, small: bool = False
+) -> float:
     """Return the memory that filters take beside a frame, bytes.
 
     ``pixels`` are those of the whole image, of which ``frame`` may be a part. ``quality`` is empty where Open Image

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import islice, pairwise
 from pathlib import Path
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from lobewise.errors import (
     CancelledError,
@@ -24,7 +25,9 @@ from lobewise.io.files import PathLike, make_folder, require_other_files, requir
 from lobewise.io.sequence import FramePattern, name_frames
 from lobewise.recipes.ledger import Ledger, Numbered
 from lobewise.recipes.states import State, load_state, save_state
-from lobewise.work.progress import WRITE, Watcher, enter_stage, follow_frame, watched
+from lobewise.work.limits import has_memory, set_aside
+from lobewise.work.overlap import Overlap
+from lobewise.work.progress import FILTER, WRITE, Watcher, enter_stage, follow_frame, watched
 
 FrameT = TypeVar("FrameT")
 ResultT = TypeVar("ResultT")
@@ -66,6 +69,15 @@ class FilterAlone(Generic[FrameT, ResultT]):
         """Do nothing."""
 
 
+class Need(NamedTuple):
+    """Memory that a file takes, bytes."""
+
+    held: float = 0.0
+    """While it is read, kept or written."""
+    work: float = 0.0
+    """Beside this, while it is filtered."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class FrameFailure:
     """A frame that could not be filtered.
@@ -96,12 +108,16 @@ class SequenceReport(Generic[ResultT]):
         Frames that could not be filtered. All others have an output file now.
     last : object or None
         The result of the last frame, if this run made it.
+    stage_seconds : mapping of str to float
+        Time of "reading", "filtering" and "writing", each by itself, seconds. They overlap: together they may be more
+        than the time of the run.
     """
 
     frames: int
     written: int
     failures: tuple[FrameFailure, ...] = ()
     last: ResultT | None = None
+    stage_seconds: Mapping[str, float] = field(default_factory=dict)
 
     def require_all(self) -> None:
         """Raise LobewiseError if a frame could not be filtered; where all fail alike, the error of the first."""
@@ -137,6 +153,7 @@ def filter_sequence(
     remembers: bool = True,
     list_sources: Callable[[int, Path], Iterable[Path]] = lambda _, path: [path],
     list_outputs: Callable[[int], Iterable[Path]] | None = None,
+    foretell: Callable[[Path], Need] = lambda _: Need(),
     progress: Watcher | None = None,
     remark: Callable[[str], object] | None = None,
     checkpoint_seconds: float = 20.0,
@@ -144,7 +161,8 @@ def filter_sequence(
 ) -> SequenceReport[ResultT]:
     """Filter every file of ``source``, in the order of the numbers, into the file of ``output`` with its number.
 
-    One frame is in memory at a time, beside the memory of the filter. The first frame, and every frame after a missing
+    While a frame is filtered, the next one is read and the one before is written, in other threads, where the memory
+    for three frames is there; else one frame is in memory at a time. The first frame, and every frame after a missing
     number or a frame that cannot be filtered, is a cut. A frame that cannot be filtered does not stop the others.
 
     A frame that is recorded as done is not made again. The memory of the filter is recorded from time to time, and on
@@ -168,6 +186,8 @@ def filter_sequence(
         Returns every file that a frame depends on, from its number and source.
     list_outputs : callable, optional
         Returns every file that is written for a number; by default that of ``output``.
+    foretell : callable, optional
+        Returns the memory that a source will take, or raises LobewiseError where that is unknown; by default none.
     progress : callable, optional
         Called with the `lobewise.Progress` of the sequence; False cancels it, and the next run goes on.
     remark : callable, optional
@@ -193,24 +213,29 @@ def filter_sequence(
     if not checkpoint_seconds >= 0.0:
         raise InputError("checkpoint_seconds", expected="a time >= 0", got=str(checkpoint_seconds), action="pass 20")
     require_frames(frames, output)
+    shots = (cut_shots if remembers else cut_frames)(frames)
     run = _Run(
-        frames=frames,
+        shots=shots,
         output=output,
         read=read,
         write=write,
         ledger=ledger,
         list_sources=list_sources,
         list_outputs=list_outputs or (lambda number: [output.name(number)]),
+        foretell=foretell,
         seconds=checkpoint_seconds,
     )
-    shots = (cut_shots if remembers else cut_frames)(frames)
     done = sum(run.count_done(shot, run.prove(shot)) for shot in shots) if ledger.list_recorded() else 0
     if remark is not None and (note := ledger.describe_done(done, len(frames))):
         remark(note)
-    make = make_filter if remembers else _keep(make_filter)
-    for shot in shots:
-        run.filter_shot(shot, make)
-    return SequenceReport(frames=len(frames), written=run.written, failures=tuple(run.failures), last=run.last)
+    run.filter_shots(make_filter if remembers else _keep(make_filter))
+    return SequenceReport(
+        frames=len(frames),
+        written=run.written,
+        failures=tuple(run.failures),
+        last=run.last,
+        stage_seconds=run.overlap.seconds,
+    )
 
 
 def _keep(make_filter: Callable[[], SequenceFilter[FrameT, ResultT]]) -> Callable[[], SequenceFilter[FrameT, ResultT]]:
@@ -254,19 +279,28 @@ def _parse(pattern: FramePattern | PathLike) -> FramePattern:
 class _Run(Generic[FrameT, ResultT]):
     """A run over the frames of a sequence; see `filter_sequence`."""
 
-    frames: Sequence[Numbered]
+    shots: Sequence[Sequence[Numbered]]
     output: FramePattern
     read: Callable[[Path], FrameT]
     write: Callable[[Path, ResultT, FrameT, Path], None]
     ledger: Ledger
     list_sources: Callable[[int, Path], Iterable[Path]]
     list_outputs: Callable[[int], Iterable[Path]]
+    foretell: Callable[[Path], Need]
     seconds: float
 
     def __post_init__(self) -> None:
-        self.written = self._seen = 0
+        self.written = self._seen = self._shot = 0
         self.failures: list[FrameFailure] = []
         self.last: ResultT | None = None
+        self.overlap = Overlap()
+        self._count = sum(map(len, self.shots))
+        self._proofs: dict[int, dict[int, str]] = {}
+        """Proofs of shots whose first frame is read ahead, by its number."""
+        self._behind = 0.0
+        """Memory of the frame that is written while another is filtered, bytes."""
+        self._safe: Callable[[], None] | None = None
+        """Saves what the filter remembers up to the last frame that is done, if the shot goes on behind this frame."""
         self._saved = time.monotonic()
 
     def prove(self, shot: Sequence[Numbered]) -> dict[int, str]:
@@ -278,12 +312,21 @@ class _Run(Generic[FrameT, ResultT]):
         missing = (k for k, (n, _) in enumerate(frames) if not self.ledger.is_done(n, proofs[n], self.list_outputs(n)))
         return next(missing, len(frames))
 
-    def filter_shot(self, shot: Sequence[Numbered], make: Callable[[], SequenceFilter[FrameT, ResultT]]) -> None:
-        """Filter the frames of a shot that are not done. Behind a frame that fails the history begins anew."""
-        # Take sizes and times before reading: a source that changes meanwhile voids the record.
-        proofs, rest = self.prove(shot), shot
-        while rest:
-            rest = rest[self._filter_run(rest, proofs, make) :]
+    def filter_shots(self, make: Callable[[], SequenceFilter[FrameT, ResultT]]) -> None:
+        """Filter the frames that are not done. Behind a frame that fails the history begins anew."""
+        try:
+            with self.overlap:
+                for number, shot in enumerate(self.shots):
+                    self._shot = number
+                    # Take sizes and times before reading: a source that changes meanwhile voids the record.
+                    proofs, rest = self._proofs.pop(shot[0][0], None) or self.prove(shot), shot
+                    while rest:
+                        rest = rest[self._filter_run(rest, proofs, make) :]
+        except (KeyboardInterrupt, CancelledError):
+            if self._safe is not None:
+                with suppress(LobewiseError):
+                    self._safe()
+            raise
 
     def _filter_run(
         self, frames: Sequence[Numbered], proofs: dict[int, str], make: Callable[[], SequenceFilter[FrameT, ResultT]]
@@ -304,42 +347,64 @@ class _Run(Generic[FrameT, ResultT]):
                 active = make()
         for index in range(start, len(frames)):
             number, source = frames[index]
-            before = active.get_state() if index and len(frames) > 1 else {}
-            try:
-                with follow_frame(source.name, begun + index, len(self.frames)):
-                    problem = self._filter(number, source, active, cut=index == 0)
-            except (KeyboardInterrupt, CancelledError):
-                if index:
-                    with suppress(LobewiseError):
-                        save_state(path, proofs[frames[index - 1][0]], before)
-                raise
-            if problem is not None:
-                self.failures.append(FrameFailure(number=number, problem=problem))
-                self._seen = begun + index + 1
-                return index + 1
-            self.written += 1
-            self.ledger.record(number, proofs[number], self.list_outputs(number))
-            if index + 1 < len(frames) and time.monotonic() - self._saved >= self.seconds:
-                save_state(path, proofs[number], active.get_state())
-                self._saved = time.monotonic()
+            follows = index + 1 < len(frames)
+            following = frames[index + 1][1] if follows else self._foresee()
+            with follow_frame(source.name, begun + index, self._count):
+                try:
+                    frame = self.overlap.read(source, partial(self.read, source))
+                    enter_stage("")
+                    aside = self._read_ahead(source, following)
+                    with self.overlap.time(FILTER), set_aside(aside or 0.0), name_file(source):
+                        self.last = active.add(frame, cut=index == 0)
+                except OF_ALL_FRAMES:
+                    raise
+                except LobewiseError as problem:
+                    self.failures.append(FrameFailure(number=number, problem=problem))
+                    self._seen = begun + index + 1
+                    return index + 1
+                save = partial(save_state, path, proofs[number], active.get_state()) if follows else None
+                enter_stage(WRITE)
+                self.overlap.write(
+                    partial(self.write, self.output.name(number), self.last, frame, source),
+                    partial(self._record, number, proofs[number], save),
+                    behind=aside is not None,
+                )
         return len(frames)
 
-    def _filter(
-        self, number: int, path: Path, active: SequenceFilter[FrameT, ResultT], *, cut: bool
-    ) -> LobewiseError | None:
-        """Filter a frame into its file; return why it cannot be read or filtered, if it cannot.
+    def _record(self, number: int, proof: str, save: Callable[[], None] | None) -> None:
+        """Record that a frame is done, and from time to time what the filter remembers."""
+        self.written += 1
+        self.ledger.record(number, proof, self.list_outputs(number))
+        self._safe = save
+        if save is not None and time.monotonic() - self._saved >= self.seconds:
+            save()
+            self._saved = time.monotonic()
 
-        Raises what all frames have in common: the errors of `OF_ALL_FRAMES`, and those of writing.
+    def _foresee(self) -> Path | None:
+        """Return the source that the next shots will read first; None where there is none, or it is not known."""
+        for shot in islice(self.shots, self._shot + 1, None):
+            first = shot[0][0]
+            self._proofs[first] = proofs = self._proofs.get(first) or self.prove(shot)
+            done = self.count_done(shot, proofs)
+            if done < len(shot):
+                # What the filter remembers decides where a shot goes on.
+                return None if done else shot[0][1]
+        return None
+
+    def _read_ahead(self, source: Path, following: Path | None) -> float | None:
+        """Begin to read the ``following`` frame while that of ``source`` is filtered, where there is memory for both.
+
+        Return the memory of the frames beside that of ``source``, bytes. Where there is too little, return None when
+        the frame before is written.
         """
-        try:
-            frame = self.read(path)
-            enter_stage("")
-            with name_file(path):
-                self.last = active.add(frame, cut=cut)
-        except OF_ALL_FRAMES:
-            raise
-        except LobewiseError as problem:
-            return problem
-        enter_stage(WRITE)
-        self.write(self.output.name(number), self.last, frame, path)
+        if following is not None:
+            with suppress(LobewiseError):
+                own, other = self.foretell(source), self.foretell(following)
+                aside = self._behind + other.held
+                if has_memory(aside + own.held + own.work):
+                    self.overlap.read_ahead(following, partial(self.read, following))
+                    self._behind = own.held
+                    return aside
+        self.overlap.finish()
+        self._behind = 0.0
         return None

@@ -110,7 +110,8 @@ def limit_call(*, max_memory: float | None = None, max_seconds: float | None = N
 @contextmanager
 def set_aside(held_bytes: float) -> Iterator[None]:
     """Count memory that other frames hold in the calls inside the context."""
-    require_memory(held_bytes)
+    if held_bytes:
+        require_memory(held_bytes)
     limits = get_limits()
     token = _limits.set(replace(limits, aside=limits.aside + held_bytes))
     try:
@@ -145,6 +146,14 @@ def require_memory(needed_bytes: float) -> None:
             got=f"one that needs {enough:g} GiB",
             action="allow more memory, choose a faster quality, or give a smaller image",
         )
+
+
+def has_memory(needed_bytes: float) -> bool:
+    """Return whether the limit, or without one the machine, leaves so many bytes for frames and filters."""
+    limits, machine = get_limits(), measure_machine_memory()
+    if limits.memory is None and machine is not None:
+        limits = replace(limits, memory=machine / GIB)
+    return limits.left_gib is None or needed_bytes <= limits.left_gib * GIB
 
 
 def measure_machine_memory() -> int | None:

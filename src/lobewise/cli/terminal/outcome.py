@@ -11,6 +11,7 @@ from lobewise.errors import LobewiseError
 if TYPE_CHECKING:
     from lobewise.recipes.files import FileResult
     from lobewise.recipes.files.remarks import Remarks
+    from lobewise.recipes.sequence import SequenceReport
     from lobewise.reporting.picture import Pictures
 
 MAX_FAILURES_NAMED = 20
@@ -53,9 +54,10 @@ def tell_failures(sentences: Sequence[str], numbers: Sequence[int], frames: int)
     return LobewiseError(describe_failures(numbers, frames))
 
 
-def tell_settings(result: FileResult | None, verbose: bool) -> None:
-    """Print the settings of the filter by their names, if ``verbose`` asks for them."""
+def tell_settings(report: SequenceReport[FileResult], verbose: bool) -> None:
+    """Print the settings of the filter by their names and the time of each stage, if ``verbose`` asks for them."""
     from lobewise.cli.output import describe_settings, print_note
 
-    if verbose and result is not None:
-        print_note(f"Settings: {describe_settings(result)}.")
+    if verbose and report.last is not None:
+        print_note(f"Settings: {describe_settings(report.last)}.")
+        print_note(f"Seconds: {', '.join(f'{stage} {time:.2f}' for stage, time in report.stage_seconds.items())}.")

@@ -7,10 +7,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 
 from lobewise.denoising.automatic import ask
+from lobewise.denoising.plan import estimate_work_bytes
 from lobewise.denoising.recipe import check_frame, denoise_checked
 from lobewise.errors import InputError, LobewiseError
 from lobewise.guides.usable import CheckedGuides, check_guides
@@ -24,15 +26,35 @@ from lobewise.interchange.selections import Selection
 from lobewise.io.exr.parsing import read_container
 from lobewise.io.sequence import FramePattern, is_pattern, locate_counterpart, look_up_number, name_frame
 from lobewise.recipes.adaptive import find_unsupported
+from lobewise.recipes.files.foretelling import foretell_reading
 from lobewise.recipes.files.remarks import Remarks
 from lobewise.recipes.files.request import FileRequest
 from lobewise.recipes.files.result import FileResult
-from lobewise.recipes.sequence import OF_ALL_FRAMES, FilterAlone
+from lobewise.recipes.sequence import OF_ALL_FRAMES, FilterAlone, Need
 from lobewise.recipes.streaming import denoise_file, list_images, needs_bands
 from lobewise.recipes.streaming.checks import open_bands
 from lobewise.records.frame import Frame, Result
 from lobewise.records.lobe_table import LobeTable
 from lobewise.settings import DenoiseSettings
+
+
+@dataclass(frozen=True)
+class OpenedView:
+    """A view of a file, and the window of frames around it where it is denoised with one.
+
+    Parameters
+    ----------
+    imported : Imported
+        The view.
+    window : sequence of Frame
+        The frames.
+    index : int
+        The number of the view's frame among them.
+    """
+
+    imported: Imported
+    window: Sequence[Frame] = ()
+    index: int = 0
 
 
 @dataclass(frozen=True)
@@ -45,13 +67,13 @@ class OpenedFile:
         The file.
     selections : sequence of Selection
         Its views and view layers; none where it is denoised in bands.
-    only : Imported or None
+    only : OpenedView or None
         The only view. Of several, each is read when it is filtered, so that one is in memory at a time.
     """
 
     path: Path
     selections: Sequence[Selection] = ()
-    only: Imported | None = None
+    only: OpenedView | None = None
 
 
 class FileDenoiser:
@@ -73,6 +95,23 @@ class FileDenoiser:
         self._improve = None if request.shading is None else request.shading.make_improver()
         self._windows: dict[Selection, _Window] = {}
         self._flips: dict[Selection, Mapping[str, str]] = {}
+        self._reading = Lock()
+
+    def foretell(self, path: Path) -> Need:
+        """Return the memory that a file takes, from the headers of all that is read with it.
+
+        Raises LobewiseError if the file cannot be read.
+        """
+        request, settings = self._request, ask(self._request.settings, {})
+        held, pixels = foretell_reading(path)
+        held *= 1 if request.half is None else 2
+        work = estimate_work_bytes(None, pixels, settings.quality, with_oidn=bool(settings.with_oidn))
+        if request.window:
+            from lobewise.recipes.windows.recipe import HELD_SHARE
+
+            number = FramePattern.parse(self._source).read_number(path)
+            work += HELD_SHARE * held * len(request.list_window(self._source, number))
+        return Need(held, work)
 
     def read(self, path: Path) -> OpenedFile:
         """Return a file, with its view if it has only one, unless it is denoised in bands."""
@@ -85,13 +124,15 @@ class FileDenoiser:
         only = self._read_view(path, selections[0], selections) if len(selections) == 1 else None
         return OpenedFile(path, selections, only)
 
-    def _read_view(self, path: Path, selection: Selection, selections: Sequence[Selection]) -> Imported:
+    def _read_view(self, path: Path, selection: Selection, selections: Sequence[Selection]) -> OpenedView:
         read = partial(self._import, selection=selection, selections=selections)
         if not self._request.window:
-            return read(path)
-        if selection not in self._windows:
-            self._windows[selection] = _Window(self._request, self._source, self._remarks)
-        return self._windows[selection].read(path, read)
+            return OpenedView(read(path))
+        # The only view of a file may be read while the views of the file before are.
+        with self._reading:
+            if selection not in self._windows:
+                self._windows[selection] = _Window(self._request, self._source, self._remarks)
+            return self._windows[selection].read(path, read)
 
     def _import(self, path: Path, selection: Selection, selections: Sequence[Selection]) -> Imported:
         return read_view(
@@ -135,19 +176,19 @@ class FileDenoiser:
             return FileResult((denoise_file(file.path, target, request.settings, lobe_tables=self._tables, rows=rows),))
         done, planned = [], []
         for selection in file.selections:
-            imported = file.only or self._read_view(file.path, selection, file.selections)
-            result = self._filter_view(selection, imported)
+            view = file.only or self._read_view(file.path, selection, file.selections)
+            result = self._filter_view(selection, view)
             done.append(result)
-            planned.append(self._plan(result, imported))
-        return FileResult(done, file.selections, imported.container, planned)
+            planned.append(self._plan(result, view.imported))
+        return FileResult(done, file.selections, view.imported.container, planned)
 
-    def _filter_view(self, selection: Selection, imported: Imported) -> Result:
+    def _filter_view(self, selection: Selection, view: OpenedView) -> Result:
         settings = self._request.settings
-        if self._request.window:
-            result = self._windows[selection].denoise()
+        if view.window:
+            result = self._windows[selection].filter.denoise(view.window, view.index)
         else:
-            result = denoise_checked(check_import(imported, settings), settings)
-        return result if self._improve is None else self._improve(result, imported.frame)
+            result = denoise_checked(check_import(view.imported, settings), settings)
+        return result if self._improve is None else self._improve(result, view.imported.frame)
 
     def _plan(self, result: Result, imported: Imported) -> PlannedResult:
         confidence = self._request.confidence
@@ -176,14 +217,12 @@ class _Window:
         from lobewise.recipes.windows import WindowFilter
 
         self._request, self._source, self._remarks = request, source, remarks
-        self._filter = WindowFilter(request.window, request.settings, past_only=request.past_only)
+        self.filter = WindowFilter(request.window, request.settings, past_only=request.past_only)
         self._kept: dict[Path, Imported | None] = {}
         """The frames of the files of a window; None for a file that cannot be read."""
-        self._frames: list[Frame] = []
-        self._index = 0
 
-    def read(self, path: Path, read: Callable[[Path], Imported]) -> Imported:
-        """Return a file, and read the files around it.
+    def read(self, path: Path, read: Callable[[Path], Imported]) -> OpenedView:
+        """Return a file with the files around it.
 
         A missing number, or a frame that cannot be read or has another size, ends a window.
         """
@@ -197,12 +236,10 @@ class _Window:
             else:
                 self._kept[each] = known[each] if each in known else self._read_other(number, each, read)
         images = [self._kept[each] for _, each in files]
-        self._index = middle - files[0][0]
-        first = max((k + 1 for k in range(self._index) if images[k] is None), default=0)
-        past = next((k for k in range(self._index, len(images)) if images[k] is None), len(images))
-        self._frames = [image.frame for image in images[first:past] if image is not None]
-        self._index -= first
-        return own
+        index = middle - files[0][0]
+        first = max((k + 1 for k in range(index) if images[k] is None), default=0)
+        past = next((k for k in range(index, len(images)) if images[k] is None), len(images))
+        return OpenedView(own, [image.frame for image in images[first:past] if image is not None], index - first)
 
     def _read(self, number: int, path: Path, read: Callable[[Path], Imported]) -> Imported:
         imported = read(path)
@@ -218,10 +255,6 @@ class _Window:
         except LobewiseError as problem:
             self._remarks.add(f"Frame {number} ends the windows of the frames around it: {problem}")
             return None
-
-    def denoise(self) -> Result:
-        """Return the result of the file that was read last."""
-        return self._filter.denoise(self._frames, self._index)
 
 
 def read_view(

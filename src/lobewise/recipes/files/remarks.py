@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING
 
 from lobewise.errors import hide_numbers
 from lobewise.interchange.selections import Selection
+from lobewise.work.overlap import tell_in_turn
 
 if TYPE_CHECKING:
     from lobewise.recipes.files.result import FileResult
@@ -37,8 +39,12 @@ class Remarks:
     def add(self, note: str, key: str = "", frame: int | None = None) -> None:
         """Tell a note, unless a note with its key was told before; by default the note is its own key.
 
-        ``frame`` is the number of the note's frame in a sequence.
+        ``frame`` is the number of the note's frame in a sequence. Notes on a file are told after those on the files
+        before.
         """
+        tell_in_turn(partial(self._add, note, key, frame))
+
+    def _add(self, note: str, key: str, frame: int | None) -> None:
         if (key or note) in self.sentences:
             return
         where = self.file if frame is None else f"Frame {frame}"
@@ -52,11 +58,14 @@ class Remarks:
 
         For other views than the ``first``, tell only notes of a new kind, with the name of the view.
         """
+        tell_in_turn(partial(self._add_of, selection, first, note, key, frame))
+
+    def _add_of(self, selection: Selection, first: Selection, note: str, key: str, frame: int | None) -> None:
         kind = selection.name_kind(note)
         if selection == first:
-            self.add(note, key, frame)
+            self._add(note, key, frame)
         elif kind not in self._kinds:
-            self.add(selection.begin_note(note, first), key, frame)
+            self._add(selection.begin_note(note, first), key, frame)
         self._kinds.add(kind)
 
     def add_result(self, result: FileResult, frame: int | None = None) -> None:

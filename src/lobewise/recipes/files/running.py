@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -19,8 +20,9 @@ from lobewise.recipes.files.request import FileRequest
 from lobewise.recipes.files.result import FileResult
 from lobewise.recipes.files.upsampler import FileUpsampler, UpsampleRequest
 from lobewise.recipes.ledger import Ledger, measure_all, open_ledger
-from lobewise.recipes.sequence import SequenceFilter, SequenceReport, filter_sequence, require_frames
+from lobewise.recipes.sequence import Need, SequenceFilter, SequenceReport, filter_sequence, require_frames
 from lobewise.settings import DenoiseSettings
+from lobewise.work.overlap import Overlap
 from lobewise.work.progress import FILTER, WRITE, Watcher, enter_stage, follow_file, watch_call
 
 FileT = TypeVar("FileT")
@@ -29,6 +31,9 @@ Request = FileRequest | UpsampleRequest
 
 class FileFilter(Protocol[FileT]):
     """How files are read, filtered and written."""
+
+    def foretell(self, path: Path) -> Need:
+        """Return the memory that a file takes. Raises LobewiseError if that is unknown."""
 
     def read(self, path: Path) -> FileT:
         """Return the content of a file."""
@@ -200,6 +205,7 @@ def run_files(
             remembers=request.remembers,
             list_sources=lambda number, _: request.list_sources(number, source),
             list_outputs=list_outputs,
+            foretell=files.foretell,
             progress=progress,
             remark=remark,
             numbers=numbers,
@@ -218,11 +224,11 @@ def run_files(
                 ledger.remove()
         return report
     require_writable(output)
-    with watch_call(progress), follow_file(source.name):
-        file = files.read(source)
+    with watch_call(progress), follow_file(source.name), Overlap() as overlap:
+        file = overlap.read(source, partial(files.read, source))
         enter_stage(FILTER)
-        with name_file(source):
+        with overlap.time(FILTER), name_file(source):
             result = files.make_filter().add(file)
         enter_stage(WRITE)
-        write(output, result, file, source)
-    return SequenceReport(frames=1, written=1, last=result)
+        overlap.write(partial(write, output, result, file, source), lambda: None, behind=False)
+    return SequenceReport(frames=1, written=1, last=result, stage_seconds=overlap.seconds)

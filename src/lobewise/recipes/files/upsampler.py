@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from lobewise.denoising.plan import estimate_work_bytes
 from lobewise.errors import InputError
 from lobewise.interchange.checks.unsampled import NOT_RENDERED
 from lobewise.interchange.imported import Imported
@@ -24,10 +25,11 @@ from lobewise.io.exr.sparse import read_sparse_frame
 from lobewise.io.sequence import name_frame
 from lobewise.recipes.adaptive.shading import Shading
 from lobewise.recipes.files.denoiser import read_view
+from lobewise.recipes.files.foretelling import foretell_reading
 from lobewise.recipes.files.remarks import Remarks
 from lobewise.recipes.files.request import FileRequest
 from lobewise.recipes.files.result import FileResult
-from lobewise.recipes.sequence import FilterAlone, SequenceFilter
+from lobewise.recipes.sequence import FilterAlone, Need, SequenceFilter
 from lobewise.recipes.states import State
 from lobewise.recipes.upsampling import upsample
 from lobewise.records.frame import Frame, Radiance, Result
@@ -103,6 +105,16 @@ class FileUpsampler:
     def __init__(self, request: UpsampleRequest, source: Path, output: Path, remarks: Remarks) -> None:
         self._request, self._source, self._remarks = request, source, remarks
         self._improve = None if request.shading is None else request.shading.make_improver()
+
+    def foretell(self, path: Path) -> Need:
+        """Return the memory that a file takes. Raises LobewiseError if it cannot be read."""
+        held, pixels = foretell_reading(path)
+        history = 0.0
+        if self._request.memory is not None:
+            from lobewise.recipes.temporal.recipe import HISTORY_SHARE
+
+            history = HISTORY_SHARE * held
+        return Need(held, history + estimate_work_bytes(None, pixels, "fast", with_oidn=False))
 
     def read(self, path: Path) -> SparseFile:
         """Return the sparse frame of a file, and for a file of another renderer how it was read."""
