@@ -29,6 +29,7 @@ def test_it_prints_the_steps_of_the_quality(quality: str, frame_file: Path, caps
     assert ("refine the image" in printed) == (quality == "high")
     assert "Memory: about" in printed
     assert "Time: about" in printed
+    assert "In a sequence: about" in printed
 
 
 def test_a_file_in_bands_is_planned_without_open_image_denoise(

@@ -241,10 +241,18 @@ def read_planned(
 def print_plan(source: Path, reading: PassReading, settings: dict[str, Any]) -> None:
     """Print the plan by which `denoise` would filter a file."""
     from lobewise.denoising.plan import foretell
+    from lobewise.recipes.files.foretelling import foretell_reading
+    from lobewise.work.limits import GIB
 
     checked, height = read_planned(source, reading, settings)
     for line in foretell(checked.frame, DenoiseSettings(**settings), height=height):
         typer.echo(line)
+    if height is None:
+        beside = 2.0 * foretell_reading(source)[0] / GIB
+        typer.echo(
+            f"In a sequence: about {beside:.2g} GiB more, as the frame after is read and the frame before is written "
+            "meanwhile. Where less is there, this waits."
+        )
 
 
 @app.command()
